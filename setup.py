@@ -1,0 +1,17 @@
+"""Tells catkin which Python packages to install; catkin runs it, nobody else should."""
+from setuptools import setup
+
+from catkin_pkg.python_setup import generate_distutils_setup
+
+setup(
+    **generate_distutils_setup(
+        packages=[
+            "car_interface",
+            "car_interface.nodes",
+            "car_interface.pca9685",
+            "car_interface.sim",
+            "car_interface.teensy",
+        ],
+        package_dir={"": "src"},
+    )
+)
