@@ -1,0 +1,1 @@
+"""Everything between a small autonomous car's software and its hardware."""

@@ -1,0 +1,47 @@
+"""The errors of this package, each of which ends as one line that a car's owner can act on."""
+
+
+class CarInterfaceError(Exception):
+    """Whatever this package raises on purpose."""
+
+
+class ConfigError(CarInterfaceError, ValueError):
+    """A parameter, table or file that the package can't work with.
+
+    Args:
+        name: the parameter as its owner wrote it, e.g. ``servo_channel`` or ``value_map.csv, line 3``.
+        value: what was found there; ``None`` where nothing was.
+        accepted: what would have been accepted, e.g. ``an integer from 0 to 15``.
+    """
+
+    def __init__(self, name, value, accepted):
+        self.name = name
+        self.value = value
+        self.accepted = accepted
+        found = "is missing" if value is None else f"is {_shorten(value)}"
+        super().__init__(f"{name} {found}; accepted: {accepted}")
+
+
+class ProtocolError(CarInterfaceError, ValueError):
+    """A request that the protocol or the firmware behind it can't carry; raised before a byte is sent."""
+
+
+class DeviceError(CarInterfaceError):
+    """A device that is absent, refused or failing. It never ends a node; it's reported and tried again.
+
+    Args:
+        what: the device, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
+        cause: what went wrong, in words.
+        cure: what its owner can do or type next.
+    """
+
+    def __init__(self, what, cause, cure):
+        self.what = what
+        self.cause = cause
+        self.cure = cure
+        super().__init__(f"{what}: {cause}. {cure}")
+
+
+def _shorten(value, limit=80):
+    text = repr(value)
+    return text if len(text) <= limit else text[: limit - 1] + "…"

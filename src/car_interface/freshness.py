@@ -1,0 +1,46 @@
+"""How long ago something was heard, and when that's too long.
+
+Freshness goes by arrival on the monotonic clock: stamps in messages can lie, and clocks get set.
+"""
+from __future__ import annotations
+
+import math
+
+NS_PER_S = 1_000_000_000
+
+
+class Heard:
+    """The newest value of one input and its age.
+
+    Args:
+        name: what the input is called in a reason.
+        timeout_s: silence longer than this is a loss; 0 = never. An input that was never heard is silent whatever it is.
+    """
+
+    def __init__(self, name: str, timeout_s: float):
+        self.name = name
+        self.value = None
+        self._timeout_ns = round(timeout_s * NS_PER_S) or math.inf
+        self._at_ns = None
+
+    def hear(self, value, now_ns: int) -> None:
+        """Take ``value`` as the newest, arrived at ``now_ns``."""
+        self.value = value
+        self._at_ns = now_ns
+
+    @property
+    def was_heard(self) -> bool:
+        """Whether anything ever arrived."""
+        return self._at_ns is not None
+
+    def is_silent(self, now_ns: int) -> bool:
+        """Whether it was never heard, or not for longer than its timeout."""
+        return self._at_ns is None or now_ns - self._at_ns > self._timeout_ns
+
+    def age_s(self, now_ns: int) -> float:
+        """Seconds since it was heard; inf = never."""
+        return math.inf if self._at_ns is None else (now_ns - self._at_ns) / NS_PER_S
+
+    def silence(self, now_ns: int) -> str:
+        """Its silence in words, for a reason: ``human_in_loop silent for 0.52 s``."""
+        return f"{self.name} silent for {self.age_s(now_ns):.2f} s" if self.was_heard else f"{self.name} was never heard"

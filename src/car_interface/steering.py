@@ -1,0 +1,169 @@
+"""Who steers, and with what duty.
+
+Consumes what was heard (the deadman, the gamepad's steering, the planner's turn radius), each with its arrival
+on the monotonic clock, and answers with a ``Decision``: source, duty, and the reason in words. It calls no clock:
+``now_ns`` is passed in. Silence never grants control, it takes it away.
+
+Steering −1 is right and +1 left; a turn radius is in metres, right negative; a duty is 0..65535 of the PWM period.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Optional, Sequence
+
+from car_interface.errors import ConfigError
+from car_interface.freshness import Heard
+from car_interface.interpolation import LookupTable, round_half_away
+
+# Values of SteeringState.source, in order of priority.
+LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
+SOURCE_NAMES = ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
+
+MAX_DUTY = 65535
+CHANNELS = 16
+NO_RADIUS_M = 0.001  # a requested radius this close to 0 means "no request", as in the original
+
+
+@dataclass(frozen=True)
+class SteeringConfig:
+    """A car's steering calibration, and how long each input may be silent.
+
+    Attributes:
+        servo_left, servo_center, servo_right: duty 0..65535 at full left, straight ahead and full right; the center
+            lies between the other two (either may be the larger).
+        servo_channel: 0..15.
+        radius_axis_m: magnitudes of turn radius in metres, positive, increasing.
+        left_duties, right_duties: the duty that turns that tight, one for each radius.
+        tele_steer_neutral: the request that means "not steering" (0.5 for an old 0..1 stack).
+        tele_steer_deadband: requests this near to it mean the same.
+        human_timeout_s, teleop_timeout_s, planner_timeout_s: silence longer than this is a loss; 0 = never.
+
+    Raises:
+        ConfigError: naming the ROS parameter.
+    """
+
+    servo_left: int
+    servo_center: int
+    servo_right: int
+    servo_channel: int
+    radius_axis_m: Sequence[float]
+    left_duties: Sequence[float]
+    right_duties: Sequence[float]
+    tele_steer_neutral: float = 0.0
+    tele_steer_deadband: float = 0.001
+    human_timeout_s: float = 0.5
+    teleop_timeout_s: float = 0.5
+    planner_timeout_s: float = 0.5
+
+    def __post_init__(self):
+        if not min(self.servo_left, self.servo_right) <= self.servo_center <= max(self.servo_left, self.servo_right):
+            raise ConfigError("servo_center", self.servo_center,
+                              f"a duty between servo_left {self.servo_left} and servo_right {self.servo_right}")
+        if self.servo_left == self.servo_right:
+            raise ConfigError("servo_right", self.servo_right, "a duty other than servo_left's")
+        if self.radius_axis_m and self.radius_axis_m[0] <= 0:
+            raise ConfigError("m_turnrad_axis_servo[0]", self.radius_axis_m[0], "a radius above 0 m")
+
+
+class Decision(NamedTuple):
+    """What the servo shall do, and why."""
+
+    source: int
+    duty: int
+    cause: str  # the kind of reason: stays the same while the reason's numbers count on
+    reason: str
+    human_age_s: float  # inf = never heard
+    teleop_age_s: float
+    planner_age_s: float
+
+    def differs_from(self, other: Optional[Decision]) -> bool:
+        """Whether this is another decision, not the same one with older ages."""
+        return other is None or self[:3] != other[:3]
+
+
+class SteeringArbiter:
+    """Decides who steers from the newest of each input.
+
+    No human → neutral; else the gamepad, if it steers; else the planner, if it asks; else neutral. A gamepad that was
+    heard once and fell silent or sends nonsense means neutral, not the planner: its owner thinks that he steers.
+    """
+
+    def __init__(self, config: SteeringConfig):
+        self._config = config
+        self._left = LookupTable(config.radius_axis_m, config.left_duties,
+                                 "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo")
+        self._right = LookupTable(config.radius_axis_m, config.right_duties,
+                                  "m_turnrad_axis_servo", "k_pwmcmd_right_table_servo")
+        self._human = Heard("human_in_loop", config.human_timeout_s)
+        self._teleop = Heard("tele_steer_req", config.teleop_timeout_s)
+        self._planner = Heard("av_turnrad_req", config.planner_timeout_s)
+
+    def hear_human(self, present: bool, now_ns: int) -> None:
+        """The deadman: true while a human holds it."""
+        self._human.hear(present, now_ns)
+
+    def hear_teleop(self, steering: float, now_ns: int) -> None:
+        """The gamepad's steering, −1 right to +1 left."""
+        self._teleop.hear(steering, now_ns)
+
+    def hear_planner(self, radius_m: float, now_ns: int) -> None:
+        """The planner's turn radius in metres, right negative; 0 = no request."""
+        self._planner.hear(radius_m, now_ns)
+
+    def decide(self, now_ns: int) -> Decision:
+        """Who steers at ``now_ns``, with what duty, and why."""
+        source, duty, cause, reason = self._rule(now_ns)
+        return Decision(source, duty, cause, reason, self._human.age_s(now_ns), self._teleop.age_s(now_ns),
+                        self._planner.age_s(now_ns))
+
+    def _rule(self, now_ns):
+        center = self._config.servo_center
+        if self._human.is_silent(now_ns):
+            cause = "human silent" if self._human.was_heard else "human never heard"
+            return NO_HUMAN, center, cause, self._human.silence(now_ns)
+        if not self._human.value:
+            return NO_HUMAN, center, "human absent", "human_in_loop is false"
+        if self._teleop.was_heard:
+            if self._teleop.is_silent(now_ns):
+                return NEUTRAL, center, "teleop silent", self._teleop.silence(now_ns)
+            if not math.isfinite(self._teleop.value):
+                return NEUTRAL, center, "teleop not finite", f"tele_steer_req is {self._teleop.value}, not a number to act on"
+            if not self._is_rest(self._teleop.value):
+                return TELEOP, self.teleop_duty(self._teleop.value), "teleop", f"tele_steer_req is {self._teleop.value:.3f}"
+        return self._planner_rule(now_ns)
+
+    def _planner_rule(self, now_ns):
+        center = self._config.servo_center
+        if not self._planner.was_heard:
+            return NEUTRAL, center, "no request", "neither tele_steer_req nor av_turnrad_req asks for anything"
+        if self._planner.is_silent(now_ns):
+            return NEUTRAL, center, "planner silent", self._planner.silence(now_ns)
+        radius_m = self._planner.value
+        if not math.isfinite(radius_m):
+            return NEUTRAL, center, "planner not finite", f"av_turnrad_req is {radius_m}, not a number to act on"
+        if abs(radius_m) <= NO_RADIUS_M:
+            return NEUTRAL, center, "no radius", "av_turnrad_req is 0, which asks for nothing"
+        return PLANNER, self.planner_duty(radius_m), "planner", f"av_turnrad_req is {radius_m:.3f} m"
+
+    def _is_rest(self, steering):
+        return abs(steering - self._config.tele_steer_neutral) <= self._config.tele_steer_deadband
+
+    def teleop_duty(self, steering: float) -> int:
+        """The duty for a gamepad request, clamped to −1..1: linear to each side, and each side by its own scale."""
+        config = self._config
+        steering = max(-1.0, min(1.0, steering))
+        side = config.servo_center - config.servo_left if steering > 0 else config.servo_right - config.servo_center
+        return round_half_away(config.servo_center - steering * side)
+
+    def planner_duty(self, radius_m: float) -> int:
+        """The duty for a turn radius: looked up by magnitude, saturated beyond the axis; the sign picks the table."""
+        table = self._left if radius_m > 0 else self._right
+        return round_half_away(table(abs(radius_m)))
+
+
+def servo_vector(channel: int, duty: int) -> list:
+    """The 16 values of /servo/cmdVector that set one channel and leave the others alone (−1)."""
+    vector = [-1] * CHANNELS
+    vector[channel] = duty
+    return vector
