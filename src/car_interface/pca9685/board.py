@@ -1,0 +1,90 @@
+"""The PCA9685 chip, over any object that has smbus2's ``SMBus`` methods; the virtual chip's bus is another.
+
+It knows registers and the order to write them in; it opens no bus and keeps no time. Errors of the bus (OSError) pass
+through to the caller, who knows what to tell the owner.
+"""
+from __future__ import annotations
+
+from typing import Callable, Dict, List, Optional
+
+from car_interface.pca9685.channels import CHANNELS, blocks
+from car_interface.pca9685.duty import COUNTS, frequency_for, register_bytes
+
+MODE1, MODE2, LED0_ON_L, ALL_LED_OFF_H, PRE_SCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
+RESTART, AUTO_INCREMENT, SLEEP = 0x80, 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
+TOTEM_POLE = 0x04  # MODE2: outputs drive both ways, not inverted (data sheet 7.3.2)
+FULL_OFF = 0x10
+OSCILLATOR_START_S = 500e-6  # after SLEEP is cleared (data sheet 7.3.1.1)
+CHANNELS_PER_BLOCK = 32 // 4  # an SMBus block write carries at most 32 bytes
+
+
+class Board:
+    """One PCA9685.
+
+    Args:
+        bus: has ``read_byte_data(address, register)``, ``write_byte_data(address, register, value)`` and
+            ``write_i2c_block_data(address, register, values)``.
+        address: 7-bit I²C address, 0x40..0x7f.
+        prescale: PRE_SCALE, 3..255.
+        oscillator_hz: the chip's clock, nominally 25 MHz.
+        pause: called with seconds, where the chip must be given time.
+    """
+
+    def __init__(self, bus, address: int, prescale: int, oscillator_hz: float, pause: Callable[[float], None]):
+        self._bus = bus
+        self._address = address
+        self._prescale = prescale
+        self._pause = pause
+        self.period_s = 1.0 / frequency_for(prescale, oscillator_hz)
+        self._held: List[Optional[int]] = [None] * CHANNELS
+
+    @property
+    def held(self) -> List[Optional[int]]:
+        """The counts that each channel was last given; ``None`` = never."""
+        return list(self._held)
+
+    def initialise(self) -> None:
+        """Bring the chip to the wanted frequency with auto-increment on.
+
+        A chip that already runs so is not put to sleep: a node that comes back in mid-drive doesn't cut a pulse.
+        Otherwise every output goes off and its last pulse may end before the chip sleeps, for the prescale can only be
+        written asleep (data sheet 7.3.5) and a SLEEP in the middle of a pulse makes an ESC jump.
+        """
+        self._held = [None] * CHANNELS
+        mode1 = self._read(MODE1)
+        if not (mode1 & SLEEP or self._read(PRE_SCALE) != self._prescale):
+            self._write(MODE1, AUTO_INCREMENT)
+            return
+        if not mode1 & SLEEP:
+            self.all_off()
+            self._pause(self._slowest_period_s())
+        self._write(MODE1, AUTO_INCREMENT | SLEEP)
+        self._write(PRE_SCALE, self._prescale)
+        self._write(MODE2, TOTEM_POLE)
+        self.all_off()  # what the channels held before must not come back with the restart
+        self._write(MODE1, AUTO_INCREMENT)
+        self._pause(OSCILLATOR_START_S)
+
+    def write(self, changes: Dict[int, int]) -> None:
+        """Give channels their counts: neighbours in one auto-increment block, so that no pulse is half old, half new."""
+        for run in blocks(changes, CHANNELS_PER_BLOCK):
+            data = b"".join(register_bytes(changes[channel]) for channel in run)
+            for channel in run:
+                self._held[channel] = None  # until the transfer is known to have worked
+            self._bus.write_i2c_block_data(self._address, LED0_ON_L + 4 * run[0], list(data))
+            for channel in run:
+                self._held[channel] = changes[channel]
+
+    def all_off(self) -> None:
+        """Set the full-off bit of all channels in one transfer; a pulse under way still ends by itself (7.3.3)."""
+        self._write(ALL_LED_OFF_H, FULL_OFF)
+        self._held = [0] * CHANNELS
+
+    def _slowest_period_s(self):
+        return COUNTS * 256 / 23e6  # whatever prescale it ran at, and a slow oscillator
+
+    def _read(self, register):
+        return self._bus.read_byte_data(self._address, register)
+
+    def _write(self, register, value):
+        self._bus.write_byte_data(self._address, register, value)

@@ -1,0 +1,123 @@
+"""What each of the sixteen channels should hold: the newest command, or its timeout value once that's too old.
+
+Pure: commands and ``now_ns`` in, counts out. The chip itself is ``board.Board``.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Dict, List, NamedTuple, Optional, Sequence
+
+from car_interface.errors import ConfigError
+from car_interface.pca9685.duty import MAX_DUTY, counts_of_duty
+
+CHANNELS = 16
+UNCHANGED = -1
+NS_PER_MS = 1_000_000
+
+
+@dataclass(frozen=True)
+class ChannelConfig:
+    """One channel's limits and failsafe.
+
+    Attributes:
+        timeout_ms: silence longer than this puts the channel to its timeout value; 0 = never.
+        timeout_value: duty 0..65535; 0 = off. Not subject to the limits.
+        pwm_min, pwm_max: commanded duties are clamped to these, 0 too.
+    """
+
+    timeout_ms: int = 250
+    timeout_value: int = 0
+    pwm_min: int = 0
+    pwm_max: int = MAX_DUTY
+
+
+class Accepted(NamedTuple):
+    """What became of one command."""
+
+    channels: Sequence[int]  # the channels that it set
+    clamped: Sequence[int]  # of these, the ones whose duty lay beyond pwm_min or pwm_max
+    refused: Sequence[int]  # the ones whose value is no duty at all; they keep what they had, and their timeout runs on
+
+
+class Channels:
+    """Keeps every channel's target. At first, and after a timeout, that is the timeout value.
+
+    Args:
+        configs: one for each of the sixteen channels.
+
+    Raises:
+        ConfigError: naming the parameter and the channel.
+    """
+
+    def __init__(self, configs: Sequence[ChannelConfig]):
+        for channel, config in enumerate(configs):
+            if config.pwm_min > config.pwm_max:
+                raise ConfigError(f"pwm_min[{channel}]", config.pwm_min, f"at most pwm_max[{channel}] {config.pwm_max}")
+        self._configs = tuple(configs)
+        self._failsafe = [counts_of_duty(config.timeout_value) for config in configs]
+        self._targets = list(self._failsafe)
+        self._deadlines_ns: Dict[int, int] = {}
+
+    def command(self, duties: Sequence[int], now_ns: int) -> Accepted:
+        """Take a vector of 16 duties, −1 = leave the channel alone. Each duty renews its channel's timeout.
+
+        Raises:
+            ValueError: unless there are exactly 16; then nothing of the command is taken.
+        """
+        if len(duties) != CHANNELS:
+            raise ValueError(f"a command needs {CHANNELS} values and has {len(duties)}")
+        given, clamped, refused = [], [], []
+        for channel, duty in enumerate(duties):
+            if duty == UNCHANGED:
+                continue
+            if not 0 <= duty <= MAX_DUTY:
+                refused.append(channel)
+                continue
+            config = self._configs[channel]
+            allowed = max(config.pwm_min, min(config.pwm_max, duty))
+            if allowed != duty:
+                clamped.append(channel)
+            self._targets[channel] = counts_of_duty(allowed)
+            if config.timeout_ms:
+                self._deadlines_ns[channel] = now_ns + config.timeout_ms * NS_PER_MS
+            given.append(channel)
+        return Accepted(given, clamped, refused)
+
+    def expire(self, now_ns: int) -> List[int]:
+        """Put every channel whose command is too old to its timeout value; which these are."""
+        expired = [channel for channel, deadline_ns in self._deadlines_ns.items() if now_ns >= deadline_ns]
+        for channel in expired:
+            del self._deadlines_ns[channel]
+            self._targets[channel] = self._failsafe[channel]
+        return expired
+
+    def make_safe(self) -> None:
+        """Put every channel to its timeout value now."""
+        self._deadlines_ns.clear()
+        self._targets = list(self._failsafe)
+
+    def next_deadline_ns(self) -> float:
+        """When ``expire`` will next have something to do; inf = not before the next command."""
+        return min(self._deadlines_ns.values(), default=math.inf)
+
+    @property
+    def targets(self) -> List[int]:
+        """The counts, 0..4096, that each channel should hold."""
+        return list(self._targets)
+
+
+def blocks(changes: Dict[int, int], longest: int) -> List[List[int]]:
+    """Channels to write, as runs of neighbours no longer than ``longest``: one transfer each."""
+    runs: List[List[int]] = []
+    for channel in sorted(changes):
+        if runs and channel == runs[-1][-1] + 1 and len(runs[-1]) < longest:
+            runs[-1].append(channel)
+        else:
+            runs.append([channel])
+    return runs
+
+
+def differences(held: Sequence[Optional[int]], targets: Sequence[int]) -> Dict[int, int]:
+    """The channels whose target isn't what the chip holds (``None`` = not known), with their targets."""
+    return {channel: target for channel, target in enumerate(targets) if held[channel] != target}

@@ -1,0 +1,153 @@
+"""A PCA9685 at register level, behind an I²C bus with smbus2's methods.
+
+Modelled from the data sheet (NXP PCA9685, rev. 4), not from the driver that it tests: MODE1 with SLEEP, RESTART and
+auto-increment, PRE_SCALE that takes a value only asleep, the ALL_LED registers, full-on and full-off bits.
+"""
+from __future__ import annotations
+
+import errno
+from typing import Dict, List
+
+_MODE1, _MODE2, _SUBADR1, _LED0, _LED15_END, _ALL_LED, _PRE_SCALE, _TEST = 0, 1, 2, 6, 69, 250, 254, 255
+_RESTART, _EXTCLK, _AI, _SLEEP = 0x80, 0x40, 0x20, 0x10
+_FULL = 0x10
+_CHANNELS = 16
+
+
+class VirtualPca9685:
+    """The chip's registers, and what its pins do with them."""
+
+    def __init__(self):
+        self._registers = bytearray(256)
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Every register to its reset value (data sheet 7.3, table 4): asleep, all outputs full off, 200 Hz."""
+        self._registers[:] = bytes(256)
+        self._registers[_MODE1] = _SLEEP | 0x01
+        self._registers[_MODE2] = 0x04
+        self._registers[_SUBADR1:_LED0] = bytes((0xE2, 0xE4, 0xE8, 0xE0))
+        for channel in range(_CHANNELS):
+            self._registers[_LED0 + 4 * channel + 3] = _FULL
+        self._registers[_PRE_SCALE] = 0x1E
+
+    def write(self, register: int, data: List[int]) -> None:
+        """One write transfer: a register address, then data bytes."""
+        for value in data:
+            self._store(register, value)
+            if self._registers[_MODE1] & _AI:
+                register = self._after(register)
+
+    def read(self, register: int, length: int) -> List[int]:
+        """One read transfer."""
+        data = []
+        for _ in range(length):
+            write_only = _ALL_LED <= register < _PRE_SCALE
+            data.append(0 if write_only else self._registers[register])
+            if self._registers[_MODE1] & _AI:
+                register = self._after(register)
+        return data
+
+    @staticmethod
+    def _after(register):
+        return 0 if register in (_LED15_END, _TEST) else register + 1
+
+    def _store(self, register, value):
+        registers = self._registers
+        asleep = bool(registers[_MODE1] & _SLEEP)
+        if register == _MODE1:
+            self._store_mode1(value)
+        elif register == _PRE_SCALE:
+            if asleep:
+                registers[_PRE_SCALE] = max(3, value)
+        elif _LED0 <= register <= _LED15_END:
+            registers[register] = value & (0x1F if (register - _LED0) % 2 else 0xFF)
+            registers[_MODE1] &= ~_RESTART & 0xFF
+        elif _ALL_LED <= register < _PRE_SCALE:
+            for channel in range(_CHANNELS):
+                self._store(_LED0 + 4 * channel + register - _ALL_LED, value)
+        elif register < _LED0:
+            registers[register] = value
+
+    def _store_mode1(self, value):
+        before = self._registers[_MODE1]
+        restart = before & _RESTART
+        if value & _SLEEP and not before & _SLEEP and any(map(self._pulses, range(_CHANNELS))):
+            restart = _RESTART  # put to sleep with pulses running
+        if value & _RESTART and not value & _SLEEP:
+            restart = 0  # writing a 1 restarts the channels and clears the bit
+        extclk = (before | value) & _EXTCLK  # only a power cycle clears it
+        self._registers[_MODE1] = value & 0x3F | extclk | restart
+
+    def _pulses(self, channel):
+        _, on_h, _, off_h = self._channel_registers(channel)
+        return not off_h & _FULL and (on_h & _FULL or self.high_counts(channel) > 0)
+
+    def _channel_registers(self, channel):
+        start = _LED0 + 4 * channel
+        return self._registers[start: start + 4]
+
+    def high_counts(self, channel: int) -> int:
+        """For how many of a period's 4096 counts the pin of a channel is high; 0 asleep or waiting for a restart."""
+        if self._registers[_MODE1] & (_SLEEP | _RESTART):
+            return 0
+        on_l, on_h, off_l, off_h = self._channel_registers(channel)
+        if off_h & _FULL:
+            return 0
+        if on_h & _FULL:
+            return 4096
+        return ((off_h % 16 * 256 + off_l) - (on_h % 16 * 256 + on_l)) % 4096
+
+    def period_s(self, oscillator_hz: float = 25e6) -> float:
+        """The PWM period that PRE_SCALE makes."""
+        return 4096 * (self._registers[_PRE_SCALE] + 1) / oscillator_hz
+
+
+class VirtualBus:
+    """An I²C bus with virtual chips on it, to be used in place of ``smbus2.SMBus``.
+
+    Args:
+        chips: by 7-bit address. Any other address answers as an empty one does on Linux: OSError 121 (EREMOTEIO).
+
+    Attributes:
+        transfers: bytes on the wire of each write so far, address and register included.
+    """
+
+    def __init__(self, chips: Dict[int, VirtualPca9685]):
+        self._chips = chips
+        self.transfers: List[int] = []
+
+    def read_byte_data(self, address: int, register: int) -> int:
+        """As smbus2."""
+        return self._chip(address).read(register, 1)[0]
+
+    def read_i2c_block_data(self, address: int, register: int, length: int) -> List[int]:
+        """As smbus2: at most 32 bytes."""
+        return self._chip(address).read(register, _checked_length(length))
+
+    def write_byte_data(self, address: int, register: int, value: int) -> None:
+        """As smbus2."""
+        self._write(address, register, [value])
+
+    def write_i2c_block_data(self, address: int, register: int, data: List[int]) -> None:
+        """As smbus2: at most 32 bytes."""
+        _checked_length(len(data))
+        self._write(address, register, data)
+
+    def close(self) -> None:
+        """As smbus2; the chips keep their power."""
+
+    def _write(self, address, register, data):
+        self._chip(address).write(register, data)
+        self.transfers.append(2 + len(data))
+
+    def _chip(self, address):
+        if address not in self._chips:
+            raise OSError(errno.EREMOTEIO, "Remote I/O error")
+        return self._chips[address]
+
+
+def _checked_length(length):
+    if length > 32:
+        raise ValueError(f"Data length cannot exceed 32 bytes, got {length}")
+    return length
