@@ -1,0 +1,169 @@
+"""Frames on the serial line: flag, escape, checksum.
+
+``FrameDecoder`` takes whatever bytes arrive and returns the frames that are whole and sum up; it never raises, a
+corrupt frame is a count. ``encode`` makes the bytes of one frame for the Teensy. Neither touches a port.
+
+On the line a frame is ``7e | body | chk | 7e``; inside, 7e and 7d travel as ``7d (b ^ 20)``, as in HDLC (ISO 13239).
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import List
+
+FLAG, ESCAPE = b"\x7e", b"\x7d"
+_ESCAPED_FLAG, _ESCAPED_ESCAPE = b"\x7d\x5e", b"\x7d\x5d"
+_FLIP = 0x20  # what an escaped byte is xored with
+HEADER_SIZE = 4  # dst, src, cmd, reserved
+LONGEST_BODY = 36  # header + two wheels of 16 bytes; also the most that the Teensy's receiver takes
+LONGEST_ON_LINE = 2 * (LONGEST_BODY + 1)  # each byte of it, and of the checksum, escaped
+
+SHIPPED = "shipped"  # the checksum that the Teensy's receiver really computes
+CORRECTED = "corrected"  # the one that it was meant to compute, and that its transmitter does
+
+# 39 zeros bring the shipped receiver to "waiting for an opening flag" from any of its states; 38 miss one of them.
+RESYNC_FILLER = bytes(39)
+
+
+@dataclass
+class LineTally:
+    """What the decoder has seen. ``bytes_in == frame_bytes + flags + noise_bytes + the decoder's pending bytes``."""
+
+    bytes_in: int = 0
+    flags: int = 0
+    frames: int = 0  # whole, and their checksum right
+    frame_bytes: int = 0  # of these, as they came on the line, escapes and checksum included
+    noise_bytes: int = 0  # of everything else
+    bad_checksum: int = 0
+    bad_escape: int = 0  # an escape before a flag (an aborted frame) or before a byte that needs none
+    too_short: int = 0  # the Teensy's boot frame is one
+    too_long: int = 0
+
+    @property
+    def bad_frames(self) -> int:
+        """Corrupt frames of all kinds; the short ones, which are harmless, are not among them."""
+        return self.bad_checksum + self.bad_escape + self.too_long
+
+
+class FrameDecoder:
+    """Finds frames in a stream. Holds at most ``LONGEST_ON_LINE`` bytes between two calls, whatever arrives."""
+
+    def __init__(self):
+        self.tally = LineTally()
+        self._pending = b""
+        self._overlong = False  # inside something longer than a frame: wait for the next flag
+
+    def feed(self, data: bytes) -> List[bytes]:
+        """The bodies (header and payload, unescaped) of the frames that ``data`` completes, in order.
+
+        A flag ends one frame and may begin the next; flags in a row and what lies before the first flag are no frames.
+        The checksum test: bytes whose one's-complement sum is ff spell a number other than 0 that 255 divides,
+        for 256 ≡ 1 modulo 255.
+        """
+        tally = self.tally
+        tally.bytes_in += len(data)
+        segments = (self._pending + data).split(FLAG)
+        self._pending = segments.pop()
+        tally.flags += len(segments)
+        if self._overlong and segments:
+            self._overlong = False
+            tally.noise_bytes += len(segments.pop(0))
+        bodies = []
+        frame_bytes = 0
+        for segment in segments:
+            if not segment:
+                continue
+            frame = _unescape(segment) if ESCAPE in segment else segment
+            number = int.from_bytes(frame, "little")
+            if not number % 255 and number and HEADER_SIZE < len(frame) <= LONGEST_BODY + 1:
+                bodies.append(frame[:-1])
+                frame_bytes += len(segment)
+            else:
+                self._reject(segment, frame)
+        tally.frames += len(bodies)
+        tally.frame_bytes += frame_bytes
+        if len(self._pending) > LONGEST_ON_LINE or self._overlong:
+            self._discard_pending()
+        return bodies
+
+    @property
+    def pending(self) -> int:
+        """How many bytes of an unfinished frame are held."""
+        return len(self._pending)
+
+    def reset(self) -> None:
+        """Forget an unfinished frame: the line was reopened."""
+        self.tally.noise_bytes += len(self._pending)
+        self._pending = b""
+        self._overlong = False
+
+    def _reject(self, segment, frame):
+        tally = self.tally
+        tally.noise_bytes += len(segment)
+        if not frame:
+            tally.bad_escape += 1
+        elif len(frame) <= HEADER_SIZE:
+            tally.too_short += 1
+        elif len(frame) > LONGEST_BODY + 1:
+            tally.too_long += 1
+        else:
+            tally.bad_checksum += 1
+
+    def _discard_pending(self):
+        if not self._overlong:
+            self.tally.too_long += 1
+            self._overlong = True
+        self.tally.noise_bytes += len(self._pending)
+        self._pending = b""
+
+
+def _unescape(segment: bytes) -> bytes:
+    """The segment with its escapes undone; empty when one of them escapes anything but 7e or 7d.
+
+    The order matters: ``7d 5d 5e`` is an escaped 7d and a plain 5e.
+    """
+    frame = segment.replace(_ESCAPED_FLAG, FLAG).replace(_ESCAPED_ESCAPE, ESCAPE)
+    return frame if len(frame) == len(segment) - segment.count(ESCAPE) else b""
+
+
+def encode(body: bytes, checksum: str = SHIPPED) -> bytes:
+    """One frame for the Teensy, with an opening and a closing flag of its own (its receiver shares none).
+
+    Args:
+        body: header and payload, 4 to 36 bytes.
+        checksum: ``SHIPPED`` or ``CORRECTED``.
+    """
+    return (_encode_shipped if checksum == SHIPPED else _encode_corrected)(body)
+
+
+def _encode_shipped(body):
+    """The shipped receiver adds what is on the wire, but not the 7d of an escape, and it adds no carry.
+
+    An escaped checksum would be added as another value than the one it stands for. So where the checksum comes out as
+    7d or 7e, the reserved byte (0) is sent as ``7d 20``: this adds 20 to the sum and moves the checksum away from both.
+    """
+    stuffed = _escape(body)
+    chk = _shipped_checksum(stuffed)
+    if chk in b"\x7d\x7e":
+        stuffed = _escape(body[:3]) + bytes((0x7D, body[3] ^ _FLIP)) + _escape(body[4:])
+        chk = _shipped_checksum(stuffed)
+    return FLAG + stuffed + bytes((chk,)) + FLAG
+
+
+def _shipped_checksum(stuffed):
+    return 0xFF - (sum(stuffed) - 0x7D * stuffed.count(ESCAPE)) % 256
+
+
+def _encode_corrected(body):
+    chk = 0xFF - _ones_complement_sum(body)
+    return FLAG + _escape(body + bytes((chk,))) + FLAG
+
+
+def _ones_complement_sum(data):
+    total = sum(data)
+    while total > 0xFF:
+        total = (total & 0xFF) + (total >> 8)
+    return total
+
+
+def _escape(data):
+    return data.replace(ESCAPE, _ESCAPED_ESCAPE).replace(FLAG, _ESCAPED_FLAG)

@@ -1,0 +1,87 @@
+"""When to ping the Teensy, which pong answers which ping, and which checksum its receiver wants.
+
+Pure: ``now_ns`` in, bytes for the line out.
+"""
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import List, NamedTuple, Optional
+
+from car_interface.teensy.framing import CORRECTED, RESYNC_FILLER, SHIPPED, encode
+from car_interface.teensy.protocol import ping
+
+AUTO = "auto"
+NS_PER_S = 1_000_000_000
+# A pong's way back is at most what the Teensy's transmit buffers hold: some 2 kB, 0.2 s at 115200 baud.
+ANSWER_WITHIN_NS = NS_PER_S // 2
+UNANSWERED_BEFORE_SWITCH = 5
+
+
+class Answer(NamedTuple):
+    """What a pong says about the ping that it answers."""
+
+    sent_ns: int
+    round_trip_ns: int
+
+
+class Pinger:
+    """Keeps the pings that wait for an answer.
+
+    Args:
+        period_ns: from one ping to the next.
+        checksum: ``framing.SHIPPED``, ``framing.CORRECTED``, or ``AUTO``: shipped first, and the other one whenever five
+            pings in a row go unanswered.
+        now_ns: when to send the first.
+    """
+
+    def __init__(self, period_ns: int, checksum: str, now_ns: int):
+        self._period_ns = period_ns
+        self._auto = checksum == AUTO
+        self.checksum = SHIPPED if self._auto else checksum
+        self._waiting: OrderedDict = OrderedDict()  # timestamp1 → when it was sent
+        self.due_ns = now_ns
+        self.unanswered_in_a_row = 0
+        self.sent = 0
+        self.answered = 0
+
+    def restart(self, now_ns: int) -> None:
+        """The line was opened: what waited won't be answered; ping now."""
+        self._waiting.clear()
+        self.unanswered_in_a_row = 0
+        self.due_ns = now_ns
+
+    def next_event_ns(self) -> int:
+        """When the next ping is due, or the oldest one has waited too long."""
+        oldest_ns = next(iter(self._waiting.values()), None)
+        return self.due_ns if oldest_ns is None else min(self.due_ns, oldest_ns + ANSWER_WITHIN_NS)
+
+    def expire(self, now_ns: int) -> List[int]:
+        """Give up on pings that have waited too long; their timestamps. May change ``checksum``."""
+        expired = [token for token, sent_ns in self._waiting.items() if now_ns - sent_ns >= ANSWER_WITHIN_NS]
+        for token in expired:
+            del self._waiting[token]
+            self.unanswered_in_a_row += 1
+            if self._auto and self.unanswered_in_a_row % UNANSWERED_BEFORE_SWITCH == 0:
+                self.checksum = CORRECTED if self.checksum == SHIPPED else SHIPPED
+        if expired:
+            self.due_ns = now_ns  # don't wait out the period: the receiver may be out of step
+        return expired
+
+    def ping(self, timestamp1: int, now_ns: int) -> bytes:
+        """The bytes of a ping; after an unanswered one, behind the filler that brings the receiver back in step."""
+        self._waiting.setdefault(timestamp1, now_ns)
+        self.sent += 1
+        if now_ns >= self.due_ns:
+            next_ns = self.due_ns + self._period_ns
+            self.due_ns = next_ns if next_ns > now_ns else now_ns + self._period_ns
+        filler = RESYNC_FILLER if self.unanswered_in_a_row else b""
+        return filler + encode(ping(timestamp1), self.checksum)
+
+    def pong(self, timestamp1: int, now_ns: int) -> Optional[Answer]:
+        """Take a pong; ``None`` when nobody waits for it."""
+        sent_ns = self._waiting.pop(timestamp1, None)
+        if sent_ns is None:
+            return None
+        self.unanswered_in_a_row = 0
+        self.answered += 1
+        return Answer(sent_ns, now_ns - sent_ns)
