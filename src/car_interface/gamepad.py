@@ -1,0 +1,87 @@
+"""A gamepad's axes and buttons → steering and throttle requests, and whether a human holds a deadman.
+
+A held level, never a toggle: letting go releases at once, and so does a gamepad that falls silent or that sends fewer
+axes or buttons than it should.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Sequence
+
+from car_interface.freshness import Heard
+
+
+@dataclass(frozen=True)
+class GamepadConfig:
+    """Which axis and button does what (indices into sensor_msgs/Joy), and the scale of each axis.
+
+    Attributes:
+        steer_axis, throttle_axis: indices of axes.
+        steer_scale, throttle_scale: −1 turns an axis round.
+        manual_button: deadman: the human steers.
+        autonomous_button: deadman: the planner steers while a human watches.
+        steer_neutral: the request that means "not steering".
+        joy_timeout_s: silence longer than this releases; 0 = never.
+    """
+
+    steer_axis: int
+    throttle_axis: int
+    manual_button: int
+    autonomous_button: int
+    steer_scale: float = 1.0
+    throttle_scale: float = 1.0
+    steer_neutral: float = 0.0
+    joy_timeout_s: float = 0.25
+
+
+class Requests(NamedTuple):
+    """What the gamepad asks for."""
+
+    human_in_loop: bool
+    steering: float  # −1 right .. +1 left
+    throttle: float  # −1 .. +1
+    reason: str
+
+
+class Gamepad:
+    """The newest message of the gamepad, read as requests."""
+
+    def __init__(self, config: GamepadConfig):
+        self._config = config
+        self._joy = Heard("joy", config.joy_timeout_s)
+
+    def hear(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
+        """A message: axes −1..1, buttons 0 or 1."""
+        self._joy.hear(self._read(axes, buttons), now_ns)
+
+    def requests(self, now_ns: int) -> Requests:
+        """What the gamepad asks for at ``now_ns``."""
+        if self._joy.is_silent(now_ns):
+            return self._released(self._joy.silence(now_ns))
+        return self._joy.value
+
+    def _released(self, reason):
+        return Requests(False, self._config.steer_neutral, 0.0, reason)
+
+    def _read(self, axes, buttons):
+        config = self._config
+        for name, index, there in (("steer_axis", config.steer_axis, axes),
+                                   ("throttle_axis", config.throttle_axis, axes),
+                                   ("manual_button", config.manual_button, buttons),
+                                   ("autonomous_button", config.autonomous_button, buttons)):
+            if index >= len(there):
+                return self._released(f"the gamepad has no {name} {index}, only {len(there)}")
+        steering = config.steer_scale * axes[config.steer_axis]
+        throttle = config.throttle_scale * axes[config.throttle_axis]
+        if not (math.isfinite(steering) and math.isfinite(throttle)):
+            return self._released("an axis of the gamepad isn't a number")
+        if buttons[config.manual_button]:
+            return Requests(True, _unit(steering), _unit(throttle), "manual deadman held")
+        if buttons[config.autonomous_button]:
+            return Requests(True, config.steer_neutral, 0.0, "autonomous deadman held")
+        return self._released("no deadman is held")
+
+
+def _unit(x):
+    return max(-1.0, min(1.0, x))

@@ -1,0 +1,98 @@
+"""Whether the ESC gets the converted value, or neutral, and why.
+
+The ESC is driven only while a human holds the deadman, the steering arbiter is alive and hasn't locked, and command and
+odometry are fresh: steering and throttle stop together.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Optional, Sequence
+
+from car_interface.conversion import Conversion, Converter
+from car_interface.errors import ConfigError
+from car_interface.freshness import Heard
+from car_interface.interpolation import LookupTable, round_half_away
+from car_interface.steering import LOCKED, MAX_DUTY, NO_HUMAN, SOURCE_NAMES
+
+
+@dataclass(frozen=True)
+class ThrottleConfig:
+    """The ESC's channel and its calibration, named as the parameters under ``servo/``.
+
+    Attributes:
+        channel: 0..15.
+        value_axis, duty_table: the duty for each value, linear between, saturated beyond.
+        neutral: the duty that neither drives nor brakes.
+        human_timeout_s, steering_timeout_s, command_timeout_s: silence longer than this is a loss; 0 = never.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+
+    channel: int
+    value_axis: Sequence[float]
+    duty_table: Sequence[float]
+    neutral: int
+    human_timeout_s: float = 0.5
+    steering_timeout_s: float = 0.25
+    command_timeout_s: float = 0.5
+
+    def __post_init__(self):
+        if not min(self.duty_table) <= self.neutral <= max(self.duty_table):
+            raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
+
+
+class ThrottleDecision(NamedTuple):
+    """What the ESC shall get."""
+
+    duty: int
+    driving: bool  # False: neutral
+    cause: str
+    reason: str
+
+
+class Throttle:
+    """Decides what the ESC gets from the newest of what was heard."""
+
+    def __init__(self, config: ThrottleConfig, converter: Converter):
+        self._config = config
+        self._converter = converter
+        self._duty = LookupTable(config.value_axis, config.duty_table, "servo/value_axis", "servo/duty_table")
+        self._human = Heard("human_in_loop", config.human_timeout_s)
+        self._steering = Heard("turn_arb's state", config.steering_timeout_s)
+        self._command = Heard("control_cmd", config.command_timeout_s)
+
+    def hear_human(self, present: bool, now_ns: int) -> None:
+        """The deadman: true while a human holds it."""
+        self._human.hear(present, now_ns)
+
+    def hear_steering(self, source: int, now_ns: int) -> None:
+        """Who steers, as in SteeringState.source."""
+        self._steering.hear(source, now_ns)
+
+    def hear_conversion(self, conversion: Conversion, now_ns: int) -> None:
+        """What became of the newest command."""
+        self._command.hear(conversion, now_ns)
+
+    def decide(self, now_ns: int) -> ThrottleDecision:
+        """The ESC's duty at ``now_ns``, and why."""
+        hindrance = self._hindrance(now_ns)
+        if hindrance is not None:
+            return ThrottleDecision(self._config.neutral, False, *hindrance)
+        value = self._command.value.value
+        duty = max(0, min(MAX_DUTY, round_half_away(self._duty(value))))
+        return ThrottleDecision(duty, True, "driving", f"the value is {value:.3f}")
+
+    def _hindrance(self, now_ns) -> Optional[Sequence[str]]:
+        if self._human.is_silent(now_ns):
+            return "human silent", self._human.silence(now_ns)
+        if not self._human.value:
+            return "human absent", "human_in_loop is false"
+        if self._steering.is_silent(now_ns):
+            return "steering silent", self._steering.silence(now_ns)
+        if self._steering.value in (LOCKED, NO_HUMAN):
+            return "steering stopped", f"turn_arb says {SOURCE_NAMES[self._steering.value]}"
+        if self._command.is_silent(now_ns):
+            return "command silent", self._command.silence(now_ns)
+        trouble = self._command.value if self._command.value.value is None else self._converter.odometry_trouble(now_ns)
+        return None if trouble is None else (trouble.cause, trouble.reason)
