@@ -1,0 +1,205 @@
+"""The car_sim node: a car without hardware, for the real nodes to drive.
+
+It turns what the servo board holds into motion and answers as the Teensy does, byte by byte, on a pseudo-terminal. The
+true steering and drive-train curves are its own; the tables of the other nodes only come near them.
+
+Subscribes:
+    /servo/output (std_msgs/Int32MultiArray): what the servo board holds.
+Publishes:
+    ~truth (nav_msgs/Odometry, 50 Hz): where the car really is, in odom, and how fast.
+Parameters:
+    ~port /tmp/car_sim_teensy: where to put the link to the pseudo-terminal.
+    ~steering_channel 0, ~throttle_channel 1: of the servo board.
+    ~start [0, 0, 0]: x and y in m, yaw in rad.
+    ~wheelbase 0.324, ~track 0.296, ~wheel_diameter 0.095 (m), ~pulses_per_revolution 20.
+    ~steering_duties, ~steering_curvatures: the true steering, rising duties and curvatures in 1/m, left positive.
+    ~forward_acceleration, ~reverse_acceleration, ~brake_deceleration (m/s²): the true drive train.
+    ~temperature 20 (°C): of the air that the sonars' sound travels through.
+    ~clock_start_ms 0, ~clock_drift_ppm 0: the Teensy's clock.  ~corrected_checksum false: its receiver repaired.
+    ~seed: of the garbage in the Teensy's memory at power-up.
+"""
+from __future__ import annotations
+
+import math
+import os
+import time
+import tty
+
+import rospy
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from nav_msgs.msg import Odometry
+from std_msgs.msg import Int32MultiArray
+
+from car_interface.errors import ConfigError
+from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run, subscribe
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
+from car_interface.sim.world import World, WorldConfig
+from car_interface.steering import CHANNELS
+
+STEP_NS = 2_000_000  # the car's longest step, and how often bytes leave
+TRUTH_RATE_HZ = 50
+LONGEST_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes on from now
+NEVER_SET = -1
+
+
+def read_vehicle(params) -> VehicleConfig:
+    """The car's configuration from the node's parameters."""
+    steering, drive = SteeringConfig(), DriveConfig()
+    duties, curvatures = zip(*steering.curve)
+    duties = params.numbers("steering_duties", list(duties))
+    curvatures = params.numbers("steering_curvatures", list(curvatures))
+    if len(duties) != len(curvatures):
+        raise ConfigError("steering_curvatures", curvatures, f"{len(duties)} numbers, one for each of steering_duties")
+    start = params.numbers("start", [0.0, 0.0, 0.0])
+    if len(start) != len(Pose._fields):
+        raise ConfigError("start", start, "three numbers: x, y in m, and yaw in rad")
+    return VehicleConfig(
+        steering=SteeringConfig(curve=tuple(zip(duties, curvatures))),
+        drive=DriveConfig(
+            forward_mps2=params.number("forward_acceleration", drive.forward_mps2, above=0.0, high=100),
+            reverse_mps2=params.number("reverse_acceleration", drive.reverse_mps2, above=0.0, high=100),
+            brake_mps2=params.number("brake_deceleration", drive.brake_mps2, above=0.0, high=100)),
+        wheelbase_m=params.number("wheelbase", 0.324, above=0.0),
+        track_m=params.number("track", 0.296, above=0.0),
+        wheel_diameter_m=params.number("wheel_diameter", 0.095, above=0.0),
+        pulses_per_revolution=params.integer("pulses_per_revolution", 20, low=1),
+        start=Pose(*start))
+
+
+def read_firmware(params) -> FirmwareConfig:
+    """The Teensy's configuration from the node's parameters."""
+    return FirmwareConfig(
+        clock_start_ms=int(params.number("clock_start_ms", 0, low=0, high=2 ** 32 - 1)),
+        clock_drift_ppm=params.number("clock_drift_ppm", 0.0, low=-10_000, high=10_000),
+        corrected_checksum=params.flag("corrected_checksum", False),
+        seed=params.integer("seed", None, low=0))
+
+
+class CarSim:
+    """Moves the car, feeds the Teensy, and carries its bytes to and from the pseudo-terminal."""
+
+    def __init__(self, params, inbox):
+        now_ns = time.monotonic_ns()
+        port = params.text("port", "/tmp/car_sim_teensy")
+        self._steering_channel = params.integer("steering_channel", 0, low=0, high=CHANNELS - 1)
+        self._throttle_channel = params.integer("throttle_channel", 1, low=0, high=CHANNELS - 1)
+        self._vehicle = Vehicle(read_vehicle(params), now_ns)
+        world = World(WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)))
+        firmware_config = read_firmware(params)
+        params.finish()
+        self._firmware = TeensyFirmware(firmware_config, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor),
+                                        now_ns)
+        self._outputs = [NEVER_SET] * CHANNELS
+        self._inbox = inbox
+        self._complaints = Complaints()
+        self._line = PseudoTerminal(port)
+        inbox.watch(self._line.fileno())
+        self._heartbeat = Heartbeat(TRUTH_RATE_HZ, now_ns)
+        self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
+        subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
+        rospy.loginfo("a virtual Teensy is on %s", port)
+
+    def step(self, now_ns):
+        """Live on until now: first the car, then the Teensy, then the line."""
+        self._move(now_ns)
+        for handler, message, arrival_ns in self._inbox.take():
+            handler(message, arrival_ns)
+        received = self._line.read()
+        if received:
+            self._firmware.receive(received, now_ns)
+        self._line.write(self._firmware.transmit(now_ns))
+        if self._heartbeat.is_due(now_ns):
+            self._publish_truth()
+        return now_ns + STEP_NS
+
+    def shut_down(self):
+        """Take the link to the pseudo-terminal away."""
+        self._line.close()
+
+    def _on_output(self, message, now_ns):
+        if len(message.data) != CHANNELS:
+            self._complaints.warn("length", f"/servo/output has {len(message.data)} values, not {CHANNELS}: ignored")
+            return
+        self._outputs = message.data
+
+    def _move(self, now_ns):
+        steering, throttle = self._outputs[self._steering_channel], self._outputs[self._throttle_channel]
+        vehicle = self._vehicle
+        if now_ns - vehicle.time_ns > LONGEST_CATCH_UP_NS:
+            vehicle.time_ns = now_ns - STEP_NS
+        while vehicle.time_ns < now_ns:
+            for pulse in vehicle.step(min(STEP_NS, now_ns - vehicle.time_ns), steering, throttle):
+                self._firmware.wheel_pulse(pulse.side, pulse.direction, pulse.at_ns)
+
+    def _publish_truth(self):
+        vehicle = self._vehicle
+        message = Odometry(child_frame_id="base_link")
+        message.header.stamp = rospy.Time.now()
+        message.header.frame_id = "odom"
+        message.pose.pose.position = Point(vehicle.pose.x_m, vehicle.pose.y_m, 0.0)
+        half_yaw = vehicle.pose.yaw_rad / 2
+        message.pose.pose.orientation = Quaternion(0.0, 0.0, math.sin(half_yaw), math.cos(half_yaw))
+        message.twist.twist.linear = Vector3(vehicle.speed_mps, 0.0, 0.0)
+        message.twist.twist.angular = Vector3(0.0, 0.0, vehicle.yaw_rate_radps)
+        self._truth.publish(message)
+
+
+class PseudoTerminal:
+    """A serial line without a cable: a link at ``path`` leads to the end that a program opens as its port.
+
+    As on a real line, bytes that nobody reads are lost. Our own hold on the far end keeps the near one alive while no
+    program has it open.
+
+    Raises:
+        ConfigError: when something other than a link is at ``path``, or no link can be put there.
+    """
+
+    def __init__(self, path: str):
+        self._path = path
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._near, False)
+        self._target = os.ttyname(self._far)
+        self._put_link()
+
+    def fileno(self) -> int:
+        """For the inbox to watch."""
+        return self._near
+
+    def read(self) -> bytes:
+        """What the program wrote."""
+        try:
+            return os.read(self._near, 4096)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Bytes for the program; what doesn't fit any more is lost."""
+        try:
+            os.write(self._near, data)
+        except BlockingIOError:
+            pass
+
+    def close(self) -> None:
+        """Remove the link, unless it's another's by now."""
+        try:
+            if os.readlink(self._path) == self._target:
+                os.unlink(self._path)
+        except OSError:
+            pass
+
+    def _put_link(self):
+        new = f"{self._path}.{os.getpid()}"
+        try:
+            if os.path.lexists(self._path) and not os.path.islink(self._path):
+                raise ConfigError("port", self._path, "a path where there is nothing yet, or a link")
+            os.symlink(self._target, new)
+            os.replace(new, self._path)
+        except OSError as error:
+            raise ConfigError("port", self._path, f"a path where a link can be made ({error.strerror})") from error
+
+
+def main():
+    """Run the node."""
+    run("car_sim", CarSim)

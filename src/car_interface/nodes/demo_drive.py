@@ -1,0 +1,292 @@
+"""The demo_drive node: a scripted drive of the virtual car by the real topics, watched and judged.
+
+It plays the person (joy) and the planner (av_turnrad_req, control commands), shows one line while it drives, and ends
+with a table. Exit code 0 only if everything went as planned.
+
+Publishes:
+    joy (sensor_msgs/Joy), av_turnrad_req (std_msgs/Float32), control/command/control_cmd (Control): each at 50 Hz.
+Subscribes to what the car's nodes publish.
+Parameters:
+    ~bag_dir: where to record a bag of all topics; none = record nothing.
+"""
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import rospy
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, Float32, Int32MultiArray
+
+from car_interface.errors import CarInterfaceError
+from car_interface.msg import (Control, Distance, Error, Float64Stamped, LinkStatus, Longitudinal, Pong, SteeringState,
+                               Wheel)
+from car_interface.nodes.node import NS_PER_S, Heartbeat, run, subscribe
+from car_interface.sim.drive import (DONE, LEFT_CIRCLE, LET_GO, NOBODY, RIGHT_CIRCLE, STAGE_NAMES, TELEOP, TURN_RAD,
+                                     Drive, DriveConfig)
+from car_interface.steering import NO_HUMAN, PLANNER, SOURCE_NAMES
+from car_interface.steering import TELEOP as TELEOP_STEERS
+from car_interface.teensy.protocol import SONARS
+
+RATE_HZ = 50
+READY_WITHIN_S = 30
+LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
+STEER_AXIS, MANUAL_BUTTON, AUTONOMOUS_BUTTON = 0, 4, 5  # as config/teleop_logi.yaml has them
+AXES, BUTTONS = 8, 11
+STEERS, DRIVES = 0, 1  # channels, as config/turn_arb.yaml and config/throttle.yaml have them
+SOUND_MPS = 331.3 + 0.606 * 20  # at 20 °C
+SETTLING_NS = NS_PER_S // 10  # after a change of stage: who steers then is still the old or a passing one
+PULSE_M = math.pi * 0.095 / 20  # a rear wheel's way from pulse to pulse
+
+
+class Watch:
+    """What was seen of the car, as far as the verdict needs it."""
+
+    def __init__(self):
+        self.messages = Counter()
+        self.pose = self.state = self.output = self.link = self.first_wheel = self.wheel = None
+        self.yaw_rad = self.speed_mps = self.distance_m = 0.0
+        self.stage, self.stage_since_ns = NOBODY, 0
+        self.stage_distance_m = Counter()
+        self.stage_sources = {stage: set() for stage in range(DONE + 1)}
+        self.stage_turned_rad = Counter()
+        self.sonar_m = {}
+        self.rest = None  # the servo board's output while nobody is there
+        self.let_go_ns = self.neutral_ns = None
+
+    def on_truth(self, message, now_ns):
+        """Where the car is."""
+        position, orientation = message.pose.pose.position, message.pose.pose.orientation
+        if self.pose is not None:
+            way_m = math.hypot(position.x - self.pose[0], position.y - self.pose[1])
+            self.distance_m += way_m
+            self.stage_distance_m[self.stage] += way_m
+        self.pose = (position.x, position.y)
+        self.yaw_rad = 2 * math.atan2(orientation.z, orientation.w)
+        self.speed_mps = message.twist.twist.linear.x
+
+    def on_state(self, message, now_ns):
+        """Who steers."""
+        self.state = message
+        if now_ns - self.stage_since_ns > SETTLING_NS:
+            self.stage_sources[self.stage].add(message.source)
+
+    def on_output(self, message, now_ns):
+        """What the servo board holds."""
+        self.output = message.data
+        driven = (message.data[STEERS], message.data[DRIVES])
+        if self.stage == NOBODY:
+            self.rest = driven
+        elif self.let_go_ns is not None and self.neutral_ns is None and driven == self.rest:
+            self.neutral_ns = now_ns
+
+    def on_wheel(self, message, now_ns):
+        """The wheels' odometers."""
+        self.first_wheel = self.first_wheel or message
+        self.wheel = message
+
+    def on_distance(self, message, now_ns):
+        """A sonar's echo."""
+        self.sonar_m[message.sensor] = message.distance * SOUND_MPS / 2e6 if message.distance else math.inf
+
+    def on_link(self, message, now_ns):
+        """How the serial link does."""
+        self.link = message
+
+    def pulses_m(self):
+        """The way that the wheels' pulses make, the mean of both."""
+        if self.wheel is None:
+            return 0.0
+        counts = [getattr(self.wheel, side).dist_abs - getattr(self.first_wheel, side).dist_abs for side in ("left", "right")]
+        return sum(counts) / 2 * PULSE_M
+
+    def missing(self):
+        """What hasn't been heard from yet; empty when the car is ready."""
+        return [name for name, seen in (("car_sim/truth", self.pose), ("turn_arb/state", self.state),
+                                        ("/servo/output", self.output and self.output[STEERS] >= 0),
+                                        ("teensy_wheel", self.wheel), ("the Teensy's link", self.link and self.link.pongs),
+                                        ) if not seen]
+
+
+class DemoDrive:
+    """Plays the script, watches, judges."""
+
+    def __init__(self, params, inbox):
+        bag_dir = params.text("bag_dir", None)
+        params.finish()
+        self._inbox = inbox
+        self._watch = Watch()
+        self._drive = None
+        self._turned_rad = 0.0
+        now_ns = time.monotonic_ns()
+        self._started_ns = now_ns
+        self._heartbeat = Heartbeat(RATE_HZ, now_ns)
+        self._line_beat = Heartbeat(1 / LINE_PERIOD_S, now_ns)
+        self._joy = rospy.Publisher("joy", Joy, queue_size=10)
+        self._radius = rospy.Publisher("av_turnrad_req", Float32, queue_size=10)
+        self._control = rospy.Publisher("control/command/control_cmd", Control, queue_size=10)
+        self._recording = Recording(bag_dir) if bag_dir else None
+        self._watch_topics()
+
+    def _watch_topics(self):
+        watch = self._watch
+        for topic, message_type, handler in (
+                ("car_sim/truth", Odometry, watch.on_truth), ("turn_arb/state", SteeringState, watch.on_state),
+                ("/servo/output", Int32MultiArray, watch.on_output), ("teensy_wheel", Wheel, watch.on_wheel),
+                ("teensy_distance", Distance, watch.on_distance), ("teensy_sensor_hub/link", LinkStatus, watch.on_link),
+                ("teensy_pong", Pong, None), ("teensy_error", Error, None),
+                ("/servo/cmdVector", Int32MultiArray, None), ("/teleop_logi/human_in_loop", Bool, None),
+                ("/teleop_logi/tele_steer_req", Float32, None), ("/teleop_logi/tele_throt_req", Float32, None),
+                ("generic/output/value", Float64Stamped, None)):
+            watch.messages[topic] = 0
+            subscribe(topic, message_type, self._inbox, self._counted(topic, handler), queue_size=100)
+
+    def _counted(self, topic, handler):
+        def count(message, now_ns):
+            self._watch.messages[topic] += 1
+            if handler is not None:
+                handler(message, now_ns)
+        return count
+
+    def step(self, now_ns):
+        """Watch, drive, show."""
+        for handler, message, arrival_ns in self._inbox.take():
+            handler(message, arrival_ns)
+        if self._drive is None:
+            self._wait_until_ready(now_ns)
+        elif self._heartbeat.is_due(now_ns):
+            self._order(now_ns)
+        if self._drive is not None and self._line_beat.is_due(now_ns):
+            self._show(now_ns)
+        return self._heartbeat.due_ns if self._drive is not None else now_ns + NS_PER_S // 10
+
+    def shut_down(self):
+        """Close the bag; a drive that didn't reach its end didn't go as planned."""
+        if self._recording is not None:
+            self._recording.stop()
+        if self._drive is None or self._drive.stage != DONE:
+            if sys.exc_info()[0] is None:
+                raise CarInterfaceError("the drive was ended before it was over")
+
+    def _wait_until_ready(self, now_ns):
+        missing = self._watch.missing()
+        if not missing:
+            self._drive = Drive(DriveConfig(), now_ns)
+            self._started_ns = now_ns
+            self._watch.messages.update(dict.fromkeys(self._watch.messages, 0))
+        elif now_ns - self._started_ns > READY_WITHIN_S * NS_PER_S:
+            raise CarInterfaceError(f"the car isn't ready: nothing from {', '.join(missing)}")
+
+    def _order(self, now_ns):
+        watch, drive = self._watch, self._drive
+        orders = drive.orders(now_ns, watch.yaw_rad, watch.speed_mps)
+        if orders.stage != watch.stage:
+            self._print_line(now_ns, end="\n")
+            watch.stage_turned_rad[watch.stage] = self._turned_rad
+            watch.stage, watch.stage_since_ns = orders.stage, now_ns
+        self._turned_rad = drive.turned_rad
+        if orders.stage == DONE:
+            self._finish()
+            return
+        if orders.gamepad_on:
+            self._publish_joy(orders)
+        if orders.stage == LET_GO and watch.let_go_ns is None:
+            watch.let_go_ns = now_ns
+        self._radius.publish(orders.radius_m)
+        self._control.publish(Control(
+            stamp=rospy.Time.now(), longitudinal=Longitudinal(acceleration=orders.acceleration_mps2)))
+
+    def _publish_joy(self, orders):
+        message = Joy(axes=[0.0] * AXES, buttons=[0] * BUTTONS)
+        message.header.stamp = rospy.Time.now()
+        message.axes[STEER_AXIS] = orders.steering
+        message.buttons[MANUAL_BUTTON] = int(orders.manual)
+        message.buttons[AUTONOMOUS_BUTTON] = int(orders.autonomous)
+        self._joy.publish(message)
+
+    def _show(self, now_ns):
+        self._print_line(now_ns, end="" if sys.stdout.isatty() else "\n")
+
+    def _print_line(self, now_ns, end):
+        watch = self._watch
+        nearest_m = min(watch.sonar_m.values(), default=math.inf)
+        nearest = f"{nearest_m:4.2f} m" if nearest_m < math.inf else "free"
+        text = (f"{(now_ns - self._started_ns) / NS_PER_S:5.1f} s  {STAGE_NAMES[watch.stage]:<21} "
+                f"{SOURCE_NAMES[watch.state.source]:<8} steering {watch.output[STEERS]:5d}  ESC {watch.output[DRIVES]:5d}  "
+                f"{watch.speed_mps:5.2f} m/s  at {watch.pose[0]:+5.2f} {watch.pose[1]:+5.2f}  nearest {nearest}")
+        print(("\r\x1b[K" if sys.stdout.isatty() else "") + text, end=end, flush=True)
+
+    def _finish(self):
+        self._inbox.end()
+        bag = self._recording.stop() if self._recording is not None else None
+        watch = self._watch
+        print("\nmessages per topic")
+        for topic, count in sorted(watch.messages.items()):
+            print(f"  {topic:<32} {count:6d}")
+        print("the drive")
+        for name, figure in self._figures(bag):
+            print(f"  {name:<32} {figure}")
+        failures = [text for text, passed in self._checks() if not passed]
+        print("as planned: " + ("yes" if not failures else "no"), flush=True)
+        if failures:
+            raise CarInterfaceError("the drive didn't go as planned: " + "; ".join(failures))
+
+    def _figures(self, bag):
+        watch, link = self._watch, self._watch.link
+        yield "distance driven", f"{watch.distance_m:.2f} m, by the wheels' pulses {watch.pulses_m():.2f} m"
+        yield "pings answered", f"{link.pongs} of {link.pings}"
+        yield "frames good, bad", f"{link.frames}, {link.bad_frames + link.malformed_frames}"
+        yield "from letting go to neutral", "never" if watch.neutral_ns is None else f"{self._neutral_after_s() * 1e3:.1f} ms"
+        if bag:
+            yield "bag", bag
+
+    def _neutral_after_s(self):
+        return (self._watch.neutral_ns - self._watch.let_go_ns) / NS_PER_S
+
+    def _checks(self):
+        """What was planned, and whether it came about."""
+        watch, link = self._watch, self._watch.link
+        turned, sources, way_m = watch.stage_turned_rad, watch.stage_sources, watch.stage_distance_m
+        yield "the car moved though nobody was there", way_m[NOBODY] < 0.01
+        yield "somebody steered though nobody was there", sources[NOBODY] == {NO_HUMAN}
+        yield "the human didn't steer all the time", sources[TELEOP] == {TELEOP_STEERS}
+        yield "the human's circle wasn't closed", turned[TELEOP] > 0.95 * TURN_RAD
+        yield "the planner didn't steer all the time", sources[LEFT_CIRCLE] == sources[RIGHT_CIRCLE] == {PLANNER}
+        yield "the left circle wasn't closed", turned[LEFT_CIRCLE] > 0.95 * TURN_RAD
+        yield "the right circle wasn't closed", turned[RIGHT_CIRCLE] < -0.95 * TURN_RAD
+        yield "the outputs weren't neutral within 0.1 s of letting go", (
+            watch.neutral_ns is not None and self._neutral_after_s() < 0.1)
+        yield "the car rolled on after the human let go", abs(watch.speed_mps) < 0.05
+        yield "the wheels' pulses disagree with the way by over 2 %", (
+            abs(watch.pulses_m() - watch.distance_m) < 0.02 * watch.distance_m)
+        yield "not every sonar was heard", len(watch.sonar_m) == len(SONARS)
+        yield "pings went unanswered", link.pongs >= link.pings - 1
+        yield "there were bad frames", link.bad_frames + link.malformed_frames == 0
+
+
+class Recording:
+    """A ``rosbag record`` of all topics, in a file of its own under ``folder``."""
+
+    def __init__(self, folder: str):
+        os.makedirs(folder, exist_ok=True)
+        self._path = os.path.join(folder, time.strftime("car_%Y-%m-%d_%H-%M-%S.bag"))
+        self._process = subprocess.Popen(["rosrun", "rosbag", "record", "--all", "--quiet", "-O", self._path],
+                                         stdout=subprocess.DEVNULL)
+
+    def stop(self) -> str:
+        """Close the bag; its path."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+        self._process.wait()
+        return self._path
+
+
+def main():
+    """Run the node."""
+    run("demo_drive", DemoDrive)

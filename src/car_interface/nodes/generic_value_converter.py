@@ -1,0 +1,155 @@
+"""The generic_value_converter node: accelerations to an actuator's value, and on request to the ESC's channel.
+
+Subscribes:
+    ~input/control_cmd (Control): its longitudinal.acceleration in m/s².
+    ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s.
+    With servo/channel set also /teleop_logi/human_in_loop (std_msgs/Bool) and turn_arb/state (SteeringState).
+Publishes:
+    ~output/value (Float64Stamped): one for each command that can be converted.
+    With servo/channel set /servo/cmdVector (std_msgs/Int32MultiArray) at 50 Hz: the ESC's duty, all others −1.
+Parameters:
+    ~csv_path_value_map: the map; required unless it isn't used.  ~allow_plateaus false.
+    ~max_value 3.0, ~min_value −5.0: what goes out is clamped to these.
+    ~convert_value_cmd true, ~use_value_ff true: one of them false passes accelerations through.
+    ~odometry_timeout 0.5 (s, 0 = never).
+    ~servo/channel −1 (none), ~servo/value_axis, ~servo/duty_table, ~servo/neutral: the ESC.
+    ~command_timeout 0.5, ~human_timeout 0.5, ~steering_timeout 0.25 (s, 0 = never): for the ESC.
+"""
+from __future__ import annotations
+
+import math
+import time
+
+import rospy
+from nav_msgs.msg import Odometry
+from std_msgs.msg import Bool, Int32MultiArray
+
+from car_interface.conversion import ConversionConfig, Converter
+from car_interface.msg import Control, Float64Stamped, SteeringState
+from car_interface.nodes.messages import duty_vector
+from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
+from car_interface.steering import CHANNELS, MAX_DUTY, servo_vector
+from car_interface.throttle import Throttle, ThrottleConfig
+from car_interface.value_map import load_value_map
+
+RATE_HZ = 50
+NO_CHANNEL = -1
+ODD_STAMP_S = 10.0  # a stamp this far from now is worth a word
+
+
+def read_converter(params) -> Converter:
+    """The converter and its map from the node's parameters."""
+    converts = params.flag("convert_value_cmd", True)
+    uses_map = params.flag("use_value_ff", True)
+    path = params.text("csv_path_value_map", None)
+    allow_plateaus = params.flag("allow_plateaus", False)
+    config = ConversionConfig(min_value=params.number("min_value", -5.0), max_value=params.number("max_value", 3.0),
+                              odometry_timeout_s=params.timeout("odometry_timeout", 0.5))
+    if not (converts and uses_map):
+        return Converter(config, None)
+    if path is None:
+        path = params.text("csv_path_value_map")
+    return Converter(config, load_value_map(path, allow_plateaus))
+
+
+def read_throttle(params, converter):
+    """The ESC's channel and rules, or ``(-1, None)``."""
+    channel = params.integer("servo/channel", NO_CHANNEL, low=NO_CHANNEL, high=CHANNELS - 1)
+    missing = {"default": []} if channel == NO_CHANNEL else {}
+    settings = dict(
+        value_axis=params.numbers("servo/value_axis", **missing),
+        duty_table=params.numbers("servo/duty_table", low=0, high=MAX_DUTY, **missing),
+        neutral=params.integer("servo/neutral", low=0, high=MAX_DUTY, **({"default": 0} if missing else {})),
+        human_timeout_s=params.timeout("human_timeout", 0.5),
+        steering_timeout_s=params.timeout("steering_timeout", 0.25),
+        command_timeout_s=params.timeout("command_timeout", 0.5),
+    )
+    throttle = None if channel == NO_CHANNEL else Throttle(ThrottleConfig(channel=channel, **settings), converter)
+    return channel, throttle
+
+
+class GenericValueConverter:
+    """Answers each command with a value, and keeps the ESC's channel."""
+
+    def __init__(self, params, inbox):
+        self._converter = read_converter(params)
+        self._channel, self._throttle = read_throttle(params, self._converter)
+        params.finish()
+        self._inbox = inbox
+        self._complaints = Complaints()
+        self._decision = None
+        self._heartbeat = Heartbeat(RATE_HZ, time.monotonic_ns())
+        self._values = rospy.Publisher("~output/value", Float64Stamped, queue_size=10)
+        if self._throttle is not None:
+            self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
+            subscribe("/teleop_logi/human_in_loop", Bool, inbox, self._on_human)
+            subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
+        subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
+        subscribe("~input/control_cmd", Control, inbox, self._on_command)
+
+    def step(self, now_ns):
+        """Take each message with its consequence; then beat if it is time."""
+        for handler, message, arrival_ns in self._inbox.take():
+            handler(message, arrival_ns)
+            self._stop_at_once(arrival_ns)
+        if self._throttle is None:
+            return math.inf
+        if self._heartbeat.is_due(now_ns):
+            self._publish_throttle(self._throttle.decide(now_ns))
+        return self._heartbeat.due_ns
+
+    def shut_down(self):
+        """Neutral, if there is an ESC; the servo board's timeout does the rest."""
+        if self._throttle is not None:
+            self._throttle.hear_human(False, time.monotonic_ns())
+            self._publish_throttle(self._throttle.decide(time.monotonic_ns()))
+            time.sleep(0.02)  # it leaves by a thread of rospy's
+
+    def _on_odometry(self, message, now_ns):
+        self._note_odd_stamp("odometry", message.header.stamp)
+        velocity = message.twist.twist.linear.x
+        self._converter.hear_odometry(velocity, now_ns)
+        if not math.isfinite(velocity):
+            self._complaints.warn("odometry not finite", f"the velocity in the odometry is {velocity}: no output")
+
+    def _on_command(self, message, now_ns):
+        self._note_odd_stamp("control_cmd", message.stamp)
+        conversion = self._converter.convert(message.longitudinal.acceleration, now_ns)
+        if self._throttle is not None:
+            self._throttle.hear_conversion(conversion, now_ns)
+        if conversion.value is None:
+            self._complaints.warn(conversion.cause, f"no output: {conversion.reason}")
+            return
+        self._values.publish(Float64Stamped(stamp=rospy.Time.now(), data=conversion.value))
+
+    def _on_human(self, message, now_ns):
+        self._throttle.hear_human(message.data, now_ns)
+
+    def _on_steering(self, message, now_ns):
+        self._throttle.hear_steering(message.source, now_ns)
+
+    def _note_odd_stamp(self, name, stamp):
+        """Freshness goes by arrival: an odd stamp is counted and obeyed."""
+        off_s = (stamp - rospy.Time.now()).to_sec()
+        if abs(off_s) > ODD_STAMP_S:
+            text = "is zero" if stamp.is_zero() else f"is {abs(off_s):.0f} s in the {'future' if off_s > 0 else 'past'}"
+            self._complaints.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
+
+    def _stop_at_once(self, now_ns):
+        """When what arrived means neutral, the ESC need not wait for the next beat."""
+        if self._throttle is not None and self._decision is not None and self._decision.driving:
+            decision = self._throttle.decide(now_ns)
+            if not decision.driving:
+                self._publish_throttle(decision)
+
+    def _publish_throttle(self, decision):
+        before = self._decision
+        if before is None or before.cause != decision.cause:
+            rospy.loginfo("throttle %s: %s", "driving" if decision.driving else "neutral", decision.reason)
+        self._decision = decision
+        self._commands.publish(duty_vector(servo_vector(self._channel, decision.duty)))
+
+
+def main():
+    """Run the node."""
+    run("generic_value_converter", GenericValueConverter)

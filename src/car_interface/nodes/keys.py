@@ -1,0 +1,51 @@
+"""Single key presses from the terminal that a node runs in, if it has one to itself."""
+from __future__ import annotations
+
+import os
+import sys
+import termios
+import tty
+
+
+class Keys:
+    """Reads keys without Enter while the node is its terminal's foreground process group.
+
+    Under roslaunch it isn't, although its standard input is a terminal: then it reads nothing and changes nothing.
+    """
+
+    def __init__(self, fd: int = None):
+        self._fd = sys.stdin.fileno() if fd is None else fd
+        self._saved = None
+
+    def start(self) -> bool:
+        """Take the terminal's keys; whether there are any to take."""
+        if not self._in_foreground():
+            return False
+        self._saved = termios.tcgetattr(self._fd)
+        tty.setcbreak(self._fd)
+        return True
+
+    def fileno(self) -> int:
+        """For the inbox to watch."""
+        return self._fd
+
+    def read(self) -> str:
+        """What was typed since the last call; empty at the terminal's end, or when another program has it now."""
+        if not self._in_foreground():
+            return ""
+        try:
+            return os.read(self._fd, 64).decode("ascii", "ignore")
+        except OSError:
+            return ""
+
+    def restore(self) -> None:
+        """Leave the terminal as it was found."""
+        if self._saved is not None and self._in_foreground():
+            termios.tcsetattr(self._fd, termios.TCSADRAIN, self._saved)
+        self._saved = None
+
+    def _in_foreground(self):
+        try:
+            return os.isatty(self._fd) and os.tcgetpgrp(self._fd) == os.getpgrp()
+        except OSError:
+            return False

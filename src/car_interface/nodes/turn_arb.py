@@ -1,0 +1,138 @@
+"""The turn_arb node: who steers, at 100 Hz and at once whenever that changes.
+
+Subscribes:
+    /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
+    /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left.
+    av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 = no request.
+Publishes:
+    /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 but for the steering channel.
+    ~state (SteeringState, latched): who steers, why, with what duty; on every change and 10 times a second.
+Parameters (those of the original are also looked up in the namespaces around the node's):
+    servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
+    k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
+    ~tele_steer_neutral 0.0, ~tele_steer_deadband 0.001.
+    ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
+"""
+from __future__ import annotations
+
+import math
+
+import rospy
+from std_msgs.msg import Bool, Float32, Int32MultiArray
+
+from car_interface.msg import SteeringState
+from car_interface.nodes.messages import duty_vector
+from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
+from car_interface.steering import (CHANNELS, MAX_DUTY, SOURCE_NAMES, SteeringArbiter,
+                                    SteeringConfig, servo_vector)
+
+RATE_HZ = 100
+BEATS_PER_STATE = 10
+
+
+def read_config(params) -> SteeringConfig:
+    """The node's configuration from its parameters."""
+    timeout_s = params.timeout("input_timeout", 0.5)
+    config = SteeringConfig(
+        servo_left=params.integer("servo_left", low=0, high=MAX_DUTY, outward=True),
+        servo_center=params.integer("servo_center", low=0, high=MAX_DUTY, outward=True),
+        servo_right=params.integer("servo_right", low=0, high=MAX_DUTY, outward=True),
+        servo_channel=params.integer("servo_channel", low=0, high=CHANNELS - 1, outward=True),
+        radius_axis_m=params.numbers("m_turnrad_axis_servo", outward=True),
+        left_duties=params.numbers("k_pwmcmd_left_table_servo", low=0, high=MAX_DUTY, outward=True),
+        right_duties=params.numbers("k_pwmcmd_right_table_servo", low=0, high=MAX_DUTY, outward=True),
+        tele_steer_neutral=params.number("tele_steer_neutral", 0.0, low=-1, high=1),
+        tele_steer_deadband=params.number("tele_steer_deadband", 0.001, low=0, high=1),
+        human_timeout_s=params.timeout("human_timeout", timeout_s),
+        teleop_timeout_s=params.timeout("teleop_timeout", timeout_s),
+        planner_timeout_s=params.timeout("planner_timeout", timeout_s),
+    )
+    params.finish()
+    return config
+
+
+class TurnArb:
+    """Hears the three inputs, decides, publishes."""
+
+    def __init__(self, params, inbox):
+        config = read_config(params)
+        self._arbiter = SteeringArbiter(config)
+        self._channel = config.servo_channel
+        self._inbox = inbox
+        self._complaints = Complaints()
+        self._heartbeat = None
+        self._beats = 0
+        self._decision = None
+        self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
+        self._states = rospy.Publisher("~state", SteeringState, queue_size=10, latch=True)
+        subscribe("/teleop_logi/human_in_loop", Bool, inbox, self._on_human)
+        subscribe("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop)
+        subscribe("av_turnrad_req", Float32, inbox, self._on_planner)
+
+    def step(self, now_ns):
+        """Take what arrived, each with its consequence; then beat if it is time."""
+        for handler, message, arrival_ns in self._inbox.take():
+            handler(message, arrival_ns)
+            self._decide(arrival_ns)
+        if self._heartbeat is None:
+            self._heartbeat = Heartbeat(RATE_HZ, now_ns)
+        if self._heartbeat.is_due(now_ns):
+            self._beat(now_ns)
+        return self._heartbeat.due_ns
+
+    def shut_down(self):
+        """Nothing to undo: the servo board's own timeout takes over from here."""
+
+    def _on_human(self, message, now_ns):
+        self._arbiter.hear_human(message.data, now_ns)
+
+    def _on_teleop(self, message, now_ns):
+        self._arbiter.hear_teleop(message.data, now_ns)
+        if not math.isfinite(message.data):
+            self._complaints.warn("teleop not finite",
+                                  f"tele_steer_req is {message.data}: the steering is neutral while it lasts")
+        elif abs(message.data) > 1:
+            self._complaints.warn("teleop clamped", f"tele_steer_req is {message.data:.3f}: clamped to -1..1")
+
+    def _on_planner(self, message, now_ns):
+        self._arbiter.hear_planner(message.data, now_ns)
+        if not math.isfinite(message.data):
+            self._complaints.warn("planner not finite", f"av_turnrad_req is {message.data}: taken for no request")
+
+    def _decide(self, now_ns):
+        """Publish at once when the decision is another; whether it was."""
+        decision = self._arbiter.decide(now_ns)
+        if not decision.differs_from(self._decision):
+            return False
+        self._log_transition(decision)
+        self._decision = decision
+        self._publish_command(decision)
+        self._publish_state(decision)
+        return True
+
+    def _beat(self, now_ns):
+        self._beats += 1
+        if not self._decide(now_ns):
+            self._publish_command(self._decision)
+        if self._beats % BEATS_PER_STATE == 0:
+            self._publish_state(self._arbiter.decide(now_ns))
+
+    def _publish_command(self, decision):
+        self._commands.publish(duty_vector(servo_vector(self._channel, decision.duty)))
+
+    def _publish_state(self, decision):
+        self._states.publish(SteeringState(
+            stamp=rospy.Time.now(), source=decision.source, reason=decision.reason, duty=decision.duty,
+            human_age=decision.human_age_s, teleop_age=decision.teleop_age_s, planner_age=decision.planner_age_s))
+
+    def _log_transition(self, decision):
+        before = self._decision
+        if before is not None and (before.source, before.cause) == (decision.source, decision.cause):
+            return
+        log = rospy.logwarn if decision.cause.endswith(("silent", "not finite")) else rospy.loginfo
+        log("%s: %s", SOURCE_NAMES[decision.source], decision.reason)
+
+
+def main():
+    """Run the node."""
+    run("turn_arb", TurnArb)
