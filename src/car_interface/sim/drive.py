@@ -1,0 +1,90 @@
+"""A scripted drive: nobody there, a human steers, the planner drives a figure-eight, the human lets go.
+
+Plays both the person with the gamepad and the planner. Pure: pose, speed and ``now_ns`` in, orders out. The planner
+asks for its figure-eight all the time, so that it's seen who is listened to.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Optional
+
+NS_PER_S = 1_000_000_000
+
+NOBODY, TELEOP, LEFT_CIRCLE, RIGHT_CIRCLE, LET_GO, DONE = range(6)
+STAGE_NAMES = ("nobody there", "human steers", "planner: left circle", "planner: right circle", "human let go", "done")
+TURN_RAD = 2 * math.pi
+
+
+class DriveConfig(NamedTuple):
+    """The drive's measures. The defaults fit the default room and take about 40 s."""
+
+    nobody_s: float = 5.0
+    let_go_s: float = 6.0
+    longest_turn_s: float = 20.0  # a circle that takes longer is given up
+    speed_mps: float = 1.2
+    teleop_steering: float = 0.98
+    radius_m: float = 1.6
+    gain_per_s: float = 1.5  # from missing speed to acceleration
+    most_acceleration_mps2: float = 2.0
+
+
+class Orders(NamedTuple):
+    """What the person and the planner do now."""
+
+    stage: int
+    manual: bool  # the manual deadman is held
+    autonomous: bool  # the autonomous one
+    steering: float  # the gamepad's stick, −1 right .. +1 left
+    radius_m: float  # the planner's request, right negative
+    acceleration_mps2: float  # the planner's request
+
+    @property
+    def gamepad_on(self) -> bool:
+        """Whether there is a gamepad at all."""
+        return self.stage not in (NOBODY, DONE)
+
+
+class Drive:
+    """The script's present stage. A stage ends by time, or with a full turn of the car."""
+
+    def __init__(self, config: DriveConfig, now_ns: int):
+        self._config = config
+        self.stage = NOBODY
+        self._since_ns = now_ns
+        self._turned_rad = 0.0
+        self._last_yaw_rad: Optional[float] = None
+
+    @property
+    def turned_rad(self) -> float:
+        """How far the car has turned in this stage, left positive."""
+        return self._turned_rad
+
+    def orders(self, now_ns: int, yaw_rad: float, speed_mps: float) -> Orders:
+        """What to do now, at this heading (any multiple of a turn off) and speed."""
+        if self._last_yaw_rad is not None:
+            self._turned_rad += math.remainder(yaw_rad - self._last_yaw_rad, TURN_RAD)
+        self._last_yaw_rad = yaw_rad
+        if self._is_over((now_ns - self._since_ns) / NS_PER_S):
+            self.stage += 1
+            self._since_ns = now_ns
+            self._turned_rad = 0.0
+        config = self._config
+        wanted = config.gain_per_s * (config.speed_mps - speed_mps)
+        return Orders(
+            stage=self.stage,
+            manual=self.stage == TELEOP,
+            autonomous=self.stage in (LEFT_CIRCLE, RIGHT_CIRCLE),
+            steering=config.teleop_steering,
+            radius_m=-config.radius_m if self.stage == RIGHT_CIRCLE else config.radius_m,
+            acceleration_mps2=max(-config.most_acceleration_mps2, min(config.most_acceleration_mps2, wanted)))
+
+    def _is_over(self, elapsed_s):
+        config = self._config
+        if self.stage == NOBODY:
+            return elapsed_s >= config.nobody_s
+        if self.stage == LET_GO:
+            return elapsed_s >= config.let_go_s
+        if self.stage == DONE:
+            return False
+        turn = -self._turned_rad if self.stage == RIGHT_CIRCLE else self._turned_rad
+        return turn >= TURN_RAD or elapsed_s >= config.longest_turn_s
