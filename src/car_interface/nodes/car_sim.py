@@ -39,6 +39,7 @@ from car_interface.steering import CHANNELS
 
 STEP_NS = 2_000_000  # the car's longest step, and how often bytes leave
 TRUTH_RATE_HZ = 50
+LONGEST_BACKLOG = 4096  # bytes on their way to the Teensy: beyond it the writer waits, as behind a real UART
 LONGEST_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes on from now
 NEVER_SET = -1
 
@@ -105,9 +106,10 @@ class CarSim:
         self._move(now_ns)
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
-        received = self._line.read()
-        if received:
-            self._firmware.receive(received, now_ns)
+        if self._firmware.receive_backlog(now_ns) < LONGEST_BACKLOG:
+            received = self._line.read()
+            if received:
+                self._firmware.receive(received, now_ns)
         self._line.write(self._firmware.transmit(now_ns))
         if self._heartbeat.is_due(now_ns):
             self._publish_truth()

@@ -143,11 +143,10 @@ class GenericValueConverter:
                 self._publish_throttle(decision)
 
     def _publish_throttle(self, decision):
-        before = self._decision
+        self._commands.publish(duty_vector(servo_vector(self._channel, decision.duty)))
+        before, self._decision = self._decision, decision
         if before is None or before.cause != decision.cause:
             rospy.loginfo("throttle %s: %s", "driving" if decision.driving else "neutral", decision.reason)
-        self._decision = decision
-        self._commands.publish(duty_vector(servo_vector(self._channel, decision.duty)))
 
 
 def main():

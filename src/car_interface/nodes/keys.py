@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import os
+import select
 import sys
 import termios
 import tty
@@ -34,6 +35,9 @@ class Keys:
         if not self._in_foreground():
             return ""
         try:
+            waiting, _, _ = select.select([self._fd], [], [], 0)  # a terminal's read waits for a key
+            if not waiting:
+                return ""
             return os.read(self._fd, 64).decode("ascii", "ignore")
         except OSError:
             return ""

@@ -25,6 +25,7 @@ NS_PER_S = 1_000_000_000
 LONGEST_WAIT_NS = NS_PER_S
 INBOX_LIMIT = 10_000  # more than any node is sent while its thread waits for a device
 SHUT_DOWN_S = 2.0
+SWITCH_INTERVAL_S = 0.0005  # how long one thread may keep the others from a message; Python's own 5 ms show
 COMPLAINT_PERIOD_NS = 10 * NS_PER_S
 
 
@@ -126,6 +127,7 @@ def run(name: str, node_class) -> None:
         rospy.init_node(name, disable_signals=True)
     except KeyboardInterrupt:  # while it waited for the master
         sys.exit(1)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     inbox = Inbox()
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -134,13 +134,20 @@ def _flatten(tree, prefix=""):
 
 def _number(value, low, high, above):
     if isinstance(value, str):
-        try:
-            value = float(value)
-        except ValueError:
-            return _integer(value, low, high)  # 0x40
+        value = _spelled(value)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return None
     return float(value) if low <= value <= high and (above is None or value > above) else None
+
+
+def _spelled(text):
+    """The number that a text spells, 1e-3 or 0x40; None when it spells none."""
+    for read in (float, lambda digits: float(int(digits, 0))):
+        try:
+            return read(text)
+        except (ValueError, OverflowError):
+            continue
+    return None
 
 
 def _integer(value, low, high):

@@ -153,7 +153,7 @@ class Pca9685:
     def _open(self):
         """Open bus and chip, and give every channel its target."""
         try:
-            self._bus = self._virtual_bus or smbus2.SMBus(self._device)
+            self._open_bus()
             board = Board(self._bus, self._address, self._prescale, self._oscillator_hz, time.sleep)
             board.initialise()
             board.write(differences(board.held, self._channels.targets))
@@ -170,6 +170,13 @@ class Pca9685:
         self._close_bus()
         self._board = None
         self._next_try_ns = time.monotonic_ns() + self._retry_ns
+
+    def _open_bus(self):
+        if self._virtual_bus is not None:
+            self._bus = self._virtual_bus
+            return
+        self._bus = smbus2.SMBus()  # in two steps: what is no I2C bus fails only after it was opened, and must be closed
+        self._bus.open(self._device)
 
     def _close_bus(self):
         if self._bus is not None and self._bus is not self._virtual_bus:

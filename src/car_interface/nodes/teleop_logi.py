@@ -79,10 +79,7 @@ class TeleopLogi:
             self._publish(requests)
 
     def _publish(self, requests):
-        before = self._published
-        if before is None or before.human_in_loop != requests.human_in_loop:
-            rospy.loginfo("human in loop: %s (%s)", requests.human_in_loop, requests.reason)
-        self._published = requests
+        before, self._published = self._published, requests
         # Letting go comes first; what the human wants comes before his evidence, or the planner would steer in between.
         if not requests.human_in_loop:
             self._human.publish(False)
@@ -90,6 +87,8 @@ class TeleopLogi:
         self._throttle.publish(requests.throttle)
         if requests.human_in_loop:
             self._human.publish(True)
+        if before is None or before.human_in_loop != requests.human_in_loop:
+            rospy.loginfo("human in loop: %s (%s)", requests.human_in_loop, requests.reason)
 
 
 def main():

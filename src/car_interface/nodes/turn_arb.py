@@ -16,6 +16,7 @@ Parameters (those of the original are also looked up in the namespaces around th
 from __future__ import annotations
 
 import math
+import time
 
 import rospy
 from std_msgs.msg import Bool, Float32, Int32MultiArray
@@ -28,6 +29,8 @@ from car_interface.steering import (CHANNELS, MAX_DUTY, SOURCE_NAMES, SteeringAr
 
 RATE_HZ = 100
 BEATS_PER_STATE = 10
+# rospy sends by a thread of its own, which needs the interpreter: state and log wait until the command has left.
+TELL_AFTER_NS = 500_000
 
 
 def read_config(params) -> SteeringConfig:
@@ -60,9 +63,11 @@ class TurnArb:
         self._channel = config.servo_channel
         self._inbox = inbox
         self._complaints = Complaints()
-        self._heartbeat = None
+        self._heartbeat = Heartbeat(RATE_HZ, time.monotonic_ns())
         self._beats = 0
         self._decision = None
+        self._untold = []  # decisions whose command is out, and whose state and log line are not
+        self._tell_ns = 0
         self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
         self._states = rospy.Publisher("~state", SteeringState, queue_size=10, latch=True)
         subscribe("/teleop_logi/human_in_loop", Bool, inbox, self._on_human)
@@ -74,11 +79,11 @@ class TurnArb:
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
             self._decide(arrival_ns)
-        if self._heartbeat is None:
-            self._heartbeat = Heartbeat(RATE_HZ, now_ns)
         if self._heartbeat.is_due(now_ns):
             self._beat(now_ns)
-        return self._heartbeat.due_ns
+        elif self._untold and now_ns >= self._tell_ns:
+            self._tell()
+        return min(self._heartbeat.due_ns, self._tell_ns) if self._untold else self._heartbeat.due_ns
 
     def shut_down(self):
         """Nothing to undo: the servo board's own timeout takes over from here."""
@@ -104,10 +109,10 @@ class TurnArb:
         decision = self._arbiter.decide(now_ns)
         if not decision.differs_from(self._decision):
             return False
-        self._log_transition(decision)
+        self._untold.append((self._decision, decision))
+        self._tell_ns = now_ns + TELL_AFTER_NS
         self._decision = decision
         self._publish_command(decision)
-        self._publish_state(decision)
         return True
 
     def _beat(self, now_ns):
@@ -115,7 +120,17 @@ class TurnArb:
         if not self._decide(now_ns):
             self._publish_command(self._decision)
         if self._beats % BEATS_PER_STATE == 0:
+            self._tell()
             self._publish_state(self._arbiter.decide(now_ns))
+
+    def _tell(self):
+        """Publish and log what was decided, now that the commands are on their way."""
+        for before, decision in self._untold:
+            self._publish_state(decision)
+            if before is None or (before.source, before.cause) != (decision.source, decision.cause):
+                log = rospy.logwarn if decision.cause.endswith(("silent", "not finite")) else rospy.loginfo
+                log("%s: %s", SOURCE_NAMES[decision.source], decision.reason)
+        self._untold.clear()
 
     def _publish_command(self, decision):
         self._commands.publish(duty_vector(servo_vector(self._channel, decision.duty)))
@@ -124,13 +139,6 @@ class TurnArb:
         self._states.publish(SteeringState(
             stamp=rospy.Time.now(), source=decision.source, reason=decision.reason, duty=decision.duty,
             human_age=decision.human_age_s, teleop_age=decision.teleop_age_s, planner_age=decision.planner_age_s))
-
-    def _log_transition(self, decision):
-        before = self._decision
-        if before is not None and (before.source, before.cause) == (decision.source, decision.cause):
-            return
-        log = rospy.logwarn if decision.cause.endswith(("silent", "not finite")) else rospy.loginfo
-        log("%s: %s", SOURCE_NAMES[decision.source], decision.reason)
 
 
 def main():

@@ -50,7 +50,7 @@ class VirtualPca9685:
 
     @staticmethod
     def _after(register):
-        return 0 if register in (_LED15_END, _TEST) else register + 1
+        return 0 if register in (_LED15_END, _PRE_SCALE, _TEST) else register + 1  # data sheet 7.3, table 4
 
     def _store(self, register, value):
         registers = self._registers

@@ -1,0 +1,333 @@
+"""A Slash 4x4 that moves: a kinematic bicycle with a servo, an ESC, and hall sensors in its rear wheels.
+
+Consumes PWM duties and time steps; produces a pose and wheel pulses with their true times. Its steering and drive-train
+curves are the truth that calibration tables only approximate: they are near the tables that the package ships and on
+purpose not equal to them.
+
+REP-103 throughout: metres, radians, seconds, x forward, y left, left turns positive. The pose is that of the middle of
+the rear axle. Nothing slips and nothing collides.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from car_interface.sim.checks import require
+from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, LEFT, RIGHT
+
+NS_PER_S = 1_000_000_000
+# 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.
+SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192
+ARRIVED_DUTY = 0.01  # a creeping servo never quite arrives; from here on it has
+
+
+class Pose(NamedTuple):
+    """Where the middle of the rear axle is (metres) and where the car looks (radians, 0 along x, not wrapped)."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+ORIGIN = Pose(0.0, 0.0, 0.0)
+
+
+class Pulse(NamedTuple):
+    """A magnet that passed a wheel's sensor: true time, LEFT or RIGHT, FORWARD or BACKWARD."""
+
+    at_ns: int
+    side: int
+    direction: int
+
+
+@dataclass(frozen=True)
+class SteeringConfig:
+    """How the servo moves and where its positions steer.
+
+    Attributes:
+        curve: (duty, curvature in 1/m, left positive), duties rising, curvatures falling. Linear in between,
+            saturated at the ends, where the wheels are at their stops: 0.97 m is the tightest left turn, 1.03 m the
+            tightest right one.
+        center_duty: where the servo stands at power-up. It steers 1.3e-3 1/m to the right: this car has to be trimmed.
+        rate_duty_per_s: the fastest that the servo turns: 60° (2185 duty, 90° being 1 ms) in 0.17 s.
+        lag_s: time constant with which it creeps up to a near target.
+    """
+
+    curve: tuple[tuple[float, float], ...] = (
+        (3800, 1.030), (3808, 0.812), (3815, 0.692), (3822, 0.601), (3830, 0.516), (3835, 0.415), (3840, 0.344),
+        (3850, 0.259), (3860, 0.205), (3870, 0.171), (3880, 0.147), (3890, 0.103), (3900, 0.0515), (3950, 0.0345),
+        (4000, 0.0257), (4300, 0.0172), (4600, 0.0129), (4900, 0.0103), (5070, 0.0), (5300, -0.0097),
+        (5600, -0.0121), (5900, -0.0162), (5950, -0.0242), (6050, -0.0322), (6150, -0.0486), (6250, -0.0968),
+        (6350, -0.138), (6400, -0.161), (6450, -0.195), (6500, -0.243), (6550, -0.278), (6600, -0.324), (6625, -0.386),
+        (6650, -0.487), (6662, -0.550), (6675, -0.645), (6688, -0.783), (6700, -0.970),
+    )  # fmt: skip
+    center_duty: float = 5100.0
+    rate_duty_per_s: float = 12850.0
+    lag_s: float = 0.015
+
+    def __post_init__(self):
+        duties, curvatures = zip(*self.curve)
+        rising = all(low < high for low, high in zip(duties, duties[1:]))
+        falling = all(left > right for left, right in zip(curvatures, curvatures[1:]))
+        require(len(self.curve) > 1 and rising and falling, "steering curve", self.curve, "rising duty, falling 1/m")
+        require(self.rate_duty_per_s > 0, "rate_duty_per_s", self.rate_duty_per_s, "more than 0")
+        require(self.lag_s > 0, "lag_s", self.lag_s, "more than 0")
+
+
+@dataclass(frozen=True)
+class DriveConfig:
+    """What the ESC's duty does to the speed.
+
+    Attributes:
+        full_reverse_duty, neutral_duty, full_forward_duty: 1.0, 1.5 and 2.0 ms at 50 Hz.
+        neutral_band_duty: so far from neutral the ESC does nothing.
+        forward_mps2: of full throttle at standstill, before drag.
+        reverse_mps2: of full reverse at standstill, before drag.
+        brake_mps2: of the full duty against the way the car rolls, before drag.
+        thrust_halves_mps: at this speed the motor has half its thrust.
+        drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
+            With the defaults full throttle ends at 14 m/s.
+    """
+
+    full_reverse_duty: float = 3277.0
+    neutral_duty: float = 4915.0
+    full_forward_duty: float = 6554.0
+    neutral_band_duty: float = 25.0
+    forward_mps2: float = 5.6
+    reverse_mps2: float = 3.6
+    brake_mps2: float = 7.0
+    thrust_halves_mps: float = 9.4
+    drag_mps2: float = 0.35
+    drag_per_s: float = 0.08
+    drag_per_m: float = 0.004
+
+    def __post_init__(self):
+        low, high = self.neutral_duty - self.neutral_band_duty, self.neutral_duty + self.neutral_band_duty
+        require(
+            self.full_reverse_duty < low <= high < self.full_forward_duty,
+            "neutral_duty", self.neutral_duty, "with its band between full reverse and full forward",
+        )  # fmt: skip
+        require(self.thrust_halves_mps > 0, "thrust_halves_mps", self.thrust_halves_mps, "more than 0")
+
+
+@dataclass(frozen=True)
+class VehicleConfig:
+    """One car.
+
+    Attributes:
+        track_m: between the rear wheels.
+        wheelbase_m: between the axles; turns curvature into the front wheels' angle.
+        wheel_diameter_m, pulses_per_revolution: one pulse each 14.9 mm.
+        pulse_phase: how far each rear wheel (left, right) stands beyond a magnet at the start, in pulses.
+        start: the pose at the start.
+    """
+
+    steering: SteeringConfig = SteeringConfig()
+    drive: DriveConfig = DriveConfig()
+    wheelbase_m: float = 0.324
+    track_m: float = 0.296
+    wheel_diameter_m: float = 0.095
+    pulses_per_revolution: int = 20
+    pulse_phase: tuple[float, float] = (0.25, 0.75)
+    start: Pose = ORIGIN
+
+    def __post_init__(self):
+        require(self.wheelbase_m > 0, "wheelbase_m", self.wheelbase_m, "more than 0")
+        sharpest = max(abs(curvature) for _, curvature in self.steering.curve)
+        require(0 < self.track_m < 2 / sharpest, "track_m", self.track_m, "more than 0, inside the tightest turn")
+        require(self.wheel_diameter_m > 0, "wheel_diameter_m", self.wheel_diameter_m, "more than 0")
+        require(self.pulses_per_revolution > 0, "pulses_per_revolution", self.pulses_per_revolution, "more than 0")
+
+    @property
+    def pulse_m(self) -> float:
+        """A rear wheel's way from one pulse to the next."""
+        return math.pi * self.wheel_diameter_m / self.pulses_per_revolution
+
+
+class Vehicle:
+    """The car at one moment.
+
+    Args:
+        config: what it is like.
+        start_ns: the true time at the start; pulses are stamped on this scale.
+
+    Attributes:
+        time_ns: true time now.
+        pose: where it is.
+        speed_mps: of the rear axle, backward negative.
+        acceleration_mps2: during the last step, the mean.
+        curvature_per_m: of its path now, left positive.
+        servo_duty: where the steering servo stands, in the duty that holds it there.
+        travel_m: signed way so far.
+    """
+
+    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0):
+        self.config = config
+        self.time_ns = start_ns
+        self.pose = config.start
+        self.speed_mps = 0.0
+        self.acceleration_mps2 = 0.0
+        self.travel_m = 0.0
+        self.servo_duty = config.steering.center_duty
+        self._duties, self._curvatures = (tuple(column) for column in zip(*config.steering.curve))
+        self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
+        self._half_track_m = config.track_m / 2
+        self._pulse_m = config.pulse_m
+        self._wheel_pulses = list(config.pulse_phase)  # each rear wheel's way, in pulses
+
+    @property
+    def yaw_rate_radps(self) -> float:
+        return self.speed_mps * self.curvature_per_m
+
+    @property
+    def steering_angle_rad(self) -> float:
+        """Of the bicycle's one front wheel, left positive."""
+        return math.atan(self.config.wheelbase_m * self.curvature_per_m)
+
+    def true_curvature_per_m(self, duty: float) -> float:
+        """Where the steering leads when the servo stands at ``duty``; saturated at the stops."""
+        duties, curvatures = self._duties, self._curvatures
+        if duty <= duties[0]:
+            return curvatures[0]
+        if duty >= duties[-1]:
+            return curvatures[-1]
+        index = bisect_right(duties, duty)
+        low, high = duties[index - 1], duties[index]
+        share = (duty - low) / (high - low)
+        return curvatures[index - 1] + share * (curvatures[index] - curvatures[index - 1])
+
+    def step(self, dt_ns: int, steering_duty: int, esc_duty: int) -> list[Pulse]:
+        """Moves on by ``dt_ns`` with both outputs held.
+
+        Args:
+            dt_ns: 1 or more. Speed changes evenly within a step; with 20 ms that's still good to a few mm/s.
+            steering_duty: of the servo's channel; -1, 0 or any duty that is no servo pulse: the servo stays where it
+                is, without power.
+            esc_duty: of the ESC's channel; without a pulse it lets the car coast.
+
+        Returns:
+            The rear wheels' pulses of this step in the order of time.
+        """
+        dt_s = dt_ns / NS_PER_S
+        curvature_per_m = self._turn_servo(dt_s, steering_duty)
+        speed_mps, way_m, moving_s = self._accelerate(dt_s, esc_duty)
+        pulses = self._roll(way_m, moving_s, speed_mps, curvature_per_m) if way_m else []
+        self.time_ns += dt_ns
+        self.speed_mps = speed_mps
+        return pulses
+
+    def _turn_servo(self, dt_s: float, duty: int) -> float:
+        """Turns the servo and returns the mean curvature meanwhile."""
+        error = duty - self.servo_duty
+        if error == 0.0 or not is_pulse(duty):
+            return self.curvature_per_m
+        if abs(error) < ARRIVED_DUTY:
+            self.servo_duty = float(duty)
+        else:
+            steering = self.config.steering
+            farthest = steering.rate_duty_per_s * dt_s
+            wanted = error * -math.expm1(-dt_s / steering.lag_s)
+            self.servo_duty += max(-farthest, min(farthest, wanted))
+        before_per_m = self.curvature_per_m
+        self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
+        return (before_per_m + self.curvature_per_m) / 2
+
+    def _accelerate(self, dt_s: float, esc_duty: int) -> tuple[float, float, float]:
+        """Returns (speed after the step, way in it, seconds of it that the car moved)."""
+        before_mps = self.speed_mps
+        acceleration_mps2 = true_acceleration_mps2(esc_duty, before_mps, self.config.drive)
+        after_mps = before_mps + acceleration_mps2 * dt_s
+        moving_s = dt_s
+        if before_mps * after_mps < 0.0:
+            # It stops within the step. Whether it goes on backward is decided at standstill, by the next step.
+            moving_s = -before_mps / acceleration_mps2
+            after_mps = 0.0
+        self.acceleration_mps2 = (after_mps - before_mps) / dt_s
+        return after_mps, (before_mps + after_mps) / 2 * moving_s, moving_s
+
+    def _roll(self, way_m: float, moving_s: float, speed_mps: float, curvature_per_m: float) -> list[Pulse]:
+        """Moves along an arc and returns the pulses on it."""
+        x_m, y_m, yaw_rad = self.pose
+        turn_rad = way_m * curvature_per_m
+        # The chord of an arc: its length is way · sin(h)/h, its direction the mean of both headings (h: half the turn).
+        half_rad = turn_rad / 2
+        chord_m = way_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
+        direction_rad = yaw_rad + half_rad
+        self.pose = Pose(
+            x_m + chord_m * math.cos(direction_rad), y_m + chord_m * math.sin(direction_rad), yaw_rad + turn_rad
+        )
+        self.travel_m += way_m
+        widening = self._half_track_m * curvature_per_m
+        acceleration_mps2 = (speed_mps - self.speed_mps) / moving_s
+        left = self._wheel(LEFT, way_m, 1.0 - widening, acceleration_mps2)
+        right = self._wheel(RIGHT, way_m, 1.0 + widening, acceleration_mps2)
+        if left and right:
+            return sorted(left + right)
+        return left or right
+
+    def _wheel(self, side: int, way_m: float, share: float, acceleration_mps2: float) -> list[Pulse]:
+        """Turns one wheel, whose way is ``share`` of the axle's, and returns its pulses."""
+        before = self._wheel_pulses[side]
+        after = before + way_m * share / self._pulse_m
+        self._wheel_pulses[side] = after
+        # A magnet sits at each whole number. Rolling back over it gives a pulse as well.
+        first, last = math.floor(before), math.floor(after)
+        if first == last:
+            return []
+        magnets, direction = (
+            (range(first + 1, last + 1), FORWARD) if last > first else (range(first, last, -1), BACKWARD)
+        )
+        to_axle_m = self._pulse_m / share
+        return [
+            Pulse(self.time_ns + self._time_to_ns((magnet - before) * to_axle_m, acceleration_mps2), side, direction)
+            for magnet in magnets
+        ]
+
+    def _time_to_ns(self, way_m: float, acceleration_mps2: float) -> int:
+        """When the axle has gone ``way_m``: of v·t + a·t²/2 = s the first root, in the form that also takes a = 0."""
+        speed_mps = self.speed_mps
+        root_mps = math.sqrt(max(0.0, speed_mps * speed_mps + 2.0 * acceleration_mps2 * way_m))
+        return int(2.0 * way_m / (speed_mps + math.copysign(root_mps, way_m)) * NS_PER_S)
+
+
+def is_pulse(duty: int) -> bool:
+    """Whether a servo or an ESC takes ``duty`` for a command; neither 0 (off) nor -1 (never set) nor 65535 (on) is."""
+    return SHORTEST_PULSE <= duty <= LONGEST_PULSE
+
+
+def throttle(duty: int, drive: DriveConfig) -> float | None:
+    """What the ESC makes of a duty: -1 (full reverse) to 1 (full forward), 0 in its neutral band, None without one."""
+    if not is_pulse(duty):
+        return None
+    beyond = duty - drive.neutral_duty
+    if abs(beyond) <= drive.neutral_band_duty:
+        return 0.0
+    if beyond > 0:
+        full = drive.full_forward_duty - drive.neutral_duty
+        return min(1.0, (beyond - drive.neutral_band_duty) / (full - drive.neutral_band_duty))
+    full = drive.neutral_duty - drive.full_reverse_duty
+    return max(-1.0, (beyond + drive.neutral_band_duty) / (full - drive.neutral_band_duty))
+
+
+def true_acceleration_mps2(esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig()) -> float:
+    """The car's acceleration: what a value map for this car should say, and says only nearly.
+
+    Duty against the way the car rolls brakes. At standstill reverse drives backward (no double tap), and a thrust
+    below the static drag moves nothing.
+    """
+    command = throttle(esc_duty, drive) or 0.0
+    speed = abs(speed_mps)
+    drag_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m)
+    if command * speed_mps < 0.0:
+        push_mps2 = command * drive.brake_mps2
+    else:
+        full_mps2 = drive.forward_mps2 if command > 0.0 else drive.reverse_mps2
+        push_mps2 = command * full_mps2 / (1.0 + speed / drive.thrust_halves_mps)
+    if speed_mps:
+        return push_mps2 - math.copysign(drag_mps2, speed_mps)
+    if abs(push_mps2) <= drag_mps2:
+        return 0.0
+    return push_mps2 - math.copysign(drag_mps2, push_mps2)

@@ -1,0 +1,177 @@
+"""The room that the car's six sonars see: walls, boxes, posts, and the time that sound takes to them and back.
+
+Consumes the car's pose, produces echo times. Flat, as the sonars' cones are low; everything in it reflects.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Sequence
+
+from car_interface.sim.checks import require
+
+SENSOR_NAMES = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Where a sonar sits on the car: metres from the middle of the rear axle, and where it looks (0 ahead)."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright box: its middle, its sides along and across its heading, its heading."""
+
+    x_m: float
+    y_m: float
+    length_m: float
+    width_m: float
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Post:
+    """An upright cylinder."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """The room and the sonars.
+
+    The default room takes a figure-eight with circles of 1.5 to 2 m whose crossing is the origin and which is entered
+    along x: a post in the middle of each circle, boxes and posts around both, the walls beyond.
+
+    Attributes:
+        walls: x from, x to, y from, y to, in metres.
+        boxes, posts: what stands in it.
+        mounts: the sonars, by their number on the wire.
+        cone_rad: the whole angle in which a sonar hears.
+        rays: how many lines the cone is sampled by, both edges included.
+        max_range_m: an echo from farther is none.
+        temperature_c: of the air; sound travels 331.3 + 0.606 T m/s.
+    """
+
+    walls: tuple[float, float, float, float] = (-6.0, 6.0, -5.0, 5.0)
+    boxes: tuple[Box, ...] = (Box(3.1, -1.5, 0.6, 0.4, 0.3), Box(-3.1, 2.6, 1.0, 0.5, -0.2))
+    posts: tuple[Post, ...] = (
+        Post(0.0, 1.8, 0.12), Post(0.0, -1.8, 0.12), Post(3.0, 1.4, 0.15), Post(3.1, 2.8, 0.15),
+        Post(-3.0, -1.2, 0.2), Post(-2.9, -3.2, 0.15), Post(-3.0, 0.5, 0.15),
+    )  # fmt: skip
+    mounts: tuple[Mount, ...] = (
+        Mount(0.40, -0.10, math.radians(-30)), Mount(0.42, 0.0, 0.0), Mount(0.40, 0.10, math.radians(30)),
+        Mount(-0.12, -0.10, math.radians(-150)), Mount(-0.14, 0.0, math.pi), Mount(-0.12, 0.10, math.radians(150)),
+    )  # fmt: skip
+    cone_rad: float = math.radians(30)
+    rays: int = 7
+    max_range_m: float = 2.0
+    temperature_c: float = 20.0
+
+    def __post_init__(self):
+        x_from_m, x_to_m, y_from_m, y_to_m = self.walls
+        require(x_from_m < x_to_m and y_from_m < y_to_m, "walls", self.walls, "x from < x to, y from < y to")
+        require(len(self.mounts) == len(SENSOR_NAMES), "mounts", self.mounts, "six of them")
+        require(0 < self.cone_rad < math.pi, "cone_rad", self.cone_rad, "more than 0, less than pi")
+        require(self.rays > 0, "rays", self.rays, "1 or more")
+        require(self.max_range_m > 0, "max_range_m", self.max_range_m, "more than 0")
+        require(-100 < self.temperature_c < 100, "temperature_c", self.temperature_c, "-100 to 100")
+
+
+class World:
+    """A room, asked what a sonar hears in it."""
+
+    def __init__(self, config: WorldConfig = WorldConfig()):
+        self.config = config
+        self._segments = _rectangle(*config.walls)
+        for box in config.boxes:
+            self._segments += _outline(box)
+        self._posts = [(post.x_m, post.y_m, post.radius_m) for post in config.posts]
+        self._us_per_m = 2e6 / speed_of_sound_mps(config.temperature_c)
+        self._angles_rad = _spread(config.cone_rad, config.rays)
+
+    def echo_us(self, pose: Sequence[float], sensor: int) -> int:
+        """Microseconds from a sonar's ping to its echo, as a car that stands still would measure them.
+
+        Args:
+            pose: x, y (metres) and yaw (radians) of the middle of the car's rear axle.
+            sensor: 0 to 5.
+
+        Returns:
+            The echo from whatever is nearest in the cone; 0 when nothing is in range. Never 0 for something in
+            range, however near.
+        """
+        distance_m = self.distance_m(pose, sensor)
+        if distance_m is None:
+            return 0
+        return max(1, round(distance_m * self._us_per_m))
+
+    def distance_m(self, pose: Sequence[float], sensor: int) -> float | None:
+        """Metres from a sonar to whatever is nearest in its cone; None beyond ``max_range_m``."""
+        x_m, y_m, yaw_rad = pose
+        mount = self.config.mounts[sensor]
+        cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
+        from_x_m = x_m + mount.x_m * cos_yaw - mount.y_m * sin_yaw
+        from_y_m = y_m + mount.x_m * sin_yaw + mount.y_m * cos_yaw
+        axis_rad = yaw_rad + mount.yaw_rad
+        nearest_m = min(self._ray_m(from_x_m, from_y_m, axis_rad + angle_rad) for angle_rad in self._angles_rad)
+        return nearest_m if nearest_m <= self.config.max_range_m else None
+
+    def _ray_m(self, x_m: float, y_m: float, direction_rad: float) -> float:
+        """Metres along one ray to the first thing that it meets; infinity if it meets none."""
+        dx, dy = math.cos(direction_rad), math.sin(direction_rad)
+        nearest_m = math.inf
+        for start_x_m, start_y_m, along_x_m, along_y_m in self._segments:
+            # Solves (x, y) + s·(dx, dy) = start + t·along by Cramer's rule; 0 ≤ t ≤ 1 lies on the segment.
+            across = dx * along_y_m - dy * along_x_m
+            if across == 0.0:
+                continue
+            to_x_m, to_y_m = start_x_m - x_m, start_y_m - y_m
+            distance_m = (to_x_m * along_y_m - to_y_m * along_x_m) / across
+            if 0.0 <= distance_m < nearest_m and 0.0 <= (to_x_m * dy - to_y_m * dx) / across <= 1.0:
+                nearest_m = distance_m
+        for post_x_m, post_y_m, radius_m in self._posts:
+            to_x_m, to_y_m = post_x_m - x_m, post_y_m - y_m
+            beyond = to_x_m * to_x_m + to_y_m * to_y_m - radius_m * radius_m
+            if beyond <= 0.0:
+                return 0.0
+            along_m = to_x_m * dx + to_y_m * dy
+            inside = along_m * along_m - beyond
+            if along_m > 0.0 and inside >= 0.0:
+                nearest_m = min(nearest_m, along_m - math.sqrt(inside))
+        return nearest_m
+
+
+def speed_of_sound_mps(temperature_c: float) -> float:
+    """Of sound in air, near enough between -20 and 40 °C (linear in the temperature about 0 °C)."""
+    return 331.3 + 0.606 * temperature_c
+
+
+def _spread(cone_rad: float, rays: int) -> list[float]:
+    if rays == 1:
+        return [0.0]
+    return [cone_rad * (index / (rays - 1) - 0.5) for index in range(rays)]
+
+
+def _rectangle(x_from_m, x_to_m, y_from_m, y_to_m):
+    return _ring([(x_from_m, y_from_m), (x_to_m, y_from_m), (x_to_m, y_to_m), (x_from_m, y_to_m)])
+
+
+def _outline(box: Box):
+    cos_yaw, sin_yaw = math.cos(box.yaw_rad), math.sin(box.yaw_rad)
+    half_x_m, half_y_m = box.length_m / 2, box.width_m / 2
+    corners = [(-half_x_m, -half_y_m), (half_x_m, -half_y_m), (half_x_m, half_y_m), (-half_x_m, half_y_m)]
+    return _ring([(box.x_m + x * cos_yaw - y * sin_yaw, box.y_m + x * sin_yaw + y * cos_yaw) for x, y in corners])
+
+
+def _ring(corners: Sequence[tuple[float, float]]) -> list[tuple[float, float, float, float]]:
+    """Closed polygon → its sides as (x, y, length along x, length along y)."""
+    ends = [*list(corners[1:]), corners[0]]
+    return [(x, y, end_x - x, end_y - y) for (x, y), (end_x, end_y) in zip(corners, ends)]
