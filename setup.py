@@ -1,7 +1,6 @@
 """Tells catkin which Python packages to install; catkin runs it, nobody else should."""
-from setuptools import setup
-
 from catkin_pkg.python_setup import generate_distutils_setup
+from setuptools import setup
 
 setup(
     **generate_distutils_setup(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Optional
+from typing import NamedTuple
 
 from car_interface.errors import ConfigError
 from car_interface.freshness import Heard
@@ -38,7 +38,7 @@ class ConversionConfig:
 class Conversion(NamedTuple):
     """A value to send, or ``None`` and the reason."""
 
-    value: Optional[float]
+    value: float | None
     cause: str = ""  # the kind of reason, without numbers
     reason: str = ""
 
@@ -51,7 +51,7 @@ class Converter:
         value_map: the map; ``None`` passes accelerations through, clamped, and needs no odometry.
     """
 
-    def __init__(self, config: ConversionConfig, value_map: Optional[ValueMap]):
+    def __init__(self, config: ConversionConfig, value_map: ValueMap | None):
         self._config = config
         self._map = value_map
         self._odometry = Heard("odometry", config.odometry_timeout_s)
@@ -71,7 +71,7 @@ class Converter:
             return trouble
         return Conversion(self._clamp(self._map.value_at(acceleration, self._odometry.value)))
 
-    def odometry_trouble(self, now_ns: int) -> Optional[Conversion]:
+    def odometry_trouble(self, now_ns: int) -> Conversion | None:
         """Why the velocity can't be used at ``now_ns``; ``None`` when it can, or isn't needed."""
         if self._map is None:
             return None

@@ -14,13 +14,13 @@ class Heard:
 
     Args:
         name: what the input is called in a reason.
-        timeout_s: silence longer than this is a loss; 0 = never. An input that was never heard is silent whatever it is.
+        timeout_s: silence longer than this is a loss; 0 = never. What was never heard is silent whatever this is.
     """
 
     def __init__(self, name: str, timeout_s: float):
         self.name = name
         self.value = None
-        self._timeout_ns = round(timeout_s * NS_PER_S) or math.inf
+        self._timeout_ns = round(timeout_s * NS_PER_S) if timeout_s else math.inf
         self._at_ns = None
 
     def hear(self, value, now_ns: int) -> None:
@@ -43,4 +43,6 @@ class Heard:
 
     def silence(self, now_ns: int) -> str:
         """Its silence in words, for a reason: ``human_in_loop silent for 0.52 s``."""
-        return f"{self.name} silent for {self.age_s(now_ns):.2f} s" if self.was_heard else f"{self.name} was never heard"
+        if not self.was_heard:
+            return f"{self.name} was never heard"
+        return f"{self.name} silent for {self.age_s(now_ns):.2f} s"

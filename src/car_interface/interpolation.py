@@ -58,4 +58,7 @@ def check_axis(axis: Sequence[float], name: str) -> None:
 
 def round_half_away(x: float) -> int:
     """The nearest integer, halves away from zero: C's ``lround``, where Python's ``round`` goes to even."""
-    return int(math.floor(x + 0.5)) if x >= 0 else int(math.ceil(x - 0.5))
+    whole = math.floor(abs(x))
+    if abs(x) - whole >= 0.5:  # exact; x + 0.5 would itself be rounded, and make 1 of 0.49999999999999994
+        whole += 1
+    return whole if x >= 0 else -whole

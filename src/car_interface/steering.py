@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Optional, Sequence
+from typing import NamedTuple, Sequence
 
 from car_interface.errors import ConfigError
 from car_interface.freshness import Heard
@@ -77,7 +77,7 @@ class Decision(NamedTuple):
     teleop_age_s: float
     planner_age_s: float
 
-    def differs_from(self, other: Optional[Decision]) -> bool:
+    def differs_from(self, other: Decision | None) -> bool:
         """Whether this is another decision, not the same one with older ages."""
         return other is None or self[:3] != other[:3]
 
@@ -127,10 +127,11 @@ class SteeringArbiter:
         if self._teleop.was_heard:
             if self._teleop.is_silent(now_ns):
                 return NEUTRAL, center, "teleop silent", self._teleop.silence(now_ns)
-            if not math.isfinite(self._teleop.value):
-                return NEUTRAL, center, "teleop not finite", f"tele_steer_req is {self._teleop.value}, not a number to act on"
-            if not self._is_rest(self._teleop.value):
-                return TELEOP, self.teleop_duty(self._teleop.value), "teleop", f"tele_steer_req is {self._teleop.value:.3f}"
+            steering = self._teleop.value
+            if not math.isfinite(steering):
+                return NEUTRAL, center, "teleop not finite", f"tele_steer_req is {steering}, no number to act on"
+            if abs(steering - self._config.tele_steer_neutral) > self._config.tele_steer_deadband:
+                return TELEOP, self.teleop_duty(steering), "teleop", f"tele_steer_req is {steering:.3f}"
         return self._planner_rule(now_ns)
 
     def _planner_rule(self, now_ns):
@@ -141,13 +142,10 @@ class SteeringArbiter:
             return NEUTRAL, center, "planner silent", self._planner.silence(now_ns)
         radius_m = self._planner.value
         if not math.isfinite(radius_m):
-            return NEUTRAL, center, "planner not finite", f"av_turnrad_req is {radius_m}, not a number to act on"
+            return NEUTRAL, center, "planner not finite", f"av_turnrad_req is {radius_m}, no number to act on"
         if abs(radius_m) <= NO_RADIUS_M:
             return NEUTRAL, center, "no radius", "av_turnrad_req is 0, which asks for nothing"
         return PLANNER, self.planner_duty(radius_m), "planner", f"av_turnrad_req is {radius_m:.3f} m"
-
-    def _is_rest(self, steering):
-        return abs(steering - self._config.tele_steer_neutral) <= self._config.tele_steer_deadband
 
     def teleop_duty(self, steering: float) -> int:
         """The duty for a gamepad request, clamped to −1..1: linear to each side, and each side by its own scale."""

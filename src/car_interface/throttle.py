@@ -6,7 +6,7 @@ odometry are fresh: steering and throttle stop together.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Optional, Sequence
+from typing import NamedTuple, Sequence
 
 from car_interface.conversion import Conversion, Converter
 from car_interface.errors import ConfigError
@@ -38,7 +38,7 @@ class ThrottleConfig:
     command_timeout_s: float = 0.5
 
     def __post_init__(self):
-        if not min(self.duty_table) <= self.neutral <= max(self.duty_table):
+        if self.duty_table and not min(self.duty_table) <= self.neutral <= max(self.duty_table):
             raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
 
 
@@ -83,7 +83,7 @@ class Throttle:
         duty = max(0, min(MAX_DUTY, round_half_away(self._duty(value))))
         return ThrottleDecision(duty, True, "driving", f"the value is {value:.3f}")
 
-    def _hindrance(self, now_ns) -> Optional[Sequence[str]]:
+    def _hindrance(self, now_ns) -> Sequence[str] | None:
         if self._human.is_silent(now_ns):
             return "human silent", self._human.silence(now_ns)
         if not self._human.value:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import math
 from bisect import bisect_right
-from typing import List, Sequence
+from typing import Sequence
 
 from car_interface.errors import ConfigError
 from car_interface.interpolation import check_axis
@@ -70,11 +70,13 @@ class ValueMap:
             return values[0]
         below = above - 1
         a0 = low[below] + part * (high[below] - low[below])
-        if acceleration == a0:
+        if acceleration <= a0:  # below it only by the blend's rounding
             return self._least_on_plateau(acceleration, low, high, part, below)
         if above == len(values):
             return values[-1]
         a1 = low[above] + part * (high[above] - low[above])
+        if acceleration >= a1:  # by the same rounding, where neighbours are all but level
+            return values[above]
         return values[below] + (acceleration - a0) / (a1 - a0) * (values[above] - values[below])
 
     def acceleration_at(self, value: float, velocity: float) -> float:
@@ -130,7 +132,7 @@ def load_value_map(path: str, allow_plateaus: bool = False) -> ValueMap:
     """
     rows = _read_rows(path)
     if len(rows) < 3:
-        raise ConfigError(f"{path}", f"{len(rows)} line(s)", "a line of velocities and at least two lines of accelerations")
+        raise ConfigError(path, f"{len(rows)} line(s)", "a line of velocities and at least two lines of accelerations")
     width = len(rows[0])
     if width < 3:
         raise ConfigError(f"{path}, line 1", rows[0], "a name and at least two velocities")
@@ -144,7 +146,7 @@ def load_value_map(path: str, allow_plateaus: bool = False) -> ValueMap:
     return ValueMap([row[0] for row in table], velocities, [row[1:] for row in table], allow_plateaus, path)
 
 
-def _read_rows(path) -> List[List[str]]:
+def _read_rows(path) -> list[list[str]]:
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             rows = [[cell.strip() for cell in row] for row in csv.reader(file)]

@@ -89,8 +89,8 @@ class CarSim:
         world = World(WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)))
         firmware_config = read_firmware(params)
         params.finish()
-        self._firmware = TeensyFirmware(firmware_config, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor),
-                                        now_ns)
+        self._firmware = TeensyFirmware(
+            firmware_config, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [NEVER_SET] * CHANNELS
         self._inbox = inbox
         self._complaints = Complaints()

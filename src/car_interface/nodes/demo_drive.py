@@ -25,11 +25,30 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from car_interface.errors import CarInterfaceError
-from car_interface.msg import (Control, Distance, Error, Float64Stamped, LinkStatus, Longitudinal, Pong, SteeringState,
-                               Wheel)
+from car_interface.msg import (
+    Control,
+    Distance,
+    Error,
+    Float64Stamped,
+    LinkStatus,
+    Longitudinal,
+    Pong,
+    SteeringState,
+    Wheel,
+)
 from car_interface.nodes.node import NS_PER_S, Heartbeat, run, subscribe
-from car_interface.sim.drive import (DONE, LEFT_CIRCLE, LET_GO, NOBODY, RIGHT_CIRCLE, STAGE_NAMES, TELEOP, TURN_RAD,
-                                     Drive, DriveConfig)
+from car_interface.sim.drive import (
+    DONE,
+    LEFT_CIRCLE,
+    LET_GO,
+    NOBODY,
+    RIGHT_CIRCLE,
+    STAGE_NAMES,
+    TELEOP,
+    TURN_RAD,
+    Drive,
+    DriveConfig,
+)
 from car_interface.steering import NO_HUMAN, PLANNER, SOURCE_NAMES
 from car_interface.steering import TELEOP as TELEOP_STEERS
 from car_interface.teensy.protocol import SONARS
@@ -103,15 +122,20 @@ class Watch:
         """The way that the wheels' pulses make, the mean of both."""
         if self.wheel is None:
             return 0.0
-        counts = [getattr(self.wheel, side).dist_abs - getattr(self.first_wheel, side).dist_abs for side in ("left", "right")]
-        return sum(counts) / 2 * PULSE_M
+        first, last = self.first_wheel, self.wheel
+        pulses = last.left.dist_abs - first.left.dist_abs + last.right.dist_abs - first.right.dist_abs
+        return pulses / 2 * PULSE_M
 
     def missing(self):
         """What hasn't been heard from yet; empty when the car is ready."""
-        return [name for name, seen in (("car_sim/truth", self.pose), ("turn_arb/state", self.state),
-                                        ("/servo/output", self.output and self.output[STEERS] >= 0),
-                                        ("teensy_wheel", self.wheel), ("the Teensy's link", self.link and self.link.pongs),
-                                        ) if not seen]
+        seen = {
+            "car_sim/truth": self.pose,
+            "turn_arb/state": self.state,
+            "/servo/output": self.output and self.output[STEERS] >= 0,
+            "teensy_wheel": self.wheel,
+            "the Teensy's link": self.link and self.link.pongs,
+        }
+        return [name for name, thing in seen.items() if not thing]
 
 
 class DemoDrive:
@@ -170,9 +194,8 @@ class DemoDrive:
         """Close the bag; a drive that didn't reach its end didn't go as planned."""
         if self._recording is not None:
             self._recording.stop()
-        if self._drive is None or self._drive.stage != DONE:
-            if sys.exc_info()[0] is None:
-                raise CarInterfaceError("the drive was ended before it was over")
+        if (self._drive is None or self._drive.stage != DONE) and sys.exc_info()[0] is None:
+            raise CarInterfaceError("the drive was ended before it was over")
 
     def _wait_until_ready(self, now_ns):
         missing = self._watch.missing()
@@ -218,7 +241,8 @@ class DemoDrive:
         nearest_m = min(watch.sonar_m.values(), default=math.inf)
         nearest = f"{nearest_m:4.2f} m" if nearest_m < math.inf else "free"
         text = (f"{(now_ns - self._started_ns) / NS_PER_S:5.1f} s  {STAGE_NAMES[watch.stage]:<21} "
-                f"{SOURCE_NAMES[watch.state.source]:<8} steering {watch.output[STEERS]:5d}  ESC {watch.output[DRIVES]:5d}  "
+                f"{SOURCE_NAMES[watch.state.source]:<8} "
+                f"steering {watch.output[STEERS]:5d}  ESC {watch.output[DRIVES]:5d}  "
                 f"{watch.speed_mps:5.2f} m/s  at {watch.pose[0]:+5.2f} {watch.pose[1]:+5.2f}  nearest {nearest}")
         print(("\r\x1b[K" if sys.stdout.isatty() else "") + text, end=end, flush=True)
 
@@ -242,7 +266,8 @@ class DemoDrive:
         yield "distance driven", f"{watch.distance_m:.2f} m, by the wheels' pulses {watch.pulses_m():.2f} m"
         yield "pings answered", f"{link.pongs} of {link.pings}"
         yield "frames good, bad", f"{link.frames}, {link.bad_frames + link.malformed_frames}"
-        yield "from letting go to neutral", "never" if watch.neutral_ns is None else f"{self._neutral_after_s() * 1e3:.1f} ms"
+        neutral = "never" if watch.neutral_ns is None else f"after {self._neutral_after_s() * 1e3:.1f} ms"
+        yield "human let go, outputs neutral", neutral
         if bag:
             yield "bag", bag
 

@@ -56,14 +56,14 @@ def read_throttle(params, converter):
     """The ESC's channel and rules, or ``(-1, None)``."""
     channel = params.integer("servo/channel", NO_CHANNEL, low=NO_CHANNEL, high=CHANNELS - 1)
     missing = {"default": []} if channel == NO_CHANNEL else {}
-    settings = dict(
-        value_axis=params.numbers("servo/value_axis", **missing),
-        duty_table=params.numbers("servo/duty_table", low=0, high=MAX_DUTY, **missing),
-        neutral=params.integer("servo/neutral", low=0, high=MAX_DUTY, **({"default": 0} if missing else {})),
-        human_timeout_s=params.timeout("human_timeout", 0.5),
-        steering_timeout_s=params.timeout("steering_timeout", 0.25),
-        command_timeout_s=params.timeout("command_timeout", 0.5),
-    )
+    settings = {
+        "value_axis": params.numbers("servo/value_axis", **missing),
+        "duty_table": params.numbers("servo/duty_table", low=0, high=MAX_DUTY, **missing),
+        "neutral": params.integer("servo/neutral", low=0, high=MAX_DUTY, **({"default": 0} if missing else {})),
+        "human_timeout_s": params.timeout("human_timeout", 0.5),
+        "steering_timeout_s": params.timeout("steering_timeout", 0.25),
+        "command_timeout_s": params.timeout("command_timeout", 0.5),
+    }
     throttle = None if channel == NO_CHANNEL else Throttle(ThrottleConfig(channel=channel, **settings), converter)
     return channel, throttle
 

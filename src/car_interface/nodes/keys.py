@@ -14,7 +14,7 @@ class Keys:
     Under roslaunch it isn't, although its standard input is a terminal: then it reads nothing and changes nothing.
     """
 
-    def __init__(self, fd: int = None):
+    def __init__(self, fd: int | None = None):
         self._fd = sys.stdin.fileno() if fd is None else fd
         self._saved = None
 

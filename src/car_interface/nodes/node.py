@@ -1,6 +1,6 @@
 """What every node does alike: start, wait, complain, end.
 
-A node class takes ``Params`` and the ``Inbox`` in its ``__init__``. One thread, the main one, calls its ``step(now_ns)``
+A node class takes ``Params`` and the ``Inbox`` in its ``__init__``. One thread, the main one, calls ``step(now_ns)``
 whenever something arrived or is due; ``step`` returns when it wants to be called next. Callbacks of ROS only put what
 they heard into the inbox. ``shut_down`` is called last, while topics still work.
 """
@@ -14,7 +14,7 @@ import threading
 import time
 import traceback
 from collections import Counter, deque
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable
 
 import rospy
 
@@ -76,7 +76,7 @@ class Inbox:
         if self._wake_read in ready:
             os.read(self._wake_read, 4096)
 
-    def take(self) -> List[tuple]:
+    def take(self) -> list[tuple]:
         """What has arrived, oldest first, as (handler, item, arrival_ns)."""
         taken = []
         while self._items:
@@ -106,7 +106,7 @@ class Complaints:
 
     def __init__(self):
         self.counts: Counter = Counter()
-        self._silent_until_ns: Dict[str, int] = {}
+        self._silent_until_ns: dict[str, int] = {}
 
     def warn(self, kind: str, text: str, count: int = 1) -> None:
         """Count ``count`` of ``kind``; say ``text`` and the sum so far, unless that was said just now."""
@@ -140,7 +140,7 @@ def run(name: str, node_class) -> None:
         rospy.logfatal("%s", error)
         failed = True
     except Exception as error:
-        rospy.logfatal("a fault in this node itself: %s: %s (the log file has the details)", type(error).__name__, error)
+        rospy.logfatal("a fault in this node itself (see its log file): %s: %s", type(error).__name__, error)
         rospy.logdebug("%s", traceback.format_exc())
         failed = True
     ended.set()
@@ -165,12 +165,12 @@ def _end_and_wait(inbox, ended):
 
 
 def _search_outward(name):
-    """A parameter's value from the nearest enclosing namespace, as roscpp's searchParam finds it; None if none has it."""
+    """A parameter's value from the nearest enclosing namespace, as roscpp's searchParam does; None if none has it."""
     found = rospy.search_param(name)
     return None if found is None else rospy.get_param(found, None)
 
 
-def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size: int = 10) -> None:
+def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10) -> None:
     """Subscribe so that ``handler(message, arrival_ns)`` runs in the node's thread, for each message, in order."""
     rospy.Subscriber(topic, message_type, lambda message: inbox.put(handler, message), queue_size=queue_size,
                      tcp_nodelay=True)

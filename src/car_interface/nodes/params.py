@@ -4,13 +4,13 @@ Plain values in, plain values out; ``node.run`` fetches them from the parameter 
 its value and what's accepted when it raises, and ``finish`` refuses names that nobody asked for: a typing error in a
 YAML file must not pass for a default.
 
-The parameter server has seen YAML and XML before: ``10`` is fine for a float, a float without a fraction for an integer,
-and ``1e-3`` and ``0x40`` arrive as strings. True is no number.
+They came by YAML or XML: ``10`` is fine for a float, a float without a fraction for an integer, and ``1e-3`` and
+``0x40`` arrive as strings. True is no number.
 """
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Sequence
 
 from car_interface.errors import ConfigError
 
@@ -26,7 +26,7 @@ class Params:
         outward: looks up a name that the private namespace lacks in the namespaces around it; None when there is none.
     """
 
-    def __init__(self, private: Optional[Dict[str, Any]], outward: Callable[[str], Any] = lambda name: None):
+    def __init__(self, private: dict[str, Any] | None, outward: Callable[[str], Any] = lambda name: None):
         self._values = _flatten(private or {})
         self._outward = outward
         self._asked: set = set()
@@ -41,12 +41,12 @@ class Params:
         accepted = "an integer" + _range_text(low, high)
         return self._scalar(name, default, outward, lambda value: _integer(value, low, high), accepted)
 
-    def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, outward=False) -> List[float]:
+    def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, outward=False) -> list[float]:
         """A list of finite numbers from ``low`` to ``high``."""
         return self._list(name, default, outward, lambda value: _number(value, low, high, None),
                           "a number" + _range_text(low, high))
 
-    def integers(self, name: str, length: int, default: int, low: int, high: int) -> List[int]:
+    def integers(self, name: str, length: int, default: int, low: int, high: int) -> list[int]:
         """``length`` integers; a scalar stands for all of them."""
         accepted = "an integer" + _range_text(low, high)
         value = self._get(name, default, False)
@@ -156,7 +156,7 @@ def _integer(value, low, high):
             value = int(value, 0)
         except ValueError:
             return None
-    if isinstance(value, float) and value.is_integer():
+    if isinstance(value, float) and value % 1 == 0:
         value = int(value)
     if isinstance(value, bool) or not isinstance(value, int):
         return None

@@ -121,7 +121,7 @@ class Pca9685:
             self._complaints.warn("refused", f"{_listed(accepted.refused)}: {message.data[accepted.refused[0]]} is no "
                                              f"duty and was refused; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
         if accepted.clamped:
-            self._complaints.warn("clamped", f"a duty for {_listed(accepted.clamped)} is beyond pwm_min or pwm_max: clamped")
+            self._complaints.warn("clamped", f"{_listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
 
     def _update(self):
         """Write what differs, with one immediate retry; a chip that fails twice is reopened."""
@@ -175,7 +175,7 @@ class Pca9685:
         if self._virtual_bus is not None:
             self._bus = self._virtual_bus
             return
-        self._bus = smbus2.SMBus()  # in two steps: what is no I2C bus fails only after it was opened, and must be closed
+        self._bus = smbus2.SMBus()  # in two steps: what is no I2C bus fails after it was opened
         self._bus.open(self._device)
 
     def _close_bus(self):

@@ -107,7 +107,7 @@ class TeensySensorHub:
                     lambda request: self._send(protocol.sonar_wait(request.wait_ms)))
 
     def _serve(self, name, service_type, response_type, action):
-        """A service whose ``action(request)`` runs in the node's thread and returns (success, message), or a Future of it."""
+        """A service whose ``action(request)`` runs in the node's thread; it returns (success, message), or a Future."""
         def handle(request):
             done = Future()
             self._inbox.put(lambda item, now_ns: _answer(done, action, item), request)

@@ -24,8 +24,7 @@ from std_msgs.msg import Bool, Float32, Int32MultiArray
 from car_interface.msg import SteeringState
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
-from car_interface.steering import (CHANNELS, MAX_DUTY, SOURCE_NAMES, SteeringArbiter,
-                                    SteeringConfig, servo_vector)
+from car_interface.steering import CHANNELS, MAX_DUTY, SOURCE_NAMES, SteeringArbiter, SteeringConfig, servo_vector
 
 RATE_HZ = 100
 BEATS_PER_STATE = 10

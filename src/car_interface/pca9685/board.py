@@ -5,7 +5,7 @@ through to the caller, who knows what to tell the owner.
 """
 from __future__ import annotations
 
-from typing import Callable, Dict, List, Optional
+from typing import Callable
 
 from car_interface.pca9685.channels import CHANNELS, blocks
 from car_interface.pca9685.duty import COUNTS, frequency_for, register_bytes
@@ -36,10 +36,10 @@ class Board:
         self._prescale = prescale
         self._pause = pause
         self.period_s = 1.0 / frequency_for(prescale, oscillator_hz)
-        self._held: List[Optional[int]] = [None] * CHANNELS
+        self._held: list[int | None] = [None] * CHANNELS
 
     @property
-    def held(self) -> List[Optional[int]]:
+    def held(self) -> list[int | None]:
         """The counts that each channel was last given; ``None`` = never."""
         return list(self._held)
 
@@ -65,8 +65,8 @@ class Board:
         self._write(MODE1, AUTO_INCREMENT)
         self._pause(OSCILLATOR_START_S)
 
-    def write(self, changes: Dict[int, int]) -> None:
-        """Give channels their counts: neighbours in one auto-increment block, so that no pulse is half old, half new."""
+    def write(self, changes: dict[int, int]) -> None:
+        """Give channels their counts: neighbours in one auto-increment block, lest a pulse be half old, half new."""
         for run in blocks(changes, CHANNELS_PER_BLOCK):
             data = b"".join(register_bytes(changes[channel]) for channel in run)
             for channel in run:
@@ -77,6 +77,7 @@ class Board:
 
     def all_off(self) -> None:
         """Set the full-off bit of all channels in one transfer; a pulse under way still ends by itself (7.3.3)."""
+        self._held = [None] * CHANNELS  # until the transfer is known to have worked
         self._write(ALL_LED_OFF_H, FULL_OFF)
         self._held = [0] * CHANNELS
 

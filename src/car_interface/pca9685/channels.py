@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Dict, List, NamedTuple, Optional, Sequence
+from typing import NamedTuple, Sequence
 
 from car_interface.errors import ConfigError
 from car_interface.pca9685.duty import MAX_DUTY, counts_of_duty
@@ -57,7 +57,7 @@ class Channels:
         self._configs = tuple(configs)
         self._failsafe = [counts_of_duty(config.timeout_value) for config in configs]
         self._targets = list(self._failsafe)
-        self._deadlines_ns: Dict[int, int] = {}
+        self._deadlines_ns: dict[int, int] = {}
 
     def command(self, duties: Sequence[int], now_ns: int) -> Accepted:
         """Take a vector of 16 duties, −1 = leave the channel alone. Each duty renews its channel's timeout.
@@ -84,7 +84,7 @@ class Channels:
             given.append(channel)
         return Accepted(given, clamped, refused)
 
-    def expire(self, now_ns: int) -> List[int]:
+    def expire(self, now_ns: int) -> list[int]:
         """Put every channel whose command is too old to its timeout value; which these are."""
         expired = [channel for channel, deadline_ns in self._deadlines_ns.items() if now_ns >= deadline_ns]
         for channel in expired:
@@ -102,14 +102,14 @@ class Channels:
         return min(self._deadlines_ns.values(), default=math.inf)
 
     @property
-    def targets(self) -> List[int]:
+    def targets(self) -> list[int]:
         """The counts, 0..4096, that each channel should hold."""
         return list(self._targets)
 
 
-def blocks(changes: Dict[int, int], longest: int) -> List[List[int]]:
+def blocks(changes: dict[int, int], longest: int) -> list[list[int]]:
     """Channels to write, as runs of neighbours no longer than ``longest``: one transfer each."""
-    runs: List[List[int]] = []
+    runs: list[list[int]] = []
     for channel in sorted(changes):
         if runs and channel == runs[-1][-1] + 1 and len(runs[-1]) < longest:
             runs[-1].append(channel)
@@ -118,6 +118,6 @@ def blocks(changes: Dict[int, int], longest: int) -> List[List[int]]:
     return runs
 
 
-def differences(held: Sequence[Optional[int]], targets: Sequence[int]) -> Dict[int, int]:
+def differences(held: Sequence[int | None], targets: Sequence[int]) -> dict[int, int]:
     """The channels whose target isn't what the chip holds (``None`` = not known), with their targets."""
     return {channel: target for channel, target in enumerate(targets) if held[channel] != target}

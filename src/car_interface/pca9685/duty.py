@@ -51,7 +51,8 @@ def prescale_for(frequency_hz: float, oscillator_hz: float = 25e6) -> int:
     Raises:
         ConfigError: when the frequency is out of the chip's reach, naming what is in reach.
     """
-    prescale = round(oscillator_hz / (COUNTS * frequency_hz)) - 1
+    divider = min(oscillator_hz / (COUNTS * frequency_hz), 1e6)  # however near to 0 the frequency, a finite number
+    prescale = round(divider) - 1
     if not PRESCALE_MIN <= prescale <= PRESCALE_MAX:
         low, high = (frequency_for(p, oscillator_hz) for p in (PRESCALE_MAX, PRESCALE_MIN))
         raise ConfigError("frequency", frequency_hz, f"{low:.1f} to {high:.0f} Hz with this oscillator")

@@ -6,7 +6,7 @@ asks for its figure-eight all the time, so that it's seen who is listened to.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Optional
+from typing import NamedTuple
 
 NS_PER_S = 1_000_000_000
 
@@ -52,7 +52,7 @@ class Drive:
         self.stage = NOBODY
         self._since_ns = now_ns
         self._turned_rad = 0.0
-        self._last_yaw_rad: Optional[float] = None
+        self._last_yaw_rad: float | None = None
 
     @property
     def turned_rad(self) -> float:

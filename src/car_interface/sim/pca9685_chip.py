@@ -6,7 +6,6 @@ auto-increment, PRE_SCALE that takes a value only asleep, the ALL_LED registers,
 from __future__ import annotations
 
 import errno
-from typing import Dict, List
 
 _MODE1, _MODE2, _SUBADR1, _LED0, _LED15_END, _ALL_LED, _PRE_SCALE, _TEST = 0, 1, 2, 6, 69, 250, 254, 255
 _RESTART, _EXTCLK, _AI, _SLEEP = 0x80, 0x40, 0x20, 0x10
@@ -31,14 +30,14 @@ class VirtualPca9685:
             self._registers[_LED0 + 4 * channel + 3] = _FULL
         self._registers[_PRE_SCALE] = 0x1E
 
-    def write(self, register: int, data: List[int]) -> None:
+    def write(self, register: int, data: list[int]) -> None:
         """One write transfer: a register address, then data bytes."""
         for value in data:
             self._store(register, value)
             if self._registers[_MODE1] & _AI:
                 register = self._after(register)
 
-    def read(self, register: int, length: int) -> List[int]:
+    def read(self, register: int, length: int) -> list[int]:
         """One read transfer."""
         data = []
         for _ in range(length):
@@ -113,15 +112,15 @@ class VirtualBus:
         transfers: bytes on the wire of each write so far, address and register included.
     """
 
-    def __init__(self, chips: Dict[int, VirtualPca9685]):
+    def __init__(self, chips: dict[int, VirtualPca9685]):
         self._chips = chips
-        self.transfers: List[int] = []
+        self.transfers: list[int] = []
 
     def read_byte_data(self, address: int, register: int) -> int:
         """As smbus2."""
         return self._chip(address).read(register, 1)[0]
 
-    def read_i2c_block_data(self, address: int, register: int, length: int) -> List[int]:
+    def read_i2c_block_data(self, address: int, register: int, length: int) -> list[int]:
         """As smbus2: at most 32 bytes."""
         return self._chip(address).read(register, _checked_length(length))
 
@@ -129,7 +128,7 @@ class VirtualBus:
         """As smbus2."""
         self._write(address, register, [value])
 
-    def write_i2c_block_data(self, address: int, register: int, data: List[int]) -> None:
+    def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
         """As smbus2: at most 32 bytes."""
         _checked_length(len(data))
         self._write(address, register, data)

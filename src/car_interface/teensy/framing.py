@@ -8,7 +8,6 @@ On the line a frame is ``7e | body | chk | 7e``; inside, 7e and 7d travel as ``7
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import List
 
 FLAG, ESCAPE = b"\x7e", b"\x7d"
 _ESCAPED_FLAG, _ESCAPED_ESCAPE = b"\x7d\x5e", b"\x7d\x5d"
@@ -52,7 +51,7 @@ class FrameDecoder:
         self._pending = b""
         self._overlong = False  # inside something longer than a frame: wait for the next flag
 
-    def feed(self, data: bytes) -> List[bytes]:
+    def feed(self, data: bytes) -> list[bytes]:
         """The bodies (header and payload, unescaped) of the frames that ``data`` completes, in order.
 
         A flag ends one frame and may begin the next; flags in a row and what lies before the first flag are no frames.
@@ -99,12 +98,12 @@ class FrameDecoder:
     def _reject(self, segment, frame):
         tally = self.tally
         tally.noise_bytes += len(segment)
-        if not frame:
+        if len(segment) > LONGEST_ON_LINE or len(frame) > LONGEST_BODY + 1:
+            tally.too_long += 1
+        elif not frame:
             tally.bad_escape += 1
         elif len(frame) <= HEADER_SIZE:
             tally.too_short += 1
-        elif len(frame) > LONGEST_BODY + 1:
-            tally.too_long += 1
         else:
             tally.bad_checksum += 1
 

@@ -93,7 +93,7 @@ class SerialLink:
 
 
 def _tell_silence_from_hangup(fd):
-    """With VMIN 0, as pyserial leaves it, a read of nothing means either; with VMIN 1 it means that the device is gone."""
+    """With VMIN 0, as pyserial leaves it, a read of nothing means either; with VMIN 1 it means that the device left."""
     attributes = termios.tcgetattr(fd)
     attributes[6][termios.VMIN] = 1
     termios.tcsetattr(fd, termios.TCSANOW, attributes)

@@ -5,7 +5,7 @@ Pure: ``now_ns`` in, bytes for the line out.
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import List, NamedTuple, Optional
+from typing import NamedTuple
 
 from car_interface.teensy.framing import CORRECTED, RESYNC_FILLER, SHIPPED, encode
 from car_interface.teensy.protocol import ping
@@ -29,8 +29,8 @@ class Pinger:
 
     Args:
         period_ns: from one ping to the next.
-        checksum: ``framing.SHIPPED``, ``framing.CORRECTED``, or ``AUTO``: shipped first, and the other one whenever five
-            pings in a row go unanswered.
+        checksum: ``framing.SHIPPED``, ``framing.CORRECTED``, or ``AUTO``: shipped first, and the other one whenever
+            five pings in a row go unanswered.
         now_ns: when to send the first.
     """
 
@@ -55,7 +55,7 @@ class Pinger:
         oldest_ns = next(iter(self._waiting.values()), None)
         return self.due_ns if oldest_ns is None else min(self.due_ns, oldest_ns + ANSWER_WITHIN_NS)
 
-    def expire(self, now_ns: int) -> List[int]:
+    def expire(self, now_ns: int) -> list[int]:
         """Give up on pings that have waited too long; their timestamps. May change ``checksum``."""
         expired = [token for token, sent_ns in self._waiting.items() if now_ns - sent_ns >= ANSWER_WITHIN_NS]
         for token in expired:
@@ -77,7 +77,7 @@ class Pinger:
         filler = RESYNC_FILLER if self.unanswered_in_a_row else b""
         return filler + encode(ping(timestamp1), self.checksum)
 
-    def pong(self, timestamp1: int, now_ns: int) -> Optional[Answer]:
+    def pong(self, timestamp1: int, now_ns: int) -> Answer | None:
         """Take a pong; ``None`` when nobody waits for it."""
         sent_ns = self._waiting.pop(timestamp1, None)
         if sent_ns is None:

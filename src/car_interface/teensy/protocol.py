@@ -143,7 +143,13 @@ def _command(command, payload=b""):
 
 
 def ping(timestamp1: int) -> bytes:
-    """PING_QUERY. ``timestamp1``, 0..2**32 − 1, comes back verbatim in the pong."""
+    """PING_QUERY. ``timestamp1``, 0..2**32 − 1, comes back verbatim in the pong.
+
+    Raises:
+        ProtocolError: for anything else.
+    """
+    if not 0 <= timestamp1 < UINT32:
+        raise ProtocolError(f"a ping's timestamp is 0 to {UINT32 - 1}, not {timestamp1}")
     return _command(PING_QUERY, _PING.pack(timestamp1, 0))
 
 
