@@ -12,13 +12,15 @@ class ConfigError(CarInterfaceError, ValueError):
         name: the parameter as its owner wrote it, e.g. ``servo_channel`` or ``value_map.csv, line 3``.
         value: what was found there; ``None`` where nothing was.
         accepted: what would have been accepted, e.g. ``an integer from 0 to 15``.
+        found: what to say in place of "is" and the value, e.g. ``has 2 columns``.
     """
 
-    def __init__(self, name, value, accepted):
+    def __init__(self, name, value, accepted, found=None):
         self.name = name
         self.value = value
         self.accepted = accepted
-        found = "is missing" if value is None else f"is {_shorten(value)}"
+        if found is None:
+            found = "is missing" if value is None else f"is {_shorten(value)}"
         super().__init__(f"{name} {found}; accepted: {accepted}")
 
 

@@ -23,6 +23,7 @@ SOURCE_NAMES = ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
 MAX_DUTY = 65535
 CHANNELS = 16
 NO_RADIUS_M = 0.001  # a requested radius this close to 0 means "no request", as in the original
+FLOAT32_SLACK = 1 + 2 ** -23  # 0.001 arrives from a Float32 as 0.001000000047
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,10 @@ class SteeringConfig:
             raise ConfigError("servo_right", self.servo_right, "a duty other than servo_left's")
         if self.radius_axis_m and self.radius_axis_m[0] <= 0:
             raise ConfigError("m_turnrad_axis_servo[0]", self.radius_axis_m[0], "a radius above 0 m")
+
+def source_name(source: int) -> str:
+    """The name of a value of SteeringState.source, or its number when it has none."""
+    return SOURCE_NAMES[source] if 0 <= source < len(SOURCE_NAMES) else str(source)
 
 
 class Decision(NamedTuple):
@@ -130,7 +135,7 @@ class SteeringArbiter:
             steering = self._teleop.value
             if not math.isfinite(steering):
                 return NEUTRAL, center, "teleop not finite", f"tele_steer_req is {steering}, no number to act on"
-            if abs(steering - self._config.tele_steer_neutral) > self._config.tele_steer_deadband:
+            if abs(steering - self._config.tele_steer_neutral) > self._config.tele_steer_deadband * FLOAT32_SLACK:
                 return TELEOP, self.teleop_duty(steering), "teleop", f"tele_steer_req is {steering:.3f}"
         return self._planner_rule(now_ns)
 
@@ -143,7 +148,7 @@ class SteeringArbiter:
         radius_m = self._planner.value
         if not math.isfinite(radius_m):
             return NEUTRAL, center, "planner not finite", f"av_turnrad_req is {radius_m}, no number to act on"
-        if abs(radius_m) <= NO_RADIUS_M:
+        if abs(radius_m) <= NO_RADIUS_M * FLOAT32_SLACK:
             return NEUTRAL, center, "no radius", "av_turnrad_req is 0, which asks for nothing"
         return PLANNER, self.planner_duty(radius_m), "planner", f"av_turnrad_req is {radius_m:.3f} m"
 

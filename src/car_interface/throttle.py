@@ -12,7 +12,7 @@ from car_interface.conversion import Conversion, Converter
 from car_interface.errors import ConfigError
 from car_interface.freshness import Heard
 from car_interface.interpolation import LookupTable, round_half_away
-from car_interface.steering import LOCKED, MAX_DUTY, NO_HUMAN, SOURCE_NAMES
+from car_interface.steering import MAX_DUTY, NEUTRAL, PLANNER, TELEOP, source_name
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,8 @@ class Throttle:
             return "human absent", "human_in_loop is false"
         if self._steering.is_silent(now_ns):
             return "steering silent", self._steering.silence(now_ns)
-        if self._steering.value in (LOCKED, NO_HUMAN):
-            return "steering stopped", f"turn_arb says {SOURCE_NAMES[self._steering.value]}"
+        if self._steering.value not in (NEUTRAL, TELEOP, PLANNER):
+            return "steering stopped", f"turn_arb says {source_name(self._steering.value)}"
         if self._command.is_silent(now_ns):
             return "command silent", self._command.silence(now_ns)
         trouble = self._command.value if self._command.value.value is None else self._converter.odometry_trouble(now_ns)

@@ -55,7 +55,7 @@ class ValueMap:
         low, high, part = self._columns_at(velocity)
         values = self.values
         if part == 0.0:
-            above, first = bisect_right(low, acceleration), 0
+            above = bisect_right(low, acceleration)
         else:
             first, above = bisect_right(low, acceleration), bisect_right(high, acceleration)
             if first > above:
@@ -114,11 +114,11 @@ def _check_rising(values, column, velocity, allow_plateaus, name):
         before, after = column[index - 1], column[index]
         if after > before or allow_plateaus and after == before:
             continue
-        what = "stays level at" if after == before else f"falls from {before} to"
+        found = f"stays level at {after} m/s²" if after == before else f"falls from {before} to {after} m/s²"
         accepted = ("an acceleration that rises with value"
                     + (" (allow_plateaus: true takes level stretches)" if after == before else ""))
         raise ConfigError(f"{name}, at velocity {velocity} m/s, from value {values[index - 1]} to {values[index]}",
-                          f"{what} {after} m/s²", accepted)
+                          (before, after), accepted, found)
 
 
 def load_value_map(path: str, allow_plateaus: bool = False) -> ValueMap:
@@ -132,13 +132,14 @@ def load_value_map(path: str, allow_plateaus: bool = False) -> ValueMap:
     """
     rows = _read_rows(path)
     if len(rows) < 3:
-        raise ConfigError(path, f"{len(rows)} line(s)", "a line of velocities and at least two lines of accelerations")
+        raise ConfigError(path, len(rows), "a line of velocities and at least two lines of accelerations",
+                          f"has {len(rows)} line(s)")
     width = len(rows[0])
     if width < 3:
         raise ConfigError(f"{path}, line 1", rows[0], "a name and at least two velocities")
     for number, row in enumerate(rows[1:], 2):
         if len(row) != width:
-            raise ConfigError(f"{path}, line {number}", f"{len(row)} columns", f"{width}, as in line 1")
+            raise ConfigError(f"{path}, line {number}", len(row), f"{width}, as in line 1", f"has {len(row)} columns")
     velocities = _numbers(path, 1, rows[0], first_column=1)
     table = [_numbers(path, number, row, first_column=0) for number, row in enumerate(rows[1:], 2)]
     _check_file_axis(path, velocities, lambda index: (1, index + 2))
@@ -158,7 +159,7 @@ def _read_rows(path) -> list[list[str]]:
         rows.pop()
     for number, row in enumerate(rows, 1):
         if not any(row):
-            raise ConfigError(f"{path}, line {number}", "", "numbers; a blank line may only come last")
+            raise ConfigError(f"{path}, line {number}", "", "numbers; a blank line may only come last", "is blank")
     return rows
 
 

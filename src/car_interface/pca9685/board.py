@@ -11,7 +11,7 @@ from car_interface.pca9685.channels import CHANNELS, blocks
 from car_interface.pca9685.duty import COUNTS, frequency_for, register_bytes
 
 MODE1, MODE2, LED0_ON_L, ALL_LED_OFF_H, PRE_SCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
-RESTART, AUTO_INCREMENT, SLEEP = 0x80, 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
+AUTO_INCREMENT, SLEEP = 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
 TOTEM_POLE = 0x04  # MODE2: outputs drive both ways, not inverted (data sheet 7.3.2)
 FULL_OFF = 0x10
 OSCILLATOR_START_S = 500e-6  # after SLEEP is cleared (data sheet 7.3.1.1)
@@ -54,6 +54,7 @@ class Board:
         mode1 = self._read(MODE1)
         if not (mode1 & SLEEP or self._read(PRE_SCALE) != self._prescale):
             self._write(MODE1, AUTO_INCREMENT)
+            self._write(MODE2, TOTEM_POLE)
             return
         if not mode1 & SLEEP:
             self.all_off()

@@ -21,7 +21,7 @@ class ChannelConfig:
     """One channel's limits and failsafe.
 
     Attributes:
-        timeout_ms: silence longer than this puts the channel to its timeout value; 0 = never.
+        timeout_ms: silence this long puts the channel to its timeout value; 0 = never.
         timeout_value: duty 0..65535; 0 = off. Not subject to the limits.
         pwm_min, pwm_max: commanded duties are clamped to these, 0 too.
     """

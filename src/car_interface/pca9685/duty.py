@@ -33,16 +33,6 @@ def register_bytes(counts: int) -> bytes:
     return bytes((0, 0, counts & 0xFF, counts >> 8))
 
 
-def counts_of_registers(registers: bytes) -> int:
-    """The counts that four register bytes make: the inverse of ``register_bytes``, for a pulse at any phase."""
-    on_l, on_h, off_l, off_h = registers
-    if off_h & FULL_BIT:  # full off wins over full on (data sheet 7.3.3)
-        return 0
-    if on_h & FULL_BIT:
-        return COUNTS
-    return ((off_l | (off_h & 0x0F) << 8) - (on_l | (on_h & 0x0F) << 8)) % COUNTS
-
-
 def prescale_for(frequency_hz: float, oscillator_hz: float = 25e6) -> int:
     """The PRE_SCALE that comes nearest to a PWM frequency: round(oscillator / (4096 · f)) − 1 (data sheet 7.3.5).
 

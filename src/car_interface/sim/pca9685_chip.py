@@ -41,8 +41,7 @@ class VirtualPca9685:
         """One read transfer."""
         data = []
         for _ in range(length):
-            write_only = _ALL_LED <= register < _PRE_SCALE
-            data.append(0 if write_only else self._registers[register])
+            data.append(self._registers[register])
             if self._registers[_MODE1] & _AI:
                 register = self._after(register)
         return data
@@ -71,16 +70,12 @@ class VirtualPca9685:
     def _store_mode1(self, value):
         before = self._registers[_MODE1]
         restart = before & _RESTART
-        if value & _SLEEP and not before & _SLEEP and any(map(self._pulses, range(_CHANNELS))):
+        if value & _SLEEP and not before & _SLEEP and any(map(self.high_counts, range(_CHANNELS))):
             restart = _RESTART  # put to sleep with pulses running
         if value & _RESTART and not value & _SLEEP:
             restart = 0  # writing a 1 restarts the channels and clears the bit
         extclk = (before | value) & _EXTCLK  # only a power cycle clears it
         self._registers[_MODE1] = value & 0x3F | extclk | restart
-
-    def _pulses(self, channel):
-        _, on_h, _, off_h = self._channel_registers(channel)
-        return not off_h & _FULL and (on_h & _FULL or self.high_counts(channel) > 0)
 
     def _channel_registers(self, channel):
         start = _LED0 + 4 * channel

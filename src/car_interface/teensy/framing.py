@@ -49,6 +49,7 @@ class FrameDecoder:
     def __init__(self):
         self.tally = LineTally()
         self._pending = b""
+        self._begun = False  # the first flag has been seen; what lies before it is the tail of a frame at most
         self._overlong = False  # inside something longer than a frame: wait for the next flag
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -63,9 +64,11 @@ class FrameDecoder:
         segments = (self._pending + data).split(FLAG)
         self._pending = segments.pop()
         tally.flags += len(segments)
-        if self._overlong and segments:
-            self._overlong = False
-            tally.noise_bytes += len(segments.pop(0))
+        if segments and (self._overlong or not self._begun):
+            tail = segments.pop(0)
+            tally.noise_bytes += len(tail)
+            tally.too_long += not self._overlong and len(tail) > LONGEST_ON_LINE
+            self._begun, self._overlong = True, False
         bodies = []
         frame_bytes = 0
         for segment in segments:
@@ -80,7 +83,9 @@ class FrameDecoder:
                 self._reject(segment, frame)
         tally.frames += len(bodies)
         tally.frame_bytes += frame_bytes
-        if len(self._pending) > LONGEST_ON_LINE or self._overlong:
+        if self._overlong or len(self._pending) > LONGEST_ON_LINE:
+            tally.too_long += not self._overlong
+            self._overlong = True
             self._discard_pending()
         return bodies
 
@@ -90,10 +95,9 @@ class FrameDecoder:
         return len(self._pending)
 
     def reset(self) -> None:
-        """Forget an unfinished frame: the line was reopened."""
-        self.tally.noise_bytes += len(self._pending)
-        self._pending = b""
-        self._overlong = False
+        """Forget an unfinished frame, and begin with the next flag: the line was reopened."""
+        self._discard_pending()
+        self._begun = self._overlong = False
 
     def _reject(self, segment, frame):
         tally = self.tally
@@ -108,9 +112,6 @@ class FrameDecoder:
             tally.bad_checksum += 1
 
     def _discard_pending(self):
-        if not self._overlong:
-            self.tally.too_long += 1
-            self._overlong = True
         self.tally.noise_bytes += len(self._pending)
         self._pending = b""
 
@@ -131,7 +132,7 @@ def encode(body: bytes, checksum: str = SHIPPED) -> bytes:
         body: header and payload, 4 to 36 bytes.
         checksum: ``SHIPPED`` or ``CORRECTED``.
     """
-    return (_encode_shipped if checksum == SHIPPED else _encode_corrected)(body)
+    return _ENCODERS[checksum](body)
 
 
 def _encode_shipped(body):
@@ -162,6 +163,9 @@ def _ones_complement_sum(data):
     while total > 0xFF:
         total = (total & 0xFF) + (total >> 8)
     return total
+
+
+_ENCODERS = {SHIPPED: _encode_shipped, CORRECTED: _encode_corrected}
 
 
 def _escape(data):
