@@ -1,0 +1,108 @@
+"""Accelerations to values: the rules around the map. Time is passed in."""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from car_interface.conversion import ConversionConfig, Converter
+from car_interface.errors import ConfigError
+from car_interface.value_map import ValueMap
+
+S = 1_000_000_000
+NOW = 1000 * S
+# At 0 m/s a value makes twice as much acceleration, at 10 m/s one less than that.
+MAP = ValueMap([-10.0, 10.0], [0.0, 10.0], [[-20.0, -21.0], [20.0, 19.0]])
+
+
+def convert(acceleration, velocity=0.0, age_s=0.1, value_map=MAP, **config):
+    """The conversion at NOW with odometry of an age; velocity None = never heard."""
+    converter = Converter(ConversionConfig(**config), value_map)
+    if velocity is not None:
+        converter.hear_odometry(velocity, NOW - round(age_s * S))
+    return converter.convert(acceleration, NOW)
+
+
+@pytest.mark.parametrize("acceleration, velocity, value", [
+    pytest.param(2.0, 0.0, 1.0, id="at_rest"),
+    pytest.param(2.0, 10.0, 1.5, id="at_speed_it_takes_more"),
+    pytest.param(2.0, 5.0, 1.25, id="in_between"),
+    pytest.param(-4.0, 0.0, -2.0, id="braking"),
+    pytest.param(100.0, 0.0, 3.0, id="beyond_the_map_is_clamped_to_max_value"),
+    pytest.param(-100.0, 0.0, -5.0, id="below_the_map_is_clamped_to_min_value"),
+    pytest.param(8.0, 0.0, 3.0, id="within_the_map_but_beyond_max_value_is_clamped"),
+    pytest.param(2.0, -3.0, 1.0, id="backwards_is_clamped_to_the_map"),
+])
+def test_command_is_looked_up_and_clamped(acceleration, velocity, value):
+    assert convert(acceleration, velocity) == (pytest.approx(value), "", "")
+
+
+@pytest.mark.parametrize("acceleration, value", [
+    pytest.param(1.5, 1.5, id="as_it_is"),
+    pytest.param(3.1, 3.0, id="above_max_value_is_clamped"),
+    pytest.param(-5.1, -5.0, id="below_min_value_is_clamped"),
+])
+def test_command_passed_through_needs_neither_map_nor_odometry(acceleration, value):
+    assert convert(acceleration, velocity=None, value_map=None) == (value, "", "")
+    assert convert(acceleration, velocity=math.nan, value_map=None) == (value, "", "")
+
+
+def test_limits_are_those_of_the_config():
+    assert convert(100.0, min_value=-1.0, max_value=0.5).value == 0.5
+    assert convert(-100.0, min_value=-1.0, max_value=0.5).value == -1.0
+    assert convert(9.0, value_map=None, min_value=-1.0, max_value=0.5).value == 0.5
+
+
+@pytest.mark.parametrize("acceleration", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("value_map", [MAP, None], ids=["converted", "passed_through"])
+def test_command_that_is_not_finite_gets_no_value(acceleration, value_map):
+    assert convert(acceleration, value_map=value_map) == (
+        None, "command not finite", f"the commanded acceleration is {acceleration}")
+
+
+@pytest.mark.parametrize("velocity", [math.nan, math.inf, -math.inf])
+def test_odometry_that_is_not_finite_gives_no_value(velocity):
+    assert convert(1.0, velocity) == (None, "odometry not finite", f"the velocity in the odometry is {velocity}")
+
+
+def test_odometry_never_heard_gives_no_value():
+    assert convert(1.0, velocity=None) == (None, "odometry silent", "odometry was never heard")
+
+
+def test_odometry_too_old_gives_no_value():
+    assert convert(1.0, age_s=0.5).value == 0.5
+    assert convert(1.0, age_s=0.51) == (None, "odometry silent", "odometry silent for 0.51 s")
+
+
+def test_odometry_timeout_of_0_takes_a_velocity_of_any_age_but_not_none():
+    assert convert(1.0, age_s=1e6, odometry_timeout_s=0.0).value == 0.5
+    assert convert(1.0, velocity=None, odometry_timeout_s=0.0).value is None
+
+
+def test_odometry_heard_last_is_what_counts():
+    converter = Converter(ConversionConfig(), MAP)
+    converter.hear_odometry(math.nan, NOW)
+    converter.hear_odometry(10.0, NOW)
+    assert converter.convert(2.0, NOW).value == pytest.approx(1.5)
+
+
+def test_trouble_with_the_odometry_is_none_where_it_is_fresh_or_not_needed():
+    converter = Converter(ConversionConfig(), MAP)
+    assert converter.odometry_trouble(NOW).cause == "odometry silent"
+    converter.hear_odometry(1.0, NOW)
+    assert converter.odometry_trouble(NOW) is None
+    assert converter.odometry_trouble(NOW + S).cause == "odometry silent"
+    assert Converter(ConversionConfig(), None).odometry_trouble(NOW) is None
+
+
+def test_limits_by_default_are_the_original_s():
+    assert ConversionConfig() == ConversionConfig(min_value=-5.0, max_value=3.0, odometry_timeout_s=0.5)
+
+
+def test_limits_that_meet_leave_one_value():
+    assert convert(1.0, min_value=2.0, max_value=2.0).value == 2.0
+
+
+def test_limits_the_wrong_way_round_are_refused():
+    with pytest.raises(ConfigError, match=r"min_value is 4\.0; accepted: at most max_value 3\.0"):
+        ConversionConfig(min_value=4.0)

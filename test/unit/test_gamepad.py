@@ -1,0 +1,100 @@
+"""A gamepad's messages as requests. Time is passed in."""
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.gamepad import Gamepad, GamepadConfig
+
+S = 1_000_000_000
+NOW = 1000 * S
+MANUAL, AUTONOMOUS, BOTH, NONE = [1, 0], [0, 1], [1, 1], [0, 0]
+
+
+def config(**changes):
+    settings = {"steer_axis": 0, "throttle_axis": 1, "manual_button": 0, "autonomous_button": 1}
+    settings.update(changes)
+    return GamepadConfig(**settings)
+
+
+def requests(axes, buttons, age_s=0.1, **changes):
+    gamepad = Gamepad(config(**changes))
+    gamepad.hear(axes, buttons, NOW - round(age_s * S))
+    return gamepad.requests(NOW)
+
+
+@pytest.mark.parametrize("axes, buttons, human, steering, throttle, reason", [
+    pytest.param([0.5, -0.25], MANUAL, True, 0.5, -0.25, "manual deadman held", id="manual_deadman_passes_the_axes_on"),
+    pytest.param([0.5, -0.25], AUTONOMOUS, True, 0.0, 0.0, "autonomous deadman held",
+                 id="autonomous_deadman_alone_means_a_neutral_request"),
+    pytest.param([0.5, -0.25], BOTH, True, 0.5, -0.25, "manual deadman held", id="with_both_the_human_steers"),
+    pytest.param([0.5, -0.25], NONE, False, 0.0, 0.0, "no deadman is held", id="without_a_deadman_nothing_is_asked"),
+    pytest.param([1.0, 1.0], MANUAL, True, 1.0, 1.0, "manual deadman held", id="full_axes"),
+    pytest.param([1.5, -7.0], MANUAL, True, 1.0, -1.0, "manual deadman held", id="axes_beyond_1_are_clamped"),
+    pytest.param([math.nan, 0.0], MANUAL, False, 0.0, 0.0, "an axis of the gamepad isn't a number",
+                 id="steering_that_is_nan_releases"),
+    pytest.param([0.0, math.inf], MANUAL, False, 0.0, 0.0, "an axis of the gamepad isn't a number",
+                 id="throttle_that_is_infinite_releases"),
+    pytest.param([math.nan, 0.0], AUTONOMOUS, False, 0.0, 0.0, "an axis of the gamepad isn't a number",
+                 id="so_it_does_with_the_autonomous_deadman"),
+    pytest.param([], MANUAL, False, 0.0, 0.0, "the gamepad has no steer_axis 0, only 0", id="no_axes_release"),
+    pytest.param([0.5], MANUAL, False, 0.0, 0.0, "the gamepad has no throttle_axis 1, only 1",
+                 id="a_missing_axis_releases"),
+    pytest.param([0.5, 0.5], [], False, 0.0, 0.0, "the gamepad has no manual_button 0, only 0",
+                 id="no_buttons_release"),
+    pytest.param([0.5, 0.5], [1], False, 0.0, 0.0, "the gamepad has no autonomous_button 1, only 1",
+                 id="a_missing_button_releases_even_if_the_other_is_held"),
+])
+def test_message_is_read_as_requests(axes, buttons, human, steering, throttle, reason):
+    assert requests(axes, buttons) == (human, steering, throttle, reason)
+
+
+def test_gamepad_never_heard_holds_no_deadman():
+    assert Gamepad(config()).requests(NOW) == (False, 0.0, 0.0, "joy was never heard")
+
+
+def test_gamepad_silent_for_longer_than_its_timeout_releases():
+    assert requests([0.5, 0.5], MANUAL, age_s=0.25).human_in_loop
+    assert requests([0.5, 0.5], MANUAL, age_s=0.26) == (False, 0.0, 0.0, "joy silent for 0.26 s")
+
+
+def test_gamepad_with_timeout_0_keeps_its_last_message():
+    assert requests([0.5, 0.5], MANUAL, age_s=1e6, joy_timeout_s=0.0).human_in_loop
+
+
+def test_deadman_is_a_held_level_and_never_a_toggle():
+    gamepad = Gamepad(config())
+    held = []
+    for step, buttons in enumerate((NONE, MANUAL, MANUAL, NONE, NONE, AUTONOMOUS, NONE)):
+        gamepad.hear([0.0, 0.0], buttons, NOW + step)
+        held.append(gamepad.requests(NOW + step).human_in_loop)
+    assert held == [False, True, True, False, False, True, False]
+
+
+def test_scales_turn_and_shrink_the_axes():
+    assert requests([0.5, 0.5], MANUAL, steer_scale=-1.0, throttle_scale=0.2)[1:3] == (-0.5, pytest.approx(0.1))
+
+
+def test_axes_and_buttons_are_those_of_the_config():
+    axes, buttons = [0.1, 0.2, 0.3, 0.4, 0.5], [0, 0, 0, 0, 1, 0]
+    picked = requests(axes, buttons, steer_axis=2, throttle_axis=4, manual_button=4, autonomous_button=5)
+    assert picked[:3] == (True, 0.3, 0.5)
+
+
+@pytest.mark.parametrize("axes, buttons", [([0.9, 0.9], AUTONOMOUS), ([0.9, 0.9], NONE), ([], [])],
+                         ids=["autonomous", "released", "broken"])
+def test_neutral_of_an_old_stack_is_what_a_neutral_request_is(axes, buttons):
+    assert requests(axes, buttons, steer_neutral=0.5).steering == 0.5
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=3),
+       st.lists(st.integers(0, 1), max_size=3))
+def test_message_of_anything_is_in_range_and_without_a_held_button_nobody_is_there(axes, buttons):
+    read = requests(axes, buttons)
+    assert -1 <= read.steering <= 1 and -1 <= read.throttle <= 1
+    assert read.human_in_loop <= any(buttons[:2])
+    if not read.human_in_loop:
+        assert (read.steering, read.throttle) == (0.0, 0.0)

@@ -1,0 +1,208 @@
+"""What catkin, rosrun, roslaunch and rosdep will find, as far as it can be checked without ROS."""
+from __future__ import annotations
+
+import ast
+import importlib.util
+import os
+import re
+import sys
+import sysconfig
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+CMAKE = (ROOT / "CMakeLists.txt").read_text(encoding="utf-8")
+SCRIPTS = sorted((ROOT / "scripts").iterdir())
+LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
+NODE_TESTS = sorted((ROOT / "test" / "node").glob("*.test"))
+# The rosdep keys of libraries that are not called like their key.
+KEYS = {
+    "catkin_pkg": "catkin",
+    "hypothesis": "python3-hypothesis",
+    "numpy": "python3-numpy",
+    "pytest": "python3-pytest",
+    "rospkg": "python3-rospkg",
+    "serial": "python3-serial",
+    "setuptools": "python3-setuptools",
+    "smbus2": "python3-smbus2",
+    "yaml": "python3-yaml",
+}
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def dependencies(*kinds: str) -> set[tuple[str, str]]:
+    """Returns key and condition of each dependency of the given kinds in package.xml."""
+    package = ElementTree.parse(str(ROOT / "package.xml")).getroot()
+    return {((tag.text or "").strip(), tag.get("condition", "")) for tag in package if tag.tag in kinds}
+
+
+def is_standard(name: str) -> bool:
+    """Says whether a module belongs to Python itself."""
+    spec = importlib.util.find_spec(name)
+    if spec is None:
+        return False
+    origin = spec.origin or ""
+    inside = origin.startswith(sysconfig.get_paths()["stdlib"]) and not re.search("(site|dist)-packages", origin)
+    return inside or origin == "frozen" or name in sys.builtin_module_names
+
+
+def keys_of_imports(paths: list[Path]) -> set[str]:
+    """Returns the rosdep keys of the libraries that Python files import from outside the package."""
+    found = set()
+    for path in paths:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found.update(alias.name.split(".")[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                found.add((node.module or "").split(".")[0])
+    ours = {"car_interface"} | {path.stem for path in paths}
+    return {KEYS.get(name, name) for name in found - ours if not is_standard(name)}
+
+
+def listed_in_cmake(command: str) -> list[str]:
+    """Returns the file names that a CMake command lists."""
+    (body,) = re.findall(r"\b" + command + r"\(([^)]*)\)", CMAKE)
+    return re.findall(r"[\w/]+\.(?:msg|srv)\b|scripts/\w+", body)
+
+
+# --- scripts ---
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
+def test_script_is_executable_and_only_calls_its_node(script):
+    assert os.access(str(script), os.X_OK)
+    assert "." not in script.name, "an extension could make it shadow a library"
+    assert script.read_text(encoding="utf-8").split("\n") == [
+        "#!/usr/bin/env python3",
+        f"from car_interface.nodes.{script.name} import main",
+        "",
+        "main()",
+        "",
+    ]
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
+def test_script_has_a_node_with_a_main_function(script):
+    node = ast.parse((ROOT / "src/car_interface/nodes" / (script.name + ".py")).read_text(encoding="utf-8"))
+    assert "main" in [item.name for item in node.body if isinstance(item, ast.FunctionDef)]
+
+
+# --- CMakeLists.txt, setup.py ---
+
+
+def test_cmake_lists_every_script_message_and_service():
+    assert listed_in_cmake("catkin_install_python") == [name_of(path) for path in SCRIPTS]
+    assert listed_in_cmake("add_message_files") == sorted(path.name for path in (ROOT / "msg").iterdir())
+    assert listed_in_cmake("add_service_files") == sorted(path.name for path in (ROOT / "srv").iterdir())
+
+
+def test_cmake_sets_python_up_before_it_generates_messages():
+    assert CMAKE.index("\ncatkin_python_setup()") < CMAKE.index("\ngenerate_messages(")
+
+
+def test_cmake_installs_everything_that_a_user_needs():
+    installed = set(" ".join(re.findall(r"\binstall\((?:DIRECTORY|FILES) ([\w. ]+?) DESTINATION", CMAKE)).split())
+    assert installed == {"config", "launch", "LICENSE", "README.md"}
+    assert [name for name in installed if not (ROOT / name).exists()] == []
+
+
+def test_setup_lists_every_package():
+    tree = ast.parse((ROOT / "setup.py").read_text(encoding="utf-8"))
+    (listed,) = [node.value for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "packages"]
+    folders = (path.parent.relative_to(ROOT / "src") for path in (ROOT / "src").rglob("__init__.py"))
+    assert ast.literal_eval(listed) == sorted(".".join(folder.parts) for folder in folders)
+
+
+def test_every_folder_of_modules_is_a_package():
+    folders = {path.parent for path in (ROOT / "src").rglob("*.py")}
+    assert [folder for folder in folders if not (folder / "__init__.py").exists()] == []
+
+
+def test_no_folder_hides_the_generated_messages():
+    assert not (ROOT / "src/car_interface/msg").exists() and not (ROOT / "src/car_interface/srv").exists()
+
+
+# --- package.xml ---
+
+
+def test_package_declares_what_the_code_imports():
+    paths = list((ROOT / "src").rglob("*.py")) + SCRIPTS + [ROOT / "setup.py"]
+    declared = {key for key, _ in dependencies("exec_depend", "buildtool_depend")}
+    assert keys_of_imports(paths) - declared == set()
+
+
+def test_package_declares_what_the_tests_import():
+    declared = {key for key, _ in dependencies("exec_depend", "test_depend")}
+    assert keys_of_imports(list((ROOT / "test").rglob("*.py"))) - declared == set()
+
+
+def test_package_takes_smbus2_from_apt_or_pip_but_never_from_both():
+    assert {item for item in dependencies("exec_depend") if item[0].startswith("python3-smbus2")} == {
+        ("python3-smbus2", "$ROS_DISTRO != noetic"),
+        ("python3-smbus2-pip", "$ROS_DISTRO == noetic"),
+    }
+
+
+def test_package_builds_and_exports_messages():
+    assert ("message_generation", "") in dependencies("build_depend")
+    assert ("message_runtime", "") in dependencies("exec_depend")
+
+
+def test_package_is_format_3_and_mit():
+    package = ElementTree.parse(str(ROOT / "package.xml")).getroot()
+    assert (package.get("format"), package.findtext("name"), package.findtext("license")) == (
+        "3",
+        "car_interface",
+        "MIT",
+    )
+    assert (ROOT / "LICENSE").read_text(encoding="utf-8").startswith("MIT License")
+
+
+# --- launch files, node tests ---
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES + NODE_TESTS, ids=name_of)
+def test_launch_file_starts_only_what_exists(path):
+    launch = ElementTree.parse(str(path))
+    declared = {key for key, _ in dependencies("exec_depend")}
+    for node in launch.iter("node"):
+        if node.get("pkg") == "car_interface":
+            assert ROOT / "scripts" / node.get("type") in SCRIPTS
+        else:
+            assert node.get("pkg") in declared
+    for test in launch.iter("test"):
+        assert test.get("pkg") == "car_interface"
+        assert os.access(str(path.parent / test.get("type")), os.X_OK)
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES + NODE_TESTS, ids=name_of)
+def test_launch_file_names_only_files_that_exist(path):
+    named = re.findall(r"\$\(find car_interface\)/([\w./-]+)", path.read_text(encoding="utf-8"))
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+def test_every_node_has_a_launch_file():
+    started = {
+        node.get("type") for path in LAUNCH_FILES for node in ElementTree.parse(str(path)).iter("node")
+    }
+    assert [script.name for script in SCRIPTS if script.name not in started] == []
+
+
+def test_every_node_test_is_run_by_a_test_file():
+    run = {test.get("type") for path in NODE_TESTS for test in ElementTree.parse(str(path)).iter("test")}
+    # The messages need no nodes and no master: pytest runs their test by itself.
+    alone = {"messages_test.py"}
+    assert {path.name for path in (ROOT / "test/node").glob("*_test.py")} == run | alone
+
+
+# --- tools ---
+
+
+@pytest.mark.parametrize("name", ["dev", ".ci/run"])
+def test_tool_is_executable(name):
+    assert os.access(str(ROOT / name), os.X_OK)

@@ -1,0 +1,101 @@
+"""Duties, counts, register bytes and the prescale, against the data sheet (NXP PCA9685, rev. 4) and exact numbers."""
+from __future__ import annotations
+
+from fractions import Fraction
+from math import floor
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.errors import ConfigError
+from car_interface.pca9685.duty import counts_of_duty, duty_of_counts, frequency_for, prescale_for, register_bytes
+
+
+@pytest.mark.parametrize("duty, counts", [
+    pytest.param(0, 0, id="zero_is_off"),
+    pytest.param(7, 0, id="less_than_half_a_count_is_off"),
+    pytest.param(8, 1, id="half_a_count_goes_up"),
+    pytest.param(16, 1, id="sixteen_is_one_count"),
+    pytest.param(23, 1, id="less_than_one_and_a_half_goes_down"),
+    pytest.param(24, 2, id="one_and_a_half_goes_up"),
+    pytest.param(3800, 238, id="the_servo_s_left"),  # 237.5
+    pytest.param(5100, 319, id="the_servo_s_center"),  # 318.75
+    pytest.param(6700, 419, id="the_servo_s_right"),  # 418.75
+    pytest.param(65519, 4095, id="the_longest_pulse_below_full_on"),
+    pytest.param(65528, 4096, id="less_than_half_a_count_below_full_on_is_full_on"),
+    pytest.param(65535, 4096, id="the_greatest_duty_is_full_on"),
+])
+def test_duty_is_rounded_to_the_nearest_count(duty, counts):
+    assert counts_of_duty(duty) == counts
+
+
+def test_duty_each_of_65536_is_rounded_half_up_exactly():
+    assert [counts_of_duty(duty) for duty in range(65536)] == [
+        floor(Fraction(duty, 16) + Fraction(1, 2)) for duty in range(65536)]
+
+
+@pytest.mark.parametrize("counts, duty", [(0, 0), (1, 16), (319, 5104), (4095, 65520), (4096, 65535)])
+def test_counts_as_a_duty_are_sixteen_each_and_65535_when_full_on(counts, duty):
+    assert duty_of_counts(counts) == duty
+
+
+@given(st.integers(0, 4096))
+def test_counts_through_a_duty_and_back_stay_what_they_were(counts):
+    assert counts_of_duty(duty_of_counts(counts)) == counts
+
+
+@pytest.mark.parametrize("counts, registers", [
+    pytest.param(0, "00 00 00 10", id="off_sets_bit_4_of_OFF_H"),
+    pytest.param(4096, "00 10 00 00", id="on_sets_bit_4_of_ON_H_and_not_that_of_OFF_H"),
+    pytest.param(1, "00 00 01 00", id="one_count_ends_at_1"),
+    pytest.param(319, "00 00 3f 01", id="the_servo_s_center_ends_at_319"),
+    pytest.param(4095, "00 00 ff 0f", id="the_longest_pulse_ends_at_4095"),
+    pytest.param(-1, "00 00 00 10", id="less_than_none_is_off"),
+    pytest.param(5000, "00 10 00 00", id="more_than_all_is_on"),
+])
+def test_registers_of_counts_begin_the_pulse_with_the_period(counts, registers):
+    assert register_bytes(counts) == bytes.fromhex(registers)
+
+
+@pytest.mark.parametrize("frequency_hz, prescale", [
+    pytest.param(200, 30, id="two_hundred_as_in_the_data_sheet_s_example"),
+    pytest.param(50, 121, id="fifty_with_the_minus_1_that_the_original_lacks"),
+    pytest.param(1526, 3, id="the_data_sheet_s_maximum"),
+    pytest.param(24, 253, id="the_data_sheet_s_minimum"),
+    pytest.param(23.84, 255, id="the_slowest"),
+])
+def test_prescale_for_frequency_at_25_mhz(frequency_hz, prescale):
+    assert prescale_for(frequency_hz) == prescale
+
+
+@pytest.mark.parametrize("prescale, frequency_hz", [
+    pytest.param(121, 50.03, id="the_correct_one"),
+    pytest.param(122, 49.62, id="the_original_s"),
+    pytest.param(30, 196.9, id="the_reset_value"),
+    pytest.param(3, 1526, id="fastest"),
+    pytest.param(255, 23.84, id="slowest"),
+])
+def test_frequency_of_prescale_at_25_mhz(prescale, frequency_hz):
+    assert frequency_for(prescale) == pytest.approx(frequency_hz, abs=frequency_hz * 5e-4)
+
+
+@pytest.mark.parametrize("oscillator_hz, prescale", [(24.06e6, 116), (25e6, 121), (27e6, 131)])
+def test_prescale_for_50_hz_follows_the_board_s_own_oscillator(oscillator_hz, prescale):
+    assert prescale_for(50, oscillator_hz) == prescale
+
+
+@given(st.floats(24, 1525))
+def test_prescale_for_any_frequency_is_no_worse_than_its_neighbours(frequency_hz):
+    prescale = prescale_for(frequency_hz)
+
+    def wrong_by(candidate):
+        return abs(25e6 / (4096 * frequency_hz) - (candidate + 1))
+
+    assert all(wrong_by(prescale) <= wrong_by(other) for other in (prescale - 1, prescale + 1))
+
+
+@pytest.mark.parametrize("frequency_hz", [1e-310, 1, 23.7, 1800, 1e300])
+def test_prescale_for_frequency_out_of_reach_is_refused(frequency_hz):
+    with pytest.raises(ConfigError, match=r"frequency is .*; accepted: 23.8 to 1526 Hz with this oscillator"):
+        prescale_for(frequency_hz)

@@ -1,0 +1,203 @@
+"""Pings, their pongs, and which checksum to send them with. Time is passed in; the bytes are spelled out by hand."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.teensy.framing import CORRECTED, SHIPPED
+from car_interface.teensy.pinging import AUTO, Answer, Pinger
+
+S = 1_000_000_000
+MS = 1_000_000
+NOW = 100 * S
+GIVE_UP = S // 2
+FILLER = bytes(39)
+
+# A timestamp whose frame carries, so that the two checksums differ: 4 + 4·ff = 400 (hex).
+CARRIES = 0xffffffff
+SHIPPED_FRAME = bytes.fromhex("7e 02010100 ffffffff 00000000 ff 7e")
+CORRECTED_FRAME = bytes.fromhex("7e 02010100 ffffffff 00000000 fb 7e")
+
+
+def pinger(checksum=AUTO, period_ns=S):
+    return Pinger(period_ns, checksum, NOW)
+
+
+def go_unanswered(pings, count, now_ns=NOW):
+    """Send pings and let each wait too long; the time after the last."""
+    for number in range(count):
+        pings.ping(1000 + number, now_ns)
+        now_ns += GIVE_UP
+        assert pings.expire(now_ns) == [1000 + number]
+    return now_ns
+
+
+def test_first_ping_is_due_at_once():
+    assert pinger().due_ns == NOW
+    assert pinger().next_event_ns() == NOW
+
+
+def test_ping_is_one_frame_without_filler():
+    assert pinger().ping(CARRIES, NOW) == SHIPPED_FRAME
+
+
+def test_next_ping_is_due_a_period_later():
+    pings = pinger()
+    pings.ping(1, NOW)
+    pings.pong(1, NOW + MS)
+    assert pings.due_ns == pings.next_event_ns() == NOW + S
+
+
+def test_looking_for_unanswered_pings_in_vain_makes_none_due():
+    pings = pinger()
+    pings.ping(1, NOW)
+    assert pings.expire(NOW + 100 * MS) == []
+    assert pings.due_ns == NOW + S
+
+
+def test_ping_sent_late_does_not_shift_those_after_it():
+    pings = pinger()
+    pings.ping(1, NOW + 300 * MS)
+    assert pings.due_ns == NOW + S
+
+
+@pytest.mark.parametrize("late_ms", [1000, 3500], ids=["a_period", "more"])
+def test_ping_sent_a_period_late_or_more_does_not_catch_up(late_ms):
+    pings = pinger()
+    pings.ping(1, NOW + late_ms * MS)
+    assert pings.due_ns == NOW + late_ms * MS + S
+
+
+def test_ping_asked_for_in_between_does_not_shift_the_regular_ones():
+    pings = pinger()
+    pings.ping(1, NOW)
+    pings.ping(2, NOW + 400 * MS)
+    assert pings.due_ns == NOW + S
+    assert pings.sent == 2
+
+
+def test_pong_answers_its_ping_with_the_time_it_was_sent_and_the_round_trip():
+    pings = pinger()
+    pings.ping(7, NOW)
+    pings.ping(8, NOW + 3 * MS)
+    assert pings.pong(8, NOW + 5 * MS) == Answer(sent_ns=NOW + 3 * MS, round_trip_ns=2 * MS)
+    assert pings.pong(7, NOW + 6 * MS) == Answer(sent_ns=NOW, round_trip_ns=6 * MS)
+    assert (pings.sent, pings.answered) == (2, 2)
+
+
+@pytest.mark.parametrize("timestamp", [8, 0, 2 ** 32 - 1])
+def test_pong_that_nobody_asked_for_is_no_answer(timestamp):
+    pings = pinger()
+    pings.ping(7, NOW)
+    assert pings.pong(timestamp, NOW + MS) is None
+    assert pings.answered == 0
+
+
+def test_pong_that_comes_twice_answers_once():
+    pings = pinger()
+    pings.ping(7, NOW)
+    assert pings.pong(7, NOW + MS) is not None
+    assert pings.pong(7, NOW + 2 * MS) is None
+    assert pings.answered == 1
+
+
+def test_two_pings_of_one_millisecond_are_answered_from_the_first():
+    pings = pinger()
+    pings.ping(7, NOW)
+    pings.ping(7, NOW + MS // 2)
+    assert pings.pong(7, NOW + 2 * MS) == Answer(sent_ns=NOW, round_trip_ns=2 * MS)
+
+
+def test_ping_unanswered_is_given_up_after_half_a_second():
+    pings = pinger()
+    pings.ping(7, NOW)
+    assert pings.next_event_ns() == NOW + GIVE_UP
+    assert pings.expire(NOW + GIVE_UP - 1) == []
+    assert pings.expire(NOW + GIVE_UP) == [7]
+    assert pings.unanswered_in_a_row == 1
+    assert pings.pong(7, NOW + GIVE_UP + 1) is None
+
+
+def test_ping_after_an_unanswered_one_is_due_at_once_and_brings_the_receiver_back_in_step():
+    pings = pinger()
+    after = go_unanswered(pings, 1)
+    assert pings.due_ns == after
+    assert pings.ping(CARRIES, after) == FILLER + SHIPPED_FRAME
+
+
+def test_ping_after_an_answered_one_needs_no_filler_any_more():
+    pings = pinger()
+    after = go_unanswered(pings, 1)
+    pings.ping(1, after)
+    pings.pong(1, after + MS)
+    assert pings.unanswered_in_a_row == 0
+    assert pings.ping(CARRIES, after + S) == SHIPPED_FRAME
+
+
+def test_receiver_that_answers_the_shipped_checksum_is_never_sent_the_other():
+    pings = pinger()
+    for number in range(100):
+        assert pings.ping(CARRIES, NOW + number * S) == SHIPPED_FRAME
+        assert pings.pong(CARRIES, NOW + number * S + MS) is not None
+    assert pings.checksum == SHIPPED
+
+
+def test_five_pings_unanswered_in_a_row_switch_to_the_other_checksum():
+    pings = pinger()
+    after = go_unanswered(pings, 4)
+    assert pings.checksum == SHIPPED
+    after = go_unanswered(pings, 1, after)
+    assert pings.checksum == CORRECTED
+    assert pings.ping(CARRIES, after) == FILLER + CORRECTED_FRAME
+
+
+def test_five_more_switch_back():
+    pings = pinger()
+    after = go_unanswered(pings, 9)
+    assert pings.checksum == CORRECTED
+    go_unanswered(pings, 1, after)
+    assert pings.checksum == SHIPPED
+
+
+def test_pings_unanswered_with_an_answer_between_do_not_switch():
+    pings = pinger()
+    after = go_unanswered(pings, 4)
+    pings.ping(1, after)
+    pings.pong(1, after + MS)
+    go_unanswered(pings, 4, after + S)
+    assert pings.checksum == SHIPPED
+
+
+@pytest.mark.parametrize("checksum, frame", [(SHIPPED, SHIPPED_FRAME), (CORRECTED, CORRECTED_FRAME)],
+                         ids=["shipped", "corrected"])
+def test_checksum_that_was_chosen_is_kept_however_many_go_unanswered(checksum, frame):
+    pings = pinger(checksum)
+    after = go_unanswered(pings, 12)
+    assert pings.checksum == checksum
+    assert pings.ping(CARRIES, after) == FILLER + frame
+
+
+def test_line_opened_anew_forgets_what_waited_and_pings_at_once():
+    pings = pinger()
+    after = go_unanswered(pings, 2)
+    pings.ping(7, after)
+    pings.restart(after + 10 * S)
+    assert pings.due_ns == after + 10 * S
+    assert pings.expire(after + 100 * S) == []
+    assert pings.pong(7, after + 10 * S) is None
+    assert pings.ping(CARRIES, after + 10 * S) == SHIPPED_FRAME
+
+
+def test_line_opened_anew_keeps_the_checksum_that_was_found_out():
+    pings = pinger()
+    after = go_unanswered(pings, 5)
+    pings.restart(after)
+    assert pings.ping(CARRIES, after) == CORRECTED_FRAME
+
+
+def test_pings_of_a_fast_period_wait_side_by_side():
+    pings = pinger(period_ns=10 * MS)
+    for number in range(30):
+        pings.ping(number, NOW + number * 10 * MS)
+    assert pings.next_event_ns() == NOW + 300 * MS
+    assert [pings.pong(number, NOW + 300 * MS).round_trip_ns for number in (29, 0)] == [10 * MS, 300 * MS]
+    assert pings.expire(NOW + GIVE_UP + 20 * MS) == [1, 2]

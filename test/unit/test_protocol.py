@@ -1,0 +1,186 @@
+"""What the frames say. Bytes here are spelled out by hand from the protocol's table, or are from the golden capture."""
+from __future__ import annotations
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from car_interface.errors import ProtocolError
+from car_interface.teensy import protocol
+from car_interface.teensy.framing import encode
+from car_interface.teensy.protocol import ErrorCount, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
+
+
+def body_of(text):
+    """The bytes that a text of hex digits spells."""
+    return bytes.fromhex(text)
+
+
+COMMANDS = [
+    pytest.param(lambda: protocol.ping(0x01020304), "02010100 04030201 00000000", "f1", id="ping"),
+    pytest.param(lambda: protocol.ping(0), "02010100 00000000 00000000", "fb", id="ping_with_timestamp_0"),
+    pytest.param(lambda: protocol.ping(2 ** 32 - 1), "02010100 ffffffff 00000000", "ff",
+                 id="ping_with_the_last_timestamp"),
+    pytest.param(lambda: protocol.set_sonar_sequence([0, 1, 5]), "02010300 03 000105", "f0", id="sequence_of_key_x"),
+    pytest.param(lambda: protocol.set_sonar_sequence(range(6)), "02010300 06 000102030405", "e4",
+                 id="sequence_of_key_y"),
+    pytest.param(lambda: protocol.set_sonar_sequence(b"\x04"), "02010300 01 04", "f4",
+                 id="sequence_of_one_as_rospy_delivers_it"),
+    pytest.param(lambda: protocol.set_sonar_sequence([2] * 24), "02010300 18" + "02" * 24, "b1",
+                 id="longest_sequence"),
+    pytest.param(protocol.sonar_stop, "02010400", "f8", id="sonar_stop"),
+    pytest.param(protocol.sonar_start, "02010500", "f7", id="sonar_start"),
+    pytest.param(protocol.wheel_reset, "02010800", "f4", id="wheel_reset"),
+    pytest.param(protocol.get_counters, "02010a00", "f2", id="get_counters"),
+    pytest.param(lambda: protocol.sonar_wait(50), "02010c00 32000000", "be", id="sonar_wait_as_at_power_up"),
+    pytest.param(lambda: protocol.sonar_wait(0), "02010c00 00000000", "f0", id="sonar_wait_of_0"),
+    pytest.param(lambda: protocol.sonar_wait(2 ** 32 - 1), "02010c00 ffffffff", "f4", id="longest_sonar_wait"),
+]
+
+
+@pytest.mark.parametrize("command, body, checksum", COMMANDS)
+def test_command_is_encoded_as_the_table_says(command, body, checksum):
+    assert command() == body_of(body)
+
+
+@pytest.mark.parametrize("command, body, checksum", COMMANDS)
+def test_command_on_the_line_has_its_own_flags_and_the_receiver_s_checksum(command, body, checksum):
+    assert encode(command()) == b"\x7e" + body_of(body) + body_of(checksum) + b"\x7e"
+
+
+@pytest.mark.parametrize("command, message", [
+    pytest.param(lambda: protocol.set_sonar_sequence([]), "a sonar sequence has 1 to 24 entries, not 0",
+                 id="empty_sequence"),
+    pytest.param(lambda: protocol.set_sonar_sequence([0] * 25), "a sonar sequence has 1 to 24 entries, not 25",
+                 id="sequence_too_long"),
+    pytest.param(lambda: protocol.set_sonar_sequence([0, 6]), "there is no sonar 6: ids go from 0 to 5",
+                 id="sonar_that_does_not_exist"),
+    pytest.param(lambda: protocol.set_sonar_sequence([-1]), "there is no sonar -1: ids go from 0 to 5",
+                 id="negative_sonar"),
+    pytest.param(lambda: protocol.sonar_wait(-1), "a sonar wait is 0 to 4294967295 ms, not -1", id="negative_wait"),
+    pytest.param(lambda: protocol.sonar_wait(2 ** 32), "a sonar wait is 0 to 4294967295 ms, not 4294967296",
+                 id="wait_too_long"),
+    pytest.param(lambda: protocol.ping(-1), "a ping's timestamp is 0 to 4294967295, not -1", id="negative_timestamp"),
+    pytest.param(lambda: protocol.ping(2 ** 32), "a ping's timestamp is 0 to 4294967295, not 4294967296",
+                 id="timestamp_too_great"),
+])
+def test_command_that_the_teensy_could_not_take_is_refused_before_a_byte_is_made(command, message):
+    with pytest.raises(ProtocolError, match=message):
+        command()
+
+
+RECORDS = [
+    pytest.param("01020200 04030201 d2040000", Pong(timestamp1=0x01020304, timestamp2=1234), id="pong"),
+    pytest.param("01020200 ffffffff ffffffff", Pong(timestamp1=2 ** 32 - 1, timestamp2=2 ** 32 - 1),
+                 id="pong_before_both_clocks_wrap"),
+    pytest.param("01020600 00 00 6b11 057b0000", SonarStatus(sensor=0, echo_us=4459, when=31493), id="sonar"),
+    pytest.param("01020600 05 00 0000 cc7e0000", SonarStatus(sensor=5, echo_us=0, when=32460), id="sonar_without_echo"),
+    pytest.param("01020600 03 25 890a 5e7e0000", SonarStatus(sensor=3, echo_us=2697, when=32350),
+                 id="sonar_with_garbage_in_its_filler"),
+    pytest.param("01020700 1400 01 00 caa90000 09000000 28000000 1500 00 00 c1a90000 23000000 29000000",
+                 WheelStatus(left=Wheel(speed=20, direction=1, when=43466, dist=9, dist_abs=40),
+                             right=Wheel(speed=21, direction=0, when=43457, dist=35, dist_abs=41)),
+                 id="wheels_left_first"),
+    pytest.param("01020700 ffff 03 00 ffffffff ffffffff ffffffff 0000 02 00 00000000 00000000 00000000",
+                 WheelStatus(left=Wheel(65535, 3, 2 ** 32 - 1, 2 ** 32 - 1, 2 ** 32 - 1),
+                             right=Wheel(0, 2, 0, 0, 0)),
+                 id="wheels_with_the_greatest_numbers"),
+    pytest.param("01020700 0000 02 00 00000000 00000000 00000000 0100 03 00 02000000 03000000 04000000",
+                 WheelStatus(left=Wheel(0, 2, 0, 0, 0), right=Wheel(1, 3, 2, 3, 4)),
+                 id="wheels_of_which_the_right_errs"),
+    pytest.param("01020900 9b0b0000 747842797465 7300", ErrorCount(count=2971, name="txBytes"), id="counter"),
+    pytest.param("01020900 01000000 61 00", ErrorCount(count=1, name="a"), id="counter_with_the_shortest_name"),
+    pytest.param("01020900 ffffffff" + "78" * 23 + "00", ErrorCount(count=2 ** 32 - 1, name="x" * 23),
+                 id="counter_with_the_longest_name"),
+]
+
+
+@pytest.mark.parametrize("body, record", RECORDS)
+def test_body_is_decoded_as_the_table_says(body, record):
+    decoded = decode(body_of(body))
+    assert decoded == record
+    assert type(decoded) is type(record)
+
+
+def test_decoded_wheels_have_named_fields():
+    wheels = decode(body_of("01020700 1400 01 00 caa90000 09000000 28000000 1500 00 00 c1a90000 23000000 29000000"))
+    assert isinstance(wheels.left, Wheel) and isinstance(wheels.right, Wheel)
+    assert (wheels.left.speed, wheels.left.direction, wheels.left.when, wheels.left.dist, wheels.left.dist_abs) == (
+        20, protocol.BACKWARD, 43466, 9, 40)
+    assert wheels.right.dist_abs == 41
+
+
+WHEEL = "0000 00 00 00000000 00000000 00000000"
+
+MALFORMED = [
+    pytest.param("02010100 00000000 00000000", "not from the Teensy to the host", id="our_own_ping"),
+    pytest.param("01010200 00000000 00000000", "not from the Teensy to the host", id="from_the_wrong_sender"),
+    pytest.param("02020200 00000000 00000000", "not from the Teensy to the host", id="to_the_wrong_receiver"),
+    pytest.param("01020201 00000000 00000000", "the header's reserved byte isn't 0", id="reserved_byte_set"),
+    pytest.param("01020000", "unknown command 0", id="command_0"),
+    pytest.param("01020100 00000000 00000000", "unknown command 1", id="ping_from_the_teensy"),
+    pytest.param("01020b00", "unknown command 11", id="internal_command"),
+    pytest.param("0102ff00", "unknown command 255", id="command_beyond_the_table"),
+    pytest.param("01020200 00000000 000000", "11 bytes where this command has 12", id="pong_too_short"),
+    pytest.param("01020200 00000000 00000000 00", "13 bytes where this command has 12", id="pong_too_long"),
+    pytest.param("01020600 00 00 6b11 057b00", "11 bytes where this command has 12", id="sonar_too_short"),
+    pytest.param("01020600 06 00 6b11 057b0000", "sensor above 5", id="sonar_6"),
+    pytest.param("01020600 ff 00 6b11 057b0000", "sensor above 5", id="sonar_255"),
+    pytest.param("01020700" + WHEEL, "20 bytes where this command has 36", id="one_wheel"),
+    pytest.param("01020700 0000 04 00 00000000 00000000 00000000" + WHEEL, "direction above 3",
+                 id="left_direction_4"),
+    pytest.param("01020700" + WHEEL + "0000 04 00 00000000 00000000 00000000", "direction above 3",
+                 id="right_direction_4"),
+    pytest.param("01020700 0000 00 01 00000000 00000000 00000000" + WHEEL, "a wheel's reserved byte isn't 0",
+                 id="left_reserved_byte_set"),
+    pytest.param("01020700" + WHEEL + "0000 00 01 00000000 00000000 00000000", "a wheel's reserved byte isn't 0",
+                 id="right_reserved_byte_set"),
+    pytest.param("01020900 01000000", "a counter's name isn't", id="counter_without_a_name"),
+    pytest.param("01020900 01000000 00", "a counter's name isn't", id="counter_with_an_empty_name"),
+    pytest.param("01020900 0100", "a counter's name isn't", id="counter_cut_in_its_count"),
+    pytest.param("01020900 01000000 6161", "a counter's name isn't", id="counter_without_its_nul"),
+    pytest.param("01020900 01000000 61 00 61", "a counter's name isn't", id="counter_with_something_after_its_nul"),
+    pytest.param("01020900 01000000 61 00 00", "a counter's name isn't", id="counter_with_two_nuls"),
+    pytest.param("01020900 01000000" + "78" * 24 + "00", "a counter's name isn't", id="counter_with_too_long_a_name"),
+    pytest.param("01020900 01000000 61 e9 00", "a counter's name isn't", id="counter_with_a_name_that_is_not_ascii"),
+    pytest.param("", "not from the Teensy to the host", id="nothing"),
+    pytest.param("0102", "the header's reserved byte isn't 0", id="half_a_header"),
+]
+
+
+@pytest.mark.parametrize("body, reason", MALFORMED)
+def test_body_that_makes_no_sense_is_malformed_with_its_reason_and_bytes(body, reason):
+    decoded = decode(body_of(body))
+    assert isinstance(decoded, Malformed)
+    assert decoded.reason.startswith(reason)
+    assert decoded.body == body_of(body)
+
+
+HEADERS = st.sampled_from([bytes((1, 2, command, 0)) for command in range(13)]) | st.binary(max_size=4)
+
+
+@given(HEADERS, st.binary(max_size=40))
+@example(b"\x01\x02\x09\x00", b"")
+def test_decoding_anything_gives_a_record_and_never_raises(header, payload):
+    record = decode(header + payload)
+    if isinstance(record, SonarStatus):
+        assert record.sensor <= 5
+    elif isinstance(record, WheelStatus):
+        assert record.left.direction <= 3 and record.right.direction <= 3
+    elif isinstance(record, ErrorCount):
+        assert 1 <= len(record.name) <= 23
+    else:
+        assert isinstance(record, (Pong, Malformed))
+
+
+@pytest.mark.parametrize("filler", [0x00, 0x7d, 0x7e, 0xff])
+def test_sonar_s_filler_is_never_looked_at(filler):
+    assert decode(bytes([1, 2, 6, 0, 4, filler, 0x10, 0x27, 1, 0, 0, 0])) == SonarStatus(4, 10000, 1)
+
+
+def test_sonars_are_named_by_their_ids():
+    assert protocol.SONARS == ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
+
+
+def test_directions_are_numbered_as_on_the_wire():
+    assert (protocol.FORWARD, protocol.BACKWARD, protocol.NO_DIRECTION, protocol.DIRECTION_ERROR) == (0, 1, 2, 3)
