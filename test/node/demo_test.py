@@ -1,0 +1,66 @@
+#!/usr/bin/env python3
+"""demo.launch end to end, for two cars on one master that drive at the same time."""
+from __future__ import annotations
+
+import glob
+import os
+import re
+import tempfile
+import unittest
+
+import rosbag
+import rospy
+import rostest
+
+from waiting import start_node
+
+DRIVE_WITHIN_S = 120
+# What a car's namespace moves although it's absolute by default.
+ABSOLUTE = ("/servo/output", "/servo/cmdVector", "/teleop_logi/human_in_loop", "/teleop_logi/tele_steer_req",
+            "/teleop_logi/tele_throt_req")
+
+
+class TwoCarsDrive(unittest.TestCase):
+    def test_both_drives_go_as_planned_and_neither_hears_the_other(self):
+        bags = tempfile.TemporaryDirectory()
+        self.addCleanup(bags.cleanup)
+        alone = start_node(self, "demo_drive", f"_bag_dir:={bags.name}")
+        remaps = [f"{name}:={name[1:]}" for name in ABSOLUTE]
+        other = start_node(self, "demo_drive", "__ns:=car1", *remaps)
+        for process in (alone, other):
+            code = process.wait_for_exit(DRIVE_WITHIN_S)
+            shown = "\n".join(process.stdout.since() + process.stderr.since())
+            self.assertEqual(code, 0, shown)
+            self.assertIn("as planned: yes", shown)
+            self.assertNotIn("Traceback", shown)
+            answered, sent = map(int, re.search(r"pings answered +(\d+) of (\d+)", shown).groups())
+            self.assertGreaterEqual(answered, sent - 1)
+            self.assertGreater(answered, 20)
+            self.assertRegex(shown, r"frames good, bad +[1-9]\d+, 0\n")
+        self.check_names()
+        self.check_bag(bags.name)
+
+    def check_names(self):
+        """Each topic exists once for each car, and every car's node keeps to its own."""
+        _, _, (publishers, subscribers, _) = rospy.get_master().getSystemState()
+        for topic, nodes in publishers + subscribers:
+            if topic.startswith("/rosout"):
+                continue
+            for node in nodes:
+                if node.startswith(("/demo_test", "/demo_drive", "/record")):
+                    continue
+                self.assertEqual(node.startswith("/car1/"), topic.startswith("/car1/"), f"{node} on {topic}")
+
+    def check_bag(self, folder):
+        """The bag was closed and holds what both the human and the car did."""
+        path, = glob.glob(os.path.join(folder, "*.bag"))
+        with rosbag.Bag(path) as bag:
+            counts = {topic: info.message_count for topic, info in bag.get_type_and_topic_info().topics.items()}
+        for topic, at_least in (("/servo/output", 30), ("/servo/cmdVector", 3000), ("/teensy_wheel", 500),
+                                ("/teensy_distance", 200), ("/teensy_pong", 20), ("/turn_arb/state", 200), ("/joy", 500)):
+            self.assertGreater(counts.get(topic, 0), at_least, topic)
+
+
+if __name__ == "__main__":
+    rospy.init_node("demo_test")
+    rostest.rosrun("car_interface", "demo_test", "__main__")

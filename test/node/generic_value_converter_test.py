@@ -1,0 +1,266 @@
+#!/usr/bin/env python3
+"""generic_value_converter by its topics: started by its launch file, with the map and the ESC that it ships with."""
+from __future__ import annotations
+
+import csv
+import math
+import os
+import re
+import tempfile
+import unittest
+
+import rospkg
+import rospy
+import rostest
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Log
+from std_msgs.msg import Bool, Int32MultiArray
+
+from car_interface.msg import Control, Float64Stamped, SteeringState
+from waiting import Repeater, Sender, Topic, delete_param, rate_hz, retried, start_node
+
+NAN, INF = math.nan, math.inf
+LOWEST, HIGHEST = -5.0, 3.0  # the shipped min_value and max_value
+NEUTRAL = 4915
+DAY_S = 86_400
+TOLERANCE = 1e-9
+
+# Accelerations in m/s² that a float32 holds exactly, and velocities in m/s, on the map's points, between and beyond them.
+LOOKUPS = [(acceleration, velocity)
+           for acceleration in (-100.0, -8.0, -4.25, -1.125, -0.5, 0.0, 0.25, 1.0, 2.875, 5.0, 100.0)
+           for velocity in (-1.0, 0.0, 0.5, 1.0, 3.75, 7.0, 9.99, 10.0, 50.0)]
+
+
+def shipped_map():
+    path = os.path.join(rospkg.RosPack().get_path("car_interface"), "config", "value_map.csv")
+    with open(path, encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    return ([float(row[0]) for row in rows[1:]], [float(cell) for cell in rows[0][1:]],
+            [[float(cell) for cell in row[1:]] for row in rows[1:]])
+
+
+def lerp_saturated(x, xs, ys):
+    """Looks at every interval: slow, and another way than the one under test."""
+    if x <= xs[0]:
+        return ys[0]
+    for x0, x1, y0, y1 in zip(xs, xs[1:], ys, ys[1:]):
+        if x <= x1:
+            return y0 + (y1 - y0) * ((x - x0) / (x1 - x0))
+    return ys[-1]
+
+
+def naive_value(acceleration, velocity, values, velocities, rows):
+    """The two steps of the description: each row at the velocity, then value over acceleration."""
+    at_velocity = [lerp_saturated(velocity, velocities, row) for row in rows]
+    return lerp_saturated(acceleration, at_velocity, values)
+
+
+def control(acceleration, stamp_s=None):
+    message = Control()
+    message.stamp = rospy.Time.now() if stamp_s is None else rospy.Time(stamp_s)
+    message.longitudinal.acceleration = acceleration
+    return message
+
+
+def odometry(velocity, stamp_s=None):
+    message = Odometry()
+    message.header.stamp = rospy.Time.now() if stamp_s is None else rospy.Time(stamp_s)
+    message.twist.twist.linear.x = velocity
+    return message
+
+
+class ConverterTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.values = Topic("/generic/output/value", Float64Stamped).connected()
+        cls.log = Topic("/rosout", Log).connected(2)
+        cls.vectors = Topic("/servo/cmdVector", Int32MultiArray).connected()
+        cls.command = Sender("/control/command/control_cmd", Control)
+        cls.odometry = Sender("/localization/kinematic_state", Odometry)
+        cls.human = Sender("/teleop_logi/human_in_loop", Bool)
+        cls.steering = Sender("/turn_arb/state", SteeringState)
+
+    def setUp(self):
+        self.inputs = Repeater(period_s=0.04)
+        self.addCleanup(self.inputs.end)
+
+    def wait_for_warning(self, pattern):
+        self.log.wait_for(lambda entry: entry.name == "/generic_value_converter" and entry.level == Log.WARN
+                          and re.search(pattern, entry.msg))
+
+    def wait_for_value(self, value):
+        """Repeated commands and odometry arrive in any order: until this is the answer to both."""
+        self.values.wait_for(lambda output: abs(output.data - value) <= TOLERANCE, self.values.mark())
+
+    def expect_last_value(self, acceleration, value):
+        """One command more, and its output: what was sent before has been answered, or won't be."""
+        mark = self.values.mark()
+        self.command.publish(control(acceleration))
+        return self.values.wait_for(lambda output: output.data == value, mark)
+
+
+class Conversion(ConverterTest):
+    def test_values_are_those_of_the_map(self):
+        values, velocities, rows = shipped_map()
+        for acceleration, velocity in LOOKUPS:
+            with self.subTest(acceleration=acceleration, velocity=velocity):
+                expected = naive_value(acceleration, velocity, values, velocities, rows)
+                self.inputs.hold(self.odometry, odometry(velocity))
+                self.inputs.hold(self.command, control(acceleration))
+                self.wait_for_value(min(HIGHEST, max(LOWEST, expected)))
+
+    def test_each_command_has_one_output(self):
+        self.inputs.hold(self.odometry, odometry(1.0))
+        self.inputs.hold(self.command, control(0.0))
+        self.values.wait_for(lambda _: True, self.values.mark())
+        self.inputs.drop(self.command)
+        self.expect_last_value(100.0, HIGHEST)
+        mark = self.values.mark()
+        for _ in range(50):
+            self.command.publish(control(1.479))  # the map's own point for 1.2
+        self.expect_last_value(-100.0, LOWEST)
+        outputs = self.values.since(mark)
+        self.assertEqual(len(outputs), 51)
+        self.assertAlmostEqual(outputs[0].data, 1.2, delta=1e-6)  # the command is a float32
+        self.assertLess(abs((outputs[0].stamp - rospy.Time.now()).to_sec()), 5)
+
+    def test_odometry_that_falls_silent_ends_the_output_and_comes_back(self):
+        self.inputs.hold(self.odometry, odometry(1.0))
+        self.inputs.hold(self.command, control(100.0))
+        self.wait_for_value(HIGHEST)
+        self.inputs.drop(self.odometry)
+        self.wait_for_warning(r"no output: odometry silent for 0\.5\d s")
+        mark = self.values.mark()
+        self.vectors.wait_for_count(20, self.vectors.mark())  # 0.4 s: ten more commands have come
+        self.assertEqual(self.values.since(mark), [])
+        self.inputs.hold(self.odometry, odometry(1.0))
+        self.wait_for_value(HIGHEST)
+
+    def test_numbers_that_are_none_have_no_output(self):
+        self.inputs.hold(self.odometry, odometry(1.0))
+        self.expect_eventually(100.0, HIGHEST)
+        mark = self.values.mark()
+        for number in (NAN, INF, -INF):
+            self.command.publish(control(number))
+        self.expect_last_value(-100.0, LOWEST)
+        self.assertEqual(len(self.values.since(mark)), 1)
+        self.wait_for_warning("no output: the commanded acceleration is nan")
+        self.inputs.hold(self.odometry, odometry(NAN))
+        self.wait_for_warning("the velocity in the odometry is nan")
+
+    def test_odd_stamps_are_told_and_obeyed(self):
+        now_s = rospy.Time.now().to_sec()
+        self.inputs.hold(self.odometry, odometry(1.0))
+        self.expect_eventually(100.0, HIGHEST)
+        for stamp_s in (0, now_s - DAY_S, now_s + DAY_S):
+            mark = self.values.mark()
+            self.command.publish(control(-100.0, stamp_s))
+            self.values.wait_for(lambda output: output.data == LOWEST, mark)
+        self.wait_for_warning("the stamp of control_cmd is zero; it's obeyed")
+        for stamp_s in (0, now_s - DAY_S, now_s + DAY_S):
+            self.inputs.hold(self.odometry, odometry(2.0, stamp_s))
+            self.expect_eventually(100.0, HIGHEST)
+
+    def expect_eventually(self, acceleration, value):
+        """The odometry that is held may still be on its way when the first command is sent."""
+        self.inputs.hold(self.command, control(acceleration))
+        self.wait_for_value(value)
+        self.inputs.drop(self.command)
+        self.expect_last_value(acceleration, value)
+
+
+class Throttle(ConverterTest):
+    """The ESC on channel 1: driven only while everything is as it must be."""
+
+    def drive(self):
+        """All that it takes, and wait until the ESC is driven."""
+        self.inputs.hold(self.steering, SteeringState(source=SteeringState.TELEOP))
+        self.inputs.hold(self.odometry, odometry(1.0))
+        self.inputs.hold(self.command, control(100.0))
+        self.inputs.hold(self.human, Bool(True))
+        self.wait_for_duty(6554)
+
+    def wait_for_duty(self, duty):
+        return self.vectors.wait_for(lambda vector: vector.data[1] == duty, self.vectors.mark())
+
+    def test_esc_gets_the_value_by_the_duty_table_at_50_hz_and_others_are_left_alone(self):
+        self.drive()
+        retried(lambda: self.assertAlmostEqual(rate_hz(self.vectors, over_s=1.0), 50, delta=2))
+        self.assertEqual(self.vectors.since()[-1].data, (-1, 6554) + (-1,) * 14)
+        self.inputs.hold(self.command, control(-100.0))
+        self.wait_for_duty(3277)
+        self.inputs.hold(self.command, control(1.479))  # 1.2 at 1 m/s: 4915 + 1.2 / 3 · 1639
+        self.wait_for_duty(5571)
+
+    def test_whatever_is_lost_means_neutral(self):
+        stopped = SteeringState(source=SteeringState.NO_HUMAN)
+        locked = SteeringState(source=SteeringState.LOCKED)
+        faults = [
+            ("the human lets go", lambda: self.inputs.hold(self.human, Bool(False))),
+            ("the human falls silent", lambda: self.inputs.drop(self.human)),
+            ("turn_arb sees no human", lambda: self.inputs.hold(self.steering, stopped)),
+            ("turn_arb is locked", lambda: self.inputs.hold(self.steering, locked)),
+            ("turn_arb falls silent", lambda: self.inputs.drop(self.steering)),
+            ("commands fall silent", lambda: self.inputs.drop(self.command)),
+            ("a command is no number", lambda: self.inputs.hold(self.command, control(NAN))),
+            ("odometry falls silent", lambda: self.inputs.drop(self.odometry)),
+            ("odometry is no number", lambda: self.inputs.hold(self.odometry, odometry(NAN))),
+        ]
+        for name, break_it in faults:
+            with self.subTest(name):
+                self.drive()
+                break_it()
+                self.wait_for_duty(NEUTRAL)
+                mark = self.vectors.mark()
+                for vector in self.vectors.wait_for_count(10, mark):
+                    self.assertEqual(vector.data[1], NEUTRAL)
+
+
+class ConverterByItself(unittest.TestCase):
+    """Nodes that the test starts with parameters of its own."""
+
+    def refused(self, *parameters):
+        """The one line with which the node ends."""
+        process = start_node(self, "generic_value_converter", *parameters, name="refused_converter")
+        self.assertEqual(process.wait_for_exit(), 1)
+        delete_param("/refused_converter")
+        lines = process.stderr.since()
+        self.assertEqual(len(lines), 1, lines)
+        return lines[0]
+
+    def map_file(self, text):
+        file = tempfile.NamedTemporaryFile("w", suffix=".csv", delete=False)
+        self.addCleanup(os.unlink, file.name)
+        with file:
+            file.write(text)
+        return file.name
+
+    def test_a_bad_map_ends_the_node_with_one_line_that_says_where(self):
+        for text, where in (("default,0,1\n0,0,0\n1,1", "line 3 has 2 columns"),
+                            ("default,0,1\n0,0,0\n1,x,1\n", "line 3, column 2 is 'x'"),
+                            ("default,0,1\n0,0,0\n1,-1,1\n", "velocity 0.0 m/s, from value 0.0 to 1.0 falls"),
+                            ("default,0,1\n0,0,0\n1,0,1\n", "stays level at 0.0")):
+            path = self.map_file(text)
+            line = self.refused(f"_csv_path_value_map:={path}")
+            self.assertIn(path, line)
+            self.assertIn(where, line)
+        self.assertIn("csv_path_value_map is '/nowhere.csv'", self.refused("_csv_path_value_map:=/nowhere.csv"))
+        self.assertIn("Is a directory", self.refused("_csv_path_value_map:=/tmp"))
+        self.assertIn("csv_path_value_map is missing", self.refused())
+
+    def test_passthrough_is_clamped_and_needs_neither_map_nor_odometry(self):
+        process = start_node(self, "generic_value_converter", "_convert_value_cmd:=false", name="passthrough")
+        self.addCleanup(delete_param, "/passthrough")
+        command = Sender("/passthrough/input/control_cmd", Control)
+        values = Topic("/passthrough/output/value", Float64Stamped).connected()
+        for acceleration, value in ((1.5, 1.5), (100.0, HIGHEST), (-100.0, LOWEST), (0.0, 0.0)):
+            mark = values.mark()
+            command.publish(control(acceleration))
+            self.assertEqual(values.wait_for(lambda output: True, mark).what.data, value)
+        self.assertEqual(process.end(), 0)
+        self.assertEqual(process.stderr.since(), [])
+
+
+if __name__ == "__main__":
+    rospy.init_node("generic_value_converter_test")
+    rostest.rosrun("car_interface", "generic_value_converter_test", "__main__")

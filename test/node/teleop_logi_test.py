@@ -1,0 +1,130 @@
+#!/usr/bin/env python3
+"""teleop_logi by its topics: started by its launch file, for the gamepad that it ships with."""
+from __future__ import annotations
+
+import math
+import unittest
+
+import rospy
+import rostest
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, Float32
+
+from waiting import Repeater, Sender, Topic, delete_param, rate_hz, retried, start_node
+
+STEER, THROTTLE, MANUAL, AUTONOMOUS = 0, 4, 4, 5  # as config/teleop_logi.yaml has them
+
+
+def joy(steering=0.0, throttle=0.0, manual=0, autonomous=0, axes=8, buttons=11):
+    message = Joy(axes=[0.0] * axes, buttons=[0] * buttons)
+    message.axes[STEER] = steering
+    if axes > THROTTLE:
+        message.axes[THROTTLE] = throttle
+    message.buttons[MANUAL] = manual
+    if buttons > AUTONOMOUS:
+        message.buttons[AUTONOMOUS] = autonomous
+    return message
+
+
+class TeleopByItsTopics(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.human = Topic("/teleop_logi/human_in_loop", Bool).connected()
+        cls.steering = Topic("/teleop_logi/tele_steer_req", Float32).connected()
+        cls.throttle = Topic("/teleop_logi/tele_throt_req", Float32).connected()
+        cls.joy = Sender("/joy", Joy)
+
+    def setUp(self):
+        self.inputs = Repeater()
+        self.addCleanup(self.inputs.end)
+
+    def hold(self, **what):
+        self.inputs.hold(self.joy, joy(**what))
+
+    def wait_for_human(self, present):
+        return self.human.wait_for(lambda message: message.data is present, self.human.mark())
+
+    def wait_for_requests(self, steering, throttle):
+        for topic, value in ((self.steering, steering), (self.throttle, throttle)):
+            topic.wait_for(lambda message, value=value: message.data == value, topic.mark())
+
+    def test_everything_comes_at_50_hz_also_without_a_gamepad(self):
+        for topic in (self.human, self.steering, self.throttle):
+            retried(lambda topic=topic: self.assertAlmostEqual(rate_hz(topic, over_s=1.0), 50, delta=2))
+
+    def test_manual_deadman_passes_the_sticks_on_both_ways(self):
+        for steering, throttle in ((1.0, 0.5), (-1.0, -0.5), (0.25, 0.0)):
+            self.hold(steering=steering, throttle=throttle, manual=1)
+            self.wait_for_human(True)
+            self.wait_for_requests(steering, throttle)
+
+    def test_autonomous_deadman_alone_keeps_the_sticks_neutral(self):
+        self.hold(steering=1.0, throttle=1.0, autonomous=1)
+        self.wait_for_human(True)
+        self.wait_for_requests(0.0, 0.0)
+
+    def test_both_deadmen_mean_that_the_human_steers(self):
+        self.hold(steering=-0.5, manual=1, autonomous=1)
+        self.wait_for_human(True)
+        self.wait_for_requests(-0.5, 0.0)
+
+    def test_letting_go_is_told_with_the_message_that_says_so_however_short_it_is(self):
+        self.hold(manual=1)
+        self.wait_for_human(True)
+        self.inputs.drop()
+        mark = self.human.mark()
+        for pressed in (1, 0, 1):
+            self.joy.publish(joy(manual=pressed))
+        released = self.human.wait_for(lambda message: not message.data, mark)
+        pressed_again = self.human.wait_for(lambda message: message.data, self.human.since(0).index(released.what, mark))
+        self.assertLess(pressed_again.at_s - released.at_s, 0.25)  # the timeout has no part in it
+
+    def test_a_gamepad_that_falls_silent_releases_after_a_quarter_of_a_second(self):
+        self.hold(steering=1.0, manual=1)
+        self.wait_for_human(True)
+
+        def attempt():
+            self.inputs.drop()
+            mark = self.human.mark()
+            self.joy.publish(joy(steering=1.0, manual=1))
+            held = self.human.wait_for(lambda message: message.data, mark)
+            released = self.human.wait_for(lambda message: not message.data, mark)
+            self.assertAlmostEqual(released.at_s - held.at_s, 0.25, delta=0.06)
+        retried(attempt)
+        self.wait_for_requests(0.0, 0.0)
+
+    def test_a_gamepad_that_lacks_an_axis_or_a_button_has_no_deadman(self):
+        for lacking in ({"axes": 4}, {"buttons": 5}):
+            with self.subTest(lacking):
+                self.hold(manual=1)
+                self.wait_for_human(True)
+                self.hold(manual=1, **lacking)
+                self.wait_for_human(False)
+
+    def test_an_axis_that_is_no_number_releases(self):
+        for number in (math.nan, math.inf):
+            self.hold(manual=1)
+            self.wait_for_human(True)
+            self.hold(steering=number, manual=1)
+            self.wait_for_human(False)
+            self.wait_for_requests(0.0, 0.0)
+
+
+class TeleopByItself(unittest.TestCase):
+    def test_each_index_is_required_and_named(self):
+        given = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5}
+        for missing in given:
+            with self.subTest(missing):
+                name = f"teleop_without_{missing}"
+                process = start_node(self, "teleop_logi", *(f"_{key}:={value}" for key, value in given.items()
+                                                            if key != missing), name=name)
+                self.addCleanup(delete_param, f"/{name}")
+                self.assertEqual(process.wait_for_exit(), 1)
+                lines = process.stderr.since()
+                self.assertEqual(len(lines), 1, lines)
+                self.assertIn(f"{missing} is missing; accepted: an integer from 0 to 63", lines[0])
+
+
+if __name__ == "__main__":
+    rospy.init_node("teleop_logi_test")
+    rostest.rosrun("car_interface", "teleop_logi_test", "__main__")

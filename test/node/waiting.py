@@ -1,0 +1,273 @@
+"""Waiting for what nodes do: topics and processes as a test sees them, each wait with a deadline and none of them blind."""
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import threading
+import time
+from typing import Any, Callable, List, NamedTuple, Optional
+
+import rospy
+from roslib.packages import find_node
+
+PATIENCE_S = 15.0  # a machine with other work to do; a test that passes waits for a fraction of this
+POLL_S = 0.005
+
+
+class Heard(NamedTuple):
+    """One message, or one line of a process, and when it arrived on the monotonic clock."""
+
+    at_s: float
+    what: Any
+
+
+class Record:
+    """What arrived so far, in order. Grows in another thread."""
+
+    def __init__(self, name: str):
+        self.name = name
+        self._heard: List[Heard] = []
+        self._grown = threading.Condition()
+
+    def add(self, what) -> None:
+        """Take one more."""
+        with self._grown:
+            self._heard.append(Heard(time.monotonic(), what))
+            self._grown.notify_all()
+
+    def mark(self) -> int:
+        """The place after the newest, for ``since``."""
+        return len(self._heard)
+
+    def since(self, mark: int = 0) -> List[Any]:
+        """What arrived from ``mark`` on."""
+        return [heard.what for heard in self._heard[mark:]]
+
+    def heard_since(self, mark: int = 0) -> List[Heard]:
+        """The same, with the times."""
+        return self._heard[mark:]
+
+    def wait_for(self, wanted: Callable[[Any], bool], since: int = 0, within_s: float = PATIENCE_S) -> Heard:
+        """The first from ``since`` on that is ``wanted``.
+
+        Raises:
+            AssertionError: when none came in time, with what came instead.
+        """
+        deadline_s = time.monotonic() + within_s
+        next_index = since
+        with self._grown:
+            while True:
+                while next_index < len(self._heard):
+                    heard = self._heard[next_index]
+                    next_index += 1
+                    if wanted(heard.what):
+                        return heard
+                left_s = deadline_s - time.monotonic()
+                if left_s <= 0:
+                    seen = self._heard[since:]
+                    raise AssertionError(
+                        f"{self.name}: not within {within_s} s; {len(seen)} others came, the last {[h.what for h in seen[-3:]]}")
+                self._grown.wait(left_s)
+
+    def wait_for_count(self, count: int, since: int = 0, within_s: float = PATIENCE_S) -> List[Any]:
+        """All from ``since`` on, as soon as there are ``count``."""
+        eventually(lambda: len(self._heard) - since >= count, f"{count} on {self.name}", within_s)
+        return self.since(since)
+
+
+class Topic(Record):
+    """Everything that a topic carried since this was made."""
+
+    def __init__(self, name: str, message_type):
+        super().__init__(name)
+        self._subscriber = rospy.Subscriber(name, message_type, self.add, tcp_nodelay=True)
+
+    def connected(self, publishers: int = 1) -> Topic:
+        """Wait until that many nodes publish to it."""
+        eventually(lambda: self._subscriber.get_num_connections() >= publishers, f"a publisher of {self.name}")
+        return self
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._subscriber.unregister()
+
+
+class Sender:
+    """Publishes to a topic, once there's somebody to hear it."""
+
+    def __init__(self, name: str, message_type, listeners: int = 1):
+        self._make = message_type
+        self._publisher = rospy.Publisher(name, message_type, queue_size=100, tcp_nodelay=True)
+        self.publish = self._publisher.publish
+        eventually(lambda: self._publisher.get_num_connections() >= listeners, f"a subscriber of {name}")
+
+    def close(self) -> None:
+        """Stop publishing."""
+        self._publisher.unregister()
+
+
+class Repeater:
+    """Publishes the newest message of several senders over and over: inputs that stay fresh."""
+
+    def __init__(self, period_s: float = 0.05):
+        self._period_s = period_s
+        self._messages: dict = {}
+        self._lock = threading.Lock()
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def hold(self, sender: Sender, message) -> None:
+        """Publish ``message`` now, and again and again."""
+        with self._lock:
+            self._messages[sender] = message
+            sender.publish(message)
+
+    def drop(self, *senders: Sender) -> None:
+        """Let inputs fall silent; all of them when none is named."""
+        with self._lock:
+            for sender in senders or list(self._messages):
+                self._messages.pop(sender, None)
+
+    def end(self) -> None:
+        """Stop."""
+        self._ending.set()
+        self._thread.join()
+
+    def _run(self):
+        while not self._ending.wait(self._period_s):
+            with self._lock:
+                for sender, message in self._messages.items():
+                    sender.publish(message)
+
+
+class NodeProcess:
+    """A node, or any program, started by the test. Its output is two records of lines."""
+
+    def __init__(self, *command: str):
+        self.name = " ".join(command)
+        self.started_s = time.monotonic()
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            universal_newlines=True, errors="replace")
+        self.stdout = Record(f"stdout of {self.name}")
+        self.stderr = Record(f"stderr of {self.name}")
+        self._readers = [threading.Thread(target=self._read, args=pipe, daemon=True)
+                         for pipe in ((self._process.stdout, self.stdout), (self._process.stderr, self.stderr))]
+        for reader in self._readers:
+            reader.start()
+
+    @staticmethod
+    def _read(stream, record):
+        with stream:
+            for line in stream:
+                record.add(line.rstrip("\n"))
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    def runs(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
+    def wait_for_line(self, pattern: str, since: int = 0) -> str:
+        """The first line on stderr, from ``since`` on, in which the pattern is found."""
+        return self.stderr.wait_for(lambda line: re.search(pattern, line), since).what
+
+    def wait_for_info(self, pattern: str, since: int = 0) -> str:
+        """The first line on stdout in which the pattern is found; rospy logs up to INFO there."""
+        return self.stdout.wait_for(lambda line: re.search(pattern, line), since).what
+
+    def wait_for_exit(self, within_s: float = PATIENCE_S) -> int:
+        """The exit code, all output read."""
+        try:
+            code = self._process.wait(within_s)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"{self.name} didn't end within {within_s} s") from None
+        for reader in self._readers:
+            reader.join(within_s)
+        return code
+
+    def end(self, number: int = signal.SIGINT, within_s: float = PATIENCE_S) -> int:
+        """Send a signal; the exit code."""
+        if self.runs():
+            self._process.send_signal(number)
+        return self.wait_for_exit(within_s)
+
+    def clean_up(self) -> None:
+        """Leave nothing behind, however the test ended."""
+        if self.runs():
+            self._process.kill()
+        self.wait_for_exit()
+
+
+def executable(node: str) -> str:
+    """The path of one of this package's nodes, as roslaunch finds it."""
+    return find_node("car_interface", node)[0]
+
+
+def start_node(test, node: str, *arguments: str, name: Optional[str] = None) -> NodeProcess:
+    """Start a node of this package by itself; it ends with the test at the latest."""
+    names = [f"__name:={name}"] if name else []
+    return start(test, executable(node), *arguments, *names)
+
+
+def start(test, *command: str) -> NodeProcess:
+    """Start a program; it ends with the test at the latest."""
+    process = NodeProcess(*command)
+    test.addCleanup(process.clean_up)
+    return process
+
+
+def eventually(condition: Callable[[], Any], what: str, within_s: float = PATIENCE_S) -> Any:
+    """What ``condition`` returns once that is true.
+
+    Raises:
+        AssertionError: when it stayed false until the deadline.
+    """
+    deadline_s = time.monotonic() + within_s
+    while True:
+        result = condition()
+        if result:
+            return result
+        if time.monotonic() >= deadline_s:
+            raise AssertionError(f"not within {within_s} s: {what}")
+        time.sleep(POLL_S)
+
+
+def retried(attempt: Callable[[], Any], times: int = 5) -> Any:
+    """What ``attempt`` returns; one that fails an assertion is made again, for measurements on a machine that is busy."""
+    for left in reversed(range(times)):
+        try:
+            return attempt()
+        except AssertionError:
+            if not left:
+                raise
+    return None
+
+
+def rate_hz(record: Record, over_s: float) -> float:
+    """How many arrive in a second, by the arrivals of the next ``over_s`` seconds."""
+    mark = record.mark()
+    first = record.wait_for(lambda _: True, mark)
+    record.wait_for(lambda _: time.monotonic() - first.at_s >= over_s, mark)
+    arrivals_s = [heard.at_s for heard in record.heard_since(mark)]
+    return (len(arrivals_s) - 1) / (arrivals_s[-1] - arrivals_s[0])
+
+
+def set_params(test, namespace: str, values: dict) -> None:
+    """Put parameters on the server; they go with the test."""
+    for name, value in values.items():
+        path = os.path.join(namespace, name)
+        rospy.set_param(path, value)
+        test.addCleanup(delete_param, path)
+
+
+def delete_param(path) -> None:
+    """Take a parameter from the server, if it is there."""
+    if rospy.has_param(path):
+        rospy.delete_param(path)
