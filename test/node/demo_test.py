@@ -57,7 +57,8 @@ class TwoCarsDrive(unittest.TestCase):
         with rosbag.Bag(path) as bag:
             counts = {topic: info.message_count for topic, info in bag.get_type_and_topic_info().topics.items()}
         for topic, at_least in (("/servo/output", 30), ("/servo/cmdVector", 3000), ("/teensy_wheel", 500),
-                                ("/teensy_distance", 200), ("/teensy_pong", 20), ("/turn_arb/state", 200), ("/joy", 500)):
+                                ("/teensy_distance", 200), ("/teensy_pong", 20), ("/turn_arb/state", 200),
+                                ("/joy", 500)):
             self.assertGreater(counts.get(topic, 0), at_least, topic)
 
 

@@ -12,11 +12,11 @@ import unittest
 import rospkg
 import rospy
 import rostest
+from car_interface.msg import Control, Float64Stamped, SteeringState
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Bool, Int32MultiArray
 
-from car_interface.msg import Control, Float64Stamped, SteeringState
 from waiting import Repeater, Sender, Topic, delete_param, rate_hz, retried, start_node
 
 NAN, INF = math.nan, math.inf
@@ -25,7 +25,7 @@ NEUTRAL = 4915
 DAY_S = 86_400
 TOLERANCE = 1e-9
 
-# Accelerations in m/s² that a float32 holds exactly, and velocities in m/s, on the map's points, between and beyond them.
+# Accelerations in m/s² that a float32 holds exactly, and velocities in m/s: on the map's points, between, and beyond.
 LOOKUPS = [(acceleration, velocity)
            for acceleration in (-100.0, -8.0, -4.25, -1.125, -0.5, 0.0, 0.25, 1.0, 2.875, 5.0, 100.0)
            for velocity in (-1.0, 0.0, 0.5, 1.0, 3.75, 7.0, 9.99, 10.0, 50.0)]
@@ -229,11 +229,12 @@ class ConverterByItself(unittest.TestCase):
         return lines[0]
 
     def map_file(self, text):
-        file = tempfile.NamedTemporaryFile("w", suffix=".csv", delete=False)
-        self.addCleanup(os.unlink, file.name)
-        with file:
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        path = os.path.join(folder.name, "map.csv")
+        with open(path, "w", encoding="utf-8") as file:
             file.write(text)
-        return file.name
+        return path
 
     def test_a_bad_map_ends_the_node_with_one_line_that_says_where(self):
         for text, where in (("default,0,1\n0,0,0\n1,1", "line 3 has 2 columns"),

@@ -50,7 +50,8 @@ class Pca9685WithItsShippedConfig(unittest.TestCase):
         return self.outputs.wait_for(lambda output: output.data == tuple(data), max(held, 0))
 
     def wait_for_warning(self, text, since):
-        self.log.wait_for(lambda entry: entry.name == "/pca9685" and entry.level == Log.WARN and text in entry.msg, since)
+        self.log.wait_for(
+            lambda entry: entry.name == "/pca9685" and entry.level == Log.WARN and text in entry.msg, since)
 
     def test_the_line_in_the_readme_works_as_typed(self):
         """On a second node with no parameter set, whose channel 0 is off unless a command sets it."""
@@ -157,7 +158,8 @@ class Pca9685ByItself(unittest.TestCase):
     def test_scalars_stand_for_all_channels_and_lists_for_each(self):
         timeout_values = [16 * channel for channel in range(16)]
         pwm_max = [65535] * 15 + [4000]
-        process, outputs = self.start("lists", "_device:=virtual", "_timeout:=60000", f"_timeout_value:={timeout_values}",
+        process, outputs = self.start("lists", "_device:=virtual", "_timeout:=60000",
+                                      f"_timeout_value:={timeout_values}",
                                       "_pwm_min:=3200", f"_pwm_max:={pwm_max}")
         outputs.wait_for(lambda output: list(output.data) == timeout_values)
         Sender("/lists/command", Int32MultiArray).publish(vector(rest=0))

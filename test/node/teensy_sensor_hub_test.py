@@ -25,10 +25,10 @@ import rosnode
 import rospkg
 import rospy
 import rostest
-from std_srvs.srv import Trigger
-
 from car_interface.msg import Distance, Error, Pong, Wheel
 from car_interface.srv import SetSonarSequence, SetSonarWait
+from std_srvs.srv import Trigger
+
 from waiting import PATIENCE_S, Record, Topic, eventually, retried, start_node
 
 FILLER = bytes(39)
@@ -85,7 +85,8 @@ def unescaped(on_wire):
 def frame_from_teensy(body):
     """A frame as the firmware sends it: one's-complement checksum, stuffed. For bodies of small numbers."""
     chk = 0xFF - sum(body) % 0xFF
-    stuffed = b"".join(bytes((0x7D, byte ^ 0x20)) if byte in (0x7D, 0x7E) else bytes((byte,)) for byte in body + bytes((chk,)))
+    stuffed = b"".join(bytes((0x7D, byte ^ 0x20)) if byte in (0x7D, 0x7E) else bytes((byte,))
+                       for byte in body + bytes((chk,)))
     return FLAG + stuffed + FLAG
 
 
@@ -204,7 +205,7 @@ class Terminal:
 
     def wait_for_exit(self):
         """The exit code; −n for signal n."""
-        _, status = eventually(lambda: self._ended(), f"the end of {self.lines.name}")
+        _, status = eventually(self._ended, f"the end of {self.lines.name}")
         return os.WEXITSTATUS(status) if os.WIFEXITED(status) else -os.WTERMSIG(status)
 
     def clean_up(self):
@@ -327,7 +328,8 @@ class HubUnderRoslaunch(unittest.TestCase):
                 self.assertEqual((response.success, response.message), (False, reason))
         self.assertTrue(self.call("set_sonar_wait", SetSonarWait, 50).success)
         line.wait_for_frame(WAIT_50_MS, mark)
-        self.assertEqual([frame for frame in line.frames(mark) if not frame.startswith(PING_HEADER.hex())], [WAIT_50_MS])
+        commands = [frame for frame in line.frames(mark) if not frame.startswith(PING_HEADER.hex())]
+        self.assertEqual(commands, [WAIT_50_MS])
 
     def test_counters_asked_for_twice_within_a_second_are_refused_once(self):
         self.plug_in()
@@ -448,7 +450,8 @@ class HubByItself(unittest.TestCase):
 
     def test_what_it_cannot_work_with_ends_it_with_one_line(self):
         cases = [
-            ("checksum", "_firmware_checksum:=right", "firmware_checksum is 'right'; accepted: one of auto, shipped, corrected"),
+            ("checksum", "_firmware_checksum:=right",
+             "firmware_checksum is 'right'; accepted: one of auto, shipped, corrected"),
             ("period", "_ping_period:=0", "ping_period is 0; accepted: a number from 0.01 to 3600"),
             ("unknown", "_bauds:=9600", "unknown parameter bauds is 9600; accepted: only baud,"),
             ("required", "_required:=true", f"Teensy on {self.port}: there is no such port"),
@@ -463,7 +466,8 @@ class HubByItself(unittest.TestCase):
 
     def test_keys_on_a_terminal_of_its_own_send_their_commands_and_q_restores_it(self):
         line = self.plug_in()
-        terminal = self.terminal("rosrun", "car_interface", "teensy_sensor_hub", f"_port:={self.port}", "_ping_period:=60",
+        terminal = self.terminal("rosrun", "car_interface", "teensy_sensor_hub", f"_port:={self.port}",
+                                 "_ping_period:=60",
                                  "__name:=with_keys")
         terminal.wait_for_line("keys: P ping, S sonar start")
         line.opened()
@@ -502,7 +506,8 @@ class HubByItself(unittest.TestCase):
         terminal.type(b"SNRCXYSNRCXY")
         rospy.ServiceProxy("/launched/teensy_sensor_hub/set_sonar_wait", SetSonarWait)(50)
         line.wait_for_frame(WAIT_50_MS, mark)
-        self.assertEqual([frame for frame in line.frames(mark) if not frame.startswith(PING_HEADER.hex())], [WAIT_50_MS])
+        commands = [frame for frame in line.frames(mark) if not frame.startswith(PING_HEADER.hex())]
+        self.assertEqual(commands, [WAIT_50_MS])
         self.assertEqual(terminal.settings(), terminal.settings_before)
         terminal.type(b"\x03")
         self.assertEqual(terminal.wait_for_exit(), 0)

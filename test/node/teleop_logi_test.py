@@ -76,8 +76,11 @@ class TeleopByItsTopics(unittest.TestCase):
         for pressed in (1, 0, 1):
             self.joy.publish(joy(manual=pressed))
         released = self.human.wait_for(lambda message: not message.data, mark)
-        pressed_again = self.human.wait_for(lambda message: message.data, self.human.since(0).index(released.what, mark))
+        pressed_again = self.human.wait_for(lambda message: message.data, mark + self.place_of(released, mark))
         self.assertLess(pressed_again.at_s - released.at_s, 0.25)  # the timeout has no part in it
+
+    def place_of(self, heard, mark):
+        return self.human.heard_since(mark).index(heard)
 
     def test_a_gamepad_that_falls_silent_releases_after_a_quarter_of_a_second(self):
         self.hold(steering=1.0, manual=1)

@@ -13,10 +13,10 @@ import rospkg
 import rospy
 import rostest
 import yaml
+from car_interface.msg import SteeringState
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
-from car_interface.msg import SteeringState
 from waiting import Repeater, Sender, Topic, rate_hz, retried, set_params, start_node
 
 LEFT, CENTER, RIGHT = 3800, 5100, 6700
@@ -287,9 +287,9 @@ class TurnArbParameters(unittest.TestCase):
                  r"k_pwmcmd_left_table_servo is \[.*; accepted: 15 numbers"),
                 ("text", {"servo_left": "left"}, "servo_left is 'left'; accepted: an integer from 0 to 65535"),
                 ("boolean", {"servo_right": True}, "servo_right is True; accepted: an integer from 0 to 65535"),
-                ("axis_not_increasing", {"m_turnrad_axis_servo": axis[:3] + [3] + axis[4:]},
+                ("axis_not_increasing", {"m_turnrad_axis_servo": [*axis[:3], 3, *axis[4:]]},
                  r"m_turnrad_axis_servo\[3\] is 3\.0; accepted: more than the element before it"),
-                ("not_a_number", {"k_pwmcmd_right_table_servo": [NAN] + table[1:]},
+                ("not_a_number", {"k_pwmcmd_right_table_servo": [NAN, *table[1:]]},
                  r"k_pwmcmd_right_table_servo\[0\] is nan; accepted: a number from 0 to 65535"),
                 ("negative_timeout", {"human_timeout": -1}, "human_timeout is -1; accepted: a number from 0.0 to 3600"),
             )])

@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""The hub against the virtual Teensy: pings, commands and odometers over a serial line that answers as the firmware does."""
+"""The hub against the virtual Teensy: pings, commands and odometers, answered as the firmware answers."""
 from __future__ import annotations
 
 import unittest
 
 import rospy
 import rostest
+from car_interface.msg import Distance, Error, LinkStatus, Pong, Wheel, WheelDirection
+from car_interface.srv import SetSonarSequence, SetSonarWait
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import Trigger
 
-from car_interface.msg import Distance, Error, LinkStatus, Pong, Wheel, WheelDirection
-from car_interface.srv import SetSonarSequence, SetSonarWait
 from waiting import Sender, Topic, eventually
 
 PINGS = 100
@@ -108,7 +108,8 @@ class HubAgainstARepairedTeensy(unittest.TestCase):
     def test_auto_changes_to_the_corrected_checksum_and_the_clock_may_wrap(self):
         links = Topic("/repaired/teensy_sensor_hub/link", LinkStatus)
         pongs = Topic("/repaired/teensy_pong", Pong)
-        link = links.wait_for(lambda status: status.pongs > 2 and status.firmware_checksum == "corrected", within_s=40).what
+        link = links.wait_for(
+            lambda status: status.pongs > 2 and status.firmware_checksum == "corrected", within_s=40).what
         self.assertTrue(link.open)
         pongs.wait_for(lambda pong: pong.timestamp2 < 1_000_000)
         self.assertEqual(link.bad_frames + link.malformed_frames, 0)

@@ -1,4 +1,4 @@
-"""Waiting for what nodes do: topics and processes as a test sees them, each wait with a deadline and none of them blind."""
+"""Waiting for what nodes do: topics and processes as a test sees them. Every wait has a deadline and none is blind."""
 from __future__ import annotations
 
 import os
@@ -7,7 +7,7 @@ import signal
 import subprocess
 import threading
 import time
-from typing import Any, Callable, List, NamedTuple, Optional
+from typing import Any, Callable, NamedTuple
 
 import rospy
 from roslib.packages import find_node
@@ -28,7 +28,7 @@ class Record:
 
     def __init__(self, name: str):
         self.name = name
-        self._heard: List[Heard] = []
+        self._heard: list[Heard] = []
         self._grown = threading.Condition()
 
     def add(self, what) -> None:
@@ -41,11 +41,11 @@ class Record:
         """The place after the newest, for ``since``."""
         return len(self._heard)
 
-    def since(self, mark: int = 0) -> List[Any]:
+    def since(self, mark: int = 0) -> list[Any]:
         """What arrived from ``mark`` on."""
         return [heard.what for heard in self._heard[mark:]]
 
-    def heard_since(self, mark: int = 0) -> List[Heard]:
+    def heard_since(self, mark: int = 0) -> list[Heard]:
         """The same, with the times."""
         return self._heard[mark:]
 
@@ -68,10 +68,11 @@ class Record:
                 if left_s <= 0:
                     seen = self._heard[since:]
                     raise AssertionError(
-                        f"{self.name}: not within {within_s} s; {len(seen)} others came, the last {[h.what for h in seen[-3:]]}")
+                        f"{self.name}: not within {within_s} s; {len(seen)} others came, "
+                        f"the last {[h.what for h in seen[-3:]]}")
                 self._grown.wait(left_s)
 
-    def wait_for_count(self, count: int, since: int = 0, within_s: float = PATIENCE_S) -> List[Any]:
+    def wait_for_count(self, count: int, since: int = 0, within_s: float = PATIENCE_S) -> list[Any]:
         """All from ``since`` on, as soon as there are ``count``."""
         eventually(lambda: len(self._heard) - since >= count, f"{count} on {self.name}", within_s)
         return self.since(since)
@@ -210,7 +211,7 @@ def executable(node: str) -> str:
     return find_node("car_interface", node)[0]
 
 
-def start_node(test, node: str, *arguments: str, name: Optional[str] = None) -> NodeProcess:
+def start_node(test, node: str, *arguments: str, name: str | None = None) -> NodeProcess:
     """Start a node of this package by itself; it ends with the test at the latest."""
     names = [f"__name:={name}"] if name else []
     return start(test, executable(node), *arguments, *names)
@@ -240,7 +241,7 @@ def eventually(condition: Callable[[], Any], what: str, within_s: float = PATIEN
 
 
 def retried(attempt: Callable[[], Any], times: int = 5) -> Any:
-    """What ``attempt`` returns; one that fails an assertion is made again, for measurements on a machine that is busy."""
+    """What ``attempt`` returns; one that fails an assertion is made again: measurements on a machine that is busy."""
     for left in reversed(range(times)):
         try:
             return attempt()
