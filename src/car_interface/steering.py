@@ -20,8 +20,6 @@ from car_interface.interpolation import LookupTable, round_half_away
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
 SOURCE_NAMES = ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
 
-MAX_DUTY = 65535
-CHANNELS = 16
 NO_RADIUS_M = 0.001  # a requested radius this close to 0 means "no request", as in the original
 FLOAT32_SLACK = 1 + 2 ** -23  # 0.001 arrives from a Float32 as 0.001000000047
 
@@ -163,10 +161,3 @@ class SteeringArbiter:
         """The duty for a turn radius: looked up by magnitude, saturated beyond the axis; the sign picks the table."""
         table = self._left if radius_m > 0 else self._right
         return round_half_away(table(abs(radius_m)))
-
-
-def servo_vector(channel: int, duty: int) -> list:
-    """The 16 values of /servo/cmdVector that set one channel and leave the others alone (−1)."""
-    vector = [-1] * CHANNELS
-    vector[channel] = duty
-    return vector

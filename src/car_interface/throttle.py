@@ -12,7 +12,8 @@ from car_interface.conversion import Conversion, Converter
 from car_interface.errors import ConfigError
 from car_interface.freshness import Heard
 from car_interface.interpolation import LookupTable, round_half_away
-from car_interface.steering import MAX_DUTY, NEUTRAL, PLANNER, TELEOP, source_name
+from car_interface.servo import MAX_DUTY
+from car_interface.steering import NEUTRAL, PLANNER, TELEOP, source_name
 
 
 @dataclass(frozen=True)

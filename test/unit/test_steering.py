@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.errors import ConfigError
+from car_interface.servo import one_channel
 from car_interface.steering import (
     LOCKED,
     NEUTRAL,
@@ -20,7 +21,6 @@ from car_interface.steering import (
     TELEOP,
     SteeringArbiter,
     SteeringConfig,
-    servo_vector,
 )
 
 S = 1_000_000_000
@@ -345,9 +345,9 @@ def test_calibration_with_a_fault_is_refused_naming_the_parameter(changes, messa
         SteeringArbiter(config(**changes))
 
 
-def test_servo_vector_sets_one_channel_of_sixteen_and_leaves_the_others_alone():
-    assert servo_vector(0, 5100) == [5100] + [-1] * 15
-    assert servo_vector(15, 0) == [-1] * 15 + [0]
+def test_one_channel_sets_one_channel_of_sixteen_and_leaves_the_others_alone():
+    assert one_channel(0, 5100) == [5100] + [-1] * 15
+    assert one_channel(15, 0) == [-1] * 15 + [0]
 
 
 def test_source_names_are_in_the_order_of_the_message_s_constants():

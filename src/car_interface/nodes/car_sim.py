@@ -32,16 +32,15 @@ from std_msgs.msg import Int32MultiArray
 
 from car_interface.errors import ConfigError
 from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run, subscribe
+from car_interface.servo import CHANNELS, UNCHANGED
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
-from car_interface.steering import CHANNELS
 
 STEP_NS = 2_000_000  # the car's longest step, and how often bytes leave
 TRUTH_RATE_HZ = 50
 LONGEST_BACKLOG = 4096  # bytes on their way to the Teensy: beyond it the writer waits, as behind a real UART
 LONGEST_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes on from now
-NEVER_SET = -1
 
 
 def read_vehicle(params) -> VehicleConfig:
@@ -91,7 +90,7 @@ class CarSim:
         params.finish()
         self._firmware = TeensyFirmware(
             firmware_config, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
-        self._outputs = [NEVER_SET] * CHANNELS
+        self._outputs = [UNCHANGED] * CHANNELS
         self._inbox = inbox
         self._complaints = Complaints()
         self._line = PseudoTerminal(port)

@@ -28,7 +28,7 @@ from car_interface.conversion import ConversionConfig, Converter
 from car_interface.msg import Control, Float64Stamped, SteeringState
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
-from car_interface.steering import CHANNELS, MAX_DUTY, servo_vector
+from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
 from car_interface.throttle import Throttle, ThrottleConfig
 from car_interface.value_map import load_value_map
 
@@ -143,7 +143,7 @@ class GenericValueConverter:
                 self._publish_throttle(decision)
 
     def _publish_throttle(self, decision):
-        self._commands.publish(duty_vector(servo_vector(self._channel, decision.duty)))
+        self._commands.publish(duty_vector(one_channel(self._channel, decision.duty)))
         before, self._decision = self._decision, decision
         if before is None or before.cause != decision.cause:
             rospy.loginfo("throttle %s: %s", "driving" if decision.driving else "neutral", decision.reason)

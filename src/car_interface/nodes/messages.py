@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from std_msgs.msg import Int32MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from car_interface.steering import CHANNELS
+from car_interface.servo import CHANNELS
 
 _LAYOUT = MultiArrayLayout(dim=[MultiArrayDimension(label="pwm_channel", size=CHANNELS, stride=1)], data_offset=0)
 

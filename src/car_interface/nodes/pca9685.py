@@ -27,8 +27,9 @@ from car_interface.errors import DeviceError
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run, subscribe
 from car_interface.pca9685.board import Board
-from car_interface.pca9685.channels import CHANNELS, UNCHANGED, ChannelConfig, Channels, differences
-from car_interface.pca9685.duty import MAX_DUTY, PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
+from car_interface.pca9685.channels import ChannelConfig, Channels, differences
+from car_interface.pca9685.duty import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
+from car_interface.servo import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 OUTPUT_RATE_HZ = 1

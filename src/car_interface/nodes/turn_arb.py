@@ -24,7 +24,8 @@ from std_msgs.msg import Bool, Float32, Int32MultiArray
 from car_interface.msg import SteeringState
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
-from car_interface.steering import CHANNELS, MAX_DUTY, SOURCE_NAMES, SteeringArbiter, SteeringConfig, servo_vector
+from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
+from car_interface.steering import SOURCE_NAMES, SteeringArbiter, SteeringConfig
 
 RATE_HZ = 100
 BEATS_PER_STATE = 10
@@ -132,7 +133,7 @@ class TurnArb:
         self._untold.clear()
 
     def _publish_command(self, decision):
-        self._commands.publish(duty_vector(servo_vector(self._channel, decision.duty)))
+        self._commands.publish(duty_vector(one_channel(self._channel, decision.duty)))
 
     def _publish_state(self, decision):
         self._states.publish(SteeringState(

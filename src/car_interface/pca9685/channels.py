@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.errors import ConfigError
-from car_interface.pca9685.duty import MAX_DUTY, counts_of_duty
+from car_interface.pca9685.duty import counts_of_duty
+from car_interface.servo import CHANNELS, MAX_DUTY, UNCHANGED
 
-CHANNELS = 16
-UNCHANGED = -1
 NS_PER_MS = 1_000_000
 
 

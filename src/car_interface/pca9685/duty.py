@@ -6,9 +6,9 @@ and 4096 for its full-on bit (data sheet 7.3.3), so that neither end leaves a gl
 from __future__ import annotations
 
 from car_interface.errors import ConfigError
+from car_interface.servo import MAX_DUTY
 
 COUNTS = 4096
-MAX_DUTY = 65535
 DUTY_PER_COUNT = 16  # 65536 / 4096
 FULL_BIT = 0x10  # bit 4 of LEDn_ON_H: full on; of LEDn_OFF_H: full off
 PRESCALE_MIN, PRESCALE_MAX = 3, 255  # 3 is forced by the hardware (data sheet 7.3.5)
