@@ -123,6 +123,7 @@ def run(name: str, node_class) -> None:
 
     Exits with code 1 and one line on a bad parameter, and when a device that is required can't be used.
     """
+    sys.stdout.reconfigure(line_buffering=True)  # a log line shows when it is said, in a file and a journal too
     try:
         rospy.init_node(name, disable_signals=True)
     except KeyboardInterrupt:  # while it waited for the master
