@@ -6,6 +6,7 @@ import csv
 import math
 import os
 import re
+import signal
 import tempfile
 import unittest
 
@@ -17,7 +18,7 @@ from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Bool, Int32MultiArray
 
-from waiting import Repeater, Sender, Topic, delete_param, rate_hz, retried, start_node
+from waiting import Repeater, Sender, Topic, delete_param, rate_hz, retried, set_params, start_node
 
 NAN, INF = math.nan, math.inf
 LOWEST, HIGHEST = -5.0, 3.0  # the shipped min_value and max_value
@@ -219,14 +220,20 @@ class Throttle(ConverterTest):
 class ConverterByItself(unittest.TestCase):
     """Nodes that the test starts with parameters of its own."""
 
-    def refused(self, *parameters):
-        """The one line with which the node ends."""
-        process = start_node(self, "generic_value_converter", *parameters, name="refused_converter")
-        self.assertEqual(process.wait_for_exit(), 1)
-        delete_param("/refused_converter")
-        lines = process.stderr.since()
-        self.assertEqual(len(lines), 1, lines)
-        return lines[0]
+    def expect_refusals(self, cases):
+        """Each (parameters, texts): exit code 1 and one line on stderr, with these texts in it."""
+        started = []
+        for number, (parameters, texts) in enumerate(cases):
+            name = f"refused_{number}"
+            self.addCleanup(delete_param, f"/{name}")
+            started.append((texts, start_node(self, "generic_value_converter", *parameters, name=name)))
+        for texts, process in started:
+            with self.subTest(texts):
+                self.assertEqual(process.wait_for_exit(), 1)
+                lines = process.stderr.since()
+                self.assertEqual(len(lines), 1, lines)
+                for text in texts:
+                    self.assertIn(text, lines[0])
 
     def map_file(self, text):
         folder = tempfile.TemporaryDirectory()
@@ -237,29 +244,44 @@ class ConverterByItself(unittest.TestCase):
         return path
 
     def test_a_bad_map_ends_the_node_with_one_line_that_says_where(self):
-        for text, where in (("default,0,1\n0,0,0\n1,1", "line 3 has 2 columns"),
-                            ("default,0,1\n0,0,0\n1,x,1\n", "line 3, column 2 is 'x'"),
-                            ("default,0,1\n0,0,0\n1,-1,1\n", "velocity 0.0 m/s, from value 0.0 to 1.0 falls"),
-                            ("default,0,1\n0,0,0\n1,0,1\n", "stays level at 0.0")):
-            path = self.map_file(text)
-            line = self.refused(f"_csv_path_value_map:={path}")
-            self.assertIn(path, line)
-            self.assertIn(where, line)
-        self.assertIn("csv_path_value_map is '/nowhere.csv'", self.refused("_csv_path_value_map:=/nowhere.csv"))
-        self.assertIn("Is a directory", self.refused("_csv_path_value_map:=/tmp"))
-        self.assertIn("csv_path_value_map is missing", self.refused())
+        cases = [((f"_csv_path_value_map:={path}",), (path, where)) for path, where in (
+            (self.map_file("default,0,1\n0,0,0\n1,1"), "line 3 has 2 columns"),
+            (self.map_file("default,0,1\n0,0,0\n1,x,1\n"), "line 3, column 2 is 'x'"),
+            (self.map_file("default,0,1\n0,0,0\n1,-1,1\n"), "velocity 0.0 m/s, from value 0.0 to 1.0 falls"),
+            (self.map_file("default,0,1\n0,0,0\n1,0,1\n"), "stays level at 0.0"),
+            ("/nowhere.csv", "csv_path_value_map is '/nowhere.csv'; accepted: a file that can be read (No such file"),
+            ("/tmp", "Is a directory"))]
+        self.expect_refusals([*cases, ((), ("csv_path_value_map is missing",))])
 
     def test_passthrough_is_clamped_and_needs_neither_map_nor_odometry(self):
         process = start_node(self, "generic_value_converter", "_convert_value_cmd:=false", name="passthrough")
         self.addCleanup(delete_param, "/passthrough")
         command = Sender("/passthrough/input/control_cmd", Control)
-        values = Topic("/passthrough/output/value", Float64Stamped).connected()
+        values = Topic("/passthrough/output/value", Float64Stamped)
+        inputs = Repeater()
+        self.addCleanup(inputs.end)
         for acceleration, value in ((1.5, 1.5), (100.0, HIGHEST), (-100.0, LOWEST), (0.0, 0.0)):
-            mark = values.mark()
-            command.publish(control(acceleration))
-            self.assertEqual(values.wait_for(lambda output: True, mark).what.data, value)
+            inputs.hold(command, control(acceleration))
+            values.wait_for(lambda output, value=value: output.data == value, values.mark())
+        self.assertEqual({output.data for output in values.since()}, {1.5, HIGHEST, LOWEST, 0.0})
         self.assertEqual(process.end(), 0)
         self.assertEqual(process.stderr.since(), [])
+
+    def test_an_esc_that_is_driven_gets_neutral_when_the_node_ends(self):
+        set_params(self, "/ending", {"convert_value_cmd": False, "servo": {
+            "channel": 1, "neutral": NEUTRAL, "value_axis": [LOWEST, 0.0, HIGHEST],
+            "duty_table": [3277, NEUTRAL, 6554]}})
+        process = start_node(self, "generic_value_converter", "/servo/cmdVector:=ending/cmdVector",
+                             "/teleop_logi/human_in_loop:=ending/human", "turn_arb/state:=ending/state", name="ending")
+        vectors = Topic("/ending/cmdVector", Int32MultiArray)
+        inputs = Repeater()
+        self.addCleanup(inputs.end)
+        inputs.hold(Sender("/ending/state", SteeringState), SteeringState(source=SteeringState.PLANNER))
+        inputs.hold(Sender("/ending/input/control_cmd", Control), control(100.0))
+        inputs.hold(Sender("/ending/human", Bool), Bool(True))
+        vectors.wait_for(lambda vector: vector.data[1] == 6554)
+        self.assertEqual(process.end(signal.SIGTERM), 0)
+        self.assertEqual(vectors.since()[-1].data[1], NEUTRAL)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import unittest
 
 import rospy
@@ -49,8 +50,12 @@ class TeleopByItsTopics(unittest.TestCase):
             topic.wait_for(lambda message, value=value: message.data == value, topic.mark())
 
     def test_everything_comes_at_50_hz_also_without_a_gamepad(self):
-        for topic in (self.human, self.steering, self.throttle):
-            retried(lambda topic=topic: self.assertAlmostEqual(rate_hz(topic, over_s=1.0), 50, delta=2))
+        def attempt():
+            marks = [topic.mark() for topic in (self.human, self.steering, self.throttle)]
+            self.assertAlmostEqual(rate_hz(self.human, over_s=1.0), 50, delta=2)
+            counts = [topic.mark() - mark for topic, mark in zip((self.human, self.steering, self.throttle), marks)]
+            self.assertLessEqual(max(counts) - min(counts), 2, counts)
+        retried(attempt)
 
     def test_manual_deadman_passes_the_sticks_on_both_ways(self):
         for steering, throttle in ((1.0, 0.5), (-1.0, -0.5), (0.25, 0.0)):
@@ -116,16 +121,32 @@ class TeleopByItsTopics(unittest.TestCase):
 class TeleopByItself(unittest.TestCase):
     def test_each_index_is_required_and_named(self):
         given = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5}
+        started = []
         for missing in given:
+            name = f"teleop_without_{missing}"
+            self.addCleanup(delete_param, f"/{name}")
+            arguments = [f"_{key}:={value}" for key, value in given.items() if key != missing]
+            started.append((missing, start_node(self, "teleop_logi", *arguments, name=name)))
+        for missing, process in started:
             with self.subTest(missing):
-                name = f"teleop_without_{missing}"
-                process = start_node(self, "teleop_logi", *(f"_{key}:={value}" for key, value in given.items()
-                                                            if key != missing), name=name)
-                self.addCleanup(delete_param, f"/{name}")
                 self.assertEqual(process.wait_for_exit(), 1)
                 lines = process.stderr.since()
                 self.assertEqual(len(lines), 1, lines)
                 self.assertIn(f"{missing} is missing; accepted: an integer from 0 to 63", lines[0])
+
+    def test_a_deadman_that_is_held_is_let_go_when_the_node_ends(self):
+        name = "teleop_that_ends"
+        process = start_node(self, "teleop_logi", "_steer_axis:=0", "_throttle_axis:=1", "_manual_button:=0",
+                             "_autonomous_button:=1", "joy:=ending/joy", "/teleop_logi/human_in_loop:=ending/human",
+                             name=name)
+        self.addCleanup(delete_param, f"/{name}")
+        human = Topic("/ending/human", Bool)
+        inputs = Repeater()
+        self.addCleanup(inputs.end)
+        inputs.hold(Sender("/ending/joy", Joy), Joy(axes=[0.0, 0.0], buttons=[1, 0]))
+        human.wait_for(lambda message: message.data)
+        self.assertEqual(process.end(signal.SIGTERM), 0)
+        self.assertIs(human.since()[-1].data, False)
 
 
 if __name__ == "__main__":

@@ -166,6 +166,7 @@ class TurnArbByItsTopics(unittest.TestCase):
         planner = Sender("/no_gamepad/av_turnrad_req", Float32)
         for each in (states, human, planner):
             self.addCleanup(each.close)
+        self.addCleanup(self.inputs.drop)  # comes before the closing: cleanups go last in, first out
         states.wait_for(lambda state: state.reason == "human_in_loop was never heard" and state.human_age == INF)
         self.inputs.hold(human, True)
         states.wait_for(lambda state: state.source == SteeringState.NEUTRAL
