@@ -72,9 +72,7 @@ class Converter:
         return Conversion(self._clamp(self._map.value_at(acceleration, self._odometry.value)))
 
     def odometry_trouble(self, now_ns: int) -> Conversion | None:
-        """Why the velocity can't be used at ``now_ns``; ``None`` when it can, or isn't needed."""
-        if self._map is None:
-            return None
+        """Why the velocity can't be used at ``now_ns``; ``None`` when it can."""
         if self._odometry.is_silent(now_ns):
             return Conversion(None, "odometry silent", self._odometry.silence(now_ns))
         if not math.isfinite(self._odometry.value):

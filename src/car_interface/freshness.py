@@ -39,7 +39,7 @@ class Heard:
 
     def age_s(self, now_ns: int) -> float:
         """Seconds since it was heard; inf = never."""
-        return math.inf if self._at_ns is None else (now_ns - self._at_ns) / NS_PER_S
+        return math.inf if self._at_ns is None else max(0, now_ns - self._at_ns) / NS_PER_S
 
     def silence(self, now_ns: int) -> str:
         """Its silence in words, for a reason: ``human_in_loop silent for 0.52 s``."""

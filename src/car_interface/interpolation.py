@@ -54,6 +54,8 @@ def check_axis(axis: Sequence[float], name: str) -> None:
             raise ConfigError(f"{name}[{index}]", x, "a finite number")
         if index and not x > axis[index - 1]:
             raise ConfigError(f"{name}[{index}]", x, f"more than the element before it, {axis[index - 1]!r}")
+    if not math.isfinite(axis[-1] - axis[0]):
+        raise ConfigError(name, list(axis), "a span that is a finite number")
 
 
 def round_half_away(x: float) -> int:

@@ -1,20 +1,23 @@
 """Who steers, and with what duty.
 
-Consumes what was heard (the deadman, the gamepad's steering, the planner's turn radius), each with its arrival
-on the monotonic clock, and answers with a ``Decision``: source, duty, and the reason in words. It calls no clock:
-``now_ns`` is passed in. Silence never grants control, it takes it away.
+Consumes what was heard (emergency stop, deadman, the gamepad's steering, the planner's turn radius), each with its
+arrival on the monotonic clock, and answers with a ``Decision``: source, duty, and the reason in words. It calls no
+clock: ``now_ns`` is passed in. Silence never grants control, it takes it away.
 
 Steering −1 is right and +1 left; a turn radius is in metres, right negative; a duty is 0..65535 of the PWM period.
 """
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Sequence
 
 from car_interface.errors import ConfigError
 from car_interface.freshness import Heard
 from car_interface.interpolation import LookupTable, round_half_away
+from car_interface.permission import Permission, PermissionConfig
+
+NS_PER_S = 1_000_000_000
 
 # Values of SteeringState.source, in order of priority.
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
@@ -36,7 +39,9 @@ class SteeringConfig:
         left_duties, right_duties: the duty that turns that tight, one for each radius.
         tele_steer_neutral: the request that means "not steering" (0.5 for an old 0..1 stack).
         tele_steer_deadband: requests this near to it mean the same.
-        human_timeout_s, teleop_timeout_s, planner_timeout_s: silence longer than this is a loss; 0 = never.
+        slew_limit: how fast gamepad and planner may move the servo, in duty per second; 0 = as fast as it can.
+        permission: the rules of lock and deadman.
+        teleop_timeout_s, planner_timeout_s: silence longer than this is a loss; 0 = never.
 
     Raises:
         ConfigError: naming the ROS parameter.
@@ -51,7 +56,8 @@ class SteeringConfig:
     right_duties: Sequence[float]
     tele_steer_neutral: float = 0.0
     tele_steer_deadband: float = 0.001
-    human_timeout_s: float = 0.5
+    slew_limit: float = 0.0
+    permission: PermissionConfig = field(default_factory=PermissionConfig)
     teleop_timeout_s: float = 0.5
     planner_timeout_s: float = 0.5
 
@@ -63,6 +69,7 @@ class SteeringConfig:
             raise ConfigError("servo_right", self.servo_right, "a duty other than servo_left's")
         if self.radius_axis_m and self.radius_axis_m[0] <= 0:
             raise ConfigError("m_turnrad_axis_servo[0]", self.radius_axis_m[0], "a radius above 0 m")
+
 
 def source_name(source: int) -> str:
     """The name of a value of SteeringState.source, or its number when it has none."""
@@ -76,7 +83,8 @@ class Decision(NamedTuple):
     duty: int
     cause: str  # the kind of reason: stays the same while the reason's numbers count on
     reason: str
-    human_age_s: float  # inf = never heard
+    e_stop_age_s: float  # inf = never heard
+    human_age_s: float
     teleop_age_s: float
     planner_age_s: float
 
@@ -88,8 +96,8 @@ class Decision(NamedTuple):
 class SteeringArbiter:
     """Decides who steers from the newest of each input.
 
-    No human → neutral; else the gamepad, if it steers; else the planner, if it asks; else neutral. A gamepad that was
-    heard once and fell silent or sends nonsense means neutral, not the planner: its owner thinks that he steers.
+    Locked or no human → neutral; else the gamepad, if it steers; else the planner, if it asks; else neutral. A gamepad
+    that was heard once and fell silent or sends nonsense means neutral, not the planner: its owner thinks he steers.
     """
 
     def __init__(self, config: SteeringConfig):
@@ -98,13 +106,19 @@ class SteeringArbiter:
                                  "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo")
         self._right = LookupTable(config.radius_axis_m, config.right_duties,
                                   "m_turnrad_axis_servo", "k_pwmcmd_right_table_servo")
-        self._human = Heard("human_in_loop", config.human_timeout_s)
+        self._permission = Permission(config.permission)
         self._teleop = Heard("tele_steer_req", config.teleop_timeout_s)
         self._planner = Heard("av_turnrad_req", config.planner_timeout_s)
+        self._slewed_duty: float = config.servo_center
+        self._slewed_ns = 0
+
+    def hear_e_stop(self, locked: bool, now_ns: int) -> None:
+        """The emergency stop: true = neutral, whoever asks for what."""
+        self._permission.hear_e_stop(locked, now_ns)
 
     def hear_human(self, present: bool, now_ns: int) -> None:
         """The deadman: true while a human holds it."""
-        self._human.hear(present, now_ns)
+        self._permission.hear_human(present, now_ns)
 
     def hear_teleop(self, steering: float, now_ns: int) -> None:
         """The gamepad's steering, −1 right to +1 left."""
@@ -115,18 +129,26 @@ class SteeringArbiter:
         self._planner.hear(radius_m, now_ns)
 
     def decide(self, now_ns: int) -> Decision:
-        """Who steers at ``now_ns``, with what duty, and why."""
+        """Who steers at ``now_ns``, with what duty, and why. With a slew limit the duty depends on the calls before."""
         source, duty, cause, reason = self._rule(now_ns)
-        return Decision(source, duty, cause, reason, self._human.age_s(now_ns), self._teleop.age_s(now_ns),
-                        self._planner.age_s(now_ns))
+        return Decision(source, self._slewed(source, duty, now_ns), cause, reason,
+                        self._permission.e_stop_age_s(now_ns), self._permission.human_age_s(now_ns),
+                        self._teleop.age_s(now_ns), self._planner.age_s(now_ns))
+
+    def _slewed(self, source, duty, now_ns):
+        """``duty``, or as far towards it as the limit allows by now; never slower to neutral."""
+        now_ns = max(now_ns, self._slewed_ns)
+        if source in (TELEOP, PLANNER) and self._config.slew_limit:
+            reach = self._config.slew_limit * (now_ns - self._slewed_ns) / NS_PER_S
+            duty = max(self._slewed_duty - reach, min(self._slewed_duty + reach, duty))
+        self._slewed_duty, self._slewed_ns = duty, now_ns
+        return round_half_away(duty)
 
     def _rule(self, now_ns):
         center = self._config.servo_center
-        if self._human.is_silent(now_ns):
-            cause = "human silent" if self._human.was_heard else "human never heard"
-            return NO_HUMAN, center, cause, self._human.silence(now_ns)
-        if not self._human.value:
-            return NO_HUMAN, center, "human absent", "human_in_loop is false"
+        refusal = self._permission.refusal(now_ns)
+        if refusal is not None:
+            return LOCKED if refusal.locked else NO_HUMAN, center, refusal.cause, refusal.reason
         if self._teleop.was_heard:
             if self._teleop.is_silent(now_ns):
                 return NEUTRAL, center, "teleop silent", self._teleop.silence(now_ns)

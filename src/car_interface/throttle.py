@@ -5,13 +5,14 @@ odometry are fresh: steering and throttle stop together.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Sequence
 
 from car_interface.conversion import Conversion, Converter
 from car_interface.errors import ConfigError
 from car_interface.freshness import Heard
 from car_interface.interpolation import LookupTable, round_half_away
+from car_interface.permission import Permission, PermissionConfig
 from car_interface.servo import MAX_DUTY
 from car_interface.steering import NEUTRAL, PLANNER, TELEOP, source_name
 
@@ -24,7 +25,8 @@ class ThrottleConfig:
         channel: 0..15.
         value_axis, duty_table: the duty for each value, linear between, saturated beyond.
         neutral: the duty that neither drives nor brakes.
-        human_timeout_s, steering_timeout_s, command_timeout_s: silence longer than this is a loss; 0 = never.
+        permission: the rules of lock and deadman.
+        steering_timeout_s, command_timeout_s: silence longer than this is a loss; 0 = never.
 
     Raises:
         ConfigError: naming the parameter.
@@ -34,7 +36,7 @@ class ThrottleConfig:
     value_axis: Sequence[float]
     duty_table: Sequence[float]
     neutral: int
-    human_timeout_s: float = 0.5
+    permission: PermissionConfig = field(default_factory=PermissionConfig)
     steering_timeout_s: float = 0.25
     command_timeout_s: float = 0.5
 
@@ -59,13 +61,17 @@ class Throttle:
         self._config = config
         self._converter = converter
         self._duty = LookupTable(config.value_axis, config.duty_table, "servo/value_axis", "servo/duty_table")
-        self._human = Heard("human_in_loop", config.human_timeout_s)
+        self._permission = Permission(config.permission)
         self._steering = Heard("turn_arb's state", config.steering_timeout_s)
         self._command = Heard("control_cmd", config.command_timeout_s)
 
+    def hear_e_stop(self, locked: bool, now_ns: int) -> None:
+        """The emergency stop: true = neutral."""
+        self._permission.hear_e_stop(locked, now_ns)
+
     def hear_human(self, present: bool, now_ns: int) -> None:
         """The deadman: true while a human holds it."""
-        self._human.hear(present, now_ns)
+        self._permission.hear_human(present, now_ns)
 
     def hear_steering(self, source: int, now_ns: int) -> None:
         """Who steers, as in SteeringState.source."""
@@ -85,10 +91,9 @@ class Throttle:
         return ThrottleDecision(duty, True, "driving", f"the value is {value:.3f}")
 
     def _hindrance(self, now_ns) -> Sequence[str] | None:
-        if self._human.is_silent(now_ns):
-            return "human silent", self._human.silence(now_ns)
-        if not self._human.value:
-            return "human absent", "human_in_loop is false"
+        refusal = self._permission.refusal(now_ns)
+        if refusal is not None:
+            return refusal.cause, refusal.reason
         if self._steering.is_silent(now_ns):
             return "steering silent", self._steering.silence(now_ns)
         if self._steering.value not in (NEUTRAL, TELEOP, PLANNER):

@@ -78,6 +78,7 @@ class ConverterTest(unittest.TestCase):
         cls.vectors = Topic("/servo/cmdVector", Int32MultiArray).connected()
         cls.command = Sender("/control/command/control_cmd", Control)
         cls.odometry = Sender("/localization/kinematic_state", Odometry)
+        cls.e_stop = Sender("/e_stop", Bool)
         cls.human = Sender("/teleop_logi/human_in_loop", Bool)
         cls.steering = Sender("/turn_arb/state", SteeringState)
 
@@ -175,9 +176,12 @@ class Throttle(ConverterTest):
 
     def drive(self):
         """All that it takes, and wait until the ESC is driven."""
+        self.inputs.hold(self.e_stop, Bool(False))
         self.inputs.hold(self.steering, SteeringState(source=SteeringState.TELEOP))
         self.inputs.hold(self.odometry, odometry(1.0))
         self.inputs.hold(self.command, control(100.0))
+        self.inputs.hold(self.human, Bool(False))  # what was lost comes back only by letting go and holding again
+        self.vectors.wait_for_count(5, self.vectors.mark())  # by then all topics have been heard
         self.inputs.hold(self.human, Bool(True))
         self.wait_for_duty(6554)
 
@@ -206,6 +210,8 @@ class Throttle(ConverterTest):
             ("a command is no number", lambda: self.inputs.hold(self.command, control(NAN))),
             ("odometry falls silent", lambda: self.inputs.drop(self.odometry)),
             ("odometry is no number", lambda: self.inputs.hold(self.odometry, odometry(NAN))),
+            ("the lock is on", lambda: self.inputs.hold(self.e_stop, Bool(True))),
+            ("the lock falls silent", lambda: self.inputs.drop(self.e_stop)),
         ]
         for name, break_it in faults:
             with self.subTest(name):
@@ -277,6 +283,7 @@ class ConverterByItself(unittest.TestCase):
         inputs = Repeater()
         self.addCleanup(inputs.end)
         inputs.hold(Sender("/ending/state", SteeringState), SteeringState(source=SteeringState.PLANNER))
+        inputs.hold(Sender("/ending/input/odometry", Odometry), odometry(1.0))
         inputs.hold(Sender("/ending/input/control_cmd", Control), control(100.0))
         inputs.hold(Sender("/ending/human", Bool), Bool(True))
         vectors.wait_for(lambda vector: vector.data[1] == 6554)

@@ -65,6 +65,7 @@ class TurnArbByItsTopics(unittest.TestCase):
         return self.commands.wait_for(lambda vector: steering_of(vector) == duty, since)
 
     def let_human_in(self, teleop=0.0, planner=0.0):
+        self.human.publish(False)  # what was lost comes back only by letting go and holding again
         self.inputs.hold(self.teleop, teleop)
         self.inputs.hold(self.planner, planner)
         self.inputs.hold(self.human, True)
@@ -153,6 +154,53 @@ class TurnArbByItsTopics(unittest.TestCase):
 
     def test_silent_human_means_center(self):
         self.expect_timeout(self.human, SteeringState.NO_HUMAN, r"human_in_loop silent for 0\.5\d s")
+
+    def test_human_who_was_silent_has_to_let_go_and_hold_again(self):
+        self.let_human_in(teleop=1.0)
+        self.wait_for_duty(LEFT, self.commands.mark())
+        self.inputs.drop(self.human)
+        self.wait_for_state(SteeringState.NO_HUMAN, "human_in_loop silent for .*")
+        self.inputs.hold(self.human, True)
+        self.wait_for_state(SteeringState.NO_HUMAN,
+                            "human_in_loop was silent: let go of the deadman, then hold it again")
+        for vector in self.commands.wait_for_count(20, self.commands.mark()):
+            self.assertEqual(steering_of(vector), CENTER)
+        self.inputs.hold(self.human, False)
+        self.inputs.hold(self.human, True)
+        self.wait_for_duty(LEFT, self.commands.mark())
+
+    def test_lock_stands_above_everything_and_fails_closed(self):
+        """In a car of its own, for a lock that was heard once is never again unheard."""
+        states = Topic("/locked/turn_arb/state", SteeringState).connected()
+        human = Sender("/locked/teleop_logi/human_in_loop", Bool)
+        planner = Sender("/locked/av_turnrad_req", Float32)
+        e_stop = Sender("/locked/e_stop", Bool)
+        for each in (states, human, planner, e_stop):
+            self.addCleanup(each.close)
+        self.addCleanup(self.inputs.drop)
+
+        def wait_for_source(source, reason=".*"):
+            return states.wait_for(lambda state: state.source == source and re.fullmatch(reason, state.reason),
+                                   states.mark()).what
+
+        def re_arm():
+            self.inputs.hold(human, False)
+            wait_for_source(SteeringState.NO_HUMAN, "human_in_loop is false")
+            self.inputs.hold(human, True)
+            wait_for_source(SteeringState.PLANNER)
+
+        self.inputs.hold(planner, -4.5)
+        self.inputs.hold(human, True)
+        self.assertEqual(wait_for_source(SteeringState.PLANNER).e_stop_age, INF)
+        self.inputs.hold(e_stop, True)
+        self.assertEqual(wait_for_source(SteeringState.LOCKED, "e_stop is true").duty, CENTER)
+        self.inputs.hold(e_stop, False)
+        wait_for_source(SteeringState.NO_HUMAN, "the lock was on: let go of the deadman, then hold it again")
+        re_arm()
+        self.inputs.drop(e_stop)
+        self.assertEqual(wait_for_source(SteeringState.LOCKED, r"e_stop silent for 1\.\d\d s").duty, CENTER)
+        self.inputs.hold(e_stop, False)
+        re_arm()
 
     def test_silent_teleop_means_neutral_although_the_planner_asks(self):
         self.expect_timeout(self.teleop, SteeringState.NEUTRAL, r"tele_steer_req silent for 0\.5\d s")

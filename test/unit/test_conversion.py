@@ -86,13 +86,13 @@ def test_odometry_heard_last_is_what_counts():
     assert converter.convert(2.0, NOW).value == pytest.approx(1.5)
 
 
-def test_trouble_with_the_odometry_is_none_where_it_is_fresh_or_not_needed():
-    converter = Converter(ConversionConfig(), MAP)
+@pytest.mark.parametrize("value_map", [MAP, None])
+def test_trouble_with_the_odometry_is_told_with_a_map_and_without(value_map):
+    converter = Converter(ConversionConfig(), value_map)
     assert converter.odometry_trouble(NOW).cause == "odometry silent"
     converter.hear_odometry(1.0, NOW)
     assert converter.odometry_trouble(NOW) is None
     assert converter.odometry_trouble(NOW + S).cause == "odometry silent"
-    assert Converter(ConversionConfig(), None).odometry_trouble(NOW) is None
 
 
 def test_limits_by_default_are_the_original_s():

@@ -13,8 +13,9 @@ PACKAGE = SRC / "car_interface"
 FOUNDATION = {"errors", "freshness", "interpolation", "servo"}
 # A room is a folder, or the modules named here, or else a single module.
 ROOM_OF = {"value_map": "acceleration", "conversion": "acceleration", "throttle": "acceleration"}
-# Between parts there is nothing but this: what drives the ESC reads who steers out of turn_arb's state.
-BETWEEN_PARTS = {("acceleration", "steering")}
+# Between parts there is nothing but this: what drives the ESC reads who steers out of turn_arb's state, and it asks for
+# permission by the same rules as the steering.
+BETWEEN_PARTS = {("acceleration", "steering"), ("acceleration", "permission"), ("steering", "permission")}
 # Devices and ROS are for nodes; numpy is imported where whole arrays are worked on, never with a module.
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
 ONLY_IN = {"rospy": ("nodes/",), "serial": ("teensy/link.py",), "smbus2": ("nodes/pca9685.py",)}

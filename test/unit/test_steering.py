@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.errors import ConfigError
+from car_interface.permission import PermissionConfig
 from car_interface.servo import one_channel
 from car_interface.steering import (
     LOCKED,
@@ -52,6 +53,8 @@ def config(**changes):
         "left_duties": SLASH_4X4["k_pwmcmd_left_table_servo"],
         "right_duties": SLASH_4X4["k_pwmcmd_right_table_servo"],
     }
+    if "human_timeout_s" in changes:
+        changes["permission"] = PermissionConfig(human_timeout_s=changes.pop("human_timeout_s"))
     settings.update(changes)
     return SteeringConfig(**settings)
 
@@ -361,3 +364,75 @@ def test_shipped_config_holds_the_slash_4x4_calibration():
     assert {name: shipped.get(name) for name in SLASH_4X4} == SLASH_4X4
     assert (shipped["tele_steer_neutral"], shipped["tele_steer_deadband"]) == (0.0, 0.001)
     assert shipped["input_timeout"] == 0.5
+
+
+def arbiter_with_a_human(**changes):
+    arbiter = SteeringArbiter(config(**changes))
+    arbiter.hear_human(True, NOW)
+    return arbiter
+
+
+def test_lock_stands_above_everything():
+    arbiter = arbiter_with_a_human()
+    arbiter.hear_teleop(1.0, NOW)
+    arbiter.hear_planner(5.0, NOW)
+    assert arbiter.decide(NOW).source == TELEOP
+    arbiter.hear_e_stop(True, NOW)
+    decision = arbiter.decide(NOW)
+    assert (decision.source, decision.duty, decision.reason) == (LOCKED, CENTER, "e_stop is true")
+
+
+def test_decision_carries_the_age_of_the_lock():
+    arbiter = arbiter_with_a_human()
+    assert arbiter.decide(NOW).e_stop_age_s == math.inf
+    arbiter.hear_e_stop(False, NOW)
+    assert arbiter.decide(NOW + S // 4).e_stop_age_s == pytest.approx(0.25)
+
+
+def test_slew_limit_moves_the_servo_no_faster():
+    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+    arbiter.decide(NOW)
+    arbiter.hear_teleop(1.0, NOW)
+    duties = [arbiter.decide(NOW + tenth * S // 10).duty for tenth in range(5)]
+    assert duties == [5100, 5000, 4900, 4800, 4700]
+    arbiter.hear_teleop(-1.0, NOW + 4 * S // 10)
+    assert arbiter.decide(NOW + 5 * S // 10).duty == 4800
+
+
+def test_slew_limit_holds_at_the_request_and_for_the_planner_too():
+    arbiter = arbiter_with_a_human(slew_limit=1000.0, planner_timeout_s=0.0,
+                                   permission=PermissionConfig(human_timeout_s=0.0))
+    arbiter.decide(NOW)
+    arbiter.hear_planner(1.0, NOW)  # 3800
+    assert [arbiter.decide(NOW + s * S).duty for s in (1, 2, 3)] == [4100, 3800, 3800]
+
+
+@pytest.mark.parametrize("stop", [
+    pytest.param(lambda arbiter, now_ns: arbiter.hear_human(False, now_ns), id="no_human"),
+    pytest.param(lambda arbiter, now_ns: arbiter.hear_e_stop(True, now_ns), id="locked"),
+    pytest.param(lambda arbiter, now_ns: arbiter.hear_teleop(0.0, now_ns), id="nobody_steers"),
+    pytest.param(lambda arbiter, now_ns: arbiter.hear_teleop(math.nan, now_ns), id="nonsense"),
+])
+def test_slew_limit_never_slows_the_way_back_to_neutral(stop):
+    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+    arbiter.decide(NOW)
+    arbiter.hear_teleop(1.0, NOW)
+    assert arbiter.decide(NOW + S // 2).duty == 4600
+    stop(arbiter, NOW + S // 2)
+    assert arbiter.decide(NOW + S // 2).duty == CENTER
+
+
+def test_slew_begins_anew_at_neutral_however_long_that_lasted():
+    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+    arbiter.decide(NOW)
+    arbiter.decide(NOW + S // 4)
+    arbiter.hear_teleop(1.0, NOW + S // 4)
+    assert arbiter.decide(NOW + S // 4).duty == CENTER
+
+
+def test_times_out_of_order_do_not_disturb_the_slew():
+    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+    arbiter.decide(NOW + S // 10)
+    arbiter.hear_teleop(1.0, NOW)
+    assert arbiter.decide(NOW).duty == CENTER
+    assert arbiter.decide(NOW + S // 5).duty == 5000

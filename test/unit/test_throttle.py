@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from car_interface.conversion import Conversion, ConversionConfig, Converter
 from car_interface.errors import ConfigError
+from car_interface.permission import PermissionConfig
 from car_interface.steering import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.throttle import Throttle, ThrottleConfig
 from car_interface.value_map import ValueMap
@@ -23,6 +24,8 @@ MAP = ValueMap([-5.0, 3.0], [0.0, 10.0], [[-5.0, -5.0], [3.0, 3.0]])
 def config(**changes):
     settings = {"channel": 1, "value_axis": [-5.0, 0.0, 3.0], "duty_table": [3277, 4915, 6554],
                 "neutral": NEUTRAL_DUTY}
+    if "human_timeout_s" in changes:
+        changes["permission"] = PermissionConfig(human_timeout_s=changes.pop("human_timeout_s"))
     settings.update(changes)
     return ThrottleConfig(**settings)
 
@@ -58,7 +61,7 @@ def test_esc_is_driven_whoever_steers(source):
 
 
 @pytest.mark.parametrize("hindrance, cause, reason", [
-    pytest.param({"human": None}, "human silent", "human_in_loop was never heard", id="human_never_heard"),
+    pytest.param({"human": None}, "human never heard", "human_in_loop was never heard", id="human_never_heard"),
     pytest.param({"human": (True, 0.51)}, "human silent", "human_in_loop silent for 0.51 s", id="human_silent"),
     pytest.param({"human": (False, 0.0)}, "human absent", "human_in_loop is false", id="human_lets_go"),
     pytest.param({"steering": None}, "steering silent", "turn_arb's state was never heard", id="turn_arb_never_heard"),
@@ -87,8 +90,9 @@ def test_inputs_exactly_as_old_as_their_timeouts_still_drive():
                   odometry=(0.0, 0.5)).driving
 
 
-def test_esc_without_a_map_needs_no_odometry():
-    assert decide(odometry=None, value_map=None).driving
+def test_esc_needs_odometry_also_where_accelerations_pass_through_without_a_map():
+    assert decide(value_map=None).driving
+    assert decide(odometry=None, value_map=None).cause == "odometry silent"
 
 
 @pytest.mark.parametrize("name, hindrance", [
@@ -104,6 +108,7 @@ def test_timeout_of_0_never_makes_an_input_silent(name, hindrance):
 def test_esc_released_and_held_again_drives_again():
     converter = Converter(ConversionConfig(), None)
     throttle = Throttle(config(), converter)
+    converter.hear_odometry(0.0, NOW)
     throttle.hear_steering(PLANNER, NOW)
     throttle.hear_conversion(Conversion(3.0), NOW)
     throttle.hear_human(True, NOW)
@@ -164,3 +169,15 @@ def test_neutral_at_an_end_of_the_table_is_accepted(neutral):
 
 def test_config_names_the_channel():
     assert config().channel == 1
+
+
+def test_lock_stops_the_esc_above_everything():
+    converter = Converter(ConversionConfig(), None)
+    throttle = Throttle(config(), converter)
+    converter.hear_odometry(0.0, NOW)
+    throttle.hear_steering(PLANNER, NOW)
+    throttle.hear_conversion(Conversion(3.0), NOW)
+    throttle.hear_human(True, NOW)
+    assert throttle.decide(NOW).driving
+    throttle.hear_e_stop(True, NOW)
+    assert throttle.decide(NOW) == (NEUTRAL_DUTY, False, "e_stop", "e_stop is true")

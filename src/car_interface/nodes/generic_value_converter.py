@@ -3,7 +3,7 @@
 Subscribes:
     ~input/control_cmd (Control): its longitudinal.acceleration in m/s².
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s.
-    With servo/channel set also /teleop_logi/human_in_loop (std_msgs/Bool) and turn_arb/state (SteeringState).
+    With servo/channel set also /e_stop, /teleop_logi/human_in_loop (std_msgs/Bool) and turn_arb/state (SteeringState).
 Publishes:
     ~output/value (Float64Stamped): one for each command that can be converted.
     With servo/channel set /servo/cmdVector (std_msgs/Int32MultiArray) at 50 Hz: the ESC's duty, all others −1.
@@ -14,6 +14,7 @@ Parameters:
     ~odometry_timeout 0.5 (s, 0 = never).
     ~servo/channel −1 (none), ~servo/value_axis, ~servo/duty_table, ~servo/neutral: the ESC.
     ~command_timeout 0.5, ~human_timeout 0.5, ~steering_timeout 0.25 (s, 0 = never): for the ESC.
+    ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false: as turn_arb's, for the ESC.
 """
 from __future__ import annotations
 
@@ -22,12 +23,13 @@ import time
 
 import rospy
 from nav_msgs.msg import Odometry
-from std_msgs.msg import Bool, Int32MultiArray
+from std_msgs.msg import Int32MultiArray
 
 from car_interface.conversion import ConversionConfig, Converter
 from car_interface.msg import Control, Float64Stamped, SteeringState
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
+from car_interface.nodes.permission import read_permission, subscribe_permission
 from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
 from car_interface.throttle import Throttle, ThrottleConfig
 from car_interface.value_map import load_value_map
@@ -60,7 +62,7 @@ def read_throttle(params, converter):
         "value_axis": params.numbers("servo/value_axis", **missing),
         "duty_table": params.numbers("servo/duty_table", low=0, high=MAX_DUTY, **missing),
         "neutral": params.integer("servo/neutral", low=0, high=MAX_DUTY, **({"default": 0} if missing else {})),
-        "human_timeout_s": params.timeout("human_timeout", 0.5),
+        "permission": read_permission(params),
         "steering_timeout_s": params.timeout("steering_timeout", 0.25),
         "command_timeout_s": params.timeout("command_timeout", 0.5),
     }
@@ -82,7 +84,7 @@ class GenericValueConverter:
         self._values = rospy.Publisher("~output/value", Float64Stamped, queue_size=10)
         if self._throttle is not None:
             self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
-            subscribe("/teleop_logi/human_in_loop", Bool, inbox, self._on_human)
+            subscribe_permission(inbox, self._throttle)
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
         subscribe("~input/control_cmd", Control, inbox, self._on_command)
@@ -121,9 +123,6 @@ class GenericValueConverter:
             self._complaints.warn(conversion.cause, f"no output: {conversion.reason}")
             return
         self._values.publish(Float64Stamped(stamp=rospy.Time.now(), data=conversion.value))
-
-    def _on_human(self, message, now_ns):
-        self._throttle.hear_human(message.data, now_ns)
 
     def _on_steering(self, message, now_ns):
         self._throttle.hear_steering(message.source, now_ns)

@@ -1,6 +1,7 @@
 """The turn_arb node: who steers, at 100 Hz and at once whenever that changes.
 
 Subscribes:
+    /e_stop (std_msgs/Bool): true = locked: neutral, whoever asks for what.
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left.
     av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 = no request.
@@ -11,6 +12,9 @@ Parameters (those of the original are also looked up in the namespaces around th
     servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
     k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
     ~tele_steer_neutral 0.0, ~tele_steer_deadband 0.001.
+    ~slew_limit 0 (duty per second, 0 = none): how fast gamepad and planner may move the servo.
+    ~e_stop_timeout 1.0 (s, 0 = never): a lock that was heard once and is silent for longer is on.
+    ~e_stop_required false: true = also one that was never heard.
     ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
 """
 from __future__ import annotations
@@ -19,15 +23,17 @@ import math
 import time
 
 import rospy
-from std_msgs.msg import Bool, Float32, Int32MultiArray
+from std_msgs.msg import Float32, Int32MultiArray
 
 from car_interface.msg import SteeringState
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
+from car_interface.nodes.permission import read_permission, subscribe_permission
 from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
 from car_interface.steering import SOURCE_NAMES, SteeringArbiter, SteeringConfig
 
 RATE_HZ = 100
+FASTEST_SLEW = 1e9  # duty per second: from end to end within a heartbeat, many times over
 BEATS_PER_STATE = 10
 # rospy sends by a thread of its own, which needs the interpreter: state and log wait until the command has left.
 TELL_AFTER_NS = 500_000
@@ -46,7 +52,8 @@ def read_config(params) -> SteeringConfig:
         right_duties=params.numbers("k_pwmcmd_right_table_servo", low=0, high=MAX_DUTY, outward=True),
         tele_steer_neutral=params.number("tele_steer_neutral", 0.0, low=-1, high=1),
         tele_steer_deadband=params.number("tele_steer_deadband", 0.001, low=0, high=1),
-        human_timeout_s=params.timeout("human_timeout", timeout_s),
+        slew_limit=params.number("slew_limit", 0.0, low=0, high=FASTEST_SLEW),
+        permission=read_permission(params, timeout_s),
         teleop_timeout_s=params.timeout("teleop_timeout", timeout_s),
         planner_timeout_s=params.timeout("planner_timeout", timeout_s),
     )
@@ -70,7 +77,7 @@ class TurnArb:
         self._tell_ns = 0
         self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
         self._states = rospy.Publisher("~state", SteeringState, queue_size=10, latch=True)
-        subscribe("/teleop_logi/human_in_loop", Bool, inbox, self._on_human)
+        subscribe_permission(inbox, self._arbiter)
         subscribe("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop)
         subscribe("av_turnrad_req", Float32, inbox, self._on_planner)
 
@@ -87,9 +94,6 @@ class TurnArb:
 
     def shut_down(self):
         """Nothing to undo: the servo board's own timeout takes over from here."""
-
-    def _on_human(self, message, now_ns):
-        self._arbiter.hear_human(message.data, now_ns)
 
     def _on_teleop(self, message, now_ns):
         self._arbiter.hear_teleop(message.data, now_ns)
@@ -138,7 +142,8 @@ class TurnArb:
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
             stamp=rospy.Time.now(), source=decision.source, reason=decision.reason, duty=decision.duty,
-            human_age=decision.human_age_s, teleop_age=decision.teleop_age_s, planner_age=decision.planner_age_s))
+            e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,
+            planner_age=decision.planner_age_s))
 
 
 def main():
