@@ -79,9 +79,9 @@ def test_script_is_executable_and_only_calls_its_node(script):
     assert "." not in script.name, "an extension could make it shadow a library"
     assert script.read_text(encoding="utf-8").split("\n") == [
         "#!/usr/bin/env python3",
-        f"from car_interface.nodes.{script.name} import main",
+        "from car_interface.start import start",
         "",
-        "main()",
+        f'start("{script.name}")',
         "",
     ]
 

@@ -22,7 +22,9 @@ class Bench:
     def __init__(self):
         self.chip = VirtualPca9685()
         self.log = []
-        self._bus = VirtualBus({ADDRESS: self.chip})
+        self.transfers = []  # bytes on the wire of each write, address and register included
+        self._bus = VirtualBus({ADDRESS: self.chip},
+                               on_write=lambda address, register, data: self.transfers.append(2 + len(data)))
         self.board = self.another_board()
 
     def another_board(self, prescale=PRESCALE_50_HZ):
@@ -56,9 +58,6 @@ class Bench:
     def writes(self):
         return [entry[1:] for entry in self.log if entry[0] == "write"]
 
-    def transfers(self):
-        return self._bus.transfers
-
 
 @pytest.fixture
 def bench():
@@ -70,7 +69,7 @@ def running(bench):
     """A bench whose board is initialised and whose log is empty."""
     bench.board.initialise()
     bench.log.clear()
-    bench.transfers().clear()
+    bench.transfers.clear()
     return bench
 
 
@@ -160,7 +159,7 @@ def test_chip_put_to_sleep_with_pulses_by_another_program_does_not_bring_them_ba
 def test_change_of_one_channel_is_one_transfer_of_six_bytes(running, channel):
     running.board.write({channel: CENTER})
     assert running.writes() == [(LED0_ON_L + 4 * channel, [0x00, 0x00, 0x3F, 0x01])]
-    assert running.transfers() == [6]
+    assert running.transfers == [6]
     assert running.high_counts()[channel] == CENTER
     assert running.board.held[channel] == CENTER
 
@@ -168,22 +167,22 @@ def test_change_of_one_channel_is_one_transfer_of_six_bytes(running, channel):
 def test_change_of_all_channels_is_two_transfers_of_34_bytes(running):
     changes = {channel: 100 + channel for channel in range(16)}
     running.board.write(changes)
-    assert running.transfers() == [34, 34]
+    assert running.transfers == [34, 34]
     assert running.high_counts() == list(changes.values())
     assert running.board.held == list(changes.values())
 
 
 def test_change_of_distant_channels_leaves_those_between_alone(running):
     running.board.write({1: 10, 2: 20, 9: 90})
-    assert running.transfers() == [10, 6]
+    assert running.transfers == [10, 6]
     assert running.high_counts() == [0, 10, 20, 0, 0, 0, 0, 0, 0, 90, 0, 0, 0, 0, 0, 0]
 
 
 def test_channels_that_did_not_change_cost_nothing(running):
     running.board.write({0: CENTER})
-    running.transfers().clear()
+    running.transfers.clear()
     running.board.write(differences(running.board.held, [CENTER] + [0] * 15))
-    assert running.transfers() == []
+    assert running.transfers == []
 
 
 @pytest.mark.parametrize("counts, high, registers", [
@@ -200,11 +199,11 @@ def test_ends_of_the_range_are_written_as_bits(running, counts, high, registers)
 
 def test_all_off_is_one_transfer_and_does_not_sleep(running):
     running.board.write({0: CENTER, 5: 4096})
-    running.transfers().clear()
+    running.transfers.clear()
     running.log.clear()
     running.board.all_off()
     assert running.writes() == [(0xFD, [0x10])]
-    assert running.transfers() == [3]
+    assert running.transfers == [3]
     assert running.high_counts() == [0] * 16
     assert running.board.held == [0] * 16
     assert not running.chip.read(MODE1, 1)[0] & SLEEP
@@ -219,7 +218,9 @@ class FailingBus(VirtualBus):
     """A bus whose n-th transfer from now, counted from 0, is not acknowledged; and each one after it."""
 
     def __init__(self, chip):
-        super().__init__({ADDRESS: chip})
+        self.transfers = []
+        super().__init__({ADDRESS: chip},
+                         on_write=lambda address, register, data: self.transfers.append(2 + len(data)))
         self.works_for = None
 
     def _chip(self, address):

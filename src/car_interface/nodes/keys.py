@@ -7,6 +7,8 @@ import sys
 import termios
 import tty
 
+NO_FD = -1  # standard input is closed
+
 
 class Keys:
     """Reads keys without Enter while the node is its terminal's foreground process group.
@@ -15,7 +17,9 @@ class Keys:
     """
 
     def __init__(self, fd: int | None = None):
-        self._fd = sys.stdin.fileno() if fd is None else fd
+        if fd is None:
+            fd = sys.stdin.fileno() if sys.stdin is not None else NO_FD
+        self._fd = fd
         self._saved = None
 
     def start(self) -> bool:
@@ -30,17 +34,20 @@ class Keys:
         """For the inbox to watch."""
         return self._fd
 
-    def read(self) -> str:
-        """What was typed since the last call; empty at the terminal's end, or when another program has it now."""
+    def read(self) -> str | None:
+        """What was typed since the last call; ``None`` when there's nothing to wait for.
+
+        That is when the terminal hung up, or another program has it now.
+        """
         if not self._in_foreground():
-            return ""
+            return None
         try:
             waiting, _, _ = select.select([self._fd], [], [], 0)  # a terminal's read waits for a key
             if not waiting:
                 return ""
-            return os.read(self._fd, 64).decode("ascii", "ignore")
+            return os.read(self._fd, 64).decode("ascii", "ignore") or None
         except OSError:
-            return ""
+            return None
 
     def restore(self) -> None:
         """Leave the terminal as it was found."""

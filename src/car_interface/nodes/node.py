@@ -6,6 +6,7 @@ they heard into the inbox. ``shut_down`` is called last, while topics still work
 """
 from __future__ import annotations
 
+import logging
 import os
 import select
 import signal
@@ -123,7 +124,8 @@ def run(name: str, node_class) -> None:
 
     Exits with code 1 and one line on a bad parameter, and when a device that is required can't be used.
     """
-    sys.stdout.reconfigure(line_buffering=True)  # a log line shows when it is said, in a file and a journal too
+    sys.stdout, sys.stderr = _LogStream(sys.stdout), _LogStream(sys.stderr)
+    logging.raiseExceptions = False  # a full disk is no fault of this node's either
     try:
         rospy.init_node(name, disable_signals=True)
     except KeyboardInterrupt:  # while it waited for the master
@@ -131,8 +133,9 @@ def run(name: str, node_class) -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     inbox = Inbox()
     ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: inbox.end())
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
+            signal.signal(number, lambda *_: inbox.end())
     rospy.on_shutdown(lambda: _end_and_wait(inbox, ended))
     failed = False
     try:
@@ -142,11 +145,37 @@ def run(name: str, node_class) -> None:
         failed = True
     except Exception as error:
         rospy.logfatal("a fault in this node itself (see its log file): %s: %s", type(error).__name__, error)
-        rospy.logdebug("%s", traceback.format_exc())
+        logging.getLogger("car_interface").error("%s", traceback.format_exc())  # ROS: to the log file only
         failed = True
     ended.set()
     rospy.signal_shutdown("ended")
     sys.exit(1 if failed else 0)
+
+
+class _LogStream:
+    """Standard output or error: a line shows when it is said, in a pipe too; one that nobody can read is no fault.
+
+    A terminal that was closed, or a pipe whose reader ended, must not end a node that drives a car.
+    """
+
+    def __init__(self, stream):
+        self._stream = stream  # None: it was closed at start
+
+    def write(self, text: str) -> None:
+        """Write and flush."""
+        try:
+            if self._stream is not None:
+                self._stream.write(text)
+                self._stream.flush()
+        except OSError:
+            self._stream = None
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def isatty(self) -> bool:
+        """Whether it's a terminal."""
+        return self._stream is not None and self._stream.isatty()
 
 
 def _live(node_class, inbox):

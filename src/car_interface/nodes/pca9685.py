@@ -5,43 +5,53 @@ Subscribes:
 Publishes:
     /servo/output (std_msgs/Int32MultiArray, latched): the duties that the chip holds, −1 = never set; on change and
         at 1 Hz.
+    /diagnostics: the board, its faults and how often each channel timed out; 1 Hz.
 Parameters:
     ~device /dev/i2c-1: the bus, by path or number; ``virtual`` = a chip in software.
     ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides what these two make.
     ~timeout 250 (ms, 0 = never), ~timeout_value 0 (duty, 0 = off), ~pwm_min 0, ~pwm_max 65535: a list of 16, or one
         for all.
+    ~throttle_channel −1 (none), ~throttle_neutral: the ESC's channel, and the timeout value that it has instead.
     ~required false: true = end with exit code 1 when the board can't be used at start.
+The virtual chip has a service and a parameter more: see ``virtual_board``.
 """
 from __future__ import annotations
 
 import errno
-import math
+import fcntl
 import os
 import time
+from collections import Counter
 
 import rospy
 import smbus2
 from std_msgs.msg import Int32MultiArray
 
 from car_interface.errors import DeviceError
+from car_interface.nodes.diagnostics import ERROR, OK, Diagnostics
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run, subscribe
-from car_interface.pca9685.board import Board
-from car_interface.pca9685.channels import ChannelConfig, Channels, differences
+from car_interface.nodes.virtual_board import VirtualBoardBus
+from car_interface.pca9685.board import Board, BoardMismatch
+from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.duty import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
+from car_interface.pca9685.keeper import LOST, MISMATCH, RETRIED, RUNNING, BoardKeeper
 from car_interface.servo import CHANNELS, MAX_DUTY, UNCHANGED
-from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 OUTPUT_RATE_HZ = 1
-FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 10, 2 * NS_PER_S
+INSIST_NS = NS_PER_S  # how long a node that ends goes on trying to reach a chip that pulses
 LONGEST_TIMEOUT_MS = 3_600_000
 VIRTUAL = "virtual"
+NO_CHANNEL = -1
 
 
 def read_channels(params):
     """The sixteen channels' configuration."""
     timeouts_ms = params.integers("timeout", CHANNELS, 250, 0, LONGEST_TIMEOUT_MS)
     timeout_values = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
+    throttle_channel = params.integer("throttle_channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
+    if throttle_channel != NO_CHANNEL:
+        timeout_values[throttle_channel] = params.integer("throttle_neutral", low=0, high=MAX_DUTY)
     pwm_min = params.integers("pwm_min", CHANNELS, 0, 0, MAX_DUTY)
     pwm_max = params.integers("pwm_max", CHANNELS, MAX_DUTY, 0, MAX_DUTY)
     return Channels([ChannelConfig(*settings) for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max)])
@@ -53,10 +63,42 @@ def read_device(params):
     return f"/dev/i2c-{device}" if isinstance(device, int) else device
 
 
+class SmbusBus:
+    """A bus of the kernel's, opened by smbus2; the address on it is locked against a second node like this."""
+
+    def __init__(self, device: str, address: int):
+        self._device = device
+        self._address = address
+
+    def open(self) -> smbus2.SMBus:
+        """The open bus.
+
+        Raises:
+            OSError: why not.
+        """
+        bus = smbus2.SMBus()  # in two steps: what is no I2C bus fails after it was opened
+        try:
+            bus.open(self._device)
+            # A node that takes over must not be switched off by the last words of the one before it.
+            fcntl.lockf(bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, self._address)
+        except OSError:
+            bus.close()
+            raise
+        return bus
+
+    def close(self, bus: smbus2.SMBus) -> None:
+        """Close it."""
+        bus.close()
+
+    def serve(self, inbox) -> None:
+        """Nothing to offer: a real board has faults enough."""
+
+
 class Pca9685:
-    """Takes commands, keeps the chip at what they say, and keeps trying when the chip fails."""
+    """Takes commands, keeps the chip at what they say, and tells how that goes."""
 
     def __init__(self, params, inbox):
+        now_ns = time.monotonic_ns()
         self._channels = read_channels(params)
         self._device = read_device(params)
         self._address = params.integer("address", 0x40, low=0x40, high=0x7F)
@@ -65,52 +107,64 @@ class Pca9685:
         prescale = params.integer("prescale", None, low=PRESCALE_MIN, high=PRESCALE_MAX)
         self._prescale = prescale_for(frequency_hz, self._oscillator_hz) if prescale is None else prescale
         required = params.flag("required", False)
+        bus = (VirtualBoardBus(params, self._address) if self._device == VIRTUAL
+               else SmbusBus(self._device, self._address))
         params.finish()
         self._inbox = inbox
         self._complaints = Complaints()
-        self._virtual_bus = VirtualBus({self._address: VirtualPca9685()}) if self._device == VIRTUAL else None
-        self._bus = None
-        self._board = None
-        self._retry_ns = FIRST_RETRY_NS
-        self._next_try_ns = 0
-        self._heartbeat = Heartbeat(OUTPUT_RATE_HZ, time.monotonic_ns())
+        self._keeper = BoardKeeper(bus.open, bus.close, self._make_board, self._on_board_event)
+        self._trouble = None  # why the board isn't there, as (cause, cure)
+        self._dropped = 0  # commands that came while it wasn't
+        self._timeouts: Counter = Counter()  # by channel
+        self._heartbeat = Heartbeat(OUTPUT_RATE_HZ, now_ns)
         self._published = [UNCHANGED] * CHANNELS
         self._outputs = rospy.Publisher("/servo/output", Int32MultiArray, queue_size=10, latch=True)
+        self._diagnostics = Diagnostics(self._name(), {"servo board": self._report}, now_ns)
         if required:
-            self._open()
+            self._open_or_end(now_ns)
+        bus.serve(inbox)
         for topic in ("command", "/servo/cmdVector"):
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
 
     def step(self, now_ns):
-        """Take the commands that arrived, expire the old ones, and bring the chip to what is left."""
+        """Take all that arrived, expire the old, and only then write: a slow bus must not replay what is stale."""
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
-            self._update()
-        expired = self._channels.expire(now_ns)
+        expired = self._channels.expire(time.monotonic_ns())
+        self._keep()
         if expired:
-            self._complaints.warn("timeout", f"no command for {_listed(expired)}: now at timeout value")
-        if self._board is None and now_ns >= self._next_try_ns:
-            self._try_open()
-        self._update()
+            self._timeouts.update(expired)
+            self._complaints.warn(f"timeout of {expired}", f"no command for {_listed(expired)}: now at timeout value")
         self._publish(self._heartbeat.is_due(now_ns))
-        return min(self._heartbeat.due_ns, self._channels.next_deadline_ns(),
-                   self._next_try_ns if self._board is None else math.inf)
+        self._diagnostics.step(now_ns)
+        return min(self._heartbeat.due_ns, self._diagnostics.due_ns, self._channels.next_deadline_ns(),
+                   self._keeper.next_due_ns())
 
     def shut_down(self):
         """Timeout values for a whole period, then every output off: an ESC sees neutral before it sees nothing."""
-        if self._board is None:
+        if not self._keeper.ever_ran:
             return
         self._channels.make_safe()
-        self._update()
-        self._publish()
-        if self._board is not None:
-            time.sleep(2 * self._board.period_s)
-            try:
-                self._board.all_off()
-            except OSError as error:
-                self._lose(error)
+        self._insist(self._keep_now)
+        time.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
+        self._insist(lambda: self._keep_now() and self._keeper.all_off(time.monotonic_ns()))
         self._publish()
         time.sleep(0.02)  # the last output leaves by a thread of rospy's
+
+    def _keep_now(self):
+        """Give the chip its targets without waiting for the next attempt; whether it holds them."""
+        self._keeper.hurry()
+        self._keep()
+        return self._keeper.running
+
+    def _insist(self, action):
+        """Repeat what returns whether it worked, for a while."""
+        deadline_ns = time.monotonic_ns() + INSIST_NS
+        while not action():
+            if time.monotonic_ns() >= deadline_ns:
+                raise DeviceError(self._name(), "it can't be switched off and goes on pulsing what it was last told",
+                                  "Cut its power")
+            time.sleep(0.02)
 
     def _on_command(self, message, now_ns):
         try:
@@ -118,76 +172,67 @@ class Pca9685:
         except ValueError as error:
             self._complaints.warn("length", f"{error}: refused")
             return
+        self._dropped += not self._keeper.running
         if accepted.refused:
             self._complaints.warn("refused", f"{_listed(accepted.refused)}: {message.data[accepted.refused[0]]} is no "
                                              f"duty and was refused; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
         if accepted.clamped:
             self._complaints.warn("clamped", f"{_listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
 
-    def _update(self):
-        """Write what differs, with one immediate retry; a chip that fails twice is reopened."""
-        if self._board is None:
-            return
-        changes = differences(self._board.held, self._channels.targets)
-        if not changes:
-            return
-        try:
-            try:
-                self._board.write(changes)
-            except OSError as error:
-                self._complaints.warn("retry", f"{self._name()}: {error}; tried again")
-                self._board.write(differences(self._board.held, self._channels.targets))
-        except OSError as error:
-            self._lose(error)
+    def _keep(self):
+        self._keeper.keep(self._channels.targets, time.monotonic_ns())
         self._publish()
 
-    def _try_open(self):
-        try:
-            self._open()
-        except DeviceError as error:
-            self._complaints.warn("absent", f"{error}. Trying again")
-            self._next_try_ns = time.monotonic_ns() + self._retry_ns
-            self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
-        else:
-            self._retry_ns = FIRST_RETRY_NS
+    def _make_board(self, bus):
+        return Board(bus, self._address, self._prescale, self._oscillator_hz, time.sleep)
 
-    def _open(self):
-        """Open bus and chip, and give every channel its target."""
+    def _open_or_end(self, now_ns):
         try:
-            self._open_bus()
-            board = Board(self._bus, self._address, self._prescale, self._oscillator_hz, time.sleep)
-            board.initialise()
-            board.write(differences(board.held, self._channels.targets))
+            self._keeper.open(self._channels.targets, now_ns)
         except OSError as error:
-            self._close_bus()
             raise DeviceError(self._name(), *_explain(self._device, self._address, error)) from error
-        self._board = board
-        rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
-                      frequency_for(self._prescale, self._oscillator_hz), self._prescale)
 
-    def _lose(self, error):
-        cause, cure = _explain(self._device, self._address, error)
-        self._complaints.warn("lost", f"{self._name()} was lost: {cause}. {cure}. Opening it again")
-        self._close_bus()
-        self._board = None
-        self._next_try_ns = time.monotonic_ns() + self._retry_ns
+    def _on_board_event(self, event, error):
+        """Log what happened to bus or chip, in words and with what to do about it."""
+        if event == RUNNING:
+            self._trouble = None
+            rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
+                          frequency_for(self._prescale, self._oscillator_hz), self._prescale)
+        elif event == RETRIED:
+            self._complaints.warn(event, f"{self._name()}: {error}; tried again")
+        elif event == MISMATCH:
+            self._complaints.warn(event, f"{self._name()} has forgotten what it was told ({error}): it lost its power, "
+                                         "or another program writes to it. Initialising it anew")
+        else:
+            self._trouble = _explain(self._device, self._address, error)
+            was = " was lost" if event == LOST else ""
+            self._complaints.warn(event, f"{self._name()}{was}: {'. '.join(self._trouble)}. Trying again")
 
-    def _open_bus(self):
-        if self._virtual_bus is not None:
-            self._bus = self._virtual_bus
-            return
-        self._bus = smbus2.SMBus()  # in two steps: what is no I2C bus fails after it was opened
-        self._bus.open(self._device)
-
-    def _close_bus(self):
-        if self._bus is not None and self._bus is not self._virtual_bus:
-            self._bus.close()
-        self._bus = None
+    def _report(self, status):
+        """The board's line on /diagnostics."""
+        tally = self._keeper.tally
+        if self._keeper.running:
+            status.summary(OK, f"running at {frequency_for(self._prescale, self._oscillator_hz):.2f} Hz")
+        else:
+            status.summary(ERROR, ". ".join(self._trouble or ("not opened yet", "")))
+        status.add("bus", self._device)
+        status.add("address", f"0x{self._address:02x}")
+        period_ms = 1e3 / frequency_for(self._prescale, self._oscillator_hz)
+        status.add("period", f"{period_ms:.3f} ms if the oscillator makes {self._oscillator_hz:.0f} Hz; not measured")
+        status.add("failed transfers", tally.errors)
+        status.add("reopened", tally.reopenings)
+        status.add("initialised anew after a loss of power", tally.reinitialisations)
+        status.add("commands dropped while it was away", self._dropped)
+        for channel, count in sorted(self._timeouts.items()):
+            status.add(f"timeouts of channel {channel}", count)
+        for kind in ("length", "refused", "clamped"):
+            status.add(f"commands {kind}", self._complaints.counts[kind])
+        return status
 
     def _publish(self, always=False):
         duties = self._published  # of a chip that was lost: what it held last, for it goes on pulsing
-        if self._board is not None:
-            duties = [UNCHANGED if counts is None else duty_of_counts(counts) for counts in self._board.held]
+        if self._keeper.running:
+            duties = [UNCHANGED if counts is None else duty_of_counts(counts) for counts in self._keeper.held]
         if always or duties != self._published:
             self._published = duties
             self._outputs.publish(duty_vector(duties))
@@ -203,8 +248,13 @@ def _listed(channels):
 def _explain(device, address, error):
     """Cause and cure of a failed transfer or open."""
     bus = device.rsplit("-", 1)[-1]
+    if isinstance(error, BoardMismatch):
+        return (f"it answers, but does not keep what it is told ({error})",
+                "See whether another chip has this address, and whether its power holds")
     if not os.path.exists(device) and device != VIRTUAL:
         return "there is no such bus", "Switch I2C on (sudo raspi-config) and see which buses there are: ls /dev/i2c-*"
+    if error.errno == errno.EAGAIN:
+        return "another pca9685 node has this board", "See which: rosnode list"
     if error.errno in (errno.EACCES, errno.EPERM):
         return "no permission to use the bus", "Join its group and log in anew: sudo usermod -aG i2c $USER"
     if error.errno in (errno.ENOTTY, errno.EISDIR, errno.EINVAL):

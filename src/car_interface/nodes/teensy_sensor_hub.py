@@ -76,8 +76,9 @@ class TeensySensorHub:
             "Y": lambda: self._send(protocol.set_sonar_sequence(range(len(protocol.SONARS)))),
         }
         self._keys = Keys()
-        if self._keys.start():
-            inbox.watch(self._keys.fileno())
+        self._has_keys = self._keys.start()
+        self._watches_keys = False
+        if self._has_keys:
             rospy.loginfo(KEY_HELP)
 
     def _publishers(self):
@@ -201,7 +202,8 @@ class TeensySensorHub:
             self._tell_waiting(timestamp1, (False, "no pong came back"))
             self._complaints.warn("ping", "a ping went unanswered")
         if self._pinger.checksum != before:
-            rospy.logwarn("no ping is answered: trying the checksum of a %s firmware", self._pinger.checksum)
+            self._complaints.warn("checksum",
+                                  f"no ping is answered: trying the checksum of a {self._pinger.checksum} firmware")
         if now_ns >= self._pinger.due_ns:
             self._ping()
 
@@ -253,8 +255,18 @@ class TeensySensorHub:
             self._next_counters_ns = now_ns + COUNTERS_PERIOD_NS
         return result
 
+    def _watch_keys(self, wanted):
+        """Wait for the terminal only while its keys are ours to read: what isn't read stays readable for ever."""
+        if wanted and self._has_keys and not self._watches_keys:
+            self._inbox.watch(self._keys.fileno())
+        elif self._watches_keys and not wanted:
+            self._inbox.unwatch(self._keys.fileno())
+        self._watches_keys = wanted and self._has_keys
+
     def _read_keys(self):
-        for key in self._keys.read().upper():
+        typed = self._keys.read() if self._has_keys else ""
+        self._watch_keys(typed is not None)
+        for key in (typed or "").upper():
             if key == "Q":
                 self._inbox.end()
             elif key == "P":

@@ -12,11 +12,15 @@ from car_interface.pca9685.duty import COUNTS, frequency_for, register_bytes
 from car_interface.servo import CHANNELS
 
 MODE1, MODE2, LED0_ON_L, ALL_LED_OFF_H, PRE_SCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
-AUTO_INCREMENT, SLEEP = 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
+RESTART, EXTCLK, AUTO_INCREMENT, SLEEP = 0x80, 0x40, 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
 TOTEM_POLE = 0x04  # MODE2: outputs drive both ways, not inverted (data sheet 7.3.2)
 FULL_OFF = 0x10
 OSCILLATOR_START_S = 500e-6  # after SLEEP is cleared (data sheet 7.3.1.1)
 CHANNELS_PER_BLOCK = 32 // 4  # an SMBus block write carries at most 32 bytes
+
+
+class BoardMismatch(OSError):
+    """The chip answers, but doesn't hold what it was told: it lost its power, or somebody else writes to it."""
 
 
 class Board:
@@ -50,8 +54,27 @@ class Board:
         A chip that already runs so is not put to sleep: a node that comes back in mid-drive doesn't cut a pulse.
         Otherwise every output goes off and its last pulse may end before the chip sleeps, for the prescale can only be
         written asleep (data sheet 7.3.5) and a SLEEP in the middle of a pulse makes an ESC jump.
+
+        Raises:
+            BoardMismatch: when it doesn't read back as it was written.
         """
         self._held = [None] * CHANNELS
+        self._start()
+        self.check()
+
+    def check(self) -> None:
+        """Ask the chip whether it still runs as ``initialise`` left it.
+
+        Raises:
+            BoardMismatch: when it doesn't.
+        """
+        mode1, prescale = self._read(MODE1), self._read(PRE_SCALE)
+        # EXTCLK is sticky until the power goes, and RESTART clears itself with the first write to a channel.
+        if mode1 & ~(RESTART | EXTCLK) != AUTO_INCREMENT or prescale != self._prescale:
+            raise BoardMismatch(f"MODE1 is 0x{mode1:02x} and PRE_SCALE {prescale}, "
+                                f"not 0x{AUTO_INCREMENT:02x} and {self._prescale}")
+
+    def _start(self):
         mode1 = self._read(MODE1)
         if not (mode1 & SLEEP or self._read(PRE_SCALE) != self._prescale):
             self._write(MODE1, AUTO_INCREMENT)

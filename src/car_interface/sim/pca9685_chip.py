@@ -6,11 +6,13 @@ auto-increment, PRE_SCALE that takes a value only asleep, the ALL_LED registers,
 from __future__ import annotations
 
 import errno
+from typing import Callable, Sequence
 
 _MODE1, _MODE2, _SUBADR1, _LED0, _LED15_END, _ALL_LED, _PRE_SCALE, _TEST = 0, 1, 2, 6, 69, 250, 254, 255
 _RESTART, _EXTCLK, _AI, _SLEEP = 0x80, 0x40, 0x20, 0x10
 _FULL = 0x10
 _CHANNELS = 16
+_KERNEL_TIMEOUT_S = 1.0  # of an I2C adapter on Linux, unless its driver says otherwise
 
 
 class VirtualPca9685:
@@ -98,18 +100,25 @@ class VirtualPca9685:
 
 
 class VirtualBus:
-    """An I²C bus with virtual chips on it, to be used in place of ``smbus2.SMBus``.
+    """An I²C bus with virtual chips on it, to be used in place of ``smbus2.SMBus``, with the faults of a real one.
 
     Args:
         chips: by 7-bit address. Any other address answers as an empty one does on Linux: OSError 121 (EREMOTEIO).
+        pause: called with seconds while the bus is held and the kernel waits for it in vain.
+        on_write: called with (address, register, data) after each write that a chip took.
 
     Attributes:
-        transfers: bytes on the wire of each write so far, address and register included.
+        nacks_left: so many of the next transfers go unacknowledged.
+        held: somebody holds the bus down: every transfer times out.
     """
 
-    def __init__(self, chips: dict[int, VirtualPca9685]):
-        self._chips = chips
-        self.transfers: list[int] = []
+    def __init__(self, chips: dict[int, VirtualPca9685], pause: Callable[[float], None] = lambda seconds: None,
+                 on_write: Callable[[int, int, Sequence[int]], None] = lambda address, register, data: None):
+        self.nacks_left = 0
+        self.held = False
+        self._chips = dict(chips)
+        self._pause = pause
+        self._on_write = on_write
 
     def read_byte_data(self, address: int, register: int) -> int:
         """As smbus2."""
@@ -131,11 +140,25 @@ class VirtualBus:
     def close(self) -> None:
         """As smbus2; the chips keep their power."""
 
+    def remove(self, address: int) -> VirtualPca9685:
+        """Take the chip at an address off the bus, as a loose wire does."""
+        return self._chips.pop(address)
+
+    def attach(self, address: int, chip: VirtualPca9685) -> None:
+        """Put a chip on the bus."""
+        self._chips[address] = chip
+
     def _write(self, address, register, data):
         self._chip(address).write(register, data)
-        self.transfers.append(2 + len(data))
+        self._on_write(address, register, data)
 
     def _chip(self, address):
+        if self.held:
+            self._pause(_KERNEL_TIMEOUT_S)
+            raise OSError(errno.ETIMEDOUT, "Connection timed out")
+        if self.nacks_left:
+            self.nacks_left -= 1
+            raise OSError(errno.EREMOTEIO, "Remote I/O error")
         if address not in self._chips:
             raise OSError(errno.EREMOTEIO, "Remote I/O error")
         return self._chips[address]

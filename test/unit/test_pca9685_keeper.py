@@ -1,0 +1,208 @@
+"""Keeping a board alive: one repetition, then back-off and a new start, and a chip that forgot is told again."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.pca9685.board import Board, BoardMismatch
+from car_interface.pca9685.keeper import ABSENT, LOST, MISMATCH, RETRIED, RUNNING, BoardKeeper
+from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+
+MS = 1_000_000
+NOW = 1000_000 * MS
+ADDRESS = 0x40
+NEUTRAL = [319] + [0] * 15
+LEFT = [238] + [0] * 15
+
+
+class Bench:
+    """A keeper, its virtual bus, and what it told."""
+
+    def __init__(self):
+        self.chip = VirtualPca9685()
+        self.bus = VirtualBus({ADDRESS: self.chip}, on_write=lambda *write: self.writes.append(write))
+        self.writes = []
+        self.events = []
+        self.opened = self.closed = 0
+        self.open_error = None
+        self.keeper = BoardKeeper(self._open, self._close, self._board, lambda event, error: self.events.append(event))
+        self.now_ns = NOW
+
+    def _open(self):
+        if self.open_error is not None:
+            raise self.open_error
+        self.opened += 1
+        return self.bus
+
+    def _close(self, bus):
+        assert bus is self.bus
+        self.closed += 1
+
+    @staticmethod
+    def _board(bus):
+        return Board(bus, ADDRESS, 121, 25e6, lambda seconds: None)
+
+    def keep(self, targets, after_ms=0):
+        self.now_ns += after_ms * MS
+        self.keeper.keep(targets, self.now_ns)
+
+    def keep_when_due(self, targets):
+        """Go on until the keeper wants to be called; how many ms that took."""
+        waited_ns = self.keeper.next_due_ns() - self.now_ns
+        self.keep(targets, waited_ns // MS)
+        return waited_ns // MS
+
+    def pulses(self):
+        return [self.chip.high_counts(channel) for channel in range(16)]
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+@pytest.fixture
+def running(bench):
+    bench.keep(NEUTRAL)
+    assert bench.events == [RUNNING]
+    bench.events.clear()
+    bench.writes.clear()
+    return bench
+
+
+def test_first_call_opens_and_brings_every_channel_to_its_target(bench):
+    bench.keep(NEUTRAL)
+    assert bench.keeper.running
+    assert bench.events == [RUNNING]
+    assert bench.pulses() == NEUTRAL
+    assert bench.keeper.held == NEUTRAL
+
+
+def test_what_did_not_change_is_not_written(running):
+    running.keep(NEUTRAL, 1)
+    running.keep(LEFT, 1)
+    running.keep(LEFT, 1)
+    assert len(running.writes) == 1
+    assert running.pulses() == LEFT
+
+
+def test_one_failed_transfer_is_made_again_at_once(running):
+    running.bus.nacks_left = 1
+    running.keep(LEFT, 1)
+    assert running.events == [RETRIED]
+    assert running.pulses() == LEFT
+    assert running.keeper.running
+    assert running.keeper.tally.errors == 1
+
+
+def test_two_failures_lose_the_board_and_close_the_bus(running):
+    running.bus.nacks_left = 2
+    running.keep(LEFT, 1)
+    assert running.events == [RETRIED, LOST]
+    assert not running.keeper.running
+    assert running.keeper.held == [None] * 16
+    assert running.closed == 1
+
+
+def test_board_that_was_lost_is_opened_again_after_100_ms_with_the_newest_target(running):
+    running.bus.nacks_left = 2
+    running.keep(LEFT, 1)
+    running.keep(NEUTRAL, 99)
+    assert not running.keeper.running
+    running.keep(NEUTRAL, 1)
+    assert running.keeper.running
+    assert running.pulses() == NEUTRAL
+    assert running.keeper.tally.reopenings == 1
+
+
+def test_pauses_between_attempts_double_from_100_ms_to_2_s(bench):
+    bench.bus.remove(ADDRESS)
+    bench.keep(NEUTRAL)
+    assert [bench.keep_when_due(NEUTRAL) for _ in range(7)] == [100, 200, 400, 800, 1600, 2000, 2000]
+    assert bench.events == [ABSENT] * 8
+
+
+def test_pauses_begin_anew_after_the_board_was_there(bench):
+    bench.bus.remove(ADDRESS)
+    bench.keep(NEUTRAL)
+    bench.keep_when_due(NEUTRAL)
+    bench.bus.attach(ADDRESS, bench.chip)
+    bench.keep_when_due(NEUTRAL)
+    assert bench.keeper.running
+    bench.bus.remove(ADDRESS)
+    bench.keep(LEFT, 1)
+    assert bench.keep_when_due(LEFT) == 100
+
+
+def test_bus_that_cannot_be_opened_is_tried_again(bench):
+    bench.open_error = FileNotFoundError(2, "No such file or directory")
+    bench.keep(NEUTRAL)
+    assert bench.events == [ABSENT]
+    bench.open_error = None
+    bench.keep_when_due(NEUTRAL)
+    assert bench.keeper.running
+
+
+def test_bus_that_is_held_down_is_left_and_comes_back(running):
+    running.bus.held = True
+    running.keep(LEFT, 1)
+    assert running.events == [RETRIED, LOST]
+    running.keep_when_due(LEFT)
+    assert not running.keeper.running
+    running.bus.held = False
+    running.keep_when_due(LEFT)
+    assert running.pulses() == LEFT
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_chip_that_lost_its_power_is_noticed_within_half_a_second(running, driven):
+    running.chip.power_up()
+    for step in range(50):
+        running.keep([230 + step % 2 if driven else 319] + [0] * 15, 10)
+    assert running.events == [MISMATCH]
+    running.keep(LEFT, 10)
+    assert running.pulses() == LEFT
+    assert running.chip.period_s() == pytest.approx(0.02, rel=0.01)
+    assert running.keeper.tally.reinitialisations == 1
+
+
+def test_chip_that_is_fine_is_asked_twice_a_second_and_not_written_to(running):
+    for _ in range(4):
+        assert running.keep_when_due(NEUTRAL) == 500
+    assert running.writes == []
+    assert running.events == []
+
+
+def test_chip_that_does_not_keep_its_prescale_counts_as_absent(bench):
+    bench.chip.write = lambda register, data: None
+    bench.keep(NEUTRAL)
+    assert bench.events == [ABSENT]
+    with pytest.raises(BoardMismatch, match="MODE1 is 0x11 and PRE_SCALE 30, not 0x20 and 121"):
+        bench.keeper.open(NEUTRAL, NOW)
+
+
+def test_all_off_is_repeated_once_and_tells_whether_it_worked(running):
+    running.bus.nacks_left = 1
+    assert running.keeper.all_off(NOW)
+    assert running.pulses() == [0] * 16
+    running.bus.nacks_left = 2
+    assert not running.keeper.all_off(NOW)
+    assert not running.keeper.all_off(NOW)
+
+
+def test_hurry_makes_the_next_attempt_at_once(running):
+    running.bus.nacks_left = 2
+    running.keep(LEFT, 1)
+    running.keeper.hurry()
+    running.keep(NEUTRAL)
+    assert running.pulses() == NEUTRAL
+
+
+def test_board_that_was_never_there_never_ran(bench):
+    bench.bus.remove(ADDRESS)
+    bench.keep(NEUTRAL)
+    assert not bench.keeper.ever_ran
+    bench.bus.attach(ADDRESS, bench.chip)
+    bench.keep_when_due(NEUTRAL)
+    bench.bus.remove(ADDRESS)
+    bench.keep(LEFT, 1)
+    assert bench.keeper.ever_ran
