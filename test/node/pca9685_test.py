@@ -12,10 +12,12 @@ import unittest
 
 import rospy
 import rostest
+from car_interface.srv import InjectFault
+from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32MultiArray
 
-from waiting import PATIENCE_S, Repeater, Sender, Topic, rate_hz, retried, start, start_node
+from waiting import PATIENCE_S, Repeater, Sender, Topic, eventually, rate_hz, retried, start, start_node
 
 # As the README has it.
 README_LINE = (
@@ -232,7 +234,7 @@ class Pca9685ByItself(unittest.TestCase):
 
     def test_a_signal_brings_timeout_values_for_a_period_and_then_full_off(self):
         timeout_values = [5104, 4912] + [0] * 14
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             with self.subTest(number):
                 name = f"ended_by_{number.name.lower()}"
                 process, outputs = self.start(name, "_device:=virtual", "_timeout:=60000",
@@ -246,6 +248,89 @@ class Pca9685ByItself(unittest.TestCase):
                 self.assertEqual([list(heard.what.data) for heard in last], [timeout_values, [0] * 16])
                 self.assertGreater(off.at_s - last[0].at_s, 0.010)  # 20 ms, if they arrive as they were sent
                 self.assertEqual(process.stderr.since(), [])
+
+
+    def test_at_exit_a_bus_that_fails_for_a_moment_is_tried_until_the_chip_is_off(self):
+        process, outputs = self.start("ended_with_faults", "_device:=virtual", "_timeout:=60000")
+        Sender("/ended_with_faults/cmdVector", Int32MultiArray).publish(vector([6000]))
+        outputs.wait_for(lambda output: output.data[0] == 6000)
+        inject("/ended_with_faults", "nack", 7)
+        self.assertEqual(process.end(signal.SIGTERM), 0)
+        self.assertEqual(outputs.since()[-1].data, (0,) * 16)
+
+    def test_a_chip_that_cannot_be_reached_at_exit_is_said_to_go_on_pulsing(self):
+        process, outputs = self.start("ended_in_vain", "_device:=virtual")
+        outputs.wait_for(lambda output: output.data == (0,) * 16)
+        inject("/ended_in_vain", "power", 0)
+        process.wait_for_line("was lost: nothing answers at this address")
+        self.assertEqual(process.end(signal.SIGTERM), 1)
+        process.wait_for_line("FATAL.*can't be switched off and goes on pulsing what it was last told. Cut its power")
+
+    def test_a_chip_that_lost_its_power_is_noticed_idle_or_driven_and_told_again(self):
+        log = self.log_path()
+        _, outputs = self.start("forgetful", "_device:=virtual", "_timeout_value:=4912", f"_virtual_log:={log}")
+        outputs.wait_for(lambda output: output.data == (4912,) * 16)
+        for driven in (False, True):
+            with self.subTest(driven=driven):
+                inputs = Repeater()
+                self.addCleanup(inputs.end)
+                if driven:
+                    inputs.hold(Sender("/forgetful/cmdVector", Int32MultiArray), vector([6000]))
+                    outputs.wait_for(lambda output: output.data[0] == 6000)
+                lost_ns = time.monotonic_ns()
+                inject("/forgetful", "brownout", 0)
+                eventually(lambda since_ns=lost_ns: "fe 79" in writes(log, since_ns), "the prescale anew")
+                eventually(lambda since_ns=lost_ns: any(write.startswith("26 ") for write in writes(log, since_ns)),
+                           "channels 8 to 15 anew")
+                self.assertLess(max(writes(log, lost_ns).values()) - lost_ns, 1e9)
+                inputs.end()
+
+    def test_commands_while_the_chip_is_away_are_dropped_and_counted_and_only_a_fresh_one_is_written(self):
+        log = self.log_path()
+        reports = Topic("/diagnostics", DiagnosticArray)
+        process, outputs = self.start("away", "_device:=virtual", f"_virtual_log:={log}", "_timeout_value:=4912")
+        command = Sender("/away/cmdVector", Int32MultiArray)
+        outputs.wait_for(lambda output: output.data == (4912,) * 16)
+        inject("/away", "power", 0)
+        process.wait_for_line("was lost")
+        inputs = Repeater(period_s=0.02)
+        inputs.hold(command, vector([3000]))
+        reports.wait_for(lambda array: int(self.value_of(array, "/away", "commands dropped while it was away")) > 20)
+        inputs.end()
+        process.wait_for_line("no command for channel 0: now at timeout value")
+        mark = process.stdout.mark()
+        inject("/away", "power", 1)
+        process.wait_for_info("running at", mark)
+        outputs.wait_for(lambda output: output.data == (4912,) * 16, outputs.mark())
+        self.assertNotIn("06 0000bc00", writes(log))  # 3000 / 16 = 188 counts: it was never on the bus
+
+    def log_path(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        return os.path.join(folder.name, "writes")
+
+    @staticmethod
+    def value_of(array, node, key):
+        """A value of a node's report; 0 where it isn't there."""
+        for status in array.status:
+            if status.name.startswith(node.strip("/") + ": "):
+                for pair in status.values:
+                    if pair.key == key:
+                        return pair.value
+        return 0
+
+
+def writes(log, since_ns=0):
+    """What the virtual chip took since then: "register bytes" in hexadecimal, with the monotonic time of each."""
+    with open(log, encoding="ascii") as file:
+        rows = [row.split(" ", 2) for row in file.read().splitlines()]
+    return {write: int(time_ns) for time_ns, _, write in rows if int(time_ns) > since_ns}
+
+
+def inject(node, fault, value):
+    rospy.wait_for_service(f"{node}/inject_fault", PATIENCE_S)
+    answer = rospy.ServiceProxy(f"{node}/inject_fault", InjectFault)(fault, value)
+    assert answer.success, answer.message
 
 
 if __name__ == "__main__":
