@@ -79,5 +79,9 @@ class Converter:
             return Conversion(None, "odometry not finite", f"the velocity in the odometry is {self._odometry.value}")
         return None
 
+    def odometry_age_s(self, now_ns: int) -> float:
+        """Seconds since odometry was heard; inf = never."""
+        return self._odometry.age_s(now_ns)
+
     def _clamp(self, value):
         return max(self._config.min_value, min(self._config.max_value, value))

@@ -90,6 +90,11 @@ class Throttle:
         duty = max(0, min(MAX_DUTY, round_half_away(self._duty(value))))
         return ThrottleDecision(duty, True, "driving", f"the value is {value:.3f}")
 
+    def ages_s(self, now_ns: int) -> dict[str, float]:
+        """Seconds since each input was heard, by its name; inf = never."""
+        return {"e_stop": self._permission.e_stop_age_s(now_ns), "human_in_loop": self._permission.human_age_s(now_ns),
+                self._steering.name: self._steering.age_s(now_ns), self._command.name: self._command.age_s(now_ns)}
+
     def _hindrance(self, now_ns) -> Sequence[str] | None:
         refusal = self._permission.refusal(now_ns)
         if refusal is not None:

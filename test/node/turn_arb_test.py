@@ -14,6 +14,7 @@ import rospy
 import rostest
 import yaml
 from car_interface.msg import SteeringState
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
@@ -113,6 +114,22 @@ class TurnArbByItsTopics(unittest.TestCase):
         other = Topic("/no_gamepad/turn_arb/state", SteeringState)
         self.addCleanup(other.close)
         self.assertEqual(other.wait_for(lambda _: True).what.teleop_age, INF)
+
+    def test_diagnostics_say_who_drives_and_why_once_a_second(self):
+        reports = Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(reports.close)
+
+        def report(text):
+            return reports.wait_for(lambda array: array.status[0].name == "turn_arb: steering"
+                                    and text in array.status[0].message, reports.mark()).what.status[0]
+        self.let_human_in(teleop=1.0)
+        self.assertEqual(report("TELEOP: tele_steer_req is 1.000").level, DiagnosticStatus.OK)
+        self.inputs.drop(self.human)
+        status = report("NO_HUMAN: human_in_loop silent for")
+        self.assertEqual(status.level, DiagnosticStatus.WARN)
+        values = {pair.key: pair.value for pair in status.values}
+        self.assertEqual((values["age of e_stop"], values["locked"], values["duty"]), ("never heard", "False", "5100"))
+        self.assertRegex(values["age of human_in_loop"], r"\d\.\d\d s")
 
     def test_releasing_the_deadman_centers_at_once(self):
         def attempt():

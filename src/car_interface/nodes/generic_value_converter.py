@@ -7,6 +7,7 @@ Subscribes:
 Publishes:
     ~output/value (Float64Stamped): one for each command that can be converted.
     With servo/channel set /servo/cmdVector (std_msgs/Int32MultiArray) at 50 Hz: the ESC's duty, all others −1.
+    /diagnostics: what becomes of the commands; 1 Hz.
 Parameters:
     ~csv_path_value_map: the map; required unless it isn't used.  ~allow_plateaus false.
     ~max_value 3.0, ~min_value −5.0: what goes out is clamped to these.
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 
 import rospy
 from nav_msgs.msg import Odometry
@@ -27,6 +29,7 @@ from std_msgs.msg import Int32MultiArray
 
 from car_interface.conversion import ConversionConfig, Converter
 from car_interface.msg import Control, Float64Stamped, SteeringState
+from car_interface.nodes.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
 from car_interface.nodes.permission import read_permission, subscribe_permission
@@ -80,7 +83,11 @@ class GenericValueConverter:
         self._inbox = inbox
         self._complaints = Complaints()
         self._decision = None
-        self._heartbeat = Heartbeat(RATE_HZ, time.monotonic_ns())
+        self._conversion = None
+        self._counts: Counter = Counter()
+        now_ns = time.monotonic_ns()
+        self._heartbeat = Heartbeat(RATE_HZ, now_ns)
+        self._diagnostics = Diagnostics("none", {"converter": self._report}, now_ns)
         self._values = rospy.Publisher("~output/value", Float64Stamped, queue_size=10)
         if self._throttle is not None:
             self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
@@ -94,11 +101,12 @@ class GenericValueConverter:
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
             self._stop_at_once(arrival_ns)
+        self._diagnostics.step(now_ns)
         if self._throttle is None:
-            return math.inf
+            return self._diagnostics.due_ns
         if self._heartbeat.is_due(now_ns):
             self._publish_throttle(self._throttle.decide(now_ns))
-        return self._heartbeat.due_ns
+        return min(self._heartbeat.due_ns, self._diagnostics.due_ns)
 
     def shut_down(self):
         """Neutral, if there is an ESC; the servo board's timeout does the rest."""
@@ -116,12 +124,14 @@ class GenericValueConverter:
 
     def _on_command(self, message, now_ns):
         self._note_odd_stamp("control_cmd", message.stamp)
-        conversion = self._converter.convert(message.longitudinal.acceleration, now_ns)
+        conversion = self._conversion = self._converter.convert(message.longitudinal.acceleration, now_ns)
+        self._counts["commands"] += 1
         if self._throttle is not None:
             self._throttle.hear_conversion(conversion, now_ns)
         if conversion.value is None:
             self._complaints.warn(conversion.cause, f"no output: {conversion.reason}")
             return
+        self._counts["values"] += 1
         self._values.publish(Float64Stamped(stamp=rospy.Time.now(), data=conversion.value))
 
     def _on_steering(self, message, now_ns):
@@ -140,6 +150,28 @@ class GenericValueConverter:
             decision = self._throttle.decide(now_ns)
             if not decision.driving:
                 self._publish_throttle(decision)
+
+    def _report(self, status):
+        """What becomes of the commands, on /diagnostics."""
+        conversion = self._conversion
+        if conversion is not None and conversion.value is None:
+            status.summary(WARN, f"no output: {conversion.reason}")
+        elif self._decision is not None:
+            level = WARN if self._decision.cause.endswith("silent") and conversion is not None else OK
+            status.summary(level, f"ESC {'driven' if self._decision.driving else 'neutral'}: {self._decision.reason}")
+        else:
+            status.summary(OK, "waiting for the first command" if conversion is None else "converting")
+        now_ns = time.monotonic_ns()
+        status.add("age of odometry", age_text(self._converter.odometry_age_s(now_ns)))
+        status.add("commands", self._counts["commands"])
+        status.add("values sent", self._counts["values"])
+        if self._decision is not None:
+            status.add("duty of the ESC", self._decision.duty)
+            for name, age_s in self._throttle.ages_s(now_ns).items():
+                status.add(f"age of {name}", age_text(age_s))
+        for kind, count in sorted(self._complaints.counts.items()):
+            status.add(kind, count)
+        return status
 
     def _publish_throttle(self, decision):
         self._commands.publish(duty_vector(one_channel(self._channel, decision.duty)))

@@ -8,6 +8,7 @@ Subscribes:
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 but for the steering channel.
     ~state (SteeringState, latched): who steers, why, with what duty; on every change and 10 times a second.
+    /diagnostics: the same in short; 1 Hz.
 Parameters (those of the original are also looked up in the namespaces around the node's):
     servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
     k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
@@ -26,15 +27,19 @@ import rospy
 from std_msgs.msg import Float32, Int32MultiArray
 
 from car_interface.msg import SteeringState
+from car_interface.nodes.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
 from car_interface.nodes.permission import read_permission, subscribe_permission
 from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
-from car_interface.steering import SOURCE_NAMES, SteeringArbiter, SteeringConfig
+from car_interface.steering import LOCKED, SOURCE_NAMES, SteeringArbiter, SteeringConfig
 
 RATE_HZ = 100
 FASTEST_SLEW = 1e9  # duty per second: from end to end within a heartbeat, many times over
 BEATS_PER_STATE = 10
+# What an owner wants to be warned of: something was there and failed.
+ALARMING = ("human silent", "not re-armed", "teleop silent", "teleop not finite", "planner silent",
+            "planner not finite")
 # rospy sends by a thread of its own, which needs the interpreter: state and log wait until the command has left.
 TELL_AFTER_NS = 500_000
 
@@ -66,17 +71,19 @@ class TurnArb:
 
     def __init__(self, params, inbox):
         config = read_config(params)
+        now_ns = time.monotonic_ns()
         self._arbiter = SteeringArbiter(config)
         self._channel = config.servo_channel
         self._inbox = inbox
         self._complaints = Complaints()
-        self._heartbeat = Heartbeat(RATE_HZ, time.monotonic_ns())
+        self._heartbeat = Heartbeat(RATE_HZ, now_ns)
         self._beats = 0
         self._decision = None
         self._untold = []  # decisions whose command is out, and whose state and log line are not
         self._tell_ns = 0
         self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
         self._states = rospy.Publisher("~state", SteeringState, queue_size=10, latch=True)
+        self._diagnostics = Diagnostics("none", {"steering": self._report}, now_ns)
         subscribe_permission(inbox, self._arbiter)
         subscribe("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop)
         subscribe("av_turnrad_req", Float32, inbox, self._on_planner)
@@ -90,6 +97,7 @@ class TurnArb:
             self._beat(now_ns)
         elif self._untold and now_ns >= self._tell_ns:
             self._tell()
+        self._diagnostics.step(now_ns)
         return min(self._heartbeat.due_ns, self._tell_ns) if self._untold else self._heartbeat.due_ns
 
     def shut_down(self):
@@ -132,9 +140,23 @@ class TurnArb:
         for before, decision in self._untold:
             self._publish_state(decision)
             if before is None or (before.source, before.cause) != (decision.source, decision.cause):
-                log = rospy.logwarn if decision.cause.endswith(("silent", "not finite")) else rospy.loginfo
+                log = rospy.logwarn if decision.cause in ALARMING or decision.source == LOCKED else rospy.loginfo
                 log("%s: %s", SOURCE_NAMES[decision.source], decision.reason)
         self._untold.clear()
+
+    def _report(self, status):
+        """Who drives and why, on /diagnostics."""
+        decision = self._arbiter.decide(time.monotonic_ns())  # for its ages
+        alarming = decision.source == LOCKED or decision.cause in ALARMING
+        status.summary(WARN if alarming else OK, f"{SOURCE_NAMES[decision.source]}: {decision.reason}")
+        status.add("duty", decision.duty)
+        for name, age_s in (("e_stop", decision.e_stop_age_s), ("human_in_loop", decision.human_age_s),
+                            ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s)):
+            status.add(f"age of {name}", age_text(age_s))
+        status.add("locked", decision.source == LOCKED)
+        for kind, count in sorted(self._complaints.counts.items()):
+            status.add(f"messages with {kind}", count)
+        return status
 
     def _publish_command(self, decision):
         self._commands.publish(duty_vector(one_channel(self._channel, decision.duty)))
