@@ -145,14 +145,19 @@ class Repeater:
 
 
 class NodeProcess:
-    """A node, or any program, started by the test. Its output is two records of lines."""
+    """A node, or any program, started by the test. Its output is two records of lines.
 
-    def __init__(self, *command: str):
+    Args:
+        command: program and arguments.
+        env: what its environment has besides, or in place of, the test's.
+    """
+
+    def __init__(self, *command: str, env: dict[str, str] | None = None):
         self.name = " ".join(command)
         self.started_s = time.monotonic()
         self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            universal_newlines=True, errors="replace")
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            universal_newlines=True, errors="replace", env={**os.environ, **(env or {})})
         self.stdout = Record(f"stdout of {self.name}")
         self.stderr = Record(f"stderr of {self.name}")
         self._readers = [threading.Thread(target=self._read, args=pipe, daemon=True)
@@ -170,6 +175,17 @@ class NodeProcess:
     def pid(self) -> int:
         """Of the process."""
         return self._process.pid
+
+    def tell(self, line: str) -> None:
+        """Write a line to its standard input."""
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+
+    def send(self, number: int) -> float:
+        """Send a signal; the time just before, s."""
+        at_s = time.monotonic()
+        self._process.send_signal(number)
+        return at_s
 
     def runs(self) -> bool:
         """Whether it has not ended."""
@@ -191,6 +207,7 @@ class NodeProcess:
             raise AssertionError(f"{self.name} didn't end within {within_s} s") from None
         for reader in self._readers:
             reader.join(within_s)
+        self._process.stdin.close()
         return code
 
     def end(self, number: int = signal.SIGINT, within_s: float = PATIENCE_S) -> int:

@@ -28,6 +28,7 @@ from std_msgs.msg import Float32, Int32MultiArray
 
 from car_interface.msg import SteeringState
 from car_interface.nodes.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.nodes.master import MasterWatch
 from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
 from car_interface.nodes.permission import read_permission, subscribe_permission
@@ -84,6 +85,8 @@ class TurnArb:
         self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
         self._states = rospy.Publisher("~state", SteeringState, queue_size=10, latch=True)
         self._diagnostics = Diagnostics("none", {"steering": self._report}, now_ns)
+        self._master_trouble = ""
+        MasterWatch(lambda trouble: inbox.put(self._on_master, trouble))
         subscribe_permission(inbox, self._arbiter)
         subscribe("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop)
         subscribe("av_turnrad_req", Float32, inbox, self._on_planner)
@@ -102,6 +105,11 @@ class TurnArb:
 
     def shut_down(self):
         """Nothing to undo: the servo board's own timeout takes over from here."""
+
+    def _on_master(self, trouble, now_ns):
+        self._master_trouble = trouble
+        if trouble:
+            self._complaints.warn("master", trouble)
 
     def _on_teleop(self, message, now_ns):
         self._arbiter.hear_teleop(message.data, now_ns)
@@ -154,8 +162,9 @@ class TurnArb:
                             ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s)):
             status.add(f"age of {name}", age_text(age_s))
         status.add("locked", decision.source == LOCKED)
+        status.add("ROS master", self._master_trouble or "there")
         for kind, count in sorted(self._complaints.counts.items()):
-            status.add(f"messages with {kind}", count)
+            status.add(f"warnings of {kind}", count)
         return status
 
     def _publish_command(self, decision):

@@ -1,0 +1,51 @@
+"""Whether the ROS master is there. Topics that are connected go on without it, but nothing can join any more."""
+from __future__ import annotations
+
+import os
+import threading
+import time
+import xmlrpc.client
+from typing import Any, Callable
+
+import rospy
+
+POLL_S = 2.0
+ANSWER_WITHIN_S = 1.0
+GONE = ("the ROS master is gone: what is connected goes on, but no node that starts now can join, and one that ends is "
+        "not replaced. Stop the car, then start the launch file again")
+ANOTHER = ("there is another ROS master now, which doesn't know these nodes. Stop the car, then start the launch file "
+           "again")
+
+
+class MasterWatch:
+    """Asks the master for a sign of life in a thread of its own, for a dead one lets its callers wait.
+
+    Args:
+        tell: called from that thread with the trouble in words, or with an empty text while there is none.
+    """
+
+    def __init__(self, tell: Callable[[str], None]):
+        self._tell = tell
+        self._master = xmlrpc.client.ServerProxy(os.environ["ROS_MASTER_URI"], transport=_HastyTransport())
+        self._pid = None
+        threading.Thread(target=self._watch, name="master watch", daemon=True).start()
+
+    def _watch(self):
+        while not rospy.is_shutdown():
+            self._tell(self._trouble())
+            time.sleep(POLL_S)
+
+    def _trouble(self):
+        try:
+            pid = self._master.getPid(rospy.get_name())[2]
+        except Exception:  # whatever is wrong with the answer: there is none
+            return GONE
+        self._pid = self._pid or pid
+        return "" if pid == self._pid else ANOTHER
+
+
+class _HastyTransport(xmlrpc.client.Transport):
+    def make_connection(self, host: Any):
+        connection = super().make_connection(host)
+        connection.timeout = ANSWER_WITHIN_S
+        return connection

@@ -1,0 +1,118 @@
+#!/usr/bin/env python3
+"""A node that plays whoever sends something to the car: gamepad, human, planner, odometry. It can be killed.
+
+Its standard input takes lines: ``NAME VALUE`` publishes a value now and at 50 Hz from then on, ``NAME -`` lets the
+name fall silent. For each first publication it prints ``NAME VALUE`` and the monotonic time just before, in ns.
+``odometry wheel`` makes odometry of the wheels' reports, for as long as they come. Told ``relay`` on its command line
+it passes relay/in on to relay/out, and as ``sink`` it prints when something arrives there: what two hops take by
+themselves.
+"""
+from __future__ import annotations
+
+import sys
+import threading
+import time
+
+import rospy
+from car_interface.msg import Control, Wheel
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, Float32
+
+PERIOD_S = 0.02
+METRES_PER_PULSE = 0.0149
+
+
+def joy(value):
+    """Steering with the manual deadman held, as config/teleop_logi.yaml has the F710; 0 = all let go."""
+    axes, buttons = [0.0] * 6, [0] * 11
+    axes[0] = float(value)
+    buttons[4] = int(axes[0] != 0)
+    return Joy(axes=axes, buttons=buttons)
+
+
+def control(value):
+    message = Control()
+    message.stamp = rospy.Time.now()
+    message.longitudinal.acceleration = float(value)
+    return message
+
+
+def odometry(value):
+    message = Odometry()
+    message.header.stamp = rospy.Time.now()
+    message.twist.twist.linear.x = float(value)
+    return message
+
+
+KINDS = {
+    "human": ("/teleop_logi/human_in_loop", Bool, lambda value: Bool(value == "1")),
+    "e_stop": ("/e_stop", Bool, lambda value: Bool(value == "1")),
+    "steering": ("/teleop_logi/tele_steer_req", Float32, lambda value: Float32(float(value))),
+    "radius": ("/av_turnrad_req", Float32, lambda value: Float32(float(value))),
+    "joy": ("/joy", Joy, joy),
+    "acceleration": ("/control/command/control_cmd", Control, control),
+    "odometry": ("/localization/kinematic_state", Odometry, odometry),
+    "relay": ("/relay/in", Bool, lambda value: Bool(value == "1")),
+}
+
+
+class Driver:
+    """Publishes what it's told."""
+
+    def __init__(self, names):
+        self._publishers = {name: rospy.Publisher(KINDS[name][0], KINDS[name][1], queue_size=10, tcp_nodelay=True)
+                            for name in names}
+        self._held: dict = {}
+        self._lock = threading.Lock()
+        self._wheels = None
+        threading.Thread(target=self._repeat, daemon=True).start()
+
+    def obey(self, line):
+        name, value = line.split()
+        with self._lock:
+            self._held.pop(name, None)
+            if name == "odometry" and value == "wheel":
+                self._wheels = rospy.Subscriber("/teensy_wheel", Wheel, self._on_wheel)
+            elif value != "-":
+                self._held[name] = value
+                sent_ns = time.monotonic_ns()
+                self._publish(name, value)
+                print(name, value, sent_ns, flush=True)
+
+    def _publish(self, name, value):
+        self._publishers[name].publish(KINDS[name][2](value))
+
+    def _repeat(self):
+        while True:
+            time.sleep(PERIOD_S)
+            with self._lock:
+                for name, value in self._held.items():
+                    self._publish(name, value)
+
+    def _on_wheel(self, message):
+        self._publish("odometry", METRES_PER_PULSE * (message.left.speed + message.right.speed) / 2)
+
+
+def relay():
+    publisher = rospy.Publisher("/relay/out", Bool, queue_size=10)
+    rospy.Subscriber("/relay/in", Bool, publisher.publish, tcp_nodelay=True)
+
+
+def sink():
+    rospy.Subscriber("/relay/out", Bool,
+                     lambda message: print("sink", int(message.data), time.monotonic_ns(), flush=True),
+                     tcp_nodelay=True)
+
+
+if __name__ == "__main__":
+    role = sys.argv[1]
+    rospy.init_node(role, disable_signals=True)
+    if role == "relay":
+        relay()
+    elif role == "sink":
+        sink()
+    driver = Driver(sys.argv[2].split(",") if len(sys.argv) > 2 and role not in ("relay", "sink") else ())
+    print("ready", flush=True)
+    for each_line in sys.stdin:
+        driver.obey(each_line)
