@@ -12,7 +12,6 @@ import os
 import re
 import shutil
 import signal
-import socket
 import statistics
 import subprocess
 import sys
@@ -21,140 +20,20 @@ import time
 import unittest
 from typing import ClassVar
 
-import rospkg
 import rostest
 
-from waiting import NodeProcess, eventually, executable
+from virtual_car import DRIVER, HERE, PYTHON38, Car
+from waiting import eventually
 
 TRIALS = int(os.environ.get("CAR_INTERFACE_TRIALS", "5"))
 TABLE = os.environ.get("CAR_INTERFACE_TABLE")
-PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")  # one that can import rospy, with its PYTHONPATH
-PYTHONPATH38 = os.environ.get("CAR_INTERFACE_PYTHONPATH38")
 
 CENTER, LEFT, ESC_NEUTRAL = 319, 238, 307  # counts of 5100, 3800, 4915
-PACKAGE = rospkg.RosPack().get_path("car_interface")
-HERE = os.path.dirname(os.path.abspath(__file__))
-DRIVER, MONOTONIC_SLEEP = os.path.join(HERE, "chain_driver.py"), os.path.join(HERE, "monotonic_sleep.c")
+MONOTONIC_SLEEP = os.path.join(HERE, "monotonic_sleep.c")
 SLACK_MS = 0 if os.environ.get("CAR_INTERFACE_ALL") else 150  # a machine that builds and tests other things, too
 MESSAGE_MEDIAN_MS, MESSAGE_P99_MS, MESSAGE_WORST_MS = 1.0, 2.0, 20.0
 MESSAGE_TRIALS = 10 * TRIALS
 HOUR_S = 3600
-
-
-class Chip:
-    """What the virtual chip's channels were given, and when: its log, read as it grows."""
-
-    def __init__(self, path):
-        self.path = path
-        self._offset = 0
-        self.writes = []  # (monotonic ns, channel, counts)
-
-    def _read(self):
-        if not os.path.exists(self.path):
-            return
-        with open(self.path, encoding="ascii") as file:
-            file.seek(self._offset)
-            text = file.read()
-        whole = text[:text.rfind("\n") + 1]
-        self._offset += len(whole)
-        for line in whole.splitlines():
-            at_ns, _, register, data = line.split()
-            first, data = int(register, 16), bytes.fromhex(data)
-            if first == 0xFD:  # all off
-                self.writes += [(int(at_ns), channel, 0) for channel in range(16)]
-            elif 6 <= first < 70:
-                for offset in range(0, len(data), 4):
-                    _, on_high, low, high = data[offset:offset + 4]
-                    counts = 4096 if on_high & 0x10 else 0 if high & 0x10 else 256 * high + low
-                    self.writes.append((int(at_ns), (first - 6) // 4 + offset // 4, counts))
-
-    def counts(self, channel):
-        """What a channel holds."""
-        self._read()
-        return next((counts for _, written, counts in reversed(self.writes) if written == channel), None)
-
-    def wait_for(self, channel, wanted, since_ns=0):
-        """When a channel was first given what ``wanted`` accepts, from then on, ns; or since when it holds it."""
-        def found():
-            self._read()
-            of_channel = [(at_ns, counts) for at_ns, written, counts in self.writes if written == channel]
-            before = [counts for at_ns, counts in of_channel if at_ns <= since_ns]
-            if before and wanted(before[-1]) and since_ns:
-                return since_ns
-            return next((at_ns for at_ns, counts in of_channel if at_ns > since_ns and wanted(counts)), None)
-        return eventually(found, f"channel {channel} as wanted; it holds {self.counts(channel)}")
-
-    def values_since(self, channel, since_ns):
-        """What a channel was given since then."""
-        self._read()
-        return [counts for at_ns, written, counts in self.writes if written == channel and at_ns > since_ns]
-
-
-class Car:
-    """A master and the nodes of a car, each a process."""
-
-    def __init__(self, test, node_env=None, python38=False):
-        self._test = test
-        self.folder = tempfile.mkdtemp()
-        test.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
-        self._python38 = python38
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self._port = probe.getsockname()[1]
-        self._env = {"ROS_MASTER_URI": f"http://127.0.0.1:{self._port}", "ROS_IP": "127.0.0.1",
-                     "ROS_LOG_DIR": self.folder}
-        self._node_env = {**self._env, **(node_env or {})}
-        if python38:
-            self._node_env["PYTHONPATH"] = PYTHONPATH38
-        self.processes = {}
-        self.chip = Chip(os.path.join(self.folder, "chip"))
-        self.master = self.start("master", shutil.which("rosmaster"), "--core", "-p", str(self._port))
-        eventually(self._master_answers, "a master")
-
-    def _master_answers(self):
-        with socket.socket() as probe:
-            return probe.connect_ex(("127.0.0.1", self._port)) == 0
-
-    def start(self, name, *command, env=None):
-        process = NodeProcess(*command, env=env or self._env)
-        self._test.addCleanup(process.clean_up)
-        self.processes[name] = process
-        return process
-
-    def node(self, node, *arguments):
-        """Start a node with its shipped configuration."""
-        program = (PYTHON38, os.path.join(PACKAGE, "scripts", node)) if self._python38 else (executable(node),)
-        return self.start(node, *program, *arguments, env=self._node_env)
-
-    def load(self, node, *names):
-        for name in names:
-            subprocess.run([shutil.which("rosparam"), "load", os.path.join(PACKAGE, "config", name), node], check=True,
-                           env={**os.environ, **self._env}, stdout=subprocess.DEVNULL)
-
-    def actors(self):
-        """The three nodes between the senders and the chip."""
-        self.load("/turn_arb", "turn_arb.yaml")
-        self.load("/pca9685", "pca9685.yaml", "pca9685_throttle.yaml")
-        self.load("/generic_value_converter", "generic_value_converter.yaml", "throttle.yaml")
-        self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
-        self.turn_arb()
-        self.node("generic_value_converter", "generic_value_converter/input/control_cmd:=control/command/control_cmd",
-                  "generic_value_converter/input/odometry:=localization/kinematic_state",
-                  f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
-
-    def turn_arb(self):
-        return self.node("turn_arb")
-
-    def driver(self, name, *names):
-        process = self.start(name, sys.executable, DRIVER, name, ",".join(names))
-        process.wait_for_info("^ready")
-        return process
-
-    def sent(self, driver, name, value):
-        """Have a driver publish a value; when it did, ns."""
-        mark = driver.stdout.mark()
-        driver.tell(f"{name} {value}")
-        return int(driver.stdout.wait_for(lambda line: line.startswith(f"{name} {value} "), mark).what.split()[2])
 
 
 class ChainTest(unittest.TestCase):
