@@ -7,14 +7,18 @@ import os
 import re
 import tempfile
 import unittest
+import xmlrpc.client
 
 import rosbag
+import rosgraph
+import rosnode
 import rospy
 import rostest
 
 from waiting import start_node
 
 DRIVE_WITHIN_S = 120
+LISTENING, LOOPBACK = "0A", "0100007F:"  # as /proc/net/tcp has them
 # What a car's namespace moves although it's absolute by default.
 ABSOLUTE = ("/servo/output", "/servo/cmdVector", "/teleop_logi/human_in_loop", "/teleop_logi/tele_steer_req",
             "/teleop_logi/tele_throt_req")
@@ -38,6 +42,7 @@ class TwoCarsDrive(unittest.TestCase):
             self.assertGreater(answered, 20)
             self.assertRegex(shown, r"frames good, bad +[1-9]\d+, 0\n")
         self.check_names()
+        self.check_listeners()
         self.check_bag(bags.name)
 
     def check_names(self):
@@ -51,6 +56,19 @@ class TwoCarsDrive(unittest.TestCase):
                     continue
                 self.assertEqual(node.startswith("/car1/"), topic.startswith("/car1/"), f"{node} on {topic}")
 
+    def check_listeners(self):
+        """Every node listens on the loopback only; rosout, which is C++, on everything."""
+        with open("/proc/net/tcp", encoding="ascii") as file:
+            rows = [line.split() for line in file.read().splitlines()[1:]]
+        exposed = {row[9] for row in rows if row[3] == LISTENING and not row[1].startswith(LOOPBACK)}
+        nodes = [name for name in rosnode.get_node_names() if name != "/rosout"]
+        self.assertGreater(len(nodes), 10)
+        for name in nodes:
+            uri = rosnode.get_api_uri(rosgraph.Master("/demo_test"), name)
+            pid = xmlrpc.client.ServerProxy(uri).getPid("/demo_test")[2]
+            sockets = set(re.findall(r"socket:\[(\d+)\]", " ".join(links_in(f"/proc/{pid}/fd"))))
+            self.assertEqual(sockets & exposed, set(), name)
+
     def check_bag(self, folder):
         """The bag was closed and holds what both the human and the car did."""
         path, = glob.glob(os.path.join(folder, "*.bag"))
@@ -60,6 +78,15 @@ class TwoCarsDrive(unittest.TestCase):
                                 ("/teensy_distance", 200), ("/teensy_pong", 20), ("/turn_arb/state", 200),
                                 ("/joy", 500)):
             self.assertGreater(counts.get(topic, 0), at_least, topic)
+
+
+def links_in(folder):
+    """Where the links in a folder lead; some may vanish meanwhile."""
+    for name in os.listdir(folder):
+        try:
+            yield os.readlink(os.path.join(folder, name))
+        except OSError:
+            continue
 
 
 if __name__ == "__main__":

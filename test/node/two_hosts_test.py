@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The gamepad on one host and the car on another, in two network namespaces; the link between them is cut and comes back.
+"""The gamepad on one host and the car on another, in two network namespaces; the link between them is cut for a while.
 
 Skipped, and counted as skipped, where namespaces are not allowed.
 """
