@@ -65,6 +65,12 @@ class Person:
         threading.Thread(target=self._live, daemon=True).start()
 
     def _live(self):
+        try:
+            self._publish_for_ever()
+        except rospy.ROSException:
+            pass  # this node ends
+
+    def _publish_for_ever(self):
         while not rospy.is_shutdown():
             grants = bool(self.deadman) and self.e_stop is False and math.isfinite(self.joy_axis)
             self.may_move_until_s = math.inf if grants else min(self.may_move_until_s, time.monotonic())
@@ -142,6 +148,7 @@ class Soak:
         self._recoveries = defaultdict(list)
         self._failures: list = []
         self._faults = self._all_faults()
+        self._deck: list = []
 
     # --- faults: each makes itself, waits for what must follow, and undoes itself ---
 
@@ -235,9 +242,19 @@ class Soak:
             kills = time.monotonic() < self._kill_until_s
             if not kills and before is None:
                 before = {node: Footprint(node) for node in NODES}
-            self._make_one(self._random.choice([name for name in self._faults if kills or "killed" not in name]))
+            self._make_one(self._next_fault(kills))
         after = {node: Footprint(node) for node in NODES}
         return self._report(before or {}, after)
+
+    def _next_fault(self, kills):
+        """Each comes once, in another order, before any comes again."""
+        deck = [name for name in self._deck if kills or "killed" not in name]
+        if not deck:
+            self._deck = sorted(self._faults)
+            self._random.shuffle(self._deck)
+            return self._next_fault(kills)
+        self._deck.remove(deck[0])
+        return deck[0]
 
     def _make_one(self, name):
         begun_s = time.monotonic()
