@@ -2,8 +2,12 @@
 from __future__ import annotations
 
 import errno
+import grp
 import os
+import pwd
 import select
+import subprocess
+import sys
 import termios
 import time
 import tty
@@ -13,6 +17,7 @@ import pytest
 serial = pytest.importorskip("serial")
 
 from car_interface.errors import DeviceError  # noqa: E402
+from car_interface.teensy.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT  # noqa: E402
 from car_interface.teensy.link import SerialLink  # noqa: E402
 
 
@@ -65,6 +70,19 @@ def test_link_closed_lets_go_of_the_port(link):
     link.close()
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(descriptor)
+
+
+@pytest.mark.parametrize("use", [lambda link: link.fileno(), lambda link: link.read(), lambda link: link.write(b"x")],
+                         ids=["fileno", "read", "write"])
+@pytest.mark.parametrize("was_open", [True, False])
+def test_link_that_is_closed_says_so_to_whoever_uses_it(terminal, was_open, use):
+    link = SerialLink(terminal.path, 115200)
+    if was_open:
+        link.open()
+        link.close()
+    with pytest.raises(DeviceError, match=f"^Teensy on {terminal.path}: the port is not open. It is opened again"):
+        use(link)
+    assert not link.is_open
 
 
 def test_link_closed_twice_is_still_closed(link):
@@ -176,22 +194,146 @@ def test_port_that_is_dev_null_is_refused():
     assert "ls /dev/serial/by-id" in error.cure
 
 
-@pytest.mark.parametrize("number, cause, cure", [
-    pytest.param(errno.EACCES, "no permission to open it", "usermod -aG dialout", id="permission_denied"),
-    pytest.param(errno.EPERM, "no permission to open it", "usermod -aG dialout", id="operation_not_permitted"),
-    pytest.param(errno.EBUSY, "another program has it open", "fuser -v ", id="device_busy"),
-    pytest.param(errno.EAGAIN, "another program has it open", "fuser -v ", id="locked"),
-    pytest.param(errno.ENOENT, "there is no such port", "ls /dev/serial/by-id", id="gone_in_between"),
-    pytest.param(errno.ENOTTY, "this is not a serial port", "ls /dev/serial/by-id", id="not_a_terminal"),
-    pytest.param(errno.EIO, "it can't be opened (could not open port)", "Check ~port and ~baud", id="anything_else"),
+@pytest.mark.parametrize("number, state, cause, cure", [
+    pytest.param(errno.EBUSY, BUSY, "another program has it open", "fuser -v ", id="device_busy"),
+    pytest.param(errno.EAGAIN, BUSY, "another program has it open", "fuser -v ", id="locked"),
+    pytest.param(errno.ENOENT, ABSENT, "there is no such port", "ls /dev/serial/by-id", id="gone_in_between"),
+    pytest.param(errno.ENOTTY, NO_PORT, "this is not a serial port", "ls /dev/serial/by-id", id="not_a_terminal"),
+    pytest.param(errno.EIO, FAILING, "it can't be opened (could not open port)", "Check ~port and ~baud",
+                 id="anything_else"),
 ])
-def test_port_that_the_system_refuses_is_explained_by_the_error_s_number(terminal, monkeypatch, number, cause, cure):
+def test_port_that_the_system_refuses_is_explained_by_the_error_s_number(terminal, monkeypatch, number, state, cause,
+                                                                         cure):
+    refuse_with(number, monkeypatch)
+    error = refusal(terminal.path)
+    assert (error.state, error.cause.replace(f"[Errno {number}] ", "")) == (state, cause)
+    assert cure in error.cure
+
+
+def refuse_with(number, monkeypatch):
+    """Root, as in a container, may open anything."""
     def refuse(*args, **kwargs):
         raise serial.SerialException(number, "could not open port")
-    monkeypatch.setattr(serial, "Serial", refuse)  # root, as in a container, may open anything
+    monkeypatch.setattr(serial, "Serial", refuse)
+
+
+USER = pwd.getpwuid(os.geteuid()).pw_name
+OPEN_TO_ITS_GROUP = 0o660
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM])
+@pytest.mark.parametrize("mode, own_groups, group_s_members, cause, cure", [
+    pytest.param(OPEN_TO_ITS_GROUP, [], [], f": {USER} is not in its group, dialout",
+                 f"Join it and log in anew: sudo usermod -aG dialout {USER}", id="not_in_the_group"),
+    pytest.param(OPEN_TO_ITS_GROUP, [], [USER], f": {USER} joined its group, dialout, after logging in", "Log in anew",
+                 id="in_the_group_since_after_the_log_in"),
+    pytest.param(OPEN_TO_ITS_GROUP, [20], [USER], ", in spite of its group, dialout", "ls -lL", id="in_the_group"),
+    pytest.param(0o600, [], [], ", nor has its group, dialout", "udev rule", id="not_open_to_any_group"),
+])
+def test_port_without_permission_names_the_group(terminal, monkeypatch, number, mode, own_groups, group_s_members,
+                                                 cause, cure):
+    refuse_with(number, monkeypatch)
+    dialout = grp.struct_group(("dialout", "x", 20, group_s_members))
+    status = os.stat_result((0o20000 | mode, 3, 26, 1, 0, 20, 0, 0, 0, 0))
+    monkeypatch.setattr(os, "stat", lambda path: status)
+    monkeypatch.setattr(os, "getgroups", lambda: own_groups)
+    monkeypatch.setattr(grp, "getgrgid", lambda number: dialout)
+    monkeypatch.setattr(grp, "getgrall", lambda: [dialout])
     error = refusal(terminal.path)
-    assert error.cause.replace(f"[Errno {number}] ", "") == cause
+    assert (error.state, error.cause) == (NO_PERMISSION, "no permission to open it" + cause)
     assert cure in error.cure
+
+
+def test_port_of_a_group_without_a_name_is_named_by_its_number(terminal, monkeypatch):
+    refuse_with(errno.EACCES, monkeypatch)
+    status = os.stat_result((0o20000 | OPEN_TO_ITS_GROUP, 3, 26, 1, 0, 987654, 0, 0, 0, 0))
+    monkeypatch.setattr(os, "stat", lambda path: status)
+    assert "is not in its group, 987654" in refusal(terminal.path).cause
+
+
+class OtherProgram:
+    """A process that has a port open, locked or not; its script is called ``terminal_program``."""
+
+    def __init__(self, tmp_path, port, locks):
+        script = tmp_path / "terminal_program"
+        script.write_text("import fcntl, os, sys\n"
+                          "port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)\n"
+                          "if sys.argv[2] == 'True': fcntl.flock(port, fcntl.LOCK_EX)\n"
+                          "print('open', flush=True)\n"
+                          "sys.stdin.read()\n")
+        self.process = subprocess.Popen([sys.executable, str(script), port, str(locks)],
+                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert self.process.stdout.readline() == b"open\n"
+
+    def end(self):
+        self.process.communicate()
+
+
+@pytest.fixture
+def other_program(tmp_path, terminal):
+    started = []
+
+    def start(locks):
+        started.append(OtherProgram(tmp_path, terminal.path, locks))
+        return started[-1]
+    yield start
+    for program in started:
+        program.end()
+
+
+def test_port_busy_names_the_process_that_has_locked_it(terminal, other_program):
+    program = other_program(locks=True)
+    error = refusal(terminal.path)
+    assert error.state == BUSY
+    assert error.cause == f"another program has it open: terminal_program (process {program.process.pid})"
+    assert error.cure == f"See which one, and end it: fuser -v {terminal.path}"
+    program.end()
+    link = SerialLink(terminal.path, 115200)
+    link.open()
+    link.close()
+
+
+def test_port_busy_without_a_lock_names_whoever_has_it_open(tmp_path, terminal, other_program, monkeypatch):
+    program = other_program(locks=False)
+    path = tmp_path / "by-id"
+    path.symlink_to(terminal.path)
+    refuse_with(errno.EBUSY, monkeypatch)
+    assert refusal(str(path)).cause == (
+        f"another program has it open: terminal_program (process {program.process.pid})")
+
+
+def test_port_behind_a_link_that_is_busy_names_the_process_too(tmp_path, terminal, other_program):
+    program = other_program(locks=True)
+    path = tmp_path / "by-id"
+    path.symlink_to(terminal.path)
+    assert f"terminal_program (process {program.process.pid})" in refusal(str(path)).cause
+
+
+def test_port_busy_by_what_proc_does_not_tell_is_still_explained(terminal, other_program, monkeypatch):
+    other_program(locks=True)
+
+    def deny(*args, **kwargs):
+        raise PermissionError(errno.EACCES, "denied")
+    monkeypatch.setattr("builtins.open", deny)
+    error = refusal(terminal.path)
+    assert (error.state, error.cause) == (BUSY, "another program has it open")
+
+
+def test_port_that_stays_busy_is_not_searched_for_at_each_attempt(terminal, other_program, monkeypatch):
+    other_program(locks=True)
+    link = SerialLink(terminal.path, 115200)
+    searched = []
+    monkeypatch.setattr("car_interface.teensy.link._holders", lambda path: searched.append(path) or [(1, "other")])
+    for _ in range(10):
+        with pytest.raises(DeviceError, match=r"another program has it open: other \(process 1\)"):
+            link.open()
+    assert len(searched) == 2
+
+
+def test_port_held_by_modem_manager_names_the_cure(terminal, other_program, monkeypatch):
+    other_program(locks=True)
+    monkeypatch.setattr("car_interface.teensy.link._process_name", lambda pid: "ModemManager")
+    assert "sudo apt-get remove modemmanager" in refusal(terminal.path).cure
 
 
 def test_port_that_fails_while_it_is_set_up_is_left_to_others(terminal, monkeypatch):
@@ -262,6 +404,21 @@ def test_port_that_takes_nothing_is_given_up_instead_of_blocking(link):
         link.write(bytes(1_000_000))
     assert not link.is_open
     assert time.monotonic() - before_s < 1.5
+
+
+def test_port_that_takes_nothing_costs_no_cpu_while_it_is_waited_for(link):
+    before_s = time.process_time()
+    with pytest.raises(DeviceError, match="write timeout"):
+        link.write(bytes(1_000_000))
+    assert time.process_time() - before_s < 0.1
+
+
+def test_port_given_up_because_it_took_nothing_takes_something_again_when_opened_anew(link):
+    with pytest.raises(DeviceError, match="write timeout"):
+        link.write(bytes(1_000_000))
+    link.open()
+    link.write(bytes(60))
+    assert link.is_open
 
 
 def test_port_plugged_in_again_under_its_name_is_opened_again(tmp_path):

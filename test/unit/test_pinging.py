@@ -3,8 +3,10 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.teensy.framing import CORRECTED, SHIPPED
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.teensy.framing import CORRECTED, SHIPPED, FrameDecoder
 from car_interface.teensy.pinging import AUTO, Answer, Pinger
+from car_interface.teensy.protocol import Pong, decode
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -165,6 +167,62 @@ def test_pings_unanswered_with_an_answer_between_do_not_switch():
     pings.pong(1, after + MS)
     go_unanswered(pings, 4, after + S)
     assert pings.checksum == SHIPPED
+
+
+def test_pings_unanswered_while_nothing_is_heard_say_nothing_about_the_checksum():
+    pings = pinger()
+    after = NOW
+    for number in range(47):
+        pings.ping(number, after)
+        after += GIVE_UP
+        assert pings.expire(after, heard=False) == [number]
+    assert (pings.checksum, pings.unanswered_in_a_row) == (SHIPPED, 47)
+    after = go_unanswered(pings, 4, after)
+    assert pings.checksum == SHIPPED
+    go_unanswered(pings, 1, after)
+    assert pings.checksum == CORRECTED
+
+
+def test_pings_unanswered_before_the_line_was_opened_anew_do_not_count():
+    pings = pinger()
+    after = go_unanswered(pings, 4)
+    pings.restart(after)
+    go_unanswered(pings, 4, after)
+    assert pings.checksum == SHIPPED
+
+
+def test_resyncs_are_the_pings_behind_the_filler():
+    pings = pinger()
+    after = go_unanswered(pings, 3)
+    assert pings.resyncs == 2
+    pings.ping(1, after)
+    pings.pong(1, after + MS)
+    pings.ping(2, after + S)
+    assert pings.resyncs == 3
+
+
+@pytest.mark.parametrize("state", ["idle", "odd_flag", "missing_flag", "overlong"])
+@pytest.mark.parametrize("corrected", [False, True], ids=["shipped", "corrected"])
+def test_receiver_out_of_step_answers_again_within_two_seconds_of_the_first_unanswered_ping(state, corrected):
+    """On the virtual Teensy, whose receiver takes opening flags for closing ones until an odd one comes, for good."""
+    teensy = TeensyFirmware(FirmwareConfig(corrected_checksum=corrected), power_up_ns=NOW)
+    pings = pinger(CORRECTED if corrected else SHIPPED)
+    disturbance = {"idle": b"", "odd_flag": b"\x7e", "missing_flag": b"\x02\x01\x05\x00\xf7\x7e",
+                   "overlong": b"\x7e" + bytes(60) + b"\x7e"}[state]
+    teensy.receive(disturbance, NOW)
+    decoder, sent, first_unanswered_ns, answered_ns = FrameDecoder(), 0, None, None
+    for now_ns in range(NOW + 10 * MS, NOW + 10 * S, MS):
+        if pings.expire(now_ns) and first_unanswered_ns is None:
+            first_unanswered_ns = now_ns - GIVE_UP
+        if now_ns >= pings.due_ns:
+            sent += 1
+            teensy.receive(pings.ping(sent, now_ns), now_ns)
+        for body in decoder.feed(teensy.transmit(now_ns)):
+            if isinstance(decode(body), Pong) and pings.pong(decode(body).timestamp1, now_ns):
+                answered_ns = answered_ns or now_ns
+    assert answered_ns - (first_unanswered_ns or NOW) < 2 * S
+    assert (first_unanswered_ns is None) == (state == "idle")
+    assert sent - pings.answered == (state != "idle")
 
 
 @pytest.mark.parametrize("checksum, frame", [(SHIPPED, SHIPPED_FRAME), (CORRECTED, CORRECTED_FRAME)],

@@ -7,6 +7,8 @@ Subscribes:
     /servo/output (std_msgs/Int32MultiArray): what the servo board holds.
 Publishes:
     ~truth (nav_msgs/Odometry, 50 Hz): where the car really is, in odom, and how fast.
+Service:
+    ~inject_fault (InjectFault): makes the Teensy and its line misbehave; see ``virtual_line``.
 Parameters:
     ~port /tmp/car_sim_teensy: where to put the link to the pseudo-terminal.
     ~steering_channel 0, ~throttle_channel 1: of the servo board.
@@ -16,14 +18,12 @@ Parameters:
     ~forward_acceleration, ~reverse_acceleration, ~brake_deceleration (m/s²): the true drive train.
     ~temperature 20 (°C): of the air that the sonars' sound travels through.
     ~clock_start_ms 0, ~clock_drift_ppm 0: the Teensy's clock.  ~corrected_checksum false: its receiver repaired.
-    ~seed: of the garbage in the Teensy's memory at power-up.
+    ~seed: of the garbage in the Teensy's memory at power-up, and of the noise on its line.
 """
 from __future__ import annotations
 
 import math
-import os
 import time
-import tty
 
 import rospy
 from geometry_msgs.msg import Point, Quaternion, Vector3
@@ -32,6 +32,7 @@ from std_msgs.msg import Int32MultiArray
 
 from car_interface.errors import ConfigError
 from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run, subscribe
+from car_interface.nodes.virtual_line import VirtualLine
 from car_interface.servo import CHANNELS, UNCHANGED
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
@@ -39,7 +40,6 @@ from car_interface.sim.world import World, WorldConfig
 
 STEP_NS = 2_000_000  # the car's longest step, and how often bytes leave
 TRUTH_RATE_HZ = 50
-LONGEST_BACKLOG = 4096  # bytes on their way to the Teensy: beyond it the writer waits, as behind a real UART
 LONGEST_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes on from now
 
 
@@ -93,8 +93,8 @@ class CarSim:
         self._outputs = [UNCHANGED] * CHANNELS
         self._inbox = inbox
         self._complaints = Complaints()
-        self._line = PseudoTerminal(port)
-        inbox.watch(self._line.fileno())
+        self._line = VirtualLine(port, self._firmware, firmware_config.seed or 0, inbox)
+        self._line.serve(time.monotonic_ns)
         self._heartbeat = Heartbeat(TRUTH_RATE_HZ, now_ns)
         self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
@@ -105,11 +105,7 @@ class CarSim:
         self._move(now_ns)
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
-        if self._firmware.receive_backlog(now_ns) < LONGEST_BACKLOG:
-            received = self._line.read()
-            if received:
-                self._firmware.receive(received, now_ns)
-        self._line.write(self._firmware.transmit(now_ns))
+        self._line.step(now_ns)
         if self._heartbeat.is_due(now_ns):
             self._publish_truth()
         return now_ns + STEP_NS
@@ -144,61 +140,6 @@ class CarSim:
         message.twist.twist.linear = Vector3(vehicle.speed_mps, 0.0, 0.0)
         message.twist.twist.angular = Vector3(0.0, 0.0, vehicle.yaw_rate_radps)
         self._truth.publish(message)
-
-
-class PseudoTerminal:
-    """A serial line without a cable: a link at ``path`` leads to the end that a program opens as its port.
-
-    As on a real line, bytes that nobody reads are lost. Our own hold on the far end keeps the near one alive while no
-    program has it open.
-
-    Raises:
-        ConfigError: when something other than a link is at ``path``, or no link can be put there.
-    """
-
-    def __init__(self, path: str):
-        self._path = path
-        self._near, self._far = os.openpty()
-        tty.setraw(self._far)
-        os.set_blocking(self._near, False)
-        self._target = os.ttyname(self._far)
-        self._put_link()
-
-    def fileno(self) -> int:
-        """For the inbox to watch."""
-        return self._near
-
-    def read(self) -> bytes:
-        """What the program wrote."""
-        try:
-            return os.read(self._near, 4096)
-        except BlockingIOError:
-            return b""
-
-    def write(self, data: bytes) -> None:
-        """Bytes for the program; what doesn't fit any more is lost."""
-        try:
-            os.write(self._near, data)
-        except BlockingIOError:
-            pass
-
-    def close(self) -> None:
-        """Remove the link, unless it's another's by now."""
-        try:
-            if os.readlink(self._path) == self._target:
-                os.unlink(self._path)
-        except OSError:
-            pass
-
-    def _put_link(self):
-        new = f"{self._path}.{os.getpid()}"
-        try:
-            if os.path.lexists(self._path) and not os.path.islink(self._path):
-                raise ConfigError("port", self._path, "a path where there is nothing yet, or a link")
-            os.symlink(self._target, new)
-            os.replace(new, self._path)
-        except OSError as error:
-            raise ConfigError("port", self._path, f"a path where a link can be made ({error.strerror})") from error
 
 
 def main():

@@ -2,7 +2,8 @@
 
 Publishes:
     teensy_pong (Pong), teensy_wheel (Wheel), teensy_distance (Distance), teensy_error (Error): each valid frame.
-    ~link (LinkStatus, latched, 1 Hz): frames good and bad, pings and pongs.
+    ~link (LinkStatus, latched, 1 Hz and when the port opens or closes): what is wrong with the link, and its counters.
+    /diagnostics: the same; 1 Hz.
 Services:
     ~ping, ~sonar_start, ~sonar_stop, ~wheel_reset, ~get_counters (std_srvs/Trigger),
     ~set_sonar_sequence (SetSonarSequence), ~set_sonar_wait (SetSonarWait).
@@ -24,16 +25,21 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from car_interface.errors import DeviceError, ProtocolError
 from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
+from car_interface.nodes.diagnostics import Diagnostics
 from car_interface.nodes.keys import Keys
 from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run
 from car_interface.srv import SetSonarSequence, SetSonarSequenceResponse, SetSonarWait, SetSonarWaitResponse
 from car_interface.teensy import protocol
 from car_interface.teensy.framing import CORRECTED, RESYNC_FILLER, SHIPPED, FrameDecoder, encode
+from car_interface.teensy.health import FINE, OK, REBOOTED, WAITING, Counts, LinkHealth, TeensyClock
 from car_interface.teensy.link import SerialLink
 from car_interface.teensy.pinging import AUTO, Pinger
 
 QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
+LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So many at once are a flood, or were kept waiting
+SHORTEST_REST_NS = NS_PER_S // 250
+MOST_COUNTERS = 64  # the firmware has 27; noise that passes for a counter must not make them more and more
 COUNTERS_PERIOD_NS = NS_PER_S  # asked more often, the answers starve the Teensy's buffers
 NOT_OPEN = (False, "the Teensy's port is not open")
 KEY_HELP = "keys: P ping, S sonar start, N sonar stop, R wheel reset, C counters, X sonars 0 1 5, Y all sonars, Q quit"
@@ -50,7 +56,10 @@ class TeensySensorHub:
         checksum = params.choice("firmware_checksum", AUTO, (AUTO, SHIPPED, CORRECTED))
         required = params.flag("required", False)
         params.finish()
+        self._port = port
         self._link = SerialLink(port, baud)
+        self._health = LinkHealth(baud)
+        self._clock = TeensyClock()
         self._decoder = FrameDecoder()
         self._pinger = Pinger(round(period_s * NS_PER_S), checksum, now_ns)
         self._inbox = inbox
@@ -60,9 +69,15 @@ class TeensySensorHub:
         self._next_counters_ns = now_ns
         self._waiting = {}  # timestamp1 → the Futures of the ~ping calls that wait for it
         self._watched_fd = None
+        self._rest_until_ns = 0
+        self._openings = 0
+        self._records_at_expiry = 0
+        self._unknown_commands = 0
+        self._counters = {}  # the Teensy's, by name, as it last sent them
         self._round_trip_ns = math.nan
         self._link_beat = Heartbeat(1, now_ns)
         self._link_status = rospy.Publisher("~link", LinkStatus, queue_size=10, latch=True)
+        self._diagnostics = Diagnostics(f"Teensy on {port}", {"Teensy link": self._report}, now_ns)
         self._publish = self._publishers()
         if required:
             self._open()
@@ -90,10 +105,9 @@ class TeensySensorHub:
         return {
             protocol.Pong: lambda record: (pong(*record), self._on_pong(record)),
             protocol.WheelStatus: lambda record: wheel(OneWheel(*record.left), OneWheel(*record.right)),
-            protocol.SonarStatus: lambda record: distance(*record),
-            protocol.ErrorCount: lambda record: error(*record),
-            protocol.Malformed: lambda record: self._complaints.warn(
-                "malformed", f"a frame from the Teensy makes no sense: {record.reason}"),
+            protocol.SonarStatus: lambda record: (distance(*record), self._on_tick(record.when)),
+            protocol.ErrorCount: lambda record: (error(*record), self._on_counter(record)),
+            protocol.Malformed: self._on_malformed,
         }
 
     def _services(self):
@@ -120,16 +134,23 @@ class TeensySensorHub:
         for handler, item, arrival_ns in self._inbox.take():
             handler(item, arrival_ns)
         self._read_keys()
-        if self._link.is_open:
-            self._read()
-        elif now_ns >= self._next_try_ns:
+        if not self._link.is_open and now_ns >= self._next_try_ns:
             self._try_open()
+        if self._link.is_open and now_ns >= self._rest_until_ns:
+            self._read()
         if self._link.is_open:
             self._ping_when_due(time.monotonic_ns())
         if self._link_beat.is_due(now_ns):
+            self._judge()
             self._publish_link_status()
-        return min(self._link_beat.due_ns,
-                   self._pinger.next_event_ns() if self._link.is_open else self._next_try_ns)
+        self._diagnostics.step(now_ns)
+        return min(self._link_beat.due_ns, self._diagnostics.due_ns, self._next_port_event_ns())
+
+    def _next_port_event_ns(self):
+        if not self._link.is_open:
+            return self._next_try_ns
+        ping_ns = self._pinger.next_event_ns()
+        return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
         """Leave the terminal and the port as they were found."""
@@ -143,18 +164,22 @@ class TeensySensorHub:
         try:
             self._open()
         except DeviceError as error:
-            self._complaints.warn("port", f"{error}. Trying again")
+            self._complaints.warn(error.state, f"{error}. Trying again")
+            self._note_failure(error)
             self._plan_retry()
 
     def _open(self):
         """Open the port, bring the Teensy's receiver in step, and ping it."""
         self._link.open()
+        self._openings += 1
         self._decoder.reset()
-        self._watched_fd = self._link.fileno()
-        self._inbox.watch(self._watched_fd)
-        self._retry_ns = FIRST_RETRY_NS
+        self._rest_until_ns = 0
+        self._watch_port(True)
         rospy.loginfo("the Teensy's port is open")
-        self._pinger.restart(time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        self._health.opened(self._counts(), now_ns)
+        self._publish_link_status()
+        self._pinger.restart(now_ns)
         if self._write(RESYNC_FILLER):
             self._ping()
 
@@ -162,30 +187,60 @@ class TeensySensorHub:
         self._next_try_ns = time.monotonic_ns() + self._retry_ns
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
+    def _watch_port(self, wanted):
+        """Wait for the port, or don't: while it rests it would end every wait."""
+        if wanted and self._watched_fd is None:
+            self._watched_fd = self._link.fileno()
+            self._inbox.watch(self._watched_fd)
+        elif not wanted and self._watched_fd is not None:
+            self._inbox.unwatch(self._watched_fd)
+            self._watched_fd = None
+
     def _close(self, reason):
         """Close the port and tell those who wait for an answer through it."""
-        self._inbox.unwatch(self._watched_fd)
+        self._watch_port(False)
         self._link.close()
         for timestamp1 in list(self._waiting):
             self._tell_waiting(timestamp1, (False, reason))
 
     def _read(self):
+        began_ns = time.monotonic_ns()
         try:
             data = self._link.read()
         except DeviceError as error:
             self._lose(error)
             return
+        self._watch_port(True)
+        if not data:
+            return
+        self._retry_ns = FIRST_RETRY_NS
         for body in self._decoder.feed(data):
             record = protocol.decode(body)
             self._publish[type(record)](record)
         corrupt = self._decoder.tally.bad_frames - self._complaints.counts["corrupt"]
         if corrupt:
             self._complaints.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
+        if len(data) >= LONG_READ:
+            self._rest(began_ns)
+
+    def _rest(self, began_ns):
+        """After much at once leave the port alone for as long as that took: a flood must not take the whole CPU."""
+        now_ns = time.monotonic_ns()
+        self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
+        self._watch_port(False)
 
     def _lose(self, error):
-        self._complaints.warn("port", f"{error}")
+        self._complaints.warn(error.state, f"{error}")
         self._close(str(error))
+        self._note_failure(error)
         self._plan_retry()
+
+    def _note_failure(self, error):
+        """Say at once that the port is gone; that it still is can wait for the next second."""
+        before = self._health.verdict.state
+        self._health.port_fails(error.state, error.cause, error.cure)
+        if error.state != before:
+            self._publish_link_status()
 
     def _write(self, data):
         """Send; whether the port took it."""
@@ -197,8 +252,12 @@ class TeensySensorHub:
         return True
 
     def _ping_when_due(self, now_ns):
+        if now_ns < self._pinger.next_event_ns():
+            return
         before = self._pinger.checksum
-        for timestamp1 in self._pinger.expire(now_ns):
+        records = self._counts().records
+        for timestamp1 in self._pinger.expire(now_ns, heard=records > self._records_at_expiry):
+            self._records_at_expiry = records
             self._tell_waiting(timestamp1, (False, "no pong came back"))
             self._complaints.warn("ping", "a ping went unanswered")
         if self._pinger.checksum != before:
@@ -214,18 +273,76 @@ class TeensySensorHub:
         return timestamp1
 
     def _on_pong(self, record):
-        answer = self._pinger.pong(record.timestamp1, time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        self._on_tick(record.timestamp2)
+        answer = self._pinger.pong(record.timestamp1, now_ns)
         if answer is not None:
             self._round_trip_ns = answer.round_trip_ns
             self._tell_waiting(record.timestamp1, (True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms"))
 
-    def _publish_link_status(self):
+    def _on_tick(self, tick):
+        now_ns = time.monotonic_ns()
+        reboot = self._clock.tick(tick, now_ns)
+        if reboot is not None:
+            self._health.rebooted(reboot, now_ns)
+            self._complaints.warn("rebooted", f"the Teensy rebooted: {reboot}")
+
+    def _on_counter(self, record):
+        if record.name in self._counters or len(self._counters) < MOST_COUNTERS:
+            self._counters[record.name] = record.count
+
+    def _on_malformed(self, record):
+        self._unknown_commands += record.reason.startswith("unknown command")
+        self._complaints.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
+
+    def _counts(self):
         tally = self._decoder.tally
-        self._link_status.publish(LinkStatus(
-            stamp=rospy.Time.now(), open=self._link.is_open, frames=tally.frames, bad_frames=tally.bad_frames,
-            malformed_frames=self._complaints.counts["malformed"], noise_bytes=tally.noise_bytes,
-            pings=self._pinger.sent, pongs=self._pinger.answered, round_trip=self._round_trip_ns / NS_PER_S,
-            firmware_checksum=self._pinger.checksum))
+        return Counts(bytes_in=tally.bytes_in, records=tally.frames - self._complaints.counts["malformed"],
+                      bad_frames=tally.bad_frames, bad_checksums=tally.bad_checksum,
+                      pings_in_vain=self._pinger.unanswered_in_a_row)
+
+    def _judge(self):
+        """Find out how the link does, and say so when that is news, or still bad; a failing port says so by itself."""
+        if not self._link.is_open:
+            return
+        before = self._health.verdict
+        verdict = self._health.judge(self._counts(), time.monotonic_ns())
+        is_news = verdict.state != before.state
+        if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was told as it was noticed
+            self._complaints.warn(verdict.state, f"Teensy on {self._port}: {verdict.words}. {verdict.next_step}",
+                                  int(is_news))
+        elif verdict.state == FINE and is_news:
+            rospy.loginfo("Teensy on %s: %s", self._port, verdict.words)
+
+    def _publish_link_status(self):
+        self._link_status.publish(self._status())
+
+    def _status(self):
+        tally, verdict = self._decoder.tally, self._health.verdict
+        return LinkStatus(
+            stamp=rospy.Time.now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
+            words=verdict.words, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
+            malformed_frames=self._complaints.counts["malformed"], unknown_commands=self._unknown_commands,
+            noise_bytes=tally.noise_bytes, resyncs=self._openings + self._pinger.resyncs,
+            reconnects=max(0, self._openings - 1), reboots=self._clock.reboots, pings=self._pinger.sent,
+            pongs=self._pinger.answered, round_trip=self._round_trip_ns / NS_PER_S,
+            firmware_checksum=self._pinger.checksum,
+            counters=[Error(count, name) for name, count in sorted(self._counters.items())])
+
+    def _report(self, report):
+        """The link's line on /diagnostics."""
+        status = self._status()
+        report.summary(status.level, f"{status.words}. {status.next_step}" if status.next_step else status.words)
+        report.add("state", status.state)
+        report.add("port", self._port)
+        report.add("round trip", "never measured" if math.isnan(status.round_trip) else
+                   f"{status.round_trip * 1e3:.1f} ms")
+        for name in ("frames", "bad_frames", "malformed_frames", "unknown_commands", "noise_bytes", "resyncs",
+                     "reconnects", "reboots", "pings", "pongs", "firmware_checksum"):
+            report.add(name.replace("_", " "), getattr(status, name))
+        for counter in status.counters:
+            report.add(f"Teensy's {counter.name}", counter.count)
+        return report
 
     def _tell_waiting(self, timestamp1, result):
         for future in self._waiting.pop(timestamp1, ()):

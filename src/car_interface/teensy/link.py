@@ -5,14 +5,36 @@ Reading never blocks: a node waits on ``fileno()`` together with whatever else i
 from __future__ import annotations
 
 import errno
+import grp
 import os
+import pwd
+import select
+import stat
 import termios
 
 import serial
 
 from car_interface.errors import DeviceError
+from car_interface.teensy.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT
 
 READ_SIZE = 4096
+WRITE_WITHIN_MS = 500  # what a line at 115200 baud carries in that time is more than its driver holds
+SEARCHED_EVERY = 5  # refusals of a busy port; at 2 s between attempts, every 10 s: there may be many processes
+
+
+class PortError(DeviceError):
+    """A port that can't be opened or was lost.
+
+    Args:
+        path: of the port.
+        state: which fault it is, one of ``health``'s.
+        cause: what went wrong, in words.
+        cure: what its owner can do or type next.
+    """
+
+    def __init__(self, path: str, state: str, cause: str, cure: str):
+        self.state = state
+        super().__init__(f"Teensy on {path}", cause, cure)
 
 
 class SerialLink:
@@ -27,6 +49,8 @@ class SerialLink:
         self._path = port
         self._baud = baud
         self._serial = None
+        self._refusals = 0  # of a busy port, since it was last opened
+        self._holders = []
 
     @property
     def is_open(self) -> bool:
@@ -34,30 +58,38 @@ class SerialLink:
         return self._serial is not None
 
     def fileno(self) -> int:
-        """The open port's file descriptor, for select or poll."""
+        """The open port's file descriptor, for select or poll.
+
+        Raises:
+            PortError: when it isn't open.
+        """
+        if self._serial is None:
+            raise PortError(self._path, FAILING, "the port is not open", "It is opened again as soon as that works")
         return self._serial.fileno()
 
     def open(self) -> None:
         """Open the port, without what arrived before.
 
         Raises:
-            DeviceError: with the cause and what to do about it.
+            PortError: with the cause and what to do about it.
         """
         try:
-            self._serial = serial.Serial(self._path, self._baud, timeout=0, write_timeout=0.5, exclusive=True)
+            self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
             _tell_silence_from_hangup(self._serial.fileno())
         except (OSError, ValueError, termios.error) as error:
             self.close()
-            raise DeviceError(f"Teensy on {self._path}", *_explain(self._path, error)) from error
+            raise PortError(self._path, *self._explain(error)) from error
+        self._refusals = 0
 
     def read(self) -> bytes:
         """What has arrived, up to 4 KiB; empty when nothing has.
 
         Raises:
-            DeviceError: when the port is gone; it is closed then.
+            PortError: when the port is gone; it is closed then.
         """
+        fd = self.fileno()
         try:
-            data = os.read(self._serial.fileno(), READ_SIZE)
+            data = os.read(fd, READ_SIZE)
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -67,15 +99,24 @@ class SerialLink:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send bytes.
+        """Send bytes; waits a moment for room.
 
         Raises:
-            DeviceError: when the port is gone or takes nothing; it is closed then.
+            PortError: when the port is gone or takes nothing; it is closed then.
         """
-        try:
-            self._serial.write(data)
-        except OSError as error:  # pyserial's own errors are OSErrors too
-            raise self._lost(error) from error
+        fd = self.fileno()
+        room = select.poll()
+        room.register(fd, select.POLLOUT)
+        while data:
+            # Not pyserial's write: against a port that is full it spins until its timeout.
+            if not room.poll(WRITE_WITHIN_MS):
+                raise self._lost("write timeout: it takes nothing")
+            try:
+                data = data[os.write(fd, data):]
+            except BlockingIOError:
+                continue
+            except OSError as error:
+                raise self._lost(error) from error
 
     def close(self) -> None:
         """Close the port, if it is open."""
@@ -87,9 +128,44 @@ class SerialLink:
             self._serial = None
 
     def _lost(self, error):
+        self._discard_output()
         self.close()
-        return DeviceError(f"Teensy on {self._path}", f"the port was lost ({error})",
-                           "Check its cable and power; it is opened again as soon as it is back")
+        return PortError(self._path, FAILING, f"the port was lost ({error})",
+                         "Check its cable and power; it is opened again as soon as it is back")
+
+    def _discard_output(self):
+        """What a port hasn't taken would keep its close waiting, with some drivers for half a minute."""
+        try:
+            termios.tcflush(self._serial.fileno(), termios.TCOFLUSH)
+        except (OSError, termios.error):
+            pass  # it was pulled out; nothing waits any more
+
+    def _explain(self, error):
+        """State, cause and cure of a failed open, from the path itself and from the error's number."""
+        path, number = self._path, getattr(error, "errno", None)
+        if os.path.isdir(path):
+            return NO_PORT, "this is a directory, not a serial port", ("Set ~port to the port's own path: "
+                                                                       "ls /dev/serial/by-id")
+        if number == errno.ENOENT or not os.path.exists(path):
+            return ABSENT, "there is no such port", ("Plug the Teensy in and see what it is called: "
+                                                     "ls /dev/serial/by-id /dev/ttyA*")
+        if number in (errno.EACCES, errno.EPERM):
+            return (NO_PERMISSION, *_explain_permission(path))
+        if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or "lock" in str(error):
+            return (BUSY, *self._explain_busy())
+        if number == errno.ENOTTY or "configure" in str(error):
+            return NO_PORT, "this is not a serial port", "Set ~port to the Teensy's port: ls /dev/serial/by-id"
+        return FAILING, f"it can't be opened ({error})", "Check ~port and ~baud"
+
+    def _explain_busy(self):
+        if self._refusals % SEARCHED_EVERY == 0:
+            self._holders = _holders(self._path)
+        self._refusals += 1
+        names = ", ".join(f"{name} (process {pid})" for pid, name in self._holders)
+        cause = "another program has it open" + (f": {names}" if names else "")
+        if "ModemManager" in names:
+            return cause, "It tries every new port: sudo apt-get remove modemmanager"
+        return cause, f"See which one, and end it: fuser -v {self._path}"
 
 
 def _tell_silence_from_hangup(fd):
@@ -99,17 +175,74 @@ def _tell_silence_from_hangup(fd):
     termios.tcsetattr(fd, termios.TCSANOW, attributes)
 
 
-def _explain(path, error):
-    """Cause and cure of a failed open, from the path itself and from the error's number."""
-    number = getattr(error, "errno", None)
-    if os.path.isdir(path):
-        return "this is a directory, not a serial port", "Set ~port to the port's own path: ls /dev/serial/by-id"
-    if number == errno.ENOENT or not os.path.exists(path):
-        return "there is no such port", "Plug the Teensy in and see what it is called: ls /dev/serial/by-id /dev/ttyA*"
-    if number in (errno.EACCES, errno.EPERM):
-        return "no permission to open it", "Join the port's group and log in anew: sudo usermod -aG dialout $USER"
-    if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or "lock" in str(error):
-        return "another program has it open", f"See which one, and end it: fuser -v {path}"
-    if number == errno.ENOTTY or "configure" in str(error):
-        return "this is not a serial port", "Set ~port to the Teensy's port: ls /dev/serial/by-id"
-    return f"it can't be opened ({error})", "Check ~port and ~baud"
+def _explain_permission(path):
+    """Cause and cure, by the port's group and whether this user is in it."""
+    status = os.stat(path)
+    group, user = _name(grp.getgrgid, status.st_gid), _name(pwd.getpwuid, os.geteuid())
+    if not status.st_mode & stat.S_IRGRP or not status.st_mode & stat.S_IWGRP:
+        return (f"no permission to open it, nor has its group, {group}",
+                f"See whom it is open to: ls -lL {path}; the udev rule in the README opens it to a group")
+    if status.st_gid in os.getgroups():
+        return f"no permission to open it, in spite of its group, {group}", f"See whom it is open to: ls -lL {path}"
+    if group in _groups_of(user):
+        return f"no permission to open it: {user} joined its group, {group}, after logging in", "Log in anew"
+    return (f"no permission to open it: {user} is not in its group, {group}",
+            f"Join it and log in anew: sudo usermod -aG {group} {user}")
+
+
+def _name(look_up, number):
+    """A user's or a group's name, or its number when it has none."""
+    try:
+        return look_up(number)[0]
+    except KeyError:
+        return str(number)
+
+
+def _groups_of(user):
+    """The groups of the next log-in; those of the running process may be older."""
+    return [group.gr_name for group in grp.getgrall() if user in group.gr_mem]
+
+
+def _holders(path):
+    """Who has a port open, as (process, name), as far as /proc tells: a lock's owner, or else whoever holds it."""
+    own = os.getpid()
+    try:
+        status = os.stat(path)
+        pids = _lock_owners(status) or _openers(os.path.realpath(path))
+        return [(pid, _process_name(pid)) for pid in pids if pid != own]
+    except OSError:
+        return []
+
+
+def _lock_owners(status):
+    """From /proc/locks, whose lines are ``1: FLOCK ADVISORY WRITE pid major:minor:inode start end``."""
+    wanted = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    with open("/proc/locks", encoding="ascii") as file:
+        locks = [line.split() for line in file]
+    return sorted({int(lock[4]) for lock in locks if len(lock) > 5 and lock[5] == wanted and int(lock[4]) > 0})
+
+
+def _openers(path):
+    """Other users' processes keep their open files to themselves."""
+    pids = []
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with os.scandir(f"/proc/{pid}/fd") as files:
+                if any(os.readlink(file.path) == path for file in files):
+                    pids.append(int(pid))
+        except OSError:
+            continue  # another's, or it has ended
+    return sorted(pids)
+
+
+def _process_name(pid):
+    """The program's name; of a Python program the script's."""
+    try:
+        with open(f"/proc/{pid}/cmdline", "rb") as file:
+            words = [os.path.basename(word.decode(errors="replace")) for word in file.read().split(b"\0") if word]
+    except OSError:
+        words = []
+    scripts = [word for word in words[1:] if not word.startswith("-")]
+    if words and words[0].startswith("python") and scripts:
+        return scripts[0]
+    return words[0] if words else "unknown"

@@ -30,7 +30,7 @@ class Pinger:
     Args:
         period_ns: from one ping to the next.
         checksum: ``framing.SHIPPED``, ``framing.CORRECTED``, or ``AUTO``: shipped first, and the other one whenever
-            five pings in a row go unanswered.
+            five pings in a row go unanswered while the Teensy is heard.
         now_ns: when to send the first.
     """
 
@@ -41,13 +41,15 @@ class Pinger:
         self._waiting: OrderedDict = OrderedDict()  # timestamp1 → when it was sent
         self.due_ns = now_ns
         self.unanswered_in_a_row = 0
+        self._unanswered_though_heard = 0
         self.sent = 0
         self.answered = 0
+        self.resyncs = 0  # pings behind the filler
 
     def restart(self, now_ns: int) -> None:
         """The line was opened: what waited won't be answered; ping now."""
         self._waiting.clear()
-        self.unanswered_in_a_row = 0
+        self.unanswered_in_a_row = self._unanswered_though_heard = 0
         self.due_ns = now_ns
 
     def next_event_ns(self) -> int:
@@ -55,13 +57,20 @@ class Pinger:
         oldest_ns = next(iter(self._waiting.values()), None)
         return self.due_ns if oldest_ns is None else min(self.due_ns, oldest_ns + ANSWER_WITHIN_NS)
 
-    def expire(self, now_ns: int) -> list[int]:
-        """Give up on pings that have waited too long; their timestamps. May change ``checksum``."""
+    def expire(self, now_ns: int, heard: bool = True) -> list[int]:
+        """Give up on pings that have waited too long; their timestamps. May change ``checksum``.
+
+        Args:
+            heard: whether other frames came from the Teensy meanwhile. When nothing gets through, or it's unplugged,
+                an unanswered ping says nothing about the checksum.
+        """
         expired = [token for token, sent_ns in self._waiting.items() if now_ns - sent_ns >= ANSWER_WITHIN_NS]
         for token in expired:
             del self._waiting[token]
             self.unanswered_in_a_row += 1
-            if self._auto and self.unanswered_in_a_row % UNANSWERED_BEFORE_SWITCH == 0:
+            self._unanswered_though_heard += heard
+            if self._auto and self._unanswered_though_heard == UNANSWERED_BEFORE_SWITCH:
+                self._unanswered_though_heard = 0
                 self.checksum = CORRECTED if self.checksum == SHIPPED else SHIPPED
         if expired:
             self.due_ns = now_ns  # don't wait out the period: the receiver may be out of step
@@ -75,6 +84,7 @@ class Pinger:
             next_ns = self.due_ns + self._period_ns
             self.due_ns = next_ns if next_ns > now_ns else now_ns + self._period_ns
         filler = RESYNC_FILLER if self.unanswered_in_a_row else b""
+        self.resyncs += bool(filler)
         return filler + encode(ping(timestamp1), self.checksum)
 
     def pong(self, timestamp1: int, now_ns: int) -> Answer | None:
@@ -82,6 +92,6 @@ class Pinger:
         sent_ns = self._waiting.pop(timestamp1, None)
         if sent_ns is None:
             return None
-        self.unanswered_in_a_row = 0
+        self.unanswered_in_a_row = self._unanswered_though_heard = 0
         self.answered += 1
         return Answer(sent_ns, now_ns - sent_ns)

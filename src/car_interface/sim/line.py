@@ -1,0 +1,159 @@
+"""What a serial line does to the bytes on it when it is bad: silence, noise, another baud rate, cuts, a flood.
+
+Pure: bytes and ``now_ns`` in, bytes out. What is random comes from a seed.
+"""
+from __future__ import annotations
+
+import math
+import random
+from typing import Iterator
+
+from car_interface.sim.checks import require
+
+NS_PER_S = 1_000_000_000
+LONGEST_S = 3600
+MOST_LOST = 1_000_000
+FLOOD_PER_S = 1_000_000  # bytes
+LONGEST_FLOOD = 8192  # at once, after a pause of the simulator's
+TO_HOST, TO_TEENSY = 0, 1
+
+
+class BadLine:
+    """The line between the Teensy and the host, with the faults that it's told to have.
+
+    A duration of 0 ends a fault.
+
+    Args:
+        seed: of the noise.
+    """
+
+    def __init__(self, seed: int):
+        self._random = random.Random(seed)
+        self._noise = (BitErrors(seed), BitErrors(seed + 1))
+        self._receivers = (SlowReceiver(), SlowReceiver())
+        self._silent_until_ns = self._scrambled_until_ns = self._flooded_until_ns = 0
+        self._flooded_ns = 0  # the flood has come until here
+        self._to_lose = 0
+
+    def silence(self, duration_s: float, now_ns: int) -> None:
+        """Nothing reaches the host."""
+        self._silent_until_ns = now_ns + _duration_ns("silence", duration_s)
+
+    def scramble(self, duration_s: float, now_ns: int) -> None:
+        """Each side listens at half the baud rate of the other."""
+        self._scrambled_until_ns = now_ns + _duration_ns("scramble", duration_s)
+        self._receivers = (SlowReceiver(), SlowReceiver())
+
+    def flood(self, duration_s: float, now_ns: int) -> None:
+        """Random bytes come to the host, behind those of the Teensy."""
+        self._flooded_until_ns = now_ns + _duration_ns("flood", duration_s)
+        self._flooded_ns = now_ns
+
+    def cut(self, count: float) -> None:
+        """The next so many bytes to the host are lost."""
+        require(0 <= count <= MOST_LOST and count % 1 == 0, "cut", count, f"a whole number from 0 to {MOST_LOST}")
+        self._to_lose = int(count)
+
+    def bit_errors(self, rate: float) -> None:
+        """From now on, of the bits in both directions, this share is wrong."""
+        for noise in self._noise:
+            noise.set_rate(rate)
+
+    def to_host(self, data: bytes, now_ns: int) -> bytes:
+        """What arrives there of what the Teensy sent since the last call."""
+        if now_ns < self._silent_until_ns:
+            data = b""
+        data, self._to_lose = data[self._to_lose:], max(0, self._to_lose - len(data))
+        return self._carry(TO_HOST, data, now_ns) + self._flood(now_ns)
+
+    def to_teensy(self, data: bytes, now_ns: int) -> bytes:
+        """What arrives there of what the host sent."""
+        return self._carry(TO_TEENSY, data, now_ns)
+
+    def _carry(self, direction, data, now_ns):
+        if now_ns < self._scrambled_until_ns:
+            data = self._receivers[direction].receive(data)
+        return self._noise[direction].flip(data)
+
+    def _flood(self, now_ns):
+        until_ns = min(now_ns, self._flooded_until_ns)
+        count = (until_ns - self._flooded_ns) * FLOOD_PER_S // NS_PER_S
+        if count <= 0:
+            return b""
+        self._flooded_ns = until_ns
+        count = min(count, LONGEST_FLOOD)
+        return self._random.getrandbits(8 * count).to_bytes(count, "little")
+
+
+class BitErrors:
+    """Flips bits at random, independently of each other.
+
+    Args:
+        seed: which ones.
+    """
+
+    def __init__(self, seed: int):
+        self._random = random.Random(seed)
+        self._rate = 0.0
+        self._next = 0  # bits until the next wrong one
+
+    def set_rate(self, rate: float) -> None:
+        """Which share of the bits is flipped; 0 = none.
+
+        Raises:
+            ConfigError: when it's not a share up to a half, which leaves no information.
+        """
+        require(0 <= rate <= 0.5, "bit_errors", rate, "0 to 0.5")
+        self._rate = rate
+        if rate:
+            self._next = self._gap()
+
+    def flip(self, data: bytes) -> bytes:
+        """The bytes as they arrive."""
+        if not self._rate:
+            return data
+        noisy = bytearray(data)
+        while self._next < 8 * len(data):
+            noisy[self._next // 8] ^= 1 << self._next % 8
+            self._next += 1 + self._gap()
+        self._next -= 8 * len(data)
+        return bytes(noisy)
+
+    def _gap(self):
+        """Right bits before the next wrong one: geometric, by way of the exponential distribution."""
+        return int(self._random.expovariate(-math.log1p(-self._rate)))
+
+
+class SlowReceiver:
+    """A UART that listens at half the rate at which the other side sends, as one does whose baud rate is wrong.
+
+    It takes a falling edge for a start bit and looks at the line once in two of the sender's bits. A byte without its
+    stop bit is a framing error; Linux hands out a 0 for it.
+    """
+
+    def __init__(self):
+        self._line = ""  # the bits that haven't been looked at, a 1 = idle
+
+    def receive(self, data: bytes) -> bytes:
+        """What it makes of bytes that follow each other without a pause."""
+        self._line += "".join(_bits_of(data))
+        received = bytearray()
+        start = self._line.find("0")
+        while 0 <= start <= len(self._line) - 20:
+            bits = self._line[start + 1: start + 20: 2]  # start bit, eight bits, stop bit, each looked at in its middle
+            is_start = bits[0] == "0"
+            if is_start:
+                received.append(int(bits[8:0:-1], 2) if bits[9] == "1" else 0)
+            start = self._line.find("0", start + (20 if is_start else 1))
+        self._line = self._line[start:] if start >= 0 else ""
+        return bytes(received)
+
+
+def _bits_of(data) -> Iterator[str]:
+    """As they pass on the line: a start bit 0, the byte from its least bit on, a stop bit 1."""
+    return (f"0{f'{byte:08b}'[::-1]}1" for byte in data)
+
+
+def _duration_ns(name, duration_s):
+    require(0 <= duration_s <= LONGEST_S, name, duration_s, f"0 to {LONGEST_S} s")
+    return round(duration_s * NS_PER_S)

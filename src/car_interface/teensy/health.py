@@ -1,0 +1,221 @@
+"""What is wrong with the link to the Teensy, in words and with what to do next.
+
+``LinkHealth`` is told how the port does and, about once a second, how the counters stand; it answers with a
+``Verdict``. ``TeensyClock`` tells a reboot from the Teensy's own clock. Both are pure: ``now_ns`` in, and nothing is
+kept that grows.
+"""
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+NS_PER_MS, NS_PER_S = 1_000_000, 1_000_000_000
+
+OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
+
+# What a port that can't be opened suffers from.
+ABSENT, NO_PERMISSION, BUSY, NO_PORT, FAILING = (
+    "port absent", "no permission", "port busy", "not a serial port", "port fails")
+# How one that is open does.
+WAITING, SILENT, NO_FRAMES, BAD_CHECKSUMS, NO_PONGS, REBOOTED, FINE = (
+    "waiting", "silent", "no frames", "bad checksums", "no pongs", "rebooted", "fine")
+
+SHORTEST_SPAN_NS = 800 * NS_PER_MS  # counters that stand closer together say too little: 5 frames a second may be all
+WINDOW = 10  # spans, over which the share of bad frames is taken
+TELL_REBOOT_NS = 10 * NS_PER_S
+BITS_PER_BYTE = 10  # 8N1
+FEWEST_BAD, BAD_SHARE, MOST_BAD = 3, 0.01, 0.5  # a good line has none; from a hundredth on it's worth a word
+# Whatever the checksum sees, 1 in 255 wrong frames gets past: so few good ones are no proof of a Teensy.
+GOOD_SHARE = 0.05
+# A Teensy's frames have 12 to 74 bytes. Noise has a flag every 256, and one in eight pieces between them is as short.
+BYTES_PER_FRAME = 100
+PINGS_IN_VAIN = 3
+
+
+class Counts(NamedTuple):
+    """How the link's counters stand; all of them only grow but the last."""
+
+    bytes_in: int
+    records: int  # frames that say something
+    bad_frames: int  # corrupt ones of all kinds
+    bad_checksums: int  # of these, those of a frame's length
+    pings_in_vain: int  # unanswered since the newest pong
+
+
+class Verdict(NamedTuple):
+    """How the link does.
+
+    Attributes:
+        state: one of the names above.
+        level: OK, WARN or ERROR.
+        words: what is wrong, or that nothing is.
+        next_step: what its owner can do or type; empty when there is nothing to do.
+    """
+
+    state: str
+    level: int
+    words: str
+    next_step: str
+
+
+class _Sample(NamedTuple):
+    at_ns: int
+    counts: Counts
+
+
+class LinkHealth:
+    """Judges the link by what changed from second to second.
+
+    An open port's verdict changes when two spans in a row contradict it, and then to what the second one says: a fault
+    begins in the middle of a span, and a second that is half good says little. A port that opens or closes, the first
+    good second, and a reboot are told at once.
+
+    Args:
+        baud: of the line.
+    """
+
+    def __init__(self, baud: int):
+        self._baud = baud
+        self._samples: deque = deque(maxlen=WINDOW + 1)
+        self._doubted = False  # the span before this one contradicted the verdict
+        self._reboot: str | None = None
+        self._reboot_ns = 0
+        self.verdict = Verdict(ABSENT, ERROR, "the port was not opened yet", "")
+
+    def port_fails(self, state: str, cause: str, cure: str) -> None:
+        """It couldn't be opened, or was lost: what the link says about that is the verdict."""
+        self._samples.clear()
+        self.verdict = Verdict(state, ERROR, cause, cure)
+
+    def opened(self, counts: Counts, now_ns: int) -> None:
+        """The port is open; everything is judged anew."""
+        self._samples.clear()
+        self._samples.append(_Sample(now_ns, counts))
+        self._doubted = False
+        self.verdict = Verdict(WAITING, WARN, "the port is open, nothing is known about the Teensy yet", "")
+
+    def rebooted(self, words: str, now_ns: int) -> None:
+        """The Teensy's clock went back; ``words`` say from where to where."""
+        self._reboot, self._reboot_ns = words, now_ns
+        if self.verdict.state == FINE:
+            self.verdict = self._reboot_verdict()
+
+    def judge(self, counts: Counts, now_ns: int) -> Verdict:
+        """The verdict, from how the counters stand now. Calls that come too soon after another change nothing."""
+        if not self._samples or now_ns - self._samples[-1].at_ns < SHORTEST_SPAN_NS:
+            return self.verdict
+        self._samples.append(_Sample(now_ns, counts))
+        found = self._find(now_ns)
+        is_news = _kind(found) != _kind(self.verdict)
+        at_once = self.verdict.state == WAITING and found.level == OK
+        if is_news and not self._doubted and not at_once:
+            self._doubted = True
+            if self.verdict.level != OK:
+                self._forget_the_past()  # the end of one fault must not pass for another
+            return self.verdict
+        self._doubted = False
+        self.verdict = found
+        return found
+
+    def _forget_the_past(self):
+        """Let the share of bad frames begin anew."""
+        newest = self._samples.pop()
+        self._samples.clear()
+        self._samples.append(newest)
+
+    def _find(self, now_ns) -> Verdict:
+        before, newest = self._samples[-2], self._samples[-1]
+        span_s = (newest.at_ns - before.at_ns) / NS_PER_S
+        heard, records, bad, bad_checksums = (
+            new - old for new, old in zip(newest.counts[:4], before.counts[:4]))
+        if not records or records < GOOD_SHARE * (records + bad):
+            self._forget_the_past()
+            return self._no_frames(heard, heard / span_s, bad_checksums)
+        share, bad = self._bad_share()
+        corrupt = bad >= FEWEST_BAD and share >= BAD_SHARE
+        in_vain = newest.counts.pings_in_vain
+        if in_vain >= PINGS_IN_VAIN and not (corrupt and share >= MOST_BAD):
+            return Verdict(NO_PONGS, WARN, f"frames come, but none of the last {in_vain} pings was answered",
+                           "Check the wire from this port's TX to the Teensy's RX, and ~firmware_checksum: auto tries "
+                           "both of them")
+        if corrupt:
+            return Verdict(BAD_CHECKSUMS, ERROR if share >= MOST_BAD else WARN,
+                           f"frames come, but {100 * share:.0f} % of them are corrupt",
+                           "Check ground, length and plugs of the serial cable, and that no other program reads the "
+                           "port: fuser -v on it")
+        if self._reboot is not None and now_ns - self._reboot_ns < TELL_REBOOT_NS:
+            return self._reboot_verdict()
+        return Verdict(FINE, OK, f"fine: {records / span_s:.0f} frames a second", "")
+
+    def _no_frames(self, heard, per_s, bad_checksums) -> Verdict:
+        if not heard:
+            return Verdict(SILENT, ERROR, "the port is open, but nothing comes from it",
+                           "Check the Teensy's power and that its TX leads to this port's RX; is it the right ~port?")
+        if bad_checksums * BYTES_PER_FRAME >= heard:
+            return Verdict(BAD_CHECKSUMS, ERROR, "frames come, but the checksum of almost none of them is right",
+                           "Check ground, length and plugs of the serial cable; is it this firmware that runs?")
+        too_many = (f", more than {self._baud} baud can carry" if per_s > 1.5 * self._baud / BITS_PER_BYTE else "")
+        return Verdict(NO_FRAMES, ERROR, f"{per_s:.0f} bytes a second come, but no frames{too_many}",
+                       f"Is the Teensy's rate another one than ~baud {self._baud}? Is it a Teensy at all?")
+
+    def _bad_share(self):
+        """The share of bad frames over the window, and how many that is."""
+        oldest, newest = self._samples[0].counts, self._samples[-1].counts
+        bad = newest.bad_frames - oldest.bad_frames
+        return bad / max(1, bad + newest.records - oldest.records), bad
+
+    def _reboot_verdict(self) -> Verdict:
+        return Verdict(REBOOTED, WARN, f"the Teensy rebooted: {self._reboot}",
+                       "Check its power supply; its odometers began at 0 and its sonars' order and wait are the "
+                       "firmware's again")
+
+
+def _kind(verdict):
+    """Its state; a link over which a reboot was noticed is a good one."""
+    return FINE if verdict.state == REBOOTED else verdict.state
+
+
+# Sonar reports wait behind pongs in the Teensy's queues, so ticks come a little out of order: 0.2 s at most.
+LATEST_TICK_MS = 500
+# The Teensy's crystal and the host's differ by 1e-4 at most.
+DRIFT_SHARE = 0.001
+DAY_MS = 86_400_000
+
+
+class TeensyClock:
+    """The Teensy's clock as told by pongs and sonars: does it go on, or did it begin anew?
+
+    A wheel's ``when`` doesn't serve: it is the time of the last pulse, however long ago. A tick that doesn't fit must
+    be followed by one that fits *it*: the checksum lets 1 in 255 corrupt frames past. A wrap of the 32 bits fits.
+    """
+
+    def __init__(self):
+        self._last: tuple | None = None  # (tick, when it was heard)
+        self._doubtful: tuple | None = None
+        self.reboots = 0
+
+    def tick(self, tick: int, now_ns: int) -> str | None:
+        """Take the next tick, ms modulo 2**32; the words about a reboot that it reveals, or ``None``."""
+        last = self._last
+        if last is None or _fits(last, tick, now_ns):
+            self._last, self._doubtful = (tick, now_ns), None
+            return None
+        if self._doubtful is None or not _fits(self._doubtful, tick, now_ns):
+            self._doubtful = (tick, now_ns)
+            return None
+        self._last, self._doubtful = (tick, now_ns), None
+        if tick >= last[0] or 0 < _forward_ms(last[0], tick) <= DAY_MS:
+            return None  # it's ahead: this computer was suspended or kept from reading, and perhaps over a wrap
+        self.reboots += 1
+        return f"its clock went from {last[0] / 1000:.1f} s back to {tick / 1000:.1f} s"
+
+
+def _forward_ms(tick_before, tick):
+    """How far it is from one tick to another, modulo 2**32: −2**31 to 2**31 − 1."""
+    return (tick - tick_before + 2 ** 31) % 2 ** 32 - 2 ** 31
+
+
+def _fits(before, tick, now_ns):
+    """Whether a clock that was at ``before`` can be at ``tick`` now. It may be less far: bytes can wait to be read."""
+    elapsed_ms = (now_ns - before[1]) / NS_PER_MS
+    return -LATEST_TICK_MS <= _forward_ms(before[0], tick) <= elapsed_ms * (1 + DRIFT_SHARE) + LATEST_TICK_MS

@@ -1,0 +1,304 @@
+"""What is wrong with the link, from counters alone. Time is passed in; a second's counters are spelled out."""
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.teensy.health import (
+    ABSENT,
+    BAD_CHECKSUMS,
+    BUSY,
+    ERROR,
+    FINE,
+    NO_FRAMES,
+    NO_PONGS,
+    OK,
+    REBOOTED,
+    SILENT,
+    WAITING,
+    WARN,
+    Counts,
+    LinkHealth,
+    TeensyClock,
+)
+
+MS, S = 1_000_000, 1_000_000_000
+NOW = 100 * S
+
+
+def a_second_of(bytes_in=0, records=0, bad_frames=0, bad_checksums=None, pings_in_vain=0):
+    """What one second adds to the counters; the pings in vain are as they stand."""
+    return Counts(bytes_in, records, bad_frames, bad_frames if bad_checksums is None else bad_checksums, pings_in_vain)
+
+
+GOOD = a_second_of(bytes_in=600, records=21)
+STANDING = a_second_of(bytes_in=190, records=5)  # sonars off: a wheel report every 200 ms is all
+NOTHING = a_second_of()
+OTHER_BAUD = a_second_of(bytes_in=1200, bad_frames=3, bad_checksums=1)
+FLOOD = a_second_of(bytes_in=1_000_000, records=2, bad_frames=4000, bad_checksums=450)
+FLAGLESS = a_second_of(bytes_in=11_520)
+OTHER_CHECKSUM = a_second_of(bytes_in=600, bad_frames=21)
+NOISY = a_second_of(bytes_in=600, records=20, bad_frames=1)
+VERY_NOISY = a_second_of(bytes_in=600, records=5, bad_frames=16, pings_in_vain=5)
+UNANSWERED = a_second_of(bytes_in=600, records=21, pings_in_vain=3)
+UNANSWERED_AND_NOISY = a_second_of(bytes_in=600, records=17, bad_frames=4, pings_in_vain=9)
+
+
+class Link:
+    """A link over which seconds pass."""
+
+    def __init__(self):
+        self.health = LinkHealth(115200)
+        self.now_ns = NOW
+        self.counts = Counts(0, 0, 0, 0, 0)
+        self.open()
+
+    def open(self):
+        self.health.opened(self.counts, self.now_ns)
+
+    def live(self, *seconds):
+        """The state after each second."""
+        return [self.second(second).state for second in seconds]
+
+    def second(self, added):
+        self.now_ns += S
+        sums = [have + more for have, more in zip(self.counts[:4], added[:4])]
+        self.counts = Counts(*sums, added.pings_in_vain)
+        return self.health.judge(self.counts, self.now_ns)
+
+
+@pytest.fixture
+def link():
+    return Link()
+
+
+@pytest.fixture
+def good_link():
+    link = Link()
+    link.live(GOOD)
+    return link
+
+
+def test_link_before_its_port_was_opened_is_bad():
+    assert LinkHealth(115200).verdict.level == ERROR
+
+
+def test_link_just_opened_is_waited_for(link):
+    assert (link.health.verdict.state, link.health.verdict.level) == (WAITING, WARN)
+
+
+def test_link_with_a_good_second_is_fine(link):
+    verdict = link.second(GOOD)
+    assert verdict == (FINE, OK, "fine: 21 frames a second", "")
+
+
+def test_port_that_fails_is_told_at_once_in_the_port_s_own_words(good_link):
+    good_link.health.port_fails(BUSY, "another program has it open", "See which one")
+    assert good_link.health.verdict == (BUSY, ERROR, "another program has it open", "See which one")
+
+
+def test_port_that_is_still_closed_stays_what_it_is_as_time_passes(good_link):
+    good_link.health.port_fails(ABSENT, "there is no such port", "Plug it in")
+    assert good_link.live(NOTHING, NOTHING, NOTHING) == [ABSENT] * 3
+
+
+def test_port_opened_again_is_judged_anew(good_link):
+    good_link.live(NOTHING, NOTHING)
+    good_link.health.port_fails(ABSENT, "there is no such port", "Plug it in")
+    good_link.open()
+    assert good_link.health.verdict.state == WAITING
+    assert good_link.live(GOOD) == [FINE]
+
+
+@pytest.mark.parametrize("second, state, level, words, next_step", [
+    pytest.param(NOTHING, SILENT, ERROR, "open, but nothing comes", "TX leads to this port's RX", id="silent"),
+    pytest.param(OTHER_BAUD, NO_FRAMES, ERROR, "1200 bytes a second come, but no frames", "~baud 115200",
+                 id="other_baud_rate"),
+    pytest.param(FLAGLESS, NO_FRAMES, ERROR, "11520 bytes a second come, but no frames", "~baud", id="no_flag_at_all"),
+    pytest.param(FLOOD, NO_FRAMES, ERROR, "more than 115200 baud can carry", "Is it a Teensy at all", id="flood"),
+    pytest.param(OTHER_CHECKSUM, BAD_CHECKSUMS, ERROR, "the checksum of almost none of them is right", "cable",
+                 id="frames_none_of_which_sums_up"),
+    pytest.param(VERY_NOISY, BAD_CHECKSUMS, ERROR, "76 % of them are corrupt", "cable", id="more_noise_than_frames"),
+    pytest.param(UNANSWERED, NO_PONGS, WARN, "none of the last 3 pings was answered", "~firmware_checksum",
+                 id="no_pongs"),
+    pytest.param(UNANSWERED_AND_NOISY, NO_PONGS, WARN, "none of the last 9 pings", "~firmware_checksum",
+                 id="no_pongs_and_a_little_noise"),
+])
+def test_fault_of_an_open_port_is_told_in_words_with_the_next_step(link, second, state, level, words, next_step):
+    assert link.live(second, second) == [WAITING, state]
+    verdict = link.second(second)
+    assert (verdict.state, verdict.level) == (state, level)
+    assert words in verdict.words
+    assert next_step in verdict.next_step
+
+
+@pytest.mark.parametrize("fault, state", [(NOTHING, SILENT), (OTHER_BAUD, NO_FRAMES), (OTHER_CHECKSUM, BAD_CHECKSUMS),
+                                          (UNANSWERED, NO_PONGS)])
+def test_fault_takes_two_seconds_to_come_and_two_to_go(good_link, fault, state):
+    assert good_link.live(fault, fault, fault, GOOD, GOOD, GOOD) == [FINE, state, state, state, FINE, FINE]
+
+
+def test_second_in_which_a_fault_begins_says_little_and_is_not_believed(good_link):
+    half = a_second_of(bytes_in=1000, records=10, bad_frames=5)
+    assert good_link.live(half, OTHER_BAUD, OTHER_BAUD) == [FINE, NO_FRAMES, NO_FRAMES]
+
+
+def test_fault_that_changes_its_face_every_second_is_no_fine_link(good_link):
+    assert good_link.live(NOTHING, OTHER_BAUD, NOTHING, OTHER_BAUD)[1:].count(FINE) == 0
+
+
+def test_single_bad_second_changes_nothing(good_link):
+    assert good_link.live(NOTHING, GOOD, OTHER_BAUD, GOOD, GOOD) == [FINE] * 5
+
+
+def test_car_that_stands_with_its_sonars_off_is_fine(good_link):
+    assert good_link.live(*[STANDING] * 20) == [FINE] * 20
+
+
+def test_noise_is_told_by_its_share_over_ten_seconds(good_link):
+    assert good_link.live(*[NOISY] * 9)[3:] == [BAD_CHECKSUMS] * 6
+    verdict = good_link.second(NOISY)
+    assert verdict.level == WARN
+    assert "5 % of them are corrupt" in verdict.words
+    assert "fuser -v" in verdict.next_step
+
+
+def test_noise_that_ended_is_forgotten_within_ten_seconds(good_link):
+    good_link.live(*[NOISY] * 20)
+    assert good_link.live(*[GOOD] * 11)[-1] == FINE
+
+
+def test_corrupt_frame_now_and_then_is_no_fault(good_link):
+    assert set(good_link.live(*([GOOD] * 9 + [NOISY]) * 5)) == {FINE}
+
+
+def test_bad_frames_of_another_baud_rate_do_not_pass_for_noise_afterwards(good_link):
+    good_link.live(*[FLOOD] * 5)
+    assert good_link.live(*[GOOD] * 10)[1:] == [FINE] * 9
+
+
+def test_second_in_which_another_baud_rate_ends_does_not_pass_for_noise_afterwards(good_link):
+    half = a_second_of(bytes_in=1000, records=10, bad_frames=5)
+    good_link.live(*[OTHER_BAUD] * 3)
+    assert good_link.live(half, *[GOOD] * 5) == [NO_FRAMES] + [FINE] * 5
+
+
+def test_share_of_bad_frames_that_is_small_is_no_fault(good_link):
+    driving = a_second_of(bytes_in=11_000, records=400, bad_frames=1)
+    assert set(good_link.live(*[driving] * 20)) == {FINE}
+
+
+def test_two_bad_frames_in_ten_seconds_are_no_fault_however_few_the_others(good_link):
+    bad = a_second_of(bytes_in=190, records=4, bad_frames=1)
+    assert set(good_link.live(*([STANDING] * 4 + [bad]) * 4)) == {FINE}
+
+
+def test_pings_in_vain_over_a_noisy_line_stay_the_greater_fault(link):
+    assert link.live(*[UNANSWERED_AND_NOISY] * 10)[1:] == [NO_PONGS] * 9
+
+
+def test_counters_looked_at_twice_in_a_row_change_nothing(good_link):
+    for _ in range(10):
+        good_link.now_ns += 10 * MS
+        assert good_link.health.judge(good_link.counts, good_link.now_ns).state == FINE
+
+
+def test_reboot_is_told_at_once_and_for_ten_seconds(good_link):
+    good_link.health.rebooted("its clock went from 9.0 s back to 0.1 s", good_link.now_ns)
+    verdict = good_link.health.verdict
+    assert (verdict.state, verdict.level) == (REBOOTED, WARN)
+    assert verdict.words == "the Teensy rebooted: its clock went from 9.0 s back to 0.1 s"
+    assert "power supply" in verdict.next_step
+    assert good_link.live(*[GOOD] * 10) == [REBOOTED] * 9 + [FINE]
+
+
+def test_fault_after_a_reboot_comes_as_any_other(good_link):
+    good_link.health.rebooted("its clock went back", good_link.now_ns)
+    assert good_link.live(NOTHING, NOTHING) == [REBOOTED, SILENT]
+
+
+def test_reboot_noticed_when_the_port_is_back_is_told_after_the_first_good_second(link):
+    link.health.rebooted("its clock went back", link.now_ns)
+    assert link.live(GOOD, GOOD) == [WAITING, REBOOTED]
+
+
+SECONDS = st.builds(a_second_of, st.integers(0, 10 ** 6), st.integers(0, 500), st.integers(0, 500),
+                    st.integers(0, 500), st.integers(0, 50))
+
+
+@given(st.lists(SECONDS, max_size=30))
+def test_verdict_on_any_counters_has_words_and_a_next_step_unless_it_is_fine(seconds):
+    link = Link()
+    for second in seconds:
+        verdict = link.second(second)
+        assert verdict.words
+        assert bool(verdict.next_step) == (verdict.state not in (FINE, WAITING))
+
+
+# The Teensy's clock: 60 ms between two sonar reports
+
+WRAP = 2 ** 32
+
+
+def run(clock, ticks, now_ns=NOW, step_ms=60):
+    """Feed ticks, so far apart on the host's clock; what was said of reboots."""
+    said = []
+    for tick in ticks:
+        said.append(clock.tick(tick % WRAP, now_ns))
+        now_ns += step_ms * MS
+    return [words for words in said if words]
+
+
+def sonars(first, count=5):
+    return [first + 60 * index for index in range(count)]
+
+
+@pytest.mark.parametrize("ticks", [
+    pytest.param(sonars(0), id="going_on"),
+    pytest.param(sonars(WRAP - 150), id="wrapping"),
+    pytest.param([*sonars(10_000), 10_000, 10_310, 10_200, 10_370], id="a_pong_that_overtook_sonars"),
+    pytest.param([*sonars(WRAP - 200), WRAP - 100, WRAP + 110, WRAP - 5, WRAP + 170], id="overtaking_at_the_wrap"),
+    pytest.param([*sonars(10_000), 3, 10_360, 10_420], id="one_tick_of_noise"),
+    pytest.param([*sonars(10_000), 3, 10_360, 7_000, 10_480], id="noise_that_disagrees_with_itself"),
+    pytest.param([*sonars(10_000), 3, 10_360, 123, 10_480], id="noise_that_agrees_with_noise_before_a_good_tick"),
+    pytest.param([*sonars(10_000), 3, 4_000_000_000, 10_420], id="noise_in_a_row"),
+    pytest.param([10_000, *sonars(60_000)], id="ahead_after_this_computer_was_suspended"),
+    pytest.param([10_000, *sonars(300_000_000)], id="days_ahead"),
+    pytest.param([WRAP - 10_000, *sonars(WRAP + 60_000)], id="ahead_over_a_wrap"),
+])
+def test_clock_that_goes_on_is_no_reboot(ticks):
+    clock = TeensyClock()
+    assert run(clock, ticks) == []
+    assert clock.reboots == 0
+
+
+def test_clock_read_late_is_no_reboot():
+    assert run(TeensyClock(), sonars(10_000, 50), step_ms=2000) == []
+
+
+def test_clock_heard_again_after_days_is_no_reboot():
+    clock = TeensyClock()
+    run(clock, sonars(1000))
+    assert run(clock, sonars(1000 + 3 * 86_400_000), NOW + 3 * 86_400 * S) == []
+
+
+@pytest.mark.parametrize("before", [2_000, 123_456, 2 ** 31 + 5, WRAP - 100_000_000],
+                         ids=["soon", "minutes", "weeks", "near_the_wrap"])
+def test_clock_that_begins_anew_is_a_reboot_told_once(before):
+    clock = TeensyClock()
+    assert run(clock, [*sonars(before), *sonars(12)]) == [
+        f"its clock went from {(before + 240) / 1000:.1f} s back to 0.1 s"]
+    assert clock.reboots == 1
+
+
+def test_clock_that_begins_anew_twice_is_two_reboots():
+    clock = TeensyClock()
+    assert len(run(clock, [*sonars(50_000), *sonars(12, 60), *sonars(12)])) == 2
+    assert clock.reboots == 2
+
+
+def test_reboot_while_the_port_was_away_is_noticed():
+    clock = TeensyClock()
+    run(clock, sonars(1_000_000))
+    assert len(run(clock, sonars(2_000), NOW + 30 * S)) == 1
