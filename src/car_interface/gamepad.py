@@ -1,7 +1,8 @@
 """A gamepad's axes and buttons → steering and throttle requests, and whether a human holds a deadman.
 
 A held level, never a toggle: letting go releases at once, and so does a gamepad that falls silent or that sends fewer
-axes or buttons than it should.
+axes or buttons than it should. After that it holds nothing until all deadmen were let go: a car must not set off when a
+radio link recovers.
 """
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
+from car_interface.errors import ConfigError
 from car_interface.freshness import Heard
 
 
@@ -23,6 +25,9 @@ class GamepadConfig:
         autonomous_button: deadman: the planner steers while a human watches.
         steer_neutral: the request that means "not steering".
         joy_timeout_s: silence longer than this releases; 0 = never.
+
+    Raises:
+        ConfigError: naming the ROS parameter.
     """
 
     steer_axis: int
@@ -33,6 +38,10 @@ class GamepadConfig:
     throttle_scale: float = 1.0
     steer_neutral: float = 0.0
     joy_timeout_s: float = 0.25
+
+    def __post_init__(self):
+        if self.manual_button == self.autonomous_button:
+            raise ConfigError("autonomous_button", self.autonomous_button, "a button other than manual_button's")
 
 
 class Requests(NamedTuple):
@@ -50,9 +59,12 @@ class Gamepad:
     def __init__(self, config: GamepadConfig):
         self._config = config
         self._joy = Heard("joy", config.joy_timeout_s)
+        self._lost = ""  # what was lost since the deadmen were last let go
 
     def hear(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """A message: axes −1..1, buttons 0 or 1."""
+        if self._joy.was_heard and self._joy.is_silent(now_ns):
+            self._lost = "the gamepad was silent"
         self._joy.hear(self._read(axes, buttons), now_ns)
 
     def requests(self, now_ns: int) -> Requests:
@@ -71,16 +83,21 @@ class Gamepad:
                                    ("manual_button", config.manual_button, buttons),
                                    ("autonomous_button", config.autonomous_button, buttons)):
             if index >= len(there):
-                return self._released(f"the gamepad has no {name} {index}, only {len(there)}")
+                self._lost = f"the gamepad had no {name}"
+                return self._released(f"the gamepad has no {name} {index}: it has {len(there)} of them")
         steering = config.steer_scale * axes[config.steer_axis]
         throttle = config.throttle_scale * axes[config.throttle_axis]
         if not (math.isfinite(steering) and math.isfinite(throttle)):
+            self._lost = "an axis of the gamepad was no number"
             return self._released("an axis of the gamepad isn't a number")
+        if not (buttons[config.manual_button] or buttons[config.autonomous_button]):
+            self._lost = ""
+            return self._released("no deadman is held")
+        if self._lost:
+            return self._released(f"{self._lost}: let go of the deadman, then hold it again")
         if buttons[config.manual_button]:
             return Requests(True, _unit(steering), _unit(throttle), "manual deadman held")
-        if buttons[config.autonomous_button]:
-            return Requests(True, config.steer_neutral, 0.0, "autonomous deadman held")
-        return self._released("no deadman is held")
+        return Requests(True, config.steer_neutral, 0.0, "autonomous deadman held")
 
 
 def _unit(x):

@@ -41,7 +41,8 @@ class ThrottleConfig:
     command_timeout_s: float = 0.5
 
     def __post_init__(self):
-        if self.duty_table and not min(self.duty_table) <= self.neutral <= max(self.duty_table):
+        whole = self.duty_table and len(self.duty_table) == len(self.value_axis)  # else the table itself is refused
+        if whole and not min(self.duty_table) <= self.neutral <= max(self.duty_table):
             raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
 
 

@@ -107,7 +107,7 @@ class Pca9685WithItsShippedConfig(unittest.TestCase):
             self.cmd_vector.publish(vector([wrong, 1600, wrong, 3200]))
             self.outputs.wait_for(lambda output: output.data == (CENTER_ON_CHIP, 1600, 0, 3200) + (0,) * 12, mark)
             self.wait_for_output(FAILSAFE)
-        self.wait_for_warning("channels 0, 2: 65536 is no duty and was refused; accepted: 0 to 65535, -1", log)
+        self.wait_for_warning("channels 0, 2 refused: 65536 of channel 0 is no duty; accepted: 0 to 65535, -1", log)
 
     def test_a_channel_goes_to_its_timeout_value_after_250_ms(self):
         def attempt():

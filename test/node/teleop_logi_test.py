@@ -6,6 +6,7 @@ import math
 import signal
 import unittest
 
+import rosnode
 import rospy
 import rostest
 from sensor_msgs.msg import Joy
@@ -42,6 +43,11 @@ class TeleopByItsTopics(unittest.TestCase):
     def hold(self, **what):
         self.inputs.hold(self.joy, joy(**what))
 
+    def press(self, **what):
+        """The same, after all was let go: what was lost comes back no other way."""
+        self.joy.publish(joy())
+        self.hold(**what)
+
     def wait_for_human(self, present):
         return self.human.wait_for(lambda message: message.data is present, self.human.mark())
 
@@ -59,22 +65,22 @@ class TeleopByItsTopics(unittest.TestCase):
 
     def test_manual_deadman_passes_the_sticks_on_both_ways(self):
         for steering, throttle in ((1.0, 0.5), (-1.0, -0.5), (0.25, 0.0)):
-            self.hold(steering=steering, throttle=throttle, manual=1)
+            self.press(steering=steering, throttle=throttle, manual=1)
             self.wait_for_human(True)
             self.wait_for_requests(steering, throttle)
 
     def test_autonomous_deadman_alone_keeps_the_sticks_neutral(self):
-        self.hold(steering=1.0, throttle=1.0, autonomous=1)
+        self.press(steering=1.0, throttle=1.0, autonomous=1)
         self.wait_for_human(True)
         self.wait_for_requests(0.0, 0.0)
 
     def test_both_deadmen_mean_that_the_human_steers(self):
-        self.hold(steering=-0.5, manual=1, autonomous=1)
+        self.press(steering=-0.5, manual=1, autonomous=1)
         self.wait_for_human(True)
         self.wait_for_requests(-0.5, 0.0)
 
     def test_letting_go_is_told_with_the_message_that_says_so_however_short_it_is(self):
-        self.hold(manual=1)
+        self.press(manual=1)
         self.wait_for_human(True)
         self.inputs.drop()
         mark = self.human.mark()
@@ -88,30 +94,42 @@ class TeleopByItsTopics(unittest.TestCase):
         return self.human.heard_since(mark).index(heard)
 
     def test_a_gamepad_that_falls_silent_releases_after_a_quarter_of_a_second(self):
-        self.hold(steering=1.0, manual=1)
+        self.press(steering=1.0, manual=1)
         self.wait_for_human(True)
 
         def attempt():
             self.inputs.drop()
             mark = self.human.mark()
+            self.joy.publish(joy())
             self.joy.publish(joy(steering=1.0, manual=1))
             held = self.human.wait_for(lambda message: message.data, mark)
-            released = self.human.wait_for(lambda message: not message.data, mark)
+            released = self.human.wait_for(lambda message: not message.data, mark + self.place_of(held, mark))
             self.assertAlmostEqual(released.at_s - held.at_s, 0.25, delta=0.06)
         retried(attempt)
         self.wait_for_requests(0.0, 0.0)
 
+    def test_a_gamepad_that_was_silent_has_to_be_let_go_and_held_again(self):
+        self.press(manual=1)
+        self.wait_for_human(True)
+        self.inputs.drop()
+        self.wait_for_human(False)
+        mark = self.human.mark()
+        self.hold(manual=1)
+        self.assertEqual({message.data for message in self.human.wait_for_count(20, mark)}, {False})
+        self.press(manual=1)
+        self.wait_for_human(True)
+
     def test_a_gamepad_that_lacks_an_axis_or_a_button_has_no_deadman(self):
         for lacking in ({"axes": 4}, {"buttons": 5}):
             with self.subTest(lacking):
-                self.hold(manual=1)
+                self.press(manual=1)
                 self.wait_for_human(True)
                 self.hold(manual=1, **lacking)
                 self.wait_for_human(False)
 
     def test_an_axis_that_is_no_number_releases(self):
         for number in (math.nan, math.inf):
-            self.hold(manual=1)
+            self.press(manual=1)
             self.wait_for_human(True)
             self.hold(steering=number, manual=1)
             self.wait_for_human(False)
@@ -133,6 +151,17 @@ class TeleopByItself(unittest.TestCase):
                 lines = process.stderr.since()
                 self.assertEqual(len(lines), 1, lines)
                 self.assertIn(f"{missing} is missing; accepted: an integer from 0 to 63", lines[0])
+
+    def test_a_node_that_is_killed_by_rosnode_leaves_nothing_on_the_master(self):
+        for attempt in range(5):
+            name = f"killed_{attempt}"
+            self.addCleanup(delete_param, f"/{name}")
+            process = start_node(self, "teleop_logi", "_steer_axis:=0", "_throttle_axis:=1", "_manual_button:=0",
+                                 "_autonomous_button:=1", name=name)
+            process.wait_for_info("human in loop: False")
+            rosnode.kill_nodes([f"/{name}"])
+            self.assertEqual(process.wait_for_exit(), 0)
+            self.assertNotIn(f"/{name}", rosnode.get_node_names())
 
     def test_a_deadman_that_is_held_is_let_go_when_the_node_ends(self):
         name = "teleop_that_ends"

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.errors import ConfigError
 from car_interface.gamepad import Gamepad, GamepadConfig
 
 S = 1_000_000_000
@@ -40,12 +41,12 @@ def requests(axes, buttons, age_s=0.1, **changes):
                  id="throttle_that_is_infinite_releases"),
     pytest.param([math.nan, 0.0], AUTONOMOUS, False, 0.0, 0.0, "an axis of the gamepad isn't a number",
                  id="so_it_does_with_the_autonomous_deadman"),
-    pytest.param([], MANUAL, False, 0.0, 0.0, "the gamepad has no steer_axis 0, only 0", id="no_axes_release"),
-    pytest.param([0.5], MANUAL, False, 0.0, 0.0, "the gamepad has no throttle_axis 1, only 1",
+    pytest.param([], MANUAL, False, 0.0, 0.0, "the gamepad has no steer_axis 0: it has 0 of them", id="no_axes_release"),
+    pytest.param([0.5], MANUAL, False, 0.0, 0.0, "the gamepad has no throttle_axis 1: it has 1 of them",
                  id="a_missing_axis_releases"),
-    pytest.param([0.5, 0.5], [], False, 0.0, 0.0, "the gamepad has no manual_button 0, only 0",
+    pytest.param([0.5, 0.5], [], False, 0.0, 0.0, "the gamepad has no manual_button 0: it has 0 of them",
                  id="no_buttons_release"),
-    pytest.param([0.5, 0.5], [1], False, 0.0, 0.0, "the gamepad has no autonomous_button 1, only 1",
+    pytest.param([0.5, 0.5], [1], False, 0.0, 0.0, "the gamepad has no autonomous_button 1: it has 1 of them",
                  id="a_missing_button_releases_even_if_the_other_is_held"),
 ])
 def test_message_is_read_as_requests(axes, buttons, human, steering, throttle, reason):
@@ -98,3 +99,30 @@ def test_message_of_anything_is_in_range_and_without_a_held_button_nobody_is_the
     assert read.human_in_loop <= any(buttons[:2])
     if not read.human_in_loop:
         assert (read.steering, read.throttle) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("axes, buttons, gap_s", [
+    pytest.param([0.0, 0.0], MANUAL, 0.26, id="silence"),
+    pytest.param([math.nan, 0.0], MANUAL, 0.0, id="an_axis_that_is_no_number"),
+    pytest.param([0.0], MANUAL, 0.0, id="a_missing_axis"),
+    pytest.param([0.0, 0.0], [], 0.0, id="missing_buttons"),
+])
+def test_after_a_loss_nothing_is_held_until_all_deadmen_were_let_go(axes, buttons, gap_s):
+    gamepad, now_ns = Gamepad(config()), NOW
+    gamepad.hear([0.0, 0.0], MANUAL, now_ns)
+    assert gamepad.requests(now_ns).human_in_loop
+    now_ns += round(gap_s * S)
+    gamepad.hear(axes, buttons, now_ns)
+    assert not gamepad.requests(now_ns).human_in_loop
+    for still_held in (MANUAL, BOTH, AUTONOMOUS):
+        gamepad.hear([0.0, 0.0], still_held, now_ns)
+        assert not gamepad.requests(now_ns).human_in_loop
+    assert gamepad.requests(now_ns).reason.endswith("let go of the deadman, then hold it again")
+    gamepad.hear([0.0, 0.0], NONE, now_ns)
+    gamepad.hear([0.0, 0.0], MANUAL, now_ns)
+    assert gamepad.requests(now_ns).human_in_loop
+
+
+def test_one_button_for_both_deadmen_is_refused():
+    with pytest.raises(ConfigError, match="autonomous_button is 4; accepted: a button other than manual_button's"):
+        config(manual_button=4, autonomous_button=4)

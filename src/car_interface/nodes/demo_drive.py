@@ -24,7 +24,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
-from car_interface.errors import CarInterfaceError
+from car_interface.errors import CarInterfaceError, ConfigError
 from car_interface.msg import (
     Control,
     Distance,
@@ -195,6 +195,7 @@ class DemoDrive:
         if self._recording is not None:
             self._recording.stop()
         if (self._drive is None or self._drive.stage != DONE) and sys.exc_info()[0] is None:
+            print(flush=True)  # the log line must not hang on the one that refreshes
             raise CarInterfaceError("the drive was ended before it was over")
 
     def _wait_until_ready(self, now_ns):
@@ -299,7 +300,10 @@ class Recording:
     """A ``rosbag record`` of all topics, in a file of its own under ``folder``."""
 
     def __init__(self, folder: str):
-        os.makedirs(folder, exist_ok=True)
+        try:
+            os.makedirs(folder, exist_ok=True)
+        except OSError as error:
+            raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
         self._path = os.path.join(folder, time.strftime("car_%Y-%m-%d_%H-%M-%S.bag"))
         self._process = subprocess.Popen(["rosrun", "rosbag", "record", "--all", "--quiet", "-O", self._path],
                                          stdout=subprocess.DEVNULL)

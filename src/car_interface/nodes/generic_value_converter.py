@@ -93,6 +93,8 @@ class GenericValueConverter:
             self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
             subscribe_permission(inbox, self._throttle)
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
+        rospy.loginfo("waiting for odometry on %s and commands on %s", rospy.resolve_name("~input/odometry"),
+                      rospy.resolve_name("~input/control_cmd"))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
         subscribe("~input/control_cmd", Control, inbox, self._on_command)
 

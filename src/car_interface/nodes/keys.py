@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import sys
 import termios
 import tty
@@ -21,6 +22,7 @@ class Keys:
             fd = sys.stdin.fileno() if sys.stdin is not None else NO_FD
         self._fd = fd
         self._saved = None
+        self._continued = False  # after Ctrl-Z and fg the shell has set the terminal back
 
     def start(self) -> bool:
         """Take the terminal's keys; whether there are any to take."""
@@ -28,6 +30,7 @@ class Keys:
             return False
         self._saved = termios.tcgetattr(self._fd)
         tty.setcbreak(self._fd)
+        signal.signal(signal.SIGCONT, lambda *_: setattr(self, "_continued", True))
         return True
 
     def fileno(self) -> int:
@@ -42,6 +45,9 @@ class Keys:
         if not self._in_foreground():
             return None
         try:
+            if self._continued:
+                self._continued = False
+                tty.setcbreak(self._fd)
             waiting, _, _ = select.select([self._fd], [], [], 0)  # a terminal's read waits for a key
             if not waiting:
                 return ""

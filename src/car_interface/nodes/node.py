@@ -137,6 +137,8 @@ def run(name: str, node_class) -> None:
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
             signal.signal(number, lambda *_: inbox.end())
     rospy.on_shutdown(lambda: _end_and_wait(inbox, ended))
+    unregistered = threading.Event()
+    rospy.core.add_shutdown_hook(lambda reason: unregistered.set())  # comes after rospy's own
     failed = False
     try:
         _live(node_class, inbox)
@@ -148,7 +150,8 @@ def run(name: str, node_class) -> None:
         logging.getLogger("car_interface").error("%s", traceback.format_exc())  # ROS: to the log file only
         failed = True
     ended.set()
-    rospy.signal_shutdown("ended")
+    rospy.signal_shutdown("ended")  # returns at once while another thread is doing that already
+    unregistered.wait(SHUT_DOWN_S)
     sys.exit(1 if failed else 0)
 
 

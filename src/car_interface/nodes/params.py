@@ -71,7 +71,7 @@ class Params:
         def read(value):
             number = _integer(value, 0, 2 ** 31 - 1)
             return number if number is not None else value if isinstance(value, str) and value.strip() else None
-        return self._scalar(name, default, False, read, "a text or a number")
+        return self._scalar(name, default, False, read, "a text, or an integer of at least 0")
 
     def choice(self, name: str, default, choices: Sequence[str]) -> str:
         """One of ``choices``."""

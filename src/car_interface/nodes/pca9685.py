@@ -174,8 +174,9 @@ class Pca9685:
             return
         self._dropped += not self._keeper.running
         if accepted.refused:
-            self._complaints.warn("refused", f"{_listed(accepted.refused)}: {message.data[accepted.refused[0]]} is no "
-                                             f"duty and was refused; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
+            first = accepted.refused[0]
+            self._complaints.warn("refused", f"{_listed(accepted.refused)} refused: {message.data[first]} of channel "
+                                             f"{first} is no duty; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
         if accepted.clamped:
             self._complaints.warn("clamped", f"{_listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
 

@@ -83,6 +83,7 @@ class TeensySensorHub:
             self._open()
         self._services()
         self._key_actions = {
+            "P": self._ping_and_wait,
             "S": lambda: self._send(protocol.sonar_start()),
             "N": lambda: self._send(protocol.sonar_stop()),
             "R": lambda: self._send(protocol.wheel_reset()),
@@ -368,9 +369,10 @@ class TeensySensorHub:
         if now_ns < self._next_counters_ns:
             return False, "asked less than a second ago: the Teensy's buffers can't take more"
         result = self._send(protocol.get_counters())
-        if result[0]:
-            self._next_counters_ns = now_ns + COUNTERS_PERIOD_NS
-        return result
+        if not result[0]:
+            return result
+        self._next_counters_ns = now_ns + COUNTERS_PERIOD_NS
+        return True, "sent; the counters come on teensy_error"
 
     def _watch_keys(self, wanted):
         """Wait for the terminal only while its keys are ours to read: what isn't read stays readable for ever."""
@@ -386,12 +388,10 @@ class TeensySensorHub:
         for key in (typed or "").upper():
             if key == "Q":
                 self._inbox.end()
-            elif key == "P":
-                self._ping_and_wait()
             elif key in self._key_actions:
-                success, message = self._key_actions[key]()
-                if not success:
-                    rospy.logwarn("%s: %s", key, message)
+                _when_done(self._key_actions[key](), lambda result, key=key: _log_key(key, *result))
+            elif key.strip():
+                rospy.loginfo(KEY_HELP)
 
 
 def _answer(done, action, request):
@@ -400,10 +400,19 @@ def _answer(done, action, request):
         result = action(request)
     except ProtocolError as error:
         result = (False, str(error))
+    _when_done(result, done.set_result)
+
+
+def _when_done(result, tell):
+    """Call ``tell`` with the result, now or, if that's a Future, when it's there."""
     if isinstance(result, Future):
-        result.add_done_callback(lambda future: done.set_result(future.result()))
+        result.add_done_callback(lambda future: tell(future.result()))
     else:
-        done.set_result(result)
+        tell(result)
+
+
+def _log_key(key, success, message):
+    (rospy.loginfo if success else rospy.logwarn)("%s: %s", key, message)
 
 
 def main():

@@ -158,9 +158,14 @@ class PseudoTerminal:
     def _put_link(self):
         new = f"{self._path}.{os.getpid()}"
         try:
-            if os.path.lexists(self._path) and not os.path.islink(self._path):
-                raise ConfigError("port", self._path, "a path where there is nothing yet, or a link")
+            if os.path.lexists(self._path) and not _is_link_to_a_terminal(self._path):
+                raise ConfigError("port", self._path, "a path with nothing at it, or a virtual Teensy's old link")
             os.symlink(self.name, new)
             os.replace(new, self._path)
         except OSError as error:
             raise ConfigError("port", self._path, f"a path where a link can be made ({error.strerror})") from error
+
+
+def _is_link_to_a_terminal(path):
+    """What a virtual Teensy that was killed leaves behind; never a real port's name or somebody's file."""
+    return os.path.islink(path) and os.readlink(path).startswith("/dev/pts/")
