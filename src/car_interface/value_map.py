@@ -110,6 +110,8 @@ class ValueMap:
 
 
 def _check_rising(values, column, velocity, allow_plateaus, name):
+    if not math.isfinite(column[-1] - column[0]):
+        raise ConfigError(f"{name}, at velocity {velocity} m/s", (column[0], column[-1]), "a finite span")
     for index in range(1, len(column)):
         before, after = column[index - 1], column[index]
         if after > before or allow_plateaus and after == before:

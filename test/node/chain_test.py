@@ -29,7 +29,7 @@ TRIALS = int(os.environ.get("CAR_INTERFACE_TRIALS", "5"))
 TABLE = os.environ.get("CAR_INTERFACE_TABLE")
 
 CENTER, LEFT, ESC_NEUTRAL = 319, 238, 307  # counts of 5100, 3800, 4915
-MONOTONIC_SLEEP = os.path.join(HERE, "monotonic_sleep.c")
+MONOTONIC_CLOCK = os.path.join(HERE, "monotonic_clock.c")
 SLACK_MS = 0 if os.environ.get("CAR_INTERFACE_ALL") else 150  # a machine that builds and tests other things, too
 MESSAGE_MEDIAN_MS, MESSAGE_P99_MS, MESSAGE_WORST_MS = 1.0, 2.0, 20.0
 MESSAGE_TRIALS = 10 * TRIALS
@@ -67,9 +67,21 @@ class ChainTest(unittest.TestCase):
         self.wait_until_driving()
 
     def re_arm(self):
+        """Topics come in any order: let go until both nodes have heard it with nothing else in the way, then hold."""
         self.car.sent(self.rest, "human", "0")
-        self.car.chip.wait_for(0, lambda counts: counts == CENTER, time.monotonic_ns())
+        self.wait_until_let_go()
         self.car.sent(self.rest, "human", "1")
+
+    def wait_until_let_go(self):
+        for node in ("turn_arb", "generic_value_converter"):
+            eventually(lambda node=node: "human_in_loop is false" in self.says(node), f"{node} to hear of it")
+
+    def says(self, node):
+        """Why a node does what it does, in its newest log line that tells."""
+        process = self.car.processes[node]
+        lines = [line for line in process.stdout.heard_since() + process.stderr.heard_since()
+                 if re.search(r"(LOCKED|NO_HUMAN|NEUTRAL|TELEOP|PLANNER|throttle \w+): ", line.what)]
+        return max(lines, key=lambda line: line.at_s).what if lines else ""
 
     def wait_until_driving(self):
         now_ns = time.monotonic_ns()
@@ -213,16 +225,9 @@ class Losses(ChainTest):
         """Let go of the deadman, and hold it again."""
         pad = self.car.processes["pad"]
         self.car.sent(pad, "joy", "0")
-        for node in ("turn_arb", "generic_value_converter"):
-            eventually(lambda node=node: "human_in_loop is false" in self.says(node), f"{node} to hear of it")
+        self.wait_until_let_go()
         self.car.sent(pad, "joy", "1.0")
         self.wait_until_driving()
-
-    def says(self, node):
-        """A node's newest log line."""
-        process = self.car.processes[node]
-        lines = process.stdout.heard_since() + process.stderr.heard_since()
-        return max(lines, key=lambda line: line.at_s).what if lines else ""
 
     def bring_back(self, what, number):
         process = self.car.processes[what]
@@ -279,7 +284,8 @@ class Losses(ChainTest):
 
 class MasterLost(ChainTest):
     def test_drive_goes_on_and_is_warned_about(self):
-        for _ in range(max(1, TRIALS // 5)):
+        times = []
+        for _ in range(max(1, TRIALS // 10)):
             self.drive(Car(self))
             killed_ns = int(self.car.master.send(signal.SIGKILL) * 1e9)
             self.car.master.wait_for_exit()
@@ -289,8 +295,12 @@ class MasterLost(ChainTest):
             self.car.chip.wait_for(0, lambda counts: counts == 419, killed_ns)  # 6700
             self.car.sent(self.rest, "steering", "1.0")
             self.wait_until_driving()
-            self.measure("human_in_loop false, without a master", lambda: self.car.sent(self.rest, "human", "0"),
-                         self.arm, 200)
+            for _ in range(min(TRIALS, 10)):
+                fault_ns = self.car.sent(self.rest, "human", "0")
+                times.append(self.neutral_ms(fault_ns))
+                self.arm()
+        self.report("human_in_loop false, without a master", "servo", [servo for servo, _ in times], 200)
+        self.report("human_in_loop false, without a master", "ESC", [esc for _, esc in times], 200)
 
 
 class ClockStepped(ChainTest):
@@ -302,11 +312,11 @@ class ClockStepped(ChainTest):
             self.skipTest("there is no libfaketime")
         folder = tempfile.mkdtemp()
         self.addCleanup(shutil.rmtree, folder)
-        clock, sleep = os.path.join(folder, "clock"), os.path.join(folder, "monotonic_sleep.so")
-        subprocess.run(["cc", "-shared", "-fPIC", "-o", sleep, MONOTONIC_SLEEP], check=True)
+        clock, monotonic = os.path.join(folder, "clock"), os.path.join(folder, "monotonic_clock.so")
+        subprocess.run(["cc", "-shared", "-fPIC", "-o", monotonic, MONOTONIC_CLOCK, "-ldl"], check=True)
         set_clock(clock, 0)
-        self.drive(Car(self, {"LD_PRELOAD": f"{sleep}:{library}", "FAKETIME_TIMESTAMP_FILE": clock,
-                              "FAKETIME_NO_CACHE": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1"}, python38))
+        self.drive(Car(self, {"LD_PRELOAD": f"{monotonic}:{library}", "FAKETIME_TIMESTAMP_FILE": clock,
+                              "FAKETIME_CACHE_DURATION": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1"}, python38))
         version = "3.8" if python38 else ".".join(map(str, sys.version_info[:2]))
         offset_s, mark = [0], [0]
 
@@ -314,7 +324,7 @@ class ClockStepped(ChainTest):
             before_ns = time.monotonic_ns()
             offset_s[0] = -HOUR_S if offset_s[0] >= 0 else HOUR_S
             set_clock(clock, offset_s[0])
-            eventually(lambda: time.monotonic_ns() - before_ns > 400e6, "0.4 s of the stepped clock")
+            eventually(lambda: time.monotonic_ns() - before_ns > 1.5e9, "1.5 s, by when all threads have the new time")
             self.assertEqual(self.car.chip.values_since(0, before_ns), [], "the step moved the servo")
             mark[0] = self.car.processes["turn_arb"].stderr.mark()
             self.rest.tell("human -")

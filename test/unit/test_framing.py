@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import tracemalloc
 from dataclasses import asdict
+from pathlib import Path
 
 import pytest
 from hypothesis import example, given
@@ -268,3 +269,70 @@ def test_frame_with_one_byte_changed_is_refused(body, place, change):
     if {frame[place], frame[place] ^ change} != {0x00, 0xff}:
         assert body not in decode([changed])[0]
         assert not [found for found in decode([changed])[0] if len(found) == len(body)]
+
+
+CAPTURE = (Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin").read_bytes()
+FLAG = 0x7e
+
+
+def frames_of_the_capture():
+    """(start, end) of each frame's bytes between its flags, the boot frame left out."""
+    flags = [place for place, byte in enumerate(CAPTURE) if byte == FLAG]
+    return [(start + 1, end) for start, end in zip(flags, flags[1:]) if end - start > 5]
+
+
+def spoilt(place, kind):
+    """The byte at ``place`` of the capture after one fault."""
+    byte = CAPTURE[place]
+    if kind == "deleted":
+        return b""
+    if isinstance(kind, int):  # inserted before it
+        return bytes((kind, byte))
+    return bytes((byte ^ int(kind, 16),))
+
+
+FAULTS = ["deleted", 0x00, 0xff, 0x7d, 0x7e, 0x5e, 0x01, "0x01", "0x20", "0x80", "0xff", "0x03"]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault if isinstance(fault, str) and fault == "deleted"
+                         else f"inserted_{fault:02x}" if isinstance(fault, int) else f"flipped_by_{fault}")
+def test_decoder_after_any_byte_of_the_capture_spoilt_has_recovered_by_the_end_of_the_next_frame(fault):
+    """Exhaustive: each byte, flags included, in each frame. What is sent after the next frame comes out whole."""
+    frames = frames_of_the_capture()
+    clean = [FrameDecoder().feed(b"\x7e" + CAPTURE[start:end + 1])[0] for start, end in frames]
+    for index in range(1, len(frames) - 3):
+        start, end = frames[index]
+        first, last = frames[index - 1][0] - 1, frames[index + 3][1] + 1
+        for place in range(start, end + 1):  # the closing flag is the last
+            data = CAPTURE[first:place] + spoilt(place, fault) + CAPTURE[place + 1:last]
+            decoder = FrameDecoder()
+            found = decoder.feed(data)
+            assert found[0] == clean[index - 1], (index, place)
+            assert found[-2:] == clean[index + 2:index + 4], (index, place)
+            assert adds_up(decoder) and decoder.pending == 0
+
+
+@given(st.integers(2, 700), st.integers(0, 100), BYTES | st.just(-1), st.booleans())
+def test_decoder_after_a_byte_deleted_inserted_or_changed_to_any_value_has_recovered(index, offset, value, inserts):
+    frames = frames_of_the_capture()
+    start, end = frames[index]
+    place = start + offset % (end + 1 - start)
+    first, last = frames[index - 1][0] - 1, frames[index + 2][1] + 1
+    instead = b"" if value < 0 else bytes((value,)) + (CAPTURE[place:place + 1] if inserts else b"")
+    decoder = FrameDecoder()
+    found = decoder.feed(CAPTURE[first:place] + instead + CAPTURE[place + 1:last])
+    after_start, after_end = frames[index + 2]
+    assert found[-1:] == FrameDecoder().feed(b"\x7e" + CAPTURE[after_start:after_end + 1])
+    assert adds_up(decoder)
+
+
+@given(st.lists(st.tuples(st.integers(0, len(CAPTURE) - 1), st.integers(0, 255)), max_size=60), st.integers(1, 5000))
+def test_tally_adds_up_after_every_read_of_a_capture_full_of_faults(faults, size):
+    data = bytearray(CAPTURE)
+    for place, value in faults:
+        data[place] = value
+    decoder = FrameDecoder()
+    for begin in range(0, len(data), size):
+        decoder.feed(bytes(data[begin:begin + size]))
+        assert adds_up(decoder)
+    assert decoder.tally.bytes_in == len(data)

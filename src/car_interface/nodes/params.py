@@ -135,7 +135,10 @@ def _flatten(tree, prefix=""):
 def _number(value, low, high, above):
     if isinstance(value, str):
         value = _spelled(value)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    try:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            return None
+    except OverflowError:  # an integer beyond all floats
         return None
     return float(value) if low <= value <= high and (above is None or value > above) else None
 

@@ -1,0 +1,348 @@
+"""Gates between the Teensy's records and what is made of them: odometry, clock and ranges.
+
+A checksum of eight bits lets some wrong frames past. Each record that made sense is judged here against those before
+it: device ticks against device ticks and pulses against pulses, never against the host's clock. The answer says
+whether it may be used, why not, and how many pulses it adds to the way.
+
+Three rules keep one wrong record from doing harm, and a true jump from being locked out:
+
+- A report of the wheels that brings more pulses than the wheel's own speed explains by ``SURPRISE_PULSES`` waits until
+  others confirm it. So a wrong one that is taken moves a wheel by at most that many pulses, 4.5 cm.
+- A record that contradicts the one before it, but follows from the one before that, is taken, and what the wrong one
+  had added is taken back.
+- Any other contradiction is a jump: the Teensy rebooted, its odometers were reset, or much was lost. It is taken up
+  with the third of ``CONSISTENT`` records in a row each of which follows from the one before it; none of the pulses
+  between these is lost. Odometers at zero that have no direction yet are taken up at once: no other state looks so.
+
+Pure: neither a clock nor a device.
+"""
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from car_interface.errors import ConfigError
+from car_interface.teensy.protocol import (
+    DIRECTION_ERROR,
+    FORWARD,
+    NO_DIRECTION,
+    UINT32,
+    Pong,
+    SonarStatus,
+    Wheel,
+    WheelStatus,
+)
+
+CONSISTENT = 3
+SURPRISE_PULSES = 3  # at 1.5 cm: wrong by 4.5 cm at most, and two reports in a row may be lost from a crawl
+TRUSTED_MS = 100  # how long after a wheel's last pulse its speed still explains pulses
+# Answers overtake sonar reports in the Teensy's buffers, which hold 0.2 s of the line.
+OVERTAKEN_MS = 250
+QUANTUM_MS = 1  # of the ticks
+PULSES_OF_JITTER = 2  # the magnets of an encoder wheel aren't spaced evenly
+# From here on a wheel needs time to turn round: ten times what tyres hold, for a wheel in the air may be braked harder.
+SLOW_MPS = 1.0
+BRAKING_MPS2 = 100.0
+SPEED_OF_ONE_TICK = 1000  # pulses per second: two pulses, one tick apart
+
+# What may be wrong with a record, in words.
+ECHO_TOO_LONG = "an echo beyond the maximum"
+NOT_OUR_PING = "a pong that answers no ping of ours"
+TICK_BACK = "a tick that goes back"
+TICK_AHEAD = "a tick that jumps ahead"
+SENSOR_ERROR = "a wheel whose direction sensor reports an error (direction 3)"
+COUNTS_DISAGREE = "a wheel whose direction and counts disagree"
+SPEED_TOO_HIGH = "a wheel's speed above the top speed"
+COUNT_BACK = "a wheel's count that goes back"
+PULSE_BACK = "a wheel's last pulse that goes back in time"
+CHANGE_WITHOUT_PULSE = "a change in a wheel that made no pulse"
+TOO_MANY_PULSES = "more pulses than the top speed allows"
+TURNED_WRONGLY = "a direction that doesn't go with the counts"
+TURNED_AT_SPEED = "a direction that changes at speed"
+SURPRISING = "more pulses at once than the wheel's speed explains"
+PULSE_AHEAD = "a pulse ahead of the Teensy's clock"
+# What may be worth a word about one that is accepted.
+FIRST = "the first of its kind"
+TAKEN_BACK = "the one before it was wrong"
+CAUGHT_UP = "taken up after a gap"
+CLOCK_RESTARTED = "taken up after the Teensy's clock went back: it rebooted"
+ODOMETERS_RESTARTED = "taken up after a jump of the odometers"
+ODOMETERS_RESET = "odometers that were reset"
+
+
+@dataclass(frozen=True)
+class GateConfig:
+    """What the gates take for possible.
+
+    Args:
+        top_speed_mps: of a wheel, its spinning included.
+        pulse_m: a wheel's way from pulse to pulse; 20 on the circumference of a 9.5 cm wheel.
+        longest_echo_us: the firmware listens for 200 cm, 11,428 µs; 5 % more for its timer.
+        longest_gap_ms: between ticks of a line that is whole; at least two periods of the pings.
+
+    Raises:
+        ConfigError: when one of them isn't a number above 0.
+    """
+
+    top_speed_mps: float = 20.0
+    pulse_m: float = math.pi * 0.095 / 20
+    longest_echo_us: int = 12_000
+    longest_gap_ms: int = 2_000
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            if not 0 < value < math.inf:
+                raise ConfigError(name, value, "a number above 0")
+
+
+class Verdict(NamedTuple):
+    """What became of a record."""
+
+    accepted: bool
+    reason: str  # why not, or what is worth a word; empty for most
+    pulses: tuple[int, int] = (0, 0)  # to add to the way of the left and the right wheel, signed
+    restarted: bool = False  # what was there before it doesn't count any more
+
+
+class Gates:
+    """Judges the records of one Teensy, in the order in which they came.
+
+    ``counts`` has the refused ones by reason, and the accepted ones that were worth a word.
+    """
+
+    def __init__(self, config: GateConfig = GateConfig()):
+        self.counts: Counter = Counter()
+        self.accepted = 0
+        self.refused = 0
+        self._longest_echo_us = config.longest_echo_us
+        self._ticks = _TickGate(config.longest_gap_ms)
+        self._wheels = _WheelGate(config)
+
+    def pong(self, record: Pong, is_ours: bool) -> Verdict:
+        """Judge a pong; ``is_ours``: it answers a ping that waited (a duplicate answers none)."""
+        if not is_ours:
+            return self._counted(Verdict(False, NOT_OUR_PING))
+        return self._counted(self._ticks.judge(record.timestamp2))
+
+    def sonar(self, record: SonarStatus) -> Verdict:
+        """Judge a sonar's report."""
+        if record.echo_us > self._longest_echo_us:
+            return self._counted(Verdict(False, ECHO_TOO_LONG))
+        return self._counted(self._ticks.judge(record.when))
+
+    def wheels(self, record: WheelStatus) -> Verdict:
+        """Judge a report of the wheels. Wheels that turn in opposite directions are nothing odd: a car may spin."""
+        return self._counted(self._wheels.judge(record, self._ticks.newest))
+
+    def _counted(self, verdict):
+        if verdict.accepted:
+            self.accepted += 1
+        else:
+            self.refused += 1
+        if verdict.reason:
+            self.counts[verdict.reason] += 1
+        return verdict
+
+
+def signed_pulses(before: Wheel, now: Wheel) -> int:
+    """The way from one report of a wheel to a later one, in pulses, backward negative.
+
+    The pulse before ``now.dist`` was made in the other direction. Where a wheel turned round twice in between, nobody
+    knows how the pulses before that were shared: they count as none.
+    """
+    sign = 1 if now.direction == FORWARD else -1
+    pulses = ahead(now.dist_abs, before.dist_abs)
+    if now.dist == before.dist and now.direction == before.direction or now.direction == NO_DIRECTION:
+        return sign * pulses
+    earlier = max(0, ahead(now.dist, before.dist_abs) - 1)
+    return sign * (pulses - earlier) - (sign * earlier if now.direction != before.direction else 0)
+
+
+def ahead(later: int, earlier: int) -> int:
+    """How far one 32-bit counter is ahead of another, which wraps: −2**31 .. 2**31 − 1."""
+    return (later - earlier + UINT32 // 2) % UINT32 - UINT32 // 2
+
+
+class _TickGate:
+    """Ticks of the Teensy's clock as pongs and sonars carry them; nearly in order."""
+
+    def __init__(self, longest_gap_ms):
+        self._longest_gap_ms = longest_gap_ms
+        self.newest = None
+        self._before = None  # the newest before that
+        self._candidates: list = []
+
+    def judge(self, tick):
+        if self.newest is None:
+            self.newest = tick
+            return Verdict(True, FIRST, restarted=True)
+        fault = self._fault(self.newest, tick)
+        if not fault:
+            if ahead(tick, self.newest) > 0:
+                self._before, self.newest = self.newest, tick
+            self._candidates.clear()
+            return _FINE
+        if self._before is not None and not self._fault(self._before, tick):
+            self.newest = tick
+            self._candidates.clear()
+            return Verdict(True, TAKEN_BACK)
+        if self._candidates and self._fault(self._candidates[-1], tick):
+            self._candidates.clear()
+        self._candidates.append(tick)
+        return self._take_up() if len(self._candidates) == CONSISTENT else Verdict(False, fault)
+
+    def _fault(self, before, tick):
+        gap_ms = ahead(tick, before)
+        if gap_ms < -OVERTAKEN_MS:
+            return TICK_BACK
+        return TICK_AHEAD if gap_ms > self._longest_gap_ms else ""
+
+    def _take_up(self):
+        rebooted = ahead(self._candidates[0], self.newest) < 0
+        self._before, self.newest = None, self._candidates[-1]
+        self._candidates.clear()
+        return Verdict(True, CLOCK_RESTARTED if rebooted else CAUGHT_UP, restarted=rebooted)
+
+
+class _WheelGate:
+    """Reports of the wheels, which come in order."""
+
+    def __init__(self, config):
+        self._pulse_m = config.pulse_m
+        self._longest_gap_ms = config.longest_gap_ms
+        self._top_per_ms = config.top_speed_mps / config.pulse_m / 1000
+        self._top_speed = 2000 * self._top_per_ms + SPEED_OF_ONE_TICK  # as a report may give it
+        self._last = None
+        self._before = None  # accepted before the last one
+        self._candidates: list = []
+        self._jumped = False  # the candidates can't follow the last one
+        self._per_ms = (0.0, 0.0)  # each wheel's speed when it made its last pulse
+
+    def judge(self, record, newest_tick):
+        fault = self._impossible(record.left) or self._impossible(record.right)
+        if fault:
+            return Verdict(False, fault)
+        if self._last is None:
+            return self._restart(record, FIRST)
+        fault = self._fault(self._last, record, self._per_ms)
+        doubt = fault or self._doubt(record, newest_tick)
+        if not doubt:
+            return self._accept(record, "", _way(self._last, record), before=self._last)
+        if fault and self._before is not None and not self._fault(self._before, record, self._per_ms):
+            pulses = _difference(_way(self._before, record), _way(self._before, self._last))
+            if max(map(abs, pulses)) <= SURPRISE_PULSES:
+                return self._accept(record, TAKEN_BACK, pulses, before=self._before)
+        if fault and _is_fresh(record):
+            return self._restart(record, ODOMETERS_RESET, _way(_NOTHING_YET, record))
+        return self._consider(record, doubt, bool(fault))
+
+    def _accept(self, record, reason, pulses, before):
+        self._per_ms = tuple(self._speed(*wheels) for wheels in zip(self._last, record, self._per_ms))
+        self._before, self._last = before, record
+        self._candidates.clear()
+        return Verdict(True, reason, pulses) if reason or any(pulses) else _FINE
+
+    def _restart(self, record, reason, pulses=(0, 0)):
+        self._before, self._last = None, record
+        self._per_ms = (0.0, 0.0)
+        self._candidates.clear()
+        return Verdict(True, reason, pulses, restarted=True)
+
+    def _consider(self, record, doubt, jumped):
+        """Wait for others like it; with the last of them, take all of them up."""
+        chain = self._candidates
+        # What may follow the last one puts an end to a jump that nothing has confirmed yet.
+        if chain and (jumped != self._jumped or self._fault(chain[-1], record, (0.0, 0.0))):
+            chain.clear()
+        self._jumped = jumped
+        chain.append(record)
+        if len(chain) < CONSISTENT:
+            return Verdict(False, doubt)
+        reason, known, wrong = CAUGHT_UP, [self._last, *chain], (0, 0)
+        if jumped:
+            if self._before is not None and not self._fault(self._before, chain[0], self._per_ms):
+                reason, known, wrong = TAKEN_BACK, [self._before, *chain], _way(self._before, self._last)
+            else:
+                reason, known = ODOMETERS_RESTARTED, list(chain)
+        pulses = _difference([sum(ways) for ways in zip(*map(_way, known, known[1:]))], wrong)
+        self._last = chain[-2]
+        self._accept(record, "", pulses, before=chain[-2])
+        return Verdict(True, reason, pulses, restarted=reason == ODOMETERS_RESTARTED)
+
+    def _impossible(self, wheel):
+        """What is wrong with a wheel by itself."""
+        if wheel.direction == DIRECTION_ERROR:
+            return SENSOR_ERROR
+        if wheel.direction == NO_DIRECTION:
+            return COUNTS_DISAGREE if wheel.dist or wheel.dist_abs else ""
+        if ahead(wheel.dist_abs, wheel.dist) < 0:
+            return COUNTS_DISAGREE
+        return SPEED_TOO_HIGH if wheel.speed > self._top_speed else ""
+
+    def _fault(self, before, now, per_ms):
+        """Why one report can't follow another, whatever was lost in between; empty when it can."""
+        return (self._wheel_fault(before.left, now.left, per_ms[0])
+                or self._wheel_fault(before.right, now.right, per_ms[1]))
+
+    def _wheel_fault(self, before, now, per_ms):
+        pulses = ahead(now.dist_abs, before.dist_abs)
+        fresh = before.direction == NO_DIRECTION  # its ``when`` is from before the reset
+        if pulses < 0:
+            return COUNT_BACK
+        if pulses == 0:
+            same = now[1:] == before[1:] or fresh and now.direction == NO_DIRECTION
+            return "" if same else CHANGE_WITHOUT_PULSE
+        moved_ms = 0 if fresh else ahead(now.when, before.when)
+        if moved_ms < 0:
+            return PULSE_BACK
+        if not fresh and pulses > self._top_per_ms * (moved_ms + QUANTUM_MS) + PULSES_OF_JITTER:
+            return TOO_MANY_PULSES
+        if now.dist == before.dist:
+            return "" if now.direction == before.direction else TURNED_WRONGLY
+        least = 2 if now.direction == before.direction else 1  # turned round twice: a pulse lies between
+        if not least <= ahead(now.dist, before.dist_abs) <= pulses:
+            return TURNED_WRONGLY
+        speed_mps = 1000 * per_ms * self._pulse_m
+        return TURNED_AT_SPEED if speed_mps - BRAKING_MPS2 * moved_ms / 1000 > SLOW_MPS else ""
+
+    def _doubt(self, record, newest_tick):
+        """Why a report that may follow the last one had better be confirmed."""
+        for before, now, per_ms in zip(self._last, record, self._per_ms):
+            pulses = ahead(now.dist_abs, before.dist_abs)
+            if pulses and before.direction != NO_DIRECTION:
+                moved_ms = ahead(now.when, before.when)
+                if pulses > SURPRISE_PULSES + per_ms * min(moved_ms, TRUSTED_MS):
+                    return SURPRISING
+                if newest_tick is not None and min(moved_ms, ahead(now.when, newest_tick)) > self._longest_gap_ms:
+                    return PULSE_AHEAD
+            elif pulses > SURPRISE_PULSES:
+                return SURPRISING
+        return ""
+
+    def _speed(self, before, now, per_ms):
+        """A wheel's speed in pulses per ms from its last two pulses' reports, rather too low than too high."""
+        pulses = ahead(now.dist_abs, before.dist_abs)
+        moved_ms = ahead(now.when, before.when)
+        if pulses <= 0 or moved_ms < 0 or before.direction == NO_DIRECTION:
+            return 0.0 if before.direction == NO_DIRECTION else per_ms
+        return min(self._top_per_ms, pulses / (moved_ms + QUANTUM_MS))
+
+
+_FINE = Verdict(True, "")
+_NOTHING_YET = WheelStatus(*2 * (Wheel(0, NO_DIRECTION, 0, 0, 0),))
+
+
+def _way(before, now):
+    return signed_pulses(before.left, now.left), signed_pulses(before.right, now.right)
+
+
+def _difference(way, other):
+    return way[0] - other[0], way[1] - other[1]
+
+
+def _is_fresh(record):
+    """Both odometers counted from zero a moment ago, and one of them has no direction yet."""
+    return (any(wheel.direction == NO_DIRECTION for wheel in record)
+            and all(wheel.dist_abs <= SURPRISE_PULSES for wheel in record))

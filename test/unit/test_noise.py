@@ -1,0 +1,91 @@
+"""A short run of the noise measurement (test/noise.py has the long one), and the calculation that it is held to."""
+from __future__ import annotations
+
+import importlib
+import itertools
+import sys
+from pathlib import Path
+
+import pytest
+
+from car_interface.teensy.framing import FrameDecoder
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+noise = importlib.import_module("noise")
+
+FRAMES = 20_000
+
+
+@pytest.fixture(scope="module", params=noise.RATES, ids=str)
+def result(request):
+    return noise.measure(FRAMES, request.param)
+
+
+def test_no_more_wrong_frames_get_past_than_an_8_bit_sum_must_let_past(result):
+    assert result.failures() == []
+    assert result.frames >= FRAMES
+    assert result.made_sense <= result.summed_up <= result.lost
+
+
+def test_no_wrong_frame_moves_a_wheel_by_10_cm_and_nothing_is_left_of_it(result):
+    assert result.harm_m <= noise.MOST_HARM_M
+    assert result.error_m <= noise.MOST_HARM_M
+
+
+def test_without_noise_nothing_is_lost_and_the_way_is_the_firmware_s():
+    clean = noise.measure(2000, 0.0)
+    assert (clean.lost, clean.summed_up, clean.harm_m, clean.error_m, clean.ungated_m) == (0, 0, 0.0, 0.0, 0.0)
+    rounds = clean.frames // 795
+    # A reboot is taken up with the third tick: in each round but the first two right records wait.
+    assert clean.refused == 2 * (rounds - 1)
+
+
+def test_noise_that_gets_past_is_told_and_without_gates_the_way_is_lost():
+    noisy = noise.measure(FRAMES, 1e-3)
+    assert noisy.made_sense > 0 and noisy.ungated_m > 10
+    noisy.must_sum_up = noisy.must_make_sense = 0.0
+    noisy.summed_up, noisy.made_sense, noisy.harm_m, noisy.adds_up = 100, 100, 0.2, False
+    assert [failure.split()[-1] for failure in noisy.failures()] == ["must", "must", "cm", "up"]
+
+
+def test_calculation_gives_1_frame_in_100_000_at_1e_4():
+    capture, frames = noise.load()
+    _, must = noise.must_get_past(capture, frames, 1e-4)
+    assert 0.5e-5 < must / len(frames) < 1.5e-5
+
+
+def sums_up(data):
+    return int.from_bytes(data, "little") % 255 == 0
+
+
+@pytest.mark.parametrize("wire", [bytes.fromhex(text) for text in ("0102060000050000f1", "c13e", "ff00ff00")])
+def test_calculation_is_what_counting_all_flips_of_a_short_frame_gives(wire):
+    for rate in (1e-3, 0.1):
+        size = 8 * len(wire)
+        most_flips = 3 if size > 32 else 5
+        counted = 0.0
+        for flips in range(1, most_flips + 1):
+            for places in itertools.combinations(range(size), flips):
+                changed = bytearray(wire)
+                for place in places:
+                    changed[place >> 3] ^= 1 << (place & 7)
+                counted += sums_up(changed) * rate ** flips * (1 - rate) ** (size - flips)
+        assert sums_up(wire)
+        if rate < 0.01:
+            assert noise.passing(wire, rate) == pytest.approx(counted, rel=0.02)
+        else:
+            assert noise.passing(wire, rate) >= counted
+
+
+def test_no_single_flip_inside_a_frame_gets_past_the_checksum():
+    capture, frames = noise.load()
+    for sent in frames[::10]:
+        start, end = sent.chunk
+        for place in range(start, end):
+            if capture[place:place + 1] == noise.FLAG:
+                continue
+            for bit in range(8):
+                changed = bytearray(capture[start:end])
+                changed[place - start] ^= 1 << bit
+                found = FrameDecoder().feed(b"\x7e" + changed)
+                assert not [body for body in found if len(body) == len(sent.body)], (sent, place, bit)
