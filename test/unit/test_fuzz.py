@@ -27,7 +27,7 @@ from car_interface.value_map import ValueMap, load_value_map
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 fuzz = importlib.import_module("fuzz")
 
-CASES = 5000
+CASES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 5000
 BODIES = FrameDecoder().feed(fuzz.CAPTURE)
 RECORDS = (protocol.Pong, protocol.SonarStatus, protocol.WheelStatus, protocol.ErrorCount, protocol.Malformed)
 

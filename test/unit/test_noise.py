@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import importlib
 import itertools
+import os
 import sys
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from car_interface.teensy.framing import FrameDecoder
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 noise = importlib.import_module("noise")
 
-FRAMES = 20_000
+FRAMES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 20_000
 
 
 @pytest.fixture(scope="module", params=noise.RATES, ids=str)
