@@ -18,7 +18,8 @@ ROOM_OF = {"value_map": "acceleration", "conversion": "acceleration", "throttle"
 BETWEEN_PARTS = {("acceleration", "steering"), ("acceleration", "permission"), ("steering", "permission")}
 # Devices and ROS are for nodes; numpy is imported where whole arrays are worked on, never with a module.
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
-ONLY_IN = {"rospy": ("nodes/",), "serial": ("teensy/link.py",), "smbus2": ("nodes/pca9685.py",)}
+ONLY_IN = {"rospy": ("nodes/",), "serial": ("teensy/link.py",),
+           "smbus2": ("nodes/pca9685.py", "nodes/doctor_devices.py")}
 
 
 def modules() -> list[Path]:
@@ -59,6 +60,9 @@ def allowed(importer: str, imported: str) -> bool:
     if importer == "sim":
         # A simulated Teensy that shares code with the host that it tests would prove nothing; nor would a chip.
         return imported not in ("nodes", "teensy", "pca9685")
+    if importer == "doctor":
+        # It examines the parts' devices by what the parts know of them.
+        return imported not in ("nodes", "sim")
     return (importer, imported) in BETWEEN_PARTS
 
 
@@ -95,5 +99,6 @@ def test_ros_and_devices_are_imported_only_where_they_belong(path):
 def test_the_walls_are_looked_at():
     assert allowed("nodes", "sim") and allowed("sim", "steering") and allowed("teensy", "foundation")
     assert not allowed("teensy", "pca9685") and not allowed("steering", "acceleration") and not allowed("sim", "teensy")
-    assert not allowed("foundation", "steering") and not allowed("pca9685", "nodes")
+    assert allowed("nodes", "doctor") and allowed("doctor", "teensy") and not allowed("doctor", "nodes")
+    assert not allowed("teensy", "doctor") and not allowed("foundation", "steering") and not allowed("pca9685", "nodes")
     assert "car_interface.steering" in pure_modules() and "car_interface.teensy.link" not in pure_modules()

@@ -333,7 +333,7 @@ def test_port_that_stays_busy_is_not_searched_for_at_each_attempt(terminal, othe
 def test_port_held_by_modem_manager_names_the_cure(terminal, other_program, monkeypatch):
     other_program(locks=True)
     monkeypatch.setattr("car_interface.teensy.link._process_name", lambda pid: "ModemManager")
-    assert "sudo apt-get remove modemmanager" in refusal(terminal.path).cure
+    assert "rosrun car_interface setup_hardware" in refusal(terminal.path).cure
 
 
 def test_port_that_fails_while_it_is_set_up_is_left_to_others(terminal, monkeypatch):

@@ -257,7 +257,7 @@ def _explain(device, address, error):
     if error.errno == errno.EAGAIN:
         return "another pca9685 node has this board", "See which: rosnode list"
     if error.errno in (errno.EACCES, errno.EPERM):
-        return "no permission to use the bus", "Join its group and log in anew: sudo usermod -aG i2c $USER"
+        return "no permission to use the bus", "Once: rosrun car_interface setup_hardware, then log in anew"
     if error.errno in (errno.ENOTTY, errno.EISDIR, errno.EINVAL):
         return "this is not an I2C bus", "Set ~device to one of: ls /dev/i2c-*"
     if error.errno in (errno.EREMOTEIO, errno.ENXIO, errno.EIO, errno.ETIMEDOUT):

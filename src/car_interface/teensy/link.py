@@ -164,7 +164,7 @@ class SerialLink:
         names = ", ".join(f"{name} (process {pid})" for pid, name in self._holders)
         cause = "another program has it open" + (f": {names}" if names else "")
         if "ModemManager" in names:
-            return cause, "It tries every new port: sudo apt-get remove modemmanager"
+            return cause, "It tries every new port; this keeps it off: rosrun car_interface setup_hardware"
         return cause, f"See which one, and end it: fuser -v {self._path}"
 
 

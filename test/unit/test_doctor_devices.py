@@ -1,0 +1,319 @@
+"""Port, Teensy, bus and chip, as the doctor judges them; the devices are the simulated ones."""
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import types
+
+import pytest
+
+from car_interface.doctor import board
+from car_interface.doctor.findings import BAD, OK, WARN
+from car_interface.doctor.port import Link, TeensyProbe, check_holders, check_link
+from car_interface.doctor.processes import openers, process_name
+from car_interface.nodes import doctor_devices
+from car_interface.pca9685.board import Board
+from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+
+MS = 1_000_000
+
+# --- who has a device open ---
+
+
+@pytest.fixture
+def proc(tmp_path):
+    """A /proc in which process 7, a script, has a device open by a link, and process 8 something else."""
+    device = tmp_path / "ttyACM0"
+    device.write_text("")
+    (tmp_path / "by-id").symlink_to(device)
+    for pid, target, words in ((7, device, ["/usr/bin/python3", "-u", "/opt/pca9685"]), (8, "/dev/null", ["agetty:"])):
+        (tmp_path / "proc" / str(pid) / "fd").mkdir(parents=True)
+        (tmp_path / "proc" / str(pid) / "fd" / "3").symlink_to(target)
+        (tmp_path / "proc" / str(pid) / "cmdline").write_bytes(b"\0".join(word.encode() for word in words) + b"\0")
+    (tmp_path / "proc" / "9").mkdir()
+    (tmp_path / "proc" / "uptime").write_text("")
+    return tmp_path
+
+
+def test_openers_are_found_through_links(proc):
+    assert openers(str(proc / "by-id"), str(proc / "proc")) == [(7, "pca9685")]
+    assert openers(str(proc / "ttyACM1"), str(proc / "proc")) == []
+
+
+def test_processes_that_hide_or_have_ended_are_passed_over(proc):
+    assert process_name(8, str(proc / "proc")) == "agetty"
+    assert process_name(9, str(proc / "proc")) == "unknown"
+    assert openers(str(proc / "by-id"), str(proc / "nowhere")) == []
+
+
+def test_this_process_is_not_among_the_openers(tmp_path):
+    with open(tmp_path / "port", "w", encoding="ascii") as file:
+        assert os.readlink(f"/proc/self/fd/{file.fileno()}") == str(tmp_path / "port")
+        assert openers(str(tmp_path / "port")) == []
+
+
+@pytest.mark.parametrize(
+    ("holders", "level", "words", "cure"),
+    [
+        ([(5, "minicom")], BAD, "minicom (process 5)", "fuser -v /dev/tty0"),
+        ([(5, "ModemManager")], BAD, "ModemManager (process 5)", "setup_hardware"),
+        ([(5, "agetty")], BAD, "agetty (process 5)", "raspi-config"),
+        ([(4, "car_sim"), (5, "teensy_sensor_hub")], WARN, "/dev/tty0: teensy_sensor_hub (process 5)", "--ns"),
+        ([(pid, "a") for pid in range(5)], BAD, "a (process 2) and 2 more", "fuser"),
+    ],
+    ids=["any", "modem_manager", "console", "hub_elsewhere", "many"],
+)
+def test_port_that_another_program_has_is_told(holders, level, words, cure):
+    found, = check_holders("/dev/tty0", holders)
+    assert found.level == level and words in found.what and cure in found.cure
+
+
+def test_port_that_nobody_has_is_nothing_to_tell():
+    assert check_holders("/dev/tty0", []) == []
+
+
+# --- the Teensy ---
+
+
+def probed(firmware=None, change=lambda data: data, baud=115200):
+    """The finding about a Teensy behind a line that ``change`` spoils, and how long it took."""
+    begin_ns = now_ns = 50_000 * MS
+    firmware = firmware or TeensyFirmware(FirmwareConfig(seed=1), lambda sensor, at_ns: 0, now_ns)
+    probe = TeensyProbe(baud, now_ns)
+    while not probe.is_done(now_ns):
+        firmware.receive(probe.step(now_ns), now_ns)
+        probe.hear(change(firmware.transmit(now_ns)), now_ns)
+        now_ns += 2 * MS
+    return probe.finding(), (now_ns - begin_ns) // MS
+
+
+def corrupting(share):
+    """Spoils so many bytes of a hundred, evenly."""
+    count = 0
+
+    def change(data):
+        nonlocal count
+        spoiled = bytearray(data)
+        for index in range(len(spoiled)):
+            count += share
+            if count >= 100:
+                count -= 100
+                spoiled[index] ^= 0x01
+        return bytes(spoiled)
+    return change
+
+
+def without_pongs(data):
+    """A pong's frame opens with 7e 01 02 02."""
+    return b"" if b"\x7e\x01\x02\x02" in data else data
+
+
+def test_teensy_that_answers_is_fine_within_a_second():
+    found, took_ms = probed()
+    assert found.level == OK and "frames a second; pong after" in found.what and "shipped checksum" in found.what
+    assert took_ms < 1500
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "words", "cure"),
+    [
+        (lambda data: b"", BAD, "nothing comes", "TX"),
+        (lambda data: bytes(byte | 0x80 for byte in data), BAD, "but no frames", "baud"),
+        (corrupting(0.4), WARN, "corrupt", "cable"),
+        (corrupting(1), WARN, "corrupt", "cable"),
+        (corrupting(30), BAD, "checksum", "cable"),
+        (without_pongs, WARN, "pings was answered", "TX"),
+    ],
+    ids=["silent", "no_frames", "a_few_corrupt", "some_corrupt", "nearly_all_corrupt", "no_pongs"],
+)
+def test_what_is_wrong_with_the_line_is_told(change, level, words, cure):
+    found, took_ms = probed(change=change)
+    assert (found.subject, found.level) == ("Teensy", level)
+    assert words in found.what and cure in found.cure
+    assert took_ms < 4000
+
+
+def test_teensy_whose_receiver_is_out_of_step_is_brought_back():
+    firmware = TeensyFirmware(FirmwareConfig(seed=1), lambda sensor, at_ns: 0, 50_000 * MS)
+    firmware.receive(b"\x7e", 50_000 * MS)
+    found, took_ms = probed(firmware)
+    assert found.level == OK and took_ms < 1000
+
+
+def link(level=OK, words="fine: 22 frames a second", next_step="", round_trip_s=0.004):
+    return Link(level, words, next_step, round_trip_s, "shipped")
+
+
+@pytest.mark.parametrize(
+    ("status", "level", "words", "cure"),
+    [
+        (link(), OK, "fine: 22 frames a second; pong after 4.0 ms (shipped checksum)", ""),
+        (link(round_trip_s=float("nan")), OK, "no pong yet", ""),
+        (link(WARN, "the Teensy rebooted", "Check its power"), WARN, "rebooted", "Check its power"),
+        (link(BAD, "there is no such port", "Plug it in"), BAD, "no such port", "Plug it in"),
+        (link(WARN, "nothing is known yet"), WARN, "nothing is known", "rostopic echo /hub/link"),
+        (None, BAD, "/hub is registered, but its topic link is silent", "rosnode ping /hub"),
+    ],
+    ids=["fine", "no_pong", "warning", "error", "no_next_step", "silent_hub"],
+)
+def test_link_is_told_as_the_hub_sees_it(status, level, words, cure):
+    found, = check_link(status, "/hub")
+    assert found.level == level and words in found.what and cure in found.cure
+
+
+# --- the bus ---
+
+
+def bus(exists=True, is_i2c=True, usable=True, others=()):
+    return board.Bus("/dev/i2c-1", exists, is_i2c, usable, "i2c", others)
+
+
+@pytest.mark.parametrize(
+    ("facts", "level", "words", "cure"),
+    [
+        (bus(), OK, "/dev/i2c-1", ""),
+        (bus(exists=False, is_i2c=False), BAD, "there is no such bus", "raspi-config"),
+        (bus(exists=False, others=("/dev/i2c-7", "/dev/i2c-8")), BAD, "there are /dev/i2c-7, /dev/i2c-8", "/dev/i2c-7"),
+        (bus(is_i2c=False), BAD, "not an I2C bus", "ls /dev/i2c-*"),
+        (bus(usable=False), BAD, "its group is i2c", "setup_hardware"),
+    ],
+    ids=["fine", "absent", "absent_among_others", "no_bus", "no_permission"],
+)
+def test_bus(facts, level, words, cure):
+    found, = board.check_bus(facts)
+    assert (found.subject, found.level) == ("bus", level) and words in found.what and cure in found.cure
+
+
+# --- the chip ---
+
+FRESH, DRIVEN = board.Registers(0x11, 0x1E), board.Registers(0x20, 121)
+
+
+def test_virtual_chip_reads_as_fresh_and_then_as_driven():
+    chip = VirtualPca9685()
+    virtual = VirtualBus({0x40: chip})
+    assert board.read_registers(virtual, 0x40) == FRESH
+    Board(virtual, 0x40, 121, 25e6, lambda seconds: None).initialise()
+    assert board.read_registers(virtual, 0x40) == DRIVEN
+
+
+@pytest.mark.parametrize(
+    ("registers", "prescale", "driven", "level", "words"),
+    [
+        (FRESH, 121, False, OK, "fresh from power-up"),
+        (DRIVEN, 121, True, OK, "driven at 50.0 Hz"),
+        (board.Registers(0xA0, 122), None, True, OK, "driven at 49.6 Hz"),
+        (FRESH, 121, True, BAD, "doesn't run as"),
+        (board.Registers(0x20, 122), 121, True, BAD, "doesn't run as"),
+        (board.Registers(0x01, 121), 121, True, BAD, "doesn't run as"),
+        (board.Registers(0x21, 121), None, False, OK, "left so by another program"),
+        (board.Registers(0x31, 121), None, False, OK, "sleeps"),
+        (board.Registers(0x21, 5), None, False, WARN, "which no servo takes"),
+        (board.Registers(0x60, 121), None, False, BAD, "EXTCLK"),
+        (board.Registers(0x41, 0x54), None, False, BAD, "EXTCLK"),
+        (board.Registers(0x39, 0x9F), None, False, BAD, "not as a PCA9685"),
+        (board.Registers(0x00, 0), None, False, BAD, "not as a PCA9685"),
+        (board.Registers(0xFF, 0xFF), None, False, BAD, "not as a PCA9685"),
+    ],
+    ids=["fresh", "driven", "driven_with_its_own_prescale", "lost_power", "other_prescale", "no_auto_increment",
+         "left_running", "asleep", "too_fast", "external_clock", "ina226", "ina219", "zeros", "ones"],
+)
+def test_chip_is_judged_by_its_registers(registers, prescale, driven, level, words):
+    found, = board.check_chip("0x40 on /dev/i2c-1", registers, prescale, driven)
+    assert found.level == level and words in found.what and bool(found.cure) == (level != OK)
+
+
+def test_chip_at_another_address_is_found_and_nothing_is_written():
+    written = []
+    virtual = VirtualBus({0x41: VirtualPca9685(), 0x70: VirtualPca9685()},
+                         on_write=lambda *write: written.append(write))
+    with pytest.raises(OSError) as caught:
+        board.read_registers(virtual, 0x40)
+    others = board.find_others(virtual, 0x40)
+    assert others == [(0x41, FRESH)]
+    found, = board.check_no_answer("0x40 on /dev/i2c-1", caught.value, others)
+    assert found.level == BAD and "something like it at 0x41" in found.what and "0x41" in found.cure
+    assert written == []
+
+
+def test_search_for_other_chips_ends_when_the_bus_fails():
+    asked = []
+
+    class HeldBus:
+        def read_byte_data(self, address, register):
+            asked.append(address)
+            raise OSError(errno.ETIMEDOUT, "timed out")
+
+    assert board.find_others(HeldBus(), 0x40) == []
+    assert asked == [0x41]
+
+
+@pytest.mark.parametrize(
+    ("number", "words", "cure"),
+    [
+        (errno.EREMOTEIO, "nothing answers at 0x40", "i2cdetect -y 1"),
+        (errno.ENXIO, "nothing answers at 0x40", "power, SDA and SCL"),
+        (errno.EBUSY, "a kernel driver", "--address"),
+        (errno.ETIMEDOUT, "holds the bus down", "short"),
+        (errno.EAGAIN, "the bus failed", "power"),
+    ],
+)
+def test_chip_that_can_not_be_read_is_told(number, words, cure):
+    found, = board.check_no_answer("0x40 on /dev/i2c-1", OSError(number, os.strerror(number)), [])
+    assert (found.subject, found.level) == ("chip", BAD) and words in found.what and cure in found.cure
+
+
+# --- bus and chip together, as the doctor looks at them ---
+
+
+@pytest.fixture
+def smbus2(monkeypatch):
+    """A bus that is there and usable, with a smbus2 that opens it; what was opened, and still is."""
+    module = types.SimpleNamespace(chips={0x40: VirtualPca9685()}, opened=[], refuses=None)
+
+    class SMBus(VirtualBus):
+        def __init__(self):
+            super().__init__(module.chips)
+
+        def open(self, device):
+            if module.refuses is not None:
+                raise module.refuses
+            module.opened.append(device)
+
+        def close(self):
+            module.opened.clear()
+
+    module.SMBus = SMBus
+    monkeypatch.setitem(sys.modules, "smbus2", module)
+    monkeypatch.setattr(doctor_devices, "_bus", lambda device: board.Bus(device, True, True, True, "i2c"))
+    return module
+
+
+def levels_and_words(address=0x40, driven=False):
+    found = doctor_devices.look_at_board("/dev/i2c-1", address, 121, driven, 25e6)
+    return [(finding.subject, finding.level) for finding in found], found[-1].what
+
+
+def test_bus_and_chip_are_ok(smbus2):
+    assert levels_and_words() == ([("bus", OK), ("chip", OK)],
+                                  "0x40 on /dev/i2c-1 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
+    assert smbus2.opened == []
+
+
+def test_chip_that_lost_its_power_under_the_node_is_bad(smbus2):
+    assert levels_and_words(driven=True)[0] == [("bus", OK), ("chip", BAD)]
+
+
+def test_chip_at_another_address_is_named(smbus2):
+    levels, words = levels_and_words(address=0x60)
+    assert levels == [("bus", OK), ("chip", BAD)]
+    assert words == "nothing answers at 0x60 on /dev/i2c-1, but something like it at 0x40"
+    assert smbus2.opened == []
+
+
+def test_bus_that_can_not_be_opened_is_bad(smbus2):
+    smbus2.refuses = PermissionError(errno.EACCES, "Permission denied")
+    levels, words = levels_and_words()
+    assert levels == [("bus", BAD)] and "Permission denied" in words

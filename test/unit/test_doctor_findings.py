@@ -1,0 +1,57 @@
+"""How findings look, and what they add up to."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.doctor.findings import BAD, OK, WARN, Finding, render, summarise, worst
+
+GOOD = Finding(OK, "bus", "/dev/i2c-1")
+POOR = Finding(BAD, "port", "/dev/ttyAMA0: there is no such port", "Plug the Teensy in: ls /dev/serial/by-id")
+SO_SO = Finding(WARN, "clock", "not synchronised", "sudo timedatectl set-ntp true")
+
+
+@pytest.mark.parametrize(
+    ("findings", "level", "words"),
+    [
+        ([GOOD, GOOD], 0, "2 ok: nothing to do"),
+        ([GOOD, SO_SO], 1, "1 warn, 1 ok: nothing that is bad; read the warnings"),
+        ([SO_SO, POOR, GOOD, POOR], 2, "2 bad, 1 warn, 1 ok: begin with the first that is bad"),
+        ([], 0, "nothing was looked at"),
+    ],
+    ids=["all_ok", "a_warning", "something_bad", "nothing"],
+)
+def test_sum_and_exit_code_are_those_of_the_worst(findings, level, words):
+    assert worst(findings) == level
+    assert summarise(findings) == words
+
+
+def test_in_a_pipe_each_finding_is_one_line_with_its_cure():
+    assert render(GOOD) == "ok    bus         /dev/i2c-1"
+    assert render(POOR) == ("bad   port        /dev/ttyAMA0: there is no such port | cure: Plug the Teensy in: "
+                            "ls /dev/serial/by-id")
+    assert render(Finding(OK, "bus", "two\nlines")).count("\n") == 0
+
+
+def test_in_a_terminal_the_cure_has_lines_of_its_own():
+    assert render(POOR, width=80) == ("bad   port        /dev/ttyAMA0: there is no such port\n"
+                                      "                  cure: Plug the Teensy in: ls /dev/serial/by-id")
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_in_a_terminal_no_line_is_too_long_and_words_stay_whole(width):
+    words = ["word" * (index % 5 + 1) for index in range(60)]
+    text = render(Finding(BAD, "port", " ".join(words), " ".join(words)), width)
+    assert max(map(len, text.split("\n"))) <= width
+    assert text.split() == ["bad", "port", *words, "cure:", *words]
+
+
+def test_a_command_is_never_broken_at_a_hyphen():
+    for length in range(40, 62):  # wherever the line ends, it isn't in the middle of the command
+        assert "apt-get" in render(Finding(BAD, "port", "x" * length + " apt-get"), 80)
+
+
+@pytest.mark.parametrize(("finding", "code"), [(GOOD, "32m"), (SO_SO, "1;33m"), (POOR, "1;31m")])
+def test_colour_is_on_the_level_alone(finding, code):
+    plain, coloured = render(finding, 80), render(finding, 80, colour=True)
+    assert coloured == f"\033[{code}{plain[:4]}\033[0m{plain[4:]}"
+    assert "\033" not in plain
