@@ -11,9 +11,9 @@ import pytest
 from car_interface.doctor import board
 from car_interface.doctor.findings import BAD, OK, WARN
 from car_interface.doctor.port import Link, TeensyProbe, check_holders, check_link
-from car_interface.doctor.processes import openers, process_name
 from car_interface.nodes import doctor_devices
 from car_interface.pca9685.board import Board
+from car_interface.processes import openers, process_name
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 

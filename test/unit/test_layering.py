@@ -10,7 +10,7 @@ import pytest
 
 SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
-FOUNDATION = {"errors", "freshness", "interpolation", "servo"}
+FOUNDATION = {"errors", "freshness", "interpolation", "processes", "servo"}
 # A room is a folder, or the modules named here, or else a single module.
 ROOM_OF = {"value_map": "acceleration", "conversion": "acceleration", "throttle": "acceleration"}
 # Between parts there is nothing but this: what drives the ESC reads who steers out of turn_arb's state, and it asks for

@@ -332,7 +332,7 @@ def test_port_that_stays_busy_is_not_searched_for_at_each_attempt(terminal, othe
 
 def test_port_held_by_modem_manager_names_the_cure(terminal, other_program, monkeypatch):
     other_program(locks=True)
-    monkeypatch.setattr("car_interface.teensy.link._process_name", lambda pid: "ModemManager")
+    monkeypatch.setattr("car_interface.teensy.link.process_name", lambda pid: "ModemManager")
     assert "rosrun car_interface setup_hardware" in refusal(terminal.path).cure
 
 

@@ -10,9 +10,9 @@ import time
 from car_interface.doctor.board import Bus, check_bus, check_chip, check_no_answer, find_others, read_registers
 from car_interface.doctor.findings import BAD, OK, Finding
 from car_interface.doctor.port import HUB, TeensyProbe, check_holders
-from car_interface.doctor.processes import openers
 from car_interface.errors import DeviceError
 from car_interface.nodes.doctor_computer import group_of
+from car_interface.processes import openers
 
 I2C_MAJOR = 89  # Documentation/admin-guide/devices.txt of the kernel
 NS_PER_S = 1_000_000_000

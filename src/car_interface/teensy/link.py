@@ -15,6 +15,7 @@ import termios
 import serial
 
 from car_interface.errors import DeviceError
+from car_interface.processes import openers, process_name
 from car_interface.teensy.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT
 
 READ_SIZE = 4096
@@ -205,13 +206,11 @@ def _groups_of(user):
 
 def _holders(path):
     """Who has a port open, as (process, name), as far as /proc tells: a lock's owner, or else whoever holds it."""
-    own = os.getpid()
     try:
-        status = os.stat(path)
-        pids = _lock_owners(status) or _openers(os.path.realpath(path))
-        return [(pid, _process_name(pid)) for pid in pids if pid != own]
+        owners = [pid for pid in _lock_owners(os.stat(path)) if pid != os.getpid()]
     except OSError:
         return []
+    return [(pid, process_name(pid)) for pid in owners] or openers(path)
 
 
 def _lock_owners(status):
@@ -220,29 +219,3 @@ def _lock_owners(status):
     with open("/proc/locks", encoding="ascii") as file:
         locks = [line.split() for line in file]
     return sorted({int(lock[4]) for lock in locks if len(lock) > 5 and lock[5] == wanted and int(lock[4]) > 0})
-
-
-def _openers(path):
-    """Other users' processes keep their open files to themselves."""
-    pids = []
-    for pid in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            with os.scandir(f"/proc/{pid}/fd") as files:
-                if any(os.readlink(file.path) == path for file in files):
-                    pids.append(int(pid))
-        except OSError:
-            continue  # another's, or it has ended
-    return sorted(pids)
-
-
-def _process_name(pid):
-    """The program's name; of a Python program the script's."""
-    try:
-        with open(f"/proc/{pid}/cmdline", "rb") as file:
-            words = [os.path.basename(word.decode(errors="replace")) for word in file.read().split(b"\0") if word]
-    except OSError:
-        words = []
-    scripts = [word for word in words[1:] if not word.startswith("-")]
-    if words and words[0].startswith("python") and scripts:
-        return scripts[0]
-    return words[0] if words else "unknown"
