@@ -4,6 +4,7 @@ Each argument is the directory of one run, which holds
 
 - junit files, anywhere below it. Those that rostest writes beside a test's own (rostest-*.xml) say only whether the
   test ran, so that of them the failures count and the passes do not;
+- skipped, when tests were that rosunit counts as passed: a line each;
 - exit_code, what the run's command ended with. Not 0 without a failed test is a failure: something crashed;
 - left_behind, when processes outlived the run: how many. A failure too;
 - not_run, instead of all these, when the run could not be made: the reason. It counts as one skipped test.
@@ -71,6 +72,11 @@ def tally(directory: Path) -> Tally:
             outcomes[outcome] += 1
             if outcome == "failed":
                 failures.append(f"{directory.name}: {name}: {message}")
+    skipped = directory / "skipped"
+    if skipped.exists():
+        count = len(skipped.read_text(encoding="utf-8").splitlines())
+        outcomes["passed"] -= count
+        outcomes["skipped"] += count
     # A test that was ended leaves an empty file behind: one failure, not two.
     failures = failures or unreadable
     how = crash(directory)

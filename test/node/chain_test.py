@@ -22,18 +22,21 @@ from typing import ClassVar
 
 import rostest
 
-from virtual_car import DRIVER, HERE, PYTHON38, Car
-from waiting import eventually
+from virtual_car import DRIVER, HERE, PYTHONPATH38, Car
+from waiting import PATIENCE_S, eventually, retried, skip
 
 TRIALS = int(os.environ.get("CAR_INTERFACE_TRIALS", "5"))
 TABLE = os.environ.get("CAR_INTERFACE_TABLE")
 
 CENTER, LEFT, ESC_NEUTRAL = 319, 238, 307  # counts of 5100, 3800, 4915
 MONOTONIC_CLOCK = os.path.join(HERE, "monotonic_clock.c")
-SLACK_MS = 0 if os.environ.get("CAR_INTERFACE_ALL") else 150  # a machine that builds and tests other things, too
+STRICT = bool(os.environ.get("CAR_INTERFACE_ALL"))
+SLACK_MS = 0 if STRICT else 150  # a machine that builds and tests other things, too
 MESSAGE_MEDIAN_MS, MESSAGE_P99_MS, MESSAGE_WORST_MS = 1.0, 2.0, 20.0
 MESSAGE_TRIALS = 10 * TRIALS
 HOUR_S = 3600
+FAKETIME_MS = 100  # libfaketime makes its programs late by up to this, with its clock left alone too
+ATTEMPT_S = 3.0
 
 
 class ChainTest(unittest.TestCase):
@@ -57,36 +60,23 @@ class ChainTest(unittest.TestCase):
         self.car.sent(self.rest, "odometry", "1.0")
         self.car.sent(self.rest, "acceleration", "1.0")
         if request is None:
-            self.re_arm()
+            self.car.sent(self.rest, "human", "1")
         else:
             self.car.sent(self.rest, request, "1.0")
             self.arm()
 
     def arm(self):
-        self.re_arm()
-        self.wait_until_driving()
+        """Let go and hold again until the car drives, as a human would: topics come in any order."""
+        def attempt():
+            self.neutral_ms(self.car.sent(self.rest, "human", "0"))
+            self.car.sent(self.rest, "human", "1")
+            self.wait_until_driving(ATTEMPT_S)
+        retried(attempt)
 
-    def re_arm(self):
-        """Topics come in any order: let go until both nodes have heard it with nothing else in the way, then hold."""
-        self.car.sent(self.rest, "human", "0")
-        self.wait_until_let_go()
-        self.car.sent(self.rest, "human", "1")
-
-    def wait_until_let_go(self):
-        for node in ("turn_arb", "generic_value_converter"):
-            eventually(lambda node=node: "human_in_loop is false" in self.says(node), f"{node} to hear of it")
-
-    def says(self, node):
-        """Why a node does what it does, in its newest log line that tells."""
-        process = self.car.processes[node]
-        lines = [line for line in process.stdout.heard_since() + process.stderr.heard_since()
-                 if re.search(r"(LOCKED|NO_HUMAN|NEUTRAL|TELEOP|PLANNER|throttle \w+): ", line.what)]
-        return max(lines, key=lambda line: line.at_s).what if lines else ""
-
-    def wait_until_driving(self):
+    def wait_until_driving(self, within_s=PATIENCE_S):
         now_ns = time.monotonic_ns()
-        self.car.chip.wait_for(0, lambda counts: counts == LEFT, now_ns)
-        self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, now_ns)
+        self.car.chip.wait_for(0, lambda counts: counts == LEFT, now_ns, within_s)
+        self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, now_ns, within_s)
 
     def neutral_ms(self, fault_ns):
         """From a fault to the servo and to the ESC at neutral, ms."""
@@ -145,10 +135,14 @@ class Messages(ChainTest):
                 self.arm()
         self.report("two hops of bare rospy", "sink", [ms for ms in floors if ms])
         for title, times_ms in times.items():
-            self.report(title, "ESC" if title.endswith("ESC") else "servo", times_ms, 10 * MESSAGE_WORST_MS)
-        floor_ms = statistics.median(ms for ms in floors if ms)
-        for times_ms in times.values():
-            self.assertLess(statistics.median(times_ms), max(3 * MESSAGE_MEDIAN_MS, 3 * floor_ms))
+            self.report_messages(title, "ESC" if title.endswith("ESC") else "servo", times_ms)
+
+    def report_messages(self, title, what, times_ms):
+        """The same against the bounds of a message; a machine that does other things, too, gets ten times the worst."""
+        self.report(title, what, times_ms, (1 if STRICT else 10) * MESSAGE_WORST_MS)
+        self.assertLessEqual(statistics.median(times_ms), (1 if STRICT else 3) * MESSAGE_MEDIAN_MS, title)
+        if STRICT and len(times_ms) >= 100:
+            self.assertLessEqual(percentile(sorted(times_ms), 99), MESSAGE_P99_MS, title)
 
     def floor_ms(self, floor, sink):
         mark = sink.stdout.mark()
@@ -170,7 +164,7 @@ class Messages(ChainTest):
             times.append((servo_ns - fault_ns) / 1e6)
             self.car.sent(self.rest, "radius", "1.0")
             self.wait_until_driving()
-        self.report("turn radius NaN", "servo", times, 10 * MESSAGE_WORST_MS)
+        self.report_messages("turn radius NaN", "servo", times)
         for name in ("acceleration", "odometry"):
             times = []
             for _ in range(TRIALS):
@@ -179,7 +173,7 @@ class Messages(ChainTest):
                 times.append((esc_ns - fault_ns) / 1e6)
                 self.car.sent(self.rest, name, "1.0")
                 self.wait_until_driving()
-            self.report(f"{name} NaN", "ESC", times, 10 * MESSAGE_WORST_MS)
+            self.report_messages(f"{name} NaN", "ESC", times)
 
 
 class Losses(ChainTest):
@@ -222,12 +216,12 @@ class Losses(ChainTest):
                         what, number), bound_ms)
 
     def hold(self):
-        """Let go of the deadman, and hold it again."""
-        pad = self.car.processes["pad"]
-        self.car.sent(pad, "joy", "0")
-        self.wait_until_let_go()
-        self.car.sent(pad, "joy", "1.0")
-        self.wait_until_driving()
+        """Let go of the deadman and hold it again, until the car drives."""
+        def attempt():
+            self.car.sent(self.car.processes["pad"], "joy", "0")
+            self.car.sent(self.car.processes["pad"], "joy", "1.0")
+            self.wait_until_driving(ATTEMPT_S)
+        retried(attempt)
 
     def bring_back(self, what, number):
         process = self.car.processes[what]
@@ -309,7 +303,7 @@ class ClockStepped(ChainTest):
     def step_the_clock(self, python38):
         library = find_libfaketime()
         if library is None:
-            self.skipTest("there is no libfaketime")
+            skip(self, "there is no libfaketime")
         folder = tempfile.mkdtemp()
         self.addCleanup(shutil.rmtree, folder)
         clock, monotonic = os.path.join(folder, "clock"), os.path.join(folder, "monotonic_clock.so")
@@ -337,14 +331,14 @@ class ClockStepped(ChainTest):
                                    delta=60)
             self.arm()
         self.measure(f"clock set by an hour, then human_in_loop silent (Python {version})", fall_silent,
-                     check_the_clock_and_arm, 550)
+                     check_the_clock_and_arm, 550 + FAKETIME_MS)
 
     def test_on_this_python(self):
         self.step_the_clock(False)
 
     def test_on_python_38(self):
-        if not PYTHON38:
-            self.skipTest("no Python 3.8 that can import rospy")
+        if not PYTHONPATH38:
+            skip(self, "no Python 3.8 that can import rospy")
         self.step_the_clock(True)
 
 

@@ -6,6 +6,7 @@ Skipped, and counted as skipped, where namespaces are not allowed.
 from __future__ import annotations
 
 import os
+import statistics
 import subprocess
 import time
 import unittest
@@ -13,13 +14,13 @@ import unittest
 import rostest
 
 from virtual_car import Car
-from waiting import eventually
+from waiting import eventually, skip
 
 CENTER, LEFT, ESC_NEUTRAL = 319, 238, 307  # counts of 5100, 3800, 4915
 HOSTS = {"car": "10.213.77.1", "laptop": "10.213.77.2"}
 ON_THE_LAPTOP = ("pad", "listener")
 LOST_WITHIN_MS = 550 + 150  # and room for a machine that has other work
-CUTS = 3
+CUTS = int(os.environ.get("CAR_INTERFACE_TRIALS", "3"))
 
 
 def run(*command):
@@ -69,8 +70,11 @@ def namespaces_are_allowed():
     return True
 
 
-@unittest.skipUnless(namespaces_are_allowed(), "no network namespaces here")
 class LinkIsCut(unittest.TestCase):
+    def setUp(self):
+        if not namespaces_are_allowed():
+            skip(self, "no network namespaces here")
+
     def test_what_was_on_the_other_side_counts_as_lost(self):
         car = TwoHosts(self)
         car.actors()
@@ -81,16 +85,19 @@ class LinkIsCut(unittest.TestCase):
         car.sent(rest, "acceleration", "1.0")
         car.sent(pad, "steering", "1.0")
         self.hold(car, pad)
+        times = {"servo": [], "ESC": []}
         for _ in range(CUTS):
             cut_ns = int(car.set_link("down") * 1e9)
-            for channel, neutral in ((0, CENTER), (1, ESC_NEUTRAL)):
+            for channel, name, neutral in ((0, "servo", CENTER), (1, "ESC", ESC_NEUTRAL)):
                 at_ns = car.chip.wait_for(channel, lambda counts, neutral=neutral: counts == neutral, cut_ns)
-                print(f"link cut, channel {channel} neutral after {(at_ns - cut_ns) / 1e6:.1f} ms", flush=True)
-                self.assertLess((at_ns - cut_ns) / 1e6, LOST_WITHIN_MS)
+                times[name].append((at_ns - cut_ns) / 1e6)
             back_ns = int(car.set_link("up") * 1e9)
             eventually(lambda: "let go of the deadman" in self.says(car, "turn_arb"), "the deadman to be heard again")
             self.assertEqual(set(car.chip.values_since(0, back_ns)), set(), "it drove off by itself")
             self.hold(car, pad)
+        for name, times_ms in times.items():
+            print(f"link cut | {name} | {CUTS} | {statistics.median(times_ms):.2f} | {max(times_ms):.2f}", flush=True)
+            self.assertLess(max(times_ms), LOST_WITHIN_MS)
 
     def hold(self, car, pad):
         """Let go and hold again; then the car follows."""

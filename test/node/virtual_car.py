@@ -1,6 +1,7 @@
 """A master and a car's nodes, each a process that a test may kill or stop, and what the chip under them was given."""
 from __future__ import annotations
 
+import bisect
 import os
 import shutil
 import socket
@@ -10,7 +11,7 @@ import tempfile
 
 import rospkg
 
-from waiting import NodeProcess, eventually, executable
+from waiting import PATIENCE_S, NodeProcess, eventually, executable
 
 PACKAGE = rospkg.RosPack().get_path("car_interface")
 HERE = os.path.dirname(os.path.abspath(__file__))
@@ -25,7 +26,8 @@ class Chip:
     def __init__(self, path):
         self.path = path
         self._offset = 0
-        self.writes = []  # (monotonic ns, channel, counts)
+        self._times_ns = [[] for _ in range(16)]  # by channel
+        self._counts = [[] for _ in range(16)]
 
     def _read(self):
         if not os.path.exists(self.path):
@@ -39,33 +41,39 @@ class Chip:
             at_ns, _, register, data = line.split()
             first, data = int(register, 16), bytes.fromhex(data)
             if first == 0xFD:  # all off
-                self.writes += [(int(at_ns), channel, 0) for channel in range(16)]
+                for channel in range(16):
+                    self._add(channel, int(at_ns), 0)
             elif 6 <= first < 70:
                 for offset in range(0, len(data), 4):
                     _, on_high, low, high = data[offset:offset + 4]
                     counts = 4096 if on_high & 0x10 else 0 if high & 0x10 else 256 * high + low
-                    self.writes.append((int(at_ns), (first - 6) // 4 + offset // 4, counts))
+                    self._add((first - 6) // 4 + offset // 4, int(at_ns), counts)
+
+    def _add(self, channel, at_ns, counts):
+        self._times_ns[channel].append(at_ns)
+        self._counts[channel].append(counts)
 
     def counts(self, channel):
         """What a channel holds."""
         self._read()
-        return next((counts for _, written, counts in reversed(self.writes) if written == channel), None)
+        return self._counts[channel][-1] if self._counts[channel] else None
 
-    def wait_for(self, channel, wanted, since_ns=0):
+    def wait_for(self, channel, wanted, since_ns=0, within_s=PATIENCE_S):
         """When a channel was first given what ``wanted`` accepts, from then on, ns; or since when it holds it."""
+        times_ns, counts = self._times_ns[channel], self._counts[channel]
+
         def found():
             self._read()
-            of_channel = [(at_ns, counts) for at_ns, written, counts in self.writes if written == channel]
-            before = [counts for at_ns, counts in of_channel if at_ns <= since_ns]
-            if before and wanted(before[-1]) and since_ns:
+            first = bisect.bisect_right(times_ns, since_ns)
+            if since_ns and first and wanted(counts[first - 1]):
                 return since_ns
-            return next((at_ns for at_ns, counts in of_channel if at_ns > since_ns and wanted(counts)), None)
-        return eventually(found, f"channel {channel} as wanted; it holds {self.counts(channel)}")
+            return next((times_ns[index] for index in range(first, len(times_ns)) if wanted(counts[index])), None)
+        return eventually(found, lambda: f"channel {channel} as wanted; it holds {self.counts(channel)}", within_s)
 
     def values_since(self, channel, since_ns):
         """What a channel was given since then."""
         self._read()
-        return [counts for at_ns, written, counts in self.writes if written == channel and at_ns > since_ns]
+        return self._counts[channel][bisect.bisect_right(self._times_ns[channel], since_ns):]
 
 
 class Car:
