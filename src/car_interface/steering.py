@@ -183,3 +183,18 @@ class SteeringArbiter:
         """The duty for a turn radius: looked up by magnitude, saturated beyond the axis; the sign picks the table."""
         table = self._left if radius_m > 0 else self._right
         return round_half_away(table(abs(radius_m)))
+
+    def turn_radius_m(self, duty: float) -> float:
+        """The turn radius that the tables have for a duty, right negative; inf: straight on, or beyond the axis."""
+        config = self._config
+        to_the_left = (duty - config.servo_center) * (config.servo_left - config.servo_center) > 0
+        table, sign = (self._left, 1) if to_the_left else (self._right, -1)
+        towards = 1 if table.values[0] > config.servo_center else -1  # from the center to the tightest turn
+        if towards * (duty - config.servo_center) <= 0:
+            return math.inf
+        if towards * (duty - table.values[0]) >= 0:
+            return sign * table.axis[0]
+        for radius, wider, tight, wide in zip(table.axis, table.axis[1:], table.values, table.values[1:]):
+            if towards * (duty - wide) >= 0:
+                return sign * (radius + (wider - radius) * (tight - duty) / (tight - wide))
+        return math.inf

@@ -294,6 +294,30 @@ def test_planner_radius_at_each_breakpoint_makes_the_table_s_duty(side, table):
         assert arbiter.planner_duty(side * radius_m) == duty
 
 
+@pytest.mark.parametrize("duty, radius_m", (
+    (5100, math.inf), (3800, 1.0), (3700, 1.0), (3835, 2.5), (5000, 200.0),
+    (6700, -1.0), (6800, -1.0), (6675, -1.5), (5200, -200.0)))
+def test_turn_radius_of_a_duty_is_the_one_that_the_tables_have_for_it(duty, radius_m):
+    assert SteeringArbiter(config()).turn_radius_m(duty) == pytest.approx(radius_m)
+
+
+@given(st.floats(1, 299), st.sampled_from((-1, 1)))
+def test_turn_radius_of_a_planner_s_duty_is_what_the_planner_asked_for(radius_m, side):
+    arbiter = SteeringArbiter(config())
+    duty = arbiter.planner_duty(side * radius_m)
+    assert arbiter.planner_duty(arbiter.turn_radius_m(duty)) == duty
+
+
+def test_turn_radius_where_the_servo_turns_the_other_way_and_tables_repeat():
+    arbiter = SteeringArbiter(config(
+        servo_left=6700, servo_right=3800, radius_axis_m=(1, 2, 4), left_duties=(6700, 6700, 6000),
+        right_duties=(3800, 4000, 4000)))
+    assert arbiter.turn_radius_m(6700) == 1.0
+    assert arbiter.turn_radius_m(6350) == pytest.approx(3.0)
+    assert arbiter.turn_radius_m(5500) == math.inf  # straighter than the widest turn of the table
+    assert arbiter.turn_radius_m(4000) == pytest.approx(-2.0)
+
+
 @pytest.mark.parametrize("radius_m", [0.0, -0.0, 0.001, -0.001, 0.0005])
 def test_planner_radius_within_a_millimetre_of_0_is_no_request(radius_m):
     decision = decide(HELD, None, (radius_m, 0.1))

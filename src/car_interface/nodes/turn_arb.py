@@ -173,6 +173,7 @@ class TurnArb:
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
             stamp=rospy.Time.now(), source=decision.source, reason=decision.reason, duty=decision.duty,
+            turn_radius=self._arbiter.turn_radius_m(decision.duty),
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,
             planner_age=decision.planner_age_s))
 
