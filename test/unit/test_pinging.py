@@ -5,7 +5,7 @@ import pytest
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.teensy.framing import CORRECTED, SHIPPED, FrameDecoder
-from car_interface.teensy.pinging import AUTO, Answer, Pinger
+from car_interface.teensy.pinging import AUTO, DITHER_NS, QUICK_PINGS, Answer, Pinger
 from car_interface.teensy.protocol import Pong, decode
 
 S = 1_000_000_000
@@ -13,6 +13,8 @@ MS = 1_000_000
 NOW = 100 * S
 GIVE_UP = S // 2
 FILLER = bytes(39)
+QUICK = 200 * MS
+TICK = MS
 
 # A timestamp whose frame carries, so that the two checksums differ: 4 + 4·ff = 400 (hex).
 CARRIES = 0xffffffff
@@ -22,6 +24,22 @@ CORRECTED_FRAME = bytes.fromhex("7e 02010100 ffffffff 00000000 fb 7e")
 
 def pinger(checksum=AUTO, period_ns=S):
     return Pinger(period_ns, checksum, NOW)
+
+
+def is_planned_for(pings, at_ns):
+    """Whether the next ping is due then, but for the dither."""
+    return at_ns <= pings.due_ns < at_ns + DITHER_NS
+
+
+def keep_pinging(pings, count, answered=True):
+    """Send each ping when it's due; when that was."""
+    sent_ns = []
+    for number in range(count):
+        sent_ns.append(pings.due_ns)
+        pings.ping(number, pings.due_ns)
+        if answered:
+            pings.pong(number, sent_ns[-1] + MS)
+    return sent_ns
 
 
 def go_unanswered(pings, count, now_ns=NOW):
@@ -45,35 +63,87 @@ def test_ping_is_one_frame_without_filler():
 def test_next_ping_is_due_a_period_later():
     pings = pinger()
     pings.ping(1, NOW)
-    pings.pong(1, NOW + MS)
-    assert pings.due_ns == pings.next_event_ns() == NOW + S
+    assert is_planned_for(pings, NOW + S)
+
+
+def test_first_pings_that_are_answered_come_five_times_as_fast():
+    sent_ns = keep_pinging(pinger(), 40)
+    gaps_ns = [later - earlier for earlier, later in zip(sent_ns, sent_ns[1:])]
+    assert gaps_ns[:QUICK_PINGS] == [pytest.approx(QUICK, abs=2 * DITHER_NS)] * QUICK_PINGS
+    assert gaps_ns[QUICK_PINGS:] == [pytest.approx(S, abs=2 * DITHER_NS)] * (39 - QUICK_PINGS)
+    assert sent_ns[QUICK_PINGS] - NOW == pytest.approx(S, abs=50 * MS)
+
+
+def test_pings_that_nobody_answers_do_not_come_faster():
+    sent_ns = keep_pinging(pinger(), 3, answered=False)
+    assert sent_ns[2] - sent_ns[0] == pytest.approx(2 * S, abs=DITHER_NS)
+
+
+def test_hurry_makes_pings_come_faster_again_after_the_next_answer():
+    pings = pinger()
+    keep_pinging(pings, 20)
+    pings.hurry()
+    sent_ns = keep_pinging(pings, QUICK_PINGS + 2)
+    assert sent_ns[1] - sent_ns[0] == pytest.approx(QUICK, abs=2 * DITHER_NS)
+    assert sent_ns[-1] - sent_ns[-2] == pytest.approx(S, abs=2 * DITHER_NS)
+
+
+@pytest.mark.parametrize("period_ms, quick_ms", [(20, 20), (300, 200), (1000, 200), (60_000, 12_000)],
+                         ids=["fast", "not_so_fast", "one_a_second", "one_a_minute"])
+def test_quick_pings_are_not_quicker_than_makes_sense_for_their_period(period_ms, quick_ms):
+    pings = pinger(period_ns=period_ms * MS)
+    pings.ping(1, NOW)
+    pings.pong(1, NOW)
+    assert is_planned_for(pings, NOW + quick_ms * MS)
+
+
+def test_period_stays_what_it_is_on_average_however_many_pings():
+    pings = pinger()
+    keep_pinging(pings, QUICK_PINGS + 1)
+    began_ns = pings.due_ns
+    assert keep_pinging(pings, 1001)[-1] - began_ns == pytest.approx(1000 * S, abs=DITHER_NS)
+
+
+@pytest.mark.parametrize("period_ms", [10, 20, 100, 1000, 2000])
+def test_any_twenty_pings_in_a_row_meet_the_tick_at_phases_all_over_it(period_ms):
+    """The largest hole between two of them is less than a quarter of the tick; 20 at even distances leave 1/20."""
+    pings = pinger(period_ns=period_ms * MS)
+    sent_ns = keep_pinging(pings, 400, answered=False)
+    for start in range(380):
+        phases = sorted(at_ns % TICK for at_ns in sent_ns[start:start + 20])
+        holes = [later - earlier for earlier, later in zip(phases, [*phases[1:], phases[0] + TICK])]
+        assert max(holes) < TICK / 4
+
+
+def test_dither_is_the_same_on_every_run():
+    assert keep_pinging(pinger(), 50) == keep_pinging(pinger(), 50)
 
 
 def test_looking_for_unanswered_pings_in_vain_makes_none_due():
     pings = pinger()
     pings.ping(1, NOW)
     assert pings.expire(NOW + 100 * MS) == []
-    assert pings.due_ns == NOW + S
+    assert is_planned_for(pings, NOW + S)
 
 
 def test_ping_sent_late_does_not_shift_those_after_it():
     pings = pinger()
     pings.ping(1, NOW + 300 * MS)
-    assert pings.due_ns == NOW + S
+    assert is_planned_for(pings, NOW + S)
 
 
 @pytest.mark.parametrize("late_ms", [1000, 3500], ids=["a_period", "more"])
 def test_ping_sent_a_period_late_or_more_does_not_catch_up(late_ms):
     pings = pinger()
     pings.ping(1, NOW + late_ms * MS)
-    assert pings.due_ns == NOW + late_ms * MS + S
+    assert is_planned_for(pings, NOW + late_ms * MS + S)
 
 
 def test_ping_asked_for_in_between_does_not_shift_the_regular_ones():
     pings = pinger()
     pings.ping(1, NOW)
     pings.ping(2, NOW + 400 * MS)
-    assert pings.due_ns == NOW + S
+    assert is_planned_for(pings, NOW + S)
     assert pings.sent == 2
 
 
@@ -81,9 +151,18 @@ def test_pong_answers_its_ping_with_the_time_it_was_sent_and_the_round_trip():
     pings = pinger()
     pings.ping(7, NOW)
     pings.ping(8, NOW + 3 * MS)
-    assert pings.pong(8, NOW + 5 * MS) == Answer(sent_ns=NOW + 3 * MS, round_trip_ns=2 * MS)
-    assert pings.pong(7, NOW + 6 * MS) == Answer(sent_ns=NOW, round_trip_ns=6 * MS)
+    assert pings.pong(8, NOW + 5 * MS) == Answer(sent_ns=NOW + 3 * MS, round_trip_ns=2 * MS, sent_bytes=15)
+    assert pings.pong(7, NOW + 6 * MS) == Answer(sent_ns=NOW, round_trip_ns=6 * MS, sent_bytes=15)
     assert (pings.sent, pings.answered) == (2, 2)
+
+
+def test_answer_counts_every_byte_that_was_written_with_its_ping():
+    pings = pinger()
+    assert pings.pong(CARRIES, NOW) is None
+    after = go_unanswered(pings, 1)
+    for _ in range(2):
+        written = pings.ping(CARRIES, after)
+        assert pings.pong(CARRIES, after + 9 * MS).sent_bytes == len(written)
 
 
 @pytest.mark.parametrize("timestamp", [8, 0, 2 ** 32 - 1])
@@ -106,7 +185,7 @@ def test_two_pings_of_one_millisecond_are_answered_from_the_first():
     pings = pinger()
     pings.ping(7, NOW)
     pings.ping(7, NOW + MS // 2)
-    assert pings.pong(7, NOW + 2 * MS) == Answer(sent_ns=NOW, round_trip_ns=2 * MS)
+    assert pings.pong(7, NOW + 2 * MS) == Answer(sent_ns=NOW, round_trip_ns=2 * MS, sent_bytes=15)
 
 
 def test_ping_unanswered_is_given_up_after_half_a_second():
@@ -255,7 +334,7 @@ def test_line_opened_anew_keeps_the_checksum_that_was_found_out():
 def test_pings_of_a_fast_period_wait_side_by_side():
     pings = pinger(period_ns=10 * MS)
     for number in range(30):
-        pings.ping(number, NOW + number * 10 * MS)
-    assert pings.next_event_ns() == NOW + 300 * MS
-    assert [pings.pong(number, NOW + 300 * MS).round_trip_ns for number in (29, 0)] == [10 * MS, 300 * MS]
-    assert pings.expire(NOW + GIVE_UP + 20 * MS) == [1, 2]
+        pings.ping(number, NOW + number * 10 * MS + MS)
+    assert NOW + 300 * MS <= pings.next_event_ns() < NOW + 301 * MS
+    assert [pings.pong(number, NOW + 301 * MS).round_trip_ns for number in (29, 0)] == [10 * MS, 300 * MS]
+    assert pings.expire(NOW + GIVE_UP + 21 * MS) == [1, 2]
