@@ -6,6 +6,7 @@ setup(
     **generate_distutils_setup(
         packages=[
             "car_interface",
+            "car_interface.bags",
             "car_interface.doctor",
             "car_interface.nodes",
             "car_interface.pca9685",

@@ -2,10 +2,9 @@
 """A node that plays whoever sends something to the car: gamepad, human, planner, odometry. It can be killed.
 
 Its standard input takes lines: ``NAME VALUE`` publishes a value now and at 50 Hz from then on, ``NAME -`` lets the
-name fall silent. For each first publication it prints ``NAME VALUE`` and the monotonic time just before, in ns.
-``odometry wheel`` makes odometry of the wheels' reports, for as long as they come. Told ``relay`` on its command line
-it passes relay/in on to relay/out, and as ``sink`` it prints when something arrives there: what two hops take by
-themselves.
+name fall silent. For each first publication it prints ``NAME VALUE`` and the monotonic time just before, in ns. Told
+``relay`` on its command line it passes relay/in on to relay/out, and as ``sink`` it prints when something arrives
+there: what two hops take by themselves.
 """
 from __future__ import annotations
 
@@ -14,13 +13,12 @@ import threading
 import time
 
 import rospy
-from car_interface.msg import Control, Wheel
+from car_interface.msg import Control
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
 PERIOD_S = 0.02
-METRES_PER_PULSE = 0.0149
 
 
 def joy(value):
@@ -65,16 +63,13 @@ class Driver:
                             for name in names}
         self._held: dict = {}
         self._lock = threading.Lock()
-        self._wheels = None
         threading.Thread(target=self._repeat, daemon=True).start()
 
     def obey(self, line):
         name, value = line.split()
         with self._lock:
             self._held.pop(name, None)
-            if name == "odometry" and value == "wheel":
-                self._wheels = rospy.Subscriber("/teensy_wheel", Wheel, self._on_wheel)
-            elif value != "-":
+            if value != "-":
                 self._held[name] = value
                 sent_ns = time.monotonic_ns()
                 self._publish(name, value)
@@ -89,9 +84,6 @@ class Driver:
             with self._lock:
                 for name, value in self._held.items():
                     self._publish(name, value)
-
-    def _on_wheel(self, message):
-        self._publish("odometry", METRES_PER_PULSE * (message.left.speed + message.right.speed) / 2)
 
 
 def relay():

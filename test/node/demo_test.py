@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import math
 import os
 import re
 import tempfile
@@ -15,6 +16,9 @@ import rosnode
 import rospy
 import rostest
 
+from car_interface.bags.recording import read
+from car_interface.bags.replay import TOPICS, replay
+from car_interface.teensy.measurements import MeasurementConfig, MotionMeasurement
 from waiting import start_node
 
 DRIVE_WITHIN_S = 120
@@ -49,8 +53,8 @@ class TwoCarsDrive(unittest.TestCase):
         """Each topic exists once for each car, and every car's node keeps to its own."""
         _, _, (publishers, subscribers, _) = rospy.get_master().getSystemState()
         for topic, nodes in publishers + subscribers:
-            if topic.startswith(("/rosout", "/diagnostics")):
-                continue  # one for all: the entries carry the names of their nodes
+            if topic.startswith(("/rosout", "/diagnostics", "/tf")):
+                continue  # one for all: the entries carry the names of their nodes, the frames that of their car
             for node in nodes:
                 if node.startswith(("/demo_test", "/demo_drive", "/record")):
                     continue
@@ -76,8 +80,21 @@ class TwoCarsDrive(unittest.TestCase):
             counts = {topic: info.message_count for topic, info in bag.get_type_and_topic_info().topics.items()}
         for topic, at_least in (("/servo/output", 30), ("/servo/cmdVector", 3000), ("/teensy_wheel", 500),
                                 ("/teensy_distance", 200), ("/teensy_pong", 20), ("/turn_arb/state", 200),
-                                ("/joy", 500)):
+                                ("/joy", 500), ("/odom", 500), ("/teensy_clock", 20), ("/sonar/rear_left", 30)):
             self.assertGreater(counts.get(topic, 0), at_least, topic)
+        self.check_replay(path)
+
+    def check_replay(self, path):
+        """The raw records of the bag, put through the same core again, make the same poses."""
+        with rosbag.Bag(path) as bag:
+            live = [message.pose.pose.position for _, message, _ in bag.read_messages("/odom")]
+        again = [measured.motion for measured in replay(read(path, TOPICS), MeasurementConfig())
+                 if isinstance(measured, MotionMeasurement)]
+        self.assertLess(abs(len(live) - len(again)), 50)  # the recorder took up one topic before the other
+        way = max(math.hypot(position.x, position.y) for position in live)
+        self.assertGreater(way, 2.0)
+        for position, motion in zip(reversed(live), reversed(again)):
+            self.assertLess(math.hypot(position.x - motion.x_m, position.y - motion.y_m), 0.005)
 
 
 def links_in(folder):

@@ -77,7 +77,7 @@ class ConverterTest(unittest.TestCase):
         cls.log = Topic("/rosout", Log).connected(2)
         cls.vectors = Topic("/servo/cmdVector", Int32MultiArray).connected()
         cls.command = Sender("/control/command/control_cmd", Control)
-        cls.odometry = Sender("/localization/kinematic_state", Odometry)
+        cls.odometry = Sender("/odom", Odometry)
         cls.e_stop = Sender("/e_stop", Bool)
         cls.human = Sender("/teleop_logi/human_in_loop", Bool)
         cls.steering = Sender("/turn_arb/state", SteeringState)

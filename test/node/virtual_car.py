@@ -130,7 +130,7 @@ class Car:
             subprocess.run(self.on_host("rosparam", load), check=True, env={**os.environ, **self._env},
                            stdout=subprocess.DEVNULL)
 
-    def actors(self):
+    def actors(self, odometry="localization/kinematic_state"):
         """The three nodes between the senders and the chip."""
         self.load("/turn_arb", "turn_arb.yaml")
         self.load("/pca9685", "pca9685.yaml", "pca9685_throttle.yaml")
@@ -138,7 +138,7 @@ class Car:
         self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
         self.turn_arb()
         self.node("generic_value_converter", "generic_value_converter/input/control_cmd:=control/command/control_cmd",
-                  "generic_value_converter/input/odometry:=localization/kinematic_state",
+                  f"generic_value_converter/input/odometry:={odometry}",
                   f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
 
     def turn_arb(self):

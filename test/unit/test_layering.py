@@ -18,7 +18,7 @@ ROOM_OF = {"value_map": "acceleration", "conversion": "acceleration", "throttle"
 BETWEEN_PARTS = {("acceleration", "steering"), ("acceleration", "permission"), ("steering", "permission")}
 # Devices and ROS are for nodes; numpy is imported where whole arrays are worked on, never with a module.
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
-ONLY_IN = {"rospy": ("nodes/",), "serial": ("teensy/link.py",),
+ONLY_IN = {"rospy": ("nodes/",), "rosbags": ("bags/",), "serial": ("teensy/link.py",),
            "smbus2": ("nodes/pca9685.py", "nodes/doctor_devices.py")}
 
 
@@ -30,7 +30,7 @@ def pure_modules() -> list[str]:
     names = []
     for path in modules():
         inside = path.relative_to(PACKAGE)
-        if inside.parts[0] != "nodes" and inside.as_posix() != "teensy/link.py":
+        if inside.parts[0] not in ("nodes", "bags") and inside.as_posix() != "teensy/link.py":
             names.append(".".join(path.relative_to(SRC).with_suffix("").parts).replace(".__init__", ""))
     return names
 
@@ -60,6 +60,8 @@ def allowed(importer: str, imported: str) -> bool:
     if importer == "sim":
         # A simulated Teensy that shares code with the host that it tests would prove nothing; nor would a chip.
         return imported not in ("nodes", "teensy", "pca9685")
+    if importer == "bags":
+        return imported not in ("nodes", "sim", "doctor")
     if importer == "doctor":
         # It examines the parts' devices by what the parts know of them.
         return imported not in ("nodes", "sim")

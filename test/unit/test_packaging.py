@@ -25,6 +25,7 @@ KEYS = {
     "hypothesis": "python3-hypothesis",
     "numpy": "python3-numpy",
     "pytest": "python3-pytest",
+    "rosbags": "python3-rosbags-pip",
     "rospkg": "python3-rospkg",
     "serial": "python3-serial",
     "setuptools": "python3-setuptools",

@@ -21,7 +21,7 @@ from collections import Counter
 
 import rospy
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Joy
+from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from car_interface.errors import CarInterfaceError, ConfigError
@@ -34,6 +34,7 @@ from car_interface.msg import (
     Longitudinal,
     Pong,
     SteeringState,
+    TeensyClock,
     Wheel,
 )
 from car_interface.nodes.node import NS_PER_S, Heartbeat, run, subscribe
@@ -59,9 +60,9 @@ LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
 STEER_AXIS, MANUAL_BUTTON, AUTONOMOUS_BUTTON = 0, 4, 5  # as config/teleop_logi.yaml has them
 AXES, BUTTONS = 8, 11
 STEERS, DRIVES = 0, 1  # channels, as config/turn_arb.yaml and config/throttle.yaml have them
-SOUND_MPS = 331.3 + 0.606 * 20  # at 20 °C
 SETTLING_NS = NS_PER_S // 10  # after a change of stage: who steers then is still the old or a passing one
-PULSE_M = math.pi * 0.095 / 20  # a rear wheel's way from pulse to pulse
+# What odometry may be off by at the end: a share of the way, and degrees over some 34 m.
+ODOMETRY_SHARE, ODOMETRY_DEG = 0.01, 2.0
 
 
 class Watch:
@@ -69,7 +70,7 @@ class Watch:
 
     def __init__(self):
         self.messages = Counter()
-        self.pose = self.state = self.output = self.link = self.first_wheel = self.wheel = None
+        self.pose = self.state = self.output = self.link = self.odometry = None
         self.yaw_rad = self.speed_mps = self.distance_m = 0.0
         self.stage, self.stage_since_ns = NOBODY, 0
         self.stage_distance_m = Counter()
@@ -105,26 +106,24 @@ class Watch:
         elif self.let_go_ns is not None and self.neutral_ns is None and driven == self.rest:
             self.neutral_ns = now_ns
 
-    def on_wheel(self, message, now_ns):
-        """The wheels' odometers."""
-        self.first_wheel = self.first_wheel or message
-        self.wheel = message
+    def on_odometry(self, message, now_ns):
+        """Where the wheels say that the car is."""
+        position, orientation = message.pose.pose.position, message.pose.pose.orientation
+        self.odometry = (position.x, position.y, 2 * math.atan2(orientation.z, orientation.w))
 
-    def on_distance(self, message, now_ns):
-        """A sonar's echo."""
-        self.sonar_m[message.sensor] = message.distance * SOUND_MPS / 2e6 if message.distance else math.inf
+    def on_range(self, message, now_ns):
+        """A sonar's range; infinite: nothing there."""
+        self.sonar_m[message.header.frame_id] = message.range
 
     def on_link(self, message, now_ns):
         """How the serial link does."""
         self.link = message
 
-    def pulses_m(self):
-        """The way that the wheels' pulses make, the mean of both."""
-        if self.wheel is None:
-            return 0.0
-        first, last = self.first_wheel, self.wheel
-        pulses = last.left.dist_abs - first.left.dist_abs + last.right.dist_abs - first.right.dist_abs
-        return pulses / 2 * PULSE_M
+    def odometry_error(self):
+        """How far odometry is from the truth: m, and degrees."""
+        x_m, y_m, yaw_rad = self.odometry
+        off_rad = math.remainder(yaw_rad - self.yaw_rad, 2 * math.pi)
+        return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(off_rad))
 
     def missing(self):
         """What hasn't been heard from yet; empty when the car is ready."""
@@ -132,7 +131,7 @@ class Watch:
             "car_sim/truth": self.pose,
             "turn_arb/state": self.state,
             "/servo/output": self.output and self.output[STEERS] >= 0,
-            "teensy_wheel": self.wheel,
+            "odom": self.odometry,
             "the Teensy's link": self.link and self.link.pongs,
         }
         return [name for name, thing in seen.items() if not thing]
@@ -162,9 +161,11 @@ class DemoDrive:
         watch = self._watch
         for topic, message_type, handler in (
                 ("car_sim/truth", Odometry, watch.on_truth), ("turn_arb/state", SteeringState, watch.on_state),
-                ("/servo/output", Int32MultiArray, watch.on_output), ("teensy_wheel", Wheel, watch.on_wheel),
-                ("teensy_distance", Distance, watch.on_distance), ("teensy_sensor_hub/link", LinkStatus, watch.on_link),
-                ("teensy_pong", Pong, None), ("teensy_error", Error, None),
+                ("/servo/output", Int32MultiArray, watch.on_output), ("odom", Odometry, watch.on_odometry),
+                *((f"sonar/{name}", Range, watch.on_range) for name in SONARS),
+                ("teensy_sensor_hub/link", LinkStatus, watch.on_link), ("teensy_wheel", Wheel, None),
+                ("teensy_distance", Distance, None), ("teensy_pong", Pong, None), ("teensy_clock", TeensyClock, None),
+                ("teensy_error", Error, None),
                 ("/servo/cmdVector", Int32MultiArray, None), ("/teleop_logi/human_in_loop", Bool, None),
                 ("/teleop_logi/tele_steer_req", Float32, None), ("/teleop_logi/tele_throt_req", Float32, None),
                 ("generic/output/value", Float64Stamped, None)):
@@ -264,7 +265,9 @@ class DemoDrive:
 
     def _figures(self, bag):
         watch, link = self._watch, self._watch.link
-        yield "distance driven", f"{watch.distance_m:.2f} m, by the wheels' pulses {watch.pulses_m():.2f} m"
+        off_m, off_deg = watch.odometry_error()
+        yield "distance driven", f"{watch.distance_m:.2f} m"
+        yield "odometry at the end is off by", f"{off_m:.3f} m, {off_deg:.1f} degrees"
         yield "pings answered", f"{link.pongs} of {link.pings}"
         yield "frames good, bad", f"{link.frames}, {link.bad_frames + link.malformed_frames}"
         neutral = "never" if watch.neutral_ns is None else f"after {self._neutral_after_s() * 1e3:.1f} ms"
@@ -289,8 +292,8 @@ class DemoDrive:
         yield "the outputs weren't neutral within 0.1 s of letting go", (
             watch.neutral_ns is not None and self._neutral_after_s() < 0.1)
         yield "the car rolled on after the human let go", abs(watch.speed_mps) < 0.05
-        yield "the wheels' pulses disagree with the way by over 2 %", (
-            abs(watch.pulses_m() - watch.distance_m) < 0.02 * watch.distance_m)
+        off_m, off_deg = watch.odometry_error()
+        yield "odometry lost its way", off_m < ODOMETRY_SHARE * watch.distance_m and off_deg < ODOMETRY_DEG
         yield "not every sonar was heard", len(watch.sonar_m) == len(SONARS)
         yield "pings went unanswered", link.pongs >= link.pings - 1
         yield "there were bad frames", link.bad_frames + link.malformed_frames == 0

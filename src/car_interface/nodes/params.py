@@ -62,9 +62,10 @@ class Params:
         """True or false."""
         return self._scalar(name, default, False, lambda v: v if isinstance(v, bool) else None, "true or false")
 
-    def text(self, name: str, default=REQUIRED) -> str:
-        """A string that isn't empty."""
-        return self._scalar(name, default, False, lambda v: v if isinstance(v, str) and v.strip() else None, "a text")
+    def text(self, name: str, default=REQUIRED, may_be_empty=False) -> str:
+        """A string, by default one that isn't empty."""
+        return self._scalar(name, default, False,
+                            lambda v: v if isinstance(v, str) and (may_be_empty or v.strip()) else None, "a text")
 
     def text_or_integer(self, name: str, default):
         """A string that isn't empty, or an integer of at least 0."""

@@ -1,9 +1,17 @@
-"""The teensy_sensor_hub node: the Teensy's serial link as topics and services.
+"""The teensy_sensor_hub node: the Teensy's serial link as topics and services, and what its numbers mean.
 
 Publishes:
     teensy_pong (Pong), teensy_wheel (Wheel), teensy_distance (Distance), teensy_error (Error): each valid frame.
+    odom (nav_msgs/Odometry), joint_states (sensor_msgs/JointState: the rear wheels), /tf from odom to base_link: with
+        each report of the wheels, 5 to 200 Hz, stamped when the wheels were so.
+    sonar/front_right … sonar/rear_left (sensor_msgs/Range): about 3 Hz each, stamped when the echo was heard; where the
+        sonars sit goes to /tf_static.
+    teensy_clock (TeensyClock): with each answered ping, how the Teensy's clock relates to this computer's.
     ~link (LinkStatus, latched, 1 Hz and when the port opens or closes): what is wrong with the link, and its counters.
-    /diagnostics: the same; 1 Hz.
+    /diagnostics: the same, the clock, and the records that made no sense; 1 Hz.
+Subscribes:
+    temperature (sensor_msgs/Temperature, °C): of the air, for the speed of sound; without it ~temperature counts.
+    turn_arb/state (SteeringState): the commanded turn radius, held against the one that the wheels make.
 Services:
     ~ping, ~sonar_start, ~sonar_stop, ~wheel_reset, ~get_counters (std_srvs/Trigger),
     ~set_sonar_sequence (SetSonarSequence), ~set_sonar_wait (SetSonarWait).
@@ -13,6 +21,12 @@ Parameters:
     ~port /dev/ttyAMA0, ~baud 115200, ~ping_period 1.0 (s).
     ~firmware_checksum auto: which checksum the Teensy's receiver wants; shipped, corrected, or find out.
     ~required false: true = end with exit code 1 when the port can't be opened at start.
+    ~pulses_per_revolution 20, ~wheel_diameter 0.095, ~track 0.296, ~wheelbase 0.324 (m), ~top_speed 20 (m/s; what is
+        faster is taken for line noise), ~use_steering false: true = the commanded steering helps the heading.
+    ~publish_tf true, ~odom_frame odom, ~base_frame base_link, ~frame_prefix "" (before every frame and joint).
+    ~sonars/front_right … ~sonars/rear_left [x, y, yaw] (m, rad, in base_link), ~field_of_view 0.524 (rad),
+        ~min_range 0.02, ~max_range 2.0 (m), ~no_echo inf (or max_range), ~median false (true = over five of a sonar),
+        ~temperature 20 (°C).
 """
 from __future__ import annotations
 
@@ -27,6 +41,7 @@ from car_interface.errors import DeviceError, ProtocolError
 from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
 from car_interface.nodes.diagnostics import Diagnostics
 from car_interface.nodes.keys import Keys
+from car_interface.nodes.measurements import MeasurementPublisher
 from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run
 from car_interface.srv import SetSonarSequence, SetSonarSequenceResponse, SetSonarWait, SetSonarWaitResponse
 from car_interface.teensy import protocol
@@ -55,6 +70,7 @@ class TeensySensorHub:
         period_s = params.number("ping_period", 1.0, low=0.01, high=3600)
         checksum = params.choice("firmware_checksum", AUTO, (AUTO, SHIPPED, CORRECTED))
         required = params.flag("required", False)
+        self._measurements = MeasurementPublisher(params, inbox, baud)
         params.finish()
         self._port = port
         self._link = SerialLink(port, baud)
@@ -77,7 +93,10 @@ class TeensySensorHub:
         self._round_trip_ns = math.nan
         self._link_beat = Heartbeat(1, now_ns)
         self._link_status = rospy.Publisher("~link", LinkStatus, queue_size=10, latch=True)
-        self._diagnostics = Diagnostics(f"Teensy on {port}", {"Teensy link": self._report}, now_ns)
+        self._diagnostics = Diagnostics(f"Teensy on {port}", {
+            "Teensy link": self._report, "Teensy clock": self._measurements.report_clock,
+            "Teensy records": self._measurements.report_records,
+            "steering by the wheels": self._measurements.report_steering}, now_ns)
         self._publish = self._publishers()
         if required:
             self._open()
@@ -98,18 +117,33 @@ class TeensySensorHub:
             rospy.loginfo(KEY_HELP)
 
     def _publishers(self):
-        """What to do with each kind of record."""
+        """What to do with each kind of record, and when it was read: first pass it on as it is."""
         pong = rospy.Publisher("teensy_pong", Pong, queue_size=QUEUE_SIZE).publish
         wheel = rospy.Publisher("teensy_wheel", Wheel, queue_size=QUEUE_SIZE).publish
         distance = rospy.Publisher("teensy_distance", Distance, queue_size=QUEUE_SIZE).publish
         error = rospy.Publisher("teensy_error", Error, queue_size=QUEUE_SIZE).publish
-        return {
-            protocol.Pong: lambda record: (pong(*record), self._on_pong(record)),
-            protocol.WheelStatus: lambda record: wheel(OneWheel(*record.left), OneWheel(*record.right)),
-            protocol.SonarStatus: lambda record: (distance(*record), self._on_tick(record.when)),
-            protocol.ErrorCount: lambda record: (error(*record), self._on_counter(record)),
-            protocol.Malformed: self._on_malformed,
-        }
+        measurements = self._measurements
+
+        def on_pong(record, received_ns):
+            pong(*record)
+            self._on_tick(record.timestamp2, received_ns)
+            measurements.pong(record, self._answered(record, received_ns), received_ns)
+
+        def on_wheels(record, received_ns):
+            wheel(OneWheel(*record.left), OneWheel(*record.right))
+            measurements.wheels(record, received_ns)
+
+        def on_sonar(record, received_ns):
+            distance(*record)
+            self._on_tick(record.when, received_ns)
+            measurements.sonar(record, received_ns)
+
+        def on_counter(record, received_ns):
+            error(*record)
+            self._on_counter(record)
+
+        return {protocol.Pong: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
+                protocol.ErrorCount: on_counter, protocol.Malformed: self._on_malformed}
 
     def _services(self):
         for name, action in (("sonar_start", protocol.sonar_start), ("sonar_stop", protocol.sonar_stop),
@@ -211,13 +245,14 @@ class TeensySensorHub:
         except DeviceError as error:
             self._lose(error)
             return
+        received_ns = time.monotonic_ns()
         self._watch_port(True)
         if not data:
             return
         self._retry_ns = FIRST_RETRY_NS
         for body in self._decoder.feed(data):
             record = protocol.decode(body)
-            self._publish[type(record)](record)
+            self._publish[type(record)](record, received_ns)
         corrupt = self._decoder.tally.bad_frames - self._complaints.counts["corrupt"]
         if corrupt:
             self._complaints.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
@@ -273,26 +308,26 @@ class TeensySensorHub:
         self._write(self._pinger.ping(timestamp1, time.monotonic_ns()))
         return timestamp1
 
-    def _on_pong(self, record):
-        now_ns = time.monotonic_ns()
-        self._on_tick(record.timestamp2)
-        answer = self._pinger.pong(record.timestamp1, now_ns)
+    def _answered(self, record, received_ns):
+        """The ping that a pong answers, ``None`` when there is none; whoever waits for it is told."""
+        answer = self._pinger.pong(record.timestamp1, received_ns)
         if answer is not None:
             self._round_trip_ns = answer.round_trip_ns
             self._tell_waiting(record.timestamp1, (True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms"))
+        return answer
 
-    def _on_tick(self, tick):
-        now_ns = time.monotonic_ns()
-        reboot = self._clock.tick(tick, now_ns)
+    def _on_tick(self, tick, received_ns):
+        reboot = self._clock.tick(tick, received_ns)
         if reboot is not None:
-            self._health.rebooted(reboot, now_ns)
+            self._health.rebooted(reboot, received_ns)
+            self._pinger.hurry()
             self._complaints.warn("rebooted", f"the Teensy rebooted: {reboot}")
 
     def _on_counter(self, record):
         if record.name in self._counters or len(self._counters) < MOST_COUNTERS:
             self._counters[record.name] = record.count
 
-    def _on_malformed(self, record):
+    def _on_malformed(self, record, received_ns):
         self._unknown_commands += record.reason.startswith("unknown command")
         self._complaints.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
 

@@ -1,0 +1,228 @@
+"""What the Teensy measures, as stamped messages in SI units: one half of teensy_sensor_hub.
+
+The node's docstring has the topics and parameters; ``MeasurementPublisher`` reads and serves those that are about
+measuring.
+"""
+from __future__ import annotations
+
+import math
+import time
+
+import rospy
+from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import JointState, Range, Temperature
+from tf2_msgs.msg import TFMessage
+
+from car_interface.errors import ConfigError
+from car_interface.msg import SteeringState, TeensyClock
+from car_interface.nodes.diagnostics import OK, WARN
+from car_interface.nodes.node import subscribe
+from car_interface.steering_check import SteeringCheck
+from car_interface.teensy.clock import ClockConfig
+from car_interface.teensy.measurements import MeasurementConfig, Measurements
+from car_interface.teensy.odometry import OdometryConfig
+from car_interface.teensy.plausibility import GateConfig
+from car_interface.teensy.protocol import SONARS
+from car_interface.teensy.ranging import INF, MAX_RANGE, RangingConfig
+
+QUEUE_SIZE = 100
+NS_PER_S = 1_000_000_000
+UNMEASURED = 1e6  # variance of what wheels don't tell: height, roll, pitch and sliding sideways
+WHEEL_JOINTS = ("rear_left_wheel", "rear_right_wheel")
+# Of the virtual car: x and y from the middle of the rear axle, in m, and where it looks, in rad.
+MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0], "front_left": [0.40, 0.10, 0.524],
+          "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
+REFUSED_SHARE = 0.01  # of a second's records, from which on it's worth a warning
+
+
+class MeasurementPublisher:
+    """Publishes what ``Measurements`` makes of the Teensy's records.
+
+    Args:
+        params: the node's; it reads what it needs.
+        inbox: hears the temperature and, on request, the steering in the node's thread.
+        baud: of the line.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+
+    def __init__(self, params, inbox, baud: int):
+        prefix = params.text("frame_prefix", "", may_be_empty=True)
+        self._odom_frame = prefix + params.text("odom_frame", "odom")
+        self._base_frame = prefix + params.text("base_frame", "base_link")
+        self._sonar_frames = [f"{prefix}sonar_{name}" for name in SONARS]
+        self._joint_names = [prefix + name for name in WHEEL_JOINTS]
+        publish_tf = params.flag("publish_tf", True)
+        uses_steering = params.flag("use_steering", False)
+        mounts = [_mount(params, name) for name in SONARS]
+        self._field_of_view_rad = params.number("field_of_view", 0.524, above=0.0, high=math.pi)
+        config = read_config(params, baud, uses_steering)
+        self._baud = baud
+        self._ranging = config.ranging
+        self._measurements = Measurements(config)
+        self._steering_check = SteeringCheck()
+        self._sync = None
+        self._counted = (0, 0)
+        self._odometry = rospy.Publisher("odom", OdometryMessage, queue_size=QUEUE_SIZE)
+        self._joints = rospy.Publisher("joint_states", JointState, queue_size=QUEUE_SIZE)
+        self._ranges = [rospy.Publisher(f"sonar/{name}", Range, queue_size=QUEUE_SIZE) for name in SONARS]
+        self._clock = rospy.Publisher("teensy_clock", TeensyClock, queue_size=QUEUE_SIZE)
+        self._tf = rospy.Publisher("/tf", TFMessage, queue_size=QUEUE_SIZE) if publish_tf else None
+        self._static_tf = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
+        self._static_tf.publish([self._transform(rospy.Time.now(), self._base_frame, frame, *mount)
+                                 for frame, mount in zip(self._sonar_frames, mounts)])
+        subscribe("temperature", Temperature, inbox, self._on_temperature)
+        subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
+
+    def pong(self, record, answer, received_ns: int) -> None:
+        """Take a pong, with the ping that it answers or ``None``; publish how the clocks relate."""
+        sync = self._measurements.pong(record, answer, received_ns)
+        if sync is None:
+            return
+        self._sync = sync
+        self._clock.publish(TeensyClock(
+            stamp=self._ros_time(received_ns), sent=answer.sent_ns, received=received_ns, sent_bytes=answer.sent_bytes,
+            baud=self._baud, tick=record.timestamp2, used=sync.used, reason=sync.reason, converged=sync.converged,
+            offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm, uncertainty=sync.uncertainty_ns / NS_PER_S,
+            round_trip=sync.round_trip_ns / NS_PER_S))
+
+    def sonar(self, record, received_ns: int) -> None:
+        """Take a sonar's report; publish its range."""
+        measured = self._measurements.sonar(record, received_ns)
+        if measured is None:
+            return
+        message = Range(radiation_type=Range.ULTRASOUND, field_of_view=self._field_of_view_rad,
+                        min_range=self._ranging.min_range_m, max_range=self._ranging.max_range_m,
+                        range=measured.range_m)
+        message.header.stamp = self._ros_time(measured.stamp.time_ns)
+        message.header.frame_id = self._sonar_frames[measured.sensor]
+        self._ranges[measured.sensor].publish(message)
+
+    def wheels(self, record, received_ns: int) -> None:
+        """Take a report of the wheels; publish odometry, its transform, and the wheels' joints."""
+        measured = self._measurements.wheels(record, received_ns)
+        if measured is None:
+            return
+        motion, stamp = measured.motion, self._ros_time(measured.stamp.time_ns)
+        self._steering_check.hear_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
+        self._odometry.publish(self._odometry_message(motion, stamp))
+        if self._tf is not None:
+            self._tf.publish([self._transform(stamp, self._odom_frame, self._base_frame,
+                                              motion.x_m, motion.y_m, motion.yaw_rad)])
+        joints = JointState(name=self._joint_names, position=motion.wheel_angles_rad,
+                            velocity=motion.wheel_speeds_radps)
+        joints.header.stamp = stamp
+        self._joints.publish(joints)
+
+    def report_clock(self, status):
+        """The clock's line on /diagnostics."""
+        sync, clock = self._sync, self._measurements.clock
+        if sync is None:
+            status.summary(WARN, "no ping was answered yet: times go by when reports arrive")
+            return status
+        status.summary(OK if clock.converged else WARN, "the Teensy's clock is known" if clock.converged else
+                       "too few pings were answered yet: times go by when reports arrive")
+        status.add("faster than this computer's", f"{sync.skew_ppm:.1f} ppm")
+        status.add("uncertainty", f"{sync.uncertainty_ns / 1e6:.2f} ms")
+        status.add("round trip", f"{sync.round_trip_ns / 1e6:.1f} ms")
+        return status
+
+    def report_records(self, status):
+        """What the plausibility gates refused, on /diagnostics."""
+        gates = self._measurements.gates
+        accepted, refused = (now - before for now, before in zip((gates.accepted, gates.refused), self._counted))
+        self._counted = (gates.accepted, gates.refused)
+        bad = refused > REFUSED_SHARE * (accepted + refused)
+        status.summary(WARN if bad else OK, f"{refused} of the last second's records made no sense" if bad else
+                       "wheels, sonars and pongs make sense")
+        status.add("accepted", gates.accepted)
+        status.add("refused", gates.refused)
+        for reason, count in sorted(gates.counts.items()):
+            status.add(reason, count)
+        return status
+
+    def report_steering(self, status):
+        """Whether the car turns as the steering was told to, on /diagnostics."""
+        judgement = self._steering_check.judge(time.monotonic_ns())
+        status.summary(WARN if judgement.warning else OK,
+                       judgement.warning or "the car turns as it is told to, or stands")
+        status.add("commanded turn radius", f"{judgement.commanded_m:.2f} m")
+        status.add("estimated_turn_radius", f"{judgement.estimated_m:.2f} m")
+        return status
+
+    def _on_temperature(self, message, now_ns):
+        try:
+            self._measurements.ranging.temperature_c = message.temperature
+        except ConfigError as error:
+            rospy.logwarn_throttle(10, "temperature: %s", error)
+
+    def _on_steering(self, message, now_ns):
+        self._steering_check.hear_command(message.turn_radius, now_ns)
+        self._measurements.steer(1 / message.turn_radius if message.turn_radius else math.nan)
+
+    def _odometry_message(self, motion, stamp):
+        message = OdometryMessage(child_frame_id=self._base_frame)
+        message.header.stamp, message.header.frame_id = stamp, self._odom_frame
+        message.pose.pose.position = Point(motion.x_m, motion.y_m, 0.0)
+        message.pose.pose.orientation = _planar(motion.yaw_rad)
+        (xx, xy, xa), (_, yy, ya), (_, _, aa) = motion.pose_covariance
+        message.pose.covariance = _covariance(xx, xy, xa, yy, ya, aa)
+        message.twist.twist.linear.x = motion.speed_mps
+        message.twist.twist.angular.z = motion.yaw_rate_radps
+        message.twist.covariance = _covariance(motion.speed_variance, 0, 0, UNMEASURED, 0, motion.yaw_rate_variance)
+        return message
+
+    @staticmethod
+    def _transform(stamp, parent, child, x_m, y_m, yaw_rad):
+        message = TransformStamped(child_frame_id=child, transform=Transform(Vector3(x_m, y_m, 0.0), _planar(yaw_rad)))
+        message.header.stamp, message.header.frame_id = stamp, parent
+        return message
+
+    @staticmethod
+    def _ros_time(time_ns):
+        """A monotonic time as ROS time, by how both stand now: setting the clock disturbs nothing that is measured."""
+        return rospy.Time(nsecs=rospy.Time.now().to_nsec() - time.monotonic_ns() + time_ns)
+
+
+def read_config(params, baud: int, uses_steering: bool) -> MeasurementConfig:
+    """The sensors' configuration from the node's parameters."""
+    pulses = params.integer("pulses_per_revolution", 20, low=1, high=10_000)
+    diameter_m = params.number("wheel_diameter", 0.095, above=0.0, high=10)
+    return MeasurementConfig(
+        gates=GateConfig(top_speed_mps=params.number("top_speed", 20.0, above=0.0, high=1000),
+                         pulse_m=math.pi * diameter_m / pulses),
+        clock=ClockConfig(baud=baud),
+        odometry=OdometryConfig(
+            pulses_per_revolution=pulses, wheel_diameter_m=diameter_m,
+            track_m=params.number("track", 0.296, above=0.0, high=10),
+            wheelbase_m=params.number("wheelbase", 0.324, above=0.0, high=10), use_steering=uses_steering),
+        ranging=RangingConfig(
+            temperature_c=params.number("temperature", 20.0, low=-50, high=60),
+            min_range_m=params.number("min_range", 0.02, low=0.0, high=100),
+            max_range_m=params.number("max_range", 2.0, above=0.0, high=100),
+            no_echo=params.choice("no_echo", INF, (INF, MAX_RANGE)),
+            median=params.flag("median", False)))
+
+
+def _mount(params, name):
+    mount = params.numbers(f"sonars/{name}", MOUNTS[name])
+    if len(mount) != 3:
+        raise ConfigError(f"sonars/{name}", mount, "three numbers: x, y in m, and yaw in rad, in base_link")
+    return mount
+
+
+def _planar(yaw_rad):
+    """A turn about the vertical."""
+    return Quaternion(0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2))
+
+
+def _covariance(xx, xy, xa, yy, ya, aa):
+    """Of x, y and the turn about the vertical, as the 6×6 that ROS wants."""
+    return [xx, xy, 0, 0, 0, xa,
+            xy, yy, 0, 0, 0, ya,
+            0, 0, UNMEASURED, 0, 0, 0,
+            0, 0, 0, UNMEASURED, 0, 0,
+            0, 0, 0, 0, UNMEASURED, 0,
+            xa, ya, 0, 0, 0, aa]

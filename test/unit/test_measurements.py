@@ -1,0 +1,164 @@
+"""The Teensy's records as measurements: from bytes on the wire to SI units on the host's clock."""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from car_interface.sim.teensy_firmware import FORWARD as ROLLS_FORWARD
+from car_interface.sim.teensy_firmware import LEFT, RIGHT, FirmwareConfig, TeensyFirmware
+from car_interface.teensy import plausibility
+from car_interface.teensy.framing import FrameDecoder
+from car_interface.teensy.measurements import MeasurementConfig, Measurements, MotionMeasurement, RangeMeasurement
+from car_interface.teensy.odometry import OdometryConfig
+from car_interface.teensy.pinging import Answer, Pinger
+from car_interface.teensy.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus, decode
+
+MS, S = 1_000_000, 1_000_000_000
+START_NS = 5_000 * S
+PULSE_M = math.pi * 0.095 / 20
+ECHO_US = 5824  # there and back over a metre at 20 °C
+
+
+class Host:
+    """The host's side of a line in virtual time: pings, reads, measures."""
+
+    def __init__(self, firmware, config=None):
+        self.firmware = firmware
+        self.measured = Measurements(config or MeasurementConfig())
+        self.decoder = FrameDecoder()
+        self.pinger = Pinger(S, "shipped", START_NS)
+        self.results = []
+        self.now_ns = START_NS
+
+    def until(self, now_ns, pulses=()):
+        """Live on; ``pulses`` are (time, side) of wheels that roll forward."""
+        pulses = sorted(pulses)
+        while self.now_ns < now_ns:
+            self.now_ns += 2 * MS
+            while pulses and pulses[0][0] <= self.now_ns:
+                at_ns, side = pulses.pop(0)
+                self.firmware.wheel_pulse(side, ROLLS_FORWARD, at_ns)
+            if self.now_ns >= self.pinger.due_ns:
+                self.firmware.receive(self.pinger.ping(self.now_ns // MS % 2 ** 32, self.now_ns), self.now_ns)
+            for body in self.decoder.feed(self.firmware.transmit(self.now_ns)):
+                self.hear(decode(body))
+
+    def hear(self, record):
+        measured = self.measured
+        if isinstance(record, Pong):
+            result = measured.pong(record, self.pinger.pong(record.timestamp1, self.now_ns), self.now_ns)
+        elif isinstance(record, SonarStatus):
+            result = measured.sonar(record, self.now_ns)
+        elif isinstance(record, WheelStatus):
+            result = measured.wheels(record, self.now_ns)
+        else:
+            return
+        if result is not None:
+            self.results.append(result)
+
+    def of(self, kind):
+        return [result for result in self.results if isinstance(result, kind)]
+
+
+@pytest.fixture
+def host():
+    return Host(TeensyFirmware(FirmwareConfig(), lambda sensor, at_ns: ECHO_US, START_NS))
+
+
+def rolling(from_s, to_s, period_s, sides=(LEFT, RIGHT)):
+    """Pulses at a steady pace."""
+    count = int((to_s - from_s) / period_s)
+    return [(START_NS + round((from_s + period_s * index) * S), side) for index in range(count) for side in sides]
+
+
+def test_wheels_that_roll_a_metre_move_the_car_by_a_metre_at_the_speed_of_their_pulses(host):
+    pace_s = PULSE_M / 0.5
+    host.until(START_NS + 12 * S, rolling(10.0, 12.0, pace_s))
+    motion = host.of(MotionMeasurement)[-1].motion
+    assert motion.x_m == pytest.approx(1.0, abs=0.02)
+    assert motion.y_m == pytest.approx(0.0, abs=0.005)
+    assert motion.speed_mps == pytest.approx(0.5, rel=0.02)
+
+
+def test_stamp_is_when_the_wheel_was_there_not_when_that_was_read(host):
+    host.until(START_NS + 10 * S)
+    pulses = rolling(10.0, 11.0, 0.030)
+    host.until(START_NS + 11 * S, pulses)
+    stamps_ns = [result.stamp.time_ns for result in host.of(MotionMeasurement)]
+    for at_ns, _ in pulses[:-2]:
+        assert min(abs(stamp_ns - at_ns) for stamp_ns in stamps_ns) < 1.0 * MS
+    assert stamps_ns == sorted(stamps_ns)
+    assert all(result.stamp.time_ns <= host.now_ns for result in host.results if hasattr(result, "stamp"))
+
+
+def test_echo_becomes_metres_stamped_when_it_was_heard(host):
+    host.until(START_NS + 11 * S)
+    ranges = host.of(RangeMeasurement)
+    assert {result.sensor for result in ranges} == set(range(6))
+    assert all(result.range_m == pytest.approx(1.0, abs=0.001) for result in ranges)
+
+
+def test_temperature_may_change_while_it_runs(host):
+    host.until(START_NS + 1 * S)
+    host.measured.ranging.temperature_c = -10.0
+    host.until(START_NS + 2 * S)
+    assert host.of(RangeMeasurement)[-1].range_m == pytest.approx(1.0 * (331.3 - 6.06) / (331.3 + 12.12), rel=1e-3)
+
+
+@pytest.mark.parametrize("record, reason", (
+    (SonarStatus(0, 20_000, 9_000), plausibility.ECHO_TOO_LONG),
+    (SonarStatus(0, ECHO_US, 2_000), plausibility.TICK_BACK),
+    (SonarStatus(0, ECHO_US, 90_000), plausibility.TICK_AHEAD),
+    (Pong(1234, 9_000), plausibility.NOT_OUR_PING),
+    (WheelStatus(Wheel(0, 3, 9_000, 0, 0), Wheel(0, 0, 9_000, 1, 1)), plausibility.SENSOR_ERROR),
+))
+def test_bad_record_is_named_and_changes_nothing(host, record, reason):
+    host.until(START_NS + 10 * S)
+    before = len(host.results), host.measured.clock.translate(9_000)
+    host.hear(record)
+    assert host.measured.gates.counts[reason] == 1
+    assert (len(host.results), host.measured.clock.translate(9_000)) == before
+
+
+def test_duplicated_pong_answers_no_ping_any_more(host):
+    answer = Answer(START_NS, 4 * MS, 11)
+    assert host.measured.pong(Pong(1, 10), answer, START_NS + 4 * MS).used
+    assert host.measured.pong(Pong(1, 10), None, START_NS + 5 * MS) is None
+    assert host.measured.gates.counts[plausibility.NOT_OUR_PING] == 1
+
+
+def test_wheels_in_opposite_directions_turn_the_car_on_the_spot(host):
+    host.until(START_NS + 10 * S)
+    backward = 1
+    for _ in range(30):
+        host.now_ns += 30 * MS
+        host.firmware.wheel_pulse(LEFT, backward, host.now_ns)
+        host.firmware.wheel_pulse(RIGHT, ROLLS_FORWARD, host.now_ns)
+        host.until(host.now_ns + 6 * MS)
+    motion = host.of(MotionMeasurement)[-1].motion
+    assert motion.yaw_rad == pytest.approx(2 * 30 * PULSE_M / 0.296, abs=0.12)
+    assert math.hypot(motion.x_m, motion.y_m) < 0.03
+
+
+def test_reboot_while_rolling_restarts_the_clock_and_leaves_the_pose_where_it_was(host):
+    pace_s = PULSE_M / 1.0
+    host.until(START_NS + 12 * S, rolling(10.0, 12.0, pace_s))
+    before = host.of(MotionMeasurement)[-1].motion
+    host.firmware.reboot(host.now_ns)
+    host.until(START_NS + 14 * S, rolling(12.0, 14.0, pace_s))
+    after = host.of(MotionMeasurement)[-1]
+    assert after.motion.x_m == pytest.approx(before.x_m + 2.0, abs=0.3)  # some of it was lost meanwhile
+    assert after.stamp.time_ns == pytest.approx(host.now_ns, abs=40 * MS)
+    assert host.measured.gates.counts[plausibility.CLOCK_RESTARTED] == 1
+
+
+def test_car_of_another_size_is_measured_by_its_own():
+    config = MeasurementConfig(odometry=OdometryConfig(wheel_diameter_m=0.19))
+    host = Host(TeensyFirmware(FirmwareConfig(), None, START_NS), config)
+    host.until(START_NS + 12 * S, rolling(10.0, 12.0, 0.030))
+    assert host.of(MotionMeasurement)[-1].motion.x_m == pytest.approx(2 * PULSE_M * 2 / 0.030, rel=0.03)
+
+
+def test_direction_names_agree_with_the_wire():
+    assert ROLLS_FORWARD == FORWARD
