@@ -23,10 +23,10 @@ from typing import Callable
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import Vehicle, VehicleConfig, true_acceleration_mps2
-from car_interface.teensy.framing import FrameDecoder
+from car_interface.teensy.framing import SHIPPED, FrameDecoder, encode
 from car_interface.teensy.odometry import Odometry, OdometryConfig
 from car_interface.teensy.plausibility import Gates
-from car_interface.teensy.protocol import NO_DIRECTION, SonarStatus, WheelStatus, decode
+from car_interface.teensy.protocol import NO_DIRECTION, SonarStatus, WheelStatus, decode, wheel_reset
 
 NS_PER_S, NS_PER_MS = 1_000_000_000, 1_000_000
 STEP_NS = 2 * NS_PER_MS
@@ -49,6 +49,7 @@ class Drive:
     order: Callable  # Vehicle, seconds → Order or None when done
     gain_per_s: float = 4.0
     most_mps2: float = 2.0
+    resets_s: tuple = ()  # when somebody sets the odometers to zero
 
 
 @dataclass
@@ -142,6 +143,8 @@ def drives():
         lambda: Drive("crawl in a circle", straight(3.0, CRAWL_MPS, 0.5), 8.0),
         lambda: Drive("8 m/s", straight(100.0, 8.0), 4.0, 5.0),
         lambda: Drive("8 m/s, bends", wandering(100.0, 8.0, 0.05), 4.0, 5.0),
+        lambda: Drive("20 m, six resets", straight(20.0, 2.0), resets_s=(3, 4.1, 5.2, 6.3, 7.4, 8.5)),
+        lambda: Drive("reversing, resets", reversing(8, 3.0, 1.2, (0.0, 0.4)), resets_s=(3, 5.3, 7.6, 9.9, 12.2, 14.5)),
         lambda: Drive("wandering 60 m", wandering(60.0, 1.5, 0.6), 4.0, 5.0),
     ]
 
@@ -187,6 +190,7 @@ class Bench:
         self.teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=self._random.randrange(5000),
                                                     clock_drift_ppm=self._random.uniform(-50, 50)),
                                      lambda sensor, at_ns: 5832)
+        self._resets_s = list(self.drive.resets_s)
         self._decoder = FrameDecoder()
         self.gates = Gates()
         self.odometry = Odometry(config)
@@ -219,6 +223,9 @@ class Bench:
         self.score.way_m += abs(car.travel_m - before_m)
         now_ns = car.time_ns
         self._note(now_ns)
+        if self._resets_s and self._resets_s[0] <= now_ns / NS_PER_S:
+            self._resets_s.pop(0)
+            teensy.receive(encode(wheel_reset(), SHIPPED), now_ns)
         for body in self._decoder.feed(teensy.transmit(now_ns)):
             record = decode(body)
             if isinstance(record, SonarStatus):

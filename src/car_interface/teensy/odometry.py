@@ -155,13 +155,16 @@ class Odometry:
             for wheel in self._wheels:
                 wheel.begin(now_ms)
             return False
+        if restarted:
+            for wheel in self._wheels:
+                wheel.is_lost = True
         is_news = False
         for wheel, now, before, count, at_ms in zip(self._wheels, record, last, pulses, times_ms):
             if now.direction == NO_DIRECTION or (now.dist_abs, now.when) == (before.dist_abs, before.when):
                 continue
             is_news = True
-            if restarted:
-                wheel.resume(now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
+            if wheel.is_lost:
+                wheel.resume(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
             else:
                 wheel.pulse(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
         return is_news
@@ -228,12 +231,14 @@ class _WheelFilter:
         count: signed pulses so far: the wheel is within [count, count + 1).
         made: how many times a report had news of it.
         first: the first pulses, as (ms, position); ``None`` once nobody needs them.
+        is_lost: pulses were made that nobody counted; the next one tells where it is.
     """
 
     def __init__(self):
         self.count = 0
         self.made = 0
         self.first: list | None = []
+        self.is_lost = False
         self.position, self.speed, self._acceleration = 0.5, 0.0, 0.0
         self._time_ms = 0.0
         self._pulse_ms = -math.inf  # of the newest
@@ -273,15 +278,22 @@ class _WheelFilter:
         if self.first is not None:
             self.first.append((at_ms, place))
 
-    def resume(self, forward, at_ms, now_ms):
-        """Take a pulse after which nobody knows how many were lost: the nearest magnet to where it should be is it."""
+    def resume(self, pulses, forward, at_ms, now_ms):
+        """Take the first pulse after some that nobody counted: the magnet nearest to where the wheel should be is it.
+
+        It can't be nearer than what was counted since, nor than the next one: a wheel that stood has lost none.
+        """
+        self.is_lost = False
         if now_ms - self._pulse_ms > STANDS_AFTER_MS:
             self._stand()
             self._time_ms = now_ms
         at_ms = at_ms if self._time_ms <= at_ms <= now_ms else now_ms
         self._predict(at_ms)
-        place = round(self.position)
-        self.pulse((place if forward else place - 1) - self.count, forward, at_ms, now_ms)
+        if forward:
+            count = max(self.count + max(pulses, 1), round(self.position))
+        else:
+            count = min(self.count + min(pulses, -1), round(self.position) - 1)
+        self.pulse(count - self.count, forward, at_ms, now_ms)
 
     def wait(self, now_ms):
         """No pulse has come until now."""
@@ -289,9 +301,11 @@ class _WheelFilter:
         low, high = self.count, self.count + 1
         since_ms = now_ms - self._pulse_ms
         if since_ms > STANDS_AFTER_MS:
-            self.position = min(max(self.position, low), high)
+            self.position = min(max(self.position, low), high) if not self.is_lost else self.position
             self._stand()
             return
+        if self.is_lost:
+            return  # it may have passed magnets
         if since_ms <= FAR_APART_MS:
             if self.position > high:
                 self._update(high - PASSED_BY, PASSED_VARIANCE)
