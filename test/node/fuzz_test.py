@@ -29,8 +29,10 @@ from hypothesis import strategies as st
 
 from car_interface.errors import CarInterfaceError, ConfigError
 from car_interface.nodes import (
+    car_display,
     car_sim,
     generic_value_converter,
+    measurements,
     node,
     pca9685,
     permission,
@@ -76,7 +78,8 @@ NODES = {
     "teleop_logi": (teleop_logi.TeleopLogi, lambda: config("teleop_logi.yaml")),
     "pca9685": (pca9685.Pca9685, lambda: {**config("pca9685.yaml"), "device": "virtual"}),
     "teensy_sensor_hub": (teensy_sensor_hub.TeensySensorHub,
-                          lambda: {**config("teensy_sensor_hub.yaml"), "port": PORT}),
+                          lambda: {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml"), "port": PORT}),
+    "car_display": (car_display.CarDisplay, dict),
     "car_sim": (car_sim.CarSim, lambda: {"port": f"{PORT}_sim"}),
 }
 
@@ -86,15 +89,25 @@ def read_pca9685(params):
     pca9685.read_channels(params)
 
 
+def read_measurements(params):
+    measurements.read_config(params, 115200, False)
+
+
 def read_converter(params):
     generic_value_converter.read_throttle(params, generic_value_converter.read_converter(params))
 
 
+# What the hub reads by itself, beside the sensors' configuration.
+MEASURED_ELSEWHERE = ("baud", "ping_period", "firmware_checksum", "use_steering", "publish_tf", "sonars",
+                      "field_of_view")
 READERS = {
     "turn_arb": (turn_arb.read_config, lambda: config("turn_arb.yaml")),
     "teleop_logi": (teleop_logi.read_config, lambda: config("teleop_logi.yaml")),
     "generic_value_converter": (read_converter, converter_config),
     "pca9685": (read_pca9685, lambda: config("pca9685.yaml")),
+    "measurements": (read_measurements, lambda: {
+        name: value for name, value in {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml")}.items()
+        if name not in MEASURED_ELSEWHERE}),
     "permission": (permission.read_permission,
                    lambda: {"human_timeout": 0.5, "e_stop_timeout": 1.0, "e_stop_required": False}),
     "car_sim's vehicle": (car_sim.read_vehicle, lambda: {
@@ -329,7 +342,7 @@ add_tests("with_parameters_of_any_value_reads_them_or_refuses_with_a_config_erro
 add_tests("with_any_parameters_starts_or_refuses_with_an_error_of_ours", FuzzTest.check_start,
           [name for name in NODES if name != "car_sim"])  # which puts a link wherever it is told
 add_tests("fed_messages_of_any_content_lives_on_and_is_no_larger", FuzzTest.check_messages,
-          [name for name in NODES if name != "teensy_sensor_hub"])  # which hears no topic
+          NODES)
 add_tests("with_services_asked_anything_answers_in_words", FuzzTest.check_services,
           ["teensy_sensor_hub", "pca9685", "car_sim"])
 

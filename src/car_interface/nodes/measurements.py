@@ -17,7 +17,7 @@ from tf2_msgs.msg import TFMessage
 from car_interface.errors import ConfigError
 from car_interface.msg import SteeringState, TeensyClock
 from car_interface.nodes.diagnostics import OK, WARN
-from car_interface.nodes.node import subscribe
+from car_interface.nodes.node import Complaints, subscribe
 from car_interface.steering_check import SteeringCheck
 from car_interface.teensy.clock import ClockConfig
 from car_interface.teensy.measurements import MeasurementConfig, Measurements
@@ -63,6 +63,7 @@ class MeasurementPublisher:
         self._ranging = config.ranging
         self._measurements = Measurements(config)
         self._steering_check = SteeringCheck()
+        self._complaints = Complaints()
         self._sync = None
         self._counted = (0, 0)
         self._odometry = rospy.Publisher("odom", OdometryMessage, queue_size=QUEUE_SIZE)
@@ -156,7 +157,7 @@ class MeasurementPublisher:
         try:
             self._measurements.ranging.temperature_c = message.temperature
         except ConfigError as error:
-            rospy.logwarn_throttle(10, "temperature: %s", error)
+            self._complaints.warn("temperature", f"{error}: the one before it counts on")
 
     def _on_steering(self, message, now_ns):
         self._steering_check.hear_command(message.turn_radius, now_ns)
