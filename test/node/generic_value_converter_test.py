@@ -118,8 +118,9 @@ class Conversion(ConverterTest):
         self.inputs.drop(self.command)
         self.expect_last_value(100.0, HIGHEST)
         mark = self.values.mark()
-        for _ in range(50):
+        for number in range(50):
             self.command.publish(control(1.479))  # the map's own point for 1.2
+            self.values.wait_for_count(number + 1, mark)  # a burst longer than the queues loses its oldest, by design
         self.expect_last_value(-100.0, LOWEST)
         outputs = self.values.since(mark)
         self.assertEqual(len(outputs), 51)
