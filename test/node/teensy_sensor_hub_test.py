@@ -458,7 +458,7 @@ class HubByItself(unittest.TestCase):
             ("checksum", "_firmware_checksum:=right",
              "firmware_checksum is 'right'; accepted: one of auto, shipped, corrected"),
             ("period", "_ping_period:=0", "ping_period is 0; accepted: a number from 0.01 to 3600"),
-            ("unknown", "_bauds:=9600", "unknown parameter bauds is 9600; accepted: only baud,"),
+            ("unknown", "_bauds:=9600", "unknown parameter bauds is 9600; accepted: only base_frame, baud,"),
             ("required", "_required:=true", f"Teensy on {self.port}: there is no such port"),
         ]
         started = [(name, pattern, self.start(name, argument)) for name, argument, pattern in cases]

@@ -200,6 +200,11 @@ class TurnArbByItsTopics(unittest.TestCase):
             return states.wait_for(lambda state: state.source == source and re.fullmatch(reason, state.reason),
                                    states.mark()).what
 
+        def unlock():
+            """Until that was heard letting go wouldn't count, and topics come in any order."""
+            self.inputs.hold(e_stop, False)
+            wait_for_source(SteeringState.NO_HUMAN, "the lock was on: let go of the deadman, then hold it again")
+
         def re_arm():
             self.inputs.hold(human, False)
             wait_for_source(SteeringState.NO_HUMAN, "human_in_loop is false")
@@ -211,12 +216,11 @@ class TurnArbByItsTopics(unittest.TestCase):
         self.assertEqual(wait_for_source(SteeringState.PLANNER).e_stop_age, INF)
         self.inputs.hold(e_stop, True)
         self.assertEqual(wait_for_source(SteeringState.LOCKED, "e_stop is true").duty, CENTER)
-        self.inputs.hold(e_stop, False)
-        wait_for_source(SteeringState.NO_HUMAN, "the lock was on: let go of the deadman, then hold it again")
+        unlock()
         re_arm()
         self.inputs.drop(e_stop)
         self.assertEqual(wait_for_source(SteeringState.LOCKED, r"e_stop silent for 1\.\d\d s").duty, CENTER)
-        self.inputs.hold(e_stop, False)
+        unlock()
         re_arm()
 
     def test_silent_teleop_means_neutral_although_the_planner_asks(self):
