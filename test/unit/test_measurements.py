@@ -149,6 +149,8 @@ def test_reboot_while_rolling_restarts_the_clock_and_leaves_the_pose_where_it_wa
     host.until(START_NS + 14 * S, rolling(12.0, 14.0, pace_s))
     after = host.of(MotionMeasurement)[-1]
     assert after.motion.x_m == pytest.approx(before.x_m + 2.0, abs=0.3)  # some of it was lost meanwhile
+    assert after.motion.speed_mps == pytest.approx(1.0, rel=0.03)
+    assert after.motion.yaw_rad == pytest.approx(0.0, abs=0.05)
     assert after.stamp.time_ns == pytest.approx(host.now_ns, abs=40 * MS)
     assert host.measured.gates.counts[plausibility.CLOCK_RESTARTED] == 1
 
