@@ -298,8 +298,10 @@ class _WheelFilter:
     def wait(self, now_ms):
         """No pulse has come until now."""
         self._predict(now_ms)
-        low, high = self.count, self.count + 1
         since_ms = now_ms - self._pulse_ms
+        # The newest pulse was somewhere in its tick, and until then no other had come: half a tick to either side.
+        slack = abs(self.speed) * TICK_MIDDLE_MS if since_ms <= FAR_APART_MS else 0.0
+        low, high = self.count - slack, self.count + 1 + slack
         if since_ms > STANDS_AFTER_MS:
             self.position = min(max(self.position, low), high) if not self.is_lost else self.position
             self._stand()
