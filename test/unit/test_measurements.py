@@ -153,6 +153,28 @@ def test_reboot_while_rolling_restarts_the_clock_and_leaves_the_pose_where_it_wa
     assert after.motion.yaw_rad == pytest.approx(0.0, abs=0.05)
     assert after.stamp.time_ns == pytest.approx(host.now_ns, abs=40 * MS)
     assert host.measured.gates.counts[plausibility.CLOCK_RESTARTED] == 1
+    stamps_ns = [result.stamp.time_ns for result in host.of(MotionMeasurement)]
+    assert all(earlier < later for earlier, later in zip(stamps_ns, stamps_ns[1:]))
+
+
+def test_clock_that_wraps_while_rolling_is_noticed_nowhere():
+    host = Host(TeensyFirmware(FirmwareConfig(clock_start_ms=2 ** 32 - 11_000), None, START_NS))
+    host.until(START_NS + 12 * S, rolling(10.0, 12.0, PULSE_M / 1.0))
+    assert host.firmware.millis(host.now_ns) < 2000
+    last = host.of(MotionMeasurement)[-1]
+    assert last.motion.x_m == pytest.approx(2.0, abs=0.02)
+    assert last.motion.speed_mps == pytest.approx(1.0, rel=0.03)
+    assert last.stamp.time_ns == pytest.approx(host.now_ns, abs=20 * MS)
+    assert not host.measured.gates.counts[plausibility.CLOCK_RESTARTED]
+
+
+def test_pulse_counters_that_wrap_while_rolling_move_the_car_on():
+    measured = Measurements()
+    measured.sonar(SonarStatus(0, 0, 1000), START_NS)
+    for index in range(40):
+        wheel = Wheel(33, ROLLS_FORWARD, 1000 + 30 * index, 2 ** 32 - 20, (2 ** 32 - 20 + index) % 2 ** 32)
+        measurement = measured.wheels(WheelStatus(wheel, wheel), START_NS + 30 * index * MS)
+    assert measurement.motion.x_m == pytest.approx(39 * PULSE_M, abs=PULSE_M)
 
 
 def test_car_of_another_size_is_measured_by_its_own():

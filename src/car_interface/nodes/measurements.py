@@ -198,7 +198,9 @@ def read_config(params, baud: int, uses_steering: bool) -> MeasurementConfig:
         odometry=OdometryConfig(
             pulses_per_revolution=pulses, wheel_diameter_m=diameter_m,
             track_m=params.number("track", 0.296, above=0.0, high=10),
-            wheelbase_m=params.number("wheelbase", 0.324, above=0.0, high=10), use_steering=uses_steering),
+            wheelbase_m=params.number("wheelbase", 0.324, above=0.0, high=10), use_steering=uses_steering,
+            way_sigma=params.number("way_sigma", 0.02, low=0.0, high=1),
+            heading_sigma=params.number("heading_sigma", 0.01, low=0.0, high=1)),
         ranging=RangingConfig(
             temperature_c=params.number("temperature", 20.0, low=-50, high=60),
             min_range_m=params.number("min_range", 0.02, low=0.0, high=100),

@@ -105,11 +105,11 @@ class Measurements:
         self._odometry.steer(curvature_per_m)
 
     def _stamp(self, time_ms, received_ns):
-        """Of a moment between two ticks; never before the one before it, or a transform would be there twice."""
+        """Of a moment between two ticks; always after the one before it, or a transform would be there twice."""
         tick = math.floor(time_ms)
         time_ns, uncertainty_ns = self.clock.translate(tick % UINT32, received_ns, WHEEL_BYTES)
         time_ns += round((time_ms - tick - TICK_MIDDLE_MS) * NS_PER_MS)
-        time_ns = self._motion_ns = max(min(time_ns, received_ns), self._motion_ns)
+        time_ns = self._motion_ns = max(min(time_ns, received_ns), self._motion_ns + 1)
         return Stamp(time_ns, uncertainty_ns)
 
     def _hear_tick(self, verdict, tick, received_ns):
