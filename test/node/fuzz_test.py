@@ -90,7 +90,7 @@ def read_pca9685(params):
 
 
 def read_measurements(params):
-    measurements.read_config(params, 115200, False)
+    measurements.read_settings(params, 115200)
 
 
 def read_converter(params):

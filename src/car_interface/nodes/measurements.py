@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 import time
+from typing import NamedTuple
 
 import rospy
-from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import JointState, Range, Temperature
 from tf2_msgs.msg import TFMessage
@@ -17,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 from car_interface.errors import ConfigError
 from car_interface.msg import SteeringState, TeensyClock
 from car_interface.nodes.diagnostics import OK, WARN
-from car_interface.nodes.node import Complaints, subscribe
+from car_interface.nodes.node import Complaints, is_heard, subscribe
 from car_interface.steering_check import SteeringCheck
 from car_interface.teensy.clock import ClockConfig
 from car_interface.teensy.measurements import MeasurementConfig, Measurements
@@ -36,46 +37,77 @@ MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0]
 REFUSED_SHARE = 0.01  # of a second's records, from which on it's worth a warning
 
 
-class MeasurementPublisher:
-    """Publishes what ``Measurements`` makes of the Teensy's records.
+class Settings(NamedTuple):
+    """What the parameters say about measuring, and about the messages."""
 
-    Args:
-        params: the node's; it reads what it needs.
-        inbox: hears the temperature and, on request, the steering in the node's thread.
-        baud: of the line.
+    config: MeasurementConfig
+    baud: int
+    odom_frame: str
+    base_frame: str
+    sonar_frames: list[str]
+    joint_names: list[str]
+    mounts: list[list[float]]  # of the sonars: x, y (m) and yaw (rad) in base_frame
+    field_of_view_rad: float
+    publish_tf: bool
+
+
+def read_settings(params, baud: int) -> Settings:
+    """The settings from the node's parameters.
 
     Raises:
         ConfigError: naming the parameter.
     """
+    prefix = params.text("frame_prefix", "", may_be_empty=True)
+    return Settings(
+        odom_frame=prefix + params.text("odom_frame", "odom"),
+        base_frame=prefix + params.text("base_frame", "base_link"),
+        sonar_frames=[f"{prefix}sonar_{name}" for name in SONARS],
+        joint_names=[prefix + name for name in WHEEL_JOINTS],
+        publish_tf=params.flag("publish_tf", True),
+        mounts=[_mount(params, name) for name in SONARS],
+        field_of_view_rad=params.number("field_of_view", 0.524, above=0.0, high=math.pi),
+        config=read_config(params, baud, params.flag("use_steering", False)),
+        baud=baud)
 
-    def __init__(self, params, inbox, baud: int):
-        prefix = params.text("frame_prefix", "", may_be_empty=True)
-        self._odom_frame = prefix + params.text("odom_frame", "odom")
-        self._base_frame = prefix + params.text("base_frame", "base_link")
-        self._sonar_frames = [f"{prefix}sonar_{name}" for name in SONARS]
-        self._joint_names = [prefix + name for name in WHEEL_JOINTS]
-        publish_tf = params.flag("publish_tf", True)
-        uses_steering = params.flag("use_steering", False)
-        mounts = [_mount(params, name) for name in SONARS]
-        self._field_of_view_rad = params.number("field_of_view", 0.524, above=0.0, high=math.pi)
-        config = read_config(params, baud, uses_steering)
-        self._baud = baud
+
+class MeasurementPublisher:
+    """Publishes what ``Measurements`` makes of the Teensy's records.
+
+    Args:
+        settings: as ``read_settings`` has read them.
+        inbox: hears the temperature and, on request, the steering in the node's thread.
+    """
+
+    def __init__(self, settings: Settings, inbox):
+        config = settings.config
+        self._settings = settings
         self._ranging = config.ranging
         self._measurements = Measurements(config)
         self._steering_check = SteeringCheck()
         self._complaints = Complaints()
         self._sync = None
         self._counted = (0, 0)
+        self._prepare_messages()
         self._odometry = rospy.Publisher("odom", OdometryMessage, queue_size=QUEUE_SIZE)
         self._joints = rospy.Publisher("joint_states", JointState, queue_size=QUEUE_SIZE)
         self._ranges = [rospy.Publisher(f"sonar/{name}", Range, queue_size=QUEUE_SIZE) for name in SONARS]
         self._clock = rospy.Publisher("teensy_clock", TeensyClock, queue_size=QUEUE_SIZE)
-        self._tf = rospy.Publisher("/tf", TFMessage, queue_size=QUEUE_SIZE) if publish_tf else None
+        self._tf = rospy.Publisher("/tf", TFMessage, queue_size=QUEUE_SIZE) if settings.publish_tf else None
         self._static_tf = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
-        self._static_tf.publish([self._transform(rospy.Time.now(), self._base_frame, frame, *mount)
-                                 for frame, mount in zip(self._sonar_frames, mounts)])
+        self._static_tf.publish([_transform(settings.base_frame, frame, *mount)
+                                 for frame, mount in zip(settings.sonar_frames, settings.mounts)])
         subscribe("temperature", Temperature, inbox, self._on_temperature)
         subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
+
+    def _prepare_messages(self):
+        """Those that come often are made once and filled in each time: rospy writes them out as it publishes them."""
+        settings = self._settings
+        self._moved = OdometryMessage(child_frame_id=settings.base_frame)
+        self._moved.header.frame_id = settings.odom_frame
+        self._moved_frame = _transform(settings.odom_frame, settings.base_frame, 0.0, 0.0, 0.0)
+        self._turned = JointState(name=settings.joint_names)
+        self._heard = Range(radiation_type=Range.ULTRASOUND, field_of_view=settings.field_of_view_rad,
+                            min_range=self._ranging.min_range_m, max_range=self._ranging.max_range_m)
 
     def pong(self, record, answer, received_ns: int) -> None:
         """Take a pong, with the ping that it answers or ``None``; publish how the clocks relate."""
@@ -85,20 +117,19 @@ class MeasurementPublisher:
         self._sync = sync
         self._clock.publish(TeensyClock(
             stamp=self._ros_time(received_ns), sent=answer.sent_ns, received=received_ns, sent_bytes=answer.sent_bytes,
-            baud=self._baud, tick=record.timestamp2, used=sync.used, reason=sync.reason, converged=sync.converged,
-            offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm, uncertainty=sync.uncertainty_ns / NS_PER_S,
-            round_trip=sync.round_trip_ns / NS_PER_S))
+            baud=self._settings.baud, tick=record.timestamp2, used=sync.used, reason=sync.reason,
+            converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
+            uncertainty=sync.uncertainty_ns / NS_PER_S, round_trip=sync.round_trip_ns / NS_PER_S))
 
     def sonar(self, record, received_ns: int) -> None:
         """Take a sonar's report; publish its range."""
         measured = self._measurements.sonar(record, received_ns)
-        if measured is None:
+        if measured is None or not is_heard(self._ranges[measured.sensor]):
             return
-        message = Range(radiation_type=Range.ULTRASOUND, field_of_view=self._field_of_view_rad,
-                        min_range=self._ranging.min_range_m, max_range=self._ranging.max_range_m,
-                        range=measured.range_m)
+        message = self._heard
+        message.range = measured.range_m
         message.header.stamp = self._ros_time(measured.stamp.time_ns)
-        message.header.frame_id = self._sonar_frames[measured.sensor]
+        message.header.frame_id = self._settings.sonar_frames[measured.sensor]
         self._ranges[measured.sensor].publish(message)
 
     def wheels(self, record, received_ns: int) -> None:
@@ -106,18 +137,30 @@ class MeasurementPublisher:
         measured = self._measurements.wheels(record, received_ns)
         if measured is None:
             return
-        motion, stamp = measured.motion, self._ros_time(measured.stamp.time_ns)
+        motion = measured.motion
         self._steering_check.hear_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
-        self._odometry.publish(self._odometry_message(motion, stamp))
-        if self._tf is not None:
-            self._tf.publish([self._transform(stamp, self._odom_frame, self._base_frame,
-                                              motion.x_m, motion.y_m, motion.yaw_rad)])
-        joints = JointState(name=self._joint_names, position=motion.wheel_angles_rad,
-                            velocity=motion.wheel_speeds_radps)
-        joints.header.stamp = stamp
-        self._joints.publish(joints)
+        stamp = self._ros_time(measured.stamp.time_ns)  # one for all: they are looked up by it
+        if is_heard(self._odometry):
+            self._odometry.publish(self._odometry_message(motion, stamp))
+        if self._tf is not None and is_heard(self._tf):
+            moved = self._moved_frame
+            moved.header.stamp = stamp
+            moved.transform.translation.x, moved.transform.translation.y = motion.x_m, motion.y_m
+            _turn(moved.transform.rotation, motion.yaw_rad)
+            self._tf.publish([moved])
+        if is_heard(self._joints):
+            joints = self._turned
+            joints.header.stamp = stamp
+            joints.position, joints.velocity = motion.wheel_angles_rad, motion.wheel_speeds_radps
+            self._joints.publish(joints)
 
-    def report_clock(self, status):
+    @property
+    def reports(self) -> dict:
+        """What goes to /diagnostics, by name."""
+        return {"Teensy clock": self._report_clock, "Teensy records": self._report_records,
+                "steering by the wheels": self._report_steering}
+
+    def _report_clock(self, status):
         """The clock's line on /diagnostics."""
         sync, clock = self._sync, self._measurements.clock
         if sync is None:
@@ -130,7 +173,7 @@ class MeasurementPublisher:
         status.add("round trip", f"{sync.round_trip_ns / 1e6:.1f} ms")
         return status
 
-    def report_records(self, status):
+    def _report_records(self, status):
         """What the plausibility gates refused, on /diagnostics."""
         gates = self._measurements.gates
         accepted, refused = (now - before for now, before in zip((gates.accepted, gates.refused), self._counted))
@@ -144,7 +187,7 @@ class MeasurementPublisher:
             status.add(reason, count)
         return status
 
-    def report_steering(self, status):
+    def _report_steering(self, status):
         """Whether the car turns as the steering was told to, on /diagnostics."""
         judgement = self._steering_check.judge(time.monotonic_ns())
         status.summary(WARN if judgement.warning else OK,
@@ -164,21 +207,15 @@ class MeasurementPublisher:
         self._measurements.steer(1 / message.turn_radius if message.turn_radius else math.nan)
 
     def _odometry_message(self, motion, stamp):
-        message = OdometryMessage(child_frame_id=self._base_frame)
-        message.header.stamp, message.header.frame_id = stamp, self._odom_frame
-        message.pose.pose.position = Point(motion.x_m, motion.y_m, 0.0)
-        message.pose.pose.orientation = _planar(motion.yaw_rad)
+        message = self._moved
+        message.header.stamp = stamp
+        pose, twist = message.pose.pose, message.twist
+        pose.position.x, pose.position.y = motion.x_m, motion.y_m
+        _turn(pose.orientation, motion.yaw_rad)
         (xx, xy, xa), (_, yy, ya), (_, _, aa) = motion.pose_covariance
         message.pose.covariance = _covariance(xx, xy, xa, yy, ya, aa)
-        message.twist.twist.linear.x = motion.speed_mps
-        message.twist.twist.angular.z = motion.yaw_rate_radps
-        message.twist.covariance = _covariance(motion.speed_variance, 0, 0, UNMEASURED, 0, motion.yaw_rate_variance)
-        return message
-
-    @staticmethod
-    def _transform(stamp, parent, child, x_m, y_m, yaw_rad):
-        message = TransformStamped(child_frame_id=child, transform=Transform(Vector3(x_m, y_m, 0.0), _planar(yaw_rad)))
-        message.header.stamp, message.header.frame_id = stamp, parent
+        twist.twist.linear.x, twist.twist.angular.z = motion.speed_mps, motion.yaw_rate_radps
+        twist.covariance = _covariance(motion.speed_variance, 0, 0, UNMEASURED, 0, motion.yaw_rate_variance)
         return message
 
     @staticmethod
@@ -216,9 +253,18 @@ def _mount(params, name):
     return mount
 
 
-def _planar(yaw_rad):
-    """A turn about the vertical."""
-    return Quaternion(0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2))
+def _transform(parent, child, x_m, y_m, yaw_rad):
+    """Where a frame is in another."""
+    message = TransformStamped(child_frame_id=child)
+    message.transform = Transform(Vector3(x_m, y_m, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+    message.header.stamp, message.header.frame_id = rospy.Time.now(), parent
+    _turn(message.transform.rotation, yaw_rad)
+    return message
+
+
+def _turn(rotation, yaw_rad):
+    """Make a rotation one about the vertical."""
+    rotation.z, rotation.w = math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
 
 
 def _covariance(xx, xy, xa, yy, ya, aa):

@@ -45,10 +45,14 @@ class Inbox:
         os.set_blocking(self._wake_write, False)
         self._watched = [self._wake_read]
 
-    def put(self, handler: Callable[[Any, int], None], item: Any) -> None:
-        """Have the node's thread call ``handler(item, arrival_ns)``. May be called from any thread."""
+    def put(self, handler: Callable[[Any, int], None], item: Any, wakes: bool = True) -> None:
+        """Have the node's thread call ``handler(item, arrival_ns)``: now, or whenever it's next awake.
+
+        May be called from any thread.
+        """
         self._items.append((handler, item, time.monotonic_ns()))
-        self.wake()
+        if wakes:
+            self.wake()
 
     def wake(self) -> None:
         """End the wait under way, or the next one. May be called from any thread, and from a signal handler."""
@@ -207,3 +211,24 @@ def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, in
     """Subscribe so that ``handler(message, arrival_ns)`` runs in the node's thread, for each message, in order."""
     rospy.Subscriber(topic, message_type, lambda message: inbox.put(handler, message), queue_size=queue_size,
                      tcp_nodelay=True)
+
+
+def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None]) -> None:
+    """The same for a topic of std_msgs that mostly repeats itself, in a node that beats often.
+
+    What says the same as the message before it doesn't wake the node: it is handled, with its own time of arrival, when
+    the node is next awake. An input that comes 50 times a second costs a third of the CPU that way.
+    """
+    last = None
+
+    def hear(message):
+        nonlocal last
+        is_news = message.data != last  # as NaN always is
+        last = message.data
+        inbox.put(handler, message, wakes=is_news)
+    rospy.Subscriber(topic, message_type, hear, queue_size=10, tcp_nodelay=True)
+
+
+def is_heard(publisher) -> bool:
+    """Whether anybody subscribes: rospy makes a message before it finds that nobody does."""
+    return publisher.get_num_connections() > 0

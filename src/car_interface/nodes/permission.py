@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from std_msgs.msg import Bool
 
-from car_interface.nodes.node import subscribe
+from car_interface.nodes.node import subscribe_changes
 from car_interface.permission import PermissionConfig
 
 HUMAN_TIMEOUT_S = 0.5
@@ -17,7 +17,11 @@ def read_permission(params, human_timeout_s: float = HUMAN_TIMEOUT_S) -> Permiss
 
 
 def subscribe_permission(inbox, arbiter) -> None:
-    """Have ``arbiter`` hear the lock (/e_stop) and the deadman (/teleop_logi/human_in_loop), in the node's thread."""
-    subscribe("/e_stop", Bool, inbox, lambda message, now_ns: arbiter.hear_e_stop(message.data, now_ns))
-    subscribe("/teleop_logi/human_in_loop", Bool, inbox,
-              lambda message, now_ns: arbiter.hear_human(message.data, now_ns))
+    """Have ``arbiter`` hear the lock (/e_stop) and the deadman (/teleop_logi/human_in_loop), in the node's thread.
+
+    The node must beat: what these two repeat waits for its next beat.
+    """
+    subscribe_changes("/e_stop", Bool, inbox,
+                      lambda message, now_ns: arbiter.hear_e_stop(message.data, now_ns))
+    subscribe_changes("/teleop_logi/human_in_loop", Bool, inbox,
+                      lambda message, now_ns: arbiter.hear_human(message.data, now_ns))

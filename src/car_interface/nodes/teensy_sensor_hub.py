@@ -21,6 +21,7 @@ Parameters:
     ~port /dev/ttyAMA0, ~baud 115200, ~ping_period 1.0 (s).
     ~firmware_checksum auto: which checksum the Teensy's receiver wants; shipped, corrected, or find out.
     ~required false: true = end with exit code 1 when the port can't be opened at start.
+    ~raw_only false: true = the four raw topics and the link only; nothing is measured, for a third less CPU.
     ~pulses_per_revolution 20, ~wheel_diameter 0.095, ~track 0.296, ~wheelbase 0.324 (m), ~top_speed 20 (m/s; what is
         faster is taken for line noise), ~use_steering false: true = the commanded steering helps the heading.
     ~publish_tf true, ~odom_frame odom, ~base_frame base_link, ~frame_prefix "" (before every frame and joint).
@@ -41,8 +42,8 @@ from car_interface.errors import DeviceError, ProtocolError
 from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
 from car_interface.nodes.diagnostics import Diagnostics
 from car_interface.nodes.keys import Keys
-from car_interface.nodes.measurements import MeasurementPublisher
-from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run
+from car_interface.nodes.measurements import MeasurementPublisher, read_settings
+from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, is_heard, run
 from car_interface.srv import SetSonarSequence, SetSonarSequenceResponse, SetSonarWait, SetSonarWaitResponse
 from car_interface.teensy import protocol
 from car_interface.teensy.framing import CORRECTED, RESYNC_FILLER, SHIPPED, FrameDecoder, encode
@@ -52,7 +53,7 @@ from car_interface.teensy.pinging import AUTO, Pinger
 
 QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
-LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So many at once are a flood, or were kept waiting
+LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So much at once that is no frames is a flood
 SHORTEST_REST_NS = NS_PER_S // 250
 MOST_COUNTERS = 64  # the firmware has 27; noise that passes for a counter must not make them more and more
 COUNTERS_PERIOD_NS = NS_PER_S  # asked more often, the answers starve the Teensy's buffers
@@ -70,8 +71,10 @@ class TeensySensorHub:
         period_s = params.number("ping_period", 1.0, low=0.01, high=3600)
         checksum = params.choice("firmware_checksum", AUTO, (AUTO, SHIPPED, CORRECTED))
         required = params.flag("required", False)
-        self._measurements = MeasurementPublisher(params, inbox, baud)
+        raw_only = params.flag("raw_only", False)
+        settings = read_settings(params, baud)
         params.finish()
+        self._measurements = None if raw_only else MeasurementPublisher(settings, inbox)
         self._port = port
         self._link = SerialLink(port, baud)
         self._health = LinkHealth(baud)
@@ -86,6 +89,7 @@ class TeensySensorHub:
         self._waiting = {}  # timestamp1 → the Futures of the ~ping calls that wait for it
         self._watched_fd = None
         self._rest_until_ns = 0
+        self._corrupt = 0
         self._openings = 0
         self._records_at_expiry = 0
         self._unknown_commands = 0
@@ -94,9 +98,7 @@ class TeensySensorHub:
         self._link_beat = Heartbeat(1, now_ns)
         self._link_status = rospy.Publisher("~link", LinkStatus, queue_size=10, latch=True)
         self._diagnostics = Diagnostics(f"Teensy on {port}", {
-            "Teensy link": self._report, "Teensy clock": self._measurements.report_clock,
-            "Teensy records": self._measurements.report_records,
-            "steering by the wheels": self._measurements.report_steering}, now_ns)
+            "Teensy link": self._report, **(self._measurements.reports if self._measurements else {})}, now_ns)
         self._publish = self._publishers()
         if required:
             self._open()
@@ -119,24 +121,30 @@ class TeensySensorHub:
     def _publishers(self):
         """What to do with each kind of record, and when it was read: first pass it on as it is."""
         pong = rospy.Publisher("teensy_pong", Pong, queue_size=QUEUE_SIZE).publish
-        wheel = rospy.Publisher("teensy_wheel", Wheel, queue_size=QUEUE_SIZE).publish
-        distance = rospy.Publisher("teensy_distance", Distance, queue_size=QUEUE_SIZE).publish
+        wheel = rospy.Publisher("teensy_wheel", Wheel, queue_size=QUEUE_SIZE)
+        distance = rospy.Publisher("teensy_distance", Distance, queue_size=QUEUE_SIZE)
         error = rospy.Publisher("teensy_error", Error, queue_size=QUEUE_SIZE).publish
         measurements = self._measurements
 
         def on_pong(record, received_ns):
             pong(*record)
             self._on_tick(record.timestamp2, received_ns)
-            measurements.pong(record, self._answered(record, received_ns), received_ns)
+            answer = self._answered(record, received_ns)
+            if measurements:
+                measurements.pong(record, answer, received_ns)
 
         def on_wheels(record, received_ns):
-            wheel(OneWheel(*record.left), OneWheel(*record.right))
-            measurements.wheels(record, received_ns)
+            if is_heard(wheel):
+                wheel.publish(OneWheel(*record.left), OneWheel(*record.right))
+            if measurements:
+                measurements.wheels(record, received_ns)
 
         def on_sonar(record, received_ns):
-            distance(*record)
+            if is_heard(distance):
+                distance.publish(*record)
             self._on_tick(record.when, received_ns)
-            measurements.sonar(record, received_ns)
+            if measurements:
+                measurements.sonar(record, received_ns)
 
         def on_counter(record, received_ns):
             error(*record)
@@ -168,7 +176,8 @@ class TeensySensorHub:
         """Do what was asked, read what came, ping when it's time."""
         for handler, item, arrival_ns in self._inbox.take():
             handler(item, arrival_ns)
-        self._read_keys()
+        if self._has_keys:
+            self._read_keys()
         if not self._link.is_open and now_ns >= self._next_try_ns:
             self._try_open()
         if self._link.is_open and now_ns >= self._rest_until_ns:
@@ -250,17 +259,19 @@ class TeensySensorHub:
         if not data:
             return
         self._retry_ns = FIRST_RETRY_NS
+        noise_bytes = self._decoder.tally.noise_bytes
         for body in self._decoder.feed(data):
             record = protocol.decode(body)
             self._publish[type(record)](record, received_ns)
-        corrupt = self._decoder.tally.bad_frames - self._complaints.counts["corrupt"]
+        corrupt = self._decoder.tally.bad_frames - self._corrupt
         if corrupt:
+            self._corrupt += corrupt
             self._complaints.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
-        if len(data) >= LONG_READ:
+        if len(data) >= LONG_READ and 2 * (self._decoder.tally.noise_bytes - noise_bytes) > len(data):
             self._rest(began_ns)
 
     def _rest(self, began_ns):
-        """After much at once leave the port alone for as long as that took: a flood must not take the whole CPU."""
+        """After much noise leave the port alone for as long as that took: a flood must not take the whole CPU."""
         now_ns = time.monotonic_ns()
         self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
         self._watch_port(False)
@@ -418,7 +429,7 @@ class TeensySensorHub:
         self._watches_keys = wanted and self._has_keys
 
     def _read_keys(self):
-        typed = self._keys.read() if self._has_keys else ""
+        typed = self._keys.read()
         self._watch_keys(typed is not None)
         for key in (typed or "").upper():
             if key == "Q":

@@ -30,7 +30,7 @@ from car_interface.msg import SteeringState
 from car_interface.nodes.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.nodes.master import MasterWatch
 from car_interface.nodes.messages import duty_vector
-from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
+from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe_changes
 from car_interface.nodes.permission import read_permission, subscribe_permission
 from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
 from car_interface.steering import LOCKED, SOURCE_NAMES, SteeringArbiter, SteeringConfig
@@ -80,6 +80,7 @@ class TurnArb:
         self._heartbeat = Heartbeat(RATE_HZ, now_ns)
         self._beats = 0
         self._decision = None
+        self._command = self._commanded_duty = None  # the message that goes out, and the duty in it
         self._untold = []  # decisions whose command is out, and whose state and log line are not
         self._tell_ns = 0
         self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
@@ -88,8 +89,8 @@ class TurnArb:
         self._master_trouble = ""
         MasterWatch(lambda trouble: inbox.put(self._on_master, trouble))
         subscribe_permission(inbox, self._arbiter)
-        subscribe("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop)
-        subscribe("av_turnrad_req", Float32, inbox, self._on_planner)
+        subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop)
+        subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner)
 
     def step(self, now_ns):
         """Take what arrived, each with its consequence; then beat if it is time."""
@@ -168,7 +169,10 @@ class TurnArb:
         return status
 
     def _publish_command(self, decision):
-        self._commands.publish(duty_vector(one_channel(self._channel, decision.duty)))
+        if decision.duty != self._commanded_duty:
+            self._commanded_duty = decision.duty
+            self._command = duty_vector(one_channel(self._channel, decision.duty))
+        self._commands.publish(self._command)
 
     def _publish_state(self, decision):
         self._states.publish(SteeringState(

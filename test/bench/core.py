@@ -1,0 +1,64 @@
+"""Decode, encode, lookup: each in a fresh interpreter, by speed.py."""
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Iterator
+
+from .effort import Effort
+from .rows import MEDIAN, P99, Row, Summary, Target
+from .stage import Stage
+
+ROOT = Path(__file__).resolve().parents[2]
+LOOKUPS = {11: (0.55, "0.68"), 100: (0.85, "15.9"), 1000: (2.2, "1054")}  # µs: to reach, and Autoware's C++
+PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")
+
+
+def samples(python: str, *arguments) -> dict:
+    """What speed.py prints."""
+    run = subprocess.run([python, str(ROOT / "test/bench/speed.py"), *map(str, arguments)], check=True,
+                         stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
+    return json.loads(run.stdout)
+
+
+def measure_decode(effort: Effort, stage: Stage) -> Iterator[Row]:
+    """On this Python, and on 3.8 beside it, if there is one."""
+    result = samples(sys.executable, "decode", effort.decode_passes)
+    yield from decode_rows(result, (Target(MEDIAN, low=25, original="3.1"),),
+                           (Target(MEDIAN, high=1.15, original="9.3"), Target(P99)))
+    if sys.version_info[:2] == (3, 8):
+        return
+    if PYTHON38:
+        yield from decode_rows(samples(PYTHON38, "decode", effort.decode_passes), (Target(),), (Target(),))
+    else:
+        yield Row("decode", "decode, Python 3.8: not found", "MB/s", None, (Target(),),
+                  note="CAR_INTERFACE_PYTHON38 names one")
+
+
+def decode_rows(result: dict, rate_targets, cost_targets) -> Iterator[Row]:
+    """Each read of 4 KB is a sample."""
+    name = f"decode, Python {result['python']}"
+    yield Row("decode", f"{name}: 20 MB in 4 KB reads", "MB/s", Summary.of(result["mb_per_s"], True), rate_targets)
+    yield Row("decode", f"{name}: a frame", "µs", Summary.of(result["us_per_frame"]), cost_targets)
+
+
+def measure_encode(effort: Effort, stage: Stage) -> Iterator[Row]:
+    """A ping for the Teensy."""
+    result = samples(sys.executable, "encode", effort.calls)
+    yield Row("encode", "encode: a ping's frame", "µs", Summary.of(result["us"]), (Target(high=4), Target(P99)),
+              note="a sample is the mean of 500 calls")
+
+
+def measure_lookup(effort: Effort, stage: Stage) -> Iterator[Row]:
+    """One by one, and a million at once."""
+    for size, (bound_us, original) in LOOKUPS.items():
+        result = samples(sys.executable, "lookup", effort.calls, size)
+        yield Row("lookup", f"lookup: {size}×{size}", "µs", Summary.of(result["us"]),
+                  (Target(high=bound_us, original=original), Target(P99)), note="a sample is the mean of 500 calls")
+    result = samples(sys.executable, "bulk", effort.bulk_passes, 100)
+    yield Row("lookup", "lookup in bulk: of 10⁶ at 100×100, each", "ns",
+              Summary.of(result["ns"]) if result["ns"] else None, (Target(high=60),),
+              note="" if result["ns"] else "ValueMap has no values_at(accelerations, velocities)")

@@ -1,0 +1,28 @@
+"""How long to measure."""
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Effort(NamedTuple):
+    """Numbers of trials, and seconds."""
+
+    reactions: int
+    chip_reactions: int
+    heartbeat_s: float
+    decode_passes: int
+    calls: int  # of encode, and of a lookup
+    bulk_passes: int
+    frames: int  # one by one
+    line_s: float
+    bus_commands: int
+    starts: int
+    memory_s: float
+    drive_s: float
+    cars: tuple[int, ...]
+
+
+FULL = Effort(reactions=300, chip_reactions=300, heartbeat_s=60, decode_passes=5, calls=300_000, bulk_passes=10,
+              frames=1000, line_s=20, bus_commands=100, starts=10, memory_s=15, drive_s=25, cars=(1, 2, 4))
+QUICK = Effort(reactions=12, chip_reactions=12, heartbeat_s=3, decode_passes=1, calls=50_000, bulk_passes=3,
+               frames=40, line_s=1.0, bus_commands=5, starts=1, memory_s=1, drive_s=2, cars=(1, 2))

@@ -1,0 +1,148 @@
+"""The Teensy's line: from a frame's last byte to a subscriber, and what a full line costs."""
+from __future__ import annotations
+
+import os
+import time
+import tty
+from typing import Iterator, NamedTuple
+
+from car_interface.msg import Wheel
+
+from waiting import NodeProcess
+
+from .actor import SONARS, WHEELS, captured
+from .effort import Effort
+from .rows import MEDIAN, P99, WORST, Row, Summary, Target
+from .stage import CpuMeter, Ear, IdleMeter, Stage
+
+PAUSE_S = (0.004, 0.02)
+UNCOUNTED = 3  # the first ones: of connections in the making
+EVERYTHING = ("/odom", "/tf", "/joint_states", "/teensy_clock", "/teensy_sensor_hub/link", "/diagnostics",
+              *(f"/sonar/{name}" for name in SONARS))
+WARM_UP_S = 0.5
+FACTORS = (1, 10)  # × 115200 baud
+CPU_TARGETS = {(1, "raw"): Target(high=4.9, original="5.4"), (1, "everything"): Target(high=9),
+               (10, "raw"): Target(high=32, original="34.8"), (10, "everything"): Target()}
+
+
+def hub(stage: Stage, port: str) -> NodeProcess:
+    """The node on a port, as its launch file starts it, once it has opened it."""
+    stage.load("/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
+    process = stage.node("teensy_sensor_hub", f"_port:={port}")
+    process.wait_for_info("the Teensy's port is open")
+    return process
+
+
+def measure_serial(effort: Effort, stage: Stage) -> Iterator[Row]:
+    """Captured reports of the wheels, one by one; beside each a node that reads a pty and publishes a ready message."""
+    with Terminals(2) as ports, stage.running(hub(stage, ports.names[0]), stage.actor("pipe", ports.names[1])):
+        ears = [Ear(topic, Wheel).connected() for topic in ("/teensy_wheel", "/bench/wheel")]
+        frames = list(captured(WHEELS))
+        delays_ms: tuple[list[float], list[float]] = ([], [])
+        for index in range(effort.frames + UNCOUNTED):
+            for near, ear, delays in zip(ports.near, ears, delays_ms):
+                time.sleep(stage.random.uniform(*PAUSE_S))
+                sent_ns = time.monotonic_ns()
+                os.write(near, frames[index % len(frames)])
+                delays.append((ear.first(since_ns=sent_ns) - sent_ns) / 1e6)
+                ports.drain()
+        for ear in ears:
+            ear.close()
+    yield Row("serial", "serial: last byte on the pty → subscriber's callback", "ms",
+              Summary.of(delays_ms[0][UNCOUNTED:]),
+              (Target(MEDIAN, high=0.22, original="0.22"), Target(P99, high=0.5, original="0.48"), Target(WORST)),
+              Summary.of(delays_ms[1][UNCOUNTED:]), note="bare rospy: reads a pty, publishes a ready-made message")
+
+
+class Terminals:
+    """Pseudo-terminals: what is written to the near end of one comes out of the port that its name leads to."""
+
+    def __init__(self, count: int):
+        self._pairs = [os.openpty() for _ in range(count)]
+        self.near = [near for near, _ in self._pairs]
+        self.names = [os.ttyname(far) for _, far in self._pairs]
+        for near, far in self._pairs:
+            tty.setraw(far)
+            os.set_blocking(near, False)
+
+    def __enter__(self) -> Terminals:
+        return self
+
+    def __exit__(self, *_) -> None:
+        for fd in (fd for pair in self._pairs for fd in pair):
+            os.close(fd)
+
+    def drain(self) -> None:
+        """Drop what was written to the ports: pings."""
+        for fd in self.near:
+            try:
+                os.read(fd, 4096)
+            except BlockingIOError:
+                pass
+
+
+class Load(NamedTuple):
+    """What a line made of a node for a while."""
+
+    cpu_percent: float
+    lost: int  # frames that didn't reach their subscriber
+    lost_on_line: int  # bytes of the line that the port's reader was too slow for
+    sent_per_s: float  # frames
+    idle_percent: float  # of the machine
+
+    def __str__(self) -> str:
+        return (f"{self.sent_per_s:.0f} frames a second were sent, {self.lost_on_line} bytes found the port full; "
+                f"{self.idle_percent:.0f} % of the machine were idle")
+
+
+def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
+    """The reports of wheels and sonars in the capture, over and over: 368 a second at 115200 baud, and ten times.
+
+    By turns: bare rospy, the hub with subscribers of the raw topics only, and with subscribers of everything. The
+    subscribers are a process of their own, and so is the line; neither is counted.
+    """
+    loads = {kind: dict(zip(FACTORS, load(effort, stage, kind))) for kind in ("floor", "raw", "everything")}
+    for factor in FACTORS:
+        rate = "full line" if factor == 1 else f"{factor} × the line rate"
+        floor = loads["floor"][factor]
+        for kind, what in (("raw", "raw topics"), ("everything", "everything on")):
+            measured = loads[kind][factor]
+            void = f"{measured.lost} frames were lost" if measured.lost else ""
+            yield Row("line", f"{rate}: CPU of the hub, {what}", "% of core", Summary.of([measured.cpu_percent]),
+                      (CPU_TARGETS[factor, kind],), Summary.of([floor.cpu_percent]), str(measured), void=void)
+            yield Row("line", f"{rate}: frames lost, {what}", "frames", Summary.of([measured.lost]),
+                      (Target(high=0, original="it loses" if factor > 1 else ""),), Summary.of([floor.lost]))
+
+
+def load(effort: Effort, stage: Stage, kind: str) -> Iterator[Load]:
+    """One node on a line of each speed."""
+    port = stage.path(f"line_{kind}")
+    topics = {"raw": (), "everything": EVERYTHING,
+              "floor": ("teensy_wheel:=/bench/wheel", "teensy_distance:=/bench/distance")}[kind]
+    line, count = stage.actors(("line", port), ("count", *topics))
+    with stage.running(line, count, stage.actor("pipe", port) if kind == "floor" else hub(stage, port)) as (*_, node):
+        count.tell("connected")
+        count.wait_for_info("^connected")
+        for factor in FACTORS:
+            yield load_of(effort, node, line, count, factor)
+
+
+def load_of(effort: Effort, node: NodeProcess, line: NodeProcess, count: NodeProcess, factor: int) -> Load:
+    """What a line of one speed makes of a node."""
+    sent_mark, counted_mark = line.stdout.mark(), count.stdout.mark()
+    begun_s = time.monotonic()
+    line.tell(f"go {factor}")
+    time.sleep(WARM_UP_S)
+    meter, idle = CpuMeter(node.pid), IdleMeter()
+    time.sleep(effort.line_s)
+    used, idled = meter.percent(), idle.percent()
+    line.tell("stop")
+    lasted_s = time.monotonic() - begun_s
+    frames, lost_bytes = _numbers(line.stdout.wait_for(lambda text: text.startswith("sent"), sent_mark).what)
+    count.tell("report")
+    counted, = _numbers(count.stdout.wait_for(lambda text: text.startswith("counted"), counted_mark).what)
+    return Load(used, frames - counted, lost_bytes, frames / lasted_s, idled)
+
+
+def _numbers(text):
+    return [int(word) for word in text.split()[1:]]

@@ -1,0 +1,102 @@
+"""The benchmark's arithmetic, table and JSON (test/bench has the measurements; nothing is timed here)."""
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+rows = importlib.import_module("bench.rows")
+Row, Summary, Target = rows.Row, rows.Summary, rows.Target
+
+
+SHOWN = (Target(),)
+
+
+def row(values=(1.0,), targets=SHOWN, **others):
+    return Row("group", "thing", "ms", Summary.of(values), targets, **others)
+
+
+def test_summary_is_by_nearest_rank():
+    assert Summary.of(range(1, 101)) == Summary(100, 50, 99, 100)
+    assert Summary.of([3.0]) == Summary(1, 3.0, 3.0, 3.0)
+
+
+def test_summary_of_unsorted_values_sorts_them():
+    assert Summary.of([9, 1, 5]) == Summary(3, 5, 9, 9)
+
+
+def test_summary_of_few_values_has_their_worst_as_p99():
+    assert Summary.of([1, 2, 3, 40]).p99 == 40
+
+
+def test_summary_where_more_is_better_has_its_bad_end_below():
+    assert Summary.of(range(1, 101), more_is_better=True) == Summary(100, 51, 2, 1)
+
+
+@pytest.mark.parametrize("target, value, met, ratio", [
+    (Target(high=2.0), 2.0, True, 1.0),
+    (Target(high=2.0), 2.1, False, 1.05),
+    (Target(low=25.0), 24.9, False, 0.996),
+    (Target(low=25.0), 50.0, True, 2.0),
+    (Target(low=99.95, high=100.05), 99.9, False, 0.999),
+    (Target(low=99.95, high=100.05), 100.06, False, 1.0006),
+    (Target(high=0.0), 0.0, True, None),
+    (Target(high=0.0), 1.0, False, None),
+], ids=str)
+def test_target_judges_its_bounds(target, value, met, ratio):
+    assert target.met_by(value) is met
+    assert target.ratio(value) == (None if ratio is None else pytest.approx(ratio))
+
+
+def test_row_judges_each_statistic_by_itself():
+    measured = row([1.0] * 98 + [5.0, 9.0], (Target("median", high=2.0), Target("p99", high=4.0), Target("max")))
+    assert measured.missed == ("p99",)
+    assert [cells[6] for cells in measured.lines()] == ["yes", "**no**", ""]
+
+
+def test_row_that_is_void_meets_nothing_however_good():
+    measured = row([0.1], (Target(high=2.0),), void="frames were lost")
+    assert measured.missed == ("median",)
+    assert measured.as_json()["targets"][0]["met"] is False
+
+
+def test_row_that_was_not_measured_meets_nothing():
+    missing = Row("group", "thing", "ms", None, (Target(high=2.0),), note="there is none")
+    assert missing.missed == ("median",)
+    assert "not measured" in missing.lines()[0]
+    assert missing.as_json()["samples"] == 0
+
+
+def test_row_shows_ratios_to_target_and_to_bare_rospy():
+    (cells,) = row([0.9], (Target(high=2.0, original="15.5"),), floor=Summary.of([0.6])).lines()
+    assert cells == ("thing", "1", "0.900", "ms", "≤ 2", "0.45", "yes", "0.600", "1.50", "15.5")
+
+
+@pytest.mark.parametrize("value, digits, text", [
+    (0, 3, "0"), (68, 3, "68"), (0.4563, 3, "0.456"), (23.94, 3, "23.9"), (123.4, 3, "123"), (99.9478, 6, "99.9478"),
+    (0.00123, 3, "0.00123"), (-1.5, 3, "-1.50")])
+def test_number_keeps_the_digits_that_count(value, digits, text):
+    assert rows.number(value, digits) == text
+
+
+def test_table_is_markdown_with_a_cell_for_each_column():
+    lines = [*rows.head().splitlines(), *rows.table(row().lines()).splitlines()]
+    assert {line.count("|") for line in lines} == {len(rows.COLUMNS) + 1}
+
+
+def test_json_has_samples_and_statistics_of_both():
+    record = json.loads(json.dumps(row([1.0, 2.0, 3.0], (Target(high=4.0),), floor=Summary.of([1.0])).as_json()))
+    assert [record[key] for key in ("samples", "median", "p99", "max")] == [3, 2.0, 3.0, 3.0]
+    assert record["bare_rospy"] == {"samples": 1, "median": 1.0, "p99": 1.0, "max": 1.0}
+    assert record["targets"] == [{"statistic": "median", "low": None, "high": 4.0, "ratio": 0.5, "met": True,
+                                  "ratio_to_bare_rospy": 2.0, "original": ""}]
+
+
+def test_verdict_counts_bounds_and_names_what_is_missed():
+    good, bad = row([1.0], (Target(high=2.0), Target("max"))), row([3.0], (Target(high=2.0),))
+    assert rows.verdict([good, bad]) == "1 of 2 targets met; missed: thing (median)"
+    assert rows.verdict([good]) == "1 of 1 targets met"
