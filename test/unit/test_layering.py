@@ -12,11 +12,13 @@ SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
 FOUNDATION = {"errors", "freshness", "interpolation", "processes", "servo"}
 # A room is a folder, or the modules named here, or else a single module.
-ROOM_OF = {"value_map": "acceleration", "conversion": "acceleration", "throttle": "acceleration"}
+ROOM_OF = {"value_map": "acceleration", "value_map_bulk": "acceleration", "conversion": "acceleration", "throttle": "acceleration"}
 # Between parts there is nothing but this: what drives the ESC reads who steers out of turn_arb's state, and it asks for
 # permission by the same rules as the steering.
 BETWEEN_PARTS = {("acceleration", "steering"), ("acceleration", "permission"), ("steering", "permission")}
 # Devices and ROS are for nodes; numpy is imported where whole arrays are worked on, never with a module.
+LINK = "teensy/link.py"
+FOR_ARRAYS = ("value_map_bulk.py",)
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
 ONLY_IN = {"rospy": ("nodes/",), "rosbags": ("bags/",), "serial": ("teensy/link.py",),
            "smbus2": ("nodes/pca9685.py", "nodes/doctor_devices.py")}
@@ -30,7 +32,7 @@ def pure_modules() -> list[str]:
     names = []
     for path in modules():
         inside = path.relative_to(PACKAGE)
-        if inside.parts[0] not in ("nodes", "bags") and inside.as_posix() != "teensy/link.py":
+        if inside.parts[0] not in ("nodes", "bags") and inside.as_posix() not in (LINK, *FOR_ARRAYS):
             names.append(".".join(path.relative_to(SRC).with_suffix("").parts).replace(".__init__", ""))
     return names
 
