@@ -12,7 +12,7 @@ SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
 FOUNDATION = {"errors", "freshness", "interpolation", "processes", "servo"}
 # A room is a folder, or the modules named here, or else a single module.
-ROOM_OF = {"value_map": "acceleration", "value_map_bulk": "acceleration", "conversion": "acceleration", "throttle": "acceleration"}
+ROOM_OF = dict.fromkeys(("value_map", "value_map_bulk", "conversion", "throttle"), "acceleration")
 # Between parts there is nothing but this: what drives the ESC reads who steers out of turn_arb's state, and it asks for
 # permission by the same rules as the steering.
 BETWEEN_PARTS = {("acceleration", "steering"), ("acceleration", "permission"), ("steering", "permission")}
