@@ -1,4 +1,5 @@
 """The errors of this package, each of which ends as one line that a car's owner can act on."""
+from __future__ import annotations
 
 
 class CarInterfaceError(Exception):
@@ -22,6 +23,11 @@ class ConfigError(CarInterfaceError, ValueError):
         if found is None:
             found = "is missing" if value is None else f"is {_shorten(value)}"
         super().__init__(f"{name} {found}; accepted: {accepted}")
+        self._found = found
+
+    def within(self, place: str) -> ConfigError:
+        """The same error, its name behind the place where it was found, e.g. a file."""
+        return ConfigError(f"{place}, {self.name}", self.value, self.accepted, self._found)
 
 
 class ProtocolError(CarInterfaceError, ValueError):

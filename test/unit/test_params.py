@@ -6,7 +6,7 @@ import math
 import pytest
 
 from car_interface.errors import CarInterfaceError, ConfigError, DeviceError, ProtocolError
-from car_interface.nodes.params import Params
+from car_interface.params import Params
 
 
 def read(reader, value, *args, **kwargs):

@@ -1,8 +1,8 @@
 """A node's parameters, read once at start and checked on the way.
 
-Plain values in, plain values out; ``node.run`` fetches them from the parameter server. Each reader names the parameter,
-its value and what's accepted when it raises, and ``finish`` refuses names that nobody asked for: a typing error in a
-YAML file must not pass for a default.
+Plain values in, plain values out; ``node.run`` fetches them from the parameter server, a tool from a YAML file. Each
+reader names the parameter, its value and what's accepted when it raises, and ``finish`` refuses names that nobody asked
+for: a typing error in a YAML file must not pass for a default.
 
 They came by YAML or XML: ``10`` is fine for a float, a float without a fraction for an integer, and ``1e-3`` and
 ``0x40`` arrive as strings. True is no number.

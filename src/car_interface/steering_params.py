@@ -1,0 +1,65 @@
+"""A car's steering calibration from parameters: those of turn_arb, or those in a YAML file that turn_arb would load."""
+from __future__ import annotations
+
+from typing import Any
+
+from car_interface.errors import ConfigError
+from car_interface.params import Params
+from car_interface.permission import read_permission
+from car_interface.servo import CHANNELS, MAX_DUTY
+from car_interface.steering import SteeringArbiter, SteeringConfig
+from car_interface.tuning import read_tuning
+
+FASTEST_SLEW = 1e9  # duty per second: from end to end within a heartbeat, many times over
+
+
+def read_config(params) -> SteeringConfig:
+    """The node's configuration from its parameters."""
+    timeout_s = params.timeout("input_timeout", 0.5)
+    config = SteeringConfig(
+        servo_left=params.integer("servo_left", low=0, high=MAX_DUTY, outward=True),
+        servo_center=params.integer("servo_center", low=0, high=MAX_DUTY, outward=True),
+        servo_right=params.integer("servo_right", low=0, high=MAX_DUTY, outward=True),
+        servo_channel=params.integer("servo_channel", low=0, high=CHANNELS - 1, outward=True),
+        radius_axis_m=params.numbers("m_turnrad_axis_servo", outward=True),
+        left_duties=params.numbers("k_pwmcmd_left_table_servo", low=0, high=MAX_DUTY, outward=True),
+        right_duties=params.numbers("k_pwmcmd_right_table_servo", low=0, high=MAX_DUTY, outward=True),
+        tele_steer_neutral=params.number("tele_steer_neutral", 0.0, low=-1, high=1),
+        tele_steer_deadband=params.number("tele_steer_deadband", 0.001, low=0, high=1),
+        slew_limit=params.number("slew_limit", 0.0, low=0, high=FASTEST_SLEW),
+        permission=read_permission(params, timeout_s),
+        teleop_timeout_s=params.timeout("teleop_timeout", timeout_s),
+        planner_timeout_s=params.timeout("planner_timeout", timeout_s),
+    )
+    params.finish()
+    return config
+
+
+def load_steering(path: str) -> SteeringConfig:
+    """turn_arb's configuration from a YAML file, by the rules by which the node itself accepts or refuses it.
+
+    Raises:
+        ConfigError: naming the file, the parameter and what is wrong with it.
+    """
+    params = Params(_load_yaml(path))
+    try:
+        read_tuning(params, 0)  # the node's, beside the calibration
+        config = read_config(params)
+        SteeringArbiter(config)  # its tables are checked when it's made
+    except ConfigError as error:
+        raise error.within(path) from error
+    return config
+
+
+def _load_yaml(path) -> dict[str, Any]:
+    import yaml  # for tools: a node gets its parameters from ROS
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            values = yaml.safe_load(file)
+    except OSError as error:
+        raise ConfigError(path, path, "a file that can be read", f"can't be read ({error.strerror})") from error
+    except (UnicodeDecodeError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(path, None, "parameters in YAML", f"is no YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(values, dict):
+        raise ConfigError(path, values, "YAML lines of a parameter's name, a colon and its value")
+    return values
