@@ -1,18 +1,43 @@
-"""Tells catkin which Python packages to install; catkin runs it, nobody else should."""
-from catkin_pkg.python_setup import generate_distutils_setup
+"""Says what there is to install: to catkin, and to pip for a laptop without ROS (pip install '.[tools]').
+
+What both need to know of the package stands in package.xml.
+"""
+from pathlib import Path
+from xml.etree import ElementTree
+
 from setuptools import setup
 
+HERE = Path(__file__).resolve().parent
+PACKAGE = ElementTree.parse(str(HERE / "package.xml")).getroot()
+
+
+def files(folder, pattern):
+    """A folder's files for pip to put where bags/package_files.py looks for them; catkin installs them by itself."""
+    names = sorted(path.relative_to(HERE).as_posix() for path in (HERE / folder).glob(pattern))
+    return f"share/car_interface/{folder}", names
+
+
 setup(
-    **generate_distutils_setup(
-        packages=[
-            "car_interface",
-            "car_interface.bags",
-            "car_interface.doctor",
-            "car_interface.nodes",
-            "car_interface.pca9685",
-            "car_interface.sim",
-            "car_interface.teensy",
-        ],
-        package_dir={"": "src"},
-    )
+    name=PACKAGE.findtext("name"),
+    version=PACKAGE.findtext("version"),
+    description=" ".join(PACKAGE.findtext("description").split()),
+    author=PACKAGE.findtext("author"),
+    maintainer=PACKAGE.findtext("maintainer"),
+    maintainer_email=PACKAGE.find("maintainer").get("email"),
+    license=PACKAGE.findtext("license"),
+    python_requires=">=3.8",
+    packages=[
+        "car_interface",
+        "car_interface.bags",
+        "car_interface.calibration",
+        "car_interface.doctor",
+        "car_interface.nodes",
+        "car_interface.pca9685",
+        "car_interface.sim",
+        "car_interface.teensy",
+    ],
+    package_dir={"": "src"},
+    data_files=[files("msg", "*.msg"), files("config", "*.yaml"), files("config", "*.csv")],
+    extras_require={"tools": ["matplotlib", "numpy", "PyYAML", "rosbags>=0.9.23", "scipy", "tqdm"]},
+    entry_points={"console_scripts": ["car-interface = car_interface.bags.command_line:main"]},
 )

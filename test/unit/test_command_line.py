@@ -1,0 +1,222 @@
+"""The commands on a laptop without ROS: what they are called, what they say, how they end; and what pip installs."""
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from car_interface.bags import command_line, jobs
+from car_interface.bags.command_line import MODULES, main
+from car_interface.bags.package_files import package_file
+from car_interface.errors import CarInterfaceError
+
+ROOT = Path(__file__).resolve().parents[2]
+TABLE = ROOT / "config" / "turn_arb.yaml"
+
+
+@pytest.fixture
+def command(monkeypatch):
+    """A command ``try`` that does what the test says."""
+    module = types.ModuleType("tried")
+    module.__doc__ = "Tries it.\n\nMore about that."
+    module.add_arguments = lambda parser: parser.add_argument("--number", type=int, default=0)
+    module.run = lambda options: options.number
+    monkeypatch.setitem(sys.modules, "tried", module)
+    monkeypatch.setattr(command_line, "MODULES", {"try": "tried"})
+    return module
+
+
+def raising(error):
+    def run(options):
+        raise error
+    return run
+
+
+@pytest.mark.parametrize("name, arguments", [(None, ["try", "--number", "3"]), ("try", ["--number", "3"])],
+                         ids=["car-interface_try", "rosrun_try"])
+def test_command_runs_either_way_and_its_exit_code_is_passed_on(command, name, arguments):
+    assert main(name, arguments) == 3
+
+
+@pytest.mark.parametrize("error, words", [
+    pytest.param(CarInterfaceError("no such bag"), "no such bag", id="refused"),
+    pytest.param(OSError(28, "No space left on device", "/out.html"), "/out.html: No space left", id="disk_full"),
+    pytest.param(ModuleNotFoundError("no", name="rosbags.highlevel"), "this needs rosbags, which isn't installed",
+                 id="library_missing"),
+    pytest.param(ModuleNotFoundError("no", name="yaml"), "this needs PyYAML", id="library_of_another_name"),
+])
+def test_what_goes_wrong_ends_as_one_line_and_1(command, error, words, capsys):
+    command.run = raising(error)
+    assert main("try", []) == 1
+    shown = capsys.readouterr()
+    assert shown.out == "" and shown.err.startswith("try: ") and words in shown.err and shown.err.count("\n") == 1
+
+
+def test_fault_of_our_own_is_not_hidden(command):
+    command.run = raising(ModuleNotFoundError("no", name="car_interface.typo"))
+    with pytest.raises(ModuleNotFoundError):
+        main("try", [])
+
+
+def test_ctrl_c_ends_without_a_word(command, capsys):
+    command.run = raising(KeyboardInterrupt())
+    assert main("try", []) == 130
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("arguments", [[], ["unknown"], ["try", "--unknown"], ["try", "--number", "x"]])
+def test_what_is_not_understood_is_2(command, arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(None, arguments)
+    assert caught.value.code == 2 and "usage: car-interface" in capsys.readouterr().err
+
+
+def test_help_has_a_line_for_each_command_and_all_of_one(command, capsys):
+    for arguments, words in ((["--help"], "Tries it."), (["try", "--help"], "More about that.")):
+        with pytest.raises(SystemExit) as caught:
+            main(None, arguments)
+        assert caught.value.code == 0 and words in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_each_command_keeps_the_contract(name):
+    module = importlib.import_module(MODULES[name])
+    parser = argparse.ArgumentParser()
+    module.add_arguments(parser)
+    assert callable(module.run) and module.__doc__.strip().split("\n")[0].endswith((".", "?"))
+    assert all(action.help for action in parser._actions), "an option without a help"
+
+
+def test_output_that_nobody_reads_any_more_is_no_fault():
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run([sys.executable, "-B", "-m", "car_interface.bags.command_line", "check_map", str(TABLE)],
+                              env={"PYTHONPATH": path_for_children()}, stdout=write, stderr=subprocess.PIPE, text=True,
+                              check=False)
+    finally:
+        os.close(write)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+def path_for_children():
+    return os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_rosrun_finds_a_script(name):
+    assert name in {path.name for path in (ROOT / "scripts").iterdir()}
+
+
+# --- several recordings at once ---
+
+
+def squared(number):
+    return number * number
+
+
+def refusing(number):
+    raise CarInterfaceError(f"{number} is refused")
+
+
+def dying(number):
+    os._exit(9)
+
+
+@pytest.mark.parametrize("count", [1, 3, 20])
+def test_work_in_processes_comes_back_in_order(count):
+    assert list(jobs.for_each(squared, list(range(7)), count)) == [0, 1, 4, 9, 16, 25, 36]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_error_of_this_package_comes_back_as_it_is(count):
+    with pytest.raises(CarInterfaceError, match="1 is refused"):
+        list(jobs.for_each(refusing, [1, 2], count))
+
+
+def test_process_that_was_killed_is_told():
+    with pytest.raises(CarInterfaceError, match="was killed, maybe for want of memory: try again with --jobs 1"):
+        list(jobs.for_each(dying, [1, 2], 2))
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "x", ""])
+def test_number_of_jobs_must_be_one(text, capsys):
+    parser = argparse.ArgumentParser()
+    jobs.add_jobs_argument(parser)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--jobs", text])
+    assert "no number of at least 1" in capsys.readouterr().err
+
+
+# --- what is installed ---
+
+
+def test_files_of_the_package_are_found_in_the_checkout():
+    assert package_file("msg") == ROOT / "msg" and package_file("config/turn_arb.yaml") == TABLE
+    with pytest.raises(CarInterfaceError, match="no_such_file of car_interface is missing"):
+        package_file("no_such_file")
+
+
+@pytest.mark.parametrize("modules", ["lib/python3/dist-packages", "lib/python3.11/site-packages", "."],
+                         ids=["catkin_install", "venv", "pip_target"])
+def test_files_of_the_package_are_found_where_it_is_installed(modules, tmp_path):
+    for name in ("__init__.py", "errors.py", "bags/__init__.py", "bags/package_files.py"):
+        target = tmp_path / modules / "car_interface" / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(str(ROOT / "src/car_interface" / name), str(target))
+    shutil.copytree(str(ROOT / "msg"), str(tmp_path / "share/car_interface/msg"))
+    code = "from car_interface.bags.package_files import package_file; print(package_file('msg'))"
+    done = subprocess.run([sys.executable, "-B", "-c", code], env={"PYTHONPATH": str(tmp_path / modules)},
+                          capture_output=True, text=True, check=False)
+    assert (done.stdout.strip(), done.stderr) == (str(tmp_path.resolve() / "share/car_interface/msg"), "")
+
+
+def setup_arguments():
+    """What setup.py hands to setup(), as catkin and pip see it."""
+    found = {}
+    setuptools = types.ModuleType("setuptools")
+    setuptools.setup = lambda **arguments: found.update(arguments)
+    before = sys.modules.get("setuptools")
+    sys.modules["setuptools"] = setuptools
+    try:
+        source = (ROOT / "setup.py").read_text(encoding="utf-8")
+        exec(compile(source, str(ROOT / "setup.py"), "exec"), {"__file__": str(ROOT / "setup.py"), "__name__": "setup"})
+    finally:
+        if before is None:
+            del sys.modules["setuptools"]
+        else:
+            sys.modules["setuptools"] = before
+    return found
+
+
+def test_setup_takes_name_and_version_from_package_xml_and_needs_no_catkin():
+    found = setup_arguments()
+    assert found["name"] == "car_interface" and found["version"].count(".") == 2
+    assert found["package_dir"] == {"": "src"}
+    imported = {name.name for node in ast.walk(ast.parse((ROOT / "setup.py").read_text(encoding="utf-8")))
+                if isinstance(node, ast.Import) for name in node.names}
+    assert "catkin_pkg" not in imported
+
+
+def test_setup_ships_every_message_definition_and_the_stock_configuration():
+    shipped = {name for _, names in setup_arguments()["data_files"] for name in names}
+    wanted = {path.relative_to(ROOT).as_posix() for pattern in ("msg/*.msg", "config/*.yaml", "config/*.csv")
+              for path in ROOT.glob(pattern)}
+    assert shipped == wanted
+    assert {folder for folder, _ in setup_arguments()["data_files"]} == {"share/car_interface/msg",
+                                                                         "share/car_interface/config"}
+
+
+def test_setup_makes_the_command_and_names_what_it_needs():
+    found = setup_arguments()
+    assert found["entry_points"] == {"console_scripts": ["car-interface = car_interface.bags.command_line:main"]}
+    libraries = {"matplotlib", "numpy", "PyYAML", "rosbags", "scipy", "tqdm"}
+    assert {need.split(">")[0] for need in found["extras_require"]["tools"]} == libraries
