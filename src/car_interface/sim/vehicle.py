@@ -5,7 +5,8 @@ curves are the truth that calibration tables only approximate: they are near the
 purpose not equal to them.
 
 REP-103 throughout: metres, radians, seconds, x forward, y left, left turns positive. The pose is that of the middle of
-the rear axle. Nothing slips and nothing collides.
+the rear axle. Nothing slips and nothing collides. On request there is play in the steering, the ground slopes and the
+battery sags, as with real cars: the default car has none of it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from car_interface.sim.checks import require
 from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, LEFT, RIGHT
 
 NS_PER_S = 1_000_000_000
+GRAVITY_MPS2 = 9.81
 # 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.
 SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192
 ARRIVED_DUTY = 0.01  # a creeping servo never quite arrives; from here on it has
@@ -54,6 +56,8 @@ class SteeringConfig:
         center_duty: where the servo stands at power-up. It steers 1.3e-3 1/m to the right: this car has to be trimmed.
         rate_duty_per_s: the fastest that the servo turns: 60° (2185 duty, 90° being 1 ms) in 0.17 s.
         lag_s: time constant with which it creeps up to a near target.
+        play_duty: how far the servo turns, after it has turned round, before the wheels follow; the curve is that of
+            the middle between both ways to come there.
     """
 
     curve: tuple[tuple[float, float], ...] = (
@@ -67,6 +71,7 @@ class SteeringConfig:
     center_duty: float = 5100.0
     rate_duty_per_s: float = 12850.0
     lag_s: float = 0.015
+    play_duty: float = 0.0
 
     def __post_init__(self):
         duties, curvatures = zip(*self.curve)
@@ -75,6 +80,7 @@ class SteeringConfig:
         require(len(self.curve) > 1 and rising and falling, "steering curve", self.curve, "rising duty, falling 1/m")
         require(self.rate_duty_per_s > 0, "rate_duty_per_s", self.rate_duty_per_s, "more than 0")
         require(self.lag_s > 0, "lag_s", self.lag_s, "more than 0")
+        require(self.play_duty >= 0, "play_duty", self.play_duty, "0 or more")
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,9 @@ class DriveConfig:
         thrust_halves_mps: at this speed the motor has half its thrust.
         drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
             With the defaults full throttle ends at 14 m/s.
+        sag: share of the thrust that is lost while the battery empties, from half of it above the thrust that the other
+            attributes state to half of it below. Brakes don't need the battery.
+        sag_over_s: how long that takes; the thrust stays as it is after that.
     """
 
     full_reverse_duty: float = 3277.0
@@ -103,6 +112,8 @@ class DriveConfig:
     drag_mps2: float = 0.35
     drag_per_s: float = 0.08
     drag_per_m: float = 0.004
+    sag: float = 0.0
+    sag_over_s: float = 300.0
 
     def __post_init__(self):
         low, high = self.neutral_duty - self.neutral_band_duty, self.neutral_duty + self.neutral_band_duty
@@ -111,6 +122,12 @@ class DriveConfig:
             "neutral_duty", self.neutral_duty, "with its band between full reverse and full forward",
         )  # fmt: skip
         require(self.thrust_halves_mps > 0, "thrust_halves_mps", self.thrust_halves_mps, "more than 0")
+        require(0 <= self.sag < 1, "sag", self.sag, "0 to less than 1")
+        require(self.sag_over_s > 0, "sag_over_s", self.sag_over_s, "more than 0")
+
+    def thrust(self, elapsed_s: float) -> float:
+        """The share of the stated thrust that the battery gives so long after the start."""
+        return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
 
 
 @dataclass(frozen=True)
@@ -123,6 +140,8 @@ class VehicleConfig:
         wheel_diameter_m, pulses_per_revolution: one pulse each 14.9 mm.
         pulse_phase: how far each rear wheel (left, right) stands beyond a magnet at the start, in pulses.
         start: the pose at the start.
+        slope: of the ground, all of which is one plane: metres up for each metre, 0.02 is 2 %.
+        uphill_rad: the heading in which it rises.
     """
 
     steering: SteeringConfig = SteeringConfig()
@@ -133,6 +152,8 @@ class VehicleConfig:
     pulses_per_revolution: int = 20
     pulse_phase: tuple[float, float] = (0.25, 0.75)
     start: Pose = ORIGIN
+    slope: float = 0.0
+    uphill_rad: float = 0.0
 
     def __post_init__(self):
         require(self.wheelbase_m > 0, "wheelbase_m", self.wheelbase_m, "more than 0")
@@ -172,6 +193,10 @@ class Vehicle:
         self.acceleration_mps2 = 0.0
         self.travel_m = 0.0
         self.servo_duty = config.steering.center_duty
+        self._start_ns = start_ns
+        self._linkage_duty = self.servo_duty  # where the wheels are, in the servo's duty without play
+        self._half_play_duty = config.steering.play_duty / 2
+        self._slope_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))  # when it looks uphill
         self._duties, self._curvatures = (tuple(column) for column in zip(*config.steering.curve))
         self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
         self._half_track_m = config.track_m / 2
@@ -232,13 +257,21 @@ class Vehicle:
             wanted = error * -math.expm1(-dt_s / steering.lag_s)
             self.servo_duty += max(-farthest, min(farthest, wanted))
         before_per_m = self.curvature_per_m
-        self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
+        half_play = self._half_play_duty
+        self._linkage_duty = max(self.servo_duty - half_play, min(self.servo_duty + half_play, self._linkage_duty))
+        self.curvature_per_m = self.true_curvature_per_m(self._linkage_duty)
         return (before_per_m + self.curvature_per_m) / 2
 
     def _accelerate(self, dt_s: float, esc_duty: int) -> tuple[float, float, float]:
         """Returns (speed after the step, way in it, seconds of it that the car moved)."""
         before_mps = self.speed_mps
-        acceleration_mps2 = true_acceleration_mps2(esc_duty, before_mps, self.config.drive)
+        drive = self.config.drive
+        thrust, downhill_mps2 = 1.0, 0.0
+        if drive.sag:
+            thrust = drive.thrust((self.time_ns - self._start_ns) / NS_PER_S)
+        if self._slope_mps2:
+            downhill_mps2 = self._slope_mps2 * math.cos(self.pose.yaw_rad - self.config.uphill_rad)
+        acceleration_mps2 = true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
         after_mps = before_mps + acceleration_mps2 * dt_s
         moving_s = dt_s
         if before_mps * after_mps < 0.0:
@@ -312,11 +345,20 @@ def throttle(duty: int, drive: DriveConfig) -> float | None:
     return max(-1.0, (beyond + drive.neutral_band_duty) / (full - drive.neutral_band_duty))
 
 
-def true_acceleration_mps2(esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig()) -> float:
+def true_acceleration_mps2(
+    esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
+) -> float:
     """The car's acceleration: what a value map for this car should say, and says only nearly.
 
-    Duty against the way the car rolls brakes. At standstill reverse drives backward (no double tap), and a thrust
+    Duty against the way the car rolls brakes. At standstill reverse drives backward (no double tap), and a push
     below the static drag moves nothing.
+
+    Args:
+        esc_duty: of the ESC's channel.
+        speed_mps: backward negative.
+        drive: the car's drive train.
+        thrust: the share of its thrust that the battery gives.
+        downhill_mps2: what the ground adds, forward positive; 0 on the level.
     """
     command = throttle(esc_duty, drive) or 0.0
     speed = abs(speed_mps)
@@ -325,7 +367,8 @@ def true_acceleration_mps2(esc_duty: int, speed_mps: float, drive: DriveConfig =
         push_mps2 = command * drive.brake_mps2
     else:
         full_mps2 = drive.forward_mps2 if command > 0.0 else drive.reverse_mps2
-        push_mps2 = command * full_mps2 / (1.0 + speed / drive.thrust_halves_mps)
+        push_mps2 = command * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
+    push_mps2 += downhill_mps2
     if speed_mps:
         return push_mps2 - math.copysign(drag_mps2, speed_mps)
     if abs(push_mps2) <= drag_mps2:

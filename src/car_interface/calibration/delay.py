@@ -1,0 +1,108 @@
+"""How long an effect takes to follow its cause: a delay, and a lag with which it creeps up to where it's going.
+
+Consumes two sampled signals: a cause that holds its value until the next sample, as commands do, and an effect that
+depends on it by a curve that nobody knows. No model of that curve is needed: the right delay and lag are those with
+which moments of the same (delayed, lagged) cause have the same effect, whatever it is. Pure numpy.
+"""
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+STEP_S = 0.02  # of the scale on which delays are tried
+BINS = 60
+COARSE_S, FINE_S = 0.04, 0.01
+LEAST_SAMPLES = 200
+
+
+class Delay(NamedTuple):
+    """How an effect follows.
+
+    Attributes:
+        delay_s: nothing happens for so long.
+        lag_s: after so much more 63 % of a change are done.
+        explained: the share of the effect's variance that the cause explains with these.
+    """
+
+    delay_s: float
+    lag_s: float
+    explained: float
+
+    @property
+    def settled_s(self) -> float:
+        """After so long 95 % of a change are done."""
+        return self.delay_s + 3 * self.lag_s
+
+
+def held(t_s: np.ndarray, value: np.ndarray, at_s: np.ndarray) -> np.ndarray:
+    """A signal's value at moments, each sample holding until the next; the first one's before it."""
+    return value[np.maximum(np.searchsorted(t_s, at_s, side="right") - 1, 0)]
+
+
+def lagged(value: np.ndarray, step_s: float, lag_s: float) -> np.ndarray:
+    """An evenly sampled signal as it comes out of a first-order lag."""
+    if lag_s < step_s / 10:
+        return np.asarray(value, float)
+    keep = np.exp(-step_s / lag_s)
+    out, now = np.empty(len(value)), float(value[0])
+    for index, wanted in enumerate(value.tolist()):
+        now = wanted + (now - wanted) * keep
+        out[index] = now
+    return out
+
+
+def estimate(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effect: np.ndarray, weight: np.ndarray,
+             longest_delay_s: float = 0.4, longest_lag_s: float = 0.4) -> Delay | None:
+    """Find delay and lag.
+
+    Args:
+        cause_s, cause: held until the next sample.
+        effect_s, effect: samples at rising times, as noisy as they are; gaps don't matter.
+        weight: of each sample of the effect; 0 = don't look.
+        longest_delay_s, longest_lag_s: what is tried.
+
+    Returns:
+        ``None`` where there are too few samples, or where the cause explains next to nothing.
+    """
+    used = (weight > 0) & np.isfinite(effect) & (effect_s >= cause_s[0]) if len(cause_s) else np.zeros(0, bool)
+    if used.sum() < LEAST_SAMPLES or np.ptp(cause) == 0:
+        return None
+    at_s, y, w = effect_s[used], effect[used], weight[used]
+    grid_s = np.arange(cause_s[0], at_s[-1] + STEP_S, STEP_S)
+    commanded = held(cause_s, cause, grid_s)
+    mean = np.average(y, weights=w)
+    total = np.sum(w * (y - mean) ** 2)
+
+    lagged_by: dict = {}
+
+    def left_over(delay_s, lag_s):
+        if lag_s not in lagged_by:
+            lagged_by[lag_s] = lagged(commanded, STEP_S, lag_s)
+        return _scatter(np.interp(at_s - delay_s, grid_s, lagged_by[lag_s]), y, w)
+
+    tried = [(left_over(delay_s, lag_s), delay_s, lag_s)
+             for delay_s in _steps(0.0, longest_delay_s, COARSE_S) for lag_s in _steps(0.0, longest_lag_s, COARSE_S)]
+    _, delay_s, lag_s = min(tried)
+    tried = [(left_over(d, lag), d, lag)
+             for d in _steps(max(0.0, delay_s - COARSE_S), delay_s + COARSE_S, FINE_S)
+             for lag in _steps(max(0.0, lag_s - COARSE_S), lag_s + COARSE_S, FINE_S)]
+    least, delay_s, lag_s = min(tried)
+    explained = 1 - least / total if total > 0 else 0.0
+    return Delay(delay_s, lag_s, float(explained)) if explained > 0.1 else None
+
+
+def _steps(low, high, step):
+    return [round(low + step * index, 4) for index in range(round((high - low) / step) + 1)]
+
+
+def _scatter(x, y, w):
+    """The sum of squares of ``y`` around a curve over ``x``: a straight line through each bin, alike in samples."""
+    order = np.argsort(x, kind="stable")
+    x, y, w = x[order], y[order], w[order]
+    starts = np.unique(np.linspace(0, len(x), BINS + 1).astype(int)[:-1])
+    sum_w, sum_x, sum_y = (np.add.reduceat(column, starts) for column in (w, w * x, w * y))
+    counts = np.diff(np.append(starts, len(x)))
+    dx, dy = x - np.repeat(sum_x / sum_w, counts), y - np.repeat(sum_y / sum_w, counts)
+    xx, xy, yy = (np.add.reduceat(column, starts) for column in (w * dx * dx, w * dx * dy, w * dy * dy))
+    return float(np.sum(yy - np.where(xx > 1e-12, xy * xy / np.maximum(xx, 1e-12), 0.0)))
