@@ -1,0 +1,692 @@
+"""Accelerations of a drive → a value map: the level-ground acceleration at mean battery over value and velocity.
+
+What is fitted, to every window that counts, by weighted least squares that discount outliers:
+
+    acceleration = mean under φ of [ f + k(t)·(f − f at neutral) ] + g·(a·cos yaw + b·sin yaw)
+
+- f is the map: bilinear on its grid, smooth, rising with value by construction, the value taken ``delay_s`` earlier.
+- k is what the battery gives at time t, in proportion to its distance from the drive's middle; apart for values above
+  neutral and below it (an ESC brakes without the battery). The map is that of the middle.
+- a, b are a plane ground's slope in the heading's own frame. With a pitch sensor gravity is taken off by that instead,
+  and what of the pitch doesn't turn with the heading is the sensor's mounting. Both need headings all round: where the
+  headings of a drive don't spread, a slope can't be told from drag, and is left alone. Tight turns, whose tyres brake,
+  don't count for the map, but what changes within a turn as the heading goes round tells the slope.
+
+The delay is the one under which this model fits best. A node is supported where enough driving, in enough manoeuvres,
+lies around it and its standard error is small. No other node is the drive's to state.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple, Sequence
+
+import numpy as np
+from scipy import sparse
+
+from car_interface.calibration import acceleration as cut
+from car_interface.calibration.acceleration import Drive, WindowConfig, Windows, windows
+from car_interface.calibration.surface import Grid, Roughness, penalties, rising_column, rising_least_squares
+
+GRAVITY_MPS2 = 9.81
+DECIMALS = 3  # of a map's CSV, as Autoware's calibrators write it
+RESOLUTION_MPS2 = 10.0**-DECIMALS
+# A step of two roundings' width is still one when both of its ends have been rounded towards each other.
+LEAST_STEP_MPS2 = 2 * RESOLUTION_MPS2
+# A throttle curve's (6·u^1.5 has 9 on the average, over a value axis taken as 1); and, per (m/s)², a motor's that has
+# half its thrust at 9 m/s.
+ROUGHNESS = Roughness(8.0, 0.15)
+SLOPE_SIGMA, SAG_SIGMA = 0.05, 0.15  # what is to be expected of a slope, and of a battery in one drive
+HUBER = 2.0  # residuals beyond so many sigmas count less
+OUTLIER = 5.0  # and beyond so many don't count
+PASSES = 6
+SPREAD = 0.1  # of headings: what cos and sin of yaw leave unexplained of a constant; 1 all round, and there and back
+LEAST_TURN = 5  # windows in a row
+HELD_OUT = 5
+LEAST_S = 0.03  # of driving around a node, for a manoeuvre to count there
+NEAR = 0.25  # of the step between rows: so far from neutral there are two more
+BENDS = 0.05  # so near to neutral, as a share of the values, the map may bend as it likes
+LEAST_NODES = 3  # values, and velocities, that make a map worth driving with
+BRACKET = 2  # nodes: so near on both sides must be others that are supported
+DELAYS_S = np.array([0.0, 0.6])  # the least and the most that is looked at
+TELLING = 9.0  # what the squares must get worse by, or they tell nothing: three sigmas
+
+# Why a window doesn't count, in the order in which it is asked.
+RULES = {
+    cut.BACKWARD: "rolling backward",
+    cut.STANDING: "a stop, or slower than the slowest speed",
+    cut.TURNED_ROUND: "a gear change: the car had just rolled backward",
+    cut.NOTHING_MEASURED: "too few pulses or speeds",
+    cut.STEERING: "steering: a tight turn, or tyres at work",
+    cut.SLIPPING: "wheel slip: more than tyres hold, or wheels that disagree",
+}
+NO_VALUE, NOT_DRIVEN, BEYOND, STEEP, OUTLYING = range(10, 15)
+TURNING = 15  # steering, but good enough to tell the slope
+RULES.update({
+    NO_VALUE: "no value, or one that had fallen silent",
+    NOT_DRIVEN: "the value didn't reach the actuator",
+    BEYOND: "beyond the map's axes",
+    STEEP: "ground steeper than the steepest pitch",
+    OUTLYING: "fits nothing else that the car did",
+})
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """How a map is fitted, and what supports one.
+
+    Attributes:
+        window: how drives are cut up.
+        neutral: the value at which the actuator neither drives nor brakes; the map may bend there.
+        value_silent_s: a value holds no longer than this.
+        steepest_rad: pitch beyond which a window doesn't count.
+        roughness: what the map's second derivatives may be expected to be.
+        floor_mps2: no window is better than this: floors are uneven, and tyres flex.
+        support_s, support_manoeuvres, support_sigma_mps2: a node is supported by at least so much driving around it,
+            in so many manoeuvres, if its standard error is at most this.
+        delay_s: ``None`` = estimate it.
+        from_imu: accelerations are the IMU's; the wheels' only tell its bias.
+    """
+
+    window: WindowConfig = field(default_factory=WindowConfig)
+    neutral: float = 0.0
+    value_silent_s: float = 0.5
+    steepest_rad: float = 0.15
+    roughness: Roughness = ROUGHNESS
+    floor_mps2: float = 0.03
+    support_s: float = 0.1
+    support_manoeuvres: int = 2
+    support_sigma_mps2: float = 0.08
+    delay_s: float | None = None
+    from_imu: bool = False
+
+
+class Ground(NamedTuple):
+    """What was found of one drive besides the map.
+
+    Attributes:
+        uphill: the slope in the direction of yaw 0, and in that of 90° to its left; NaN where headings don't spread.
+        sag_above, sag_below: the share of its push that a value above (below) neutral loses from the start to the end.
+        sag_sigma: their standard errors.
+        pitch_offset_rad: of the pitch sensor; NaN without.
+    """
+
+    uphill: tuple[float, float]
+    sag_above: float
+    sag_below: float
+    sag_sigma: tuple[float, float]
+    pitch_offset_rad: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A map, and how well it is known.
+
+    Attributes:
+        values, velocities: its axes.
+        accelerations: a row for each value, in m/s², rounded to the CSV's decimals; every column rises.
+        sigma_mps2: standard error of each.
+        seconds, manoeuvres: of driving around each.
+        supported: which of them the drives support.
+        sure: whose standard error is small, be there driving around them or not.
+        delay_s, delay_sigma_s: from value to acceleration; the second is NaN where it was given or can't be told.
+        grounds: one for each drive.
+        rejected: windows by rule; those that count are under "counted".
+        residual_mps2: RMS over windows that count.
+        held_out_mps2, held_out_windows: the same over every 5th manoeuvre, from a fit to the others; NaN if there are
+            too few.
+    """
+
+    values: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+    sigma_mps2: np.ndarray
+    seconds: np.ndarray
+    manoeuvres: np.ndarray
+    supported: np.ndarray
+    sure: np.ndarray
+    delay_s: float
+    delay_sigma_s: float
+    grounds: tuple[Ground, ...]
+    rejected: dict[str, int]
+    residual_mps2: float
+    held_out_mps2: float
+    held_out_windows: int
+
+
+class NothingToFit(ValueError):
+    """Drives without a single window that counts; the text says by which rules the windows went."""
+
+
+@dataclass
+class _Data:
+    """All windows of all drives, one under the other."""
+
+    windows: list[Windows]
+    drive: np.ndarray
+    acceleration: np.ndarray
+    sigma: np.ndarray
+    slope: np.ndarray  # one column pair for each drive, of the gravity that a slope adds
+    sees_slope: np.ndarray  # of each drive
+    part: np.ndarray  # of its drive's time that a window is from the middle, -0.5..0.5
+    hop_s: np.ndarray  # how much driving a window stands for
+    state: np.ndarray
+    pitch_offset: list[float]
+
+
+class _Sampled(NamedTuple):
+    """The values under one delay: along each window, and what became of windows because of them."""
+
+    value: np.ndarray
+    state: np.ndarray
+
+
+@np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
+def fit(drives: Sequence[Drive], values: np.ndarray | None, velocities: np.ndarray | None,
+        config: FitConfig = FitConfig()) -> Fit:
+    """Fit a map to drives.
+
+    Args:
+        drives: at least one.
+        values, velocities: the map's axes; ``None`` = chosen to fit what was driven.
+        config: see there.
+
+    Raises:
+        NothingToFit: no window counts.
+    """
+    data = _gather(drives, config)
+    counted = data.state == cut.MEASURED
+    if not counted.any():
+        raise NothingToFit(_why_nothing(data.state))
+    sampled = _sample(drives, data, config.delay_s if config.delay_s is not None else 0.1, config)
+    inside = sampled.state == cut.MEASURED
+    if not inside.any():
+        raise NothingToFit(_why_nothing(sampled.state))
+    speed = np.concatenate([one.speed_mps for one in data.windows])
+    grid = Grid(_value_axis(sampled.value[inside], config.neutral) if values is None else np.asarray(values, float),
+                _round_axis(speed[inside], 0.0, 8) if velocities is None else np.asarray(velocities, float))
+    delay_s, delay_sigma_s = (config.delay_s, float("nan")) if config.delay_s is not None else _delay(
+        drives, data, grid, speed, config)
+    sampled = _sample(drives, data, delay_s, config)
+    state = _on_grid(sampled, speed, grid)
+    if not (state == cut.MEASURED).any():
+        raise NothingToFit(_why_nothing(state))
+    rows = _Rows(grid, data, sampled.value, speed, config)
+    manoeuvre = _manoeuvres(data, sampled.value, state, grid, config)
+    solved = _solve(rows, state, config)
+    state = np.where((state == cut.MEASURED) & solved.outlying, OUTLYING, state)
+    seconds, count = _coverage(rows, state, manoeuvre)
+    sigma = _standard_errors(rows, solved, state, manoeuvre)
+    sure = sigma <= config.support_sigma_mps2
+    supported = sure & (seconds >= config.support_s) & (count >= config.support_manoeuvres)
+    held_out_mps2, held_out_windows = _hold_out(rows, state, manoeuvre, config)
+    used = state == cut.MEASURED
+    shape = (grid.rows.size, grid.columns.size)
+    grounds = tuple(_ground(index, data, solved) for index in range(len(drives)))
+    return Fit(grid.rows, grid.columns, rounded(solved.nodes.reshape(shape)), sigma.reshape(shape),
+               seconds.reshape(shape), count.reshape(shape), supported.reshape(shape), sure.reshape(shape),
+               float(delay_s), float(delay_sigma_s), grounds, _count(state), _rms(solved.residual[used]),
+               held_out_mps2, held_out_windows)
+
+
+def rounded(accelerations: np.ndarray) -> np.ndarray:
+    """To the CSV's decimals, as numbers that rise along every column: rows that rise by LEAST_STEP_MPS2 still rise."""
+    counts = np.round(accelerations / RESOLUTION_MPS2).astype(np.int64)
+    for row in range(1, counts.shape[0]):
+        counts[row] = np.maximum(counts[row], counts[row - 1] + 1)
+    return counts / 10.0**DECIMALS
+
+
+class Table(NamedTuple):
+    """What goes into the CSV.
+
+    Attributes:
+        values, velocities, accelerations: as of the fit, or part of it.
+        origin: of each acceleration: DRIVEN, BETWEEN, OLD or MOVED.
+        sigma_mps2: standard errors; NaN for the prior's.
+    """
+
+    values: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+    origin: np.ndarray
+    sigma_mps2: np.ndarray
+
+    def share(self) -> float:
+        """Of its accelerations that the drives state."""
+        return float(np.mean(self.origin <= BETWEEN))
+
+
+# Where a table's acceleration is from: the drives themselves; from the drives next to it on both sides, and as sure; an
+# old map; an old map, moved because its column would not have risen.
+DRIVEN, BETWEEN, OLD, MOVED = range(4)
+
+
+def table(found: Fit, neutral: float, prior: np.ndarray | None = None) -> Table | None:
+    """The part of a fit that may be written: nothing is invented.
+
+    Where the drives state nothing the prior's accelerations stay. Where an old one contradicts what its column has
+    measured it is moved as far as it takes for the column to rise. Where there is no prior either, the axes are cut, to
+    the largest part in which everything is stated.
+
+    Args:
+        found: the fit.
+        neutral: the value at which the car coasts: the map should have values on both sides of it.
+        prior: an old map's accelerations at the fit's nodes, NaN where it has none.
+
+    Returns:
+        The table, with at least two values and velocities, or ``None``.
+    """
+    between = _between(found)
+    origin = np.where(found.supported, DRIVEN, np.where(between, BETWEEN, OLD))
+    stated = found.supported | between
+    if prior is not None:
+        stated = stated | np.isfinite(prior)
+    part = _largest_part(stated, found.values, found.velocities, neutral)
+    if part is None:
+        return None
+    origin, sigma = origin[part].copy(), found.sigma_mps2[part].copy()
+    old = origin == OLD
+    wanted = found.accelerations[part]
+    if old.any():
+        wanted = np.where(old, prior[part], wanted)
+        least = np.full(wanted.shape[0] - 1, LEAST_STEP_MPS2)
+        weight = np.where(old, 1.0, 1e9)  # what was measured doesn't give way
+        risen = np.stack([rising_column(wanted[:, k], weight[:, k], least) for k in range(wanted.shape[1])], axis=1)
+        origin[old & (np.abs(risen - wanted) > RESOLUTION_MPS2)] = MOVED
+        wanted = risen
+        sigma[old] = np.nan
+    return Table(found.values[part[0].ravel()], found.velocities[part[1].ravel()], rounded(wanted), origin, sigma)
+
+
+def _between(found):
+    """Nodes that the drives passed by on both sides, and know as well as those."""
+    known = found.supported
+    between = np.zeros(known.shape, bool)
+    for axis in (0, 1):
+        near = []
+        for direction in (1, -1):
+            side = np.zeros(known.shape, bool)
+            for reach in range(1, BRACKET + 1):
+                moved = np.roll(known, direction * reach, axis)
+                edge = [slice(None), slice(None)]
+                edge[axis] = slice(None, reach) if direction > 0 else slice(-reach, None)
+                moved[tuple(edge)] = False
+                side |= moved
+            near.append(side)
+        between |= near[0] & near[1]
+    return between & ~known & found.sure
+
+
+def _largest_part(stated, values, velocities, neutral):
+    """Rows and columns of the largest part of a map in which everything is stated: at least two each, or ``None``.
+
+    Its velocities follow one another. Of its values some may be left out, if no more than BRACKET side by side: the map
+    is linear over them. How large it is goes by how far it reaches; a part that both drives and brakes is preferred,
+    and one with less than LEAST_NODES of either is the last choice.
+    """
+    best, largest = None, 0.0
+    for first in range(velocities.size - 1):
+        for last in range(first + 1, velocities.size):
+            whole = np.flatnonzero(stated[:, first:last + 1].all(axis=1))
+            for rows in np.split(whole, np.flatnonzero(np.diff(whole) > BRACKET + 1) + 1):
+                if rows.size < 2:
+                    continue
+                low, high = values[rows[0]], values[rows[-1]]
+                sides = 4.0 if low < neutral < high else 2.0 if low <= neutral <= high else 1.0
+                few = 0.01 if min(rows.size, last - first + 1) < LEAST_NODES else 1.0
+                size = few * sides * (high - low) * (velocities[last] - velocities[first])
+                if size > largest:
+                    best, largest = np.ix_(rows, np.arange(first, last + 1)), size
+    return best
+
+
+# --- data ---
+
+def _gather(drives, config):
+    found, slopes, parts, offsets, sees = [], [], [], [], []
+    accelerations, sigmas, states, numbers, hops = [], [], [], [], []
+    for index, drive in enumerate(drives):
+        one = windows(drive, config.window)
+        state = one.state.copy()
+        counted = state == cut.MEASURED
+        cos, sin = one.cos_yaw, one.sin_yaw
+        turning = ((state == cut.STEERING) & np.isfinite(one.acceleration_mps2 + one.sigma_mps2)
+                   & (np.abs(one.acceleration_mps2) < config.window.most_mps2))
+        spreads = _spread(cos, sin, counted, turning) >= SPREAD
+        acceleration, sigma, offset = one.acceleration_mps2, one.sigma_mps2, float("nan")
+        if config.from_imu:
+            acceleration, sigma = one.force_mps2 - _bias(one, counted | turning, spreads), one.force_sigma_mps2
+            spreads = False  # an accelerometer feels what the car would do on level ground
+        elif drive.pitch is not None and np.isfinite(one.pitch_rad).all() and counted.any():
+            offset = _pitch_offset(one, counted | turning) if spreads else 0.0
+            pitch = one.pitch_rad - offset
+            state[counted & (np.abs(pitch) > config.steepest_rad)] = STEEP
+            acceleration = acceleration - GRAVITY_MPS2 * np.sin(np.nan_to_num(pitch))
+            spreads = False  # gravity is off already
+        if spreads:
+            state[turning] = TURNING
+        found.append(one)
+        slope = np.zeros((cos.size, 2 * len(drives)))
+        slope[:, 2 * index] = -GRAVITY_MPS2 * cos
+        slope[:, 2 * index + 1] = -GRAVITY_MPS2 * sin
+        slopes.append(slope)
+        begins, ends = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 1.0)
+        parts.append((one.middle_s - (begins + ends) / 2) / max(ends - begins, 1.0))
+        offsets.append(offset)
+        sees.append(spreads)
+        accelerations.append(acceleration)
+        sigmas.append(np.hypot(np.nan_to_num(sigma), config.floor_mps2))
+        state[(state == cut.MEASURED) & ~np.isfinite(acceleration)] = cut.NOTHING_MEASURED
+        states.append(state)
+        numbers.append(np.full(cos.size, index))
+        hops.append(np.full(cos.size, max(config.window.hop_s, (ends - begins) / cut.MOST_WINDOWS)))
+    join = np.concatenate
+    return _Data(found, join(numbers), join(accelerations), join(sigmas), join(slopes), np.array(sees), join(parts),
+                 join(hops), join(states), offsets)
+
+
+def _spread(cos, sin, counted, turning):
+    """What headings leave unexplained of something that is the same at all of them; see SPREAD."""
+    if counted.sum() < 10:
+        return 0.0
+    within = _within_turns(turning, np.zeros(turning.size, int))
+    told = counted | within.diagonal().astype(bool) & turning
+    columns = (within @ np.stack((cos, sin), axis=1))[told]
+    constant = counted[told].astype(float)
+    apart = constant - columns @ np.linalg.lstsq(columns, constant, rcond=1e-6)[0]
+    return float(apart @ apart / constant.sum())
+
+
+def _within_turns(turning, drive):
+    """A matrix that takes its mean off each turn, leaves nothing of short ones, and leaves all else alone."""
+    windows = turning.size
+    index = np.flatnonzero(turning)
+    turns = np.split(index, np.flatnonzero((np.diff(index) > 1) | (np.diff(drive[index]) > 0)) + 1)
+    number = np.full(windows, -1)
+    for turn, members in enumerate(turns):
+        number[members] = turn if members.size >= LEAST_TURN else -1
+    long = np.flatnonzero(number >= 0)
+    member = sparse.csr_matrix((np.ones(long.size), (number[long], long)), shape=(max(1, len(turns)), windows))
+    size = np.maximum(1.0, np.asarray(member.sum(axis=1)).ravel())
+    keep = np.where(turning & (number < 0), 0.0, 1.0)
+    return (sparse.diags(keep) - member.T @ sparse.diags(1.0 / size) @ member).tocsr()
+
+
+def _pitch_offset(one, counted):
+    """What of the pitch doesn't turn with the heading, as a plane ground's would."""
+    return _constant_part(one.pitch_rad, one, counted)
+
+
+def _bias(one, counted, spreads):
+    """Of the IMU, against the wheels: what of the difference isn't the ground's."""
+    known = counted & np.isfinite(one.force_mps2)
+    if not known.any():
+        return 0.0
+    apart = one.force_mps2 - one.acceleration_mps2
+    return _constant_part(apart, one, known) if spreads else float(np.median(apart[known]))
+
+
+def _constant_part(y, one, counted):
+    columns = np.stack((np.ones(counted.sum()), one.cos_yaw[counted], one.sin_yaw[counted]), axis=1)
+    return float(np.linalg.lstsq(columns, y[counted], rcond=None)[0][0])
+
+
+def _sample(drives, data, delay_s, config):
+    values, states = [], []
+    for index, (drive, one) in enumerate(zip(drives, data.windows)):
+        state = data.state[data.drive == index].copy()
+        t_s = one.t_s - delay_s
+        value, age_s = _held(drive.value, t_s)
+        silent = ~np.isfinite(value).all(axis=1) | (age_s > config.value_silent_s).any(axis=1)
+        state[(state == cut.MEASURED) & silent] = NO_VALUE
+        state[(state == TURNING) & silent] = cut.STEERING
+        if drive.driven is not None:
+            driven, _ = _held(drive.driven, t_s)
+            idle = ~(driven >= 0.5).all(axis=1)
+            state[(state == cut.MEASURED) & idle] = NOT_DRIVEN
+            state[(state == TURNING) & idle] = cut.STEERING
+        values.append(np.where(np.isfinite(value), value, 0.0))
+        states.append(state)
+    return _Sampled(np.concatenate(values), np.concatenate(states))
+
+
+def _held(series, t_s):
+    if not series.t_s.size:
+        return np.full(t_s.shape, np.nan), np.full(t_s.shape, np.inf)
+    last = np.searchsorted(series.t_s, t_s, side="right") - 1
+    known = np.maximum(last, 0)
+    return np.where(last >= 0, series.y[known], np.nan), np.where(last >= 0, t_s - series.t_s[known], np.inf)
+
+
+def _on_grid(sampled, speed, grid):
+    inside = grid.has(sampled.value, np.nan_to_num(speed)).all(axis=1)
+    state = np.where((sampled.state == cut.MEASURED) & ~inside, BEYOND, sampled.state)
+    return np.where((state == TURNING) & ~inside, cut.STEERING, state)
+
+
+def _value_axis(value, neutral):
+    """Round numbers over what was driven; and two near neutral, where an ESC's curve bends."""
+    axis = _round_axis(value, neutral, 10)
+    near = neutral + np.array([-NEAR, NEAR]) * (axis[1] - axis[0])
+    return np.union1d(axis, near[(near > axis[0]) & (near < axis[-1])])
+
+
+def _round_axis(x, zero, wanted):
+    """Round numbers, ``zero`` among them, about as many as wanted: as far as a quarter of their step past the data."""
+    low, high = min(float(np.min(x)), zero), max(float(np.max(x)), zero)
+    rough = max(high - low, 1e-6) / wanted
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = power * min((1.0, 2.0, 2.5, 5.0, 10.0), key=lambda factor: abs(factor * power - rough))
+    first, last = int(np.floor((low - zero) / step + 0.25)), int(np.ceil((high - zero) / step - 0.25))
+    return np.round(zero + step * np.arange(first, max(last, first + 1) + 1), 9)
+
+
+def _manoeuvres(data, value, state, grid, config):
+    """Numbers stretches of driving: a new one where the value jumps, where windows don't count, and after 5 s."""
+    mean = value.mean(axis=1)
+    jump = 0.05 * np.ptp(grid.rows)
+    number, numbers = -1, np.full(state.size, -1)
+    begun, before = 0.0, None
+    middle = np.concatenate([one.middle_s for one in data.windows])
+    for index in np.flatnonzero(state == cut.MEASURED):
+        goes_on = (before == index - 1 and data.drive[index] == data.drive[before]
+                   and abs(mean[index] - mean[before]) <= jump and middle[index] - begun <= 5.0)
+        if not goes_on:
+            number, begun = number + 1, middle[index]
+        numbers[index] = number
+        before = index
+    return numbers
+
+
+# --- the model ---
+
+class _Rows:
+    """The model's matrices under one delay."""
+
+    def __init__(self, grid, data, value, speed, config, sags=True):
+        self.grid, self.data, self.config = grid, data, config
+        weight = np.concatenate([one.weight for one in data.windows])
+        speed = np.nan_to_num(speed)
+        self.map = grid.averages(value, speed, weight)
+        # What a value adds to coasting, above neutral and below: what sags.
+        above = value > config.neutral
+        coasting = np.full(value.shape, config.neutral)
+        self.push = [grid.averages(value, speed, weight * side) - grid.averages(coasting, speed, weight * side)
+                     for side in (above, ~above)] if sags else []
+        kinks = np.abs(grid.rows - config.neutral) <= BENDS * np.ptp(grid.rows)
+        rough = penalties(grid, config.roughness, kinks)
+        self.penalty = (rough.T @ rough).toarray()
+
+
+@dataclass
+class _Solved:
+    nodes: np.ndarray
+    slope: np.ndarray
+    sag: np.ndarray  # for each drive: above, below
+    residual: np.ndarray
+    weight: np.ndarray
+    outlying: np.ndarray
+    columns: sparse.csr_matrix
+    normal: np.ndarray
+    prior: np.ndarray
+
+
+def _solve(rows, state, config, rising=True, passes=PASSES):
+    """Gauss-Newton over the battery's part, with Huber's weights."""
+    data, grid = rows.data, rows.grid
+    used = (state == cut.MEASURED) | (state == TURNING)
+    within = _within_turns(state == TURNING, data.drive)
+    drives = data.sees_slope.size
+    sag = np.zeros((drives, 2))
+    # A step below the CSV's decimals is none; where the map hardly rises it rises by that.
+    least = np.full(grid.rows.size - 1, LEAST_STEP_MPS2)
+    weight = np.where(used, 1.0 / data.sigma**2, 0.0)
+    nodes, spread, outlying = None, 1.0, np.zeros(used.size, bool)
+    prior = np.zeros((grid.size + 4 * drives,) * 2)
+    prior[:grid.size, :grid.size] = rows.penalty + 1e-8 * np.eye(grid.size)
+    slope_at = np.arange(grid.size, grid.size + 2 * drives)
+    sag_at = np.arange(grid.size + 2 * drives, grid.size + 4 * drives)
+    prior[slope_at, slope_at] = np.where(np.repeat(data.sees_slope, 2), SLOPE_SIGMA**-2, 1e12)
+    prior[sag_at, sag_at] = SAG_SIGMA**-2
+    acceleration = within @ np.where(used, data.acceleration, 0.0)
+    for _ in range(passes):
+        mapped = rows.map.copy()
+        for side, push in enumerate(rows.push):
+            mapped = mapped + sparse.diags(data.part * sag[data.drive, side]) @ push
+        sagging = np.zeros((used.size, 2 * drives))
+        if nodes is not None:
+            for side, push in enumerate(rows.push):
+                sagging[np.arange(used.size), 2 * data.drive + side] = data.part * (push @ nodes)
+        columns = within @ sparse.hstack([mapped, sparse.csr_matrix(data.slope), sparse.csr_matrix(sagging)]).tocsr()
+        counts = sparse.diags(np.where(outlying, 0.0, weight))
+        normal = (columns.T @ counts @ columns).toarray() / spread**2 + prior
+        # The unknown is the sag's change; its prior is about the sag.
+        right = columns.T @ (counts @ acceleration) / spread**2
+        right[sag_at] -= prior[sag_at, sag_at] * sag.ravel()
+        found = (rising_least_squares(grid, normal, right, least) if rising
+                 else np.linalg.solve(normal, right))
+        nodes, slope = found[:grid.size], found[slope_at]
+        if rows.push:
+            sag = np.clip(sag + found[sag_at].reshape(drives, 2), -0.5, 0.5)
+        residual = acceleration - columns @ found
+        spread, weight, outlying = _robust(residual, data.sigma, used)
+    return _Solved(nodes, slope, sag, np.where(used, residual, 0.0), np.where(outlying, 0.0, weight) / spread**2,
+                   outlying, columns, normal, prior)
+
+
+def _robust(residual, sigma, used):
+    """How much wider residuals scatter than their sigmas say, Huber's weights under that, and what lies far out."""
+    ratio = np.abs(residual) / sigma
+    spread = max(1.0, float(np.median(ratio[used])) / 0.6745) if used.any() else 1.0
+    ratio = ratio / spread
+    weight = np.where(used, np.minimum(1.0, HUBER / np.maximum(ratio, 1e-12)) / sigma**2, 0.0)
+    return spread, weight, used & (ratio > OUTLIER)
+
+
+def _delay(drives, data, grid, speed, config):
+    """The delay under which the map fits best, and its standard error from how fast the fit gets worse around it."""
+    coarse = Grid(_thin(grid.rows, 9), _thin(grid.columns, 5))
+    # Only windows that count under every delay are compared, or their number would decide.
+    states = [_on_grid(_sample(drives, data, delay_s, config), speed, grid) for delay_s in DELAYS_S[[0, -1]]]
+    state = np.where(states[0] == cut.MEASURED, states[1], states[0])
+    used = state == cut.MEASURED
+    if used.sum() < 2 * coarse.size:
+        return 0.0, float("nan")
+
+    def ratios(delay_s, grid):
+        value = _sample(drives, data, delay_s, config).value
+        solved = _solve(_Rows(grid, data, value, speed, config, sags=False), state, config, rising=False, passes=2)
+        return np.abs(solved.residual[used] / data.sigma[used])
+
+    best, reach, step = 0.0, DELAYS_S[-1], 0.04
+    for over in (coarse, grid, grid):
+        delays_s = np.unique(np.clip(np.arange(best - reach, best + reach + step / 2, step), 0.0, DELAYS_S[-1]))
+        found = [ratios(delay_s, over) for delay_s in delays_s]
+        scale = max(1.0, min(float(np.median(ratio)) for ratio in found) / 0.6745)
+        costs = np.array([_cost(ratio / scale) for ratio in found])
+        if np.ptp(costs) < TELLING and over is coarse:
+            return 0.0, float("nan")  # nothing tells one from another
+        best, reach, step = float(delays_s[np.argmin(costs)]), 1.5 * step, step / 4
+    a, b, _ = np.polyfit(delays_s - best, costs, 2)
+    if a <= 0:
+        return best, float("nan")
+    return float(np.clip(best - b / (2 * a), 0.0, best + reach)), float(1.0 / np.sqrt(a))
+
+
+def _cost(ratio):
+    return float(np.where(ratio < HUBER, ratio**2, 2 * HUBER * ratio - HUBER**2).sum())
+
+
+def _thin(axis, most):
+    step = -(-(axis.size - 1) // most)
+    return np.unique(np.append(axis[::step], axis[-1]))
+
+
+# --- how well it is known ---
+
+def _coverage(rows, state, manoeuvre):
+    """Seconds of driving around each node, and in how many manoeuvres."""
+    used = np.flatnonzero(state == cut.MEASURED)
+    shares = rows.map[used]
+    shares = sparse.diags(rows.data.hop_s[used]) @ shares
+    seconds = np.asarray(shares.sum(axis=0)).ravel()
+    member = sparse.csr_matrix((np.ones(used.size), (manoeuvre[used], np.arange(used.size))),
+                               shape=(manoeuvre.max() + 1, used.size))
+    around = (member @ shares).toarray()
+    return seconds, (around >= LEAST_S).sum(axis=0)
+
+
+def _standard_errors(rows, solved, state, manoeuvre):
+    """The larger of two: what the weights say, and what manoeuvres as wholes disagree by.
+
+    Windows of one manoeuvre share what the model doesn't know, so that their number says too little.
+    """
+    grid = rows.grid
+    inverse = np.linalg.inv(solved.normal)
+    by_weight = np.diag(inverse)[:grid.size]
+    used = np.flatnonzero((state == cut.MEASURED) & ~solved.outlying)
+    scores = sparse.diags(solved.weight[used] * solved.residual[used]) @ solved.columns[used]
+    member = sparse.csr_matrix((np.ones(used.size), (manoeuvre[used], np.arange(used.size))),
+                               shape=(manoeuvre.max() + 1, used.size))
+    clusters = (member @ scores).toarray()
+    middle = clusters.T @ clusters + solved.prior
+    by_manoeuvre = np.einsum("ij,jk,ik->i", inverse[:grid.size], middle, inverse[:grid.size])
+    return np.sqrt(np.maximum(by_weight, by_manoeuvre))
+
+
+def _hold_out(rows, state, manoeuvre, config):
+    """RMS over every 5th manoeuvre, from a fit to all others."""
+    held = (manoeuvre >= 0) & (manoeuvre % HELD_OUT == HELD_OUT - 1) & (state == cut.MEASURED)
+    if not held.any():
+        return float("nan"), 0
+    solved = _solve(rows, np.where(held, BEYOND, state), config)
+    predicted = rows.map @ solved.nodes + rows.data.slope @ solved.slope
+    for side, push in enumerate(rows.push):
+        predicted = predicted + rows.data.part * solved.sag[rows.data.drive, side] * (push @ solved.nodes)
+    return _rms((rows.data.acceleration - predicted)[held]), int(held.sum())
+
+
+def _ground(index, data, solved):
+    sees = data.sees_slope[index]
+    uphill = tuple(float(x) if sees else float("nan") for x in solved.slope[2 * index:2 * index + 2])
+    inverse = np.linalg.inv(solved.normal)
+    at = solved.nodes.size + 2 * data.sees_slope.size + 2 * index
+    sigma = np.sqrt(np.diag(inverse)[at:at + 2])
+    above, below = (float(-x) for x in solved.sag[index])
+    return Ground(uphill, above, below, (float(sigma[0]), float(sigma[1])), float(data.pitch_offset[index]))
+
+
+def _count(state):
+    state = np.where(state == TURNING, cut.STEERING, state)
+    counts = {"counted": int((state == cut.MEASURED).sum())}
+    counts.update({text: int((state == rule).sum()) for rule, text in RULES.items()})
+    return counts
+
+
+def _why_nothing(state):
+    counts = sorted(((number, text) for text, number in _count(state).items() if number), reverse=True)
+    return "; ".join(f"{number} × {text}" for number, text in counts[:3]) or "the drive is shorter than a window"
+
+
+def _rms(x):
+    return float(np.sqrt(np.mean(np.square(x)))) if x.size else float("nan")
