@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 from car_interface.freshness import Heard
 
+HUMAN_TIMEOUT_S = 0.5
+
 
 @dataclass(frozen=True)
 class PermissionConfig:
@@ -29,6 +31,13 @@ class PermissionConfig:
     human_timeout_s: float = 0.5
     e_stop_timeout_s: float = 1.0
     e_stop_required: bool = False
+
+
+def read_permission(params, human_timeout_s: float = HUMAN_TIMEOUT_S) -> PermissionConfig:
+    """The rules from ~human_timeout (with this default), ~e_stop_timeout and ~e_stop_required."""
+    return PermissionConfig(human_timeout_s=params.timeout("human_timeout", human_timeout_s),
+                            e_stop_timeout_s=params.timeout("e_stop_timeout", 1.0),
+                            e_stop_required=params.flag("e_stop_required", False))
 
 
 class Refusal(NamedTuple):

@@ -9,13 +9,14 @@ Steering −1 is right and +1 left; a turn radius is in metres, right negative; 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Sequence
 
 from car_interface.errors import ConfigError
 from car_interface.freshness import Heard
 from car_interface.interpolation import LookupTable, round_half_away
 from car_interface.permission import Permission, PermissionConfig
+from car_interface.servo import MAX_DUTY
 
 NS_PER_S = 1_000_000_000
 
@@ -23,6 +24,7 @@ NS_PER_S = 1_000_000_000
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
 SOURCE_NAMES = ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
 
+TABLE_DIGITS = 1  # of a duty in a table that was moved: finer than anything that a servo follows
 NO_RADIUS_M = 0.001  # a requested radius this close to 0 means "no request", as in the original
 FLOAT32_SLACK = 1 + 2 ** -23  # 0.001 arrives from a Float32 as 0.001000000047
 
@@ -71,6 +73,36 @@ class SteeringConfig:
             raise ConfigError("m_turnrad_axis_servo[0]", self.radius_axis_m[0], "a radius above 0 m")
 
 
+def trimmed(config: SteeringConfig, servo_left: int, servo_center: int, servo_right: int) -> SteeringConfig:
+    """A calibration with other ends and another center; the tables of both sides move along.
+
+    Every duty keeps its share of the way from the center to the end of its side: what drove straight on is the new
+    center, what was full left is the new full left. All three moved alike move every duty alike.
+
+    Raises:
+        ConfigError: naming the parameter: the center must stay between the ends, and these must stay on their sides.
+    """
+    before = (config.servo_left, config.servo_center, config.servo_right)
+    after = (servo_left, servo_center, servo_right)
+    if (servo_left < servo_right) != (config.servo_left < config.servo_right):
+        raise ConfigError("servo_left", servo_left, f"a duty on the same side of servo_right {servo_right} as before")
+    if before == after:
+        return config
+    if servo_center in (servo_left, servo_right):  # a side without a way has no shares, and couldn't be tuned back
+        raise ConfigError("servo_center", servo_center,
+                          f"a duty between servo_left {servo_left} and servo_right {servo_right}, and neither of them")
+
+    def moved(duty):
+        end = 0 if (duty - before[1]) * (before[0] - before[1]) > 0 else 2
+        old_way, new_way = before[end] - before[1], after[end] - after[1]
+        scale = new_way / old_way if old_way else 1.0
+        return max(0.0, min(float(MAX_DUTY), round(after[1] + (duty - before[1]) * scale, TABLE_DIGITS)))
+
+    return replace(config, servo_left=servo_left, servo_center=servo_center, servo_right=servo_right,
+                   left_duties=[moved(duty) for duty in config.left_duties],
+                   right_duties=[moved(duty) for duty in config.right_duties])
+
+
 def source_name(source: int) -> str:
     """The name of a value of SteeringState.source, or its number when it has none."""
     return SOURCE_NAMES[source] if 0 <= source < len(SOURCE_NAMES) else str(source)
@@ -101,16 +133,24 @@ class SteeringArbiter:
     """
 
     def __init__(self, config: SteeringConfig):
-        self._config = config
-        self._left = LookupTable(config.radius_axis_m, config.left_duties,
-                                 "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo")
-        self._right = LookupTable(config.radius_axis_m, config.right_duties,
-                                  "m_turnrad_axis_servo", "k_pwmcmd_right_table_servo")
+        self.calibrate(config)
         self._permission = Permission(config.permission)
         self._teleop = Heard("tele_steer_req", config.teleop_timeout_s)
         self._planner = Heard("av_turnrad_req", config.planner_timeout_s)
         self._slewed_duty: float = config.servo_center
         self._slewed_ns = 0
+
+    def calibrate(self, config: SteeringConfig) -> None:
+        """Go by another calibration from now on; timeouts and permission stay as they were at start.
+
+        Raises:
+            ConfigError: naming the parameter; then the one before stays.
+        """
+        left = LookupTable(config.radius_axis_m, config.left_duties,
+                           "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo")
+        right = LookupTable(config.radius_axis_m, config.right_duties,
+                            "m_turnrad_axis_servo", "k_pwmcmd_right_table_servo")
+        self._config, self._left, self._right = config, left, right
 
     def hear_e_stop(self, locked: bool, now_ns: int) -> None:
         """The emergency stop: true = neutral, whoever asks for what."""

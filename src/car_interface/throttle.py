@@ -5,7 +5,7 @@ odometry are fresh: steering and throttle stop together.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Sequence
 
 from car_interface.conversion import Conversion, Converter
@@ -46,6 +46,17 @@ class ThrottleConfig:
             raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
 
 
+def trimmed(config: ThrottleConfig, neutral: int) -> ThrottleConfig:
+    """An ESC's calibration with another neutral; the whole table moves along, so that a value of 0 still does nothing.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    shift = neutral - config.neutral
+    return replace(config, neutral=neutral,
+                   duty_table=[max(0, min(MAX_DUTY, duty + shift)) if shift else duty for duty in config.duty_table])
+
+
 class ThrottleDecision(NamedTuple):
     """What the ESC shall get."""
 
@@ -59,12 +70,20 @@ class Throttle:
     """Decides what the ESC gets from the newest of what was heard."""
 
     def __init__(self, config: ThrottleConfig, converter: Converter):
-        self._config = config
+        self.calibrate(config)
         self._converter = converter
-        self._duty = LookupTable(config.value_axis, config.duty_table, "servo/value_axis", "servo/duty_table")
         self._permission = Permission(config.permission)
         self._steering = Heard("turn_arb's state", config.steering_timeout_s)
         self._command = Heard("control_cmd", config.command_timeout_s)
+
+    def calibrate(self, config: ThrottleConfig) -> None:
+        """Go by another calibration from now on; timeouts and permission stay as they were at start.
+
+        Raises:
+            ConfigError: naming the parameter; then the one before stays.
+        """
+        duty = LookupTable(config.value_axis, config.duty_table, "servo/value_axis", "servo/duty_table")
+        self.config, self._duty = config, duty
 
     def hear_e_stop(self, locked: bool, now_ns: int) -> None:
         """The emergency stop: true = neutral."""
@@ -86,7 +105,7 @@ class Throttle:
         """The ESC's duty at ``now_ns``, and why."""
         hindrance = self._hindrance(now_ns)
         if hindrance is not None:
-            return ThrottleDecision(self._config.neutral, False, *hindrance)
+            return ThrottleDecision(self.config.neutral, False, *hindrance)
         value = self._command.value.value
         duty = max(0, min(MAX_DUTY, round_half_away(self._duty(value))))
         return ThrottleDecision(duty, True, "driving", f"the value is {value:.3f}")

@@ -14,6 +14,7 @@ from .bus import measure_bus
 from .core import measure_decode, measure_encode, measure_lookup
 from .effort import FULL, QUICK, Effort
 from .nodes import measure_memory, measure_start
+from .one_process import measure_one_process
 from .reaction import measure_chip, measure_heartbeat, measure_reaction
 from .rows import Row, head, table, verdict
 from .serial_line import measure_line, measure_serial
@@ -24,6 +25,7 @@ GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measu
           "decode": measure_decode, "encode": measure_encode, "serial": measure_serial, "line": measure_line,
           "lookup": measure_lookup, "bus": measure_bus, "start": measure_start, "memory": measure_memory,
           "car": measure_car}
+ON_REQUEST = {"one_process": measure_one_process}  # of an option, not of a target
 WITHOUT_ROS = {"decode", "encode", "lookup"}
 DISTURBED_PERCENT = 10  # of a core, by others, from which on delays and their p99 are theirs as well
 
@@ -43,8 +45,9 @@ def read_arguments() -> argparse.Namespace:
         "0 = everything was measured, whether or not each target was met.")
     parser.add_argument("--quick", action="store_true",
                         help="fewer trials, two cars at most: within a minute; too few to judge a p99")
-    parser.add_argument("--only", action="append", choices=GROUPS, metavar="NAME",
-                        help=f"measure this only; may be given again. One of {', '.join(GROUPS)}")
+    parser.add_argument("--only", action="append", choices=(*GROUPS, *ON_REQUEST), metavar="NAME",
+                        help=f"measure this only; may be given again. One of {', '.join(GROUPS)}, or "
+                        f"{', '.join(ON_REQUEST)}, which isn't measured otherwise")
     parser.add_argument("--json", metavar="FILE", default=os.environ.get("CAR_INTERFACE_BENCH_JSON"),
                         help="where to write the figures as JSON")
     return parser.parse_args()
@@ -69,7 +72,7 @@ def measure(names, effort: Effort) -> Iterator[tuple[list[Row], str, Course]]:
             try:
                 if name not in WITHOUT_ROS:
                     stage.open()
-                rows.extend(GROUPS[name](effort, stage))
+                rows.extend({**GROUPS, **ON_REQUEST}[name](effort, stage))
             except (Exception, SystemExit) as error:  # the other groups can still be measured
                 trouble = f"{name}: {type(error).__name__}: {error}"
                 traceback.print_exc()

@@ -187,8 +187,17 @@ def cpu_s(pid: int) -> float:
 
 def rss_mb(pid: int) -> float:
     """What a process has in memory, MB."""
-    with open(f"/proc/{pid}/status", encoding="utf-8", errors="replace") as file:
-        return next(int(line.split()[1]) / 1000 for line in file if line.startswith("VmRSS"))
+    return _kb(f"/proc/{pid}/status", "VmRSS:") / 1000
+
+
+def pss_mb(pid: int) -> float:
+    """The same, of what it has together with other processes only its share, MB."""
+    return _kb(f"/proc/{pid}/smaps_rollup", "Pss:") / 1000
+
+
+def _kb(path, key):
+    with open(path, encoding="utf-8", errors="replace") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith(key))
 
 
 class IdleMeter:

@@ -24,7 +24,7 @@ FULL_RATE_HZ = 180  # from here on it's the full rate
 SATURATED_PERCENT = 10  # idle, below which the machine itself is what is measured
 LAUNCH = '''<launch>{}</launch>'''
 CAR = '''<include file="$(find car_interface)/launch/demo.launch">
-  <arg name="ns" value="{ns}"/><arg name="port" value="{port}"/><arg name="drive" value="false"/></include>'''
+  <arg name="ns" value="{ns}"/><arg name="port" value="{port}"/><arg name="drive" value="false"/>{more}</include>'''
 
 
 class Drive(NamedTuple):
@@ -70,13 +70,16 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
         stage.end(*processes)
 
 
-def join(stage: Stage, namespaces: list[str]) -> list[NodeProcess]:
-    """Launch cars and have them drive."""
+def join(stage: Stage, namespaces: list[str], nodes=(*FOUR, *OTHERS), arguments: dict | None = None
+         ) -> list[NodeProcess]:
+    """Launch cars, with these arguments besides, and have them drive."""
+    more = "".join(f'<arg name="{name}" value="{value}"/>' for name, value in (arguments or {}).items())
     path = stage.path(f"{namespaces[0][1:]}.launch")
     with open(path, "w", encoding="utf-8") as file:
-        file.write(LAUNCH.format("".join(CAR.format(ns=ns, port=stage.path(f"teensy{ns[1:]}")) for ns in namespaces)))
+        file.write(LAUNCH.format("".join(CAR.format(ns=ns, port=stage.path(f"teensy{ns[1:]}"), more=more)
+                                         for ns in namespaces)))
     launch = stage.start("roslaunch", path)
-    eventually(lambda: all(_pid_of(f"{ns}/{node}") for ns in namespaces for node in (*FOUR, *OTHERS)), "the cars",
+    eventually(lambda: all(pid_of(f"{ns}/{node}") for ns in namespaces for node in nodes), "the cars",
                PATIENCE_S)
     drivers = stage.actors(*(("drive", str(SPEED_MPS), f"__ns:={ns}") for ns in namespaces))
     for driver in drivers:
@@ -88,7 +91,7 @@ def join(stage: Stage, namespaces: list[str]) -> list[NodeProcess]:
 def watch(drive_s: float, namespaces: list[str]) -> Drive:
     """Measure cars that drive."""
     reports = [Ear(f"{ns}/teensy_wheel", rospy.AnyMsg, lambda message: None).connected() for ns in namespaces]
-    meters = {(ns, node): CpuMeter(_pid_of(f"{ns}/{node}")) for ns in namespaces for node in (*FOUR, *OTHERS)}
+    meters = {(ns, node): CpuMeter(pid_of(f"{ns}/{node}")) for ns in namespaces for node in (*FOUR, *OTHERS)}
     idle = IdleMeter()
     for ear in reports:
         ear.all()
@@ -102,8 +105,8 @@ def watch(drive_s: float, namespaces: list[str]) -> Drive:
                  ", ".join(f"{node} {percent:.1f}" for node, percent in means.items()), reports_hz, idle_percent)
 
 
-def _pid_of(node):
-    """By asking the node; None while it isn't there."""
+def pid_of(node: str) -> int | None:
+    """A node's process, by asking the node; None while it isn't there."""
     try:
         uri = rosgraph.Master("/bench").lookupNode(node)
         return xmlrpc.client.ServerProxy(uri).getPid("/bench")[2]

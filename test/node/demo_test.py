@@ -6,9 +6,12 @@ import glob
 import math
 import os
 import re
+import subprocess
+import sys
 import tempfile
 import unittest
 import xmlrpc.client
+from pathlib import Path
 
 import rosbag
 import rosgraph
@@ -20,6 +23,9 @@ from car_interface.bags.recording import read
 from car_interface.bags.replay import TOPICS, replay
 from car_interface.teensy.measurements import MeasurementConfig, MotionMeasurement
 from waiting import start_node
+
+sys.path.append(os.path.join(os.path.dirname(os.path.abspath(__file__)), os.pardir, "unit"))
+from browser import Browser, find_browser
 
 DRIVE_WITHIN_S = 120
 LISTENING, LOOPBACK = "0A", "0100007F:"  # as /proc/net/tcp has them
@@ -83,6 +89,7 @@ class TwoCarsDrive(unittest.TestCase):
                                 ("/joy", 500), ("/odom", 500), ("/teensy_clock", 20), ("/sonar/rear_left", 30)):
             self.assertGreater(counts.get(topic, 0), at_least, topic)
         self.check_replay(path)
+        self.check_report(path)
 
     def check_replay(self, path):
         """The raw records of the bag, put through the same core again, make the same poses."""
@@ -95,6 +102,24 @@ class TwoCarsDrive(unittest.TestCase):
         self.assertGreater(way, 2.0)
         for position, motion in zip(reversed(live), reversed(again)):
             self.assertLess(math.hypot(position.x - motion.x_m, position.y - motion.y_m), 0.005)
+
+    def check_report(self, path):
+        """bag_report makes a page of it; a browser shows every plot and has nothing to complain of."""
+        page = path[:-len(".bag")] + ".html"
+        done = subprocess.run(["rosrun", "car_interface", "bag_report", path, "-o", page],
+                              capture_output=True, text=True, check=False)
+        self.assertEqual((done.returncode, done.stdout, done.stderr), (0, page + "\n", ""))
+        if find_browser() is None:
+            rospy.logwarn("no Chromium on this computer: nobody has looked at %s", page)
+            return
+        with Browser(find_browser()) as browser:
+            browser.open(Path(page))
+            plots = browser.evaluate("[...document.querySelectorAll('svg[data-plot]')]"
+                                     ".filter(svg => svg.getBoundingClientRect().height > 80)"
+                                     ".map(svg => svg.dataset.plot)")
+            words = browser.evaluate("document.querySelector('.verdict').textContent")
+        self.assertEqual((plots, browser.complaints), (["who", "steering", "path", "speed", "link"], []))
+        self.assertRegex(words, r"^The gamepad drove for \d+\.\d s and the planner for \d+\.\d s\.")
 
 
 def links_in(folder):

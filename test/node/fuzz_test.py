@@ -35,13 +35,13 @@ from car_interface.nodes import (
     measurements,
     node,
     pca9685,
-    permission,
     teensy_sensor_hub,
     teleop_logi,
     turn_arb,
 )
 from car_interface.nodes.node import Inbox
-from car_interface.nodes.params import Params
+from car_interface.params import Params
+from car_interface.permission import read_permission
 
 settings.register_profile("fuzz", database=None, deadline=None, derandomize=True,
                           suppress_health_check=list(HealthCheck))
@@ -108,7 +108,7 @@ READERS = {
     "measurements": (read_measurements, lambda: {
         name: value for name, value in {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml")}.items()
         if name not in MEASURED_ELSEWHERE}),
-    "permission": (permission.read_permission,
+    "permission": (read_permission,
                    lambda: {"human_timeout": 0.5, "e_stop_timeout": 1.0, "e_stop_required": False}),
     "car_sim's vehicle": (car_sim.read_vehicle, lambda: {
         "steering_duties": [3800, 5100, 6700], "steering_curvatures": [1.0, 0.0, -1.0], "start": [0, 0, 0],
@@ -282,7 +282,8 @@ class FuzzTest(unittest.TestCase):
             for service_type, handler in built.services.values():
                 for _ in range(40):
                     response = built.ask(handler, filled(service_type._request_class, choose))
-                    self.assertTrue(response.message, service_type)
+                    # What is tuned live is answered with what is in force, not in words.
+                    self.assertTrue(getattr(response, "message", None) or response.ints, service_type)
         finally:
             built.end()
 
@@ -344,7 +345,7 @@ add_tests("with_any_parameters_starts_or_refuses_with_an_error_of_ours", FuzzTes
 add_tests("fed_messages_of_any_content_lives_on_and_is_no_larger", FuzzTest.check_messages,
           NODES)
 add_tests("with_services_asked_anything_answers_in_words", FuzzTest.check_services,
-          ["teensy_sensor_hub", "pca9685", "car_sim"])
+          ["turn_arb", "generic_value_converter", "teensy_sensor_hub", "pca9685", "car_sim"])
 
 if __name__ == "__main__":
     node.logging.raiseExceptions = False

@@ -19,7 +19,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from car_interface.errors import ConfigError
-from car_interface.nodes.params import Params
+from car_interface.params import Params
 from car_interface.teensy import protocol
 from car_interface.teensy.framing import FrameDecoder
 from car_interface.value_map import ValueMap, load_value_map

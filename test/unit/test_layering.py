@@ -10,17 +10,21 @@ import pytest
 
 SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
-FOUNDATION = {"errors", "freshness", "interpolation", "processes", "servo"}
+FOUNDATION = {"errors", "freshness", "interpolation", "params", "processes", "servo", "tuning"}
 # A room is a folder, or the modules named here, or else a single module.
-ROOM_OF = dict.fromkeys(("value_map", "value_map_bulk", "conversion", "throttle"), "acceleration")
+ROOM_OF = {**dict.fromkeys(("value_map", "value_map_bulk", "conversion", "throttle"), "acceleration"),
+           "steering_params": "steering"}
 # Between parts there is nothing but this: what drives the ESC reads who steers out of turn_arb's state, and it asks for
 # permission by the same rules as the steering.
 BETWEEN_PARTS = {("acceleration", "steering"), ("acceleration", "permission"), ("steering", "permission")}
-# Devices and ROS are for nodes; numpy is imported where whole arrays are worked on, never with a module.
+# Devices and ROS are for nodes; numpy is imported where whole arrays are worked on, never with a module, but by
+# calibration, which is nothing but arrays.
 LINK = "teensy/link.py"
 FOR_ARRAYS = ("value_map_bulk.py",)
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
-ONLY_IN = {"rospy": ("nodes/",), "rosbags": ("bags/",), "serial": ("teensy/link.py",),
+ONLY_IN = {"rospy": ("nodes/",), "rosbags": ("bags/",), "matplotlib": ("bags/",), "tqdm": ("bags/",),
+           "scipy": ("calibration/",), "serial": ("teensy/link.py",),
+           "dynamic_reconfigure": ("nodes/live.py",),
            "smbus2": ("nodes/pca9685.py", "nodes/doctor_devices.py")}
 
 
@@ -32,7 +36,8 @@ def pure_modules() -> list[str]:
     names = []
     for path in modules():
         inside = path.relative_to(PACKAGE)
-        if inside.parts[0] not in ("nodes", "bags") and inside.as_posix() not in (LINK, *FOR_ARRAYS):
+        folder, file = inside.parts[0], inside.as_posix()
+        if folder not in ("nodes", "bags", "calibration") and file not in (LINK, *FOR_ARRAYS):
             names.append(".".join(path.relative_to(SRC).with_suffix("").parts).replace(".__init__", ""))
     return names
 
@@ -105,4 +110,5 @@ def test_the_walls_are_looked_at():
     assert not allowed("teensy", "pca9685") and not allowed("steering", "acceleration") and not allowed("sim", "teensy")
     assert allowed("nodes", "doctor") and allowed("doctor", "teensy") and not allowed("doctor", "nodes")
     assert not allowed("teensy", "doctor") and not allowed("foundation", "steering") and not allowed("pca9685", "nodes")
+    assert allowed("bags", "calibration") and not allowed("calibration", "bags") and not allowed("calibration", "sim")
     assert "car_interface.steering" in pure_modules() and "car_interface.teensy.link" not in pure_modules()

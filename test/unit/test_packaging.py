@@ -16,20 +16,24 @@ ROOT = Path(__file__).resolve().parents[2]
 CMAKE = (ROOT / "CMakeLists.txt").read_text(encoding="utf-8")
 SCRIPTS = sorted((ROOT / "scripts").iterdir())
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
-# Scripts that are run by hand and end by themselves.
-TOOLS = {"doctor", "setup_hardware"}
+# Scripts that are run by hand and end by themselves; those for recordings and tables need no ROS.
+OFFLINE = {"bag_report", "calibrate_steering", "calibrate_value_map", "check_map"}
+TOOLS = {"doctor", "setup_hardware"} | OFFLINE
+NODES = [script for script in SCRIPTS if script.name not in OFFLINE]
 NODE_TESTS = sorted((ROOT / "test" / "node").glob("*.test"))
 # The rosdep keys of libraries that are not called like their key.
 KEYS = {
-    "catkin_pkg": "catkin",
     "hypothesis": "python3-hypothesis",
+    "matplotlib": "python3-matplotlib",
     "numpy": "python3-numpy",
     "pytest": "python3-pytest",
     "rosbags": "python3-rosbags-pip",
     "rospkg": "python3-rospkg",
+    "scipy": "python3-scipy",
     "serial": "python3-serial",
     "setuptools": "python3-setuptools",
     "smbus2": "python3-smbus2",
+    "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
 }
 
@@ -77,9 +81,26 @@ def listed_in_cmake(command: str) -> list[str]:
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
-def test_script_is_executable_and_only_calls_its_node(script):
+def test_script_is_executable_and_shadows_no_library(script):
     assert os.access(str(script), os.X_OK)
     assert "." not in script.name, "an extension could make it shadow a library"
+
+
+@pytest.mark.parametrize("script", [script for script in SCRIPTS if script not in NODES], ids=name_of)
+def test_script_of_a_tool_only_calls_its_command(script):
+    assert script.read_text(encoding="utf-8").split("\n") == [
+        "#!/usr/bin/env python3",
+        "import sys",
+        "",
+        "from car_interface.bags.command_line import main",
+        "",
+        f'sys.exit(main("{script.name}"))',
+        "",
+    ]
+
+
+@pytest.mark.parametrize("script", NODES, ids=name_of)
+def test_script_of_a_node_only_calls_it(script):
     assert script.read_text(encoding="utf-8").split("\n") == [
         "#!/usr/bin/env python3",
         "from car_interface.start import start",
@@ -89,7 +110,7 @@ def test_script_is_executable_and_only_calls_its_node(script):
     ]
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
+@pytest.mark.parametrize("script", NODES, ids=name_of)
 def test_script_has_a_node_with_a_main_function(script):
     node = ast.parse((ROOT / "src/car_interface/nodes" / (script.name + ".py")).read_text(encoding="utf-8"))
     assert "main" in [item.name for item in node.body if isinstance(item, ast.FunctionDef)]
@@ -102,6 +123,12 @@ def test_cmake_lists_every_script_message_and_service():
     assert listed_in_cmake("catkin_install_python") == [name_of(path) for path in SCRIPTS]
     assert listed_in_cmake("add_message_files") == sorted(path.name for path in (ROOT / "msg").iterdir())
     assert listed_in_cmake("add_service_files") == sorted(path.name for path in (ROOT / "srv").iterdir())
+
+
+def test_cmake_generates_from_every_cfg_file_which_can_be_run():
+    listed = re.findall(r"cfg/\w+\.cfg", CMAKE)
+    assert listed == sorted(name_of(path) for path in (ROOT / "cfg").iterdir())
+    assert [name for name in listed if not os.access(str(ROOT / name), os.X_OK)] == []
 
 
 def test_cmake_sets_python_up_before_it_generates_messages():

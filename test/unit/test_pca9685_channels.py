@@ -200,3 +200,79 @@ def test_channels_after_any_commands_hold_the_newest_that_is_young_enough(comman
         newest.update({channel: (now_ns, (duty + 8) // 16) for channel, duty in duties.items() if 0 <= duty <= 65535})
         young = {channel: counts for channel, (at_ns, counts) in newest.items() if now_ns - at_ns < 250 * MS}
         assert board.targets == [young.get(channel, CENTER_COUNTS) for channel in range(16)]
+
+
+# --- neutrals of those who command the channels ---
+
+
+def neutrals(**by_channel):
+    """The vector of neutrals with ``c0=5150`` and the like; −1 elsewhere."""
+    return [by_channel.get(f"c{channel}", -1) for channel in range(16)]
+
+
+def following(timeout_value=5100, live_range=500):
+    return Channels([ChannelConfig(timeout_value=timeout_value, live_range=live_range)] * 16)
+
+
+def test_timeout_value_follows_a_neutral_and_holds_at_the_next_timeout():
+    channels = following()
+    channels.command([4000] + [-1] * 15, 0)
+    assert channels.follow(neutrals(c0=5152)) == ({0: 5152}, [])
+    assert channels.targets[0] == 4000 // 16
+    assert channels.expire(250_000_000) == [0]
+    assert channels.targets[0] == 5152 // 16 and channels.targets[1] == CENTER_COUNTS
+
+
+def test_channel_at_its_timeout_value_goes_to_the_new_one_at_once():
+    channels = following()
+    channels.follow(neutrals(c3=5152))
+    assert channels.targets[3] == 5152 // 16
+    channels.command([-1, 4000] + [-1] * 14, 0)
+    channels.expire(250_000_000)
+    channels.follow(neutrals(c1=5168))
+    assert channels.targets[1] == 5168 // 16
+
+
+def test_channel_that_never_times_out_keeps_what_it_was_commanded():
+    channels = Channels([ChannelConfig(timeout_ms=0, timeout_value=5100, live_range=500)] * 16)
+    channels.command([5100] * 16, 0)
+    channels.follow(neutrals(c0=5152))
+    assert channels.targets[0] == CENTER_COUNTS
+
+
+def test_channels_made_safe_hold_the_neutral_that_was_heard():
+    channels = following()
+    channels.command([4000] * 16, 0)
+    channels.follow(neutrals(c0=5152))
+    channels.make_safe()
+    assert channels.targets == [5152 // 16] + [CENTER_COUNTS] * 15
+    channels.follow(neutrals(c1=5152))
+    assert channels.targets[1] == 5152 // 16
+
+
+@pytest.mark.parametrize("duty, live_range, timeout_value, followed", [
+    pytest.param(5600, 500, 5100, ({0: 5600}, []), id="as_far_as_it_may"),
+    pytest.param(5601, 500, 5100, ({}, [0]), id="too_far"),
+    pytest.param(4599, 500, 5100, ({}, [0]), id="too_far_down"),
+    pytest.param(0, 6000, 5100, ({}, [0]), id="off_is_no_neutral"),
+    pytest.param(-2, 65535, 5100, ({}, [0]), id="below_every_duty"),
+    pytest.param(65536, 65535, 5100, ({}, [0]), id="above_every_duty"),
+    pytest.param(5150, 0, 5100, ({}, []), id="channel_that_does_not_follow"),
+    pytest.param(100, 500, 0, ({}, []), id="channel_that_is_off_at_rest_stays_off"),
+    pytest.param(5100, 500, 5100, ({}, []), id="same_as_ever"),
+])
+def test_neutral_is_followed_only_so_far(duty, live_range, timeout_value, followed):
+    assert following(timeout_value, live_range).follow(neutrals(c0=duty)) == followed
+
+
+def test_reach_is_measured_from_the_start_however_often_a_neutral_moves():
+    channels = following()
+    assert channels.follow(neutrals(c0=5500)).changed and channels.follow(neutrals(c0=5900)).refused == [0]
+    assert channels.timeout_values[0] == 5500
+    assert channels.follow(neutrals(c0=5100)).changed == {0: 5100}
+
+
+@pytest.mark.parametrize("length", [0, 15, 17])
+def test_vector_of_neutrals_of_another_length_is_refused(length):
+    with pytest.raises(ValueError, match=f"a vector of neutrals needs 16 values and has {length}"):
+        following().follow([5150] * length)

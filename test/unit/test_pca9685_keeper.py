@@ -206,3 +206,8 @@ def test_board_that_was_never_there_never_ran(bench):
     bench.bus.remove(ADDRESS)
     bench.keep(LEFT, 1)
     assert bench.keeper.ever_ran
+
+
+def test_close_lets_go_of_the_bus_and_leaves_the_chip_as_it_is(running):
+    running.keeper.close()
+    assert (running.closed, running.keeper.running, running.pulses()) == (1, False, NEUTRAL)

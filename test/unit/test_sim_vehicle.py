@@ -412,3 +412,61 @@ def test_step_costs_less_than_its_share_of_a_millisecond():
         drive(vehicle, 0.5, 5300, FULL)
         best_s = min(best_s, (time.perf_counter() - start_s) / 500)
     assert best_s < 30e-6
+
+
+# --- what the default car has none of ---
+
+
+def with_play(play_duty):
+    return VehicleConfig(steering=SteeringConfig(curve=((4000, 1.0), (6000, -1.0)), center_duty=5000,
+                                                 play_duty=play_duty))
+
+
+def test_play_in_the_steering_leaves_the_wheels_half_of_it_behind_on_either_way():
+    vehicle = Vehicle(with_play(40.0))
+    drive(vehicle, 1.0, 5400, NEUTRAL)
+    assert vehicle.curvature_per_m == pytest.approx(-0.380, abs=1e-4)
+    drive(vehicle, 1.0, 5370, NEUTRAL)  # within the play: they don't follow at all
+    assert vehicle.curvature_per_m == pytest.approx(-0.380, abs=1e-4)
+    drive(vehicle, 1.0, 4600, NEUTRAL)
+    drive(vehicle, 1.0, 5000, NEUTRAL)
+    assert vehicle.curvature_per_m == pytest.approx(0.020, abs=1e-4)  # from the other side: as much too far left
+
+
+@pytest.mark.parametrize("yaw_rad, expected_mps2", ((0.0, -0.196), (math.pi, 0.196), (math.pi / 2, 0.0)),
+                         ids=("uphill", "downhill", "across"))
+def test_slope_pulls_the_car_downhill(yaw_rad, expected_mps2):
+    level = frictionless()
+    vehicle = Vehicle(VehicleConfig(steering=level.steering, drive=level.drive, slope=0.02, start=Pose(0, 0, yaw_rad)))
+    vehicle.speed_mps = 3.0
+    vehicle.step(10 * MS, CENTER, NEUTRAL)
+    assert vehicle.acceleration_mps2 == pytest.approx(expected_mps2, abs=0.001)
+
+
+def test_car_stands_on_a_slope_that_its_drag_holds_and_rolls_on_a_steeper_one():
+    held, rolls = (Vehicle(VehicleConfig(steering=PLAIN.steering, slope=slope)) for slope in (0.02, 0.10))
+    for vehicle in (held, rolls):
+        drive(vehicle, 1.0, CENTER, NEUTRAL)
+    assert held.travel_m == 0.0 and rolls.travel_m < -0.1
+
+
+def test_battery_loses_its_sag_evenly_around_the_stated_thrust_and_brakes_stay():
+    config = frictionless(sag=0.10, sag_over_s=100.0)
+    assert [config.drive.thrust(at_s) for at_s in (0, 50, 100, 500)] == pytest.approx([1.05, 1.0, 0.95, 0.95])
+    full = true_acceleration_mps2(FULL, 1.0, config.drive)
+    assert true_acceleration_mps2(FULL, 1.0, config.drive, 0.95) == pytest.approx(0.95 * full)
+    assert true_acceleration_mps2(REVERSE, 1.0, config.drive, 0.95) == true_acceleration_mps2(
+        REVERSE, 1.0, config.drive)
+    vehicle = Vehicle(config)
+    vehicle.speed_mps = 1.0
+    vehicle.step(MS, CENTER, FULL)
+    assert vehicle.acceleration_mps2 == pytest.approx(1.05 * full, rel=1e-3)
+
+
+@pytest.mark.parametrize("make, name", (
+    (lambda: SteeringConfig(play_duty=-1.0), "play_duty"), (lambda: DriveConfig(sag=1.0), "sag"),
+    (lambda: DriveConfig(sag_over_s=0.0), "sag_over_s"),
+))
+def test_hardship_that_no_car_has_is_refused_by_name(make, name):
+    with pytest.raises(ConfigError, match=f"^{name} is"):
+        make()

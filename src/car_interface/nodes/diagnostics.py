@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from typing import Callable
 
-from diagnostic_msgs.msg import DiagnosticStatus
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from diagnostic_updater import DiagnosticStatusWrapper, Updater
 
-from car_interface.nodes.node import Heartbeat
+from car_interface.nodes.node import Heartbeat, Inbox
 
 RATE_HZ = 1
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -18,17 +19,35 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 Report = Callable[[DiagnosticStatusWrapper], DiagnosticStatusWrapper]
 
 
+class _Updater(Updater):
+    """Reports in the name of its node, which needn't be that of the process."""
+
+    def __init__(self, node_name):
+        self._prefix = node_name[1:]
+        super().__init__()
+
+    def publish(self, msg):
+        statuses = msg if isinstance(msg, list) else [msg]
+        for status in statuses:
+            status.name = f"{self._prefix}: {status.name}"
+        array = DiagnosticArray(status=statuses)
+        array.header.stamp = rospy.Time.now()
+        self.publisher.publish(array)
+
+
 class Diagnostics:
     """One node's reports.
 
     Args:
+        inbox: the node's.
         hardware_id: what the reports are about, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
         reports: by name; each fills in the status that it's given, and returns it.
         now_ns: the first report comes a second later.
     """
 
-    def __init__(self, hardware_id: str, reports: dict[str, Report], now_ns: int):
-        self._updater = Updater()
+    def __init__(self, inbox: Inbox, hardware_id: str, reports: dict[str, Report], now_ns: int):
+        self._updater = _Updater(inbox.node_name)
+        inbox.made(self._updater.publisher.unregister)
         self._updater.setHardwareID(hardware_id)
         for name, report in reports.items():
             self._updater.add(name, report)

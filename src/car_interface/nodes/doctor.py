@@ -33,7 +33,7 @@ from car_interface.errors import ConfigError
 from car_interface.nodes.doctor_computer import look_at_clock, look_at_groups, look_at_network, look_at_versions
 from car_interface.nodes.doctor_devices import is_pseudo_terminal, look_at_board, look_at_port
 from car_interface.nodes.doctor_master import NODES, Master, read_parameters
-from car_interface.nodes.params import Params
+from car_interface.params import Params
 from car_interface.pca9685.duty import prescale_for
 
 VIRTUAL = "virtual"

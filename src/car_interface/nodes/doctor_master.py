@@ -7,7 +7,7 @@ from typing import Any
 
 from car_interface.doctor.car import Node, Reading
 from car_interface.errors import CarInterfaceError
-from car_interface.nodes.params import Params
+from car_interface.params import Params
 
 CALLER = "/doctor"
 ANSWER_WITHIN_S = 1.0
@@ -19,6 +19,9 @@ NODES = {
     "teleop_logi": "TeleopLogi",
     "car_sim": "CarSim",
 }
+# These may be parts of one process, which the master then knows by this name alone.
+ONE_PROCESS = "car_nodes"
+PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
 
 
 class Master:
@@ -62,15 +65,23 @@ class Master:
     def node(self, name: str, namespace: str) -> Node:
         """Whether a node is registered, and whether it answers."""
         path = f"{namespace.rstrip('/')}/{name}"
-        try:
-            uri = self.ask("lookupNode", path)
-        except LookupError:
+        uri = self._uri_of(path)
+        if uri is None and name in PARTS:
+            uri = self._uri_of(f"{namespace.rstrip('/')}/{ONE_PROCESS}")
+        if uri is None:
             return Node(name, path, False, False)
         try:
             ask(uri, "getPid", CALLER)
         except Exception:  # whatever is wrong with the answer: there is none
             return Node(name, path, True, False)
         return Node(name, path, True, True)
+
+    def _uri_of(self, path):
+        """A node's, ``None`` when there is no such node."""
+        try:
+            return self.ask("lookupNode", path)
+        except LookupError:
+            return None
 
     def outward(self, path: str, name: str) -> Any:
         """A parameter from the nearest of the namespaces around a node; ``None`` when none has it."""

@@ -2,13 +2,13 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import Future
 from typing import Callable
 
 import rospy
 
 from car_interface.errors import ConfigError
-from car_interface.srv import InjectFault, InjectFaultResponse
+from car_interface.nodes.node import serve
+from car_interface.srv import InjectFault
 
 
 def serve_faults(inbox, faults: dict[str, Callable[[float], None]]) -> None:
@@ -27,9 +27,4 @@ def serve_faults(inbox, faults: dict[str, Callable[[float], None]]) -> None:
             rospy.logwarn("fault: %s %g", request.fault, request.value)
             done.set_result((True, "done"))
 
-    def handle(request):
-        done: Future = Future()
-        inbox.put(lambda item, now_ns: inject(item, done), request)
-        return InjectFaultResponse(*done.result())
-
-    rospy.Service("~inject_fault", InjectFault, handle)
+    serve("~inject_fault", InjectFault, inbox, inject)

@@ -6,7 +6,8 @@ Subscribes:
     With servo/channel set also /e_stop, /teleop_logi/human_in_loop (std_msgs/Bool) and turn_arb/state (SteeringState).
 Publishes:
     ~output/value (Float64Stamped): one for each command that can be converted.
-    With servo/channel set /servo/cmdVector (std_msgs/Int32MultiArray) at 50 Hz: the ESC's duty, all others −1.
+    With servo/channel set /servo/cmdVector (std_msgs/Int32MultiArray) at 50 Hz: the ESC's duty, all others −1; and
+        servo/neutral (the same, latched): its neutral, for the servo board's timeout value.
     /diagnostics: what becomes of the commands; 1 Hz.
 Parameters:
     ~csv_path_value_map: the map; required unless it isn't used.  ~allow_plateaus false.
@@ -16,6 +17,8 @@ Parameters:
     ~servo/channel −1 (none), ~servo/value_axis, ~servo/duty_table, ~servo/neutral: the ESC.
     ~command_timeout 0.5, ~human_timeout 0.5, ~steering_timeout 0.25 (s, 0 = never): for the ESC.
     ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false: as turn_arb's, for the ESC.
+    ~live_range 100 (duty): how far servo/neutral may be tuned while it runs.  ~save_to: the file to save it to.
+Services, with servo/channel set: see ``live``; set_parameters is below ~servo.
 """
 from __future__ import annotations
 
@@ -27,18 +30,24 @@ import rospy
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32MultiArray
 
+from car_interface.cfg import EscNeutralConfig
 from car_interface.conversion import ConversionConfig, Converter
 from car_interface.msg import Control, Float64Stamped, SteeringState
 from car_interface.nodes.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.nodes.live import Live
 from car_interface.nodes.messages import duty_vector
-from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe
-from car_interface.nodes.permission import read_permission, subscribe_permission
+from car_interface.nodes.node import Complaints, Heartbeat, advertise, run, subscribe
+from car_interface.nodes.permission import subscribe_permission
+from car_interface.permission import read_permission
 from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
-from car_interface.throttle import Throttle, ThrottleConfig
+from car_interface.throttle import Throttle, ThrottleConfig, trimmed
+from car_interface.tuning import Tuning, read_tuning
 from car_interface.value_map import load_value_map
 
 RATE_HZ = 50
 NO_CHANNEL = -1
+LIVE_RANGE = 100  # duty, by default: 6 % of what an ESC has to each side, and at neutral it is driven by nobody
+LIVE_RATE = 100  # duty per second
 ODD_STAMP_S = 10.0  # a stamp this far from now is worth a word
 
 
@@ -77,6 +86,7 @@ class GenericValueConverter:
     """Answers each command with a value, and keeps the ESC's channel."""
 
     def __init__(self, params, inbox):
+        tuning = read_tuning(params, LIVE_RANGE)
         self._converter = read_converter(params)
         self._channel, self._throttle = read_throttle(params, self._converter)
         params.finish()
@@ -87,16 +97,35 @@ class GenericValueConverter:
         self._counts: Counter = Counter()
         now_ns = time.monotonic_ns()
         self._heartbeat = Heartbeat(RATE_HZ, now_ns)
-        self._diagnostics = Diagnostics("none", {"converter": self._report}, now_ns)
-        self._values = rospy.Publisher("~output/value", Float64Stamped, queue_size=10)
+        self._diagnostics = Diagnostics(inbox, "none", {"converter": self._report}, now_ns)
+        self._values = advertise("~output/value", Float64Stamped, inbox)
         if self._throttle is not None:
-            self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
+            self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
             subscribe_permission(inbox, self._throttle)
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
-        rospy.loginfo("waiting for odometry on %s and commands on %s", rospy.resolve_name("~input/odometry"),
-                      rospy.resolve_name("~input/control_cmd"))
+            self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
+            self._live = self._offer_tuning(tuning)
+        rospy.loginfo("waiting for odometry on %s and commands on %s",
+                      *(rospy.resolve_name(inbox.own(name)) for name in ("~input/odometry", "~input/control_cmd")))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
         subscribe("~input/control_cmd", Control, inbox, self._on_command)
+
+    def _offer_tuning(self, settings):
+        """Have the ESC's neutral tuned while the car drives."""
+        config = self._throttle.config
+        tuning = Tuning({"neutral": config.neutral}, settings.reach, LIVE_RATE,
+                        lambda values: trimmed(config, **values))
+
+        def apply(values):
+            self._throttle.calibrate(trimmed(config, **values))
+            self._neutrals.publish(duty_vector(one_channel(self._channel, values["neutral"])))
+
+        def parameters(values):
+            return {"servo/neutral": values["neutral"],
+                    "servo/duty_table": list(trimmed(config, **values).duty_table)}
+
+        return Live(self._inbox, self._complaints, tuning, apply, parameters, EscNeutralConfig, settings.save_to,
+                    namespace="servo")
 
     def step(self, now_ns):
         """Take each message with its consequence; then beat if it is time."""
@@ -107,6 +136,7 @@ class GenericValueConverter:
         if self._throttle is None:
             return self._diagnostics.due_ns
         if self._heartbeat.is_due(now_ns):
+            self._live.step(now_ns)
             self._publish_throttle(self._throttle.decide(now_ns))
         return min(self._heartbeat.due_ns, self._diagnostics.due_ns)
 
@@ -169,6 +199,7 @@ class GenericValueConverter:
         status.add("values sent", self._counts["values"])
         if self._decision is not None:
             status.add("duty of the ESC", self._decision.duty)
+            status.add("tuned live", self._live.changes)
             for name, age_s in self._throttle.ages_s(now_ns).items():
                 status.add(f"age of {name}", age_text(age_s))
         for kind, count in sorted(self._complaints.counts.items()):

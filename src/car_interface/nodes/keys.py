@@ -6,6 +6,7 @@ import select
 import signal
 import sys
 import termios
+import threading
 import tty
 
 NO_FD = -1  # standard input is closed
@@ -25,8 +26,8 @@ class Keys:
         self._continued = False  # after Ctrl-Z and fg the shell has set the terminal back
 
     def start(self) -> bool:
-        """Take the terminal's keys; whether there are any to take."""
-        if not self._in_foreground():
+        """Take the terminal's keys; whether there are any to take. None for a node that shares its process."""
+        if threading.current_thread() is not threading.main_thread() or not self._in_foreground():
             return False
         self._saved = termios.tcgetattr(self._fd)
         tty.setcbreak(self._fd)

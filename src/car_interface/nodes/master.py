@@ -9,6 +9,8 @@ from typing import Any, Callable
 
 import rospy
 
+from car_interface.nodes.node import Inbox
+
 POLL_S = 2.0
 ANSWER_WITHIN_S = 1.0
 GONE = ("the ROS master is gone: what is connected goes on, but no node that starts now can join, and one that ends is "
@@ -21,18 +23,20 @@ class MasterWatch:
     """Asks the master for a sign of life in a thread of its own, for a dead one lets its callers wait.
 
     Args:
-        tell: called from that thread with the trouble in words, or with an empty text while there is none.
+        inbox: of the node that wants to know.
+        handler: called in the node's thread with the trouble in words, or with an empty text while there is none.
     """
 
-    def __init__(self, tell: Callable[[str], None]):
-        self._tell = tell
+    def __init__(self, inbox: Inbox, handler: Callable[[str, int], None]):
+        self._inbox = inbox
+        self._handler = handler
         self._master = xmlrpc.client.ServerProxy(os.environ["ROS_MASTER_URI"], transport=_HastyTransport())
         self._pid = None
         threading.Thread(target=self._watch, name="master watch", daemon=True).start()
 
     def _watch(self):
-        while not rospy.is_shutdown():
-            self._tell(self._trouble())
+        while not (rospy.is_shutdown() or self._inbox.ending):
+            self._inbox.put(self._handler, self._trouble())
             time.sleep(POLL_S)
 
     def _trouble(self):

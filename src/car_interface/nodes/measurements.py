@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 from car_interface.errors import ConfigError
 from car_interface.msg import SteeringState, TeensyClock
 from car_interface.nodes.diagnostics import OK, WARN
-from car_interface.nodes.node import Complaints, is_heard, subscribe
+from car_interface.nodes.node import Complaints, advertise, is_heard, subscribe
 from car_interface.steering_check import SteeringCheck
 from car_interface.teensy.clock import ClockConfig
 from car_interface.teensy.measurements import MeasurementConfig, Measurements
@@ -75,7 +75,7 @@ class MeasurementPublisher:
 
     Args:
         settings: as ``read_settings`` has read them.
-        inbox: hears the temperature and, on request, the steering in the node's thread.
+        inbox: the node's; hears the temperature and the steering.
     """
 
     def __init__(self, settings: Settings, inbox):
@@ -88,12 +88,12 @@ class MeasurementPublisher:
         self._sync = None
         self._counted = (0, 0)
         self._prepare_messages()
-        self._odometry = rospy.Publisher("odom", OdometryMessage, queue_size=QUEUE_SIZE)
-        self._joints = rospy.Publisher("joint_states", JointState, queue_size=QUEUE_SIZE)
-        self._ranges = [rospy.Publisher(f"sonar/{name}", Range, queue_size=QUEUE_SIZE) for name in SONARS]
-        self._clock = rospy.Publisher("teensy_clock", TeensyClock, queue_size=QUEUE_SIZE)
-        self._tf = rospy.Publisher("/tf", TFMessage, queue_size=QUEUE_SIZE) if settings.publish_tf else None
-        self._static_tf = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
+        self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
+        self._joints = advertise("joint_states", JointState, inbox, QUEUE_SIZE)
+        self._ranges = [advertise(f"sonar/{name}", Range, inbox, QUEUE_SIZE) for name in SONARS]
+        self._clock = advertise("teensy_clock", TeensyClock, inbox, QUEUE_SIZE)
+        self._tf = advertise("/tf", TFMessage, inbox, QUEUE_SIZE) if settings.publish_tf else None
+        self._static_tf = advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True)
         self._static_tf.publish([_transform(settings.base_frame, frame, *mount)
                                  for frame, mount in zip(settings.sonar_frames, settings.mounts)])
         subscribe("temperature", Temperature, inbox, self._on_temperature)

@@ -1,11 +1,15 @@
 """What every node does alike: start, wait, complain, end.
 
-A node class takes ``Params`` and the ``Inbox`` in its ``__init__``. One thread, the main one, calls ``step(now_ns)``
-whenever something arrived or is due; ``step`` returns when it wants to be called next. Callbacks of ROS only put what
-they heard into the inbox. ``shut_down`` is called last, while topics still work.
+A node class takes ``Params`` and the ``Inbox`` in its ``__init__``. One thread calls ``step(now_ns)`` whenever
+something arrived or is due; ``step`` returns when it wants to be called next. Callbacks of ROS only put what they heard
+into the inbox. ``shut_down`` is called last, while topics still work.
+
+That thread is the process's main one, or one of several in ``car_nodes``. A node class needn't know: what it has on the
+ROS graph is made by ``advertise``, ``subscribe`` and ``serve``, which take its name from its inbox.
 """
 from __future__ import annotations
 
+import io
 import logging
 import os
 import select
@@ -15,12 +19,13 @@ import threading
 import time
 import traceback
 from collections import Counter, deque
+from concurrent.futures import Future, InvalidStateError
 from typing import Any, Callable
 
 import rospy
 
 from car_interface.errors import CarInterfaceError
-from car_interface.nodes.params import Params
+from car_interface.params import Params
 
 NS_PER_S = 1_000_000_000
 LONGEST_WAIT_NS = NS_PER_S
@@ -35,15 +40,68 @@ class Inbox:
 
     It waits with select on a pipe: before Python 3.11 a timed ``Condition.wait`` follows the settable clock, and poll
     rounds up to whole milliseconds.
+
+    Args:
+        node_name: the node's, with its namespace; ``None`` = the process's, of which it is the only node.
     """
 
-    def __init__(self):
+    def __init__(self, node_name: str | None = None):
         self.ending = False
+        self._node_name = node_name
+        self._made: list[Callable[[], None]] = []  # how to take back what the node has on the ROS graph
+        self._asked: set[Future] = set()  # what services' callers wait for
+        self._closed = False
         self._items: deque = deque(maxlen=INBOX_LIMIT)
         self._wake_read, self._wake_write = os.pipe()
+        # It is closed with the last one who may wake: the number of a closed file may be a serial port's by then.
+        self._pipe = [io.FileIO(fd) for fd in (self._wake_read, self._wake_write)]
         os.set_blocking(self._wake_read, False)
         os.set_blocking(self._wake_write, False)
         self._watched = [self._wake_read]
+
+    @property
+    def node_name(self) -> str:
+        """The node's name, with its namespace."""
+        return self._node_name or rospy.get_name()
+
+    def own(self, name: str) -> str:
+        """A name of a topic or service for rospy, which takes ``~state`` for the process's."""
+        return f"{self._node_name}/{name[1:]}" if self._node_name and name.startswith("~") else name
+
+    def made(self, take_back: Callable[[], None]) -> None:
+        """Have ``close`` take back what was made on the ROS graph."""
+        self._made.append(take_back)
+
+    def close(self) -> None:
+        """Take the node off the ROS graph while its process lives on; whoever waits for an answer is told."""
+        self.ending = self._closed = True
+        for take_back in reversed(self._made):
+            try:
+                take_back()
+            except Exception:  # the master is gone: there is nothing to take back
+                logging.getLogger("car_interface").info("%s", traceback.format_exc())
+        self._made.clear()
+        for done in list(self._asked):
+            self._refuse(done)
+
+    def ask(self, handler: Callable[[Any, Future], None], request: Any) -> Any:
+        """What the Future gets that the node's thread gives to ``handler(request, future)``. For other threads."""
+        done: Future = Future()
+        self._asked.add(done)
+        self.put(lambda item, now_ns: handler(item, done), request)
+        if self._closed:  # or ``close`` may have come before the question
+            self._refuse(done)
+        try:
+            return done.result()
+        finally:
+            self._asked.discard(done)
+
+    @staticmethod
+    def _refuse(done):
+        try:
+            done.set_exception(rospy.ServiceException("the node has ended"))
+        except InvalidStateError:
+            pass  # it was answered meanwhile
 
     def put(self, handler: Callable[[Any, int], None], item: Any, wakes: bool = True) -> None:
         """Have the node's thread call ``handler(item, arrival_ns)``: now, or whenever it's next awake.
@@ -145,13 +203,9 @@ def run(name: str, node_class) -> None:
     rospy.core.add_shutdown_hook(lambda reason: unregistered.set())  # comes after rospy's own
     failed = False
     try:
-        _live(node_class, inbox)
-    except CarInterfaceError as error:
-        rospy.logfatal("%s", error)
-        failed = True
+        live(node_class, inbox)
     except Exception as error:
-        rospy.logfatal("a fault in this node itself (see its log file): %s: %s", type(error).__name__, error)
-        logging.getLogger("car_interface").error("%s", traceback.format_exc())  # ROS: to the log file only
+        rospy.logfatal("%s", in_words(error))
         failed = True
     ended.set()
     rospy.signal_shutdown("ended")  # returns at once while another thread is doing that already
@@ -185,13 +239,23 @@ class _LogStream:
         return self._stream is not None and self._stream.isatty()
 
 
-def _live(node_class, inbox):
-    node = node_class(Params(rospy.get_param("~", {}), _search_outward), inbox)
+def live(node_class, inbox: Inbox) -> None:
+    """A node's life in this thread: read its parameters, build it, step it until it shall end, shut it down."""
+    name = inbox.node_name
+    node = node_class(Params(rospy.get_param(name, {}), lambda wanted: _search_outward(name, wanted)), inbox)
     try:
         while not inbox.ending:
             inbox.wait_until(node.step(time.monotonic_ns()))
     finally:
         node.shut_down()
+
+
+def in_words(error: Exception) -> str:
+    """One line about what ended a node; where that is a fault of its own, the log file gets the traceback."""
+    if isinstance(error, CarInterfaceError):
+        return str(error)
+    logging.getLogger("car_interface").error("%s", traceback.format_exc())  # ROS: to the log file only
+    return f"a fault in this node itself (see its log file): {type(error).__name__}: {error}"
 
 
 def _end_and_wait(inbox, ended):
@@ -201,16 +265,34 @@ def _end_and_wait(inbox, ended):
         ended.wait(SHUT_DOWN_S)
 
 
-def _search_outward(name):
-    """A parameter's value from the nearest enclosing namespace, as roscpp's searchParam does; None if none has it."""
-    found = rospy.search_param(name)
-    return None if found is None else rospy.get_param(found, None)
+def _search_outward(node_name, name):
+    """A parameter's value from the nearest namespace around a node; None if none has it."""
+    namespace = node_name
+    while namespace:
+        namespace = namespace.rpartition("/")[0]
+        value = rospy.get_param(f"{namespace}/{name}", None)
+        if value is not None:
+            return value
+    return None
+
+
+def advertise(topic: str, message_type, inbox: Inbox, queue_size=10, latch=False) -> rospy.Publisher:
+    """A publisher, for the life of the inbox's node."""
+    publisher = rospy.Publisher(inbox.own(topic), message_type, queue_size=queue_size, latch=latch)
+    inbox.made(publisher.unregister)
+    return publisher
+
+
+def serve(name: str, service_type, inbox: Inbox, handler: Callable[[Any, Future], None]) -> None:
+    """Offer a service: ``handler(request, done)`` runs in the node's thread; the Future gets the response's fields."""
+    def handle(request):
+        return service_type._response_class(*inbox.ask(handler, request))
+    inbox.made(rospy.Service(inbox.own(name), service_type, handle).shutdown)
 
 
 def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10) -> None:
     """Subscribe so that ``handler(message, arrival_ns)`` runs in the node's thread, for each message, in order."""
-    rospy.Subscriber(topic, message_type, lambda message: inbox.put(handler, message), queue_size=queue_size,
-                     tcp_nodelay=True)
+    _subscribe(topic, message_type, inbox, lambda message: inbox.put(handler, message), queue_size)
 
 
 def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None]) -> None:
@@ -226,7 +308,12 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[
         is_news = message.data != last  # as NaN always is
         last = message.data
         inbox.put(handler, message, wakes=is_news)
-    rospy.Subscriber(topic, message_type, hear, queue_size=10, tcp_nodelay=True)
+    _subscribe(topic, message_type, inbox, hear)
+
+
+def _subscribe(topic, message_type, inbox, hear, queue_size=10):
+    subscriber = rospy.Subscriber(inbox.own(topic), message_type, hear, queue_size=queue_size, tcp_nodelay=True)
+    inbox.made(subscriber.unregister)
 
 
 def is_heard(publisher) -> bool:

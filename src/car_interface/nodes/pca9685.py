@@ -2,6 +2,7 @@
 
 Subscribes:
     command, /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties 0..65535 of the PWM period, −1 = leave it alone.
+    servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, of those who command the channels: timeout values.
 Publishes:
     /servo/output (std_msgs/Int32MultiArray, latched): the duties that the chip holds, −1 = never set; on change and
         at 1 Hz.
@@ -12,7 +13,11 @@ Parameters:
     ~timeout 250 (ms, 0 = never), ~timeout_value 0 (duty, 0 = off), ~pwm_min 0, ~pwm_max 65535: a list of 16, or one
         for all.
     ~throttle_channel −1 (none), ~throttle_neutral: the ESC's channel, and the timeout value that it has instead.
+    ~live_range 500, ~throttle_live_range 100 (duty): how far a timeout value may follow servo/neutral; 0 = not at all.
+    ~save_to, ~throttle_save_to: the files that ~save puts timeout_value and throttle_neutral back to.
     ~required false: true = end with exit code 1 when the board can't be used at start.
+Service:
+    ~save (std_srvs/Trigger): see ``saving``; turn_arb's and the converter's call it.
 The virtual chip has a service and a parameter more: see ``virtual_board``.
 """
 from __future__ import annotations
@@ -30,7 +35,8 @@ from std_msgs.msg import Int32MultiArray
 from car_interface.errors import DeviceError
 from car_interface.nodes.diagnostics import ERROR, OK, Diagnostics
 from car_interface.nodes.messages import duty_vector
-from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run, subscribe
+from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, advertise, run, subscribe
+from car_interface.nodes.saving import File, serve_saving
 from car_interface.nodes.virtual_board import VirtualBoardBus
 from car_interface.pca9685.board import Board, BoardMismatch
 from car_interface.pca9685.channels import ChannelConfig, Channels
@@ -42,6 +48,7 @@ OUTPUT_RATE_HZ = 1
 INSIST_NS = NS_PER_S  # how long a node that ends goes on trying to reach a chip that pulses
 LONGEST_TIMEOUT_MS = 3_600_000
 VIRTUAL = "virtual"
+LIVE_RANGE, THROTTLE_LIVE_RANGE = 500, 100  # duty, as those of turn_arb and generic_value_converter
 NO_CHANNEL = -1
 
 
@@ -49,12 +56,33 @@ def read_channels(params):
     """The sixteen channels' configuration."""
     timeouts_ms = params.integers("timeout", CHANNELS, 250, 0, LONGEST_TIMEOUT_MS)
     timeout_values = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
+    live_ranges = [params.integer("live_range", LIVE_RANGE, 0, MAX_DUTY)] * CHANNELS
+    throttle_live_range = params.integer("throttle_live_range", THROTTLE_LIVE_RANGE, 0, MAX_DUTY)
     throttle_channel = params.integer("throttle_channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
     if throttle_channel != NO_CHANNEL:
+        live_ranges[throttle_channel] = throttle_live_range
         timeout_values[throttle_channel] = params.integer("throttle_neutral", low=0, high=MAX_DUTY)
     pwm_min = params.integers("pwm_min", CHANNELS, 0, 0, MAX_DUTY)
     pwm_max = params.integers("pwm_max", CHANNELS, MAX_DUTY, 0, MAX_DUTY)
-    return Channels([ChannelConfig(*settings) for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max)])
+    return Channels([ChannelConfig(*settings)
+                     for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max, live_ranges)])
+
+
+def read_saving(params):
+    """Makes of timeout values what ~save shall save."""
+    start = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
+    throttle_channel = params.integer("throttle_channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
+    save_to, throttle_save_to = params.text("save_to", None), params.text("throttle_save_to", None)
+
+    def files(timeout_values):
+        plain = [start[channel] if channel == throttle_channel else duty
+                 for channel, duty in enumerate(timeout_values)]
+        own = [File("save_to", save_to, {"timeout_value": plain})] if any(start) else []
+        if throttle_channel == NO_CHANNEL:
+            return own
+        neutral = {"throttle_neutral": timeout_values[throttle_channel]}
+        return [*own, File("throttle_save_to", throttle_save_to, neutral)]
+    return files
 
 
 def read_device(params):
@@ -100,6 +128,7 @@ class Pca9685:
     def __init__(self, params, inbox):
         now_ns = time.monotonic_ns()
         self._channels = read_channels(params)
+        files = read_saving(params)
         self._device = read_device(params)
         self._address = params.integer("address", 0x40, low=0x40, high=0x7F)
         frequency_hz = params.number("frequency", 50.0, above=0.0)
@@ -118,13 +147,15 @@ class Pca9685:
         self._timeouts: Counter = Counter()  # by channel
         self._heartbeat = Heartbeat(OUTPUT_RATE_HZ, now_ns)
         self._published = [UNCHANGED] * CHANNELS
-        self._outputs = rospy.Publisher("/servo/output", Int32MultiArray, queue_size=10, latch=True)
-        self._diagnostics = Diagnostics(self._name(), {"servo board": self._report}, now_ns)
+        self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
+        self._diagnostics = Diagnostics(inbox, self._name(), {"servo board": self._report}, now_ns)
         if required:
             self._open_or_end(now_ns)
         bus.serve(inbox)
         for topic in ("command", "/servo/cmdVector"):
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
+        subscribe("servo/neutral", Int32MultiArray, inbox, self._on_neutral)
+        serve_saving(self._inbox, lambda: files(self._channels.timeout_values))
 
     def step(self, now_ns):
         """Take all that arrived, expire the old, and only then write: a slow bus must not replay what is stale."""
@@ -144,12 +175,18 @@ class Pca9685:
         """Timeout values for a whole period, then every output off: an ESC sees neutral before it sees nothing."""
         if not self._keeper.ever_ran:
             return
+        try:
+            self._switch_off()
+        finally:
+            self._keeper.close()
+        time.sleep(0.02)  # the last output leaves by a thread of rospy's
+
+    def _switch_off(self):
         self._channels.make_safe()
         self._insist(self._keep_now)
         time.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
         self._insist(lambda: self._keep_now() and self._keeper.all_off(time.monotonic_ns()))
         self._publish()
-        time.sleep(0.02)  # the last output leaves by a thread of rospy's
 
     def _keep_now(self):
         """Give the chip its targets without waiting for the next attempt; whether it holds them."""
@@ -179,6 +216,22 @@ class Pca9685:
                                              f"{first} is no duty; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
         if accepted.clamped:
             self._complaints.warn("clamped", f"{_listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
+
+    def _on_neutral(self, message, now_ns):
+        """Who commands a channel also says where it is at rest: the two must not disagree."""
+        try:
+            followed = self._channels.follow(message.data)
+        except ValueError as error:
+            self._complaints.warn("length of neutrals", f"{error}: refused")
+            return
+        for channel in followed.refused:
+            self._complaints.warn("neutral", f"channel {channel} rests at {message.data[channel]} by servo/neutral, "
+                                             f"its timeout value is {self._channels.timeout_values[channel]}: too far "
+                                             "to follow. Make the two agree in the YAML files")
+        if followed.changed:
+            self._complaints.warn("followed", f"the timeout value of {_listed(sorted(followed.changed))} follows "
+                                              f"servo/neutral, away from the YAML file's. To save it: rosservice call "
+                                              f"{rospy.resolve_name(self._inbox.own('~save'))}")
 
     def _keep(self):
         self._keeper.keep(self._channels.targets, time.monotonic_ns())
@@ -224,6 +277,7 @@ class Pca9685:
         status.add("reopened", tally.reopenings)
         status.add("initialised anew after a loss of power", tally.reinitialisations)
         status.add("commands dropped while it was away", self._dropped)
+        status.add("timeout values", " ".join(map(str, self._channels.timeout_values)))
         for channel, count in sorted(self._timeouts.items()):
             status.add(f"timeouts of channel {channel}", count)
         for kind in ("length", "refused", "clamped"):

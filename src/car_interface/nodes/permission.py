@@ -4,16 +4,6 @@ from __future__ import annotations
 from std_msgs.msg import Bool
 
 from car_interface.nodes.node import subscribe_changes
-from car_interface.permission import PermissionConfig
-
-HUMAN_TIMEOUT_S = 0.5
-
-
-def read_permission(params, human_timeout_s: float = HUMAN_TIMEOUT_S) -> PermissionConfig:
-    """The rules from ~human_timeout (with this default), ~e_stop_timeout and ~e_stop_required."""
-    return PermissionConfig(human_timeout_s=params.timeout("human_timeout", human_timeout_s),
-                            e_stop_timeout_s=params.timeout("e_stop_timeout", 1.0),
-                            e_stop_required=params.flag("e_stop_required", False))
 
 
 def subscribe_permission(inbox, arbiter) -> None:

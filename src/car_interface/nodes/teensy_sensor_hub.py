@@ -36,15 +36,15 @@ import time
 from concurrent.futures import Future
 
 import rospy
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger
 
 from car_interface.errors import DeviceError, ProtocolError
 from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
 from car_interface.nodes.diagnostics import Diagnostics
 from car_interface.nodes.keys import Keys
 from car_interface.nodes.measurements import MeasurementPublisher, read_settings
-from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, is_heard, run
-from car_interface.srv import SetSonarSequence, SetSonarSequenceResponse, SetSonarWait, SetSonarWaitResponse
+from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, advertise, is_heard, run, serve
+from car_interface.srv import SetSonarSequence, SetSonarWait
 from car_interface.teensy import protocol
 from car_interface.teensy.framing import CORRECTED, RESYNC_FILLER, SHIPPED, FrameDecoder, encode
 from car_interface.teensy.health import FINE, OK, REBOOTED, WAITING, Counts, LinkHealth, TeensyClock
@@ -96,8 +96,8 @@ class TeensySensorHub:
         self._counters = {}  # the Teensy's, by name, as it last sent them
         self._round_trip_ns = math.nan
         self._link_beat = Heartbeat(1, now_ns)
-        self._link_status = rospy.Publisher("~link", LinkStatus, queue_size=10, latch=True)
-        self._diagnostics = Diagnostics(f"Teensy on {port}", {
+        self._link_status = advertise("~link", LinkStatus, inbox, latch=True)
+        self._diagnostics = Diagnostics(inbox, f"Teensy on {port}", {
             "Teensy link": self._report, **(self._measurements.reports if self._measurements else {})}, now_ns)
         self._publish = self._publishers()
         if required:
@@ -120,10 +120,10 @@ class TeensySensorHub:
 
     def _publishers(self):
         """What to do with each kind of record, and when it was read: first pass it on as it is."""
-        pong = rospy.Publisher("teensy_pong", Pong, queue_size=QUEUE_SIZE).publish
-        wheel = rospy.Publisher("teensy_wheel", Wheel, queue_size=QUEUE_SIZE)
-        distance = rospy.Publisher("teensy_distance", Distance, queue_size=QUEUE_SIZE)
-        error = rospy.Publisher("teensy_error", Error, queue_size=QUEUE_SIZE).publish
+        pong = advertise("teensy_pong", Pong, self._inbox, QUEUE_SIZE).publish
+        wheel = advertise("teensy_wheel", Wheel, self._inbox, QUEUE_SIZE)
+        distance = advertise("teensy_distance", Distance, self._inbox, QUEUE_SIZE)
+        error = advertise("teensy_error", Error, self._inbox, QUEUE_SIZE).publish
         measurements = self._measurements
 
         def on_pong(record, received_ns):
@@ -156,21 +156,17 @@ class TeensySensorHub:
     def _services(self):
         for name, action in (("sonar_start", protocol.sonar_start), ("sonar_stop", protocol.sonar_stop),
                              ("wheel_reset", protocol.wheel_reset)):
-            self._serve(name, Trigger, TriggerResponse, lambda request, action=action: self._send(action()))
-        self._serve("get_counters", Trigger, TriggerResponse, lambda request: self._get_counters())
-        self._serve("ping", Trigger, TriggerResponse, lambda request: self._ping_and_wait())
-        self._serve("set_sonar_sequence", SetSonarSequence, SetSonarSequenceResponse,
+            self._serve(name, Trigger, lambda request, action=action: self._send(action()))
+        self._serve("get_counters", Trigger, lambda request: self._get_counters())
+        self._serve("ping", Trigger, lambda request: self._ping_and_wait())
+        self._serve("set_sonar_sequence", SetSonarSequence,
                     lambda request: self._send(protocol.set_sonar_sequence(request.sequence)))
-        self._serve("set_sonar_wait", SetSonarWait, SetSonarWaitResponse,
+        self._serve("set_sonar_wait", SetSonarWait,
                     lambda request: self._send(protocol.sonar_wait(request.wait_ms)))
 
-    def _serve(self, name, service_type, response_type, action):
+    def _serve(self, name, service_type, action):
         """A service whose ``action(request)`` runs in the node's thread; it returns (success, message), or a Future."""
-        def handle(request):
-            done = Future()
-            self._inbox.put(lambda item, now_ns: _answer(done, action, item), request)
-            return response_type(*done.result())
-        rospy.Service(f"~{name}", service_type, handle)
+        serve(f"~{name}", service_type, self._inbox, lambda request, done: _answer(done, action, request))
 
     def step(self, now_ns):
         """Do what was asked, read what came, ping when it's time."""

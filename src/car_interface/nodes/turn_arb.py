@@ -8,6 +8,7 @@ Subscribes:
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 but for the steering channel.
     ~state (SteeringState, latched): who steers, why, with what duty; on every change and 10 times a second.
+    servo/neutral (std_msgs/Int32MultiArray, latched): the center, for the servo board's timeout value; −1 elsewhere.
     /diagnostics: the same in short; 1 Hz.
 Parameters (those of the original are also looked up in the namespaces around the node's):
     servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
@@ -17,6 +18,8 @@ Parameters (those of the original are also looked up in the namespaces around th
     ~e_stop_timeout 1.0 (s, 0 = never): a lock that was heard once and is silent for longer is on.
     ~e_stop_required false: true = also one that was never heard.
     ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
+    ~live_range 500 (duty): how far ends and center may be tuned while it runs.  ~save_to: the file to save them to.
+Services: see ``live``.
 """
 from __future__ import annotations
 
@@ -26,18 +29,23 @@ import time
 import rospy
 from std_msgs.msg import Float32, Int32MultiArray
 
+from car_interface.cfg import SteeringTrimConfig
 from car_interface.msg import SteeringState
 from car_interface.nodes.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.nodes.live import Live
 from car_interface.nodes.master import MasterWatch
 from car_interface.nodes.messages import duty_vector
-from car_interface.nodes.node import Complaints, Heartbeat, run, subscribe_changes
-from car_interface.nodes.permission import read_permission, subscribe_permission
-from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
-from car_interface.steering import LOCKED, SOURCE_NAMES, SteeringArbiter, SteeringConfig
+from car_interface.nodes.node import Complaints, Heartbeat, advertise, run, subscribe_changes
+from car_interface.nodes.permission import subscribe_permission
+from car_interface.servo import one_channel
+from car_interface.steering import LOCKED, SOURCE_NAMES, SteeringArbiter, trimmed
+from car_interface.steering_params import read_config
+from car_interface.tuning import Tuning, read_tuning
 
 RATE_HZ = 100
-FASTEST_SLEW = 1e9  # duty per second: from end to end within a heartbeat, many times over
 BEATS_PER_STATE = 10
+LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of the way between a servo's ends
+LIVE_RATE = 500  # duty per second, or slew_limit where that is less
 # What an owner wants to be warned of: something was there and failed.
 ALARMING = ("human silent", "not re-armed", "teleop silent", "teleop not finite", "planner silent",
             "planner not finite")
@@ -45,32 +53,11 @@ ALARMING = ("human silent", "not re-armed", "teleop silent", "teleop not finite"
 TELL_AFTER_NS = 500_000
 
 
-def read_config(params) -> SteeringConfig:
-    """The node's configuration from its parameters."""
-    timeout_s = params.timeout("input_timeout", 0.5)
-    config = SteeringConfig(
-        servo_left=params.integer("servo_left", low=0, high=MAX_DUTY, outward=True),
-        servo_center=params.integer("servo_center", low=0, high=MAX_DUTY, outward=True),
-        servo_right=params.integer("servo_right", low=0, high=MAX_DUTY, outward=True),
-        servo_channel=params.integer("servo_channel", low=0, high=CHANNELS - 1, outward=True),
-        radius_axis_m=params.numbers("m_turnrad_axis_servo", outward=True),
-        left_duties=params.numbers("k_pwmcmd_left_table_servo", low=0, high=MAX_DUTY, outward=True),
-        right_duties=params.numbers("k_pwmcmd_right_table_servo", low=0, high=MAX_DUTY, outward=True),
-        tele_steer_neutral=params.number("tele_steer_neutral", 0.0, low=-1, high=1),
-        tele_steer_deadband=params.number("tele_steer_deadband", 0.001, low=0, high=1),
-        slew_limit=params.number("slew_limit", 0.0, low=0, high=FASTEST_SLEW),
-        permission=read_permission(params, timeout_s),
-        teleop_timeout_s=params.timeout("teleop_timeout", timeout_s),
-        planner_timeout_s=params.timeout("planner_timeout", timeout_s),
-    )
-    params.finish()
-    return config
-
-
 class TurnArb:
     """Hears the three inputs, decides, publishes."""
 
     def __init__(self, params, inbox):
+        tuning = read_tuning(params, LIVE_RANGE)
         config = read_config(params)
         now_ns = time.monotonic_ns()
         self._arbiter = SteeringArbiter(config)
@@ -83,14 +70,16 @@ class TurnArb:
         self._command = self._commanded_duty = None  # the message that goes out, and the duty in it
         self._untold = []  # decisions whose command is out, and whose state and log line are not
         self._tell_ns = 0
-        self._commands = rospy.Publisher("/servo/cmdVector", Int32MultiArray, queue_size=10)
-        self._states = rospy.Publisher("~state", SteeringState, queue_size=10, latch=True)
-        self._diagnostics = Diagnostics("none", {"steering": self._report}, now_ns)
+        self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
+        self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
+        self._states = advertise("~state", SteeringState, inbox, latch=True)
+        self._diagnostics = Diagnostics(inbox, "none", {"steering": self._report}, now_ns)
         self._master_trouble = ""
-        MasterWatch(lambda trouble: inbox.put(self._on_master, trouble))
+        MasterWatch(inbox, self._on_master)
         subscribe_permission(inbox, self._arbiter)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner)
+        self._live = self._offer_tuning(config, tuning)
 
     def step(self, now_ns):
         """Take what arrived, each with its consequence; then beat if it is time."""
@@ -136,8 +125,26 @@ class TurnArb:
         self._publish_command(decision)
         return True
 
+    def _offer_tuning(self, config, settings):
+        """Have ends and center tuned while the car drives. All is worked out from the calibration at start."""
+        start = {name: getattr(config, name) for name in ("servo_left", "servo_center", "servo_right")}
+        rate = min(config.slew_limit or LIVE_RATE, LIVE_RATE)
+        tuning = Tuning(start, settings.reach, rate, lambda values: trimmed(config, **values))
+
+        def apply(values):
+            self._arbiter.calibrate(trimmed(config, **values))
+            self._neutrals.publish(duty_vector(one_channel(self._channel, values["servo_center"])))
+
+        def parameters(values):
+            moved = trimmed(config, **values)
+            return {**values, "k_pwmcmd_left_table_servo": list(moved.left_duties),
+                    "k_pwmcmd_right_table_servo": list(moved.right_duties)}
+
+        return Live(self._inbox, self._complaints, tuning, apply, parameters, SteeringTrimConfig, settings.save_to)
+
     def _beat(self, now_ns):
         self._beats += 1
+        self._live.step(now_ns)
         if not self._decide(now_ns):
             self._publish_command(self._decision)
         if self._beats % BEATS_PER_STATE == 0:
@@ -164,6 +171,7 @@ class TurnArb:
             status.add(f"age of {name}", age_text(age_s))
         status.add("locked", decision.source == LOCKED)
         status.add("ROS master", self._master_trouble or "there")
+        status.add("tuned live", self._live.changes)
         for kind, count in sorted(self._complaints.counts.items()):
             status.add(f"warnings of {kind}", count)
         return status

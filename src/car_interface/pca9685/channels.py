@@ -23,12 +23,14 @@ class ChannelConfig:
         timeout_ms: silence this long puts the channel to its timeout value; 0 = never.
         timeout_value: duty 0..65535; 0 = off. Not subject to the limits.
         pwm_min, pwm_max: commanded duties are clamped to these, 0 too.
+        live_range: the timeout value follows a neutral that is heard, this far at most; 0 = not at all.
     """
 
     timeout_ms: int = 250
     timeout_value: int = 0
     pwm_min: int = 0
     pwm_max: int = MAX_DUTY
+    live_range: int = 0
 
 
 class Accepted(NamedTuple):
@@ -37,6 +39,13 @@ class Accepted(NamedTuple):
     channels: Sequence[int]  # the channels that it set
     clamped: Sequence[int]  # of these, the ones whose duty lay beyond pwm_min or pwm_max
     refused: Sequence[int]  # the ones whose value is no duty at all; they keep what they had, and their timeout runs on
+
+
+class Followed(NamedTuple):
+    """What became of one vector of neutrals."""
+
+    changed: dict[int, int]  # the channels whose timeout value is another one now, and which
+    refused: Sequence[int]  # those whose neutral is no duty, or beyond live_range: they keep their timeout value
 
 
 class Channels:
@@ -54,8 +63,9 @@ class Channels:
             if config.pwm_min > config.pwm_max:
                 raise ConfigError(f"pwm_min[{channel}]", config.pwm_min, f"at most pwm_max[{channel}] {config.pwm_max}")
         self._configs = tuple(configs)
-        self._failsafe = [counts_of_duty(config.timeout_value) for config in configs]
-        self._targets = list(self._failsafe)
+        self.timeout_values = [config.timeout_value for config in configs]
+        self._targets = [counts_of_duty(duty) for duty in self.timeout_values]
+        self._commanded: set[int] = set()  # the others hold their timeout value
         self._deadlines_ns: dict[int, int] = {}
 
     def command(self, duties: Sequence[int], now_ns: int) -> Accepted:
@@ -78,6 +88,7 @@ class Channels:
             if allowed != duty:
                 clamped.append(channel)
             self._targets[channel] = counts_of_duty(allowed)
+            self._commanded.add(channel)
             if config.timeout_ms:
                 self._deadlines_ns[channel] = now_ns + config.timeout_ms * NS_PER_MS
             given.append(channel)
@@ -88,13 +99,38 @@ class Channels:
         expired = [channel for channel, deadline_ns in self._deadlines_ns.items() if now_ns >= deadline_ns]
         for channel in expired:
             del self._deadlines_ns[channel]
-            self._targets[channel] = self._failsafe[channel]
+            self._commanded.discard(channel)
+            self._targets[channel] = counts_of_duty(self.timeout_values[channel])
         return expired
+
+    def follow(self, neutrals: Sequence[int]) -> Followed:
+        """Take a vector of 16 neutrals, −1 = none, as told by those who command the channels, for timeout values.
+
+        A channel whose timeout value at start is 0, off, stays so: its owner wants no pulses there.
+
+        Raises:
+            ValueError: unless there are exactly 16.
+        """
+        if len(neutrals) != CHANNELS:
+            raise ValueError(f"a vector of neutrals needs {CHANNELS} values and has {len(neutrals)}")
+        changed, refused = {}, []
+        for channel, duty in enumerate(neutrals):
+            config = self._configs[channel]
+            if duty in (UNCHANGED, self.timeout_values[channel]) or not (config.timeout_value and config.live_range):
+                continue
+            if not 0 < duty <= MAX_DUTY or abs(duty - config.timeout_value) > config.live_range:
+                refused.append(channel)
+                continue
+            changed[channel] = self.timeout_values[channel] = duty
+            if channel not in self._commanded:
+                self._targets[channel] = counts_of_duty(duty)
+        return Followed(changed, refused)
 
     def make_safe(self) -> None:
         """Put every channel to its timeout value now."""
         self._deadlines_ns.clear()
-        self._targets = list(self._failsafe)
+        self._commanded.clear()
+        self._targets = [counts_of_duty(duty) for duty in self.timeout_values]
 
     def next_deadline_ns(self) -> float:
         """When ``expire`` will next have something to do; inf = not before the next command."""

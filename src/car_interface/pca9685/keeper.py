@@ -121,6 +121,10 @@ class BoardKeeper:
             self._lose(error, now_ns)
         return self._board is not None
 
+    def close(self) -> None:
+        """Let go of the bus; the chip goes on with what it was told."""
+        self._close()
+
     def hurry(self) -> None:
         """Let the next ``keep`` try at once to open what was lost."""
         self._next_try_ns = 0

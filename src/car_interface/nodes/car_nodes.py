@@ -1,0 +1,148 @@
+"""turn_arb, pca9685, teensy_sensor_hub and generic_value_converter as one process: for a computer with little memory.
+
+Each is the same node class as in a process of its own, with the same topics, services, parameters and reports under its
+own name, and with a thread that decides and publishes. What they share is one interpreter, and one name on the ROS
+graph.
+
+A part that ends by a fault is shut down, taken off the graph and started anew after a second, as roslaunch's respawn
+does; the others go on. A parameter that a part refuses as it starts for the first time ends the process, likewise a
+device that is required and missing.
+
+Parameters:
+    None of its own: each part has those below its own name.
+"""
+from __future__ import annotations
+
+import gc
+import logging
+import math
+import threading
+import time
+from typing import Callable
+
+import rospy
+
+from car_interface.errors import CarInterfaceError
+from car_interface.nodes.generic_value_converter import GenericValueConverter
+from car_interface.nodes.node import NS_PER_S, Inbox, in_words, live, run
+from car_interface.nodes.pca9685 import Pca9685
+from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
+from car_interface.nodes.turn_arb import TurnArb
+
+NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
+         "generic_value_converter": GenericValueConverter}
+PAUSE_NS = NS_PER_S
+END_WITHIN_S = 5.0  # pca9685 tries for two seconds to reach its chip
+POLL_S = 0.005  # Thread.join with a timeout follows the settable clock before Python 3.11
+
+
+class Part:
+    """One of the nodes, in a thread of its own for each of its lives.
+
+    Args:
+        name: the node's, without its namespace.
+        node_class: as ``node.live`` takes it.
+        on_end: called in the part's thread when a life is over.
+    """
+
+    def __init__(self, name: str, node_class: Callable, on_end: Callable[[Part], None]):
+        self.name = name
+        self.fault = ""  # what ended the last life, in words
+        self.was_refused = False  # the first life ended before it had begun: by a parameter, or a device
+        self._node_class = node_class
+        self._on_end = on_end
+        self._ever_lived = self._is_final = False
+        self._begin()
+
+    def begin_anew(self) -> None:
+        """Start it once more."""
+        gc.collect()  # else the files of rospy's closed connections wait for Python's next round
+        self.fault = ""
+        self._begin()
+
+    def _begin(self):
+        self._inbox = Inbox(f"{rospy.get_namespace()}{self.name}")
+        self._thread = threading.Thread(target=self._live, name=self.name, daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Have it shut down for good."""
+        self._is_final = True
+        self._inbox.end()
+
+    def join(self, deadline_s: float) -> None:
+        """Wait for that, until the monotonic clock reaches the deadline at most."""
+        while self._thread.is_alive():
+            if time.monotonic() >= deadline_s:
+                self.fault = "it hangs and can't be shut down"
+                return
+            time.sleep(POLL_S)
+
+    def _live(self):
+        fault = "it ended"
+        try:
+            live(self._build, self._inbox)
+            fault = "" if self._is_final else fault
+        except Exception as error:
+            fault = in_words(error)
+            self.was_refused = isinstance(error, CarInterfaceError) and not self._ever_lived
+        finally:
+            if not self._is_final:  # what isn't taken off the graph now, rospy takes with the process
+                self._inbox.close()
+            self.fault = fault
+            self._on_end(self)
+
+    def _build(self, params, inbox):
+        node = self._node_class(params, inbox)
+        self._ever_lived = True
+        return node
+
+
+class CarNodes:
+    """Starts the parts, and starts those anew that a fault has ended."""
+
+    def __init__(self, params, inbox):
+        params.finish()
+        self._inbox = inbox
+        self._due_ns: dict[Part, int] = {}  # of those that wait for their next life
+        logging.getLogger("rosout").addFilter(_name_part)
+        self._parts = [Part(name, node_class, lambda part: inbox.put(self._on_end, part))
+                       for name, node_class in NODES.items()]
+
+    def step(self, now_ns):
+        """Start what is due."""
+        for handler, item, arrival_ns in self._inbox.take():
+            handler(item, arrival_ns)
+        for part in [part for part, due_ns in self._due_ns.items() if now_ns >= due_ns]:
+            del self._due_ns[part]
+            part.begin_anew()
+        return min(self._due_ns.values(), default=math.inf)
+
+    def shut_down(self):
+        """All parts at the same time: each takes as long as it would alone."""
+        for part in self._parts:
+            part.end()
+        deadline_s = time.monotonic() + END_WITHIN_S
+        for part in self._parts:
+            part.join(deadline_s)
+        faults = [f"{part.name}: {part.fault}" for part in self._parts if part.fault and part not in self._due_ns]
+        if faults:
+            raise CarInterfaceError("; ".join(faults))
+
+    def _on_end(self, part, now_ns):
+        if part.was_refused:
+            raise CarInterfaceError(f"{part.name}: {part.fault}")
+        rospy.logfatal("%s: %s. Starting it anew", part.name, part.fault)
+        self._due_ns[part] = now_ns + PAUSE_NS
+
+
+def _name_part(record):
+    """Say in a line of the log which part it comes from."""
+    if record.threadName in NODES:
+        record.msg = f"{record.threadName}: {record.msg}"
+    return True
+
+
+def main():
+    """Run the process."""
+    run("car_nodes", CarNodes)
