@@ -10,6 +10,7 @@ Columns grow as bytes and not as Python's numbers: a recording of 10 GB fits.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from array import array
 from collections import Counter
 from typing import Collection, NamedTuple
@@ -210,19 +211,33 @@ class _Time:
 
 
 class _Column:
-    """Rows of one topic; ``fields`` numbers in each."""
-
-    fields = 0
+    """What one topic carried, message by message."""
 
     def __init__(self, topic):
         self.topic = topic
-        self._times, self._rows = array("d"), array("d")
+        self._times = array("d")
         self._counts: Counter = Counter()
         self._last_s = -math.inf
 
     @property
     def is_empty(self):
         return not self._times
+
+    def finish(self, time):
+        """All was read."""
+
+    def notes(self):
+        """What was left out."""
+        return [f"{self.topic}: {count} message{'s' if count > 1 else ''} {what}"
+                for what, count in self._counts.items()]
+
+
+class _StampedColumn(_Column, ABC):
+    """Of messages with a stamp: a row of numbers each."""
+
+    def __init__(self, topic):
+        super().__init__(topic)
+        self._rows = array("d")
 
     def take(self, recorded, now_s, time):
         """Take a message that was recorded at ``now_s``."""
@@ -239,17 +254,9 @@ class _Column:
         self._rows.extend(row)
         self._take_more(recorded.message)
 
+    @abstractmethod
     def row(self, message):
         """The numbers of a message."""
-        raise NotImplementedError
-
-    def finish(self, time):
-        """All was read."""
-
-    def notes(self):
-        """What was left out."""
-        return [f"{self.topic}: {count} message{'s' if count > 1 else ''} {what}"
-                for what, count in self._counts.items()]
 
     def _take_more(self, message):
         """What need not be finite."""
@@ -268,7 +275,7 @@ class _Column:
         return np.frombuffer(self._times), np.frombuffer(self._rows).reshape(len(self._times), -1).T
 
 
-class _OdomColumn(_Column):
+class _OdomColumn(_StampedColumn):
     def row(self, message):
         pose, twist = message.pose.pose, message.twist.twist
         turned = pose.orientation
@@ -280,7 +287,7 @@ class _OdomColumn(_Column):
         return Odom(times, x_m, y_m, np.unwrap(yaw_rad), speed_mps, yaw_rate_radps)
 
 
-class _ImuColumn(_Column):
+class _ImuColumn(_StampedColumn):
     def __init__(self, topic):
         super().__init__(topic)
         self._pitch = array("d")
@@ -296,7 +303,7 @@ class _ImuColumn(_Column):
         return Imu(times, yaw_rate_radps, acceleration_mps2, np.frombuffer(self._pitch))
 
 
-class _ValueColumn(_Column):
+class _ValueColumn(_StampedColumn):
     def row(self, message):
         return (float(message.data),)
 
