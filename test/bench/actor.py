@@ -3,7 +3,7 @@
 
     relay IN OUT                passes a Bool on as 16 duties: two hops with whoever sends and listens
     sink TOPIC FILE             notes in a file when something arrived: as the virtual chip does
-    beat TOPIC...               hears topics and publishes 16 duties at 100 Hz, whatever it hears: a bare heartbeat
+    beat NAME...                hears inputs and publishes 16 duties at 100 Hz, whatever it hears: a bare heartbeat
     inputs NAME...              publishes human, steering, radius, odometry, acceleration, joy at 50 Hz, never changing
     pipe PORT                   reads a serial port; for each frame a ready-made teensy_wheel or teensy_distance
     line LINK                   a serial line with captured wheel and sonar frames: "go 10" on standard input has it
@@ -74,9 +74,9 @@ def sink(topic, path):
         signal.pause()
 
 
-def beat(*topics):
-    for topic in topics:
-        rospy.Subscriber(topic, INPUTS[topic][1], lambda message: None, queue_size=10, tcp_nodelay=True)
+def beat(*names):
+    for name in names:
+        rospy.Subscriber(*INPUTS[name][:2], lambda message: None, queue_size=10, tcp_nodelay=True)
     duties = publisher("/bench/beat", Int32MultiArray)
     ready()
     due_ns = time.monotonic_ns()

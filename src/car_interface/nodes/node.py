@@ -295,19 +295,25 @@ def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, in
     _subscribe(topic, message_type, inbox, lambda message: inbox.put(handler, message), queue_size)
 
 
-def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None]) -> None:
+def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None],
+                      then: Callable[[int], Any] | None = None) -> None:
     """The same for a topic of std_msgs that mostly repeats itself, in a node that beats often.
 
     What says the same as the message before it doesn't wake the node: it is handled, with its own time of arrival, when
-    the node is next awake. An input that comes 50 times a second costs a third of the CPU that way.
+    the node is next awake. An input that comes 50 times a second costs a third of the CPU that way. After what is news
+    ``then(arrival_ns)`` is called as well.
     """
     last = None
+
+    def act(message, arrival_ns):
+        handler(message, arrival_ns)
+        then(arrival_ns)
 
     def hear(message):
         nonlocal last
         is_news = message.data != last  # as NaN always is
         last = message.data
-        inbox.put(handler, message, wakes=is_news)
+        inbox.put(act if then and is_news else handler, message, wakes=is_news)
     _subscribe(topic, message_type, inbox, hear)
 
 

@@ -76,16 +76,15 @@ class TurnArb:
         self._diagnostics = Diagnostics(inbox, "none", {"steering": self._report}, now_ns)
         self._master_trouble = ""
         MasterWatch(inbox, self._on_master)
-        subscribe_permission(inbox, self._arbiter)
-        subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop)
-        subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner)
+        subscribe_permission(inbox, self._arbiter, self._decide)
+        subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
+        subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
         self._live = self._offer_tuning(config, tuning)
 
     def step(self, now_ns):
-        """Take what arrived, each with its consequence; then beat if it is time."""
+        """Take what arrived, news with its consequence; then beat if it is time."""
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
-            self._decide(arrival_ns)
         if self._heartbeat.is_due(now_ns):
             self._beat(now_ns)
         elif self._untold and now_ns >= self._tell_ns:
