@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import csv
 import math
+from array import array
 from bisect import bisect_right
 from typing import Sequence
 
 from car_interface.errors import ConfigError
 from car_interface.interpolation import check_axis
+
+# Python finds a tuple's numbers fastest while they all fit into the processor's caches, and side by side if not.
+MOST_IN_TUPLES = 100_000
 
 
 class ValueMap:
@@ -42,9 +46,22 @@ class ValueMap:
         self.values = tuple(map(float, values))
         self.velocities = tuple(map(float, velocities))
         self._bulk = None  # prepared when it's first asked for
-        self._columns = [tuple(map(float, column)) for column in zip(*accelerations)]
+        is_large = len(values) * len(velocities) > MOST_IN_TUPLES
+        self._columns = [array("d", column) if is_large else tuple(map(float, column)) for column in zip(*accelerations)]
         for velocity, column in zip(velocities, self._columns):
             _check_rising(values, column, velocity, allow_plateaus, name)
+        self._strips = self._between_columns()
+
+    def _between_columns(self):
+        """For each interval of velocities (its begin, its width, the column at its begin, the one at its end).
+
+        Below the first velocity and above the last one a column is its own neighbour, and the width is 0.
+        """
+        velocities, columns = self.velocities, self._columns
+        inner = zip(velocities, velocities[1:], columns, columns[1:])
+        return [(velocities[0], 0.0, columns[0], columns[0]),
+                *((begin, end - begin, low, high) for begin, end, low, high in inner),
+                (velocities[-1], 0.0, columns[-1], columns[-1])]
 
     def value_at(self, acceleration: float, velocity: float) -> float:
         """The value that makes ``acceleration`` at ``velocity``; neither may be NaN.
@@ -53,7 +70,8 @@ class ValueMap:
         value of least magnitude. O(log rows): acceleration between the velocities' two columns is a blend of theirs,
         so the row that it lies in is between the rows that it lies in there.
         """
-        low, high, part = self._columns_at(velocity)
+        begin, width, low, high = self._strips[bisect_right(self.velocities, velocity)]
+        part = (velocity - begin) / width if width else 0.0
         values = self.values
         if part == 0.0:
             above = bisect_right(low, acceleration)
@@ -92,7 +110,8 @@ class ValueMap:
 
     def acceleration_at(self, value: float, velocity: float) -> float:
         """The acceleration that ``value`` makes at ``velocity``, both clamped to the map; neither may be NaN."""
-        low, high, part = self._columns_at(velocity)
+        begin, width, low, high = self._strips[bisect_right(self.velocities, velocity)]
+        part = (velocity - begin) / width if width else 0.0
         values = self.values
         value = max(values[0], min(values[-1], value))
         above = min(max(bisect_right(values, value), 1), len(values) - 1)
@@ -100,17 +119,6 @@ class ValueMap:
         a0 = low[below] + part * (high[below] - low[below])
         a1 = low[above] + part * (high[above] - low[above])
         return a0 + (value - values[below]) / (values[above] - values[below]) * (a1 - a0)
-
-    def _columns_at(self, velocity):
-        """The columns on both sides of a velocity, and how far it is from the first to the second, 0..1."""
-        velocities = self.velocities
-        above = bisect_right(velocities, velocity)
-        if above == 0:
-            return self._columns[0], self._columns[0], 0.0
-        if above == len(velocities):
-            return self._columns[-1], self._columns[-1], 0.0
-        v0 = velocities[above - 1]
-        return self._columns[above - 1], self._columns[above], (velocity - v0) / (velocities[above] - v0)
 
     def _least_on_plateau(self, acceleration, low, high, part, last):
         """Of the rows up to ``last`` that make exactly this acceleration, the least value in magnitude."""

@@ -25,10 +25,10 @@ CPU_TARGETS = {(1, "raw"): Target(high=4.9, original="5.4"), (1, "everything"): 
                (10, "raw"): Target(high=32, original="34.8"), (10, "everything"): Target()}
 
 
-def hub(stage: Stage, port: str) -> NodeProcess:
+def hub(stage: Stage, port: str, *arguments: str) -> NodeProcess:
     """The node on a port, as its launch file starts it, once it has opened it."""
     stage.load("/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
-    process = stage.node("teensy_sensor_hub", f"_port:={port}")
+    process = stage.node("teensy_sensor_hub", f"_port:={port}", *arguments)
     process.wait_for_info("the Teensy's port is open")
     return process
 
@@ -98,14 +98,14 @@ class Load(NamedTuple):
 def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
     """The reports of wheels and sonars in the capture, over and over: 368 a second at 115200 baud, and ten times.
 
-    By turns: bare rospy, the hub with subscribers of the raw topics only, and with subscribers of everything. The
-    subscribers are a process of their own, and so is the line; neither is counted.
+    By turns: bare rospy, the hub with ``raw_only``, and with subscribers of everything. The subscribers are a process of
+    their own, and so is the line; neither is counted.
     """
     loads = {kind: dict(zip(FACTORS, load(effort, stage, kind))) for kind in ("floor", "raw", "everything")}
     for factor in FACTORS:
         rate = "full line" if factor == 1 else f"{factor} × the line rate"
         floor = loads["floor"][factor]
-        for kind, what in (("raw", "raw topics"), ("everything", "everything on")):
+        for kind, what in (("raw", "raw topics only"), ("everything", "everything on")):
             measured = loads[kind][factor]
             void = f"{measured.lost} frames were lost" if measured.lost else ""
             yield Row("line", f"{rate}: CPU of the hub, {what}", "% of core", Summary.of([measured.cpu_percent]),
@@ -120,7 +120,9 @@ def load(effort: Effort, stage: Stage, kind: str) -> Iterator[Load]:
     topics = {"raw": (), "everything": EVERYTHING,
               "floor": ("teensy_wheel:=/bench/wheel", "teensy_distance:=/bench/distance")}[kind]
     line, count = stage.actors(("line", port), ("count", *topics))
-    with stage.running(line, count, stage.actor("pipe", port) if kind == "floor" else hub(stage, port)) as (*_, node):
+    reader = (stage.actor("pipe", port) if kind == "floor" else
+              hub(stage, port, *(["_raw_only:=true"] if kind == "raw" else [])))
+    with stage.running(line, count, reader) as (*_, node):
         count.tell("connected")
         count.wait_for_info("^connected")
         for factor in FACTORS:

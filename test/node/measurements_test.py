@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import tempfile
+import time
 import unittest
 
 import rospkg
 import rospy
 import rostest
 import yaml
-from car_interface.msg import Distance, SteeringState, TeensyClock
+from car_interface.msg import Distance, SteeringState, TeensyClock, Wheel
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
@@ -114,6 +115,29 @@ class MeasurementsTest(unittest.TestCase):
             errors_m.append(math.hypot(position.x - offset[0] - x, position.y - offset[1] - y))
         errors_m.sort()
         self.assertLess(errors_m[len(errors_m) // 2], 0.03)
+
+    def test_odometry_comes_at_its_rate_at_most_and_its_last_word_is_told(self):
+        wheels = Topic("/teensy_wheel", Wheel).connected()
+        wheels_mark, mark = wheels.mark(), self.odom.mark()
+        begun_s = time.monotonic()
+        self.drive(CENTER, FORWARD, 4.0)
+        odoms, reports = len(self.odom.since(mark)), len(wheels.since(wheels_mark))
+        self.assertLess(odoms, 50 * (time.monotonic() - begun_s) + 5)
+        self.assertGreater(reports, 1.3 * odoms)
+        odom, truth = self.at_rest()
+        self.assertLess(abs(odom.pose.pose.position.x - truth.pose.pose.position.x), 0.1)
+
+    def test_without_a_rate_odometry_comes_with_each_report(self):
+        with tempfile.TemporaryDirectory() as folder:
+            port = f"_port:={folder}/teensy"
+            start_node(self, "car_sim", "__ns:=each", port)
+            start_node(self, "teensy_sensor_hub", "__ns:=each", port, "_publish_tf:=false", "_odom_rate:=0")
+            wheels, odom = Topic("/each/teensy_wheel", Wheel).connected(), Topic("/each/odom", Odometry).connected()
+            clock = Topic("/each/teensy_clock", TeensyClock).connected()
+            clock.wait_for(lambda sync: sync.used)  # before the first tick there is no odometry
+            wheels_mark, mark = wheels.mark(), odom.mark()
+            self.drive(CENTER, FORWARD, 2.0)
+            self.assertGreater(len(odom.since(mark)), 0.9 * len(wheels.since(wheels_mark)))
 
     def offset(self):
         """What odometry and truth differ by already."""

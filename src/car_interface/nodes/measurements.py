@@ -49,6 +49,7 @@ class Settings(NamedTuple):
     mounts: list[list[float]]  # of the sonars: x, y (m) and yaw (rad) in base_frame
     field_of_view_rad: float
     publish_tf: bool
+    odom_period_ns: int  # 0 = with each report
 
 
 def read_settings(params, baud: int) -> Settings:
@@ -64,6 +65,7 @@ def read_settings(params, baud: int) -> Settings:
         sonar_frames=[f"{prefix}sonar_{name}" for name in SONARS],
         joint_names=[prefix + name for name in WHEEL_JOINTS],
         publish_tf=params.flag("publish_tf", True),
+        odom_period_ns=_period_ns(params.number("odom_rate", 50.0, low=0.0, high=1000)),
         mounts=[_mount(params, name) for name in SONARS],
         field_of_view_rad=params.number("field_of_view", 0.524, above=0.0, high=math.pi),
         config=read_config(params, baud, params.flag("use_steering", False)),
@@ -87,6 +89,8 @@ class MeasurementPublisher:
         self._complaints = Complaints()
         self._sync = None
         self._counted = (0, 0)
+        self._untold = None  # the newest motion, if it came too soon after the last one that was published
+        self._next_motion_ns = 0
         self._prepare_messages()
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
         self._joints = advertise("joint_states", JointState, inbox, QUEUE_SIZE)
@@ -133,12 +137,31 @@ class MeasurementPublisher:
         self._ranges[measured.sensor].publish(message)
 
     def wheels(self, record, received_ns: int) -> None:
-        """Take a report of the wheels; publish odometry, its transform, and the wheels' joints."""
+        """Take a report of the wheels."""
         measured = self._measurements.wheels(record, received_ns)
         if measured is None:
             return
+        self._steering_check.hear_motion(measured.motion.speed_mps, measured.motion.yaw_rate_radps, received_ns)
+        if received_ns < self._next_motion_ns:
+            self._untold = measured
+        else:
+            self._publish_motion(measured, received_ns)
+
+    @property
+    def due_ns(self) -> float:
+        """When the next step is due: a motion that came too soon waits for another one, but not for long."""
+        return math.inf if self._untold is None else self._next_motion_ns + self._settings.odom_period_ns
+
+    def step(self, now_ns: int) -> None:
+        """Publish the motion that came too soon, if none came after it."""
+        if now_ns >= self.due_ns:
+            self._publish_motion(self._untold, now_ns)
+
+    def _publish_motion(self, measured, now_ns):
+        """Odometry, its transform, and the wheels' joints."""
+        self._untold = None
+        self._next_motion_ns = max(self._next_motion_ns + self._settings.odom_period_ns, now_ns)
         motion = measured.motion
-        self._steering_check.hear_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
         stamp = self._ros_time(measured.stamp.time_ns)  # one for all: they are looked up by it
         if is_heard(self._odometry):
             self._odometry.publish(self._odometry_message(motion, stamp))
@@ -244,6 +267,10 @@ def read_config(params, baud: int, uses_steering: bool) -> MeasurementConfig:
             max_range_m=params.number("max_range", 2.0, above=0.0, high=100),
             no_echo=params.choice("no_echo", INF, (INF, MAX_RANGE)),
             median=params.flag("median", False)))
+
+
+def _period_ns(rate_hz):
+    return round(NS_PER_S / rate_hz) if rate_hz else 0
 
 
 def _mount(params, name):

@@ -2,8 +2,8 @@
 
 Publishes:
     teensy_pong (Pong), teensy_wheel (Wheel), teensy_distance (Distance), teensy_error (Error): each valid frame.
-    odom (nav_msgs/Odometry), joint_states (sensor_msgs/JointState: the rear wheels), /tf from odom to base_link: with
-        each report of the wheels, 5 to 200 Hz, stamped when the wheels were so.
+    odom (nav_msgs/Odometry), joint_states (sensor_msgs/JointState: the rear wheels), /tf from odom to base_link: by the
+        newest report of the wheels, 5 to 50 Hz (~odom_rate), stamped when the wheels were so.
     sonar/front_right … sonar/rear_left (sensor_msgs/Range): about 3 Hz each, stamped when the echo was heard; where the
         sonars sit goes to /tf_static.
     teensy_clock (TeensyClock): with each answered ping, how the Teensy's clock relates to this computer's.
@@ -24,7 +24,8 @@ Parameters:
     ~raw_only false: true = the four raw topics and the link only; nothing is measured, for a third less CPU.
     ~pulses_per_revolution 20, ~wheel_diameter 0.095, ~track 0.296, ~wheelbase 0.324 (m), ~top_speed 20 (m/s; what is
         faster is taken for line noise), ~use_steering false: true = the commanded steering helps the heading.
-    ~publish_tf true, ~odom_frame odom, ~base_frame base_link, ~frame_prefix "" (before every frame and joint).
+    ~odom_rate 50 (Hz at most; 0 = with each report, up to 200), ~publish_tf true, ~odom_frame odom,
+        ~base_frame base_link, ~frame_prefix "" (before every frame and joint).
     ~sonars/front_right … ~sonars/rear_left [x, y, yaw] (m, rad, in base_link), ~field_of_view 0.524 (rad),
         ~min_range 0.02, ~max_range 2.0 (m), ~no_echo inf (or max_range), ~median false (true = over five of a sonar),
         ~temperature 20 (°C).
@@ -177,14 +178,17 @@ class TeensySensorHub:
         if not self._link.is_open and now_ns >= self._next_try_ns:
             self._try_open()
         if self._link.is_open and now_ns >= self._rest_until_ns:
-            self._read()
+            self._read(now_ns)
         if self._link.is_open:
-            self._ping_when_due(time.monotonic_ns())
+            self._ping_when_due(now_ns)
+        if self._measurements:
+            self._measurements.step(now_ns)
         if self._link_beat.is_due(now_ns):
             self._judge()
             self._publish_link_status()
         self._diagnostics.step(now_ns)
-        return min(self._link_beat.due_ns, self._diagnostics.due_ns, self._next_port_event_ns())
+        return min(self._link_beat.due_ns, self._diagnostics.due_ns, self._next_port_event_ns(),
+                   self._measurements.due_ns if self._measurements else math.inf)
 
     def _next_port_event_ns(self):
         if not self._link.is_open:
@@ -243,15 +247,15 @@ class TeensySensorHub:
         for timestamp1 in list(self._waiting):
             self._tell_waiting(timestamp1, (False, reason))
 
-    def _read(self):
-        began_ns = time.monotonic_ns()
+    def _read(self, began_ns):
         try:
             data = self._link.read()
         except DeviceError as error:
             self._lose(error)
             return
         received_ns = time.monotonic_ns()
-        self._watch_port(True)
+        if self._watched_fd is None:
+            self._watch_port(True)
         if not data:
             return
         self._retry_ns = FIRST_RETRY_NS
