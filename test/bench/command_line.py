@@ -44,7 +44,7 @@ def read_arguments() -> argparse.Namespace:
         prog="./dev bench", description="Measure everything that this package exists for, on this machine. Exit code "
         "0 = everything was measured, whether or not each target was met.")
     parser.add_argument("--quick", action="store_true",
-                        help="fewer trials, two cars at most: within a minute; too few to judge a p99")
+                        help="fewer trials, one car: within a minute; too few to judge a p99")
     parser.add_argument("--only", action="append", choices=(*GROUPS, *ON_REQUEST), metavar="NAME",
                         help=f"measure this only; may be given again. One of {', '.join(GROUPS)}, or "
                         f"{', '.join(ON_REQUEST)}, which isn't measured otherwise")

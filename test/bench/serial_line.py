@@ -4,6 +4,7 @@ from __future__ import annotations
 import os
 import time
 import tty
+from contextlib import contextmanager
 from typing import Iterator, NamedTuple
 
 from car_interface.msg import Wheel
@@ -17,18 +18,19 @@ from .stage import CpuMeter, Ear, IdleMeter, Stage
 
 PAUSE_S = (0.004, 0.02)
 UNCOUNTED = 3  # the first ones: of connections in the making
-EVERYTHING = ("/odom", "/tf", "/joint_states", "/teensy_clock", "/teensy_sensor_hub/link", "/diagnostics",
-              *(f"/sonar/{name}" for name in SONARS))
+EVERYTHING = ("odom", "/tf", "joint_states", "teensy_clock", "teensy_sensor_hub/link", "/diagnostics",
+              *(f"sonar/{name}" for name in SONARS))
 WARM_UP_S = 0.5
 FACTORS = (1, 10)  # × 115200 baud
-CPU_TARGETS = {(1, "raw"): Target(high=4.9, original="5.4"), (1, "everything"): Target(high=9),
-               (10, "raw"): Target(high=32, original="34.8"), (10, "everything"): Target()}
+FLOOR, RAW, ALL = "floor", "raw", "everything"  # also their namespaces
+CPU_TARGETS = {(1, RAW): Target(high=4.9, original="5.4"), (1, ALL): Target(high=9),
+               (10, RAW): Target(high=32, original="34.8"), (10, ALL): Target()}
 
 
-def hub(stage: Stage, port: str, *arguments: str) -> NodeProcess:
+def hub(stage: Stage, port: str, namespace: str = "", *arguments: str) -> NodeProcess:
     """The node on a port, as its launch file starts it, once it has opened it."""
-    stage.load("/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
-    process = stage.node("teensy_sensor_hub", f"_port:={port}", *arguments)
+    stage.load(f"{namespace}/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
+    process = stage.node("teensy_sensor_hub", f"_port:={port}", f"__ns:={namespace}", *arguments)
     process.wait_for_info("the Teensy's port is open")
     return process
 
@@ -90,53 +92,80 @@ class Load(NamedTuple):
     sent_per_s: float  # frames
     idle_percent: float  # of the machine
 
+    @staticmethod
+    def of(parts: list[Load]) -> Load:
+        """Several of the same length as one."""
+        def mean(name):
+            return sum(getattr(part, name) for part in parts) / len(parts)
+        return Load(mean("cpu_percent"), sum(part.lost for part in parts), sum(part.lost_on_line for part in parts),
+                    mean("sent_per_s"), mean("idle_percent"))
+
     def __str__(self) -> str:
         return (f"{self.sent_per_s:.0f} frames a second were sent, {self.lost_on_line} bytes found the port full; "
                 f"{self.idle_percent:.0f} % of the machine were idle")
 
 
+class Reader(NamedTuple):
+    """A node, the line that it reads, and who hears it."""
+
+    node: NodeProcess
+    line: NodeProcess
+    count: NodeProcess
+
+
 def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
     """The reports of wheels and sonars in the capture, over and over: 368 a second at 115200 baud, and ten times.
 
-    By turns: bare rospy, the hub with ``raw_only``, and with subscribers of everything. The subscribers are a process of
-    their own, and so is the line; neither is counted.
+    By turns: bare rospy, the hub with ``raw_only``, and with subscribers of everything; the others wait meanwhile. The
+    subscribers are a process of their own, and so is the line; neither is counted.
     """
-    loads = {kind: dict(zip(FACTORS, load(effort, stage, kind))) for kind in ("floor", "raw", "everything")}
-    for factor in FACTORS:
-        rate = "full line" if factor == 1 else f"{factor} × the line rate"
-        floor = loads["floor"][factor]
-        for kind, what in (("raw", "raw topics only"), ("everything", "everything on")):
-            measured = loads[kind][factor]
-            void = f"{measured.lost} frames were lost" if measured.lost else ""
-            yield Row("line", f"{rate}: CPU of the hub, {what}", "% of core", Summary.of([measured.cpu_percent]),
-                      (CPU_TARGETS[factor, kind],), Summary.of([floor.cpu_percent]), str(measured), void=void)
-            yield Row("line", f"{rate}: frames lost, {what}", "frames", Summary.of([measured.lost]),
-                      (Target(high=0, original="it loses" if factor > 1 else ""),), Summary.of([floor.lost]))
-
-
-def load(effort: Effort, stage: Stage, kind: str) -> Iterator[Load]:
-    """One node on a line of each speed."""
-    port = stage.path(f"line_{kind}")
-    topics = {"raw": (), "everything": EVERYTHING,
-              "floor": ("teensy_wheel:=/bench/wheel", "teensy_distance:=/bench/distance")}[kind]
-    line, count = stage.actors(("line", port), ("count", *topics))
-    reader = (stage.actor("pipe", port) if kind == "floor" else
-              hub(stage, port, *(["_raw_only:=true"] if kind == "raw" else [])))
-    with stage.running(line, count, reader) as (*_, node):
-        count.tell("connected")
-        count.wait_for_info("^connected")
+    with readers(stage) as by_kind:
         for factor in FACTORS:
-            yield load_of(effort, node, line, count, factor)
+            rounds = [{kind: load(effort.line_s / effort.line_rounds, reader, factor)
+                       for kind, reader in by_kind.items()} for _ in range(effort.line_rounds)]
+            loads = {kind: Load.of([loads[kind] for loads in rounds]) for kind in by_kind}
+            yield from line_rows(factor, loads)
 
 
-def load_of(effort: Effort, node: NodeProcess, line: NodeProcess, count: NodeProcess, factor: int) -> Load:
+def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
+    """Of a line of one speed."""
+    rate, floor = "full line" if factor == 1 else f"{factor} × the line rate", loads[FLOOR]
+    for kind, what in ((RAW, "raw topics only"), (ALL, "everything on")):
+        measured = loads[kind]
+        void = f"{measured.lost} frames were lost" if measured.lost else ""
+        yield Row("line", f"{rate}: CPU of the hub, {what}", "% of core", Summary.of([measured.cpu_percent]),
+                  (CPU_TARGETS[factor, kind],), Summary.of([floor.cpu_percent]), str(measured), void=void)
+        yield Row("line", f"{rate}: frames lost, {what}", "frames", Summary.of([measured.lost]),
+                  (Target(high=0, original="it loses" if factor > 1 else ""),), Summary.of([floor.lost]))
+
+
+@contextmanager
+def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
+    """Each with a line and listeners, all of them idle."""
+    ports = {kind: stage.path(f"line_{kind}") for kind in (FLOOR, RAW, ALL)}
+    heard = {FLOOR: ("teensy_wheel:=/bench/wheel", "teensy_distance:=/bench/distance"),
+             RAW: ("__ns:=raw",), ALL: (*EVERYTHING, "__ns:=everything")}
+    actors = stage.actors(*(("line", port) for port in ports.values()), *(("count", *heard[kind]) for kind in ports),
+                          ("pipe", ports[FLOOR]))
+    lines, counts, pipe = actors[:3], actors[3:6], actors[6]
+    nodes = pipe, hub(stage, ports[RAW], "/raw", "_raw_only:=true"), hub(stage, ports[ALL], "/everything")
+    with stage.running(*actors, *nodes[1:]):
+        for count in counts:
+            count.tell("connected")
+        for count in counts:
+            count.wait_for_info("^connected")
+        yield {kind: Reader(*reader) for kind, *reader in zip(ports, nodes, lines, counts)}
+
+
+def load(lasts_s: float, reader: Reader, factor: int) -> Load:
     """What a line of one speed makes of a node."""
+    node, line, count = reader
     sent_mark, counted_mark = line.stdout.mark(), count.stdout.mark()
     begun_s = time.monotonic()
     line.tell(f"go {factor}")
     time.sleep(WARM_UP_S)
     meter, idle = CpuMeter(node.pid), IdleMeter()
-    time.sleep(effort.line_s)
+    time.sleep(lasts_s)
     used, idled = meter.percent(), idle.percent()
     line.tell("stop")
     lasted_s = time.monotonic() - begun_s

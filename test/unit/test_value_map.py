@@ -187,6 +187,19 @@ def test_lookup_where_rounding_levels_neighbours_does_not_divide_by_their_differ
     assert values[0] <= value <= values[-1]
 
 
+# --- large maps, which are kept in another way
+
+def test_large_map_looks_up_as_a_small_one_does():
+    size = 400
+    values, velocities = [0.1 * row for row in range(size)], [0.05 * column for column in range(size)]
+    rows = [[value ** 1.5 - 0.3 * velocity - 0.002 * velocity ** 2 for velocity in velocities] for value in values]
+    large = ValueMap(values, velocities, rows)
+    for acceleration, velocity in ((0.0, 0.0), (17.3, 3.14), (-2.0, 11.111), (100.0, 19.95), (999.0, 7.0), (3.0, 99.0)):
+        assert large.value_at(acceleration, velocity) == pytest.approx(
+            naive_value_at(values, velocities, rows, acceleration, velocity))
+    assert large.values_at([17.3], [3.14]).tolist() == pytest.approx([large.value_at(17.3, 3.14)])
+
+
 # --- many at once
 
 def grid(steps, columns, plateaus):
