@@ -47,7 +47,8 @@ class ValueMap:
         self.velocities = tuple(map(float, velocities))
         self._bulk = None  # prepared when it's first asked for
         is_large = len(values) * len(velocities) > MOST_IN_TUPLES
-        self._columns = [array("d", column) if is_large else tuple(map(float, column)) for column in zip(*accelerations)]
+        keep = (lambda column: array("d", column)) if is_large else (lambda column: tuple(map(float, column)))
+        self._columns = [keep(column) for column in zip(*accelerations)]
         for velocity, column in zip(velocities, self._columns):
             _check_rising(values, column, velocity, allow_plateaus, name)
         self._strips = self._between_columns()
