@@ -29,7 +29,7 @@ import virtual_drive
 
 from car_interface.bags import calibrate_value_map as command
 from car_interface.calibration import acceleration as cut
-from car_interface.calibration import value_map as fitting
+from car_interface.calibration import value_map_table as tables
 from car_interface.errors import CarInterfaceError
 from car_interface.sim.vehicle import true_acceleration_mps2
 from car_interface.value_map import load_value_map
@@ -153,7 +153,7 @@ def judge(seed, arguments):
     spent_s = time.monotonic() - begun_s
     table, fit = done.table, done.fit
     car = virtual_drive.random_car(seed)
-    stated = table.origin <= fitting.BETWEEN
+    stated = table.origin <= tables.BETWEEN
     true = truth(car, table)
     off = (table.accelerations - true)[stated]
     everywhere = (fit.accelerations - truth(car, fit))[fit.supported]

@@ -11,7 +11,7 @@ import pytest
 from car_interface.bags import calibrate_value_map as command
 from car_interface.bags.command_line import main
 from car_interface.bags.signals import Pulses
-from car_interface.calibration import value_map as fitting
+from car_interface.calibration import value_map_table as tables
 from car_interface.calibration.acceleration import Series
 from car_interface.value_map import load_value_map
 from recordings import Written, write_ros1, write_ros2
@@ -191,7 +191,7 @@ def test_pulses_counted_while_nothing_was_recorded_do_not_change_their_length():
 
 
 def test_csv_is_what_the_converter_loads(tmp_path):
-    table = fitting.Table(np.array([-1.0, 0.0, 0.3]), np.array([0.5, 1.0]), np.array([[-1, -2], [0, -1], [1, 0.0005]]),
+    table = tables.Table(np.array([-1.0, 0.0, 0.3]), np.array([0.5, 1.0]), np.array([[-1, -2], [0, -1], [1, 0.0005]]),
                           np.zeros((3, 2), int), np.zeros((3, 2)))
     path = tmp_path / "map.csv"
     path.write_text(command.csv_text(table), encoding="utf-8")

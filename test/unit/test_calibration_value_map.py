@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from car_interface.calibration import acceleration as cut
 from car_interface.calibration import value_map as fitting
+from car_interface.calibration import value_map_table as tables
+from car_interface.calibration import value_map_windows as taken
 from car_interface.calibration.acceleration import Drive, Series, WindowConfig, windows
 from car_interface.calibration.surface import Grid, rising_column
 from car_interface.value_map import ValueMap
@@ -109,7 +111,7 @@ def test_held_out_manoeuvres_are_predicted_nearly_as_well_as_the_others(mixed):
 
 def test_turns_tell_the_slope_and_nothing_else_where_straights_all_go_one_way():
     found = fitting.fit([drive(uphill=(0.02, 0.01), circles=True)], None, None)
-    assert found.rejected[fitting.RULES[cut.STEERING]] > 100
+    assert found.rejected[taken.RULES[cut.STEERING]] > 100
     assert found.grounds[0].uphill == pytest.approx((0.02, 0.01), abs=0.003)
     assert error(found) < 0.04
 
@@ -213,31 +215,31 @@ def fit_of(supported, accelerations=None, sure=None):
 
 
 def test_axes_are_cut_to_the_largest_part_that_was_driven():
-    table = fitting.table(fit_of([[0, 1, 1, 1], [0, 1, 1, 1], [1, 1, 0, 0]]), 0.0)
+    table = tables.table(fit_of([[0, 1, 1, 1], [0, 1, 1, 1], [1, 1, 0, 0]]), 0.0)
     assert (list(table.values), list(table.velocities)) == ([-1.0, 0.0], [1.0, 2.0, 3.0])
     assert table.share() == 1.0
 
 
 def test_a_part_that_drives_and_brakes_is_preferred_to_one_that_reaches_farther():
-    table = fitting.table(fit_of([[1, 1, 0, 0], [1, 1, 0, 0], [1, 1, 1, 1], [0, 1, 1, 1]]), 0.0)
+    table = tables.table(fit_of([[1, 1, 0, 0], [1, 1, 0, 0], [1, 1, 1, 1], [0, 1, 1, 1]]), 0.0)
     assert list(table.values) == [-1.0, 0.0, 1.0]
 
 
 def test_a_part_with_three_of_each_is_preferred_to_a_longer_one_with_two():
     driven = [[1, 1, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0], [1, 1, 1, 0], [1, 1, 1, 0], [1, 1, 0, 0], [1, 1, 0, 0]]
-    assert fitting.table(fit_of(driven), 0.0).accelerations.shape == (3, 3)
+    assert tables.table(fit_of(driven), 0.0).accelerations.shape == (3, 3)
 
 
 def test_a_value_that_was_hardly_driven_is_left_out_of_the_axis_but_no_three_side_by_side():
     driven, gap = [1, 1], [0, 0]
-    table = fitting.table(fit_of([driven, driven, gap, gap, driven]), 0.0)
+    table = tables.table(fit_of([driven, driven, gap, gap, driven]), 0.0)
     assert list(table.values) == [-1.0, 0.0, 3.0] and table.share() == 1.0
-    table = fitting.table(fit_of([driven, driven, gap, gap, gap, driven]), 0.0)
+    table = tables.table(fit_of([driven, driven, gap, gap, gap, driven]), 0.0)
     assert list(table.values) == [-1.0, 0.0]
 
 
 def test_no_table_where_no_two_values_have_two_velocities():
-    assert fitting.table(fit_of([[0, 1, 0], [1, 0, 1]]), 0.0) is None
+    assert tables.table(fit_of([[0, 1, 0], [1, 0, 1]]), 0.0) is None
 
 
 def test_slope_is_found_on_a_road_there_and_back():
@@ -248,29 +250,29 @@ def test_slope_is_found_on_a_road_there_and_back():
 
 def test_what_lies_between_driven_nodes_and_is_as_sure_is_stated():
     driven = [[1, 1, 1], [1, 0, 1], [1, 1, 1]]
-    table = fitting.table(fit_of(driven, sure=np.ones((3, 3))), 0.0)
-    assert table.origin[1, 1] == fitting.BETWEEN and table.accelerations.shape == (3, 3)
-    unsure = fitting.table(fit_of(driven), 0.0)
-    assert list(unsure.values) == [-1.0, 1.0] and (unsure.origin == fitting.DRIVEN).all()
+    table = tables.table(fit_of(driven, sure=np.ones((3, 3))), 0.0)
+    assert table.origin[1, 1] == tables.BETWEEN and table.accelerations.shape == (3, 3)
+    unsure = tables.table(fit_of(driven), 0.0)
+    assert list(unsure.values) == [-1.0, 1.0] and (unsure.origin == tables.DRIVEN).all()
 
 
 def test_prior_stays_where_nothing_was_driven():
     prior = np.add.outer(np.arange(3) * 1.0, np.full(3, -0.3))
-    table = fitting.table(fit_of([[1, 1, 0], [1, 1, 0], [1, 1, 0]]), 0.0, prior)
+    table = tables.table(fit_of([[1, 1, 0], [1, 1, 0], [1, 1, 0]]), 0.0, prior)
     assert list(table.accelerations[:, 2]) == [-0.3, 0.7, 1.7]
-    assert set(table.origin[:, 2]) == {fitting.OLD} and np.isnan(table.sigma_mps2[:, 2]).all()
+    assert set(table.origin[:, 2]) == {tables.OLD} and np.isnan(table.sigma_mps2[:, 2]).all()
 
 
 def test_prior_that_contradicts_its_column_is_moved_and_what_was_driven_is_not():
     prior = np.full((3, 2), -5.0)
-    table = fitting.table(fit_of([[1, 1], [1, 1], [0, 1]]), 0.0, prior)
-    assert table.origin[2, 0] == fitting.MOVED
+    table = tables.table(fit_of([[1, 1], [1, 1], [0, 1]]), 0.0, prior)
+    assert table.origin[2, 0] == tables.MOVED
     assert table.accelerations[1, 0] == 1.0 and table.accelerations[2, 0] == pytest.approx(1.002, abs=0.001)
 
 
 def test_what_the_prior_lacks_is_cut():
     prior = np.add.outer(np.arange(3) * 1.0, np.array([0.0, 0.0, np.nan]))
-    assert fitting.table(fit_of([[1, 1, 0], [1, 0, 0], [1, 1, 0]]), 0.0, prior).accelerations.shape == (3, 2)
+    assert tables.table(fit_of([[1, 1, 0], [1, 0, 0], [1, 1, 0]]), 0.0, prior).accelerations.shape == (3, 2)
 
 
 def test_velocities_never_driven_are_not_supported():
@@ -316,13 +318,13 @@ def test_each_rule_counts_its_own():
     lying = Series(one.imu.t_s, one.imu.y + np.where((one.imu.t_s > 20.0) & (one.imu.t_s < 30.0), 20.0, 0.0))
     for changes, rule in (
         ({"yaw": twisted}, cut.STEERING),
-        ({"value": gone}, fitting.NO_VALUE),
+        ({"value": gone}, taken.NO_VALUE),
         ({"wheels": unplugged}, cut.NOTHING_MEASURED),
-        ({"driven": idle}, fitting.NOT_DRIVEN),
+        ({"driven": idle}, taken.NOT_DRIVEN),
         ({"imu": lying}, cut.SLIPPING),
-        ({"pitch": Series(t_s, np.where(later, 0.5, 0.0))}, fitting.STEEP),
+        ({"pitch": Series(t_s, np.where(later, 0.5, 0.0))}, taken.STEEP),
     ):
-        assert 40 <= rejected(with_(one, **changes))[fitting.RULES[rule]] <= 60, fitting.RULES[rule]
+        assert 40 <= rejected(with_(one, **changes))[taken.RULES[rule]] <= 60, taken.RULES[rule]
 
 
 def test_stops_and_rolling_backward_and_the_change_of_gear_after_it_do_not_count():
@@ -348,7 +350,7 @@ def test_outliers_do_not_bend_the_map():
     bump = np.where((one.speed.t_s % 20 > 10) & (one.speed.t_s % 20 < 10.6), 1.0, 0.0)
     kicked = with_(one, speed=Series(one.speed.t_s, one.speed.y + bump), wheels=())
     found = fitting.fit([kicked], None, None)
-    assert found.rejected[fitting.RULES[fitting.OUTLYING]] > 5
+    assert found.rejected[taken.RULES[taken.OUTLYING]] > 5
     assert error(found) < 0.08
 
 

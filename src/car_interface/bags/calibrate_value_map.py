@@ -19,6 +19,7 @@ from car_interface.bags import signals
 from car_interface.bags.jobs import add_jobs_argument, for_each
 from car_interface.bags.recording import NoRecording
 from car_interface.calibration import value_map as fitting
+from car_interface.calibration import value_map_table as tables
 from car_interface.calibration.acceleration import Drive, Series, WindowConfig
 from car_interface.errors import CarInterfaceError, ConfigError
 from car_interface.interpolation import check_axis
@@ -36,7 +37,7 @@ CALIBRATED_PULSES = 200  # so many tell how long one is
 GAP_S = 0.3  # odometry comes at least every 0.2 s
 WORST_HELD_OUT_MPS2 = 0.5
 LEAST_SHARE = 0.25  # of a map that the drives themselves state
-SYMBOLS = {fitting.DRIVEN: "#", fitting.BETWEEN: "+", fitting.OLD: "o", fitting.MOVED: "m"}
+SYMBOLS = {tables.DRIVEN: "#", tables.BETWEEN: "+", tables.OLD: "o", tables.MOVED: "m"}
 
 
 class Refused(CarInterfaceError):
@@ -53,7 +54,7 @@ class Loaded(NamedTuple):
 class Calibrated(NamedTuple):
     """A map, and all that is known about it."""
 
-    table: fitting.Table
+    table: tables.Table
     fit: fitting.Fit
     complaints: list[str]  # why it should not be written; empty = it may be
     text: str  # the report
@@ -135,7 +136,7 @@ def calibrate(options: argparse.Namespace) -> Calibrated:
         fit = fitting.fit(drives, values, velocities, config)
     except fitting.NothingToFit as error:
         raise Refused(f"nothing in {', '.join(options.bags)} tells an acceleration: {error}") from error
-    table = fitting.table(fit, neutral, _prior_at(prior, fit))
+    table = tables.table(fit, neutral, _prior_at(prior, fit))
     if table is None:
         print(_coverage(fit, None))
         raise Refused(f"no map is written: {', '.join(options.bags)} support no two values at the same two velocities; "
@@ -225,7 +226,7 @@ def reached(value: Series, duty: Series, neutral: float, neutral_duty: float) ->
     return Series(duty.t_s, np.where(idle & apart[last] & apart[earlier], 0.0, 1.0))
 
 
-def csv_text(table: fitting.Table) -> str:
+def csv_text(table: tables.Table) -> str:
     """The map as generic_value_converter loads it."""
     lines = ["default," + ",".join(_number(velocity) for velocity in table.velocities)]
     for value, row in zip(table.values, table.accelerations):
@@ -264,8 +265,8 @@ def _report(options, loaded, fit, table, complaints):
     count = table.accelerations.size
     yield (f"the map: {table.values.size} values, {_number(table.values[0])} to {_number(table.values[-1])}; "
            f"{table.velocities.size} velocities, {_number(table.velocities[0])} to {_number(table.velocities[-1])} m/s")
-    for origin, text in ((fitting.DRIVEN, "driven"), (fitting.BETWEEN, "between what was driven"),
-                         (fitting.OLD, "the prior's"), (fitting.MOVED, "the prior's, moved so that its column rises")):
+    for origin, text in ((tables.DRIVEN, "driven"), (tables.BETWEEN, "between what was driven"),
+                         (tables.OLD, "the prior's"), (tables.MOVED, "the prior's, moved so that its column rises")):
         number = int((table.origin == origin).sum())
         if number:
             yield f"  {SYMBOLS[origin]}  {number} of {count} {text}"
@@ -338,9 +339,9 @@ def _missing(fit):
 
 def _complaints(fit, table):
     """Why the map should not be written."""
-    if min(table.accelerations.shape) < fitting.LEAST_NODES:
+    if min(table.accelerations.shape) < tables.LEAST_NODES:
         yield (f"the drives support only {table.values.size} values at {table.velocities.size} velocities, "
-               f"less than {fitting.LEAST_NODES} each")
+               f"less than {tables.LEAST_NODES} each")
     if table.share() < LEAST_SHARE:
         yield f"the drives tell only {100 * table.share():.0f} % of the map, the rest is the prior's"
     if fit.held_out_mps2 > WORST_HELD_OUT_MPS2:

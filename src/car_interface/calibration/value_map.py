@@ -24,10 +24,21 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.calibration import acceleration as cut
-from car_interface.calibration.acceleration import Drive, WindowConfig, Windows, windows
-from car_interface.calibration.surface import Grid, Roughness, penalties, rising_column, rising_least_squares
+from car_interface.calibration.acceleration import Drive, WindowConfig
+from car_interface.calibration.surface import Grid, Roughness, penalties, rising_least_squares
+from car_interface.calibration.value_map_windows import (
+    BEYOND,
+    OUTLYING,
+    TURNING,
+    by_rule,
+    gather,
+    manoeuvres,
+    on_grid,
+    sample,
+    why_nothing,
+    within_turns,
+)
 
-GRAVITY_MPS2 = 9.81
 DECIMALS = 3  # of a map's CSV, as Autoware's calibrators write it
 RESOLUTION_MPS2 = 10.0**-DECIMALS
 # A step of two roundings' width is still one when both of its ends have been rounded towards each other.
@@ -39,35 +50,12 @@ SLOPE_SIGMA, SAG_SIGMA = 0.05, 0.15  # what is to be expected of a slope, and of
 HUBER = 2.0  # residuals beyond so many sigmas count less
 OUTLIER = 5.0  # and beyond so many don't count
 PASSES = 6
-SPREAD = 0.1  # of headings: what cos and sin of yaw leave unexplained of a constant; 1 all round, and there and back
-LEAST_TURN = 5  # windows in a row
 HELD_OUT = 5
 LEAST_S = 0.03  # of driving around a node, for a manoeuvre to count there
 NEAR = 0.25  # of the step between rows: so far from neutral there are two more
 BENDS = 0.05  # so near to neutral, as a share of the values, the map may bend as it likes
-LEAST_NODES = 3  # values, and velocities, that make a map worth driving with
-BRACKET = 2  # nodes: so near on both sides must be others that are supported
 DELAYS_S = np.array([0.0, 0.6])  # the least and the most that is looked at
 TELLING = 9.0  # what the squares must get worse by, or they tell nothing: three sigmas
-
-# Why a window doesn't count, in the order in which it is asked.
-RULES = {
-    cut.BACKWARD: "rolling backward",
-    cut.STANDING: "a stop, or slower than the slowest speed",
-    cut.TURNED_ROUND: "a gear change: the car had just rolled backward",
-    cut.NOTHING_MEASURED: "too few pulses or speeds",
-    cut.STEERING: "steering: a tight turn, or tyres at work",
-    cut.SLIPPING: "wheel slip: more than tyres hold, or wheels that disagree",
-}
-NO_VALUE, NOT_DRIVEN, BEYOND, STEEP, OUTLYING = range(10, 15)
-TURNING = 15  # steering, but good enough to tell the slope
-RULES.update({
-    NO_VALUE: "no value, or one that had fallen silent",
-    NOT_DRIVEN: "the value didn't reach the actuator",
-    BEYOND: "beyond the map's axes",
-    STEEP: "ground steeper than the steepest pitch",
-    OUTLYING: "fits nothing else that the car did",
-})
 
 
 @dataclass(frozen=True)
@@ -157,29 +145,6 @@ class NothingToFit(ValueError):
     """Drives without a single window that counts; the text says by which rules the windows went."""
 
 
-@dataclass
-class _Data:
-    """All windows of all drives, one under the other."""
-
-    windows: list[Windows]
-    drive: np.ndarray
-    acceleration: np.ndarray
-    sigma: np.ndarray
-    slope: np.ndarray  # one column pair for each drive, of the gravity that a slope adds
-    sees_slope: np.ndarray  # of each drive
-    part: np.ndarray  # of its drive's time that a window is from the middle, -0.5..0.5
-    hop_s: np.ndarray  # how much driving a window stands for
-    state: np.ndarray
-    pitch_offset: list[float]
-
-
-class _Sampled(NamedTuple):
-    """The values under one delay: along each window, and what became of windows because of them."""
-
-    value: np.ndarray
-    state: np.ndarray
-
-
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
 def fit(drives: Sequence[Drive], values: np.ndarray | None, velocities: np.ndarray | None,
         config: FitConfig = FitConfig()) -> Fit:
@@ -193,25 +158,25 @@ def fit(drives: Sequence[Drive], values: np.ndarray | None, velocities: np.ndarr
     Raises:
         NothingToFit: no window counts.
     """
-    data = _gather(drives, config)
+    data = gather(drives, config)
     counted = data.state == cut.MEASURED
     if not counted.any():
-        raise NothingToFit(_why_nothing(data.state))
-    sampled = _sample(drives, data, config.delay_s if config.delay_s is not None else 0.1, config)
+        raise NothingToFit(why_nothing(data.state))
+    sampled = sample(drives, data, config.delay_s if config.delay_s is not None else 0.1, config)
     inside = sampled.state == cut.MEASURED
     if not inside.any():
-        raise NothingToFit(_why_nothing(sampled.state))
+        raise NothingToFit(why_nothing(sampled.state))
     speed = np.concatenate([one.speed_mps for one in data.windows])
     grid = Grid(_value_axis(sampled.value[inside], config.neutral) if values is None else np.asarray(values, float),
                 _round_axis(speed[inside], 0.0, 8) if velocities is None else np.asarray(velocities, float))
     delay_s, delay_sigma_s = (config.delay_s, float("nan")) if config.delay_s is not None else _delay(
         drives, data, grid, speed, config)
-    sampled = _sample(drives, data, delay_s, config)
-    state = _on_grid(sampled, speed, grid)
+    sampled = sample(drives, data, delay_s, config)
+    state = on_grid(sampled, speed, grid)
     if not (state == cut.MEASURED).any():
-        raise NothingToFit(_why_nothing(state))
+        raise NothingToFit(why_nothing(state))
     rows = _Rows(grid, data, sampled.value, speed, config)
-    manoeuvre = _manoeuvres(data, sampled.value, state, grid, config)
+    manoeuvre = manoeuvres(data, sampled.value, state, grid, config)
     solved = _solve(rows, state, config)
     state = np.where((state == cut.MEASURED) & solved.outlying, OUTLYING, state)
     seconds, count = _coverage(rows, state, manoeuvre)
@@ -224,8 +189,11 @@ def fit(drives: Sequence[Drive], values: np.ndarray | None, velocities: np.ndarr
     grounds = tuple(_ground(index, data, solved) for index in range(len(drives)))
     return Fit(grid.rows, grid.columns, rounded(solved.nodes.reshape(shape)), sigma.reshape(shape),
                seconds.reshape(shape), count.reshape(shape), supported.reshape(shape), sure.reshape(shape),
-               float(delay_s), float(delay_sigma_s), grounds, _count(state), _rms(solved.residual[used]),
+               float(delay_s), float(delay_sigma_s), grounds, by_rule(state), _rms(solved.residual[used]),
                held_out_mps2, held_out_windows)
+
+
+# --- data ---
 
 
 def rounded(accelerations: np.ndarray) -> np.ndarray:
@@ -234,234 +202,6 @@ def rounded(accelerations: np.ndarray) -> np.ndarray:
     for row in range(1, counts.shape[0]):
         counts[row] = np.maximum(counts[row], counts[row - 1] + 1)
     return counts / 10.0**DECIMALS
-
-
-class Table(NamedTuple):
-    """What goes into the CSV.
-
-    Attributes:
-        values, velocities, accelerations: as of the fit, or part of it.
-        origin: of each acceleration: DRIVEN, BETWEEN, OLD or MOVED.
-        sigma_mps2: standard errors; NaN for the prior's.
-    """
-
-    values: np.ndarray
-    velocities: np.ndarray
-    accelerations: np.ndarray
-    origin: np.ndarray
-    sigma_mps2: np.ndarray
-
-    def share(self) -> float:
-        """Of its accelerations that the drives state."""
-        return float(np.mean(self.origin <= BETWEEN))
-
-
-# Where a table's acceleration is from: the drives themselves; from the drives next to it on both sides, and as sure; an
-# old map; an old map, moved because its column would not have risen.
-DRIVEN, BETWEEN, OLD, MOVED = range(4)
-
-
-def table(found: Fit, neutral: float, prior: np.ndarray | None = None) -> Table | None:
-    """The part of a fit that may be written: nothing is invented.
-
-    Where the drives state nothing the prior's accelerations stay. Where an old one contradicts what its column has
-    measured it is moved as far as it takes for the column to rise. Where there is no prior either, the axes are cut, to
-    the largest part in which everything is stated.
-
-    Args:
-        found: the fit.
-        neutral: the value at which the car coasts: the map should have values on both sides of it.
-        prior: an old map's accelerations at the fit's nodes, NaN where it has none.
-
-    Returns:
-        The table, with at least two values and velocities, or ``None``.
-    """
-    between = _between(found)
-    origin = np.where(found.supported, DRIVEN, np.where(between, BETWEEN, OLD))
-    stated = found.supported | between
-    if prior is not None:
-        stated = stated | np.isfinite(prior)
-    part = _largest_part(stated, found.values, found.velocities, neutral)
-    if part is None:
-        return None
-    origin, sigma = origin[part].copy(), found.sigma_mps2[part].copy()
-    old = origin == OLD
-    wanted = found.accelerations[part]
-    if old.any():
-        wanted = np.where(old, prior[part], wanted)
-        least = np.full(wanted.shape[0] - 1, LEAST_STEP_MPS2)
-        weight = np.where(old, 1.0, 1e9)  # what was measured doesn't give way
-        risen = np.stack([rising_column(wanted[:, k], weight[:, k], least) for k in range(wanted.shape[1])], axis=1)
-        origin[old & (np.abs(risen - wanted) > RESOLUTION_MPS2)] = MOVED
-        wanted = risen
-        sigma[old] = np.nan
-    return Table(found.values[part[0].ravel()], found.velocities[part[1].ravel()], rounded(wanted), origin, sigma)
-
-
-def _between(found):
-    """Nodes that the drives passed by on both sides, and know as well as those."""
-    known = found.supported
-    between = np.zeros(known.shape, bool)
-    for axis in (0, 1):
-        near = []
-        for direction in (1, -1):
-            side = np.zeros(known.shape, bool)
-            for reach in range(1, BRACKET + 1):
-                moved = np.roll(known, direction * reach, axis)
-                edge = [slice(None), slice(None)]
-                edge[axis] = slice(None, reach) if direction > 0 else slice(-reach, None)
-                moved[tuple(edge)] = False
-                side |= moved
-            near.append(side)
-        between |= near[0] & near[1]
-    return between & ~known & found.sure
-
-
-def _largest_part(stated, values, velocities, neutral):
-    """Rows and columns of the largest part of a map in which everything is stated: at least two each, or ``None``.
-
-    Its velocities follow one another. Of its values some may be left out, if no more than BRACKET side by side: the map
-    is linear over them. How large it is goes by how far it reaches; a part that both drives and brakes is preferred,
-    and one with less than LEAST_NODES of either is the last choice.
-    """
-    best, largest = None, 0.0
-    for first in range(velocities.size - 1):
-        for last in range(first + 1, velocities.size):
-            whole = np.flatnonzero(stated[:, first:last + 1].all(axis=1))
-            for rows in np.split(whole, np.flatnonzero(np.diff(whole) > BRACKET + 1) + 1):
-                if rows.size < 2:
-                    continue
-                low, high = values[rows[0]], values[rows[-1]]
-                sides = 4.0 if low < neutral < high else 2.0 if low <= neutral <= high else 1.0
-                few = 0.01 if min(rows.size, last - first + 1) < LEAST_NODES else 1.0
-                size = few * sides * (high - low) * (velocities[last] - velocities[first])
-                if size > largest:
-                    best, largest = np.ix_(rows, np.arange(first, last + 1)), size
-    return best
-
-
-# --- data ---
-
-def _gather(drives, config):
-    found, slopes, parts, offsets, sees = [], [], [], [], []
-    accelerations, sigmas, states, numbers, hops = [], [], [], [], []
-    for index, drive in enumerate(drives):
-        one = windows(drive, config.window)
-        state = one.state.copy()
-        counted = state == cut.MEASURED
-        cos, sin = one.cos_yaw, one.sin_yaw
-        turning = ((state == cut.STEERING) & np.isfinite(one.acceleration_mps2 + one.sigma_mps2)
-                   & (np.abs(one.acceleration_mps2) < config.window.most_mps2))
-        spreads = _spread(cos, sin, counted, turning) >= SPREAD
-        acceleration, sigma, offset = one.acceleration_mps2, one.sigma_mps2, float("nan")
-        if config.from_imu:
-            acceleration, sigma = one.force_mps2 - _bias(one, counted | turning, spreads), one.force_sigma_mps2
-            spreads = False  # an accelerometer feels what the car would do on level ground
-        elif drive.pitch is not None and np.isfinite(one.pitch_rad).all() and counted.any():
-            offset = _pitch_offset(one, counted | turning) if spreads else 0.0
-            pitch = one.pitch_rad - offset
-            state[counted & (np.abs(pitch) > config.steepest_rad)] = STEEP
-            acceleration = acceleration - GRAVITY_MPS2 * np.sin(np.nan_to_num(pitch))
-            spreads = False  # gravity is off already
-        if spreads:
-            state[turning] = TURNING
-        found.append(one)
-        slope = np.zeros((cos.size, 2 * len(drives)))
-        slope[:, 2 * index] = -GRAVITY_MPS2 * cos
-        slope[:, 2 * index + 1] = -GRAVITY_MPS2 * sin
-        slopes.append(slope)
-        begins, ends = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 1.0)
-        parts.append((one.middle_s - (begins + ends) / 2) / max(ends - begins, 1.0))
-        offsets.append(offset)
-        sees.append(spreads)
-        accelerations.append(acceleration)
-        sigmas.append(np.hypot(np.nan_to_num(sigma), config.floor_mps2))
-        state[(state == cut.MEASURED) & ~np.isfinite(acceleration)] = cut.NOTHING_MEASURED
-        states.append(state)
-        numbers.append(np.full(cos.size, index))
-        hops.append(np.full(cos.size, max(config.window.hop_s, (ends - begins) / cut.MOST_WINDOWS)))
-    join = np.concatenate
-    return _Data(found, join(numbers), join(accelerations), join(sigmas), join(slopes), np.array(sees), join(parts),
-                 join(hops), join(states), offsets)
-
-
-def _spread(cos, sin, counted, turning):
-    """What headings leave unexplained of something that is the same at all of them; see SPREAD."""
-    if counted.sum() < 10:
-        return 0.0
-    within = _within_turns(turning, np.zeros(turning.size, int))
-    told = counted | within.diagonal().astype(bool) & turning
-    columns = (within @ np.stack((cos, sin), axis=1))[told]
-    constant = counted[told].astype(float)
-    apart = constant - columns @ np.linalg.lstsq(columns, constant, rcond=1e-6)[0]
-    return float(apart @ apart / constant.sum())
-
-
-def _within_turns(turning, drive):
-    """A matrix that takes its mean off each turn, leaves nothing of short ones, and leaves all else alone."""
-    windows = turning.size
-    index = np.flatnonzero(turning)
-    turns = np.split(index, np.flatnonzero((np.diff(index) > 1) | (np.diff(drive[index]) > 0)) + 1)
-    number = np.full(windows, -1)
-    for turn, members in enumerate(turns):
-        number[members] = turn if members.size >= LEAST_TURN else -1
-    long = np.flatnonzero(number >= 0)
-    member = sparse.csr_matrix((np.ones(long.size), (number[long], long)), shape=(max(1, len(turns)), windows))
-    size = np.maximum(1.0, np.asarray(member.sum(axis=1)).ravel())
-    keep = np.where(turning & (number < 0), 0.0, 1.0)
-    return (sparse.diags(keep) - member.T @ sparse.diags(1.0 / size) @ member).tocsr()
-
-
-def _pitch_offset(one, counted):
-    """What of the pitch doesn't turn with the heading, as a plane ground's would."""
-    return _constant_part(one.pitch_rad, one, counted)
-
-
-def _bias(one, counted, spreads):
-    """Of the IMU, against the wheels: what of the difference isn't the ground's."""
-    known = counted & np.isfinite(one.force_mps2)
-    if not known.any():
-        return 0.0
-    apart = one.force_mps2 - one.acceleration_mps2
-    return _constant_part(apart, one, known) if spreads else float(np.median(apart[known]))
-
-
-def _constant_part(y, one, counted):
-    columns = np.stack((np.ones(counted.sum()), one.cos_yaw[counted], one.sin_yaw[counted]), axis=1)
-    return float(np.linalg.lstsq(columns, y[counted], rcond=None)[0][0])
-
-
-def _sample(drives, data, delay_s, config):
-    values, states = [], []
-    for index, (drive, one) in enumerate(zip(drives, data.windows)):
-        state = data.state[data.drive == index].copy()
-        t_s = one.t_s - delay_s
-        value, age_s = _held(drive.value, t_s)
-        silent = ~np.isfinite(value).all(axis=1) | (age_s > config.value_silent_s).any(axis=1)
-        state[(state == cut.MEASURED) & silent] = NO_VALUE
-        state[(state == TURNING) & silent] = cut.STEERING
-        if drive.driven is not None:
-            driven, _ = _held(drive.driven, t_s)
-            idle = ~(driven >= 0.5).all(axis=1)
-            state[(state == cut.MEASURED) & idle] = NOT_DRIVEN
-            state[(state == TURNING) & idle] = cut.STEERING
-        values.append(np.where(np.isfinite(value), value, 0.0))
-        states.append(state)
-    return _Sampled(np.concatenate(values), np.concatenate(states))
-
-
-def _held(series, t_s):
-    if not series.t_s.size:
-        return np.full(t_s.shape, np.nan), np.full(t_s.shape, np.inf)
-    last = np.searchsorted(series.t_s, t_s, side="right") - 1
-    known = np.maximum(last, 0)
-    return np.where(last >= 0, series.y[known], np.nan), np.where(last >= 0, t_s - series.t_s[known], np.inf)
-
-
-def _on_grid(sampled, speed, grid):
-    inside = grid.has(sampled.value, np.nan_to_num(speed)).all(axis=1)
-    state = np.where((sampled.state == cut.MEASURED) & ~inside, BEYOND, sampled.state)
-    return np.where((state == TURNING) & ~inside, cut.STEERING, state)
 
 
 def _value_axis(value, neutral):
@@ -479,23 +219,6 @@ def _round_axis(x, zero, wanted):
     step = power * min((1.0, 2.0, 2.5, 5.0, 10.0), key=lambda factor: abs(factor * power - rough))
     first, last = int(np.floor((low - zero) / step + 0.25)), int(np.ceil((high - zero) / step - 0.25))
     return np.round(zero + step * np.arange(first, max(last, first + 1) + 1), 9)
-
-
-def _manoeuvres(data, value, state, grid, config):
-    """Numbers stretches of driving: a new one where the value jumps, where windows don't count, and after 5 s."""
-    mean = value.mean(axis=1)
-    jump = 0.05 * np.ptp(grid.rows)
-    number, numbers = -1, np.full(state.size, -1)
-    begun, before = 0.0, None
-    middle = np.concatenate([one.middle_s for one in data.windows])
-    for index in np.flatnonzero(state == cut.MEASURED):
-        goes_on = (before == index - 1 and data.drive[index] == data.drive[before]
-                   and abs(mean[index] - mean[before]) <= jump and middle[index] - begun <= 5.0)
-        if not goes_on:
-            number, begun = number + 1, middle[index]
-        numbers[index] = number
-        before = index
-    return numbers
 
 
 # --- the model ---
@@ -535,7 +258,7 @@ def _solve(rows, state, config, rising=True, passes=PASSES):
     """Gauss-Newton over the battery's part, with Huber's weights."""
     data, grid = rows.data, rows.grid
     used = (state == cut.MEASURED) | (state == TURNING)
-    within = _within_turns(state == TURNING, data.drive)
+    within = within_turns(state == TURNING, data.drive)
     drives = data.sees_slope.size
     sag = np.zeros((drives, 2))
     # A step below the CSV's decimals is none; where the map hardly rises it rises by that.
@@ -587,14 +310,14 @@ def _delay(drives, data, grid, speed, config):
     """The delay under which the map fits best, and its standard error from how fast the fit gets worse around it."""
     coarse = Grid(_thin(grid.rows, 9), _thin(grid.columns, 5))
     # Only windows that count under every delay are compared, or their number would decide.
-    states = [_on_grid(_sample(drives, data, delay_s, config), speed, grid) for delay_s in DELAYS_S[[0, -1]]]
+    states = [on_grid(sample(drives, data, delay_s, config), speed, grid) for delay_s in DELAYS_S[[0, -1]]]
     state = np.where(states[0] == cut.MEASURED, states[1], states[0])
     used = state == cut.MEASURED
     if used.sum() < 2 * coarse.size:
         return 0.0, float("nan")
 
     def ratios(delay_s, grid):
-        value = _sample(drives, data, delay_s, config).value
+        value = sample(drives, data, delay_s, config).value
         solved = _solve(_Rows(grid, data, value, speed, config, sags=False), state, config, rising=False, passes=2)
         return np.abs(solved.residual[used] / data.sigma[used])
 
@@ -674,18 +397,6 @@ def _ground(index, data, solved):
     sigma = np.sqrt(np.diag(inverse)[at:at + 2])
     above, below = (float(-x) for x in solved.sag[index])
     return Ground(uphill, above, below, (float(sigma[0]), float(sigma[1])), float(data.pitch_offset[index]))
-
-
-def _count(state):
-    state = np.where(state == TURNING, cut.STEERING, state)
-    counts = {"counted": int((state == cut.MEASURED).sum())}
-    counts.update({text: int((state == rule).sum()) for rule, text in RULES.items()})
-    return counts
-
-
-def _why_nothing(state):
-    counts = sorted(((number, text) for text, number in _count(state).items() if number), reverse=True)
-    return "; ".join(f"{number} × {text}" for number, text in counts[:3]) or "the drive is shorter than a window"
 
 
 def _rms(x):
