@@ -42,8 +42,10 @@ NS_PER_S, NS_PER_MS = 1_000_000_000, 1_000_000
 STEP_NS = 4 * NS_PER_MS
 CONTROL_NS = 20 * NS_PER_MS
 OUTPUT_NS = 100 * NS_PER_MS  # /servo/output at the least
+ODOM_NS = 20 * NS_PER_MS  # odom at the most: the hub's odom_rate of 50 Hz
 IMU_NS = 10 * NS_PER_MS
-REACTION_S, MISSED_S = 0.25, 0.5
+REACTION_S, MISSED_S, BEYOND_S = 0.25, 0.5, 0.4
+HELD_S = 1.8  # a position of the stick, from either side
 START_NS = 5_000 * NS_PER_S  # monotonic
 ROS_START_NS = 1_700_000_000 * NS_PER_S
 COUNT = 16  # duty of one count of the servo board
@@ -139,7 +141,7 @@ class View:
     def __init__(self, rng):
         self.random = rng
         self.now_s = self.speed_mps = self.yaw_rad = self.way_m = 0.0
-        self.straight_duty = 5100.0
+        self.stick_duty = self.straight_duty = 5100.0
         self.push = 0.4  # the value that keeps a slow speed
         self.seen = {}  # duty of the steering → curvature
 
@@ -161,7 +163,7 @@ def mixed_drive(see: View, missing: str = MIXED) -> Iterator[Command]:
     yield from straight_on(see, 4.0, 1.5)
     positions = _positions(see, missing)
     while True:
-        for _ in range(5):
+        for _ in range(9):
             duty = next(positions, None)
             if duty is not None:
                 yield from circle(see, duty)
@@ -181,20 +183,33 @@ def rest(see, seconds):
         yield Command(see.straight_duty, 0.0)
 
 
-def circle(see, duty, seconds=3.8):
-    """Hold the stick at one position at an easy speed, and remember how tight that was. Nobody meets it at once."""
-    begun_s, yaw_rad, way_m, curvature = see.now_s, None, None, 0.3
-    pace, missed = _pace(see), see.random.uniform(-100, 100)
-    while see.now_s < begun_s + MISSED_S:
-        yield Command(duty + missed, pace(1.5))
+def circle(see, duty):
+    """Hold the stick at one position at an easy speed, and remember how tight that was.
+
+    It's come to from where the stick was, not quite there at once; and then from a little beyond, so that the play in
+    the linkage lies to the other side.
+    """
+    pace, curvatures = _pace(see), []
+    side = math.copysign(1.0, see.stick_duty - duty)
+    for come_from, seconds in ((side, MISSED_S), (-side, BEYOND_S)):
+        begun_s, missed = see.now_s, come_from * see.random.uniform(80, 140)
+        while see.now_s < begun_s + seconds:
+            yield Command(duty + missed, pace(1.5))
+        yield from _hold_circle(see, duty, pace, curvatures)
+    see.seen[count_duty(duty)] = sum(curvatures) / len(curvatures)
+
+
+def _hold_circle(see, duty, pace, curvatures, seconds=HELD_S):
+    begun_s, yaw_rad, way_m = see.now_s, None, None
+    curvature = curvatures[-1] if curvatures else 0.3
     while see.now_s < begun_s + seconds:
-        if yaw_rad is None and see.now_s > begun_s + 1.0:
+        if yaw_rad is None and see.now_s > begun_s + 0.5:
             yaw_rad, way_m = see.yaw_rad, see.way_m
         if yaw_rad is not None and see.way_m > way_m + 0.3:
             curvature = (see.yaw_rad - yaw_rad) / (see.way_m - way_m)
         speed_mps = min(2.2, math.sqrt(SIDEWAYS_MPS2 / 2 / max(0.05, abs(curvature))))
         yield Command(duty, pace(speed_mps))
-    see.seen[count_duty(duty)] = curvature
+    curvatures.append(curvature)
 
 
 def straight_on(see, seconds, speed_mps):
@@ -247,7 +262,7 @@ def _hold(see, value, is_over, longest_s):
 
 
 def _positions(see, missing):
-    """Of the stick: first all over its way, then where neighbours differ most."""
+    """Of the stick: first all over its way, then in between where it's least clear what the car does there."""
     least, most = LEAST_DUTY, MOST_DUTY
     if missing == NO_RIGHT:
         most = see.straight_duty + 150
@@ -255,8 +270,10 @@ def _positions(see, missing):
         yield least + (most - least) * index / 8
     while True:
         duties = sorted(see.seen)
-        gaps = [(_contrast(see.seen[low], see.seen[high]) + 5e-4 * (high - low), low, high)
-                for low, high in zip(duties, duties[1:]) if high - low > COUNT]
+        curvatures = [see.seen[duty] for duty in duties]
+        gaps = [(0.5 * _contrast(*curvatures[index:index + 2]) + 3 * _bend(duties, curvatures, index)
+                 + 2e-4 * (high - low), low, high)
+                for index, (low, high) in enumerate(zip(duties, duties[1:])) if high - low > COUNT]
         if not gaps:
             yield see.random.uniform(least, most)
             continue
@@ -268,7 +285,19 @@ def _positions(see, missing):
 def _contrast(one, other):
     """How much two curvatures differ, by their ratio as well as by their difference."""
     apart = abs(one - other)
-    return min(0.4, apart + 0.5 * apart / (0.15 + (abs(one) + abs(other)) / 2))
+    return min(0.4, apart + 0.5 * apart / (0.08 + (abs(one) + abs(other)) / 2))
+
+
+def _bend(duties, curvatures, index):
+    """How far off the straight line from one position to the next the car may be, if it bends only once in between."""
+    def slope(at):
+        at = min(max(at, 0), len(duties) - 2)
+        return (curvatures[at + 1] - curvatures[at]) / (duties[at + 1] - duties[at])
+    before, behind = slope(index) - slope(index - 1), slope(index + 1) - slope(index)
+    width = duties[index + 1] - duties[index]
+    if before * behind <= 0:  # an S, or a straight line
+        return width * min(abs(before), abs(behind)) / 2
+    return width * before * behind / (before + behind) * math.copysign(1.0, before)
 
 
 def _pace(see):
@@ -393,6 +422,7 @@ class _Recorder:
             gates=GateConfig(pulse_m=car.pulse_m),
             odometry=OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m, car.wheelbase_m)))
         self._motion = None
+        self._odom, self._odom_due_ns = None, START_NS  # what waits to be published, and until when
         self._held = None
         self._held_ns = 0
         self._time = bag.type("builtin_interfaces/msg/Time")
@@ -411,6 +441,7 @@ class _Recorder:
                 control_ns += CONTROL_NS
                 self.see.look((now_ns - START_NS) / NS_PER_S, self._motion)
                 command = next(commands)
+                self.see.stick_duty = command.duty
                 steering, throttle = (count_duty(command.duty), count_duty(duty_of_value(command.value)))
                 self._write_command(command, steering, throttle, now_ns)
             pulses = car.step(STEP_NS, steering, throttle)
@@ -421,6 +452,7 @@ class _Recorder:
                 self._teensy.receive(self._pinger.ping(now_ns // NS_PER_MS % 2 ** 32, now_ns), now_ns)
             for body in self._decoder.feed(self._teensy.transmit(now_ns)):
                 self._hear(decode(body), now_ns)
+            self._write_odom(now_ns)
             if self._imu is not None and now_ns >= imu_ns:
                 imu_ns += IMU_NS
                 self._write("imu/data", "sensor_msgs/msg/Imu", self._imu.message(self, car, now_ns), now_ns)
@@ -484,8 +516,14 @@ class _Recorder:
         measured = self._measurements.wheels(record, now_ns)
         if measured is None:
             return
-        self._motion = measured.motion
-        self._write("odom", "nav_msgs/msg/Odometry", self._odometry(measured), now_ns)
+        self._motion, self._odom = measured.motion, measured
+
+    def _write_odom(self, now_ns):
+        """The newest, at most 50 a second, as the hub does."""
+        if self._odom is None or now_ns < self._odom_due_ns:
+            return
+        self._write("odom", "nav_msgs/msg/Odometry", self._odometry(self._odom), now_ns)
+        self._odom, self._odom_due_ns = None, now_ns + ODOM_NS
 
     def _odometry(self, measured):
         make, motion = self.make, measured.motion

@@ -3,13 +3,16 @@ from __future__ import annotations
 
 import importlib
 import math
+import random
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from rosbags.highlevel import AnyReader
 
+from car_interface.bags import calibrate_steering, signals
 from car_interface.bags.command_line import main
 from car_interface.sim.vehicle import Vehicle
 from car_interface.steering import SteeringArbiter
@@ -144,6 +147,40 @@ def test_recording_with_gaps_is_calibrated_all_the_same(tmp_path_factory, tmp_pa
     if (tmp_path / "made.yaml").exists():
         config = load_steering(str(tmp_path / "made.yaml"))
         assert driven_radius_m(config, 2.0) == pytest.approx(2.0, rel=0.08)
+
+
+def test_way_is_as_long_whether_the_recording_has_gaps_or_not():
+    t_s = np.arange(0.0, 60.0, 0.02)
+    circle = signals.Odom(t_s, np.sin(t_s), 1 - np.cos(t_s), t_s, np.full(len(t_s), 1.02), np.ones(len(t_s)))
+    heard = t_s % 10 < 7  # by speed it's 2 % longer than between places, which across a gap tell nothing
+    gappy = signals.Odom(*(column[heard] for column in circle))
+    for odom in (circle, gappy):
+        way = calibrate_steering.way_m(odom)
+        assert np.median(np.diff(way) / np.diff(odom.t_s)) == pytest.approx(1.0, abs=2e-4)
+
+
+def test_odometry_of_a_virtual_drive_is_the_newest_at_most_50_times_a_second(bag):
+    with AnyReader([Path(bag)]) as reader:
+        odom = [(received_ns, reader.deserialize(raw, connection.msgtype).header.stamp)
+                for connection, received_ns, raw in reader.messages(
+                    [one for one in reader.connections if one.topic == "/odom"])]
+    received_s = np.array([received_ns for received_ns, _ in odom]) * 1e-9
+    late_s = received_s - np.array([stamp.sec + stamp.nanosec * 1e-9 for _, stamp in odom])
+    assert np.percentile(np.diff(received_s), 5) > 0.018 and np.median(np.diff(received_s)) < 0.05
+    assert np.percentile(late_s, 99) < 0.04
+
+
+def test_person_comes_to_a_position_from_both_sides():
+    see = virtual_drive.View(random.Random(1))
+    asked = []
+    for command in virtual_drive.circle(see, 4000.0):
+        asked.append(command.duty)
+        see.now_s += 0.02
+        see.stick_duty = command.duty
+    first, *_, last = [duty for duty, before in zip(asked, [None, *asked]) if duty != before]
+    beyond = min(asked)
+    assert first > 4000 > beyond and last == 4000  # from 5100, then from below
+    assert asked.count(4000.0) * 0.02 == pytest.approx(2 * virtual_drive.HELD_S, abs=0.1)
 
 
 def test_imu_and_commands_instead_of_output_do_as_well(tmp_path_factory, tmp_path, capsys):

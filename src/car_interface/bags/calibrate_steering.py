@@ -1,7 +1,8 @@
 """A steering calibration from recorded drives: for each turn radius the servo's duty, to both sides.
 
-Drive for some minutes with everything recorded: slow circles to both sides at many positions of the stick, four seconds
-each, up to both ends, and straight on in between. Slow enough that no tyre slides.
+Drive for some minutes with everything recorded: slow circles to both sides at many positions of the stick, up to both
+ends, each held for two seconds and, come back to from a little beyond, for two more; and straight on in between. Slow
+enough that no tyre slides.
 
 Writes YAML that turn_arb loads: servo_left, servo_center, servo_right and the two tables are new, everything else is as
 in --base. Its head says from what the numbers are, and how well they are known.
@@ -22,7 +23,19 @@ from car_interface.bags import signals
 from car_interface.bags.jobs import add_jobs_argument, for_each
 from car_interface.bags.package_files import package_file
 from car_interface.calibration import steering as fitting
-from car_interface.calibration.steering import DRIVEN, LEFT, OLD, RIGHT, UNKNOWN, Breakpoint, Curve, Drive
+from car_interface.calibration.steering import Curve
+from car_interface.calibration.steering_pieces import Drive, FitConfig, NothingToFit
+from car_interface.calibration.steering_table import (
+    DRIVEN,
+    LEFT,
+    OLD,
+    RIGHT,
+    UNKNOWN,
+    Breakpoint,
+    axis,
+    breakpoints,
+    completed,
+)
 from car_interface.errors import CarInterfaceError, ConfigError
 from car_interface.interpolation import LookupTable, check_axis
 from car_interface.steering import SteeringConfig
@@ -31,7 +44,7 @@ from car_interface.steering_params import load_steering
 BASE = "config/turn_arb.yaml"
 AXIS, LEFT_TABLE, RIGHT_TABLE = "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo"
 LEAST_PULSE, LONGEST_PULSE = 1638, 8192  # duties that a servo takes for a command: 0.5 and 2.5 ms of 20
-STRETCH_S, STRETCH_LEAST_M = 1.0, 0.4
+STRETCH_S, STRETCH_LEAST_M, STRETCH_GAP_S = 1.0, 0.4, 0.3
 IMU_GAP_S = 0.1
 IMU_LEAST_SHARE = 0.95  # of a drive that an IMU must have covered to be used
 AGREES = 0.03  # so much odometry and IMU may turn apart without a word
@@ -112,21 +125,21 @@ def calibrate(options: argparse.Namespace, base: SteeringConfig) -> Calibrated:
         CarInterfaceError: a recording is no good, or there is nothing to fit.
     """
     loaded = list(for_each(partial(load, options=options, channel=_channel(options, base)), options.bags, options.jobs))
-    config = fitting.FitConfig(limits=(base.servo_left, base.servo_right))
+    config = FitConfig(limits=(base.servo_left, base.servo_right))
     try:
         curve = fitting.fit([one.drive for one in loaded], config)
-    except fitting.NothingToFit as error:
+    except NothingToFit as error:
         raise Refused(f"{', '.join(options.bags)}: no steering can be told from this: {error}") from error
-    radii = options.axis or fitting.axis(curve)
-    points = {side: fitting.breakpoints(curve, radii, side, config) for side in (LEFT, RIGHT)}
+    radii = options.axis or axis(curve)
+    points = {side: breakpoints(curve, radii, side, config) for side in (LEFT, RIGHT)}
     complaints = list(_complaints(curve, points))
     center = base.servo_center if math.isnan(curve.center) else curve.center
     ends = {LEFT: curve.left.duty, RIGHT: curve.right.duty}
-    tables = {LEFT: base.left_duties, RIGHT: base.right_duties}
+    old_tables = {LEFT: base.left_duties, RIGHT: base.right_duties}
     old_ends = {LEFT: base.servo_left, RIGHT: base.servo_right}
     for side in (LEFT, RIGHT):
-        old = LookupTable(base.radius_axis_m, tables[side])
-        points[side] = fitting.completed(points[side], center, [old(radius) for radius in radii])
+        old = LookupTable(base.radius_axis_m, old_tables[side])
+        points[side] = completed(points[side], center, [old(radius) for radius in radii])
         if points[side][0].source == OLD:
             ends[side] = _outer(points[side][0].duty, old_ends[side], center)
     report = list(_report(options, loaded, curve, points, complaints))
@@ -185,7 +198,7 @@ def _stretch(odom, way):
                                    for column in (odom.x_m, odom.y_m, odom.yaw_rad, way))
     half_rad = np.clip(np.abs(yaw_rad) / 2, 1e-6, 1.5)
     by_places = np.hypot(x_m, y_m) * half_rad / np.sin(half_rad)  # an arc, not its chord
-    drove = (np.abs(by_speed) > STRETCH_LEAST_M) & (np.abs(yaw_rad) < 2.0)
+    drove = (np.abs(by_speed) > STRETCH_LEAST_M) & (np.abs(yaw_rad) < 2.0) & ~_has_gap(odom.t_s, at_s)
     if drove.sum() < 5:
         return 1.0
     ratio = by_places[drove] / np.abs(by_speed[drove])
@@ -193,6 +206,14 @@ def _stretch(odom, way):
     fine = np.abs(ratio - usual) < 0.1 * usual
     stretch = float(by_places[drove][fine].sum() / np.abs(by_speed[drove][fine]).sum()) if fine.any() else 1.0
     return stretch if 0.5 < stretch < 2.0 else 1.0
+
+
+def _has_gap(t_s, at_s):
+    """Which of the stretches from each moment to the next have a gap in odometry: nobody knows the way in there."""
+    before = np.flatnonzero(np.diff(t_s) > STRETCH_GAP_S)
+    begun = np.searchsorted(t_s[before], at_s[1:])  # gaps that began before a stretch's end
+    ended = np.searchsorted(t_s[before + 1], at_s[:-1], side="right")  # and those that were over at its begin
+    return begun > ended
 
 
 class _ImuHeading(NamedTuple):
@@ -254,7 +275,7 @@ def _outer(duty, other, center):
 def _complaints(curve: Curve, points) -> Iterator[str]:
     if math.isnan(curve.center):
         yield "the car never went straight, nor to both sides: drive straight on for some seconds, three times"
-    elif fitting.BAND * float(np.interp(curve.center, curve.duties, curve.sigmas)) > fitting.FitConfig().known_per_m:
+    elif fitting.BAND * float(np.interp(curve.center, curve.duties, curve.sigmas)) > FitConfig().known_per_m:
         yield (f"where the car goes straight is known to ±{fitting.BAND * curve.center_sigma:.0f} duty only: drive "
                "straight on for some seconds, three times")
     for side in (LEFT, RIGHT):
@@ -314,9 +335,8 @@ def _report(options, loaded: Sequence[Loaded], curve: Curve, points, complaints)
     yield "  radius         left  ±duty   ±radius  pieces     m        right  ±duty   ±radius  pieces     m"
     for left, right in zip(points[LEFT], points[RIGHT]):
         yield f"  {left.radius_m:6g} m  {_cells(left)}   {_cells(right)}"
-    yield ("  (±: two standard errors of what was driven, a little optimistic, more so where the recording has gaps; "
-           "pieces:")
-    yield "  driven about as tight; e: the end, no tighter turn can be had; *: nothing was driven)"
+    yield "  (±: two standard errors; pieces: driven about as tight; e: the end, no tighter turn can be had;"
+    yield "  *: nothing was driven)"
     for complaint in complaints:
         yield f"  missing: {complaint}"
 
