@@ -145,11 +145,11 @@ def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
     ports = {kind: stage.path(f"line_{kind}") for kind in (FLOOR, RAW, ALL)}
     heard = {FLOOR: ("teensy_wheel:=/bench/wheel", "teensy_distance:=/bench/distance"),
              RAW: ("__ns:=raw",), ALL: (*EVERYTHING, "__ns:=everything")}
-    actors = stage.actors(*(("line", port) for port in ports.values()), *(("count", *heard[kind]) for kind in ports),
-                          ("pipe", ports[FLOOR]))
-    lines, counts, pipe = actors[:3], actors[3:6], actors[6]
-    nodes = pipe, hub(stage, ports[RAW], "/raw", "_raw_only:=true"), hub(stage, ports[ALL], "/everything")
-    with stage.running(*actors, *nodes[1:]):
+    actors = stage.actors(*(("line", port) for port in ports.values()), *(("count", *heard[kind]) for kind in ports))
+    lines, counts = actors[:len(ports)], actors[len(ports):]
+    nodes = (stage.actor("pipe", ports[FLOOR]), hub(stage, ports[RAW], "/raw", "_raw_only:=true"),
+             hub(stage, ports[ALL], "/everything"))
+    with stage.running(*actors, *nodes):
         for count in counts:
             count.tell("connected")
         for count in counts:
