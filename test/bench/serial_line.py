@@ -20,7 +20,7 @@ PAUSE_S = (0.004, 0.02)
 UNCOUNTED = 3  # the first ones: of connections in the making
 EVERYTHING = ("odom", "/tf", "joint_states", "teensy_clock", "teensy_sensor_hub/link", "/diagnostics",
               *(f"sonar/{name}" for name in SONARS))
-WARM_UP_S = 0.5
+WARM_UP_S = 0.3
 FACTORS = (1, 10)  # × 115200 baud
 FLOOR, RAW, ALL = "floor", "raw", "everything"  # also their namespaces
 CPU_TARGETS = {(1, RAW): Target(high=4.9, original="5.4"), (1, ALL): Target(high=9),
