@@ -243,6 +243,7 @@ class LiveTest(unittest.TestCase):
         mark = self.commands.mark()
         self.drive(planner=300.0)
         self.states.wait_for(lambda state: state.source == SteeringState.PLANNER, self.states.mark())
+        self.commands.wait_for(lambda vector: vector.data[STEERS] >= 0, mark)  # its new publisher was found as well
         self.assertEqual({vector.data[STEERS] for vector in self.commands.since(mark)} - {-1}, {5200})
 
     def test_neutral_of_the_esc_is_tuned_on_the_wire_and_at_rest(self):

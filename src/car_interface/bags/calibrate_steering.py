@@ -103,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
     print("\n".join(done.report))
     if done.complaints and not options.force:
         raise Refused("no calibration is written: " + "; ".join(done.complaints)
-                      + ". --force keeps the old duties there")
+                      + ". Give that recording as well, or keep the old duties there by --force")
     text = yaml_text(done, Path(base_path).read_text(encoding="utf-8-sig"))
     output = Path(options.output)
     half = output.with_name(output.name + ".part")
@@ -307,7 +307,7 @@ def _gap(curve, side, table, first, last):
     wide = (" and wider" if last == len(table) - 1 else "" if first == last else f" to {table[last].radius_m:.3g} m")
     duties = sorted((table[first - 1].duty, table[min(last + 1, len(table) - 1)].duty))
     return (f"too little data for {side} turns of {table[first].radius_m:.3g} m{wide}: drive three slow ones with "
-            f"duties from {duties[0]:.0f} to {duties[1]:.0f}")
+            f"duties from {duties[0]:.0f} to {duties[1]:.0f}, come to from both sides")
 
 
 def _report(options, loaded: Sequence[Loaded], curve: Curve, points, complaints) -> Iterator[str]:
