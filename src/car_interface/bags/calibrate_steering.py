@@ -302,7 +302,8 @@ def _gap(curve, side, table, first, last):
         if end.curvature_per_m * table[0].radius_m < 1:
             tightest = 1 / end.curvature_per_m
         beyond = "beyond" if not end.is_stop else "around"
-        return (f"no data for {side} turns tighter than {tightest:.2g} m: drive three slow {side} circles with duties "
+        about = float(f"{tightest:.2g}")
+        return (f"no data for {side} turns tighter than {about:g} m: drive three slow {side} circles with duties "
                 f"{beyond} {end.farthest_duty:.0f}, up to the end of the stick")
     wide = (" and wider" if last == len(table) - 1 else "" if first == last else f" to {table[last].radius_m:.3g} m")
     duties = sorted((table[first - 1].duty, table[min(last + 1, len(table) - 1)].duty))
