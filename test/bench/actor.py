@@ -5,7 +5,8 @@
     sink TOPIC FILE             notes in a file when something arrived: as the virtual chip does
     beat NAME...                hears inputs and publishes 16 duties at 100 Hz, whatever it hears: a bare heartbeat
     inputs NAME...              publishes human, steering, radius, odometry, acceleration, joy at 50 Hz, never changing
-    pipe PORT                   reads a serial port; for each frame a ready-made teensy_wheel or teensy_distance
+    pipe PORT [RATE]            reads a serial port; for each frame a ready-made teensy_wheel or teensy_distance; with a
+                                RATE also odom, tf and joint_states so often, and a range with each teensy_distance
     line LINK                   a serial line with captured wheel and sonar frames: "go 10" on standard input has it
                                 send at ten times 115200 baud, "stop" has it say what it has sent since
     count [TOPIC...]            counts teensy_wheel and teensy_distance, and hears the rest; "connected" says when both
@@ -14,6 +15,7 @@
 """
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import select
@@ -27,9 +29,11 @@ from pathlib import Path
 
 import rospy
 from car_interface.msg import Control, Distance, Longitudinal, OneWheel, Wheel
+from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Joy
+from sensor_msgs.msg import JointState, Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray, MultiArrayDimension, MultiArrayLayout
+from tf2_msgs.msg import TFMessage
 
 PERIOD_S = 0.02
 BEAT_NS = 10_000_000
@@ -117,10 +121,33 @@ def inputs(*names):
     at_50_hz(lambda: [say(make()) for say, make in publish])
 
 
-def pipe(port):
+class Measured:
+    """What a hub says besides the raw records, ready-made, as often."""
+
+    def __init__(self, rate_hz):
+        self._period_ns = round(1e9 / float(rate_hz))
+        self._due_ns = 0
+        self._moved = [(publisher("odom", Odometry), Odometry()), (publisher("/tf", TFMessage), TFMessage(
+            transforms=[TransformStamped()])), (publisher("joint_states", JointState), JointState(
+                name=["rear_left_wheel", "rear_right_wheel"], position=[0.0, 0.0], velocity=[0.0, 0.0]))]
+        self._ranges = itertools.cycle([publisher(f"sonar/{name}", Range) for name in SONARS])
+
+    def wheels(self):
+        now_ns = time.monotonic_ns()
+        if now_ns >= self._due_ns:
+            self._due_ns = max(self._due_ns + self._period_ns, now_ns)
+            for topic, message in self._moved:
+                topic.publish(message)
+
+    def sonar(self):
+        next(self._ranges).publish(Range())
+
+
+def pipe(port, rate_hz=None):
     """What is long is a report of the wheels."""
-    wheel, distance = publisher("/bench/wheel", Wheel), publisher("/bench/distance", Distance)
+    wheel, distance = publisher("teensy_wheel", Wheel), publisher("teensy_distance", Distance)
     wheels, echo = Wheel(OneWheel(), OneWheel()), Distance(0, 1000, 0)
+    measured = Measured(rate_hz) if rate_hz else None
     fd = os.open(port, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(fd, termios.TCSANOW)
     ready()
@@ -132,8 +159,12 @@ def pipe(port):
         for frame in filter(None, frames):
             if len(frame) > LONGEST_SONAR_FRAME:
                 wheel.publish(wheels)
+                if measured:
+                    measured.wheels()
             else:
                 distance.publish(echo)
+                if measured:
+                    measured.sonar()
 
 
 def captured(*commands):

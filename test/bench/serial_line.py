@@ -22,7 +22,10 @@ EVERYTHING = ("odom", "/tf", "joint_states", "teensy_clock", "teensy_sensor_hub/
               *(f"sonar/{name}" for name in SONARS))
 WARM_UP_S = 0.3
 FACTORS = (1, 10)  # × 115200 baud
-FLOOR, RAW, ALL = "floor", "raw", "everything"  # also their namespaces
+RAW, ALL = "raw", "everything"
+FLOORS = {RAW: "floor_of_raw", ALL: "floor_of_everything"}  # bare rospy with the same messages, ready-made
+KINDS = (*FLOORS.values(), RAW, ALL)  # also their namespaces
+ODOM_RATE = "50"  # Hz, the hub's by default
 CPU_TARGETS = {(1, RAW): Target(high=4.9, original="5.4"), (1, ALL): Target(high=9),
                (10, RAW): Target(high=32, original="34.8"), (10, ALL): Target()}
 
@@ -37,8 +40,9 @@ def hub(stage: Stage, port: str, namespace: str = "", *arguments: str) -> NodePr
 
 def measure_serial(effort: Effort, stage: Stage) -> Iterator[Row]:
     """Captured reports of the wheels, one by one; beside each a node that reads a pty and publishes a ready message."""
-    with Terminals(2) as ports, stage.running(hub(stage, ports.names[0]), stage.actor("pipe", ports.names[1])):
-        ears = [Ear(topic, Wheel).connected() for topic in ("/teensy_wheel", "/bench/wheel")]
+    with Terminals(2) as ports, stage.running(
+            hub(stage, ports.names[0]), stage.actor("pipe", ports.names[1], "__ns:=bench")):
+        ears = [Ear(topic, Wheel).connected() for topic in ("/teensy_wheel", "/bench/teensy_wheel")]
         frames = list(captured(WHEELS))
         delays_ms: tuple[list[float], list[float]] = ([], [])
         for index in range(effort.frames + UNCOUNTED):
@@ -116,8 +120,9 @@ class Reader(NamedTuple):
 def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
     """The reports of wheels and sonars in the capture, over and over: 368 a second at 115200 baud, and ten times.
 
-    By turns: bare rospy, the hub with ``raw_only``, and with subscribers of everything; the others wait meanwhile. The
-    subscribers are a process of their own, and so is the line; neither is counted.
+    By turns: the hub with ``raw_only``, and with subscribers of everything, and for each a bare node that publishes the
+    same messages ready-made; the others wait meanwhile. The subscribers are a process of their own, and so is the line;
+    neither is counted.
     """
     with readers(stage) as by_kind:
         for factor in FACTORS:
@@ -129,9 +134,9 @@ def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
     """Of a line of one speed."""
-    rate, floor = "full line" if factor == 1 else f"{factor} × the line rate", loads[FLOOR]
+    rate = "full line" if factor == 1 else f"{factor} × the line rate"
     for kind, what in ((RAW, "raw topics only"), (ALL, "everything on")):
-        measured = loads[kind]
+        measured, floor = loads[kind], loads[FLOORS[kind]]
         void = f"{measured.lost} frames were lost" if measured.lost else ""
         yield Row("line", f"{rate}: CPU of the hub, {what}", "% of core", Summary.of([measured.cpu_percent]),
                   (CPU_TARGETS[factor, kind],), Summary.of([floor.cpu_percent]), str(measured), void=void)
@@ -142,13 +147,14 @@ def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
 @contextmanager
 def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
     """Each with a line and listeners, all of them idle."""
-    ports = {kind: stage.path(f"line_{kind}") for kind in (FLOOR, RAW, ALL)}
-    heard = {FLOOR: ("teensy_wheel:=/bench/wheel", "teensy_distance:=/bench/distance"),
-             RAW: ("__ns:=raw",), ALL: (*EVERYTHING, "__ns:=everything")}
-    actors = stage.actors(*(("line", port) for port in ports.values()), *(("count", *heard[kind]) for kind in ports))
-    lines, counts = actors[:len(ports)], actors[len(ports):]
-    nodes = (stage.actor("pipe", ports[FLOOR]), hub(stage, ports[RAW], "/raw", "_raw_only:=true"),
-             hub(stage, ports[ALL], "/everything"))
+    ports = {kind: stage.path(f"line_{kind}") for kind in KINDS}
+    everything = {ALL: EVERYTHING, FLOORS[ALL]: EVERYTHING}
+    actors = stage.actors(*(("line", port) for port in ports.values()),
+                          *(("count", *everything.get(kind, ()), f"__ns:={kind}") for kind in KINDS))
+    lines, counts = actors[:len(KINDS)], actors[len(KINDS):]
+    nodes = (*stage.actors(("pipe", ports[FLOORS[RAW]], f"__ns:={FLOORS[RAW]}"),
+                           ("pipe", ports[FLOORS[ALL]], ODOM_RATE, f"__ns:={FLOORS[ALL]}")),
+             hub(stage, ports[RAW], f"/{RAW}", "_raw_only:=true"), hub(stage, ports[ALL], f"/{ALL}"))
     with stage.running(*actors, *nodes):
         for count in counts:
             count.tell("connected")
