@@ -31,14 +31,18 @@ def write_ros1(path: Path, messages: Iterable[Written], chunk_bytes: int | None 
     with Ros1Writer(path) as writer:
         if chunk_bytes is not None:
             writer.chunk_threshold = chunk_bytes
-        connections: dict = {}
-        for message in messages:
-            name = full(message.type)
-            if (message.topic, name) not in connections:
-                connections[message.topic, name] = writer.add_connection(message.topic, name, typestore=store)
-            data = store.serialize_ros1(made(store, name, message.fields), name)
-            writer.write(connections[message.topic, name], START_NS + round(message.time_s * 1e9), data)
+        _write(writer, store, store.serialize_ros1, messages)
     return path
+
+
+def _write(writer, store, serialize, messages):
+    connections: dict = {}
+    for message in messages:
+        name = full(message.type)
+        if (message.topic, name) not in connections:
+            connections[message.topic, name] = writer.add_connection(message.topic, name, typestore=store)
+        writer.write(connections[message.topic, name], START_NS + round(message.time_s * 1e9),
+                     serialize(made(store, name, message.fields), name))
 
 
 def write_ros2(path: Path, messages: Iterable[Written], with_definitions: bool = True, extra_types=()) -> Path:
@@ -49,13 +53,7 @@ def write_ros2(path: Path, messages: Iterable[Written], with_definitions: bool =
     except TypeError:  # rosbags before 0.10
         writer = Ros2Writer(path)
     with writer:
-        connections: dict = {}
-        for message in messages:
-            name = full(message.type)
-            if (message.topic, name) not in connections:
-                connections[message.topic, name] = writer.add_connection(message.topic, name, typestore=store)
-            data = store.serialize_cdr(made(store, name, message.fields), name)
-            writer.write(connections[message.topic, name], START_NS + round(message.time_s * 1e9), data)
+        _write(writer, store, store.serialize_cdr, messages)
     if not with_definitions:
         (database,) = path.glob("*.db3")
         with sqlite3.connect(str(database)) as connection:
