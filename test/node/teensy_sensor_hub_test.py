@@ -25,8 +25,9 @@ import rosnode
 import rospkg
 import rospy
 import rostest
-from car_interface.msg import Distance, Error, Pong, Wheel
+from car_interface.msg import Distance, Error, Pong, TeensyClock, Wheel
 from car_interface.srv import SetSonarSequence, SetSonarWait
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from waiting import PATIENCE_S, Record, Topic, eventually, retried, start_node
@@ -431,6 +432,19 @@ class HubByItself(unittest.TestCase):
         line.wait_for_ping(pings)
         self.assertEqual(second.end(signal.SIGTERM), 0)
         self.assertEqual(len(second.stderr.since()), 1, second.stderr.since())
+
+    def test_the_last_report_before_a_silence_is_told_though_it_came_too_soon(self):
+        stream, frames = read_capture()
+        stood, rolled = [stream[frame["start"]:frame["end"] + 1] for frame in frames if frame["cmd"] == 7][:2]
+        line = self.plug_in()
+        self.start("silent", "__ns:=silent", "_odom_rate:=5")
+        clock = Topic("/silent/teensy_clock", TeensyClock).connected()
+        joints = Topic("/silent/joint_states", JointState).connected()
+        clock.wait_for(lambda sync: sync.used)  # before the first tick there is no odometry
+        line.send(stood + rolled)
+        first, last = joints.wait_for_count(2)
+        self.assertGreater(last.position[0], first.position[0])
+        self.assertEqual(last.position[1], first.position[1])
 
     def test_a_port_that_cannot_be_one_is_told_in_one_line_and_the_hub_goes_on(self):
         file = os.path.join(self.directory, "file")

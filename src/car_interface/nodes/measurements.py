@@ -34,6 +34,7 @@ WHEEL_JOINTS = ("rear_left_wheel", "rear_right_wheel")
 # Of the virtual car: x and y from the middle of the rear axle, in m, and where it looks, in rad.
 MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0], "front_left": [0.40, 0.10, 0.524],
           "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
+MOST_WAITING = 10  # reports of the wheels: a tenth of a millisecond's work
 REFUSED_SHARE = 0.01  # of a second's records, from which on it's worth a warning
 
 
@@ -89,7 +90,8 @@ class MeasurementPublisher:
         self._complaints = Complaints()
         self._sync = None
         self._counted = (0, 0)
-        self._untold = None  # the newest motion, if it came too soon after the last one that was published
+        self._reports: list[tuple] = []  # of the wheels, with their times: they came too soon after the last odometry
+        self._untold = None  # the newest motion, if nobody was told yet
         self._next_motion_ns = 0
         self._prepare_messages()
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
@@ -115,6 +117,7 @@ class MeasurementPublisher:
 
     def pong(self, record, answer, received_ns: int) -> None:
         """Take a pong, with the ping that it answers or ``None``; publish how the clocks relate."""
+        self._catch_up()
         sync = self._measurements.pong(record, answer, received_ns)
         if sync is None:
             return
@@ -127,6 +130,7 @@ class MeasurementPublisher:
 
     def sonar(self, record, received_ns: int) -> None:
         """Take a sonar's report; publish its range."""
+        self._catch_up()
         measured = self._measurements.sonar(record, received_ns)
         if measured is None or not is_heard(self._ranges[measured.sensor]):
             return
@@ -137,30 +141,45 @@ class MeasurementPublisher:
         self._ranges[measured.sensor].publish(message)
 
     def wheels(self, record, received_ns: int) -> None:
-        """Take a report of the wheels."""
-        measured = self._measurements.wheels(record, received_ns)
-        if measured is None:
-            return
-        self._steering_check.hear_motion(measured.motion.speed_mps, measured.motion.yaw_rate_radps, received_ns)
-        if received_ns < self._next_motion_ns:
-            self._untold = measured
-        else:
-            self._publish_motion(measured, received_ns)
+        """Take a report of the wheels. It may wait for others: several in a row cost less than one by one."""
+        self._reports.append((record, received_ns))
+        if received_ns >= self._next_motion_ns:
+            self._tell_motion(received_ns)
+        elif len(self._reports) == MOST_WAITING:
+            self._catch_up()
 
     @property
     def due_ns(self) -> float:
-        """When the next step is due: a motion that came too soon waits for another one, but not for long."""
-        return math.inf if self._untold is None else self._next_motion_ns + self._settings.odom_period_ns
+        """When the next step is due: reports that came too soon wait for another one, but not for long."""
+        return self._next_motion_ns + self._settings.odom_period_ns if self._reports or self._untold else math.inf
 
     def step(self, now_ns: int) -> None:
         """Publish the motion that came too soon, if none came after it."""
         if now_ns >= self.due_ns:
+            self._tell_motion(now_ns)
+
+    def _tell_motion(self, now_ns):
+        self._catch_up()
+        if self._untold is not None:
             self._publish_motion(self._untold, now_ns)
+
+    def _catch_up(self):
+        """Take the reports that waited, before anything that came after them."""
+        for record, received_ns in self._reports:
+            measured = self._measurements.wheels(record, received_ns)
+            if measured is not None:
+                motion = measured.motion
+                self._steering_check.hear_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
+                self._untold = measured
+        self._reports.clear()
 
     def _publish_motion(self, measured, now_ns):
         """Odometry, its transform, and the wheels' joints."""
         self._untold = None
-        self._next_motion_ns = max(self._next_motion_ns + self._settings.odom_period_ns, now_ns)
+        period_ns = self._settings.odom_period_ns
+        self._next_motion_ns += period_ns
+        if self._next_motion_ns <= now_ns:
+            self._next_motion_ns = now_ns + period_ns
         motion = measured.motion
         stamp = self._ros_time(measured.stamp.time_ns)  # one for all: they are looked up by it
         if is_heard(self._odometry):
@@ -226,6 +245,7 @@ class MeasurementPublisher:
             self._complaints.warn("temperature", f"{error}: the one before it counts on")
 
     def _on_steering(self, message, now_ns):
+        self._catch_up()
         self._steering_check.hear_command(message.turn_radius, now_ns)
         self._measurements.steer(1 / message.turn_radius if message.turn_radius else math.nan)
 
