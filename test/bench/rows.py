@@ -93,6 +93,11 @@ class Row:
             return None
         return self.summary is not None and not self.void and target.met_by(self.value(target))
 
+    def lost_to_rospy(self) -> tuple[str, ...]:
+        """The statistics whose target is missed, and by bare rospy as well."""
+        return tuple(target.statistic for target in self.targets if self.meets(target) is False
+                     and self.floor is not None and not target.met_by(getattr(self.floor, target.statistic)))
+
     def lines(self) -> list[tuple[str, ...]]:
         """The table's cells, a line for each target."""
         return [self._cells(target) for target in self.targets]
@@ -164,8 +169,14 @@ def head() -> str:
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """The last words: how many targets were met, and which were not."""
+    """The last words: how many targets were met, and which were not; those that bare rospy misses too come apart."""
     count = sum(1 for row in rows for target in row.targets if target.is_bound)
-    missed = [f"{row.what} ({', '.join(row.missed)})" for row in rows if row.missed]
     met = count - sum(len(row.missed) for row in rows)
-    return f"{met} of {count} targets met" + (f"; missed: {'; '.join(missed)}" if missed else "")
+    ours = _named((row, [name for name in row.missed if name not in row.lost_to_rospy()]) for row in rows)
+    rospys = _named((row, row.lost_to_rospy()) for row in rows)
+    return (f"{met} of {count} targets met" + (f"; missed: {ours}" if ours else "")
+            + (f"; missed by bare rospy as well: {rospys}" if rospys else ""))
+
+
+def _named(missed):
+    return "; ".join(f"{row.what} ({', '.join(statistics)})" for row, statistics in missed if statistics)

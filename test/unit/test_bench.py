@@ -100,3 +100,11 @@ def test_verdict_counts_bounds_and_names_what_is_missed():
     good, bad = row([1.0], (Target(high=2.0), Target("max"))), row([3.0], (Target(high=2.0),))
     assert rows.verdict([good, bad]) == "1 of 2 targets met; missed: thing (median)"
     assert rows.verdict([good]) == "1 of 1 targets met"
+
+
+def test_verdict_tells_apart_what_bare_rospy_misses_too():
+    targets = (Target(high=2.0), Target("p99", high=5.0))
+    slow = Row("thing", "slow", "ms", Summary.of([6.0]), targets, Summary.of([3.0]))
+    assert slow.lost_to_rospy() == ("median",)
+    assert rows.verdict([slow, row([1.0], (Target(high=2.0),))]) == (
+        "1 of 3 targets met; missed: slow (p99); missed by bare rospy as well: slow (median)")

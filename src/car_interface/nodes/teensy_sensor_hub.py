@@ -181,20 +181,28 @@ class TeensySensorHub:
             handler(item, arrival_ns)
         if self._has_keys:
             self._read_keys()
-        if not self._link.is_open and now_ns >= self._next_try_ns:
-            self._try_open()
-        if self._link.is_open and now_ns >= self._rest_until_ns:
-            self._read(now_ns)
-        if self._link.is_open:
-            self._ping_when_due(now_ns)
+        port_ns = self._attend_port(now_ns)
         if self._measurements:
             self._measurements.step(now_ns)
         if self._link_beat.is_due(now_ns):
             self._judge()
             self._publish_link_status()
         self._diagnostics.step(now_ns)
-        return min(self._link_beat.due_ns, self._diagnostics.due_ns, self._next_port_event_ns(),
+        return min(self._link_beat.due_ns, self._diagnostics.due_ns, port_ns,
                    self._measurements.due_ns if self._measurements else math.inf)
+
+    def _attend_port(self, now_ns):
+        """Read it and ping through it, or try to open it; when that is due again though nothing comes from it."""
+        if self._link.is_open:
+            if now_ns >= self._rest_until_ns:
+                self._read(now_ns)
+        elif now_ns >= self._next_try_ns:
+            self._try_open()
+        due_ns = self._next_port_event_ns()
+        if now_ns < due_ns or not self._link.is_open:
+            return due_ns
+        self._ping_when_due(now_ns)
+        return self._next_port_event_ns()
 
     def _next_port_event_ns(self):
         if not self._link.is_open:
@@ -269,11 +277,17 @@ class TeensySensorHub:
         for body in self._decoder.feed(data):
             record = protocol.decode(body)
             self._publish[type(record)](record, received_ns)
+        noise_bytes = self._decoder.tally.noise_bytes - noise_bytes
+        if noise_bytes:
+            self._note_noise(noise_bytes, len(data), began_ns)
+
+    def _note_noise(self, noise_bytes, read_bytes, began_ns):
+        """Corrupt frames are told; what is mostly noise gets a rest."""
         corrupt = self._decoder.tally.bad_frames - self._corrupt
         if corrupt:
             self._corrupt += corrupt
             self._complaints.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
-        if len(data) >= LONG_READ and 2 * (self._decoder.tally.noise_bytes - noise_bytes) > len(data):
+        if read_bytes >= LONG_READ and 2 * noise_bytes > read_bytes:
             self._rest(began_ns)
 
     def _rest(self, began_ns):

@@ -50,6 +50,7 @@ class SerialLink:
         self._path = port
         self._baud = baud
         self._serial = None
+        self._fd = None  # its file descriptor, while it's open
         self._refusals = 0  # of a busy port, since it was last opened
         self._holders = []
 
@@ -64,9 +65,9 @@ class SerialLink:
         Raises:
             PortError: when it isn't open.
         """
-        if self._serial is None:
+        if self._fd is None:
             raise PortError(self._path, FAILING, "the port is not open", "It is opened again as soon as that works")
-        return self._serial.fileno()
+        return self._fd
 
     def open(self) -> None:
         """Open the port, without what arrived before.
@@ -76,7 +77,8 @@ class SerialLink:
         """
         try:
             self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
-            _tell_silence_from_hangup(self._serial.fileno())
+            self._fd = self._serial.fileno()
+            _tell_silence_from_hangup(self._fd)
         except (OSError, ValueError, termios.error) as error:
             self.close()
             raise PortError(self._path, *self._explain(error)) from error
@@ -126,7 +128,7 @@ class SerialLink:
                 self._serial.close()
             except OSError:
                 pass  # it was pulled out; there is nothing left to close
-            self._serial = None
+            self._serial = self._fd = None
 
     def _lost(self, error):
         self._discard_output()
@@ -137,7 +139,7 @@ class SerialLink:
     def _discard_output(self):
         """What a port hasn't taken would keep its close waiting, with some drivers for half a minute."""
         try:
-            termios.tcflush(self._serial.fileno(), termios.TCOFLUSH)
+            termios.tcflush(self.fileno(), termios.TCOFLUSH)
         except (OSError, termios.error):
             pass  # it was pulled out; nothing waits any more
 
