@@ -27,6 +27,8 @@ GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measu
           "car": measure_car}
 ON_REQUEST = {"one_process": measure_one_process}  # of an option, not of a target
 WITHOUT_ROS = {"decode", "encode", "lookup"}
+PACE_STEPS = 500_000
+UNEVEN = 0.9  # of the run's best pace: slower than that is worth a word
 DISTURBED_PERCENT = 10  # of a core, by others, from which on delays and their p99 are theirs as well
 
 
@@ -36,6 +38,7 @@ class Course(NamedTuple):
     group: str
     took_s: float
     others_percent: float  # of a core, used by other programs
+    pace: float  # of the machine before and after it, see pace()
 
 
 def read_arguments() -> argparse.Namespace:
@@ -68,6 +71,7 @@ def measure(names, effort: Effort) -> Iterator[tuple[list[Row], str, Course]]:
         for name in names:
             rows: list[Row] = []
             trouble = ""
+            before = pace()
             begun_s, others = time.monotonic(), OthersMeter()
             try:
                 if name not in WITHOUT_ROS:
@@ -76,7 +80,20 @@ def measure(names, effort: Effort) -> Iterator[tuple[list[Row], str, Course]]:
             except (Exception, SystemExit) as error:  # the other groups can still be measured
                 trouble = f"{name}: {type(error).__name__}: {error}"
                 traceback.print_exc()
-            yield rows, trouble, Course(name, time.monotonic() - begun_s, others.percent())
+            took_s, others_percent = time.monotonic() - begun_s, others.percent()
+            yield rows, trouble, Course(name, took_s, others_percent, (before + pace()) / 2)
+
+
+def pace() -> float:
+    """How fast a fixed piece of Python runs now, in steps per second of CPU time.
+
+    A virtual machine's neighbours take caches and clock from it, and a small computer that is hot slows down: no count
+    of used time shows either.
+    """
+    begun_s, total = time.process_time(), 0
+    for step in range(PACE_STEPS):
+        total += step * step % 7
+    return PACE_STEPS / (time.process_time() - begun_s)
 
 
 def main() -> int:
@@ -107,6 +124,10 @@ def main() -> int:
                  if course.others_percent > DISTURBED_PERCENT]
     if disturbed:
         print(f"Other programs disturbed it, with so many % of a core: {', '.join(disturbed)}")
+    best = max(course.pace for course in courses)
+    if any(course.pace < UNEVEN * best for course in courses):
+        print("The machine itself was not always as fast, 1 = its best pace in this run: "
+              + ", ".join(f"{course.group} {course.pace / best:.2f}" for course in courses))
     if arguments.json:
         write(arguments.json, about, rows, courses, arguments.quick)
         print(f"JSON: {arguments.json}")
