@@ -221,6 +221,12 @@ def test_axis_that_is_none_is_a_matter_of_usage(axis, bag, tmp_path):
         run(bag, "-o", tmp_path / "made.yaml", "--axis", axis)
 
 
+def test_axis_with_spaces_is_told_about_commas(bag, tmp_path, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        run(bag, "-o", tmp_path / "made.yaml", "--axis", "0.7", "1", "2")
+    assert "with commas between them, like 0.7,1,2,5" in capsys.readouterr().err
+
+
 def test_channel_that_there_is_none_of_is_refused(bag, tmp_path, capsys):
     assert run(bag, "-o", tmp_path / "made.yaml", "--channel", "16") == 1
     assert "--channel is 16" in capsys.readouterr().err

@@ -256,9 +256,9 @@ def _channel(options, base):
 def _radii(text):
     try:
         radii = [float(part) for part in text.replace(",", " ").split()]
-        check_axis(radii, "--axis")
+        check_axis(radii, "axis")
     except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
+        raise argparse.ArgumentTypeError(f"{error} (in m, with commas between them, like 0.7,1,2,5)") from error
     if radii[0] <= 0 or len(radii) > MOST_BREAKPOINTS:
         raise argparse.ArgumentTypeError(f"accepted: at most {MOST_BREAKPOINTS} radii above 0 m")
     return radii
