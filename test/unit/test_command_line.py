@@ -136,10 +136,11 @@ def test_work_in_processes_comes_back_in_order(count):
     assert list(jobs.for_each(squared, list(range(7)), count)) == [0, 1, 4, 9, 16, 25, 36]
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_error_of_this_package_comes_back_as_it_is(count):
-    with pytest.raises(CarInterfaceError, match="1 is refused"):
-        list(jobs.for_each(refusing, [1, 2], count))
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("items", [2, 3, 50])
+def test_error_of_this_package_comes_back_as_it_is_and_ends_the_work(items, count):
+    with pytest.raises(CarInterfaceError, match="0 is refused"):
+        list(jobs.for_each(refusing, range(items), count))
 
 
 def test_process_that_was_killed_is_told():

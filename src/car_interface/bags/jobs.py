@@ -3,7 +3,8 @@ from __future__ import annotations
 
 import os
 from argparse import ArgumentTypeError
-from concurrent.futures import ProcessPoolExecutor
+from collections import deque
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Callable, Iterator, Sequence
 
@@ -30,17 +31,23 @@ def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) ->
     if jobs == 1 or len(items) < 2:
         yield from map(function, items)
         return
+    # One for each process and no more: one that waits would have to be cancelled when another fails, and in Python 3.8 a
+    # pool with nothing left but cancelled work never ends.
     with ProcessPoolExecutor(min(jobs, len(items))) as pool:
-        results = [pool.submit(function, item) for item in items]
+        results: deque = deque()
         try:
-            for result in results:
-                yield result.result()
+            for item in items:
+                running = [result for result in results if not result.done()]
+                if len(running) == jobs:
+                    wait(running, return_when=FIRST_COMPLETED)
+                results.append(pool.submit(function, item))
+                while results and results[0].done():
+                    yield results.popleft().result()
+            while results:
+                yield results.popleft().result()
         except BrokenProcessPool as error:
             raise CarInterfaceError("a process that read a recording was killed, maybe for want of memory: "
                                     "try again with --jobs 1") from error
-        finally:
-            for result in results:
-                result.cancel()
 
 
 def _count(text):
