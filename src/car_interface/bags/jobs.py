@@ -31,8 +31,8 @@ def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) ->
     if jobs == 1 or len(items) < 2:
         yield from map(function, items)
         return
-    # One for each process and no more: one that waits would have to be cancelled when another fails, and in Python 3.8 a
-    # pool with nothing left but cancelled work never ends.
+    # One for each process and no more: one that waits would have to be cancelled when another fails, and in Python 3.8
+    # a pool with nothing left but cancelled work never ends.
     with ProcessPoolExecutor(min(jobs, len(items))) as pool:
         results: deque = deque()
         try:
