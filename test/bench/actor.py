@@ -122,7 +122,7 @@ def inputs(*names):
 
 
 class Measured:
-    """What a hub says besides the raw records, ready-made, as often."""
+    """What a hub says besides the raw records, ready-made, as often; without what comes once a second."""
 
     def __init__(self, rate_hz):
         self._period_ns = round(1e9 / float(rate_hz))
@@ -131,6 +131,7 @@ class Measured:
             transforms=[TransformStamped()])), (publisher("joint_states", JointState), JointState(
                 name=["rear_left_wheel", "rear_right_wheel"], position=[0.0, 0.0], velocity=[0.0, 0.0]))]
         self._ranges = itertools.cycle([publisher(f"sonar/{name}", Range) for name in SONARS])
+        self._range = Range()
 
     def wheels(self):
         now_ns = time.monotonic_ns()
@@ -140,7 +141,7 @@ class Measured:
                 topic.publish(message)
 
     def sonar(self):
-        next(self._ranges).publish(Range())
+        next(self._ranges).publish(self._range)
 
 
 def pipe(port, rate_hz=None):

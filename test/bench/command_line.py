@@ -27,7 +27,7 @@ GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measu
           "car": measure_car}
 ON_REQUEST = {"one_process": measure_one_process}  # of an option, not of a target
 WITHOUT_ROS = {"decode", "encode", "lookup"}
-PACE_STEPS = 500_000
+PACE_STEPS = 200_000
 UNEVEN = 0.9  # of the run's best pace: slower than that is worth a word
 DISTURBED_PERCENT = 10  # of a core, by others, from which on delays and their p99 are theirs as well
 
@@ -67,11 +67,11 @@ def machine() -> dict:
 
 def measure(names, effort: Effort) -> Iterator[tuple[list[Row], str, Course]]:
     """Each group's rows, what went wrong with it, and how it went."""
+    before = pace()
     with Stage() as stage:
         for name in names:
             rows: list[Row] = []
             trouble = ""
-            before = pace()
             begun_s, others = time.monotonic(), OthersMeter()
             try:
                 if name not in WITHOUT_ROS:
@@ -81,7 +81,9 @@ def measure(names, effort: Effort) -> Iterator[tuple[list[Row], str, Course]]:
                 trouble = f"{name}: {type(error).__name__}: {error}"
                 traceback.print_exc()
             took_s, others_percent = time.monotonic() - begun_s, others.percent()
-            yield rows, trouble, Course(name, took_s, others_percent, (before + pace()) / 2)
+            after = pace()
+            yield rows, trouble, Course(name, took_s, others_percent, (before + after) / 2)
+            before = after
 
 
 def pace() -> float:

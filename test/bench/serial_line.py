@@ -121,8 +121,8 @@ def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
     """The reports of wheels and sonars in the capture, over and over: 368 a second at 115200 baud, and ten times.
 
     By turns: the hub with ``raw_only``, and with subscribers of everything, and for each a bare node that publishes the
-    same messages ready-made; the others wait meanwhile. The subscribers are a process of their own, and so is the line;
-    neither is counted.
+    same messages ready-made, but for those that come once a second; the others wait meanwhile. The subscribers are a
+    process of their own, and so is the line; neither is counted.
     """
     with readers(stage) as by_kind:
         for factor in FACTORS:

@@ -117,9 +117,9 @@ def test_saves_within_a_second_keep_every_old_file(path):
 
 
 def test_save_of_what_the_file_says_already_writes_nothing(path):
-    before = path.stat()
+    os.utime(path, (0, 0))
     assert save(str(path), {"a": 1}) is None
-    assert path.stat() == before and list(path.parent.iterdir()) == [path]
+    assert path.stat().st_mtime == 0 and list(path.parent.iterdir()) == [path]
 
 
 def test_save_through_a_link_writes_where_it_leads_and_leaves_the_link(path, tmp_path):

@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 from car_interface.errors import ConfigError
 from car_interface.msg import SteeringState, TeensyClock
 from car_interface.nodes.diagnostics import OK, WARN
-from car_interface.nodes.node import Complaints, advertise, is_heard, subscribe
+from car_interface.nodes.node import Complaints, Heartbeat, advertise, is_heard, subscribe
 from car_interface.steering_check import SteeringCheck
 from car_interface.teensy.clock import ClockConfig
 from car_interface.teensy.measurements import MeasurementConfig, Measurements
@@ -34,7 +34,7 @@ WHEEL_JOINTS = ("rear_left_wheel", "rear_right_wheel")
 # Of the virtual car: x and y from the middle of the rear axle, in m, and where it looks, in rad.
 MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0], "front_left": [0.40, 0.10, 0.524],
           "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
-MOST_WAITING = 10  # reports of the wheels: a tenth of a millisecond's work
+MOST_WAITING = 10  # reports of the wheels: what is passed on as it is shall not wait for long behind them
 REFUSED_SHARE = 0.01  # of a second's records, from which on it's worth a warning
 
 
@@ -50,7 +50,7 @@ class Settings(NamedTuple):
     mounts: list[list[float]]  # of the sonars: x, y (m) and yaw (rad) in base_frame
     field_of_view_rad: float
     publish_tf: bool
-    odom_period_ns: int  # 0 = with each report
+    odom_rate_hz: float  # inf = with each report
 
 
 def read_settings(params, baud: int) -> Settings:
@@ -66,7 +66,7 @@ def read_settings(params, baud: int) -> Settings:
         sonar_frames=[f"{prefix}sonar_{name}" for name in SONARS],
         joint_names=[prefix + name for name in WHEEL_JOINTS],
         publish_tf=params.flag("publish_tf", True),
-        odom_period_ns=_period_ns(params.number("odom_rate", 50.0, low=0.0, high=1000)),
+        odom_rate_hz=params.number("odom_rate", 50.0, low=0.0, high=1000) or math.inf,
         mounts=[_mount(params, name) for name in SONARS],
         field_of_view_rad=params.number("field_of_view", 0.524, above=0.0, high=math.pi),
         config=read_config(params, baud, params.flag("use_steering", False)),
@@ -92,7 +92,7 @@ class MeasurementPublisher:
         self._counted = (0, 0)
         self._reports: list[tuple] = []  # of the wheels, with their times: they came too soon after the last odometry
         self._untold = None  # the newest motion, if nobody was told yet
-        self._next_motion_ns = 0
+        self._turn = Heartbeat(settings.odom_rate_hz, 0)  # of the next motion
         self._prepare_messages()
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
         self._joints = advertise("joint_states", JointState, inbox, QUEUE_SIZE)
@@ -143,25 +143,26 @@ class MeasurementPublisher:
     def wheels(self, record, received_ns: int) -> None:
         """Take a report of the wheels. It may wait for others: several in a row cost less than one by one."""
         self._reports.append((record, received_ns))
-        if received_ns >= self._next_motion_ns:
-            self._tell_motion(received_ns)
+        if self._turn.is_due(received_ns):
+            self._tell_motion()
         elif len(self._reports) == MOST_WAITING:
             self._catch_up()
 
     @property
     def due_ns(self) -> float:
         """When the next step is due: reports that came too soon wait for another one, but not for long."""
-        return self._next_motion_ns + self._settings.odom_period_ns if self._reports or self._untold else math.inf
+        return self._turn.due_ns + self._turn.period_ns if self._reports or self._untold else math.inf
 
     def step(self, now_ns: int) -> None:
         """Publish the motion that came too soon, if none came after it."""
-        if now_ns >= self.due_ns:
-            self._tell_motion(now_ns)
+        if now_ns >= self.due_ns and self._turn.is_due(now_ns):
+            self._tell_motion()
 
-    def _tell_motion(self, now_ns):
+    def _tell_motion(self):
         self._catch_up()
         if self._untold is not None:
-            self._publish_motion(self._untold, now_ns)
+            self._publish_motion(self._untold)
+            self._untold = None
 
     def _catch_up(self):
         """Take the reports that waited, before anything that came after them."""
@@ -173,13 +174,8 @@ class MeasurementPublisher:
                 self._untold = measured
         self._reports.clear()
 
-    def _publish_motion(self, measured, now_ns):
+    def _publish_motion(self, measured):
         """Odometry, its transform, and the wheels' joints."""
-        self._untold = None
-        period_ns = self._settings.odom_period_ns
-        self._next_motion_ns += period_ns
-        if self._next_motion_ns <= now_ns:
-            self._next_motion_ns = now_ns + period_ns
         motion = measured.motion
         stamp = self._ros_time(measured.stamp.time_ns)  # one for all: they are looked up by it
         if is_heard(self._odometry):
@@ -287,10 +283,6 @@ def read_config(params, baud: int, uses_steering: bool) -> MeasurementConfig:
             max_range_m=params.number("max_range", 2.0, above=0.0, high=100),
             no_echo=params.choice("no_echo", INF, (INF, MAX_RANGE)),
             median=params.flag("median", False)))
-
-
-def _period_ns(rate_hz):
-    return round(NS_PER_S / rate_hz) if rate_hz else 0
 
 
 def _mount(params, name):

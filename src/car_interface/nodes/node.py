@@ -151,16 +151,16 @@ class Heartbeat:
     """A fixed grid of times. After a stall it goes on from now; it doesn't catch up."""
 
     def __init__(self, rate_hz: float, now_ns: int):
-        self._period_ns = round(NS_PER_S / rate_hz)
+        self.period_ns = round(NS_PER_S / rate_hz)
         self.due_ns = now_ns
 
     def is_due(self, now_ns: int) -> bool:
         """Whether a beat is due; if so, the next one is a period later."""
         if now_ns < self.due_ns:
             return False
-        self.due_ns += self._period_ns
+        self.due_ns += self.period_ns
         if self.due_ns <= now_ns:
-            self.due_ns = now_ns + self._period_ns
+            self.due_ns = now_ns + self.period_ns
         return True
 
 
