@@ -28,7 +28,6 @@ GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measu
 ON_REQUEST = {"one_process": measure_one_process}  # of an option, not of a target
 WITHOUT_ROS = {"decode", "encode", "lookup"}
 PACE_STEPS = 200_000
-UNEVEN = 0.9  # of the run's best pace: slower than that is worth a word
 DISTURBED_PERCENT = 10  # of a core, by others, from which on delays and their p99 are theirs as well
 
 
@@ -126,10 +125,8 @@ def main() -> int:
                  if course.others_percent > DISTURBED_PERCENT]
     if disturbed:
         print(f"Other programs disturbed it, with so many % of a core: {', '.join(disturbed)}")
-    best = max(course.pace for course in courses)
-    if any(course.pace < UNEVEN * best for course in courses):
-        print("The machine itself was not always as fast, 1 = its best pace in this run: "
-              + ", ".join(f"{course.group} {course.pace / best:.2f}" for course in courses))
+    print("The machine's own pace, in million steps a second of a loop that is always the same: "
+          + ", ".join(f"{course.group} {course.pace / 1e6:.1f}" for course in courses))
     if arguments.json:
         write(arguments.json, about, rows, courses, arguments.quick)
         print(f"JSON: {arguments.json}")
