@@ -180,9 +180,29 @@ class CpuMeter:
 
 def cpu_s(pid: int) -> float:
     """User and system time of all threads of a process, s; in steps of 10 ms."""
+    return sum(_times(pid)[1:3]) / TICKS_PER_S
+
+
+def descendants_s() -> float:
+    """The same of all living processes that this one has started, or they, and of those of theirs that have ended."""
+    times = {}
+    for name in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            times[int(name)] = _times(int(name))
+        except OSError:
+            pass  # it has just ended
+    found, parents = set(), {os.getpid()}
+    while parents:
+        parents = {pid for pid, (parent, *_) in times.items() if parent in parents}
+        found |= parents
+    return sum(sum(times[pid][1:]) for pid in found) / TICKS_PER_S
+
+
+def _times(pid):
+    """Its parent; ticks of its own in user and system mode, and of its ended children in both."""
     with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
         fields = file.read().rpartition(")")[2].split()  # after the name, which may hold anything
-    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
+    return [int(fields[index]) for index in (1, 11, 12, 13, 14)]
 
 
 def rss_mb(pid: int) -> float:
@@ -213,10 +233,7 @@ class IdleMeter:
 
 
 class OthersMeter:
-    """What programs that have nothing to do with this run have used since this was made: they disturb it.
-
-    Ours are this process and those that it has started and that have ended by now.
-    """
+    """What programs that have nothing to do with this run have used since this was made: they disturb it."""
 
     def __init__(self):
         self._begun_s, self._before_s = time.monotonic(), self._others_s()
@@ -225,7 +242,8 @@ class OthersMeter:
     def _others_s():
         idle, total = _machine()
         times = os.times()
-        return (total - idle) / TICKS_PER_S - (times.user + times.system + times.children_user + times.children_system)
+        ours_s = times.user + times.system + times.children_user + times.children_system + descendants_s()
+        return (total - idle) / TICKS_PER_S - ours_s
 
     def percent(self) -> float:
         """Of one core."""
