@@ -17,7 +17,18 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32MultiArray
 
-from waiting import PATIENCE_S, Repeater, Sender, Topic, eventually, rate_hz, retried, start, start_node
+from waiting import (
+    PATIENCE_S,
+    Repeater,
+    Sender,
+    Topic,
+    eventually,
+    executable,
+    rate_hz,
+    retried,
+    start,
+    start_node,
+)
 
 # As the README has it.
 README_LINE = (
@@ -224,6 +235,28 @@ class Pca9685ByItself(unittest.TestCase):
             poll.register(reader, 0)
             self.assertEqual(poll.poll(1000 * PATIENCE_S), [(reader, select.POLLHUP)])
             self.assertEqual(process.end(), 0)
+
+    def test_a_terminal_that_takes_no_more_lines_holds_nothing_up(self):
+        """As after Ctrl-S, or when the ssh connection to it breaks: here a pipe that is full, and stays so."""
+        with tempfile.TemporaryDirectory() as directory:
+            terminal = os.path.join(directory, "terminal")
+            os.mkfifo(terminal)
+            end = os.open(terminal, os.O_RDWR | os.O_NONBLOCK)
+            self.addCleanup(os.close, end)
+            with self.assertRaises(BlockingIOError):
+                while True:
+                    os.write(end, b" " * 512)
+            outputs = Topic("/gagged/output", Int32MultiArray)
+            process = start(self, "sh", "-c", 'exec "$@" > "$0" 2>&1', terminal, executable("pca9685"),
+                            "_device:=virtual", "/servo/output:=/gagged/output", "command:=/gagged/command",
+                            "__name:=gagged")
+            command = Sender("/gagged/command", Int32MultiArray)
+            command.publish(vector([6000] * 15 + [70000]))  # is warned of
+            outputs.wait_for(lambda output: output.data == (6000,) * 15 + (0,))
+            command.publish(vector([5200]))
+            outputs.wait_for(lambda output: output.data[0] == 5200)
+            self.assertEqual(process.end(signal.SIGTERM), 0)
+            self.assertEqual(outputs.since()[-1].data, (0,) * 16)
 
     def test_a_required_bus_that_is_not_there_ends_the_node(self):
         process, _ = self.start("required", "_device:=/dev/i2c-250", "_required:=true")

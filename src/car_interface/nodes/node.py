@@ -25,12 +25,14 @@ from typing import Any, Callable
 import rospy
 
 from car_interface.errors import CarInterfaceError
+from car_interface.nodes.logs import LogsAside, LogStream
 from car_interface.params import Params
 
 NS_PER_S = 1_000_000_000
 LONGEST_WAIT_NS = NS_PER_S
 INBOX_LIMIT = 10_000  # more than any node is sent while its thread waits for a device
 SHUT_DOWN_S = 2.0
+LAST_WORDS_S = 0.5  # for what was logged at the end
 SWITCH_INTERVAL_S = 0.0005  # how long one thread may keep the others from a message; Python's own 5 ms show
 COMPLAINT_PERIOD_NS = 10 * NS_PER_S
 
@@ -186,13 +188,14 @@ def run(name: str, node_class) -> None:
 
     Exits with code 1 and one line on a bad parameter, and when a device that is required can't be used.
     """
-    sys.stdout, sys.stderr = _LogStream(sys.stdout), _LogStream(sys.stderr)
+    sys.stdout, sys.stderr = LogStream(sys.stdout), LogStream(sys.stderr)
     logging.raiseExceptions = False  # a full disk is no fault of this node's either
     try:
         rospy.init_node(name, disable_signals=True)
     except KeyboardInterrupt:  # while it waited for the master
         sys.exit(1)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+    logs = LogsAside()
     inbox = Inbox()
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -210,33 +213,9 @@ def run(name: str, node_class) -> None:
     ended.set()
     rospy.signal_shutdown("ended")  # returns at once while another thread is doing that already
     unregistered.wait(SHUT_DOWN_S)
+    if not logs.flush(LAST_WORDS_S):
+        os._exit(1 if failed else 0)  # Python's own end would wait for whoever takes no more lines
     sys.exit(1 if failed else 0)
-
-
-class _LogStream:
-    """Standard output or error: a line shows when it is said, in a pipe too; one that nobody can read is no fault.
-
-    A terminal that was closed, or a pipe whose reader ended, must not end a node that drives a car.
-    """
-
-    def __init__(self, stream):
-        self._stream = stream  # None: it was closed at start
-
-    def write(self, text: str) -> None:
-        """Write and flush."""
-        try:
-            if self._stream is not None:
-                self._stream.write(text)
-                self._stream.flush()
-        except OSError:
-            self._stream = None
-
-    def flush(self) -> None:
-        """Nothing is held back."""
-
-    def isatty(self) -> bool:
-        """Whether it's a terminal."""
-        return self._stream is not None and self._stream.isatty()
 
 
 def live(node_class, inbox: Inbox) -> None:
