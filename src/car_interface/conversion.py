@@ -49,9 +49,17 @@ class Converter:
     Args:
         config: limits and timeout.
         value_map: the map; ``None`` passes accelerations through, clamped, and needs no odometry.
+
+    Raises:
+        ConfigError: when all of the map's values are beyond the limits: it would send the same one for everything.
     """
 
     def __init__(self, config: ConversionConfig, value_map: ValueMap | None):
+        if value_map is not None and not (value_map.values[0] < config.max_value
+                                          and value_map.values[-1] > config.min_value):
+            raise ConfigError("value map", list(value_map.values), f"values within min_value {config.min_value} to "
+                              f"max_value {config.max_value}, or others for these",
+                              f"has values from {value_map.values[0]} to {value_map.values[-1]}")
         self._config = config
         self._map = value_map
         self._odometry = Heard("odometry", config.odometry_timeout_s)

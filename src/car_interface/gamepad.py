@@ -13,6 +13,8 @@ from typing import NamedTuple, Sequence
 from car_interface.errors import ConfigError
 from car_interface.freshness import Heard
 
+BEYOND, LEAST = 2, 0.002  # so many deadbands a stick at rest is from neutral, and so much: less than a servo follows
+
 
 @dataclass(frozen=True)
 class GamepadConfig:
@@ -24,6 +26,7 @@ class GamepadConfig:
         manual_button: deadman: the human steers.
         autonomous_button: deadman: the planner steers while a human watches.
         steer_neutral: the request that means "not steering".
+        steer_deadband: requests this near to it mean the same. Both as turn_arb has them.
         joy_timeout_s: silence longer than this releases; 0 = never.
 
     Raises:
@@ -37,6 +40,7 @@ class GamepadConfig:
     steer_scale: float = 1.0
     throttle_scale: float = 1.0
     steer_neutral: float = 0.0
+    steer_deadband: float = 0.001
     joy_timeout_s: float = 0.25
 
     def __post_init__(self):
@@ -96,8 +100,15 @@ class Gamepad:
         if self._lost:
             return self._released(f"{self._lost}: let go of the deadman, then hold it again")
         if buttons[config.manual_button]:
-            return Requests(True, _unit(steering), _unit(throttle), "manual deadman held")
+            return Requests(True, self._steered(_unit(steering)), _unit(throttle), "manual deadman held")
         return Requests(True, config.steer_neutral, 0.0, "autonomous deadman held")
+
+    def _steered(self, steering):
+        """Who holds the manual deadman steers, with the stick at rest too: where nothing is asked the planner would."""
+        neutral, least = self._config.steer_neutral, max(BEYOND * self._config.steer_deadband, LEAST)
+        if abs(steering - neutral) >= least:
+            return steering
+        return neutral + (least if neutral <= 0 else -least)
 
 
 def _unit(x):

@@ -10,6 +10,7 @@ They came by YAML or XML: ``10`` is fine for a float, a float without a fraction
 from __future__ import annotations
 
 import math
+import os
 from typing import Any, Callable, Sequence
 
 from car_interface.errors import ConfigError
@@ -66,6 +67,11 @@ class Params:
         """A string, by default one that isn't empty."""
         return self._scalar(name, default, False,
                             lambda v: v if isinstance(v, str) and (may_be_empty or v.strip()) else None, "a text")
+
+    def path(self, name: str, default=REQUIRED) -> str:
+        """The whole path of a file: a relative one would count from where ROS starts nodes, not from its owner's."""
+        return self._scalar(name, default, False, lambda v: v if isinstance(v, str) and os.path.isabs(v) else None,
+                            "a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder")
 
     def text_or_integer(self, name: str, default):
         """A string that isn't empty, or an integer of at least 0."""

@@ -84,6 +84,9 @@ def trimmed(config: SteeringConfig, servo_left: int, servo_center: int, servo_ri
     """
     before = (config.servo_left, config.servo_center, config.servo_right)
     after = (servo_left, servo_center, servo_right)
+    if before != after and config.servo_center in (config.servo_left, config.servo_right):
+        raise ConfigError("servo_center", config.servo_center, "a duty between servo_left and servo_right, in the file "
+                          "already: from one of them on nothing can be tuned", "is an end at start")
     if (servo_left < servo_right) != (config.servo_left < config.servo_right):
         raise ConfigError("servo_left", servo_left, f"a duty on the same side of servo_right {servo_right} as before")
     if before == after:
@@ -95,8 +98,7 @@ def trimmed(config: SteeringConfig, servo_left: int, servo_center: int, servo_ri
     def moved(duty):
         end = 0 if (duty - before[1]) * (before[0] - before[1]) > 0 else 2
         old_way, new_way = before[end] - before[1], after[end] - after[1]
-        scale = new_way / old_way if old_way else 1.0
-        return max(0.0, min(float(MAX_DUTY), round(after[1] + (duty - before[1]) * scale, TABLE_DIGITS)))
+        return max(0.0, min(float(MAX_DUTY), round(after[1] + (duty - before[1]) * new_way / old_way, TABLE_DIGITS)))
 
     return replace(config, servo_left=servo_left, servo_center=servo_center, servo_right=servo_right,
                    left_duties=[moved(duty) for duty in config.left_duties],

@@ -31,7 +31,7 @@ class TuningSettings:
 def read_tuning(params, reach: int) -> TuningSettings:
     """The settings from ~live_range (with this default) and ~save_to."""
     return TuningSettings(reach=params.integer("live_range", reach, low=0, high=MAX_DUTY),
-                          save_to=params.text("save_to", None))
+                          save_to=params.path("save_to", None))
 
 
 class Answer(NamedTuple):

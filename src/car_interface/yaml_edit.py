@@ -4,6 +4,7 @@ The file is replaced whole, in one step; the old one stays beside it under a nam
 """
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
@@ -11,6 +12,8 @@ import time
 from typing import Mapping, Sequence, Union
 
 from car_interface.errors import ConfigError
+
+ANYBODY_WRITES = 0o222
 
 Value = Union[int, float, Sequence[Union[int, float]]]
 Values = Mapping[str, Value]  # by name; one inside a mapping as ``servo/neutral``
@@ -29,6 +32,9 @@ def save(path: str, values: Values) -> str | None:
     try:
         with open(path, encoding="utf-8", newline="") as file:
             before = file.read()
+        # To replace it its folder would do; but whoever protects a file means it, and means root's nodes, too.
+        if not os.access(path, os.W_OK) or not os.stat(path).st_mode & ANYBODY_WRITES:
+            raise PermissionError(errno.EACCES, "it is write-protected")
         after = edited(before, values, path)
         return None if after == before else _replace(path, after)
     except UnicodeDecodeError as error:

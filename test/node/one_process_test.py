@@ -92,6 +92,14 @@ class TheSameCar(unittest.TestCase):
         self.assertIn("teensy_sensor_hub: Teensy link", names["one"])
         self.assertIn("generic_value_converter: converter", names["one"])
 
+    def test_latecomer_hears_where_both_channels_rest(self):
+        """A topic latches one message in a process, and in the one two parts publish."""
+        for namespace in ("four", "one"):
+            neutrals = Topic(f"/{namespace}/servo/neutral", Int32MultiArray)
+            self.addCleanup(neutrals.close)
+            for channel in (0, 1):
+                neutrals.wait_for(lambda neutral, channel=channel: neutral.data[channel] != -1)
+
     def test_the_doctor_sees_all_parts(self):
         def attempt():
             doctor = start_node(self, "doctor", "--ns", "/one")

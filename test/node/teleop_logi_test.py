@@ -16,6 +16,8 @@ from waiting import Repeater, Sender, Topic, delete_param, rate_hz, retried, sta
 
 STEER, THROTTLE, MANUAL, AUTONOMOUS = 0, 4, 4, 5  # as config/teleop_logi.yaml has them
 
+GIVEN = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5}
+
 
 def joy(steering=0.0, throttle=0.0, manual=0, autonomous=0, axes=8, buttons=11):
     message = Joy(axes=[0.0] * axes, buttons=[0] * buttons)
@@ -137,13 +139,25 @@ class TeleopByItsTopics(unittest.TestCase):
 
 
 class TeleopByItself(unittest.TestCase):
+    def test_for_its_first_second_it_says_nothing_before_it_has_heard_the_gamepad(self):
+        """Else one that was started anew while the deadman is held would pass for a hand that let go."""
+        human = Topic("/anew/human", Bool)
+        arguments = [f"_{key}:={value}" for key, value in GIVEN.items()]
+        process = start_node(self, "teleop_logi", *arguments, "joy:=/anew/joy",
+                             *(f"/teleop_logi/{name}:=/anew/{topic}" for name, topic in (
+                                 ("human_in_loop", "human"), ("tele_steer_req", "steer"), ("tele_throt_req", "throttle"))),
+                             name="anew")
+        first = human.wait_for(lambda _: True)
+        self.assertGreater(first.at_s - process.started_s, 1.0)
+        self.assertFalse(first.what.data)
+        self.assertEqual(process.end(), 0)
+
     def test_each_index_is_required_and_named(self):
-        given = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5}
         started = []
-        for missing in given:
+        for missing in GIVEN:
             name = f"teleop_without_{missing}"
             self.addCleanup(delete_param, f"/{name}")
-            arguments = [f"_{key}:={value}" for key, value in given.items() if key != missing]
+            arguments = [f"_{key}:={value}" for key, value in GIVEN.items() if key != missing]
             started.append((missing, start_node(self, "teleop_logi", *arguments, name=name)))
         for missing, process in started:
             with self.subTest(missing):

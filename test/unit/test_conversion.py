@@ -53,6 +53,14 @@ def test_limits_are_those_of_the_config():
     assert convert(9.0, value_map=None, min_value=-1.0, max_value=0.5).value == 0.5
 
 
+@pytest.mark.parametrize("values", [(3665.0, 6165.0), (-6.0, -5.0), (3.0, 4.0)])
+def test_map_all_of_whose_values_are_beyond_the_limits_is_refused(values):
+    """A map of duties: each of its values would be clamped to the same one, full throttle for braking too."""
+    with pytest.raises(ConfigError, match=fr"value map has values from {values[0]} to {values[1]}; accepted: values "
+                                          r"within min_value -5\.0 to max_value 3\.0"):
+        Converter(ConversionConfig(), ValueMap(values, [0.0, 10.0], [[-1.0, -1.0], [1.0, 1.0]]))
+
+
 @pytest.mark.parametrize("acceleration", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("value_map", [MAP, None], ids=["converted", "passed_through"])
 def test_command_that_is_not_finite_gets_no_value(acceleration, value_map):

@@ -54,6 +54,20 @@ def test_message_is_read_as_requests(axes, buttons, human, steering, throttle, r
     assert requests(axes, buttons) == (human, steering, throttle, reason)
 
 
+@pytest.mark.parametrize("stick, changes, steering", [
+    pytest.param(0.0, {}, 0.002, id="at_rest"),
+    pytest.param(-0.001, {}, 0.002, id="within_turn_arbs_deadband"),
+    pytest.param(-0.002, {}, -0.002, id="out_of_it"),
+    pytest.param(0.01, {"steer_deadband": 0.05}, 0.1, id="of_a_wider_deadband"),
+    pytest.param(0.5, {"steer_neutral": 0.5}, 0.498, id="of_an_old_0_to_1_stack"),
+    pytest.param(1.0, {"steer_neutral": 1.0}, 0.998, id="never_beyond_1"),
+    pytest.param(0.0, {"steer_deadband": 0.0}, 0.002, id="without_a_deadband"),
+])
+def test_manual_deadman_steers_with_the_stick_at_rest_too(stick, changes, steering):
+    """A neutral request would ask for nothing, and turn_arb would have the planner steer."""
+    assert requests([stick, 0.0], MANUAL, **changes).steering == pytest.approx(steering)
+
+
 def test_gamepad_never_heard_holds_no_deadman():
     assert Gamepad(config()).requests(NOW) == (False, 0.0, 0.0, "joy was never heard")
 

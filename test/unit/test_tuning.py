@@ -236,6 +236,14 @@ def test_impossible_trim_is_refused(wanted, message):
         steering.trimmed(SLASH, *wanted)
 
 
+def test_center_that_is_an_end_at_start_is_not_tuned():
+    """On the way from there the two could meet again, and a side without a way can't be tuned back."""
+    config = replace(SLASH, servo_center=3800)
+    assert steering.trimmed(config, 3800, 3800, 6700) is config
+    with pytest.raises(ConfigError, match="servo_center is an end at start"):
+        steering.trimmed(config, 3900, 3950, 6700)
+
+
 @given(TRIPLES)
 def test_trimmed_tables_keep_their_order_and_stay_duties(wanted):
     try:
@@ -287,6 +295,8 @@ def test_file_of_turn_arb_may_say_how_far_it_may_be_tuned():
 
 def test_settings_come_from_live_range_and_save_to():
     assert read_tuning(Params({}), 100) == TuningSettings(100, None)
-    assert read_tuning(Params({"live_range": 0, "save_to": "a.yaml"}), 100) == TuningSettings(0, "a.yaml")
+    assert read_tuning(Params({"live_range": 0, "save_to": "/a.yaml"}), 100) == TuningSettings(0, "/a.yaml")
+    with pytest.raises(ConfigError, match="save_to is 'a.yaml'; accepted: a whole path, from / on"):
+        read_tuning(Params({"save_to": "a.yaml"}), 100)
     with pytest.raises(ConfigError, match="live_range is -1; accepted: an integer from 0 to 65535"):
         read_tuning(Params({"live_range": -1}), 100)

@@ -129,6 +129,15 @@ def test_save_through_a_link_writes_where_it_leads_and_leaves_the_link(path, tmp
     assert link.is_symlink() and path.read_text(encoding="utf-8") == "a: 2  # why\n"
 
 
+def test_write_protected_file_stays_as_it_is(path):
+    path.chmod(0o444)
+    before = path.read_bytes()
+    with pytest.raises(ConfigError, match=r"can't be saved \(it is write-protected\)"):
+        save(str(path), {"servo_center": 5130})
+    assert path.read_bytes() == before
+    assert os.listdir(path.parent) == [path.name]
+
+
 def test_save_to_a_file_that_is_not_there_names_it(tmp_path):
     with pytest.raises(ConfigError, match=r"nothing\.yaml can't be saved \(No such file or directory\)"):
         save(str(tmp_path / "nothing.yaml"), {"a": 2})

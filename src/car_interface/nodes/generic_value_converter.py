@@ -32,6 +32,7 @@ from std_msgs.msg import Int32MultiArray
 
 from car_interface.cfg import EscNeutralConfig
 from car_interface.conversion import ConversionConfig, Converter
+from car_interface.errors import ConfigError
 from car_interface.msg import Control, Float64Stamped, SteeringState
 from car_interface.nodes.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.nodes.live import Live
@@ -63,7 +64,15 @@ def read_converter(params) -> Converter:
         return Converter(config, None)
     if path is None:
         path = params.text("csv_path_value_map")
-    return Converter(config, load_value_map(path, allow_plateaus))
+    value_map = load_value_map(path, allow_plateaus)
+    try:
+        converter = Converter(config, value_map)
+    except ConfigError as error:
+        raise error.within(path) from error
+    if value_map.values[0] < config.min_value or value_map.values[-1] > config.max_value:
+        rospy.logwarn("%s has values from %g to %g; min_value and max_value clamp them to %g to %g", path,
+                      value_map.values[0], value_map.values[-1], config.min_value, config.max_value)
+    return converter
 
 
 def read_throttle(params, converter):
@@ -97,6 +106,7 @@ class GenericValueConverter:
         self._counts: Counter = Counter()
         now_ns = time.monotonic_ns()
         self._heartbeat = Heartbeat(RATE_HZ, now_ns)
+        self._beats = 0
         self._diagnostics = Diagnostics(inbox, "none", {"converter": self._report}, now_ns)
         self._values = advertise("~output/value", Float64Stamped, inbox)
         if self._throttle is not None:
@@ -118,7 +128,8 @@ class GenericValueConverter:
 
         def apply(values):
             self._throttle.calibrate(trimmed(config, **values))
-            self._neutrals.publish(duty_vector(one_channel(self._channel, values["neutral"])))
+            self._neutral = duty_vector(one_channel(self._channel, values["neutral"]))
+            self._neutrals.publish(self._neutral)
 
         def parameters(values):
             return {"servo/neutral": values["neutral"],
@@ -138,6 +149,9 @@ class GenericValueConverter:
         if self._heartbeat.is_due(now_ns):
             self._live.step(now_ns)
             self._publish_throttle(self._throttle.decide(now_ns))
+            self._beats += 1
+            if self._beats % RATE_HZ == 0:  # a topic latches one message in a process, also for two nodes in it
+                self._neutrals.publish(self._neutral)
         return min(self._heartbeat.due_ns, self._diagnostics.due_ns)
 
     def shut_down(self):

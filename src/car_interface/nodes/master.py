@@ -1,12 +1,12 @@
 """Whether the ROS master is there. Topics that are connected go on without it, but nothing can join any more."""
 from __future__ import annotations
 
-import os
 import threading
 import time
 import xmlrpc.client
 from typing import Any, Callable
 
+import rosgraph
 import rospy
 
 from car_interface.nodes.node import Inbox
@@ -30,7 +30,7 @@ class MasterWatch:
     def __init__(self, inbox: Inbox, handler: Callable[[str, int], None]):
         self._inbox = inbox
         self._handler = handler
-        self._master = xmlrpc.client.ServerProxy(os.environ["ROS_MASTER_URI"], transport=_HastyTransport())
+        self._master = xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=_HastyTransport())
         self._pid = None
         threading.Thread(target=self._watch, name="master watch", daemon=True).start()
 

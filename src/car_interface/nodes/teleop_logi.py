@@ -4,12 +4,14 @@ Subscribes:
     joy (sensor_msgs/Joy).
 Publishes, at 50 Hz and at once when the deadman changes:
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is heard.
-    /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman.
+    /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman, and never
+        quite so under the manual one, or with the stick at rest the planner would steer.
     /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 under the autonomous deadman.
 Parameters:
     ~steer_axis, ~throttle_axis, ~manual_button, ~autonomous_button: indices into the Joy message; required.
     ~steer_scale 1.0, ~throttle_scale 1.0: −1 turns an axis round.
-    ~steer_neutral 0.0: the request that means "not steering"; turn_arb's tele_steer_neutral.
+    ~steer_neutral 0.0, ~steer_deadband 0.001: the request that means "not steering", and how near to it another one
+        means the same: turn_arb's tele_steer_neutral and tele_steer_deadband.
     ~joy_timeout 0.25 (s): silence longer than this releases the deadman.
 """
 from __future__ import annotations
@@ -21,10 +23,13 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
 from car_interface.gamepad import Gamepad, GamepadConfig
-from car_interface.nodes.node import Heartbeat, run, subscribe
+from car_interface.nodes.node import NS_PER_S, Heartbeat, run, subscribe
 
 RATE_HZ = 50
 MOST_AXES = 64
+# A node that was started anew while the deadman is held must not pass for a hand that let go and holds again: so long
+# after its start it says nothing before it has heard the gamepad. What is silent holds nothing either.
+MUTE_NS = NS_PER_S
 
 
 def read_config(params) -> GamepadConfig:
@@ -37,6 +42,7 @@ def read_config(params) -> GamepadConfig:
         steer_scale=params.number("steer_scale", 1.0, low=-1, high=1),
         throttle_scale=params.number("throttle_scale", 1.0, low=-1, high=1),
         steer_neutral=params.number("steer_neutral", 0.0, low=-1, high=1),
+        steer_deadband=params.number("steer_deadband", 0.001, low=0.0, high=0.4),
         joy_timeout_s=params.timeout("joy_timeout", 0.25),
     )
     params.finish()
@@ -50,6 +56,7 @@ class TeleopLogi:
         self._gamepad = Gamepad(read_config(params))
         self._inbox = inbox
         self._published = None
+        self._mute_until_ns = time.monotonic_ns() + MUTE_NS
         self._heartbeat = Heartbeat(RATE_HZ, time.monotonic_ns())
         self._human = rospy.Publisher("/teleop_logi/human_in_loop", Bool, queue_size=10)
         self._steering = rospy.Publisher("/teleop_logi/tele_steer_req", Float32, queue_size=10)
@@ -60,8 +67,9 @@ class TeleopLogi:
         """Take each message with its consequence; then publish if it is time."""
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
+            self._mute_until_ns = arrival_ns
             self._publish_if_deadman_changed(arrival_ns)
-        if self._heartbeat.is_due(now_ns):
+        if self._heartbeat.is_due(now_ns) and now_ns >= self._mute_until_ns:
             self._publish(self._gamepad.requests(now_ns))
         return self._heartbeat.due_ns
 

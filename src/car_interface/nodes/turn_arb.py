@@ -8,7 +8,8 @@ Subscribes:
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 but for the steering channel.
     ~state (SteeringState, latched): who steers, why, with what duty; on every change and 10 times a second.
-    servo/neutral (std_msgs/Int32MultiArray, latched): the center, for the servo board's timeout value; −1 elsewhere.
+    servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the center, for the servo board's timeout value; −1
+        elsewhere.
     /diagnostics: the same in short; 1 Hz.
 Parameters (those of the original are also looked up in the namespaces around the node's):
     servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
@@ -43,7 +44,7 @@ from car_interface.steering_params import read_config
 from car_interface.tuning import Tuning, read_tuning
 
 RATE_HZ = 100
-BEATS_PER_STATE = 10
+BEATS_PER_STATE, BEATS_PER_NEUTRAL = 10, 100
 LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of the way between a servo's ends
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
 # What an owner wants to be warned of: something was there and failed.
@@ -132,7 +133,8 @@ class TurnArb:
 
         def apply(values):
             self._arbiter.calibrate(trimmed(config, **values))
-            self._neutrals.publish(duty_vector(one_channel(self._channel, values["servo_center"])))
+            self._neutral = duty_vector(one_channel(self._channel, values["servo_center"]))
+            self._neutrals.publish(self._neutral)
 
         def parameters(values):
             moved = trimmed(config, **values)
@@ -149,6 +151,8 @@ class TurnArb:
         if self._beats % BEATS_PER_STATE == 0:
             self._tell()
             self._publish_state(self._arbiter.decide(now_ns))
+        if self._beats % BEATS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
+            self._neutrals.publish(self._neutral)
 
     def _tell(self):
         """Publish and log what was decided, now that the commands are on their way."""

@@ -44,6 +44,8 @@ class VirtualBoardBus:
         })
 
     def _nack(self, transfers):
+        if transfers < 0:
+            raise ConfigError("nack", transfers, "how many transfers shall fail, at least 0")
         self._bus.nacks_left = int(transfers)
 
     def _hold(self, on):
@@ -57,9 +59,10 @@ class VirtualBoardBus:
             self._bus.remove(self._address)
 
     def _move(self, address):
-        self._bus.remove(self._address)
+        has_power = self._bus.remove(self._address) is not None
         self._address = int(address)
-        self._bus.attach(self._address, self._chip)
+        if has_power:
+            self._bus.attach(self._address, self._chip)
 
     def _note_write(self, address, register, data):
         if self._log is not None:

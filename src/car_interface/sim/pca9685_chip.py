@@ -140,9 +140,9 @@ class VirtualBus:
     def close(self) -> None:
         """As smbus2; the chips keep their power."""
 
-    def remove(self, address: int) -> VirtualPca9685:
-        """Take the chip at an address off the bus, as a loose wire does."""
-        return self._chips.pop(address)
+    def remove(self, address: int) -> VirtualPca9685 | None:
+        """Take the chip at an address, if there is one, off the bus, as a loose wire does."""
+        return self._chips.pop(address, None)
 
     def attach(self, address: int, chip: VirtualPca9685) -> None:
         """Put a chip on the bus."""
