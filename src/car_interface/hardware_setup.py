@@ -1,6 +1,7 @@
 """What has to be done once on a computer, as root, for its user to reach the car's hardware: the steps, not the doing.
 
-A step that is done already is no step: planning again after everything was done plans nothing.
+A step that is done already is no step: planning again after everything was done plans nothing. One that fails keeps
+none of the others from being done.
 """
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ class Step(NamedTuple):
     Attributes:
         what: in words.
         command: what does it, as root.
-        may_fail: whether the rest is worth doing without it.
-        otherwise: what to tell when it failed all the same.
+        may_fail: whether what it does comes about without it, too.
+        otherwise: what to tell when it failed.
     """
 
     what: str
@@ -58,7 +59,9 @@ def plan(computer: Computer, rules: str) -> list[Step]:
     missing = [group for group in GROUPS if group not in computer.joined]
     if missing and computer.user != ROOT:
         steps.append(Step(f"add {computer.user} to {', '.join(missing)}",
-                          ("usermod", "--append", "--groups", ",".join(missing), computer.user)))
+                          ("usermod", "--append", "--groups", ",".join(missing), computer.user),
+                          otherwise="a user who isn't in /etc/passwd joins each group by: sudo gpasswd --add "
+                                    f"{computer.user} GROUP"))
     if computer.has_udev and not computer.rules_are_new:
         # After the groups: udev looks their names up when it reads the rules.
         steps += [
@@ -77,7 +80,7 @@ def remarks(computer: Computer, steps: Sequence[Step]) -> list[str]:
 
     Args:
         computer: how it was before.
-        steps: what was planned.
+        steps: what was done.
     """
     done = [step.command[0] for step in steps]
     said = []

@@ -20,7 +20,13 @@ from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
-from waiting import Repeater, Sender, Topic, eventually, start_node
+from car_interface.errors import ConfigError
+from car_interface.nodes.measurements import read_settings
+from car_interface.params import Params
+from car_interface.teensy.measurements import Measurements
+from car_interface.teensy.pinging import Answer
+from car_interface.teensy.protocol import Pong
+from waiting import Repeater, Sender, Topic, eventually, set_params, start_node
 
 SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
 CENTER, LEFT, NEUTRAL, FORWARD, REVERSE = 5100, 3835, 4915, 5160, 4700
@@ -205,6 +211,19 @@ class MeasurementsTest(unittest.TestCase):
             sender.publish(Temperature(temperature=math.nan))
             log.wait_for(lambda entry: "temperature" in entry.msg and "nan" in entry.msg)
 
+    def test_stamps_are_zero_while_nobody_publishes_the_simulated_clock(self):
+        set_params(self, "/", {"use_sim_time": True})
+        with tempfile.TemporaryDirectory() as folder:
+            port = f"_port:={folder}/teensy"
+            start_node(self, "car_sim", "__ns:=timeless", port)
+            hub = start_node(self, "teensy_sensor_hub", "__ns:=timeless", port, "_publish_tf:=false")
+            for name, kind in (("odom", Odometry), ("joint_states", JointState), ("sonar/rear_left", Range)):
+                message = Topic(f"/timeless/{name}", kind).wait_for(lambda _: True).what
+                self.assertEqual(message.header.stamp, rospy.Time(0))
+            sync = Topic("/timeless/teensy_clock", TeensyClock).wait_for(lambda sync: sync.used).what
+            self.assertEqual(sync.stamp, rospy.Time(0))
+            self.assertTrue(hub.runs())
+
     def test_clock_is_known_and_its_raw_numbers_are_told(self):
         sync = self.clock.wait_for(lambda sync: sync.converged and sync.used).what
         self.assertEqual(sync.baud, 115200)
@@ -241,11 +260,45 @@ class MeasurementsTest(unittest.TestCase):
         self.assertEqual(self.status("Teensy records", mark).level, 0)
 
 
+class PingPeriod(unittest.TestCase):
+    """With the sonars stopped pongs are all that tells the Teensy's ticks."""
+
+    def used(self, period_s, pongs):
+        """How many of so many pongs are used, of which every third is lost."""
+        measurements = Measurements(read_settings(Params({"ping_period": period_s}), 115200).config)
+        syncs = []
+        for index in range(pongs):
+            sent_ns = round(index * period_s * 1e9)
+            if index % 3 != 2:
+                received_ns = sent_ns + 4_000_000
+                syncs.append(measurements.pong(Pong(index, 5000 + received_ns // 1_000_000),
+                                               Answer(sent_ns, 4_000_000, 15), received_ns))
+        return sum(sync is not None and sync.used for sync in syncs)
+
+    def test_every_pong_counts_whatever_the_period(self):
+        periods_s = (0.01, 1.0, 1.5, 3.0, 60, 3600)
+        self.assertEqual({period_s: self.used(period_s, 30) for period_s in periods_s}, dict.fromkeys(periods_s, 20))
+
+
 class BadParameters(unittest.TestCase):
+    def test_size_and_rate_that_cannot_be_are_refused_by_name(self):
+        for name, value, accepted in (
+                ("odom_rate", "1e-310", "0, or a number from 0.1 to 1000"), ("odom_rate", 0.05, "0, or a number"),
+                ("odom_rate", -1, "a number from 0.0 to 1000"), ("track", "1e-300", "a number from 0.001 to 10"),
+                ("wheelbase", 1e-9, "a number from 0.001"), ("wheel_diameter", 0.0009, "a number from 0.001")):
+            pattern = f"^{name} is .*; accepted: {accepted}"
+            with self.subTest(name, value=value), self.assertRaisesRegex(ConfigError, pattern):
+                read_settings(Params({name: value}), 115200)
+
+    def test_slowest_rate_and_smallest_car_are_taken(self):
+        least = {"odom_rate": 0.1, "track": 0.001, "wheelbase": 0.001, "wheel_diameter": 0.001}
+        settings = read_settings(Params(least), 115200)
+        self.assertEqual((settings.odom_rate_hz, settings.config.odometry.track_m), (0.1, 0.001))
+
     def test_bad_parameter_ends_the_node_with_one_line(self):
         for number, (parameter, named) in enumerate((
                 ("sonars/front_left:=[1, 2]", "sonars/front_left"), ("track:=0", "track"), ("no_echo:=nan", "no_echo"),
-                ("temperature:=99", "temperature"), ("min_range:=3", "max_range"),
+                ("temperature:=99", "temperature"), ("min_range:=3", "max_range"), ("odom_rate:=1e-310", "odom_rate"),
                 ("pulses_per_revolution:=0", "pulses_per_revolution"))):
             with self.subTest(parameter):
                 process = start_node(self, "teensy_sensor_hub", f"_{parameter}", name=f"bad_hub_{number}")

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import errno
+import grp
 import os
 import sys
 import types
@@ -11,11 +12,12 @@ import pytest
 from car_interface.doctor import board
 from car_interface.doctor.findings import BAD, OK, WARN
 from car_interface.doctor.port import Link, TeensyProbe, check_holders, check_link
-from car_interface.nodes import doctor_devices
+from car_interface.nodes import doctor_computer, doctor_devices
 from car_interface.pca9685.board import Board
 from car_interface.processes import openers, process_name
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.teensy.console import consoles, is_consoles, take_off
 
 MS = 1_000_000
 
@@ -59,15 +61,72 @@ def test_this_process_is_not_among_the_openers(tmp_path):
     [
         ([(5, "minicom")], BAD, "minicom (process 5)", "fuser -v /dev/tty0"),
         ([(5, "ModemManager")], BAD, "ModemManager (process 5)", "setup_hardware"),
-        ([(5, "agetty")], BAD, "agetty (process 5)", "raspi-config"),
+        ([(5, "agetty")], BAD, "agetty (process 5)", "disable --now serial-getty@tty0 (on a Jetson: nvgetty)"),
+        ([(5, "agetty")], BAD, "agetty (process 5)", "console= out of the kernel's command line, and reboot"),
         ([(4, "car_sim"), (5, "teensy_sensor_hub")], WARN, "/dev/tty0: teensy_sensor_hub (process 5)", "--ns"),
         ([(pid, "a") for pid in range(5)], BAD, "a (process 2) and 2 more", "fuser"),
     ],
-    ids=["any", "modem_manager", "console", "hub_elsewhere", "many"],
+    ids=["any", "modem_manager", "console", "console_that_the_kernel_asks_for", "hub_elsewhere", "many"],
 )
 def test_port_that_another_program_has_is_told(holders, level, words, cure):
     found, = check_holders("/dev/tty0", holders)
     assert found.level == level and words in found.what and cure in found.cure
+
+
+@pytest.fixture
+def consoles_port(tmp_path, monkeypatch):
+    """A port as agetty leaves it, behind a link, and the group tty; the path of the link."""
+    port = tmp_path / "ttyAMA0"
+    port.write_text("")
+    (tmp_path / "serial0").symlink_to(port)
+    status = os.stat_result((0o20620, 3, 26, 1, 0, 5, 0, 0, 0, 0))
+    stat = os.stat
+    monkeypatch.setattr(os, "stat", lambda path, **how: (
+        status if os.path.basename(str(path)) in ("ttyAMA0", "serial0") else stat(path, **how)))
+    monkeypatch.setattr(grp, "getgrgid", lambda number: grp.struct_group(("tty", "x", number, [])))
+    return str(tmp_path / "serial0")
+
+
+def test_console_is_found_by_the_port_s_name_among_its_arguments(tmp_path):
+    commands = {5: ["/sbin/agetty", "-o", "-p -- \\u", "--keep-baud", "115200,9600", "ttyACM7", "vt220"],
+                6: ["/sbin/agetty", "--noclear", "tty1", "linux"], 7: ["vi", "ttyACM7"], 8: [],
+                9: ["getty", "/dev/ttyACM7"]}
+    for pid, words in commands.items():
+        (tmp_path / str(pid)).mkdir()
+        (tmp_path / str(pid) / "cmdline").write_bytes(b"".join(word.encode() + b"\0" for word in words))
+    (tmp_path / "10").mkdir()
+    assert consoles("/dev/ttyACM7", str(tmp_path)) == [(5, "agetty"), (9, "getty")]
+    assert consoles("/dev/ttyACM8", str(tmp_path)) == consoles("/dev/ttyACM7", str(tmp_path / "nowhere")) == []
+
+
+def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch):
+    monkeypatch.setattr(doctor_devices, "_is_character_device", lambda path: True)
+    monkeypatch.setattr(doctor_devices, "_subsystem", lambda path: "tty")
+    monkeypatch.setattr(doctor_devices, "consoles", lambda path: [(612, "agetty")])
+    found, = doctor_devices.look_at_port("/dev/ttyAMA7", 115200)
+    assert (found.level, found.what) == (BAD, "/dev/ttyAMA7: another program has it open: agetty (process 612)")
+    assert "log-in console" in found.cure and "serial-getty@ttyAMA7" in found.cure
+
+
+def test_port_that_a_console_has_is_its_console_s_and_asks_for_no_group_tty(consoles_port):
+    assert is_consoles(consoles_port) and "serial-getty@ttyAMA0 " in take_off(consoles_port)
+    assert doctor_computer.group_of(consoles_port, "dialout") == "dialout"
+
+
+@pytest.mark.parametrize(("mode", "group"), [(0o20660, 5), (0o20620, 20), (0o20600, 987)],
+                         ids=["open_to_tty", "dialout_s", "nameless_group_s"])
+def test_port_that_is_otherwise_is_no_console_s(consoles_port, monkeypatch, mode, group):
+    names = {5: "tty", 20: "dialout"}
+    monkeypatch.setattr(os, "stat", lambda path, **how: os.stat_result((mode, 3, 26, 1, 0, group, 0, 0, 0, 0)))
+    monkeypatch.setattr(grp, "getgrgid", lambda number: grp.struct_group((names[number], "x", number, [])))
+    assert not is_consoles(consoles_port)
+
+
+def test_pseudo_terminal_is_no_console_s():
+    ours, theirs = os.openpty()
+    assert not is_consoles(os.ttyname(theirs))
+    os.close(ours)
+    os.close(theirs)
 
 
 def test_port_that_nobody_has_is_nothing_to_tell():
@@ -175,11 +234,12 @@ def bus(exists=True, is_i2c=True, usable=True, others=()):
     [
         (bus(), OK, "/dev/i2c-1", ""),
         (bus(exists=False, is_i2c=False), BAD, "there is no such bus", "raspi-config"),
+        (bus(exists=False, is_i2c=False), BAD, "there is no such bus", "Jetson"),
         (bus(exists=False, others=("/dev/i2c-7", "/dev/i2c-8")), BAD, "there are /dev/i2c-7, /dev/i2c-8", "/dev/i2c-7"),
         (bus(is_i2c=False), BAD, "not an I2C bus", "ls /dev/i2c-*"),
         (bus(usable=False), BAD, "its group is i2c", "setup_hardware"),
     ],
-    ids=["fine", "absent", "absent_among_others", "no_bus", "no_permission"],
+    ids=["fine", "absent", "absent_on_a_jetson", "absent_among_others", "no_bus", "no_permission"],
 )
 def test_bus(facts, level, words, cure):
     found, = board.check_bus(facts)
@@ -227,8 +287,7 @@ def test_chip_is_judged_by_its_registers(registers, prescale, driven, level, wor
 
 def test_chip_at_another_address_is_found_and_nothing_is_written():
     written = []
-    virtual = VirtualBus({0x41: VirtualPca9685(), 0x70: VirtualPca9685()},
-                         on_write=lambda *write: written.append(write))
+    virtual = VirtualBus({0x41: VirtualPca9685()}, on_write=lambda *write: written.append(write))
     with pytest.raises(OSError) as caught:
         board.read_registers(virtual, 0x40)
     others = board.find_others(virtual, 0x40)
@@ -236,6 +295,20 @@ def test_chip_at_another_address_is_found_and_nothing_is_written():
     found, = board.check_no_answer("0x40 on /dev/i2c-1", caught.value, others)
     assert found.level == BAD and "something like it at 0x41" in found.what and "0x41" in found.cure
     assert written == []
+
+
+@pytest.mark.parametrize("address", [0x40, 0x43, 0x60])
+def test_chips_of_other_kinds_are_not_asked_for_the_question_is_a_write_to_them(address):
+    """At 0x71, say, a TCA9548A takes a register's number for the channels that it shall connect."""
+    asked = set()
+
+    class EmptyBus:
+        def read_byte_data(self, address, register):
+            asked.add(address)
+            raise OSError(errno.EREMOTEIO, "nobody")
+
+    assert board.find_others(EmptyBus(), address) == []
+    assert asked == set(range(0x40, 0x48)) - {address}
 
 
 def test_search_for_other_chips_ends_when_the_bus_fails():
@@ -254,6 +327,7 @@ def test_search_for_other_chips_ends_when_the_bus_fails():
     ("number", "words", "cure"),
     [
         (errno.EREMOTEIO, "nothing answers at 0x40", "i2cdetect -y 1"),
+        (errno.EREMOTEIO, "nothing answers at 0x40", "at 0x40 to 0x47 only"),
         (errno.ENXIO, "nothing answers at 0x40", "power, SDA and SCL"),
         (errno.EBUSY, "a kernel driver", "--address"),
         (errno.ETIMEDOUT, "holds the bus down", "short"),

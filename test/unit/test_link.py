@@ -228,7 +228,7 @@ OPEN_TO_ITS_GROUP = 0o660
     pytest.param(OPEN_TO_ITS_GROUP, [], [USER], f": {USER} joined its group, dialout, after logging in", "Log in anew",
                  id="in_the_group_since_after_the_log_in"),
     pytest.param(OPEN_TO_ITS_GROUP, [20], [USER], ", in spite of its group, dialout", "ls -lL", id="in_the_group"),
-    pytest.param(0o600, [], [], ", nor has its group, dialout", "udev rule", id="not_open_to_any_group"),
+    pytest.param(0o600, [], [], ", nor has its group, dialout", "setup_hardware", id="not_open_to_any_group"),
 ])
 def test_port_without_permission_names_the_group(terminal, monkeypatch, number, mode, own_groups, group_s_members,
                                                  cause, cure):
@@ -242,6 +242,16 @@ def test_port_without_permission_names_the_group(terminal, monkeypatch, number, 
     error = refusal(terminal.path)
     assert (error.state, error.cause) == (NO_PERMISSION, "no permission to open it" + cause)
     assert cure in error.cure
+
+
+def test_port_that_a_log_in_console_has_is_told_as_such_and_its_group_is_not_to_be_joined(monkeypatch):
+    refuse_with(errno.EACCES, monkeypatch)
+    monkeypatch.setattr(os, "stat", lambda path: os.stat_result((0o20620, 3, 26, 1, 0, 5, 0, 0, 0, 0)))
+    monkeypatch.setattr(grp, "getgrgid", lambda number: grp.struct_group(("tty", "x", number, [])))
+    error = refusal("/dev/ttyAMA7")
+    assert (error.state, error.cause) == (NO_PERMISSION, "no permission to open it: a log-in console has it")
+    assert error.cure.startswith("sudo systemctl disable --now serial-getty@ttyAMA7 (on a Jetson: nvgetty), ")
+    assert "console= out of the kernel's command line, and reboot" in error.cure and "usermod" not in error.cure
 
 
 def test_port_of_a_group_without_a_name_is_named_by_its_number(terminal, monkeypatch):

@@ -5,6 +5,7 @@ import math
 
 import pytest
 
+from car_interface.errors import ConfigError
 from car_interface.sim.teensy_firmware import FORWARD as ROLLS_FORWARD
 from car_interface.sim.teensy_firmware import LEFT, RIGHT, FirmwareConfig, TeensyFirmware
 from car_interface.teensy import plausibility
@@ -12,6 +13,7 @@ from car_interface.teensy.framing import FrameDecoder
 from car_interface.teensy.measurements import MeasurementConfig, Measurements, MotionMeasurement, RangeMeasurement
 from car_interface.teensy.odometry import OdometryConfig
 from car_interface.teensy.pinging import Answer, Pinger
+from car_interface.teensy.plausibility import GateConfig
 from car_interface.teensy.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus, decode
 
 MS, S = 1_000_000, 1_000_000_000
@@ -182,6 +184,20 @@ def test_car_of_another_size_is_measured_by_its_own():
     host = Host(TeensyFirmware(FirmwareConfig(), None, START_NS), config)
     host.until(START_NS + 12 * S, rolling(10.0, 12.0, 0.030))
     assert host.of(MotionMeasurement)[-1].motion.x_m == pytest.approx(2 * PULSE_M * 2 / 0.030, rel=0.03)
+
+
+@pytest.mark.parametrize("name", ("wheel_diameter_m", "track_m", "wheelbase_m"))
+def test_car_too_small_to_reckon_with_is_refused_by_name(name):
+    with pytest.raises(ConfigError, match=f"{name} is 1e-300; accepted: a number of at least 0.001"):
+        OdometryConfig(**{name: 1e-300})
+
+
+def test_pongs_alone_are_heard_however_far_apart_the_gates_let_them_be():
+    measured = Measurements(MeasurementConfig(gates=GateConfig(longest_gap_ms=20_000)))
+    for index in range(9):
+        at_ns = START_NS + 10 * S * index
+        assert measured.pong(Pong(index, 10_000 * index), Answer(at_ns, 4 * MS, 15), at_ns + 4 * MS).used
+    assert not measured.gates.refused
 
 
 def test_direction_names_agree_with_the_wire():

@@ -10,7 +10,9 @@ from car_interface.pca9685.board import AUTO_INCREMENT, EXTCLK, MODE1, PRE_SCALE
 from car_interface.pca9685.duty import PRESCALE_MIN, frequency_for
 
 ADDRESSES = range(0x40, 0x80)  # that the six pins can choose (data sheet 7.1)
-ALL_CALL = 0x70  # every PCA9685 that lost its power listens here too (data sheet 7.1.1)
+# Where others are looked for: what three pins choose. Who reads a register writes its number first, and chips of other
+# kinds take that for an order: at 0x70 to 0x77 a multiplexer switches its channels, from 0x48 on a PCF8591 its inputs.
+NEIGHBOURS = range(0x40, 0x48)
 SUB_ADDRESSES = 0x0E  # bits of MODE1 that nobody sets who drives servos
 RESET_MODE1, RESET_PRESCALE = 0x11, 0x1E  # after power-up (data sheet 7.3.1, 7.3.5)
 SERVO_HZ = (40.0, 400.0)  # what servos and ESCs understand, digital ones included
@@ -42,7 +44,7 @@ def check_bus(bus: Bus) -> list[Finding]:
     others = f"; there are {', '.join(bus.others)}" if bus.others else ""
     if not bus.exists:
         cure = (f"Use one of these: --i2c {bus.others[0]}" if bus.others else
-                "Switch I2C on: sudo raspi-config, interfaces; then ls /dev/i2c-*")
+                "Switch I2C on: sudo raspi-config, interfaces (on a Jetson: sudo modprobe i2c-dev); then ls /dev/i2c-*")
         return [Finding(BAD, "bus", f"{bus.path}: there is no such bus{others}", cure)]
     if not bus.is_i2c:
         return [Finding(BAD, "bus", f"{bus.path} is not an I2C bus{others}", "See which there are: ls /dev/i2c-*")]
@@ -81,10 +83,10 @@ def read_registers(bus, address: int) -> Registers:
 
 
 def find_others(bus, address: int) -> list[tuple[int, Registers]]:
-    """What answers like a PCA9685 at the other addresses; stops where the bus itself fails."""
+    """What answers like a PCA9685 at the other ``NEIGHBOURS``; stops where the bus itself fails."""
     found = []
-    for other in ADDRESSES:
-        if other in (address, ALL_CALL):
+    for other in NEIGHBOURS:
+        if other == address:
             continue
         try:
             registers = read_registers(bus, other)
@@ -147,8 +149,9 @@ def check_no_answer(name: str, error: OSError, others: Sequence[tuple[int, Regis
             return [Finding(BAD, "chip", f"nothing answers at {name}, but something like it at {listed}",
                             f"Set address to 0x{others[0][0]:02x}, if that is your board")]
         return [Finding(BAD, "chip", f"nothing answers at {name}",
-                        "Check the board's power, SDA and SCL; what is on the bus: "
-                        f"i2cdetect -y {name.rpartition('-')[2]}")]
+                        "Check the board's power, SDA and SCL, and see what is on the bus: "
+                        f"i2cdetect -y {name.rpartition('-')[2]}. Beside this address the doctor asks at "
+                        f"0x{NEIGHBOURS[0]:02x} to 0x{NEIGHBOURS[-1]:02x} only")]
     if error.errno == errno.ETIMEDOUT:
         return [Finding(BAD, "chip", f"{name}: something holds the bus down",
                         "Check SDA and SCL for a short; power all that is on the bus off and on")]

@@ -6,6 +6,7 @@ from typing import NamedTuple, Sequence
 
 from car_interface.doctor.findings import BAD, OK, WARN, Finding
 from car_interface.teensy import protocol
+from car_interface.teensy.console import PROGRAMS, take_off
 from car_interface.teensy.framing import RESYNC_FILLER, FrameDecoder
 from car_interface.teensy.health import FINE, WAITING, Counts, LinkHealth, TeensyClock
 from car_interface.teensy.pinging import AUTO, Pinger
@@ -29,8 +30,8 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
                         "See the nodes above; or run the doctor with that node's ROS_MASTER_URI, and --ns")]
     if "ModemManager" in programs:
         cure = "It tries every new port. Keep it off: rosrun car_interface setup_hardware, then plug the Teensy in anew"
-    elif "agetty" in programs:
-        cure = "That is a log-in console: sudo raspi-config, serial port: no login shell, but hardware; then reboot"
+    elif set(programs) & set(PROGRAMS):
+        cure = f"That is a log-in console: {take_off(path)}"
     else:
         cure = f"End it; more about it: fuser -v {path}"
     others = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""

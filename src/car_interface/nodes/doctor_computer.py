@@ -32,6 +32,7 @@ from car_interface.doctor.network import (
     listeners,
     own_name,
 )
+from car_interface.teensy.console import is_consoles
 
 CLOCK_WATCHED_S = 1.0
 TIME_ERROR = 5  # what adjtimex returns while the clock is not synchronised: adjtimex(2)
@@ -61,10 +62,10 @@ def look_at_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool):
 
 
 def group_of(path: str, usual: str) -> str:
-    """A device's group; the usual one when it's absent, or root's, as before a udev rule was installed."""
+    """A device's group; the usual one when it's absent, a console's, or root's, as before a udev rule was installed."""
     try:
         gid = os.stat(path).st_gid
-        return grp.getgrgid(gid).gr_name if gid else usual
+        return grp.getgrgid(gid).gr_name if gid and not is_consoles(path) else usual
     except (OSError, KeyError):
         return usual
 

@@ -13,11 +13,11 @@ from car_interface.doctor.port import HUB, TeensyProbe, check_holders
 from car_interface.errors import DeviceError
 from car_interface.nodes.doctor_computer import group_of
 from car_interface.processes import openers
+from car_interface.teensy.console import PSEUDO_TERMINALS, consoles
 
 I2C_MAJOR = 89  # Documentation/admin-guide/devices.txt of the kernel
 NS_PER_S = 1_000_000_000
 LIST_PORTS = "See which there are: ls /dev/serial/by-id /dev/ttyA*"
-PSEUDO_TERMINALS = "/dev/pts/"
 
 
 def is_pseudo_terminal(port: str) -> bool:
@@ -30,7 +30,8 @@ def look_at_port(port: str, baud: int):
     if _subsystem(port) not in (None, "tty"):
         return [Finding(BAD, "port", f"{port}: this is not a serial port", LIST_PORTS)]
     # The program behind a pseudo-terminal may hold this end, too.
-    holders = openers(port) if _is_character_device(port) and not is_pseudo_terminal(port) else []
+    is_real = _is_character_device(port) and not is_pseudo_terminal(port)
+    holders = openers(port) or consoles(port) if is_real else []
     if holders:
         return check_holders(port, holders)
     from car_interface.teensy.link import SerialLink  # it needs pyserial, which may be what is missing

@@ -22,7 +22,7 @@ from car_interface.nodes.node import Complaints, Heartbeat, advertise, is_heard,
 from car_interface.steering_check import SteeringCheck
 from car_interface.teensy.clock import ClockConfig
 from car_interface.teensy.measurements import MeasurementConfig, Measurements
-from car_interface.teensy.odometry import OdometryConfig
+from car_interface.teensy.odometry import SHORTEST_M, OdometryConfig
 from car_interface.teensy.plausibility import GateConfig
 from car_interface.teensy.protocol import SONARS
 from car_interface.teensy.ranging import INF, MAX_RANGE, RangingConfig
@@ -36,6 +36,7 @@ MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0]
           "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
 MOST_WAITING = 10  # reports of the wheels: what is passed on as it is shall not wait for long behind them
 REFUSED_SHARE = 0.01  # of a second's records, from which on it's worth a warning
+SLOWEST_ODOM_HZ = 0.1
 
 
 class Settings(NamedTuple):
@@ -43,6 +44,7 @@ class Settings(NamedTuple):
 
     config: MeasurementConfig
     baud: int
+    ping_period_s: float
     odom_frame: str
     base_frame: str
     sonar_frames: list[str]
@@ -60,17 +62,18 @@ def read_settings(params, baud: int) -> Settings:
         ConfigError: naming the parameter.
     """
     prefix = params.text("frame_prefix", "", may_be_empty=True)
+    ping_period_s = params.number("ping_period", 1.0, low=0.01, high=3600)
     return Settings(
         odom_frame=prefix + params.text("odom_frame", "odom"),
         base_frame=prefix + params.text("base_frame", "base_link"),
         sonar_frames=[f"{prefix}sonar_{name}" for name in SONARS],
         joint_names=[prefix + name for name in WHEEL_JOINTS],
         publish_tf=params.flag("publish_tf", True),
-        odom_rate_hz=params.number("odom_rate", 50.0, low=0.0, high=1000) or math.inf,
+        odom_rate_hz=_odom_rate(params),
         mounts=[_mount(params, name) for name in SONARS],
         field_of_view_rad=params.number("field_of_view", 0.524, above=0.0, high=math.pi),
-        config=read_config(params, baud, params.flag("use_steering", False)),
-        baud=baud)
+        config=read_config(params, baud, ping_period_s, params.flag("use_steering", False)),
+        baud=baud, ping_period_s=ping_period_s)
 
 
 class MeasurementPublisher:
@@ -259,22 +262,27 @@ class MeasurementPublisher:
 
     @staticmethod
     def _ros_time(time_ns):
-        """A monotonic time as ROS time, by how both stand now: setting the clock disturbs nothing that is measured."""
-        return rospy.Time(nsecs=rospy.Time.now().to_nsec() - time.monotonic_ns() + time_ns)
+        """A monotonic time as ROS time, by how both stand now: setting the clock disturbs nothing that is measured.
+
+        Before ROS time began, as while /use_sim_time waits for a /clock, it is 0: no message carries less.
+        """
+        return rospy.Time(nsecs=max(0, rospy.Time.now().to_nsec() - time.monotonic_ns() + time_ns))
 
 
-def read_config(params, baud: int, uses_steering: bool) -> MeasurementConfig:
+def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) -> MeasurementConfig:
     """The sensors' configuration from the node's parameters."""
     pulses = params.integer("pulses_per_revolution", 20, low=1, high=10_000)
-    diameter_m = params.number("wheel_diameter", 0.095, above=0.0, high=10)
+    diameter_m = params.number("wheel_diameter", 0.095, low=SHORTEST_M, high=10)
+    # Whatever the sonars do, pongs come with the pings, of which one may be lost.
+    longest_gap_ms = max(GateConfig.longest_gap_ms, math.ceil(2000 * ping_period_s))
     return MeasurementConfig(
         gates=GateConfig(top_speed_mps=params.number("top_speed", 20.0, above=0.0, high=1000),
-                         pulse_m=math.pi * diameter_m / pulses),
+                         pulse_m=math.pi * diameter_m / pulses, longest_gap_ms=longest_gap_ms),
         clock=ClockConfig(baud=baud),
         odometry=OdometryConfig(
             pulses_per_revolution=pulses, wheel_diameter_m=diameter_m,
-            track_m=params.number("track", 0.296, above=0.0, high=10),
-            wheelbase_m=params.number("wheelbase", 0.324, above=0.0, high=10), use_steering=uses_steering,
+            track_m=params.number("track", 0.296, low=SHORTEST_M, high=10),
+            wheelbase_m=params.number("wheelbase", 0.324, low=SHORTEST_M, high=10), use_steering=uses_steering,
             way_sigma=params.number("way_sigma", 0.02, low=0.0, high=1),
             heading_sigma=params.number("heading_sigma", 0.01, low=0.0, high=1)),
         ranging=RangingConfig(
@@ -283,6 +291,13 @@ def read_config(params, baud: int, uses_steering: bool) -> MeasurementConfig:
             max_range_m=params.number("max_range", 2.0, above=0.0, high=100),
             no_echo=params.choice("no_echo", INF, (INF, MAX_RANGE)),
             median=params.flag("median", False)))
+
+
+def _odom_rate(params):
+    rate_hz = params.number("odom_rate", 50.0, low=0.0, high=1000)
+    if 0 < rate_hz < SLOWEST_ODOM_HZ:
+        raise ConfigError("odom_rate", rate_hz, f"0, or a number from {SLOWEST_ODOM_HZ} to 1000")
+    return rate_hz or math.inf
 
 
 def _mount(params, name):

@@ -72,7 +72,7 @@ def read_saving(params):
     """Makes of timeout values what ~save shall save."""
     start = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
     throttle_channel = params.integer("throttle_channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
-    save_to, throttle_save_to = params.text("save_to", None), params.text("throttle_save_to", None)
+    save_to, throttle_save_to = params.path("save_to", None), params.path("throttle_save_to", None)
 
     def files(timeout_values):
         plain = [start[channel] if channel == throttle_channel else duty
@@ -307,7 +307,8 @@ def _explain(device, address, error):
         return (f"it answers, but does not keep what it is told ({error})",
                 "See whether another chip has this address, and whether its power holds")
     if not os.path.exists(device) and device != VIRTUAL:
-        return "there is no such bus", "Switch I2C on (sudo raspi-config) and see which buses there are: ls /dev/i2c-*"
+        return "there is no such bus", ("Switch I2C on (sudo raspi-config; on a Jetson it is on, under another number) "
+                                        "and see which buses there are: ls /dev/i2c-*")
     if error.errno == errno.EAGAIN:
         return "another pca9685 node has this board", "See which: rosnode list"
     if error.errno in (errno.EACCES, errno.EPERM):

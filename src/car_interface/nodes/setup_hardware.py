@@ -1,7 +1,8 @@
 """rosrun car_interface setup_hardware: once on each computer, for its user to reach the car's hardware.
 
 It installs the udev rules and adds the user to the groups dialout, i2c and input. Each step is a command that it shows,
-and runs by sudo; nothing else of this package needs root. What is done already is left alone.
+and runs by sudo; nothing else of this package needs root. What is done already is left alone; what fails keeps nothing
+else from being done, and makes the exit code 1.
 
 Options:
     --dry-run: only show the commands.
@@ -42,8 +43,14 @@ def _same(rules):
     return os.path.exists(installed) and filecmp.cmp(rules, installed, shallow=False)
 
 
+def show(step) -> bool:
+    """Say what a step would do, as if that worked."""
+    print(f"would {step.what}:\n    {shlex.join(as_root(step.command))}")
+    return True
+
+
 def do(step) -> bool:
-    """Run a step's command as root; whether the rest can go on."""
+    """Run a step's command as root; whether that worked."""
     command = as_root(step.command)
     print(f"{step.what}:\n    {shlex.join(command)}", flush=True)
     try:
@@ -51,9 +58,9 @@ def do(step) -> bool:
     except OSError as error:
         print(f"    it can't be run: {error.strerror}")
         code = 1
-    if code and step.may_fail:
-        print(f"    that didn't work; {step.otherwise}")
-    return code == 0 or step.may_fail
+    if code:
+        print("    that didn't work" + (f"; {step.otherwise}" if step.otherwise else ""))
+    return code == 0
 
 
 def as_root(command) -> list[str]:
@@ -77,12 +84,11 @@ def main():
     except KeyError:
         sys.exit(f"there is no user {user}")
     steps = plan(computer, rules)
-    for step in steps:
-        if options.dry_run:
-            print(f"would {step.what}:\n    {shlex.join(as_root(step.command))}")
-        elif not do(step):
-            sys.exit("Stopped there; what was shown before it is done. Running this again goes on from here.")
+    done = [step for step in steps if (show if options.dry_run else do)(step)]
     if not steps:
         print("Nothing to do: it's all there.")
-    for remark in remarks(computer, steps):
+    for remark in remarks(computer, done):
         print(remark)
+    failed = [step.what for step in steps if step not in done and not step.may_fail]
+    if failed:
+        sys.exit(f"Not done: {'; '.join(failed)}. Running this again does what is left.")

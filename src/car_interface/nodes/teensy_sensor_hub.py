@@ -24,7 +24,7 @@ Parameters:
     ~raw_only false: true = the four raw topics and the link only; nothing is measured, for half the CPU.
     ~pulses_per_revolution 20, ~wheel_diameter 0.095, ~track 0.296, ~wheelbase 0.324 (m), ~top_speed 20 (m/s; what is
         faster is taken for line noise), ~use_steering false: true = the commanded steering helps the heading.
-    ~odom_rate 50 (Hz at most; 0 = with each report, up to 200), ~publish_tf true, ~odom_frame odom,
+    ~odom_rate 50 (Hz at most, 0.1 to 1000; 0 = with each report, up to 200), ~publish_tf true, ~odom_frame odom,
         ~base_frame base_link, ~frame_prefix "" (before every frame and joint).
     ~sonars/front_right … ~sonars/rear_left [x, y, yaw] (m, rad, in base_link), ~field_of_view 0.524 (rad),
         ~min_range 0.02, ~max_range 2.0 (m), ~no_echo inf (or max_range), ~median false (true = over five of a sonar),
@@ -69,7 +69,6 @@ class TeensySensorHub:
         now_ns = time.monotonic_ns()
         port = params.text("port", "/dev/ttyAMA0")
         baud = params.integer("baud", 115200, low=300, high=4_000_000)
-        period_s = params.number("ping_period", 1.0, low=0.01, high=3600)
         checksum = params.choice("firmware_checksum", AUTO, (AUTO, SHIPPED, CORRECTED))
         required = params.flag("required", False)
         raw_only = params.flag("raw_only", False)
@@ -81,7 +80,7 @@ class TeensySensorHub:
         self._health = LinkHealth(baud)
         self._clock = TeensyClock()
         self._decoder = FrameDecoder()
-        self._pinger = Pinger(round(period_s * NS_PER_S), checksum, now_ns)
+        self._pinger = Pinger(round(settings.ping_period_s * NS_PER_S), checksum, now_ns)
         self._inbox = inbox
         self._complaints = Complaints()
         self._retry_ns = FIRST_RETRY_NS

@@ -16,6 +16,7 @@ import serial
 
 from car_interface.errors import DeviceError
 from car_interface.processes import openers, process_name
+from car_interface.teensy.console import is_consoles, take_off
 from car_interface.teensy.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT
 
 READ_SIZE = 4096
@@ -180,11 +181,13 @@ def _tell_silence_from_hangup(fd):
 
 def _explain_permission(path):
     """Cause and cure, by the port's group and whether this user is in it."""
+    if is_consoles(path):
+        return "no permission to open it: a log-in console has it", take_off(path)
     status = os.stat(path)
     group, user = _name(grp.getgrgid, status.st_gid), _name(pwd.getpwuid, os.geteuid())
     if not status.st_mode & stat.S_IRGRP or not status.st_mode & stat.S_IWGRP:
         return (f"no permission to open it, nor has its group, {group}",
-                f"See whom it is open to: ls -lL {path}; the udev rule in the README opens it to a group")
+                f"See whom it is open to: ls -lL {path}; for a Teensy on USB: rosrun car_interface setup_hardware")
     if status.st_gid in os.getgroups():
         return f"no permission to open it, in spite of its group, {group}", f"See whom it is open to: ls -lL {path}"
     if group in _groups_of(user):

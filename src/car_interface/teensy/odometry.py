@@ -52,6 +52,7 @@ CURVATURE_VARIANCE = 0.5  # of a curvature that nothing is known of, (1/m)²
 HEADING_VARIANCE = 1e-6  # rad²: what a covariance claims at the least; 1 mm² for places
 # The commanded curvature counts like one measurement every half second that is off by this share of it, and this much.
 STEERING_S, STEERING_SHARE, STEERING_PER_M = 0.5, 0.3, 0.05
+SHORTEST_M = 0.001  # of a car's dimensions: divided by what is far less, numbers leave the range of floats
 
 
 @dataclass(frozen=True)
@@ -80,9 +81,10 @@ class OdometryConfig:
     heading_sigma: float = 0.01
 
     def __post_init__(self):
-        for name in ("pulses_per_revolution", "wheel_diameter_m", "track_m", "wheelbase_m"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigError(name, getattr(self, name), "a number above 0")
+        for name, least in (("pulses_per_revolution", 1), ("wheel_diameter_m", SHORTEST_M), ("track_m", SHORTEST_M),
+                            ("wheelbase_m", SHORTEST_M)):
+            if not least <= getattr(self, name) < math.inf:
+                raise ConfigError(name, getattr(self, name), f"a number of at least {least}")
         for name in ("way_sigma", "heading_sigma"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(name, getattr(self, name), "a number of at least 0")

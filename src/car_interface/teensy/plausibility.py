@@ -80,7 +80,8 @@ class GateConfig:
         top_speed_mps: of a wheel, its spinning included.
         pulse_m: a wheel's way from pulse to pulse; 20 on the circumference of a 9.5 cm wheel.
         longest_echo_us: the firmware listens for 200 cm, 11,428 µs; 5 % more for its timer.
-        longest_gap_ms: between ticks of a line that is whole; at least two periods of the pings.
+        longest_gap_ms: between ticks of a line that is whole; at least two periods of the pings, of which one may be
+            lost.
 
     Raises:
         ConfigError: when one of them isn't a number above 0.
