@@ -142,11 +142,10 @@ class TeleopByItself(unittest.TestCase):
     def test_for_its_first_second_it_says_nothing_before_it_has_heard_the_gamepad(self):
         """Else one that was started anew while the deadman is held would pass for a hand that let go."""
         human = Topic("/anew/human", Bool)
-        arguments = [f"_{key}:={value}" for key, value in GIVEN.items()]
-        process = start_node(self, "teleop_logi", *arguments, "joy:=/anew/joy",
-                             *(f"/teleop_logi/{name}:=/anew/{topic}" for name, topic in (
-                                 ("human_in_loop", "human"), ("tele_steer_req", "steer"), ("tele_throt_req", "throttle"))),
-                             name="anew")
+        parameters = [f"_{key}:={value}" for key, value in GIVEN.items()]
+        process = start_node(self, "teleop_logi", *parameters, "joy:=/anew/joy",
+                             "/teleop_logi/human_in_loop:=/anew/human", "/teleop_logi/tele_steer_req:=/anew/steer",
+                             "/teleop_logi/tele_throt_req:=/anew/throttle", name="anew")
         first = human.wait_for(lambda _: True)
         self.assertGreater(first.at_s - process.started_s, 1.0)
         self.assertFalse(first.what.data)

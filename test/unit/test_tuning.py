@@ -296,7 +296,7 @@ def test_file_of_turn_arb_may_say_how_far_it_may_be_tuned():
 def test_settings_come_from_live_range_and_save_to():
     assert read_tuning(Params({}), 100) == TuningSettings(100, None)
     assert read_tuning(Params({"live_range": 0, "save_to": "/a.yaml"}), 100) == TuningSettings(0, "/a.yaml")
-    with pytest.raises(ConfigError, match="save_to is 'a.yaml'; accepted: a whole path, from / on"):
+    with pytest.raises(ConfigError, match=r"save_to is 'a\.yaml'; accepted: a whole path, from / on"):
         read_tuning(Params({"save_to": "a.yaml"}), 100)
     with pytest.raises(ConfigError, match="live_range is -1; accepted: an integer from 0 to 65535"):
         read_tuning(Params({"live_range": -1}), 100)

@@ -62,7 +62,8 @@ class LogsAside:
 
     def flush(self, within_s: float) -> bool:
         """Wait until all that was logged is written; whether it is."""
-        return all([_is_done(waiting, within_s) for waiting in self._queues])
+        done = [_is_done(waiting, within_s) for waiting in self._queues]  # one that hangs doesn't cut off the others
+        return all(done)
 
 
 def _is_done(waiting, within_s):
