@@ -41,7 +41,7 @@ def load_steering(path: str) -> SteeringConfig:
     Raises:
         ConfigError: naming the file, the parameter and what is wrong with it.
     """
-    params = Params(_load_yaml(path))
+    params = Params(load_yaml(path))
     try:
         read_tuning(params, 0)  # the node's, beside the calibration
         config = read_config(params)
@@ -51,7 +51,12 @@ def load_steering(path: str) -> SteeringConfig:
     return config
 
 
-def _load_yaml(path) -> dict[str, Any]:
+def load_yaml(path: str) -> dict[str, Any]:
+    """The parameters in a YAML file, as ROS would load them.
+
+    Raises:
+        ConfigError: naming the file.
+    """
     import yaml  # for tools: a node gets its parameters from ROS
     try:
         with open(path, encoding="utf-8-sig") as file:

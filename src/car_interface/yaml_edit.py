@@ -6,14 +6,10 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
-import tempfile
-import time
 from typing import Mapping, Sequence, Union
 
 from car_interface.errors import ConfigError
-
-ANYBODY_WRITES = 0o222
+from car_interface.whole_file import is_write_protected, replace
 
 Value = Union[int, float, Sequence[Union[int, float]]]
 Values = Mapping[str, Value]  # by name; one inside a mapping as ``servo/neutral``
@@ -32,11 +28,10 @@ def save(path: str, values: Values) -> str | None:
     try:
         with open(path, encoding="utf-8", newline="") as file:
             before = file.read()
-        # To replace it its folder would do; but whoever protects a file means it, and means root's nodes, too.
-        if not os.access(path, os.W_OK) or not os.stat(path).st_mode & ANYBODY_WRITES:
+        if is_write_protected(path):
             raise PermissionError(errno.EACCES, "it is write-protected")
         after = edited(before, values, path)
-        return None if after == before else _replace(path, after)
+        return None if after == before else replace(path, after.encode("utf-8"), keeps_old=True)
     except UnicodeDecodeError as error:
         raise ConfigError(path, None, "parameters in YAML, UTF-8", "is no text in UTF-8") from error
     except OSError as error:
@@ -158,45 +153,3 @@ def _shape(node, changes=None):
     inside.update({name: list(change) if isinstance(change, (list, tuple)) else change
                    for name, change in changes.items() if "/" not in name})
     return inside
-
-
-def _replace(path, text):
-    """Write the new file, put the old one aside, and the new one in its place; the old one's new name."""
-    folder, name = os.path.split(path)
-    handle, fresh = tempfile.mkstemp(prefix=f".{name}.", dir=folder)
-    try:
-        with open(handle, "w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        shutil.copymode(path, fresh)
-        _keep_owner(path, fresh)
-        aside = _put_aside(path)
-        os.replace(fresh, path)
-    except BaseException:
-        os.unlink(fresh)
-        raise
-    return aside
-
-
-def _keep_owner(path, fresh):
-    owner = os.stat(path)
-    try:
-        os.chown(fresh, owner.st_uid, owner.st_gid)
-    except PermissionError:
-        pass  # only root may give files away
-
-
-def _put_aside(path):
-    """Give the file a second name with the time; that name. One that is taken is never overwritten."""
-    stem = f"{path}.bak-{time.strftime('%Y%m%d-%H%M%S')}"
-    for attempt in range(1, 1000):
-        aside = stem if attempt == 1 else f"{stem}-{attempt}"
-        try:
-            with open(path, "rb") as old, open(aside, "xb") as new:
-                shutil.copyfileobj(old, new)
-            shutil.copystat(path, aside)
-            return aside
-        except FileExistsError:
-            continue
-    raise FileExistsError(f"too many files named {stem}")

@@ -3,8 +3,13 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import random
+import re
+import shutil
+import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +115,46 @@ def test_axis_is_the_one_that_is_asked_for(bag, tmp_path):
     assert list(config.radius_axis_m) == [1.5, 2, 3, 5, 10, 100]
 
 
+def test_axis_that_ends_early_goes_on_to_almost_straight_on(bag, tmp_path, capsys):
+    made = tmp_path / "made.yaml"
+    assert run(bag, "-o", made, "--axis", "1.5,2,5") == 0
+    config = load_steering(str(made))
+    assert list(config.radius_axis_m) == [1.5, 2, 5, 6, 7, 8, 10, 12, 15, 20, 30, 50, 100, 300]
+    assert "--axis ends at 5 m: 6 to 300 m are added" in capsys.readouterr().out
+    for radius in (50.0, 300.0, -300.0):
+        assert 1 / driven_radius_m(config, radius) == pytest.approx(1 / radius, abs=0.01)
+
+
+def test_axis_outside_of_what_was_driven_is_refused(bag, tmp_path, capsys):
+    assert run(bag, "-o", tmp_path / "made.yaml", "--axis", "0.1,0.2") == 1
+    assert "--axis 0.1 to 0.2 m lies outside of what was driven: the tightest circle" in capsys.readouterr().err
+
+
+def test_calibration_that_is_replaced_stays_beside_it(bag, tmp_path, capsys):
+    made = tmp_path / "turn_arb.yaml"
+    shutil.copy(str(STOCK), str(made))
+    made.chmod(0o640)
+    assert run(bag, "-o", made, "--base", made) == 0
+    (kept,) = tmp_path.glob("turn_arb.yaml.bak-*")
+    assert kept.read_bytes() == STOCK.read_bytes() and made.stat().st_mode & 0o777 == 0o640
+    assert f"written: {made}; the old one is {kept}\n" in capsys.readouterr().out
+
+
+def test_output_that_can_not_be_written_is_refused_before_the_work(tmp_path, capsys):
+    assert run(tmp_path / "missing.bag", "-o", tmp_path / "none" / "a.yaml") == 1
+    assert f"{tmp_path / 'none' / 'a.yaml'} can't be written: there is no folder" in capsys.readouterr().err
+
+
+def test_terminal_that_knows_ascii_only_loses_no_work(bag, tmp_path):
+    made = tmp_path / "made.yaml"
+    done = subprocess.run([sys.executable, "-B", str(ROOT / "scripts" / "calibrate_steering"), bag, "-o", str(made)],
+                          capture_output=True, check=False,
+                          env={"PYTHONPATH": os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")]),
+                               "PYTHONIOENCODING": "ascii"})
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b" +- " in done.stdout and made.exists()
+
+
 def test_center_drives_straight(bag, tmp_path):
     made = tmp_path / "made.yaml"
     assert run(bag, "-o", made) == 0
@@ -193,8 +238,30 @@ def test_imu_and_commands_instead_of_output_do_as_well(tmp_path_factory, tmp_pat
 
 
 def test_several_recordings_count_together(bag, tmp_path, capsys):
-    assert run(bag, bag, "-o", tmp_path / "made.yaml", "--jobs", "2") == 0
-    assert "480 s" in capsys.readouterr().out
+    again = tmp_path / "again.bag"
+    virtual_drive.record(virtual_drive.random_car(SEED), again, SEED + 1, duration_s=100.0)
+    assert run(bag, again, "-o", tmp_path / "made.yaml", "--jobs", "2") == 0
+    assert "340 s" in capsys.readouterr().out
+
+
+def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
+    shutil.copy(bag, str(tmp_path / "copy.bag"))
+    for again, words in ((bag, "are the same recording"), (tmp_path / "copy.bag", "have the same driving in them")):
+        assert run(bag, again, "-o", tmp_path / "made.yaml") == 1
+        assert f"{bag} and {again} {words}" in capsys.readouterr().err
+
+
+def test_recordings_before_and_after_the_linkage_was_changed_are_refused_by_their_names(bag, tmp_path, capsys):
+    car, again = virtual_drive.random_car(SEED), tmp_path / "again.bag"
+    moved = replace(car.steering, center_duty=car.steering.center_duty + 60,
+                    curve=tuple((duty + 60, curvature) for duty, curvature in car.steering.curve))
+    virtual_drive.record(replace(car, steering=moved), again, SEED + 1, duration_s=150.0)
+    assert run(bag, again, "-o", tmp_path / "made.yaml") == 1
+    error = capsys.readouterr().err
+    assert re.search(f"{bag} and {again} disagree by [56][0-9] duty about .*: was the linkage changed between", error)
+    assert len(error.splitlines()) == 1 and "drive" not in error.split("disagree")[1]
+    assert run(bag, again, "-o", tmp_path / "made.yaml", "--force") == 0
+    assert "disagree by" in (tmp_path / "made.yaml").read_text(encoding="utf-8")
 
 
 STILL = [odometry(0.1 * index) for index in range(300)]
@@ -224,7 +291,7 @@ def test_axis_that_is_none_is_a_matter_of_usage(axis, bag, tmp_path):
 def test_axis_with_spaces_is_told_about_commas(bag, tmp_path, capsys):
     with pytest.raises(SystemExit, match="2"):
         run(bag, "-o", tmp_path / "made.yaml", "--axis", "0.7", "1", "2")
-    assert "with commas between them, like 0.7,1,2,5" in capsys.readouterr().err
+    assert "with commas between them, like 0.7,1,2,5,20,100,300" in capsys.readouterr().err
 
 
 def test_channel_that_there_is_none_of_is_refused(bag, tmp_path, capsys):

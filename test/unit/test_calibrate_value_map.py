@@ -2,6 +2,8 @@
 from __future__ import annotations
 
 import importlib
+import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -54,11 +56,53 @@ def test_map_loads_and_is_near_the_truth_and_the_report_lies_beside_it(bag, tmp_
     assert sorted(path.name for path in tmp_path.iterdir()) == ["map.csv", "map.report.txt"]
 
 
-def test_duty_of_the_escs_channel_serves_as_the_value(bag, tmp_path):
+def test_duty_of_the_escs_channel_serves_as_the_value_that_makes_it(bag, tmp_path, capsys):
     assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1") == 0
     table = load_value_map(str(tmp_path / "map.csv"))
-    assert table.values[0] < 4915 < table.values[-1]
-    assert table.value_at(0.0, 2.0) > 4915
+    assert -5.0 <= table.values[0] < 0.0 < table.values[-1] <= 3.0
+    assert error_mps2(table) < 0.1
+    out = capsys.readouterr().out
+    assert "throttle.yaml makes it: 3277 is -5, 6554 is 3" in out and "missing: value 3277" not in out
+
+
+def throttle_file(tmp_path, text):
+    path = tmp_path / "throttle.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_duties_become_values_by_the_throttles_table_the_other_way_round(tmp_path):
+    path = throttle_file(tmp_path, "servo: {channel: 2, value_axis: [-1, 0, 4], duty_table: [6000, 5000, 3000], "
+                                   "neutral: 5000}\ncommand_timeout: 0.3\n")
+    values = command.load_values(str(path))
+    assert values.neutral == 0.0
+    assert values(np.array([6000, 5500, 5000, 4000, 3000])).tolist() == [-1, -0.5, 0, 2, 4]
+    assert values(np.array([6016, 2984])).tolist() == [-1, 4]  # the board's rounding
+    assert np.isnan(values(np.array([6100, 2900, 0]))).all()
+
+
+@pytest.mark.parametrize("text, said", [
+    ("servo: {value_axis: [-5, 0, 3], duty_table: [3277, 4915, 4915], neutral: 4915}", "that only rise, or only"),
+    ("servo: {value_axis: [-5, 0, 3], duty_table: [3277, 4915, 4000], neutral: 4000}", "that only rise, or only"),
+    ("servo: {value_axis: [-5, 3], duty_table: [3277, 4915, 6554], neutral: 4915}", "servo/duty_table"),
+    ("servo: {value_axis: [-5, 3], duty_table: [3277, 6554], neutral: 7000}", "servo/neutral is 7000"),
+    ("servo: {value_axis: [-5, 3], duty_table: [3277, 6554]}", "servo/neutral is missing"),
+    ("command_timeout: 1", "servo/duty_table is missing"),
+    ("- 1", "YAML lines"),
+], ids=["level", "back", "length", "neutral", "no_neutral", "no_table", "list"])
+def test_throttle_that_can_not_be_turned_round_is_refused_by_name(bag, tmp_path, capsys, text, said):
+    path = throttle_file(tmp_path, text)
+    assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1", "--throttle", path) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(path) in line and said in line and not (tmp_path / "map.csv").exists()
+
+
+def test_duties_that_no_value_makes_are_told(bag, tmp_path, capsys):
+    path = throttle_file(tmp_path, "servo: {value_axis: [-3, 0, 2], duty_table: [3932, 4915, 6008], neutral: 4915}")
+    assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1", "--throttle", path) == 0
+    assert re.search(r"[1-9]\d* of \d+ duties lie beyond 3932 to 6008, where .* has no value", capsys.readouterr().out)
+    table = load_value_map(str(tmp_path / "map.csv"))
+    assert table.values[0] >= -3.0 and table.values[-1] <= 2.0
 
 
 @pytest.mark.parametrize("options", [("--acceleration", "odom"), ("--imu", "imu/data"),
@@ -79,7 +123,42 @@ def test_prior_gives_the_axes_and_stays_where_nothing_was_driven(bag, tmp_path, 
 
 
 def test_two_bags_read_by_two_processes_make_one_map(bag, tmp_path):
-    assert run(bag, bag, "-o", tmp_path / "map.csv", "--jobs", 2) == 0
+    again = tmp_path / "again.bag"
+    virtual_drive.record(virtual_drive.random_car(SEED), again, SEED + 1, duration_s=60.0)
+    assert run(bag, again, "-o", tmp_path / "map.csv", "--jobs", 2) == 0
+
+
+def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
+    shutil.copy(bag, str(tmp_path / "copy.bag"))
+    for again, words in ((bag, "are the same recording"), (tmp_path / "copy.bag", "have the same driving in them")):
+        assert run(bag, again, "-o", tmp_path / "map.csv") == 1
+        assert f"{bag} and {again} {words}" in capsys.readouterr().err
+
+
+def test_map_and_report_that_are_replaced_stay_beside_them(bag, tmp_path, capsys):
+    shutil.copy(str(ROOT / "config" / "value_map.csv"), str(tmp_path / "map.csv"))
+    (tmp_path / "map.report.txt").write_text("old", encoding="utf-8")
+    assert run(bag, "-o", tmp_path / "map.csv", "--prior", tmp_path / "map.csv") == 0
+    kept = sorted(path.name for path in tmp_path.glob("*.bak-*"))
+    assert [name.split(".bak-")[0] for name in kept] == ["map.csv", "map.report.txt"]
+    out = capsys.readouterr().out
+    assert all(f"; the old one is {tmp_path / name}\n" in out for name in kept)
+
+
+@pytest.mark.parametrize("name", ["drive.bag", "map.csv"])
+def test_output_that_would_overwrite_a_recording_is_refused(bag, tmp_path, capsys, name):
+    mine, before = tmp_path / name, Path(bag).read_bytes()
+    mine.write_bytes(before)
+    assert run(mine, "-o", mine) == 1
+    assert f"{mine} is one of the recordings" in capsys.readouterr().err
+    assert run(bag, "-o", mine) == 1
+    assert f"{mine} is a recording, and would be lost" in capsys.readouterr().err
+    assert mine.read_bytes() == before
+
+
+def test_map_may_go_to_a_stream_alone(bag, tmp_path, capfd):
+    assert run(bag, "-o", "/dev/null") == 0
+    assert capfd.readouterr().out.endswith("written: /dev/null\n")
 
 
 def test_too_little_driving_is_refused_with_what_is_missing_and_no_file_is_left(tmp_path, capsys):
@@ -148,11 +227,22 @@ def test_recording_that_tells_nothing_is_refused_in_one_line(tmp_path, capsys, w
     (("--value", "none"), "none"),
     (("--odom", "none"), "none"),
     (("--namespace", "/other"), "/other"),
+    (("--ns", "/other"), "/other"),
+    (("--esc-channel", "16"), "--esc-channel is 16; accepted: a channel of the servo board, 0 to 15"),
+    (("--esc-channel", "-2"), "--esc-channel is -2"),
 ], ids=lambda part: " ".join(part) if isinstance(part, tuple) else "")
 def test_option_that_is_no_good_is_named(bag, tmp_path, capsys, options, said):
     assert run(bag, "-o", tmp_path / "map.csv", *options) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
+
+
+@pytest.mark.parametrize("option", ["--neutral", "--delay", "--min-speed", "--values", "--esc-neutral"])
+@pytest.mark.parametrize("text", ["nan", "inf"])
+def test_number_that_is_none_is_a_matter_of_usage(tmp_path, capsys, option, text):
+    with pytest.raises(SystemExit, match="2"):
+        run("a.bag", "-o", tmp_path / "map.csv", option, text)
+    assert f"'{text}' is no finite number" in capsys.readouterr().err
 
 
 # --- parts ---

@@ -17,6 +17,7 @@ from car_interface.bags.check_map import (
     steering_picture,
 )
 from car_interface.bags.command_line import main
+from car_interface.conversion import ConversionConfig
 from car_interface.steering_params import load_steering
 from car_interface.value_map import ValueMap
 
@@ -145,6 +146,8 @@ def test_terminal_without_blocks_gets_plain_characters(monkeypatch, tmp_path):
                  ["can't tell apart", "to the right the duty goes back from 5500 to 5550 .* 80 to 100 m|tell apart"],
                  id="going_back"),
     pytest.param({"servo_right": 6500}, ["tell apart", "beyond servo_right 6500"], id="beyond_the_end"),
+    pytest.param({"m_turnrad_axis_servo": [index + 1 for index in range(14)] + [99]},
+                 ["a planner that asks for wider turns gets 99 m"], id="axis_that_ends_early"),
 ])
 def test_notes_tell_what_turn_arb_takes_and_an_owner_may_want_to_know(changes, words, tmp_path):
     notes = list(steering_notes(load_steering(str(steering_file(tmp_path, **changes)))))
@@ -160,6 +163,46 @@ def test_notes_tell_what_turn_arb_takes_and_an_owner_may_want_to_know(changes, w
 ])
 def test_notes_of_a_map(accelerations, word):
     assert any(word in note for note in map_notes(ValueMap([0, 1], [0, 2], accelerations)))
+
+
+@pytest.mark.parametrize("values, velocities, accelerations, words", [
+    pytest.param([0, 1, 2], [0, 5], [[0, -1], [1, 0.5], [2, 1]],
+                 ["0 m/s² takes the value 0 at 0 m/s and 0.667 at 5 m/s"], id="at_the_first_value"),
+    pytest.param([-1, 0, 2], [0, 5, 10], [[-2, -3, -4], [-0.1, -1, -2], [3, 1, -0.5]],
+                 ["at 10 m/s it has no value for 0 m/s², only for -4 to -0.5",
+                  "0 m/s² takes the value 0.0645 at 0 m/s"], id="not_at_the_last_velocity"),
+    pytest.param([0, 1], [0, 2], [[1, 2], [3, 2.5]],
+                 ["at 0 m/s it has no value for 0 m/s², only for 1 to 3",
+                  "at 2 m/s it has no value for 0 m/s², only for 2 to 2.5"], id="at_neither"),
+])
+def test_value_for_0_is_told_where_the_map_has_it_and_only_there(values, velocities, accelerations, words):
+    assert [note for note in map_notes(ValueMap(values, velocities, accelerations)) if "0 m/s²" in note] == words
+
+
+@pytest.mark.parametrize("values, limits, words", [
+    ((-5, 3), (-5, 3), None),
+    ((-6, 1), (-5, 3), "-6 to 1, lie partly outside: generic_value_converter clamps to min_value -5 … max_value 3"),
+    ((3, 8), (-5, 3), "lie wholly outside"),
+    ((3300, 6500), (3277, 6554), None),
+    ((3300, 6500), (3277, 6000), "clamps to min_value 3277 … max_value 6000"),
+])
+def test_values_that_the_converter_would_clamp_are_told(values, limits, words):
+    notes = [note for note in map_notes(ValueMap(values, [0, 2], [[-1, -2], [3, 2.5]]), ConversionConfig(*limits))
+             if "clamps" in note]
+    assert notes == [] if words is None else words in notes[0]
+
+
+def test_limits_of_the_converter_may_be_given(tmp_path, capsys):
+    path = map_file(tmp_path, "default,0,1\n-1,-1,-1\n6,1,1\n")
+    assert main("check_map", [str(path)]) == 0 and "partly outside" in capsys.readouterr().out
+    assert main("check_map", [str(path), "--max-value", "6"]) == 0 and "outside" not in capsys.readouterr().out
+
+
+def test_map_wholly_beyond_the_limits_is_refused_as_the_converter_refuses_it(tmp_path, capsys):
+    path = map_file(tmp_path, "default,0,1\n3300,-1,-1\n6500,1,1\n")
+    assert main("check_map", [str(path)]) == 1
+    shown = capsys.readouterr()
+    assert shown.out == "" and str(path) in shown.err and "max_value 3.0" in shown.err
 
 
 # --- pictures in files ---
@@ -182,7 +225,7 @@ def test_picture_of_an_unknown_kind_is_refused_before_anything_is_shown(capsys):
 
 def test_picture_that_can_not_be_written_is_told_in_one_line(capsys, tmp_path):
     assert main("check_map", [str(STOCK), "-o", str(tmp_path / "none" / "a.png")]) == 1
-    assert "No such file or directory" in capsys.readouterr().err
+    assert "a.png can't be written: there is no folder" in capsys.readouterr().err
 
 
 def test_options_are_documented():

@@ -114,7 +114,13 @@ def test_clock_that_was_set_back_leaves_the_order_of_recording(tmp_path):
     path = write_ros1(tmp_path / "a.bag", VALUES + [message for message in back if message.time_s >= 0],
                       chunk_bytes=100)
     assert data_of(read(str(path), ["generic/output/value"])) == [*range(10), 106, 107, 108, 109]
-    assert contents(str(path)).steps_back == 1
+
+
+@pytest.mark.parametrize("back_s, steps", [(0.9, 0), (1.1, 1)])
+def test_clock_was_set_where_time_goes_back_by_more_than_a_second(back_s, steps, tmp_path):
+    back = [message._replace(time_s=message.time_s + 5 - back_s) for message in VALUES[:3]]
+    path = write_ros1(tmp_path / "a.bag", [VALUES[0]._replace(time_s=5.0), *back])
+    assert contents(str(path)).steps_back == steps
 
 
 def test_reader_may_stop_in_the_middle(bag):
@@ -224,6 +230,12 @@ def test_bad_bag_is_told_in_one_line_that_names_it(make, words, tmp_path):
     with pytest.raises(NoRecording, match=words) as caught:
         list(read(str(path), ["odom", "generic/output/value", "control/command/control_cmd"]))
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_line_to_type_is_one_for_a_shell(tmp_path):
+    path = cut(tmp_path).rename(tmp_path / "a cut drive.bag")
+    with pytest.raises(NoRecording, match=r"rosbag reindex '.*/a cut drive\.bag' saves what is left"):
+        contents(str(path))
 
 
 def test_bag_without_permission_is_told(tmp_path, monkeypatch):

@@ -4,7 +4,9 @@ from __future__ import annotations
 import copy
 import io
 import math
+import pathlib
 import re
+import shutil
 from html.parser import HTMLParser
 
 import numpy as np
@@ -12,8 +14,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib import image
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.typesys import Stores
 
+import recordings
 from browser import Browser, find_browser
+from car_interface.bags import report, report_plots
 from car_interface.bags.command_line import main
 from car_interface.bags.drive import ERROR, WARN, is_loss, look_at
 from car_interface.bags.recording import NoRecording
@@ -130,8 +136,43 @@ def test_recording_of_ros_2_tells_the_same(seen, tmp_path):
 def test_car_below_a_namespace_is_found_there(seen, tmp_path):
     path = str(write_ros1(tmp_path / "car1.bag", drive(20.0, "/car1")))
     assert look_at(path, "/car1").distance_m == pytest.approx(15 * SPEED_MPS, rel=0.01)
-    with pytest.raises(NoRecording, match=r"car1\.bag has none of odom.*: try --ns /car1"):
+    with pytest.raises(NoRecording, match=r"car1\.bag has no message of odom.*: try --ns /car1"):
         look_at(path)
+
+
+@pytest.mark.parametrize("messages", [
+    pytest.param(drive(5.0), id="only_another_cars"),
+    pytest.param([*drive(5.0), Written(0.0, "/car1/sonar/front_middle", "sensor_msgs/Range", {})], id="only_a_sonar"),
+])
+def test_namespace_without_a_drive_is_refused_though_absolute_names_are_found(messages, tmp_path):
+    path = str(write_ros1(tmp_path / "a.bag", sorted(messages, key=lambda message: message.time_s)))
+    with pytest.raises(NoRecording, match=r"a\.bag has no message of odom, .* below /car1: try it without --ns$"):
+        look_at(path, "/car1")
+
+
+def test_topic_that_was_only_announced_is_not_there(tmp_path):
+    path = announced(tmp_path, [odometry(0.1 * step, 0.1 * step, speed_mps=1.0) for step in range(20)])
+    assert look_at(path).present == {"odom"}
+    with pytest.raises(NoRecording, match="has no message of odom"):
+        look_at(announced(tmp_path, []))
+
+
+def announced(tmp_path, messages):
+    """A recording in which turn_arb/state never said anything."""
+    path, store = tmp_path / f"{len(messages)}.bag", recordings.typestore(Stores.ROS1_NOETIC)
+    with Ros1Writer(path) as writer:
+        writer.add_connection("/turn_arb/state", "car_interface/msg/SteeringState", typestore=store)
+        recordings._write(writer, store, store.serialize_ros1, messages)
+    return str(path)
+
+
+def test_message_of_another_version_is_told_with_its_type(tmp_path):
+    old = ("old_interface/SteeringState", "uint8 source\nuint16 duty")
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), Written(0.1, "/turn_arb/state", old[0], {})],
+                      extra_types=[old])
+    path.write_bytes(path.read_bytes().replace(b"old_interface/SteeringState", b"car_interface/SteeringState"))
+    with pytest.raises(NoRecording, match=r"state was recorded with another version of car_interface/SteeringState$"):
+        look_at(str(path))
 
 
 def test_other_topic_of_odometry_is_named_and_taken(tmp_path):
@@ -168,7 +209,13 @@ def test_clock_set_back_is_told_and_leaves_accelerations_sane(tmp_path):
     messages += [odometry(5 + 0.02 * step, speed_mps=1.0) for step in range(200)]
     seen = look_at(str(write_ros1(tmp_path / "a.bag", messages)))
     assert seen.traces["acceleration"].greatest == seen.traces["acceleration"].least == 0.0
-    assert any("went back 1 time" in fault.what for fault in seen.faults)
+    assert any("went back once" in fault.what for fault in seen.faults)
+
+
+def test_small_step_back_of_the_recording_time_is_no_fault(tmp_path):
+    times = [0.02 * step - (0.4 if step >= 100 else 0.0) for step in range(200)]
+    seen = look_at(str(write_ros1(tmp_path / "a.bag", [odometry(time_s, speed_mps=1.0) for time_s in times])))
+    assert not [fault for fault in seen.faults if "went back" in fault.what]
 
 
 def test_numbers_that_are_none_are_left_out(tmp_path):
@@ -297,6 +344,26 @@ def test_plot_of_a_recording_that_lacks_its_topics_is_left_out(tmp_path):
     assert "Not recorded: turn_arb/state" in text and "Not recorded: teensy_sensor_hub/link, teensy_clock" in text
 
 
+def test_steering_shows_what_was_turned_where_that_is_tighter_than_what_was_sent(tmp_path):
+    messages = [odometry(0.02 * step, math.sin(0.02 * step), 1 - math.cos(0.02 * step), 0.02 * step, 1.0)
+                for step in range(500)]
+    figure = report_plots._steering(look_at(str(write_ros1(tmp_path / "a.bag", messages))))
+    low, high = figure.axes[0].get_ylim()
+    assert low < -1.0 and high > 1.0  # 1/m
+
+
+def test_servos_channel_is_not_drawn_as_the_escs_though_nobody_says_which_it_is(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(report_plots, "_curve", lambda axes, trace, colour, label, *_, **__: drawn.append(label))
+    messages = [Written(0.1 * step, "/servo/output", "std_msgs/Int32MultiArray",
+                        {"data": [5000 + 16 * step, 4912 + 16 * step] + [0] * 14}) for step in range(20)]
+    seen = look_at(str(write_ros1(tmp_path / "a.bag", messages)))
+    with monkeypatch.context() as patch:
+        patch.setattr(report_plots, "title", lambda axes, text: drawn.append(text))
+        report_plots._speed(seen)
+    assert drawn == ["The ESC's duty", "duty on channel 1"]
+
+
 def test_plots_of_a_long_drive_are_no_larger_than_those_of_a_short_one(tmp_path):
     random = np.random.default_rng(2)
     sizes = []
@@ -409,7 +476,35 @@ def test_what_can_not_be_done_is_told_in_one_line(arguments, words, capsys):
 
 def test_page_that_can_not_be_written_is_told_and_leaves_nothing(bag, tmp_path, capsys):
     assert main("bag_report", [bag, "-o", str(tmp_path / "none" / "a.html")]) == 1
-    assert "No such file or directory" in capsys.readouterr().err and list(tmp_path.iterdir()) == []
+    assert "there is no folder" in capsys.readouterr().err and list(tmp_path.iterdir()) == []
+
+
+def test_page_replaces_an_old_one_but_never_a_recording(bag, tmp_path, capsys):
+    old, recording = tmp_path / "old.html", pathlib.Path(bag).read_bytes()
+    old.write_text("old")
+    assert main("bag_report", [bag, "-o", str(old)]) == 0
+    assert old.read_text().endswith("</html>\n") and [path.name for path in tmp_path.iterdir()] == ["old.html"]
+    capsys.readouterr()
+    assert main("bag_report", [bag, "-o", bag]) == 1
+    assert capsys.readouterr().err.startswith(f"bag_report: {bag} is one of the recordings")
+    assert pathlib.Path(bag).read_bytes() == recording
+
+
+def test_recording_that_breaks_the_report_stops_no_other(bag, tmp_path, capsys, monkeypatch):
+    other = str(tmp_path / "other.bag")
+    shutil.copy(bag, other)
+    monkeypatch.setattr(report, "plots", lambda seen: {bag: {}}[seen.path])
+    assert main("bag_report", [other, bag, "-o", str(tmp_path), "--jobs", "1"]) == 1
+    shown = capsys.readouterr()
+    assert shown.out == f"{tmp_path / 'drive.html'}\n"
+    assert shown.err == f"bag_report: {other}: no page can be made of it (KeyError: {other!r})\n"
+
+
+def test_page_of_a_car_below_a_namespace_has_that_in_its_name(tmp_path, capsys):
+    path = write_ros1(tmp_path / "drive.bag", drive(10.0, "/car1"))
+    for option in ("--ns", "--namespace"):
+        assert main("bag_report", [str(path), option, "/car1/"]) == 0
+        assert capsys.readouterr().out == f"{tmp_path / 'drive.car1.html'}\n"
 
 
 # --- in a browser ---

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import re
 from functools import partial
 from pathlib import Path
@@ -19,8 +18,9 @@ from typing import Iterator, NamedTuple, Sequence
 
 import numpy as np
 
-from car_interface.bags import signals
+from car_interface.bags import output, signals
 from car_interface.bags.jobs import add_jobs_argument, for_each
+from car_interface.bags.options import add_namespace_argument
 from car_interface.bags.package_files import package_file
 from car_interface.calibration import steering as fitting
 from car_interface.calibration.steering import Curve
@@ -35,6 +35,7 @@ from car_interface.calibration.steering_table import (
     axis,
     breakpoints,
     completed,
+    widened,
 )
 from car_interface.errors import CarInterfaceError, ConfigError
 from car_interface.interpolation import LookupTable, check_axis
@@ -47,6 +48,7 @@ LEAST_PULSE, LONGEST_PULSE = 1638, 8192  # duties that a servo takes for a comma
 STRETCH_S, STRETCH_LEAST_M, STRETCH_GAP_S = 1.0, 0.4, 0.3
 IMU_GAP_S = 0.1
 IMU_LEAST_SHARE = 0.95  # of a drive that an IMU must have covered to be used
+STRAIGHT_PER_M = 0.02
 AGREES = 0.03  # so much odometry and IMU may turn apart without a word
 MOST_BREAKPOINTS = 200
 KEY = re.compile(r"^([A-Za-z_]\w*)\s*:")
@@ -63,6 +65,7 @@ class Loaded(NamedTuple):
     notes: tuple[str, ...]
     duration_s: float
     uses_imu: bool
+    trail: signals.Trail
 
 
 class Calibrated(NamedTuple):
@@ -82,8 +85,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="YAML", help="where to write the calibration")
     parser.add_argument("--base", metavar="YAML", help="a calibration for turn_arb whose other parameters are kept, "
                         "and with --force its duties where nothing was driven (default: the package's)")
-    parser.add_argument("--axis", type=_radii, metavar="M,M,…", help="turn radii for the tables (default: from the "
-                        "tightest that was driven to 300 m, so near to each other that lines between them are exact)")
+    parser.add_argument("--axis", type=_radii, metavar="M,M,…", help="turn radii for the tables, continued to 300 m "
+                        "where they end below 100 m (default: from the tightest that was driven to 300 m, so near to "
+                        "each other that lines between them are exact)")
     parser.add_argument("--force", action="store_true", help="write what would be refused; where nothing was driven "
                         "the old duties stay, marked")
     parser.add_argument("--channel", type=int, metavar="N", help="of the servo board (default: the base's)")
@@ -91,30 +95,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "(default: odom)")
     parser.add_argument("--imu", metavar="TOPIC", help="of an IMU whose yaw rate is better than odometry's (default: "
                         f"{signals.IMU_TOPIC} where it was recorded; none = don't)")
-    parser.add_argument("--namespace", default="/", help="the car's, if its topics are below one")
+    add_namespace_argument(parser)
     add_jobs_argument(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, say how well, and write the file."""
     base_path = options.base or str(package_file(BASE))
+    output.check(options.output, options.bags)
     base = load_steering(base_path)
+    base_text = Path(base_path).read_text(encoding="utf-8-sig")
     done = calibrate(options, base)
-    print("\n".join(done.report))
     if done.complaints and not options.force:
+        print("\n".join(done.report))
         raise Refused("no calibration is written: " + "; ".join(done.complaints)
                       + ". Give that recording as well, or keep the old duties there by --force")
-    text = yaml_text(done, Path(base_path).read_text(encoding="utf-8-sig"))
-    output = Path(options.output)
-    half = output.with_name(output.name + ".part")
-    half.write_text(text, encoding="utf-8")
+    text = yaml_text(done, base_text)
     try:
-        load_steering(str(half))
-    except ConfigError as error:
-        half.unlink()
+        output.check_content(options.output, text, load_steering)
+    except CarInterfaceError as error:
         raise Refused(f"no calibration is written, turn_arb would refuse it: {error}") from error
-    os.replace(str(half), str(output))
-    print(f"written: {output}")
+    aside = output.write(options.output, text, keeps_old=True)
+    print("\n".join(done.report))
+    print(f"written: {options.output}" + (f"; the old one is {aside}" if aside else ""))
     return 0
 
 
@@ -124,13 +127,19 @@ def calibrate(options: argparse.Namespace, base: SteeringConfig) -> Calibrated:
     Raises:
         CarInterfaceError: a recording is no good, or there is nothing to fit.
     """
+    signals.check_twice(options.bags)
     loaded = list(for_each(partial(load, options=options, channel=_channel(options, base)), options.bags, options.jobs))
+    signals.check_apart([one.trail for one in loaded])
     config = FitConfig(limits=(base.servo_left, base.servo_right))
+    disagreement = _disagreement(options, loaded, config)
+    if disagreement and not options.force:
+        raise Refused(f"no calibration is written: {disagreement}? Give those that belong together")
     try:
         curve = fitting.fit([one.drive for one in loaded], config)
     except NothingToFit as error:
         raise Refused(f"{', '.join(options.bags)}: no steering can be told from this: {error}") from error
-    radii = options.axis or axis(curve)
+    _check_axis_was_driven(options.axis, curve)
+    radii = widened(options.axis) if options.axis else axis(curve)
     points = {side: breakpoints(curve, radii, side, config) for side in (LEFT, RIGHT)}
     complaints = list(_complaints(curve, points))
     center = base.servo_center if math.isnan(curve.center) else curve.center
@@ -142,7 +151,10 @@ def calibrate(options: argparse.Namespace, base: SteeringConfig) -> Calibrated:
         points[side] = completed(points[side], center, [old(radius) for radius in radii])
         if points[side][0].source == OLD:
             ends[side] = _outer(points[side][0].duty, old_ends[side], center)
-    report = list(_report(options, loaded, curve, points, complaints))
+    added = [radius for radius in radii if options.axis and radius > options.axis[-1]]
+    report = list(_report(options, loaded, curve, points, complaints, added))
+    if disagreement:
+        report.append(f"  {disagreement}?")
     return Calibrated(curve, center, ends, points, complaints, report)
 
 
@@ -174,7 +186,7 @@ def load(path: str, options: argparse.Namespace, channel: int) -> Loaded:
     if not is_pulse.any():
         raise Refused(f"{path}: channel {channel} of the servo board never had a servo's pulse")
     return Loaded(Drive(odom.t_s, way_m(odom), yaw_rad, found.output.t_s, np.where(is_pulse, duty, np.nan)),
-                  tuple(notes), found.duration_s, uses_imu)
+                  tuple(notes), found.duration_s, uses_imu, signals.trail(found))
 
 
 def way_m(odom: signals.Odom) -> np.ndarray:
@@ -258,10 +270,18 @@ def _radii(text):
         radii = [float(part) for part in text.replace(",", " ").split()]
         check_axis(radii, "axis")
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{error} (in m, with commas between them, like 0.7,1,2,5)") from error
+        like = "in m, with commas between them, like 0.7,1,2,5,20,100,300"
+        raise argparse.ArgumentTypeError(f"{error} ({like})") from error
     if radii[0] <= 0 or len(radii) > MOST_BREAKPOINTS:
         raise argparse.ArgumentTypeError(f"accepted: at most {MOST_BREAKPOINTS} radii above 0 m")
     return radii
+
+
+def _check_axis_was_driven(radii, curve):
+    tightest_per_m = max(curve.left.curvature_per_m, curve.right.curvature_per_m)
+    if radii and 1 / radii[-1] >= tightest_per_m:
+        raise Refused(f"--axis {radii[0]:g} to {radii[-1]:g} m lies outside of what was driven: the tightest circle "
+                      f"was one of {_radius(tightest_per_m)}")
 
 
 def _outer(duty, other, center):
@@ -293,6 +313,26 @@ def _complaints(curve: Curve, points) -> Iterator[str]:
             index = last + 1
 
 
+def _disagreement(options, loaded, config):
+    """What the first two recordings say that can't be of the same steering; empty if there are none."""
+    told = []
+    for bag, one in zip(options.bags, loaded) if len(loaded) > 1 else ():
+        try:
+            told.append((bag, fitting.fit([one.drive], config)))
+        except NothingToFit:
+            continue  # it may still tell something beside the others
+    for index, (bag, curve) in enumerate(told):
+        for before, other in told[:index]:
+            found = fitting.disagreement(other, curve)
+            if found is not None:
+                k = found.curvature_per_m
+                place = (f"{LEFT if k > 0 else RIGHT} turns of {1 / abs(k):.2g} m" if abs(k) > STRAIGHT_PER_M else
+                         "straight on")
+                return (f"{before} and {bag} disagree by {found.duty:.0f} duty about {place}: was the linkage changed "
+                        "between them")
+    return ""
+
+
 def _gap(curve, side, table, first, last):
     end = curve.left if side == LEFT else curve.right
     if first == 0 and last == len(table) - 1:
@@ -311,7 +351,8 @@ def _gap(curve, side, table, first, last):
             f"duties from {duties[0]:.0f} to {duties[1]:.0f}, come to from both sides")
 
 
-def _report(options, loaded: Sequence[Loaded], curve: Curve, points, complaints) -> Iterator[str]:
+def _report(options, loaded: Sequence[Loaded], curve: Curve, points, complaints,
+            added: Sequence[float]) -> Iterator[str]:
     kept = curve.kept
     way = curve.pieces.way_m[kept].sum()
     band = fitting.BAND
@@ -333,6 +374,9 @@ def _report(options, loaded: Sequence[Loaded], curve: Curve, points, complaints)
         why = ("the radius shrinks no more" if end.is_stop else "the end that was allowed" if end.is_end else
                "the farthest that was driven; the end was not reached")
         yield f"  {side}: duty {end.duty:.0f}, radius {_radius(end.curvature_per_m)}: {why}"
+    if added:
+        yield (f"  --axis ends at {options.axis[-1]:g} m: {added[0]:g} to {added[-1]:g} m are added, or turn_arb would "
+               "turn as tight as there when asked for straight on")
     yield "  radius         left  ±duty   ±radius  pieces     m        right  ±duty   ±radius  pieces     m"
     for left, right in zip(points[LEFT], points[RIGHT]):
         yield f"  {left.radius_m:6g} m  {_cells(left)}   {_cells(right)}"

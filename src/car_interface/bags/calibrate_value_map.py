@@ -8,21 +8,25 @@ Writes the map as a CSV for generic_value_converter, and beside it NAME.report.t
 from __future__ import annotations
 
 import argparse
-import os
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Sequence
 
 import numpy as np
 
-from car_interface.bags import signals
+from car_interface.bags import output, signals
 from car_interface.bags.jobs import add_jobs_argument, for_each
+from car_interface.bags.options import add_namespace_argument, finite
+from car_interface.bags.package_files import package_file
 from car_interface.bags.recording import NoRecording
 from car_interface.calibration import value_map as fitting
 from car_interface.calibration import value_map_table as tables
 from car_interface.calibration.acceleration import Drive, Series, WindowConfig
 from car_interface.errors import CarInterfaceError, ConfigError
-from car_interface.interpolation import check_axis
+from car_interface.interpolation import LookupTable, check_axis
+from car_interface.params import Params
+from car_interface.servo import CHANNELS, MAX_DUTY
+from car_interface.steering_params import load_yaml
 from car_interface.value_map import ValueMap, load_value_map
 
 VALUE_TOPIC = "generic/output/value"
@@ -32,6 +36,7 @@ PULSES, ODOM, IMU = "pulses", "odom", "imu"
 SHORTEST_DUTY, LONGEST_DUTY = 1638, 8192  # 0.5 and 2.5 ms: an ESC takes anything beyond for no pulse
 VALUE_SILENT_S, DUTY_SILENT_S = 0.5, 1.2  # a duty is repeated only now and then
 COUNT = 16  # of duty: what the servo board can tell apart
+THROTTLE = "config/throttle.yaml"
 SETTLED_S = 0.15  # from a value to its duty on the board
 CALIBRATED_PULSES = 200  # so many tell how long one is
 GAP_S = 0.3  # odometry comes at least every 0.2 s
@@ -49,6 +54,21 @@ class Loaded(NamedTuple):
 
     drive: Drive
     notes: tuple[str, ...]
+    trail: signals.Trail
+
+
+class Values(NamedTuple):
+    """The values that stand for an ESC's duties: generic_value_converter's table, the other way round."""
+
+    of_duty: LookupTable
+    neutral: float
+    path: str
+
+    def __call__(self, duty: np.ndarray) -> np.ndarray:
+        """The value for each duty; NaN for one that no value makes. The board's rounding is none of that."""
+        duties = self.of_duty.axis
+        makes = (duty >= duties[0] - COUNT) & (duty <= duties[-1] + COUNT)
+        return np.where(makes, np.interp(duty, duties, self.of_duty.values), np.nan)
 
 
 class Calibrated(NamedTuple):
@@ -68,45 +88,54 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "nothing, and its axes are used unless others are given")
     parser.add_argument("--force", action="store_true", help="write what would be refused; nothing is made up even so")
     parser.add_argument("--value", default=VALUE_TOPIC, metavar="TOPIC|duty:CHANNEL",
-                        help=f"what drives the car: a topic, or the duty of a channel of the servo board "
-                             f"(default: {VALUE_TOPIC})")
-    parser.add_argument("--neutral", type=float, metavar="VALUE",
-                        help=f"the value that neither drives nor brakes (default: 0; {ESC_NEUTRAL} for a duty)")
-    parser.add_argument("--values", type=float, nargs="+", metavar="VALUE",
+                        help="what drives the car: a topic, or the duty of a channel of the servo board, which counts "
+                             f"as the value that --throttle has for it (default: {VALUE_TOPIC})")
+    parser.add_argument("--throttle", metavar="YAML", help="for --value duty:CHANNEL: the file with the value_axis and "
+                        "the duty_table by which generic_value_converter drives the ESC (default: the package's)")
+    parser.add_argument("--neutral", type=finite, metavar="VALUE", help="the value that neither drives nor brakes "
+                        "(default: 0; for a duty the value of the neutral in --throttle)")
+    parser.add_argument("--values", type=finite, nargs="+", metavar="VALUE",
                         help="the map's values (default: --prior's, or round numbers over what was driven)")
-    parser.add_argument("--velocities", type=float, nargs="+", metavar="M/S", help="the map's velocities (as --values)")
+    parser.add_argument("--velocities", type=finite, nargs="+", metavar="M/S",
+                        help="the map's velocities (as --values)")
     parser.add_argument("--acceleration", choices=(PULSES, ODOM, IMU),
                         help="measure it by the wheels' pulses, odometry's speed, or the IMU (default: pulses where "
                              "they were recorded, else odometry)")
     parser.add_argument("--odom", default="odom", metavar="TOPIC", help="of odometry (default: odom)")
     parser.add_argument("--imu", metavar="TOPIC", help="of an IMU, such as imu/data: its pitch takes gravity off")
-    parser.add_argument("--namespace", default="/", help="the car's, if its topics are below one")
-    parser.add_argument("--delay", type=float, metavar="S", help="from value to acceleration (default: estimated)")
+    add_namespace_argument(parser)
+    parser.add_argument("--delay", type=finite, metavar="S", help="from value to acceleration (default: estimated)")
     parser.add_argument("--esc-channel", type=int, default=ESC_CHANNEL, metavar="CHANNEL",
                         help="of the servo board: shows whether a value reached the ESC; -1 = don't look "
                              f"(default: {ESC_CHANNEL})")
-    parser.add_argument("--esc-neutral", type=float, default=ESC_NEUTRAL, metavar="DUTY",
+    parser.add_argument("--esc-neutral", type=finite, default=ESC_NEUTRAL, metavar="DUTY",
                         help=f"its duty when nobody drives (default: {ESC_NEUTRAL})")
-    parser.add_argument("--min-speed", type=float, default=0.3, metavar="M/S", help="slower is a stop (default: 0.3)")
-    parser.add_argument("--max-curvature", type=float, default=0.6, metavar="1/M",
+    parser.add_argument("--min-speed", type=finite, default=0.3, metavar="M/S", help="slower is a stop (default: 0.3)")
+    parser.add_argument("--max-curvature", type=finite, default=0.6, metavar="1/M",
                         help="of the path; tighter is steering (default: 0.6)")
-    parser.add_argument("--max-lateral", type=float, default=2.5, metavar="M/S2",
+    parser.add_argument("--max-lateral", type=finite, default=2.5, metavar="M/S2",
                         help="acceleration sideways; more is steering (default: 2.5)")
     add_jobs_argument(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, say how well, and write the files."""
+    output.check(options.output, options.bags)
+    beside = [] if output.is_stream(options.output) else [str(Path(options.output).with_suffix(".report.txt"))]
+    for path in beside:
+        output.check(path, options.bags)
     done = calibrate(options)
-    print(done.text)
     if done.complaints and not options.force:
+        print(done.text)
         raise Refused("no map is written: " + "; ".join(done.complaints) + ". Drive what is missing, or --force it")
-    output = Path(options.output)
-    report = output.with_suffix(".report.txt")
-    _write(output, csv_text(done.table))
-    _write(report, done.text + "\n")
-    load_value_map(str(output))
-    print(f"written: {output}, {report}")
+    text = csv_text(done.table)
+    output.check_content(options.output, text, load_value_map)
+    written = {options.output: output.write(options.output, text, keeps_old=True)}
+    for path in beside:
+        written[path] = output.write(path, done.text + "\n", keeps_old=True)
+    print(done.text)
+    for path, aside in written.items():
+        print(f"written: {path}" + (f"; the old one is {aside}" if aside else ""))
     return 0
 
 
@@ -116,16 +145,21 @@ def calibrate(options: argparse.Namespace) -> Calibrated:
     Raises:
         CarInterfaceError: an option, a recording or the prior is no good, or there is nothing to fit.
     """
-    neutral = options.neutral if options.neutral is not None else ESC_NEUTRAL if _is_duty(options) else 0.0
+    esc = load_values(options.throttle or str(package_file(THROTTLE))) if _is_duty(options) else None
+    neutral = options.neutral if options.neutral is not None else esc.neutral if esc else 0.0
     prior = load_value_map(options.prior) if options.prior else None
     values, velocities = (_axis(given, name, old) for given, name, old in (
         (options.values, "--values", prior.values if prior else None),
         (options.velocities, "--velocities", prior.velocities if prior else None)))
     if _is_duty(options):
         _channel(options)
+    if not -1 <= options.esc_channel < CHANNELS:
+        raise ConfigError("--esc-channel", options.esc_channel, "a channel of the servo board, 0 to 15, or -1")
     if options.acceleration == IMU and not options.imu:
         raise ConfigError("--imu", options.imu, f"the IMU's topic, as --acceleration {IMU} needs it")
+    signals.check_twice(options.bags)
     loaded = list(for_each(partial(load, options=options), options.bags, options.jobs))
+    signals.check_apart([one.trail for one in loaded])
     drives = [one.drive for one in loaded]
     config = fitting.FitConfig(
         window=WindowConfig(slowest_mps=options.min_speed, most_curvature_per_m=options.max_curvature,
@@ -142,7 +176,7 @@ def calibrate(options: argparse.Namespace) -> Calibrated:
         raise Refused(f"no map is written: {', '.join(options.bags)} support no two values at the same two velocities; "
                       "drive longer, with throttle and brake of several strengths")
     complaints = list(_complaints(fit, table))
-    return Calibrated(table, fit, complaints, "\n".join(_report(options, loaded, fit, table, complaints)))
+    return Calibrated(table, fit, complaints, "\n".join(_report(options, loaded, esc, fit, table, complaints)))
 
 
 def load(path: str, options: argparse.Namespace) -> Loaded:
@@ -160,15 +194,18 @@ def load(path: str, options: argparse.Namespace) -> Loaded:
         optional.append(signals.OUTPUT)
     found = signals.load(path, wanted, optional=optional, namespace=options.namespace, odom=options.odom,
                          imu=options.imu, value=options.value, progress=len(options.bags) == 1 or options.jobs == 1)
-    speed = Series(found.odom.t_s, found.odom.speed_mps)
+    speed, notes = Series(found.odom.t_s, found.odom.speed_mps), found.notes
     wheels = wheel_ways(found.pulses or (), speed)
     if options.acceleration == PULSES and not wheels:
         raise NoRecording(f"{path} has too few pulses of the wheels on {signals.WHEEL_TOPIC}: "
                           f"try --acceleration {ODOM}")
     driven = None
     if _is_duty(options):
+        esc = load_values(options.throttle or str(package_file(THROTTLE)))
         duty = found.output.duties[:, _channel(options)]
-        value = Series(found.output.t_s, np.where((duty >= SHORTEST_DUTY) & (duty <= LONGEST_DUTY), duty, np.nan))
+        is_pulse = (duty >= SHORTEST_DUTY) & (duty <= LONGEST_DUTY)
+        value = Series(found.output.t_s, np.where(is_pulse, esc(duty), np.nan))
+        notes += _beyond(value, is_pulse, esc)
     else:
         value = Series(found.value.t_s, found.value.value)
         if found.output is not None and options.esc_channel >= 0:
@@ -180,7 +217,29 @@ def load(path: str, options: argparse.Namespace) -> Loaded:
         if np.isfinite(found.imu.pitch_rad).all():
             pitch = Series(found.imu.t_s, found.imu.pitch_rad)
     drive = Drive(Path(path).name, value, speed, Series(found.odom.t_s, found.odom.yaw_rad), wheels, imu, pitch, driven)
-    return Loaded(drive, found.notes)
+    return Loaded(drive, notes, signals.trail(found))
+
+
+def load_values(path: str) -> Values:
+    """An ESC's table out of a file with the converter's parameters, the other way round.
+
+    Raises:
+        ConfigError: naming the file, and what in it is no table, or none that can be turned round.
+    """
+    params = Params(load_yaml(path))
+    try:
+        duties = params.numbers("servo/duty_table", low=0, high=MAX_DUTY)
+        values = LookupTable(params.numbers("servo/value_axis"), duties, "servo/value_axis", "servo/duty_table").axis
+        neutral = params.integer("servo/neutral", low=0, high=MAX_DUTY)
+        steps = np.diff(duties)
+        if not (np.all(steps > 0) or np.all(steps < 0)):
+            raise ConfigError("servo/duty_table", duties, "duties that only rise, or only fall: each is a value's")
+        if not min(duties) <= neutral <= max(duties):
+            raise ConfigError("servo/neutral", neutral, "a duty within the range of servo/duty_table")
+    except ConfigError as error:
+        raise error.within(path) from error
+    of_duty = LookupTable(*zip(*sorted(zip(duties, values))))
+    return Values(of_duty, of_duty(neutral), path)
 
 
 def wheel_ways(pulses: Sequence, speed: Series) -> tuple[Series, ...]:
@@ -236,11 +295,14 @@ def csv_text(table: tables.Table) -> str:
 
 # --- words ---
 
-def _report(options, loaded, fit, table, complaints):
+def _report(options, loaded, esc, fit, table, complaints):
     """The report's lines."""
     drives = [one.drive for one in loaded]
     yield f"A value map from {', '.join(drive.name for drive in drives)}"
     yield f"value: {options.value}; accelerations by {_source(options, drives)}"
+    if esc:
+        yield (f"a duty counts as the value of which {esc.path} makes it: {esc.of_duty.axis[0]:g} is "
+               f"{esc.of_duty.values[0]:g}, {esc.of_duty.axis[-1]:g} is {esc.of_duty.values[-1]:g}")
     if options.prior:
         yield f"prior: {options.prior}"
     yield from (f"{one.drive.name}: {note}" for one in loaded for note in one.notes)
@@ -287,6 +349,14 @@ def _report(options, loaded, fit, table, complaints):
     if complaints:
         yield ""
         yield from (f"not good enough: {complaint}" for complaint in complaints)
+
+
+def _beyond(value, is_pulse, esc):
+    """A note of duties that no value makes."""
+    count = int((is_pulse & np.isnan(value.y)).sum())
+    low, high = esc.of_duty.axis[0], esc.of_duty.axis[-1]
+    note = f"{count} of {value.y.size} duties lie beyond {low:g} to {high:g}, where {esc.path} has no value: left out"
+    return (note,) if count else ()
 
 
 def _source(options, drives):
@@ -379,7 +449,7 @@ def _is_duty(options):
 
 def _channel(options):
     text = options.value[len(DUTY):]
-    if not text.isdecimal() or int(text) > 15:
+    if not text.isdecimal() or int(text) >= CHANNELS:
         raise ConfigError("--value", options.value, f"a topic, or {DUTY}CHANNEL with a channel of 0 to 15")
     return int(text)
 
@@ -387,9 +457,3 @@ def _channel(options):
 def _number(x):
     return repr(round(float(x), 9))
 
-
-def _write(path, text):
-    """All of it, or nothing."""
-    half = path.with_name(path.name + ".part")
-    half.write_text(text, encoding="utf-8")
-    os.replace(str(half), str(path))

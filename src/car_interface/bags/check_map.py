@@ -10,7 +10,10 @@ import sys
 from pathlib import Path
 from typing import Iterator, Sequence
 
-from car_interface.errors import CarInterfaceError
+from car_interface.bags import output
+from car_interface.bags.options import finite
+from car_interface.conversion import ConversionConfig, Converter
+from car_interface.errors import CarInterfaceError, ConfigError
 from car_interface.steering import SteeringConfig
 from car_interface.steering_params import load_steering
 from car_interface.value_map import ValueMap, load_value_map
@@ -20,6 +23,8 @@ PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
 COUNT = 16  # of duty: what the servo board can tell apart
 BAR = 24  # characters to each side
 MOST_COLUMNS, MOST_ROWS = 11, 21
+LIMITS = ConversionConfig()  # of a generic_value_converter that isn't told otherwise
+WIDE_M = 100.0  # a table that ends before it has no duty for almost straight on
 LEVEL_MPS2 = 0.005  # a rise by less may be none at all in a CSV with two decimals
 PLAIN = "\033[0m"
 # Of 256 colours: from braking over nothing to accelerating.
@@ -32,6 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="PICTURE", help="also draw it: " + ", ".join(PICTURE_SUFFIXES))
     parser.add_argument("--allow-plateaus", action="store_true",
                         help="take a map whose acceleration stays level from one value to the next")
+    parser.add_argument("--min-value", type=finite, default=LIMITS.min_value, metavar="VALUE",
+                        help=f"generic_value_converter's min_value (default: {LIMITS.min_value:g})")
+    parser.add_argument("--max-value", type=finite, default=LIMITS.max_value, metavar="VALUE",
+                        help=f"its max_value (default: {LIMITS.max_value:g})")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,21 +48,32 @@ def run(options: argparse.Namespace) -> int:
     is_steering = Path(options.file).suffix.lower() in STEERING_SUFFIXES
     if options.output and Path(options.output).suffix.lower() not in PICTURE_SUFFIXES:
         raise CarInterfaceError(f"-o {options.output}: accepted: a name that ends in " + ", ".join(PICTURE_SUFFIXES))
+    if options.output:
+        output.check(options.output, [options.file])
+    limits = ConversionConfig(options.min_value, options.max_value)
     table = load_steering(options.file) if is_steering else load_value_map(options.file, options.allow_plateaus)
-    node = "turn_arb" if is_steering else "generic_value_converter"
-    _show([f"{options.file}: {node} takes it", ""])
-    if is_steering:
-        _show(steering_picture(table))
-        notes = list(steering_notes(table))
-    else:
-        _show(map_picture(table, sys.stdout.isatty() and "NO_COLOR" not in os.environ))
-        notes = list(map_notes(table))
-    _show([""] * bool(notes) + [f"note: {note}" for note in notes])
     if options.output:
         from car_interface.bags.table_plots import draw  # matplotlib only for who asks for it
-        draw(table, options.output, options.file)
-        _show(["", f"drawn in {options.output}"])
+        output.write(options.output, draw(table, Path(options.output).suffix.lower()[1:], options.file))
+    if is_steering:
+        lines, notes = steering_picture(table), list(steering_notes(table))
+    else:
+        _check_values(limits, table, options.file)
+        lines = map_picture(table, sys.stdout.isatty() and "NO_COLOR" not in os.environ)
+        notes = list(map_notes(table, limits))
+    node = "turn_arb" if is_steering else "generic_value_converter"
+    print("\n".join([f"{options.file}: {node} takes it", "", *lines, *[""] * bool(notes),
+                     *[f"note: {note}" for note in notes]]))
+    if options.output:
+        print(f"\ndrawn in {options.output}")
     return 0
+
+
+def _check_values(limits, table, path):
+    try:
+        Converter(limits, table)
+    except ConfigError as error:
+        raise error.within(path) from error
 
 
 # --- steering ---
@@ -91,6 +111,8 @@ def steering_notes(config: SteeringConfig) -> Iterator[str]:
             yield f"to the {side} the servo board can't tell apart ({COUNT} duty are one count): {', '.join(same)}"
         if (table[0] - end) * towards_center < 0:
             yield f"to the {side} the table goes to {table[0]:g}, beyond servo_{side} {end}"
+    if config.radius_axis_m[-1] < WIDE_M:
+        yield f"a planner that asks for wider turns gets {config.radius_axis_m[-1]:g} m: nothing here goes straight on"
 
 
 # --- maps ---
@@ -112,7 +134,7 @@ def map_picture(table: ValueMap, colour: bool = False) -> list[str]:
     return lines
 
 
-def map_notes(table: ValueMap) -> Iterator[str]:
+def map_notes(table: ValueMap, limits: ConversionConfig = LIMITS) -> Iterator[str]:
     """What generic_value_converter takes and an owner may still want to know."""
     accelerations = [[table.acceleration_at(value, velocity) for velocity in table.velocities]
                      for value in table.values]
@@ -123,13 +145,20 @@ def map_notes(table: ValueMap) -> Iterator[str]:
     if least < LEVEL_MPS2:
         yield (f"from value {low:g} to {high:g} at {velocity:g} m/s acceleration rises by only {least:.2g} m/s²: "
                "a small error there is a large one in the value")
-    still, fast = table.velocities[0], table.velocities[-1]
-    first, last = accelerations[0][0], accelerations[-1][0]
-    if not first < 0 < last:
-        yield f"at {still:g} m/s it has no value for 0 m/s², only for {first:g} to {last:g}"
-    else:
-        at_still, at_fast = table.value_at(0.0, still), table.value_at(0.0, fast)
-        yield f"0 m/s² takes the value {at_still:.3g} at {still:g} m/s and {at_fast:.3g} at {fast:g} m/s"
+    held, ends = [], ((table.velocities[0], 0), (table.velocities[-1], -1))
+    for velocity, column in ends:
+        least, most = accelerations[0][column], accelerations[-1][column]
+        if least <= 0 <= most:
+            held.append(f"{table.value_at(0.0, velocity):.3g} at {velocity:g} m/s")
+        else:
+            yield f"at {velocity:g} m/s it has no value for 0 m/s², only for {least:g} to {most:g}"
+    if held:
+        yield f"0 m/s² takes the value {' and '.join(held)}"
+    values = table.values
+    if values[0] < limits.min_value or values[-1] > limits.max_value:
+        is_wholly = values[-1] <= limits.min_value or values[0] >= limits.max_value
+        yield (f"its values, {values[0]:g} to {values[-1]:g}, lie {'wholly' if is_wholly else 'partly'} outside: "
+               f"generic_value_converter clamps to min_value {limits.min_value:g} … max_value {limits.max_value:g}")
 
 
 def _cell(number, largest, colour):
@@ -146,12 +175,3 @@ def _some(axis: Sequence[float], most: int) -> list[float]:
         return list(axis)
     return [axis[round(index * (len(axis) - 1) / (most - 1))] for index in range(most)]
 
-
-def _show(lines):
-    """Print, on a terminal that knows no more than ASCII too."""
-    for line in lines:
-        try:
-            print(line)
-        except UnicodeEncodeError:
-            plain = line.translate({ord("█"): "#", ord("│"): "|", ord("└"): "+", ord("─"): "-", ord("²"): "2"})
-            print(plain.encode("ascii", "replace").decode("ascii"))

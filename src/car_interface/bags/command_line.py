@@ -6,6 +6,7 @@ A command is a module with ``add_arguments(parser)`` and ``run(arguments)``, whi
 from __future__ import annotations
 
 import argparse
+import codecs
 import importlib
 import os
 import signal
@@ -24,6 +25,8 @@ MODULES = {
 INSTALL = "pip install '.[tools]' in the checkout"
 # What is called otherwise where it's installed from.
 PACKAGES = {"yaml": "PyYAML", "ruamel": "ruamel.yaml"}
+# For terminals that know no more than ASCII.
+PLAIN = {"█": "#", "│": "|", "└": "+", "─": "-", "²": "2", "±": "+-", "°": " deg", "…": "...", "−": "-", "×": "x"}
 INTERRUPTED = 128 + signal.SIGINT
 
 
@@ -38,6 +41,9 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
         The exit code.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    codecs.register_error("car_interface.plain", _plain)
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="car_interface.plain")
     try:
         parser = _parser(command, arguments)
         options = parser.parse_args(arguments)
@@ -83,6 +89,11 @@ def _describe(parser, name):
     module.add_arguments(parser)
     parser.set_defaults(run=module.run)
     return parser
+
+
+def _plain(error):
+    """What stands for characters that the output can't have."""
+    return "".join(PLAIN.get(character, "?") for character in error.object[error.start:error.end]), error.end
 
 
 def _first_line(module):

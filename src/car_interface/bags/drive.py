@@ -6,7 +6,7 @@ import re
 from collections import Counter, deque
 from typing import Any, NamedTuple
 
-from car_interface.bags.recording import NoRecording, Recorded, absolute_names, contents, read
+from car_interface.bags.recording import NoRecording, Recorded, absolute_names, contents, other_version, read
 from car_interface.bags.trace import Path, Spots, Trace
 from car_interface.steering import LOCKED, NEUTRAL, NO_HUMAN
 
@@ -34,6 +34,7 @@ TYPES = {
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
+STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # one of them at least
 LOG_LEVELS = {"rosgraph_msgs": (4, 8), "rcl_interfaces": (30, 40)}  # warning and error
 
@@ -122,17 +123,24 @@ def look_at(path: str, namespace: str = "/", odom: str = "odom", progress: bool 
     """
     has = contents(path)
     types = {(odom if name == "odom" else name): kind for name, kind in TYPES.items()}
-    names = absolute_names(has.topics, types, namespace)
-    if not {odom if name == "odom" else name for name in NEEDED} & set(names.values()):
-        raise NoRecording(f"{path} has none of {odom}, turn_arb/state and /servo/output"
-                          + _elsewhere(has.topics, namespace))
+    heard = {name: topic for name, topic in has.topics.items() if topic.count}
+    names = absolute_names(heard, types, namespace)
+    below = "/" + "/".join([*filter(None, namespace.split("/")), ""])  # an absolute name may be another car's
+    needed = {odom if name == "odom" else name for name in NEEDED}
+    if not any(asked in needed and name.startswith(below) for name, asked in names.items()):
+        raise NoRecording(f"{path} has no message of {odom}, turn_arb/state or /servo/output"
+                          + _elsewhere(heard, namespace))
     drive = Drive(path, namespace, has.start_ns, has.end_ns, has.topics)
     drive.present = {"odom" if name == odom else name for name in names.values()}
     watch = _Watch(drive, {name.lstrip("/"): kind.type for name, kind in has.topics.items()})
-    for recorded in read(path, types, namespace, progress):
-        watch.take(recorded, "odom" if recorded.topic == odom else recorded.topic)
+    try:
+        for recorded in read(path, types, namespace, progress):
+            watch.take(recorded, "odom" if recorded.topic == odom else recorded.topic)
+    except AttributeError as error:
+        raise other_version(path, recorded) from error
     if has.steps_back:
-        watch.fault(0.0, WARN, "recording", f"its time went back {has.steps_back} times: the clock was set")
+        times = "once" if has.steps_back == 1 else f"{has.steps_back} times"
+        watch.fault(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
     watch.finish()
     return drive
 
@@ -145,6 +153,8 @@ def _elsewhere(topics, namespace):
     odometry = [name for name, topic in topics.items() if topic.type == "nav_msgs/msg/Odometry"]
     if spaces:
         return f"{place}: try " + " or ".join(f"--ns {space}" for space in sorted(spaces))
+    if place and any("/" + name.lstrip("/") in topics for name in NEEDED):
+        return f"{place}: try it without --ns"
     if odometry:
         return f"{place}: try --odom {odometry[0]}"
     return f"{place}; it has " + (", ".join(list(topics)[:8]) or "no topic at all")
@@ -200,6 +210,8 @@ class _Watch:
         drive.turned = tuple(_median_of(bins) for bins in self._ratios)
         if self._matches:
             drive.steering_channel = self._matches.most_common(1)[0][0]
+        elif STEERING_CHANNEL in drive.duties:  # nobody said what was sent
+            drive.steering_channel = STEERING_CHANNEL
 
     def fault(self, time_s, level, where, what) -> None:
         """A fault that is a moment."""

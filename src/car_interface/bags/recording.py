@@ -6,6 +6,7 @@ Only the topics that are asked for are looked at, so that others may have types 
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 import time
 from contextlib import contextmanager
@@ -47,7 +48,7 @@ class Contents(NamedTuple):
     start_ns: int  # ROS time of the first message; 0 when there is none
     end_ns: int
     topics: dict  # Topic by absolute name
-    steps_back: int  # how often the recording time went back; known of ROS 1 bags only
+    steps_back: int  # how often the recording time went back by more than a second; known of ROS 1 bags only
 
 
 class NoRecording(CarInterfaceError):
@@ -67,7 +68,7 @@ def contents(path: str) -> Contents:
             count = counts[connection.id] + (found[connection.topic].count if connection.topic in found else 0)
             found[connection.topic] = Topic(connection.msgtype, count)
         begin, end = (reader.start_time, reader.end_time) if sum(counts.values()) else (0, 0)
-        return Contents(begin, end, dict(sorted(found.items())), getattr(reader, "steps_back", 0))
+        return Contents(begin, end, dict(sorted(found.items())), getattr(reader, "clock_steps_back", 0))
 
 
 def topics(path: str) -> dict[str, str]:
@@ -156,6 +157,12 @@ def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "
                               + (", ".join(similar) if similar else "none at all"))
 
 
+def other_version(path: str, recorded: Recorded) -> NoRecording:
+    """The error for a message that lacks a field which its type has here."""
+    return NoRecording(f"{path}: {recorded.topic} was recorded with another version of "
+                       f"{_short(recorded.message.__msgtype__)}")
+
+
 def with_bar(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
     """Pass items on; from a second on with a bar on standard error."""
     begin_s, bar = time.monotonic(), None
@@ -236,13 +243,14 @@ def _short(name):
 
 def _explained(file, error):
     text = " ".join(str(error).split()) or type(error).__name__
+    reindex = f"rosbag reindex {shlex.quote(str(file))}"
     is_ros1 = not file.is_dir() and file.suffix not in ROS2_SUFFIXES
     if is_ros1 and "not indexed" in text:
-        return f"{file} was never closed (its recorder was killed, or still runs): rosbag reindex {file}"
+        return f"{file} was never closed (its recorder was killed, or still runs): {reindex}"
     if is_ros1 and isinstance(error, ReaderError1) and ("empty" in text or "magic" in text):
         return f"{file} can't be read as a recording: it {'is empty' if 'empty' in text else 'is no bag'}"
     if is_ros1:
-        return f"{file} is cut off or damaged ({text}): rosbag reindex {file} saves what is left"
+        return f"{file} is cut off or damaged ({text}): {reindex} saves what is left"
     if not isinstance(error, (ReaderError2, OSError)):
         text = f"it's cut off or damaged ({type(error).__name__}: {text}); ros2 bag reindex saves what is left"
     return f"{file} can't be read as a recording: {text}"

@@ -6,13 +6,15 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
-import tempfile
 from functools import partial
 from pathlib import Path
 
+from car_interface.bags import output
 from car_interface.bags.drive import look_at
 from car_interface.bags.jobs import add_jobs_argument, for_each
+from car_interface.bags.options import add_namespace_argument
 from car_interface.bags.report_page import page
 from car_interface.bags.report_plots import plots
 from car_interface.errors import CarInterfaceError
@@ -23,69 +25,57 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", metavar="BAG", help="a ROS 1 bag, or a ROS 2 bag (its folder)")
     parser.add_argument("-o", "--output", metavar="FILE",
                         help="the page, or for several recordings a folder (default: BAG.html beside each)")
-    parser.add_argument("--ns", default="/", metavar="NAME", help="the car's namespace (default: /)")
+    add_namespace_argument(parser)
     parser.add_argument("--odom", default="odom", metavar="TOPIC", help="the topic of its odometry (default: odom)")
     add_jobs_argument(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the pages."""
-    pages = _pages(options.bags, options.output)
-    work = partial(_report, namespace=options.ns, odom=options.odom, progress=len(options.bags) == 1)
+    pages = _pages(options.bags, options.output, options.namespace)
+    work = partial(_report, options=options, progress=len(options.bags) == 1)
     failed = 0
-    for (bag, _), trouble in zip(pages, for_each(work, pages, options.jobs)):
+    for (_, path), trouble in zip(pages, for_each(work, pages, options.jobs)):
         if trouble:
             failed = 1
             print(f"bag_report: {trouble}", file=sys.stderr)
         else:
-            print(dict(pages)[bag])
+            print(path)
     return failed
 
 
-def _pages(bags, output):
+def _pages(bags, folder, namespace):
     """Pairs of a recording and where its page goes."""
-    if output is None:
-        return [(bag, str(Path(bag).with_suffix(".html") if Path(bag).suffix == ".bag" else
-                          Path(bag).resolve().with_name(Path(bag).resolve().name + ".html"))) for bag in bags]
-    if len(bags) == 1 and not os.path.isdir(output):
-        return [(bags[0], output)]
-    if not os.path.isdir(output):
-        raise CarInterfaceError(f"-o {output} is no folder, and {len(bags)} recordings need one: mkdir {output}")
-    names = [Path(bag).resolve().stem + ".html" for bag in bags]
+    ending = ".".join(["", *filter(None, namespace.split("/")), "html"])
+    if len(bags) == 1 and folder is not None and not os.path.isdir(folder):
+        return [(bags[0], folder)]
+    if folder is not None and not os.path.isdir(folder):
+        raise CarInterfaceError(f"-o {folder} is no folder, and {len(bags)} recordings need one: "
+                                f"mkdir {shlex.quote(folder)}")
+    pages = []
+    for bag in bags:
+        # A folder may be given as "." or with a slash behind it.
+        place = Path(bag) if Path(bag).suffix == ".bag" else Path(bag).resolve()
+        stem = place.stem if place.suffix == ".bag" or folder is not None else place.name
+        pages.append((bag, str(Path(folder or place.parent) / (stem + ending))))
+    names = [os.path.realpath(page) for _, page in pages]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
-        raise CarInterfaceError(f"two recordings would both get the page {twice}: report them one by one")
-    return [(bag, os.path.join(output, name)) for bag, name in zip(bags, names)]
+        raise CarInterfaceError(f"two recordings would both get the page {Path(twice).name}: report them one by one")
+    return pages
 
 
-def _report(bag_and_page, namespace, odom, progress):
+def _report(bag_and_page, options, progress):
     """Write one page; what went wrong, or an empty text."""
-    bag, output = bag_and_page
+    bag, path = bag_and_page
     try:
-        drive = look_at(bag, namespace, odom, progress)
-        _write(output, page(drive, plots(drive)))
+        output.check(path, options.bags)
+        drive = look_at(bag, options.namespace, options.odom, progress)
+        output.write(path, page(drive, plots(drive)))
     except CarInterfaceError as error:
         return str(error)
     except OSError as error:
-        return f"{error.filename or output}: {error.strerror}"
+        return f"{error.filename or path}: {error.strerror}"
+    except Exception as error:  # whatever is in a recording, it must not keep the others from their pages
+        return f"{bag}: no page can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
     return ""
-
-
-def _write(path, text):
-    """All of it or nothing: a page that is half written looks like a bad drive."""
-    folder = os.path.dirname(os.path.abspath(path))
-    handle, temporary = tempfile.mkstemp(dir=folder, prefix=".bag_report")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
-
-
-def _umask():
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -97,8 +97,9 @@ def _steering(drive):
         _curve(axes, traces["asked curvature"], ASKED, "asked (planner)", linestyle=(0, (4, 2)))
         _curve(axes, traces["sent curvature"], SENT, "sent (by the tables)", linewidth=1.6)
         _curve(axes, traces["turned curvature"], DONE, "turned (by the wheels)", linewidth=0.9)
+        turned = traces["turned curvature"]
         largest = max([abs(bound) for name in ("asked curvature", "sent curvature") if traces[name].count
-                       for bound in (traces[name].least, traces[name].greatest)] + [0.2])
+                       for bound in (traces[name].least, traces[name].greatest)] + [0.2, _usual(turned)])
         axes.set_ylim(-1.45 * largest, 1.45 * largest)
         title(axes, "How tight: 1/radius in 1/m, left up")
         _legend(axes)
@@ -179,10 +180,11 @@ def _speed(drive):
         _legend(axes)
     if panels[2]:
         axes = next(left)
-        title(axes, "What the ESC gets")
-        if traces["value"].count:
+        has_value = traces["value"].count > 0
+        title(axes, "Value, and the ESC's duty" if has_value and driven else "Value" if has_value else "The ESC's duty")
+        if has_value:
             _curve(axes, traces["value"], ASKED, "value")
-        beside = axes.twinx() if traces["value"].count and driven else axes
+        beside = axes.twinx() if has_value and driven else axes
         for channel, duty in sorted(driven.items()):
             _curve(beside, duty, SENT, f"duty on channel {channel}"
                    + (" (right scale)" if beside is not axes else ""), **HELD)
@@ -275,6 +277,11 @@ def _curve(axes, trace, colour, label, gap_s=1.0, **style):
     if trace.count:
         times, values = trace.curve(gap_s)
         axes.plot(times, values, color=colour, label=label or "_", **style)
+
+
+def _usual(trace):
+    """A magnitude that all but a twentieth of a trace's extremes stay below; single ones are noise."""
+    return float(np.nanpercentile(np.abs(trace.curve()[1]), 95)) if trace.count else 0.0
 
 
 def _legend(axes):

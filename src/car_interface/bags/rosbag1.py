@@ -23,12 +23,13 @@ class ChunkReader(Reader):
     """A ROS 1 bag.
 
     Attributes:
-        steps_back: how often a topic's recording time went back: the clock was set.
+        steps_back: how often a topic's recording time went back.
+        clock_steps_back: how often by more than a second: the clock was set.
     """
 
     def __init__(self, path):
         super().__init__(path)
-        self.steps_back = 0
+        self.steps_back = self.clock_steps_back = 0
         self._newest: dict = {}  # time of the newest message, by connection
 
     def read_index_data(self, pos, indexes):
@@ -38,7 +39,9 @@ class ChunkReader(Reader):
         connection = header[b"conn"]
         times = entries[:, 0].astype(np.int64) * NS_PER_S + entries[:, 1]
         if len(times):
-            self.steps_back += int((np.diff(times) < 0).sum()) + int(times[0] < self._newest.get(connection, 0))
+            steps_ns = np.diff(times, prepend=self._newest.get(connection, times[0]))
+            self.steps_back += int((steps_ns < 0).sum())
+            self.clock_steps_back += int((steps_ns < -NS_PER_S).sum())
             self._newest[connection] = times[-1]
 
     def counts(self) -> dict[int, int]:

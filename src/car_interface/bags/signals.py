@@ -10,10 +10,11 @@ Columns grow as bytes and not as Python's numbers: a recording of 10 GB fits.
 from __future__ import annotations
 
 import math
+import os
 from abc import ABC, abstractmethod
 from array import array
 from collections import Counter
-from typing import Collection, NamedTuple
+from typing import Collection, NamedTuple, Sequence
 
 import numpy as np
 
@@ -39,6 +40,7 @@ ODD_STAMP_S = 2.0  # farther from its recording no message is that came from thi
 STEP_BACK_S = 1.0  # the recorder's own time goes back so far only when the clock was set
 BREAK_S = 10.0  # between what was before that and what is after it
 REPEATED_S = 0.5  # an unchanged output is kept so often
+SAME_S, SAME_LEAST = 1e-5, 50  # odometry within this at the same place is the same; so many of it are no chance
 STAMP_BACK, ODD_STAMP, NOT_FINITE, WRONG_LENGTH, REFUSED = (
     "with a stamp that doesn't rise: left out",
     "with a stamp seconds away from when it was recorded: recording time taken",
@@ -115,6 +117,56 @@ class Signals(NamedTuple):
     notes: tuple[str, ...]
 
 
+class Trail(NamedTuple):
+    """Where the car was when, on the computer's clock; by it driving is known again in another recording."""
+
+    path: str
+    t_s: np.ndarray
+    x_m: np.ndarray
+    y_m: np.ndarray
+
+
+def trail(found: Signals) -> Trail:
+    """Of a recording with odometry; what stood still is left out."""
+    moved = np.concatenate(([False], (np.diff(found.odom.x_m) != 0) | (np.diff(found.odom.y_m) != 0)))
+    return Trail(found.path, *(column[moved] for column in (found.start_s + found.odom.t_s, found.odom.x_m,
+                                                            found.odom.y_m)))
+
+
+def check_twice(paths: Sequence[str]) -> None:
+    """Refuse a recording that is given twice: its evidence would count twice.
+
+    Raises:
+        NoRecording: naming it both times.
+    """
+    seen: dict = {}
+    for path in paths:
+        real = os.path.realpath(path)
+        if real in seen:
+            raise NoRecording(f"{seen[real]} and {path} are the same recording: it would count twice")
+        seen[real] = path
+
+
+def check_apart(trails: Sequence[Trail]) -> None:
+    """Refuse recordings that have some driving in common, such as a copy, or a part: it would count twice.
+
+    Times alone don't tell: a computer without a clock of its own may begin at the same time again.
+
+    Raises:
+        NoRecording: naming two.
+    """
+    for index, one in enumerate(trails):
+        for other in trails[:index]:
+            if not (one.t_s.size and other.t_s.size):
+                continue
+            nearest = np.clip(np.searchsorted(other.t_s, one.t_s - SAME_S), 0, other.t_s.size - 1)
+            same = ((np.abs(other.t_s[nearest] - one.t_s) <= SAME_S) & (other.x_m[nearest] == one.x_m)
+                    & (other.y_m[nearest] == one.y_m))
+            if same.sum() >= SAME_LEAST:
+                raise NoRecording(f"{other.path} and {one.path} have the same driving in them, at {same.sum()} moments "
+                                  "of odometry: it would count twice")
+
+
 def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), namespace: str = "/",
          odom: str = "odom", imu: str | None = None, value: str = VALUE_TOPIC, progress: bool = False) -> Signals:
     """Read a recording.
@@ -140,8 +192,11 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
         by_topic[CLOCK_TOPIC] = columns[PULSES]
         types.update({WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/TeensyClock"})
     time = _Time()
-    for recorded in recording.read(path, types, namespace, progress):
-        by_topic[recorded.topic].take(recorded, time.of_recording(recorded.time_ns), time)
+    try:
+        for recorded in recording.read(path, types, namespace, progress):
+            by_topic[recorded.topic].take(recorded, time.of_recording(recorded.time_ns), time)
+    except AttributeError as error:
+        raise recording.other_version(path, recorded) from error
     for column in columns.values():
         column.finish(time)
     for part, topic, _ in names:

@@ -1,6 +1,7 @@
 """Pictures of the tables: a steering calibration, and a map of values."""
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import matplotlib
@@ -18,15 +19,16 @@ CURVES = 9  # of a map's velocities
 LABELS = 12  # below an axis of radii
 
 
-def draw(table: SteeringConfig | ValueMap, path: str, name: str) -> None:
-    """Write a picture of a table; the ending of ``path`` says of which kind."""
+def draw(table: SteeringConfig | ValueMap, kind: str, name: str) -> bytes:
+    """A picture of a table, as the bytes of a file of that kind: svg, png or pdf."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.2), constrained_layout=True)
         FigureCanvasAgg(figure)
         figure.suptitle(Path(name).name, x=0.01, ha="left", fontsize=11, fontweight="bold")
         (_steering if isinstance(table, SteeringConfig) else _map)(figure, table)
-        metadata = {"Date": None} if Path(path).suffix.lower() == ".svg" else None
-        figure.savefig(path, dpi=DPI, metadata=metadata)
+        file = io.BytesIO()
+        figure.savefig(file, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+        return file.getvalue()
 
 
 def _steering(figure, config):

@@ -48,6 +48,8 @@ CONTRADICTIONS = 6.0  # so much more than with the best play is chance
 LEAST_PLAY_SIGMA = 1.0
 PLAY_SCALE_DUTY = 20.0  # before any data a play is so large, exponentially distributed
 BEND_SHARE = 1 / math.sqrt(12)  # of how far the curve may bend away is a standard error, if any of it is as likely
+DISAGREES, DISAGREES_DUTY = 6.0, 2 * COUNT  # standard errors, and duty: less than this tyres and floors may do
+DISAGREES_PLACES, DISAGREES_SHARE = 5, 0.25  # at so many counts, and of all where both drove
 PLAY_DOUBT = 4.0  # pieces of one position err alike: likelihoods count for so much less
 
 
@@ -133,6 +135,34 @@ def fit(drives: Sequence[Drive], config: FitConfig = DEFAULTS) -> Curve:
     cuts = [cut_up(drive, delay, config) for drive in drives]
     play_duty, play_sigma = (config.play_duty, 0.0) if config.play_duty is not None else _play(cuts, config)
     return _attempt(cuts, play_duty).curve(delay, play_sigma, config)
+
+
+class Disagreement(NamedTuple):
+    """What of two curves can't be of the same steering."""
+
+    duty: float  # by which they differ, where they do
+    curvature_per_m: float  # where that is least likely
+
+
+def disagreement(one: Curve, other: Curve) -> Disagreement | None:
+    """By how much two drives tell of different steerings; ``None`` if they don't.
+
+    Only where both were driven, within a count: in the gaps of a short drive its curve may be far off. And not by
+    single places: a changed linkage shows in many.
+    """
+    low, high = max(one.duties[0], other.duties[0]), min(one.duties[-1], other.duties[-1])
+    duties = np.arange(math.ceil(low / COUNT) * COUNT, high, COUNT)
+    for curve in (one, other):
+        driven = curve.pieces.duty[curve.kept]
+        duties = duties[[bool(np.any(np.abs(driven - duty) <= COUNT)) for duty in duties]]
+    curvatures = one.curvature(duties)
+    sigmas = np.hypot(np.interp(duties, one.duties, one.sigmas), np.interp(duties, other.duties, other.sigmas))
+    off = np.abs(curvatures - other.curvature(duties)) / np.maximum(sigmas, 1e-9)
+    apart = np.abs(other.duty(curvatures) - duties)
+    bad = (off > DISAGREES) & (apart >= DISAGREES_DUTY)
+    if bad.sum() < max(DISAGREES_PLACES, DISAGREES_SHARE * len(duties)):
+        return None
+    return Disagreement(float(np.median(apart[bad])), float(curvatures[np.argmax(np.where(bad, off, 0.0))]))
 
 
 def _play(cuts, config):

@@ -12,6 +12,8 @@ from car_interface.calibration.steering_pieces import COUNT, DEFAULTS, FitConfig
 LEFT, RIGHT = "left", "right"
 # What a breakpoint's duty rests on.
 DRIVEN, END, OLD, UNKNOWN = "driven", "end", "old", "unknown"
+WIDE_RADII_M = (5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 50.0, 100.0, 300.0)
+WIDE_M = 100.0  # a table that ends before it has no duty for almost straight on
 NEAR_SHARE = 0.25  # pieces count for a radius when their curvature is so near to its
 
 
@@ -34,7 +36,17 @@ def axis(curve: Curve) -> list[float]:
     while radius < 4.9:  # nearer to 5 it would be 5 when it's rounded, or next to it
         radii.append(round(radius, 2))
         radius *= 1.08 if radius < 2 else 1.12
-    return [*radii, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 50.0, 100.0, 300.0]
+    return [*radii, *WIDE_RADII_M]
+
+
+def widened(radii_m: Sequence[float]) -> list[float]:
+    """Radii that go on to almost straight on: beyond the last one turn_arb would turn as tight as there.
+
+    Not by the widest one alone: on a straight line to it what is half way is nowhere near half as tight.
+    """
+    if radii_m[-1] >= WIDE_M:
+        return list(radii_m)
+    return [*radii_m, *(radius for radius in WIDE_RADII_M if radius > 1.1 * radii_m[-1])]
 
 
 def breakpoints(curve: Curve, radii_m: Sequence[float], side: str, config: FitConfig = DEFAULTS) -> list[Breakpoint]:

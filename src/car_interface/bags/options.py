@@ -1,0 +1,19 @@
+"""Options that several commands have."""
+from __future__ import annotations
+
+import argparse
+import math
+
+
+def add_namespace_argument(parser: argparse.ArgumentParser) -> None:
+    """The option ``--ns``, as long ``--namespace``."""
+    parser.add_argument("--ns", "--namespace", dest="namespace", default="/", metavar="NAME",
+                        help="the car's namespace, if its topics are below one (default: /)")
+
+
+def finite(text: str) -> float:
+    """A finite number out of an option's text."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is no finite number")
+    return value
