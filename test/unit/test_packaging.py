@@ -137,7 +137,7 @@ def test_cmake_sets_python_up_before_it_generates_messages():
 
 def test_cmake_installs_everything_that_a_user_needs():
     installed = set(" ".join(re.findall(r"\binstall\((?:DIRECTORY|FILES) ([\w. ]+?) DESTINATION", CMAKE)).split())
-    assert installed == {"config", "launch", "udev", "LICENSE", "README.md"}
+    assert installed == {"config", "docs", "launch", "udev", "LICENSE", "README.md"}
     assert [name for name in installed if not (ROOT / name).exists()] == []
 
 

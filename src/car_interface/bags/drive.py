@@ -133,11 +133,11 @@ def look_at(path: str, namespace: str = "/", odom: str = "odom", progress: bool 
     drive = Drive(path, namespace, has.start_ns, has.end_ns, has.topics)
     drive.present = {"odom" if name == odom else name for name in names.values()}
     watch = _Watch(drive, {name.lstrip("/"): kind.type for name, kind in has.topics.items()})
-    try:
-        for recorded in read(path, types, namespace, progress):
+    for recorded in read(path, types, namespace, progress):
+        try:
             watch.take(recorded, "odom" if recorded.topic == odom else recorded.topic)
-    except AttributeError as error:
-        raise other_version(path, recorded) from error
+        except AttributeError as error:
+            raise other_version(path, recorded) from error
     if has.steps_back:
         times = "once" if has.steps_back == 1 else f"{has.steps_back} times"
         watch.fault(0.0, WARN, "recording", f"its time went back {times}: the clock was set")

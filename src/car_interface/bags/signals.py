@@ -192,11 +192,11 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
         by_topic[CLOCK_TOPIC] = columns[PULSES]
         types.update({WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/TeensyClock"})
     time = _Time()
-    try:
-        for recorded in recording.read(path, types, namespace, progress):
+    for recorded in recording.read(path, types, namespace, progress):
+        try:
             by_topic[recorded.topic].take(recorded, time.of_recording(recorded.time_ns), time)
-    except AttributeError as error:
-        raise recording.other_version(path, recorded) from error
+        except AttributeError as error:
+            raise recording.other_version(path, recorded) from error
     for column in columns.values():
         column.finish(time)
     for part, topic, _ in names:
