@@ -25,6 +25,7 @@ LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
 SOURCE_NAMES = ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
 
 TABLE_DIGITS = 1  # of a duty in a table that was moved: finer than anything that a servo follows
+WIDE_M = 100.0  # a table that ends before it has no duty for almost straight on
 NO_RADIUS_M = 0.001  # a requested radius this close to 0 means "no request", as in the original
 FLOAT32_SLACK = 1 + 2 ** -23  # 0.001 arrives from a Float32 as 0.001000000047
 

@@ -182,7 +182,7 @@ def test_value_for_0_is_told_where_the_map_has_it_and_only_there(values, velocit
 @pytest.mark.parametrize("values, limits, words", [
     ((-5, 3), (-5, 3), None),
     ((-6, 1), (-5, 3), "-6 to 1, lie partly outside: generic_value_converter clamps to min_value -5 … max_value 3"),
-    ((3, 8), (-5, 3), "lie wholly outside"),
+    ((2, 8), (-5, 3), "2 to 8, lie partly outside"),
     ((3300, 6500), (3277, 6554), None),
     ((3300, 6500), (3277, 6000), "clamps to min_value 3277 … max_value 6000"),
 ])

@@ -39,7 +39,7 @@ from car_interface.calibration.steering_table import (
 )
 from car_interface.errors import CarInterfaceError, ConfigError
 from car_interface.interpolation import LookupTable, check_axis
-from car_interface.steering import SteeringConfig
+from car_interface.steering import WIDE_M, SteeringConfig
 from car_interface.steering_params import load_steering
 
 BASE = "config/turn_arb.yaml"
@@ -139,7 +139,7 @@ def calibrate(options: argparse.Namespace, base: SteeringConfig) -> Calibrated:
     except NothingToFit as error:
         raise Refused(f"{', '.join(options.bags)}: no steering can be told from this: {error}") from error
     _check_axis_was_driven(options.axis, curve)
-    radii = widened(options.axis) if options.axis else axis(curve)
+    radii = widened(options.axis, WIDE_M) if options.axis else axis(curve)
     points = {side: breakpoints(curve, radii, side, config) for side in (LEFT, RIGHT)}
     complaints = list(_complaints(curve, points))
     center = base.servo_center if math.isnan(curve.center) else curve.center

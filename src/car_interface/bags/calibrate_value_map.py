@@ -158,7 +158,7 @@ def calibrate(options: argparse.Namespace) -> Calibrated:
     if options.acceleration == IMU and not options.imu:
         raise ConfigError("--imu", options.imu, f"the IMU's topic, as --acceleration {IMU} needs it")
     signals.check_twice(options.bags)
-    loaded = list(for_each(partial(load, options=options), options.bags, options.jobs))
+    loaded = list(for_each(partial(load, options=options, esc=esc), options.bags, options.jobs))
     signals.check_apart([one.trail for one in loaded])
     drives = [one.drive for one in loaded]
     config = fitting.FitConfig(
@@ -179,18 +179,18 @@ def calibrate(options: argparse.Namespace) -> Calibrated:
     return Calibrated(table, fit, complaints, "\n".join(_report(options, loaded, esc, fit, table, complaints)))
 
 
-def load(path: str, options: argparse.Namespace) -> Loaded:
-    """What one recording tells, as the calibration takes it.
+def load(path: str, options: argparse.Namespace, esc: Values | None = None) -> Loaded:
+    """What one recording tells, as the calibration takes it; with ``esc`` by the duties of the channel in --value.
 
     Raises:
         NoRecording: it can't be read, or lacks what is needed.
     """
-    wanted, optional = [signals.ODOM, signals.OUTPUT if _is_duty(options) else signals.VALUE], []
+    wanted, optional = [signals.ODOM, signals.OUTPUT if esc else signals.VALUE], []
     if options.acceleration == PULSES:
         wanted.append(signals.PULSES)
     elif options.acceleration is None:
         optional.append(signals.PULSES)
-    if not _is_duty(options) and options.esc_channel >= 0:
+    if not esc and options.esc_channel >= 0:
         optional.append(signals.OUTPUT)
     found = signals.load(path, wanted, optional=optional, namespace=options.namespace, odom=options.odom,
                          imu=options.imu, value=options.value, progress=len(options.bags) == 1 or options.jobs == 1)
@@ -200,8 +200,7 @@ def load(path: str, options: argparse.Namespace) -> Loaded:
         raise NoRecording(f"{path} has too few pulses of the wheels on {signals.WHEEL_TOPIC}: "
                           f"try --acceleration {ODOM}")
     driven = None
-    if _is_duty(options):
-        esc = load_values(options.throttle or str(package_file(THROTTLE)))
+    if esc:
         duty = found.output.duties[:, _channel(options)]
         is_pulse = (duty >= SHORTEST_DUTY) & (duty <= LONGEST_DUTY)
         value = Series(found.output.t_s, np.where(is_pulse, esc(duty), np.nan))

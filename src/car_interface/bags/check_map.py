@@ -14,7 +14,7 @@ from car_interface.bags import output
 from car_interface.bags.options import finite
 from car_interface.conversion import ConversionConfig, Converter
 from car_interface.errors import CarInterfaceError, ConfigError
-from car_interface.steering import SteeringConfig
+from car_interface.steering import WIDE_M, SteeringConfig
 from car_interface.steering_params import load_steering
 from car_interface.value_map import ValueMap, load_value_map
 
@@ -24,7 +24,6 @@ COUNT = 16  # of duty: what the servo board can tell apart
 BAR = 24  # characters to each side
 MOST_COLUMNS, MOST_ROWS = 11, 21
 LIMITS = ConversionConfig()  # of a generic_value_converter that isn't told otherwise
-WIDE_M = 100.0  # a table that ends before it has no duty for almost straight on
 LEVEL_MPS2 = 0.005  # a rise by less may be none at all in a CSV with two decimals
 PLAIN = "\033[0m"
 # Of 256 colours: from braking over nothing to accelerating.
@@ -156,9 +155,8 @@ def map_notes(table: ValueMap, limits: ConversionConfig = LIMITS) -> Iterator[st
         yield f"0 m/s² takes the value {' and '.join(held)}"
     values = table.values
     if values[0] < limits.min_value or values[-1] > limits.max_value:
-        is_wholly = values[-1] <= limits.min_value or values[0] >= limits.max_value
-        yield (f"its values, {values[0]:g} to {values[-1]:g}, lie {'wholly' if is_wholly else 'partly'} outside: "
-               f"generic_value_converter clamps to min_value {limits.min_value:g} … max_value {limits.max_value:g}")
+        yield (f"its values, {values[0]:g} to {values[-1]:g}, lie partly outside: generic_value_converter clamps to "
+               f"min_value {limits.min_value:g} … max_value {limits.max_value:g}")
 
 
 def _cell(number, largest, colour):

@@ -13,7 +13,6 @@ LEFT, RIGHT = "left", "right"
 # What a breakpoint's duty rests on.
 DRIVEN, END, OLD, UNKNOWN = "driven", "end", "old", "unknown"
 WIDE_RADII_M = (5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 50.0, 100.0, 300.0)
-WIDE_M = 100.0  # a table that ends before it has no duty for almost straight on
 NEAR_SHARE = 0.25  # pieces count for a radius when their curvature is so near to its
 
 
@@ -39,12 +38,12 @@ def axis(curve: Curve) -> list[float]:
     return [*radii, *WIDE_RADII_M]
 
 
-def widened(radii_m: Sequence[float]) -> list[float]:
-    """Radii that go on to almost straight on: beyond the last one turn_arb would turn as tight as there.
+def widened(radii_m: Sequence[float], wide_m: float) -> list[float]:
+    """Radii, continued to almost straight on if they end before ``wide_m``: beyond the last turn_arb turns as there.
 
     Not by the widest one alone: on a straight line to it what is half way is nowhere near half as tight.
     """
-    if radii_m[-1] >= WIDE_M:
+    if radii_m[-1] >= wide_m:
         return list(radii_m)
     return [*radii_m, *(radius for radius in WIDE_RADII_M if radius > 1.1 * radii_m[-1])]
 
