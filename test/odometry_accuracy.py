@@ -26,7 +26,7 @@ from car_interface.sim.vehicle import Vehicle, VehicleConfig, true_acceleration_
 from car_interface.teensy.framing import SHIPPED, FrameDecoder, encode
 from car_interface.teensy.odometry import Odometry, OdometryConfig
 from car_interface.teensy.plausibility import Gates
-from car_interface.teensy.protocol import NO_DIRECTION, SonarStatus, WheelStatus, decode, wheel_reset
+from car_interface.teensy.protocol import SonarStatus, WheelStatus, decode, wheel_reset
 
 NS_PER_S, NS_PER_MS = 1_000_000_000, 1_000_000
 STEP_NS = 2 * NS_PER_MS
@@ -252,11 +252,12 @@ class Bench:
         verdict = self.gates.wheels(record)
         if not verdict.accepted:
             return
-        newest_ms = max([wheel.when for wheel in record if wheel.direction != NO_DIRECTION], default=-math.inf)
-        at_ms = newest_ms + 0.5 if any(verdict.pulses) else self.teensy.device_ns(now_ns) / NS_PER_MS
+        newest_ms = max([wheel.when for wheel in record if wheel.when], default=-math.inf)
+        has_pulse = any((*verdict.pulses, *verdict.unproven))
+        at_ms = newest_ms + 0.5 if has_pulse else self.teensy.device_ns(now_ns) / NS_PER_MS
         begun = time.perf_counter()
         motion = self.odometry.report(record, verdict.pulses, verdict.restarted, record.left.when, record.right.when,
-                                      at_ms)
+                                      at_ms, verdict.unproven)
         self.score.spent_s += time.perf_counter() - begun
         self._judge(motion, self.truth_at(motion.time_ms))
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from car_interface.teensy.clock import Clock, ClockConfig, Stamp, Sync
 from car_interface.teensy.odometry import Motion, Odometry, OdometryConfig
 from car_interface.teensy.pinging import Answer
-from car_interface.teensy.plausibility import GateConfig, Gates
-from car_interface.teensy.protocol import NO_DIRECTION, UINT32, Pong, SonarStatus, WheelStatus
+from car_interface.teensy.plausibility import GateConfig, Gates, ahead
+from car_interface.teensy.protocol import UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.ranging import Ranging, RangingConfig
 
 NS_PER_MS = 1_000_000
@@ -64,6 +64,7 @@ class Measurements:
         self._odometry = Odometry(config.odometry)
         self._has_heard_a_tick = False
         self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never begins anew
+        self._newest_ms = -math.inf  # of the wheels' pulses and repeats, on the odometry's clock
         self._motion_ns = 0
 
     def pong(self, record: Pong, answer: Answer | None, received_ns: int) -> Sync | None:
@@ -87,17 +88,26 @@ class Measurements:
     def wheels(self, record: WheelStatus, received_ns: int) -> MotionMeasurement | None:
         """Take a report of the wheels; ``None`` when it was refused."""
         verdict = self.gates.wheels(record)
-        if not verdict.accepted or not self._has_heard_a_tick:
+        if not verdict.accepted:
             return None
-        left_ms, right_ms = (self.clock.unwrap(wheel.when) + self._shift_ms for wheel in record)
+        newest = _newest_when(record)
+        if not self._has_heard_a_tick:
+            if newest is None:
+                return None
+            self._hear_tick(verdict, newest, received_ns)
+            self.clock.heard(newest, received_ns, WHEEL_BYTES)
+        if verdict.boot_tick is not None:
+            self._restart_clock(verdict.boot_tick, received_ns)
         received_ms = self.clock.tick_at(received_ns) + self._shift_ms
-        newest_ms = max((ms for ms, wheel in ((left_ms, record.left), (right_ms, record.right))
-                         if wheel.direction != NO_DIRECTION), default=-math.inf)
-        # When a report was sent nobody knows; but until its newest pulse no later one had come. One without a pulse
-        # waited for 200 ms, so that what the line adds doesn't matter.
-        has_pulse = any(verdict.pulses) and newest_ms <= received_ms
+        left_ms, right_ms = (self.clock.unwrap(wheel.when) + self._shift_ms if wheel.when else -math.inf
+                             for wheel in record)
+        # When a report was sent nobody knows; but until its newest pulse or repeat no later pulse had come.
+        newest_ms = -math.inf if newest is None else self.clock.unwrap(newest) + self._shift_ms
+        is_news = self._newest_ms < newest_ms <= received_ms
+        if is_news:
+            self._newest_ms = newest_ms
         motion = self._odometry.report(record, verdict.pulses, verdict.restarted, left_ms, right_ms,
-                                       newest_ms + TICK_MIDDLE_MS if has_pulse else received_ms)
+                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven)
         return MotionMeasurement(self._stamp(motion.time_ms - self._shift_ms, received_ns), motion)
 
     def steer(self, curvature_per_m: float) -> None:
@@ -115,6 +125,17 @@ class Measurements:
     def _hear_tick(self, verdict, tick, received_ns):
         """The odometry's time goes on when the Teensy's clock begins anew; the first tick begins both."""
         if verdict.restarted and self._has_heard_a_tick:
-            self._shift_ms += self.clock.tick_at(received_ns) - tick
-            self.clock.restart()
+            self._restart_clock(tick, received_ns)
         self._has_heard_a_tick = True
+
+    def _restart_clock(self, tick, received_ns):
+        """The Teensy rebooted, and this is a tick of its new clock."""
+        self._shift_ms += self.clock.tick_at(received_ns) - tick
+        self.clock.restart()
+        self.clock.heard(tick, received_ns, 0)
+
+
+def _newest_when(record):
+    """The tick of the newest pulse or repeat; ``None`` before the first."""
+    ticks = [wheel.when for wheel in record if wheel.when]
+    return max(ticks, key=lambda tick: ahead(tick, ticks[0])) if ticks else None

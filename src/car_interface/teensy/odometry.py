@@ -26,12 +26,14 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.errors import ConfigError
+from car_interface.teensy.plausibility import LEARNING_PULSES
 from car_interface.teensy.protocol import BACKWARD, NO_DIRECTION, WheelStatus
+from car_interface.teensy.restart import CarState, RestartBridge, WheelState
 
 TICK_MIDDLE_MS = 0.5
 TICK_VARIANCE = 1 / 12  # of a moment within its tick, ms²
-# The firmware's slowest is a pulse a second: without one for longer a wheel stands.
-STANDS_AFTER_MS = 1000
+# Without a pulse for longer a wheel stands. A standing car reports every 201 ms: its speed is 0 within a second.
+STANDS_AFTER_MS = 790
 # Pulses farther apart than this tell the speed by themselves; what fades is the acceleration, long before.
 FAR_APART_MS = 60
 FADING_MS = 500.0  # of an acceleration
@@ -42,6 +44,7 @@ STARTING_PULSES = 3
 MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
 PASSED_BY, PASSED_VARIANCE = 0.02, 0.003  # where a wheel is that should have made its next pulse, pulses
 STANDING_SPEED_VARIANCE = 1e-10
+PENDING_SPEED_SIGMA = 0.03  # pulses/ms: a car that stood may go half a metre a second when its pulses can be placed
 SPEED_SHARE = 0.15  # by which a slow wheel's speed may be off
 ALIGNING_PULSES, LAST_ALIGNING_PULSES = 6, 24
 ALIGNED_PULSES = 0.12  # what the wheels' magnets may differ by, after that, as a standard deviation
@@ -127,6 +130,7 @@ class Odometry:
         self._mean = (self._wheels[0].position + self._wheels[1].position) / 2  # pulses
         self._yaw_rad = 0.0
         self._steering_per_m: float | None = None
+        self._bridge: RestartBridge | None = None  # over pulses that nobody counted, until enough is known of it
 
     def steer(self, curvature_per_m: float) -> None:
         """What the steering is commanded to, left positive; it counts with ``use_steering`` only. NaN: not known."""
@@ -134,35 +138,43 @@ class Odometry:
             self._steering_per_m = curvature_per_m if math.isfinite(curvature_per_m) else None
 
     def report(self, record: WheelStatus, pulses: Sequence[int], restarted: bool, left_ms: float, right_ms: float,
-               report_ms: float) -> Motion:
+               report_ms: float, unproven: Sequence[int] = (0, 0)) -> Motion:
         """Take a report that the gates have accepted.
 
         Args:
             record: the report.
             pulses: signed, that it adds to the left and to the right wheel, as the gates say.
             restarted: the odometers began anew; nobody knows how many pulses were lost.
-            left_ms, right_ms: when each wheel made its last pulse, in ticks that never begin anew.
+            left_ms, right_ms: the ticks of each wheel's last pulse or repeat, in ticks that never begin anew.
             report_ms: a moment until which there was no later pulse; never earlier than the newest of them.
+            unproven: further pulses, before those, of which nobody knows the direction yet.
         """
         now_ms = max(report_ms, self._time_ms)
-        is_news = self._take_pulses(record, pulses, restarted, (left_ms, right_ms), now_ms)
-        for wheel in self._wheels:
-            wheel.wait(now_ms)
-        return self._move(record, is_news, now_ms)
-
-    def _take_pulses(self, record, pulses, restarted, times_ms, now_ms):
-        """Whether there was a new one."""
         last, self._last = self._last, record
         if last is None:
             for wheel in self._wheels:
                 wheel.begin(now_ms)
-            return False
+            if _may_learn(record):
+                self._begin_bridge(now_ms)
+            return self._move(record, False, now_ms)
         if restarted:
+            self._begin_bridge(self._time_ms)
+        elif self._bridge is None and any(unproven):
+            self._begin_bridge(now_ms)
+        if self._bridge is not None and self._bridge.is_reset(pulses, unproven, now_ms):
+            self._bridge = None  # each wheel by itself tells where it is with its next pulse
+        if self._bridge is None:
+            is_news = self._take_pulses(record, last, pulses, (left_ms, right_ms), now_ms)
             for wheel in self._wheels:
-                wheel.is_lost = True
+                wheel.wait(now_ms)
+            return self._move(record, is_news, now_ms)
+        return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)
+
+    def _take_pulses(self, record, last, pulses, times_ms, now_ms):
+        """Whether there was a new one."""
         is_news = False
         for wheel, now, before, count, at_ms in zip(self._wheels, record, last, pulses, times_ms):
-            if now.direction == NO_DIRECTION or (now.dist_abs, now.when) == (before.dist_abs, before.when):
+            if not count and now.dist_abs in (0, before.dist_abs):
                 continue
             is_news = True
             if wheel.is_lost:
@@ -171,13 +183,47 @@ class Odometry:
                 wheel.pulse(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
         return is_news
 
-    def _move(self, record, is_news, now_ms):
+    def _begin_bridge(self, at_ms):
+        if self._bridge is not None:
+            self._bridge.restart()
+            return
+        heading = self._heading
+        self._bridge = RestartBridge(
+            CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
+                     heading.curvature_per_m, heading.curvature_variance), self._config.track_m)
+        for wheel in self._wheels:
+            wheel.is_lost = True
+
+    def _cross_bridge(self, record, pulses, unproven, times_ms, now_ms):
+        """Collect pulses until they say how the car goes on."""
+        bridge = self._bridge
+        for side, wheel in enumerate(self._wheels):
+            bridge.add(side, unproven[side], pulses[side], min(times_ms[side] + TICK_MIDDLE_MS, now_ms))
+            wheel.pending = bridge.pending(side)
+            wheel.wait(now_ms)
+        if bridge.report(now_ms):
+            for wheel, position in zip(self._wheels, bridge.positions):
+                wheel.stop_at(position)
+        if not bridge.is_ready(now_ms):
+            return self._move(record, False, now_ms)
+        self._bridge = None
+        outcome = bridge.solve(now_ms)
+        for wheel, start in zip(self._wheels, outcome.wheels):
+            wheel.pending = 0
+            if start is not None:
+                wheel.go_on(start, outcome.was_rolling, now_ms)
+                wheel.wait(now_ms)
+        return self._move(record, True, now_ms, outcome)
+
+    def _move(self, record, is_news, now_ms, outcome=None):
         left, right = self._wheels
         scale = self._pulse_m / self._config.track_m
         elapsed_s = max(0.0, now_ms - self._time_ms) / 1000 if self._time_ms > -math.inf else 0.0
         mean = (left.position + right.position) / 2
         way_m = (mean - self._mean) * self._pulse_m
         self._time_ms, self._mean = now_ms, mean
+        if outcome is not None:
+            self._pose.doubt(outcome.mean_variance * self._pulse_m ** 2, outcome.difference_variance * scale ** 2)
         if not self._alignment.is_done:
             if self._alignment.try_(left, right):
                 yaw_rad = (right.position - left.position - self._alignment.difference) * scale
@@ -191,6 +237,10 @@ class Odometry:
             measured_rad = (right.position - left.position - self._alignment.difference) * scale
             if _on_the_spot(record):
                 self._heading.begin(measured_rad, HEADING_VARIANCE)
+            elif outcome is not None:
+                variance = (left.position_variance + right.position_variance) * scale * scale
+                self._heading.resume(measured_rad, variance + HEADING_VARIANCE, outcome.curvature_per_m,
+                                     outcome.curvature_variance)
             elif is_news:
                 variance = (left.position_variance + right.position_variance) * scale * scale
                 self._heading.see(measured_rad, variance + HEADING_VARIANCE)
@@ -220,6 +270,11 @@ class Odometry:
             (left.speed * 1000 * to_rad, right.speed * 1000 * to_rad), pose.distance_m)
 
 
+def _may_learn(record):
+    """Whether the Teensy may not know the direction of a wheel's next pulses yet."""
+    return any(wheel.dist_abs < LEARNING_PULSES for wheel in record)
+
+
 def _on_the_spot(record):
     """Whether the wheels turn in opposite directions."""
     directions = (record.left.direction, record.right.direction)
@@ -234,6 +289,7 @@ class _WheelFilter:
         made: how many times a report had news of it.
         first: the first pulses, as (ms, position); ``None`` once nobody needs them.
         is_lost: pulses were made that nobody counted; the next one tells where it is.
+        pending: pulses that were counted but can't be placed yet.
     """
 
     def __init__(self):
@@ -241,6 +297,7 @@ class _WheelFilter:
         self.made = 0
         self.first: list | None = []
         self.is_lost = False
+        self.pending = 0
         self.position, self.speed, self._acceleration = 0.5, 0.0, 0.0
         self._time_ms = 0.0
         self._pulse_ms = -math.inf  # of the newest
@@ -250,11 +307,11 @@ class _WheelFilter:
 
     @property
     def position_variance(self):
-        return self._variances[0]
+        return self._variances[0] + self.pending ** 2
 
     @property
     def speed_variance(self):
-        return self._variances[3]
+        return self._variances[3] + (PENDING_SPEED_SIGMA ** 2 if self.pending else 0.0)
 
     def begin(self, now_ms):
         self._time_ms = now_ms
@@ -296,6 +353,28 @@ class _WheelFilter:
         else:
             count = min(self.count + min(pulses, -1), round(self.position) - 1)
         self.pulse(count - self.count, forward, at_ms, now_ms)
+
+    def stop_at(self, position):
+        """It has stopped there while nobody counted its pulses."""
+        self.position = position
+        self._stand()
+
+    def go_on(self, start, was_rolling, now_ms):
+        """Follow it from its first pulse after a restart."""
+        self.is_lost = False
+        (count, at_ms), *others = start.pulses
+        sign = 1 if start.forward else -1
+        self.count = start.place - count if start.forward else start.place - 1 + count
+        self._forward = start.forward
+        self._time_ms = min(self._time_ms, at_ms)
+        if was_rolling:
+            self.position, self.speed, self._acceleration = float(start.place), start.speed, 0.0
+            self._variances = (MAGNET_VARIANCE, 0.0, 0.0, (SPEED_SHARE * start.speed) ** 2, 0.0,
+                               STARTING_ACCELERATION ** 2)
+            self._since_stop = STARTING_PULSES
+            self._pulse_ms = -math.inf
+        for count, at_ms in ((count, at_ms), *others):
+            self.pulse(sign * count, start.forward, at_ms, max(now_ms, at_ms))
 
     def wait(self, now_ms):
         """No pulse has come until now."""
@@ -450,6 +529,10 @@ class _HeadingFilter:
         self.yaw_rad, self.curvature_per_m = 0.0, 0.0
         self._variances = (HEADING_VARIANCE, 0.0, CURVATURE_VARIANCE)
 
+    @property
+    def curvature_variance(self):
+        return self._variances[2]
+
     def begin(self, yaw_rad, variance):
         self.yaw_rad = yaw_rad
         self._variances = (variance, 0.0, CURVATURE_VARIANCE)
@@ -463,6 +546,11 @@ class _HeadingFilter:
         if way_m:
             cc = min(cc + CURVATURE_WANDER * elapsed_s, 2 * CURVATURE_VARIANCE)
         self._variances = (yy, yc, cc)
+
+    def resume(self, yaw_rad, variance, curvature_per_m, curvature_variance):
+        """Nothing was seen for a while; that is what is known now."""
+        self.yaw_rad, self.curvature_per_m = yaw_rad, curvature_per_m
+        self._variances = (variance, 0.0, curvature_variance)
 
     def see(self, yaw_rad, variance):
         """Take what the wheels say."""
@@ -498,6 +586,13 @@ class _Pose:
         """The heading has just become known."""
         self.yaw_rad = yaw_rad
         self._variances = (*self._variances[:5], self._variances[5] + variance)
+
+    def doubt(self, along_variance, heading_variance):
+        """So much more is unknown, along the heading and of it."""
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        xx, xy, xa, yy, ya, aa = self._variances
+        self._variances = (xx + along_variance * cos * cos, xy + along_variance * cos * sin, xa,
+                           yy + along_variance * sin * sin, ya, aa + heading_variance)
 
     def move(self, way_m, turned_rad):
         """Along an arc: its chord is way · sin(h) / h long and points to the mean heading (h: half the turn)."""

@@ -14,6 +14,16 @@ Three rules keep one wrong record from doing harm, and a true jump from being lo
   with the third of ``CONSISTENT`` records in a row each of which follows from the one before it; none of the pulses
   between these is lost. Odometers at zero that have no direction yet are taken up at once: no other state looks so.
 
+What a healthy firmware sends is never refused. So:
+
+- A wheel's ``when`` is the tick of its last pulse *or repeat*: a standing car repeats its report with a new ``when`` for
+  both wheels. Only a change of ``dist_abs`` is a pulse.
+- ``when`` is 0 until the first pulse after power-up or reset: that is no reading of the clock.
+- At power-up the firmware takes both pins of a hall sensor for low and then learns one of them with each pulse. So the
+  direction of a wheel's first two pulses is worth nothing: it may be wrong, or still missing while ``dist_abs`` grows.
+  They are ``unproven``; whoever counts them must find their direction elsewhere. WHEEL_RESET keeps the pins' states, so
+  that it makes none.
+
 Pure: neither a clock nor a device.
 """
 from __future__ import annotations
@@ -25,6 +35,7 @@ from typing import NamedTuple
 
 from car_interface.errors import ConfigError
 from car_interface.teensy.protocol import (
+    BACKWARD,
     DIRECTION_ERROR,
     FORWARD,
     NO_DIRECTION,
@@ -47,8 +58,10 @@ SLOW_MPS = 1.0
 BRAKING_MPS2 = 100.0
 SPEED_OF_ONE_TICK = 1000  # pulses per second: two pulses, one tick apart
 
+LEARNING_PULSES = 2  # of a wheel after power-up, until the firmware knows both pins of its hall sensor
+YOUNG_MS = 2_000  # a Teensy that runs for less may have rebooted a moment ago
+
 # What may be wrong with a record, in words.
-ECHO_TOO_LONG = "an echo beyond the maximum"
 NOT_OUR_PING = "a pong that answers no ping of ours"
 TICK_BACK = "a tick that goes back"
 TICK_AHEAD = "a tick that jumps ahead"
@@ -57,7 +70,7 @@ COUNTS_DISAGREE = "a wheel whose direction and counts disagree"
 SPEED_TOO_HIGH = "a wheel's speed above the top speed"
 COUNT_BACK = "a wheel's count that goes back"
 PULSE_BACK = "a wheel's last pulse that goes back in time"
-CHANGE_WITHOUT_PULSE = "a change in a wheel that made no pulse"
+CHANGE_WITHOUT_PULSE = "a change of direction in a wheel that made no pulse"
 TOO_MANY_PULSES = "more pulses than the top speed allows"
 TURNED_WRONGLY = "a direction that doesn't go with the counts"
 TURNED_AT_SPEED = "a direction that changes at speed"
@@ -79,7 +92,6 @@ class GateConfig:
     Args:
         top_speed_mps: of a wheel, its spinning included.
         pulse_m: a wheel's way from pulse to pulse; 20 on the circumference of a 9.5 cm wheel.
-        longest_echo_us: the firmware listens for 200 cm, 11,428 µs; 5 % more for its timer.
         longest_gap_ms: between ticks of a line that is whole; at least two periods of the pings, of which one may be
             lost.
 
@@ -89,7 +101,6 @@ class GateConfig:
 
     top_speed_mps: float = 20.0
     pulse_m: float = math.pi * 0.095 / 20
-    longest_echo_us: int = 12_000
     longest_gap_ms: int = 2_000
 
     def __post_init__(self):
@@ -99,12 +110,24 @@ class GateConfig:
 
 
 class Verdict(NamedTuple):
-    """What became of a record."""
+    """What became of a record.
+
+    Attributes:
+        accepted: whether it may be used.
+        reason: why not, or what is worth a word; empty for most.
+        pulses: to add to the distance of the left and the right wheel, signed.
+        restarted: what was there before it doesn't count any more.
+        unproven: further pulses of the left and the right wheel, made before those of ``pulses``, whose direction the
+            firmware could not know yet.
+        boot_tick: a tick of the clock after a reboot that this report of the wheels reveals; else ``None``.
+    """
 
     accepted: bool
-    reason: str  # why not, or what is worth a word; empty for most
-    pulses: tuple[int, int] = (0, 0)  # to add to the way of the left and the right wheel, signed
-    restarted: bool = False  # what was there before it doesn't count any more
+    reason: str
+    pulses: tuple[int, int] = (0, 0)
+    restarted: bool = False
+    unproven: tuple[int, int] = (0, 0)
+    boot_tick: int | None = None
 
 
 class Gates:
@@ -117,7 +140,6 @@ class Gates:
         self.counts: Counter = Counter()
         self.accepted = 0
         self.refused = 0
-        self._longest_echo_us = config.longest_echo_us
         self._ticks = _TickGate(config.longest_gap_ms)
         self._wheels = _WheelGate(config)
 
@@ -125,17 +147,24 @@ class Gates:
         """Judge a pong; ``is_ours``: it answers a ping that waited (a duplicate answers none)."""
         if not is_ours:
             return self._counted(Verdict(False, NOT_OUR_PING))
-        return self._counted(self._ticks.judge(record.timestamp2))
+        return self._counted(self._judge_tick(record.timestamp2))
 
     def sonar(self, record: SonarStatus) -> Verdict:
-        """Judge a sonar's report."""
-        if record.echo_us > self._longest_echo_us:
-            return self._counted(Verdict(False, ECHO_TOO_LONG))
-        return self._counted(self._ticks.judge(record.when))
+        """Judge a sonar's report, by its tick: any echo time may come, see ``ranging``."""
+        return self._counted(self._judge_tick(record.when))
 
     def wheels(self, record: WheelStatus) -> Verdict:
         """Judge a report of the wheels. Wheels that turn in opposite directions are nothing odd: a car may spin."""
-        return self._counted(self._wheels.judge(record, self._ticks.newest))
+        verdict = self._wheels.judge(record, self._ticks.newest, self._ticks.restarts)
+        if verdict.boot_tick is not None:
+            self._ticks.restart(verdict.boot_tick)
+        return self._counted(verdict)
+
+    def _judge_tick(self, tick):
+        if self._wheels.is_zero_again and self._ticks.is_young_again(tick):
+            self._ticks.restart(tick)
+            return Verdict(True, CLOCK_RESTARTED, restarted=True)
+        return self._ticks.judge(tick)
 
     def _counted(self, verdict):
         if verdict.accepted:
@@ -172,8 +201,19 @@ class _TickGate:
     def __init__(self, longest_gap_ms):
         self._longest_gap_ms = longest_gap_ms
         self.newest = None
+        self.restarts = 0  # how often the clock was found to have begun anew
         self._before = None  # the newest before that
         self._candidates: list = []
+
+    def restart(self, tick):
+        """The Teensy rebooted, and this is a tick of its new clock."""
+        self.restarts += 1
+        self._before, self.newest = None, tick
+        self._candidates.clear()
+
+    def is_young_again(self, tick):
+        """Whether it can be that of a Teensy which rebooted a moment ago."""
+        return self.newest is not None and tick < YOUNG_MS and ahead(tick, self.newest) < -OVERTAKEN_MS
 
     def judge(self, tick):
         if self.newest is None:
@@ -202,8 +242,9 @@ class _TickGate:
 
     def _take_up(self):
         rebooted = ahead(self._candidates[0], self.newest) < 0
-        self._before, self.newest = None, self._candidates[-1]
-        self._candidates.clear()
+        newest = self._candidates[-1]
+        self.restart(newest)
+        self.restarts -= not rebooted
         return Verdict(True, CLOCK_RESTARTED if rebooted else CAUGHT_UP, restarted=rebooted)
 
 
@@ -220,36 +261,77 @@ class _WheelGate:
         self._candidates: list = []
         self._jumped = False  # the candidates can't follow the last one
         self._per_ms = (0.0, 0.0)  # each wheel's speed when it made its last pulse
+        self._pulse_ticks: tuple = (None, None)  # of the last pulses; ``when`` may be that of a repeat
+        self._learns = True  # pulses of small number are unproven
+        self._zero = None  # (newest tick, restarts of the clock) when both odometers were first seen at zero
 
-    def judge(self, record, newest_tick):
+    @property
+    def is_zero_again(self):
+        """Whether both odometers have gone back to zero: two pieces of evidence prove a reboot, this and the clock."""
+        return self._zero is not None and self._before is None
+
+    def judge(self, record, newest_tick, clock_restarts):
         fault = self._impossible(record.left) or self._impossible(record.right)
         if fault:
             return Verdict(False, fault)
+        boot_tick = self._find_boot(record, newest_tick, clock_restarts)
+        verdict = self._judge(record, newest_tick if boot_tick is None else boot_tick)
+        if verdict.reason == ODOMETERS_RESET:
+            self._zero, self._learns = (newest_tick, clock_restarts), True
+            boot_tick = self._find_boot(record, newest_tick, clock_restarts)
+            way = self._way(_NOTHING_YET, record)
+            verdict = verdict._replace(pulses=way[:2], unproven=way[2:])
+        if not verdict.accepted:
+            return verdict
+        if not _is_zero(record):
+            self._zero = None
+            self._learns = self._learns and any(wheel.dist_abs <= LEARNING_PULSES for wheel in record)
+        elif self._zero is None:
+            self._zero, self._learns = (newest_tick, clock_restarts), True
+        return verdict if boot_tick is None else verdict._replace(boot_tick=boot_tick)
+
+    def _find_boot(self, record, newest_tick, clock_restarts):
+        """The first pulse after zero shows whether that was a reset; if not, the answer is a tick of the new clock."""
+        if self._zero is None or _is_zero(record) or newest_tick is None:
+            return None
+        tick_at_zero, restarts_at_zero = self._zero
+        if clock_restarts != restarts_at_zero or tick_at_zero is None or tick_at_zero < YOUNG_MS:
+            return None
+        when = max(wheel.when for wheel in record if wheel.dist_abs)
+        if when < newest_tick and ahead(when, newest_tick) < -OVERTAKEN_MS:
+            return when
+        self._learns = False  # the clock goes on: it was WHEEL_RESET, and the pins' states are known
+        return None
+
+    def _judge(self, record, newest_tick):
         if self._last is None:
             return self._restart(record, FIRST)
         fault = self._fault(self._last, record, self._per_ms)
         doubt = fault or self._doubt(record, newest_tick)
         if not doubt:
-            return self._accept(record, "", _way(self._last, record), before=self._last)
+            return self._accept(record, "", self._way(self._last, record), before=self._last)
         if fault and self._before is not None and not self._fault(self._before, record, self._per_ms):
-            pulses = _difference(_way(self._before, record), _way(self._before, self._last))
-            if max(map(abs, pulses)) <= SURPRISE_PULSES:
-                return self._accept(record, TAKEN_BACK, pulses, before=self._before)
+            way = _difference(self._way(self._before, record), self._way(self._before, self._last))
+            if max(map(abs, way)) <= SURPRISE_PULSES:
+                return self._accept(record, TAKEN_BACK, way, before=self._before)
         if fault and _is_fresh(record):
-            return self._restart(record, ODOMETERS_RESET, _way(_NOTHING_YET, record))
+            return self._restart(record, ODOMETERS_RESET)
         return self._consider(record, doubt, bool(fault))
 
-    def _accept(self, record, reason, pulses, before):
-        self._per_ms = tuple(self._speed(*wheels) for wheels in zip(self._last, record, self._per_ms))
+    def _accept(self, record, reason, way, before):
+        for_each_wheel = zip(self._last, record, self._per_ms, self._pulse_ticks)
+        self._per_ms, self._pulse_ticks = zip(*(self._speed(*wheel) for wheel in for_each_wheel))
         self._before, self._last = before, record
         self._candidates.clear()
-        return Verdict(True, reason, pulses) if reason or any(pulses) else _FINE
+        return Verdict(True, reason, way[:2], unproven=way[2:]) if reason or any(way) else _FINE
 
-    def _restart(self, record, reason, pulses=(0, 0)):
+    def _restart(self, record, reason):
         self._before, self._last = None, record
         self._per_ms = (0.0, 0.0)
+        self._pulse_ticks = (None, None)
+        self._zero = None
         self._candidates.clear()
-        return Verdict(True, reason, pulses, restarted=True)
+        return Verdict(True, reason, restarted=True)
 
     def _consider(self, record, doubt, jumped):
         """Wait for others like it; with the last of them, take all of them up."""
@@ -261,24 +343,33 @@ class _WheelGate:
         chain.append(record)
         if len(chain) < CONSISTENT:
             return Verdict(False, doubt)
-        reason, known, wrong = CAUGHT_UP, [self._last, *chain], (0, 0)
+        reason, known, wrong = CAUGHT_UP, [self._last, *chain], (0, 0, 0, 0)
         if jumped:
             if self._before is not None and not self._fault(self._before, chain[0], self._per_ms):
-                reason, known, wrong = TAKEN_BACK, [self._before, *chain], _way(self._before, self._last)
+                reason, known, wrong = TAKEN_BACK, [self._before, *chain], self._way(self._before, self._last)
             else:
                 reason, known = ODOMETERS_RESTARTED, list(chain)
-        pulses = _difference([sum(ways) for ways in zip(*map(_way, known, known[1:]))], wrong)
+                self._learns = True
+        way = _difference([sum(ways) for ways in zip(*map(self._way, known, known[1:]))], wrong)
         self._last = chain[-2]
-        self._accept(record, "", pulses, before=chain[-2])
-        return Verdict(True, reason, pulses, restarted=reason == ODOMETERS_RESTARTED)
+        self._accept(record, "", way, before=chain[-2])
+        return Verdict(True, reason, way[:2], restarted=reason == ODOMETERS_RESTARTED, unproven=way[2:])
+
+    def _way(self, before, now):
+        """Signed proven pulses of left and right, and unproven ones of both."""
+        if not self._learns or min(before.left.dist_abs, before.right.dist_abs) >= LEARNING_PULSES:
+            return signed_pulses(before.left, now.left), signed_pulses(before.right, now.right), 0, 0
+        left, right = _learning_pulses(before.left, now.left), _learning_pulses(before.right, now.right)
+        return left[0], right[0], left[1], right[1]
 
     def _impossible(self, wheel):
         """What is wrong with a wheel by itself."""
         if wheel.direction == DIRECTION_ERROR:
             return SENSOR_ERROR
         if wheel.direction == NO_DIRECTION:
-            return COUNTS_DISAGREE if wheel.dist or wheel.dist_abs else ""
-        if ahead(wheel.dist_abs, wheel.dist) < 0:
+            if wheel.dist or wheel.dist_abs > LEARNING_PULSES:
+                return COUNTS_DISAGREE
+        elif ahead(wheel.dist_abs, wheel.dist) < 0:
             return COUNTS_DISAGREE
         return SPEED_TOO_HIGH if wheel.speed > self._top_speed else ""
 
@@ -289,22 +380,23 @@ class _WheelGate:
 
     def _wheel_fault(self, before, now, per_ms):
         pulses = ahead(now.dist_abs, before.dist_abs)
-        fresh = before.direction == NO_DIRECTION  # its ``when`` is from before the reset
+        has_tick = before.when and now.when
+        moved_ms = ahead(now.when, before.when) if has_tick else 0
         if pulses < 0:
             return COUNT_BACK
-        if pulses == 0:
-            same = now[1:] == before[1:] or fresh and now.direction == NO_DIRECTION
-            return "" if same else CHANGE_WITHOUT_PULSE
-        moved_ms = 0 if fresh else ahead(now.when, before.when)
         if moved_ms < 0:
             return PULSE_BACK
-        if not fresh and pulses > self._top_per_ms * (moved_ms + QUANTUM_MS) + PULSES_OF_JITTER:
+        if pulses == 0:
+            return "" if (now.direction, now.dist) == (before.direction, before.dist) else CHANGE_WITHOUT_PULSE
+        if has_tick and pulses > self._top_per_ms * (moved_ms + QUANTUM_MS) + PULSES_OF_JITTER:
             return TOO_MANY_PULSES
         if now.dist == before.dist:
             return "" if now.direction == before.direction else TURNED_WRONGLY
         least = 2 if now.direction == before.direction else 1  # turned round twice: a pulse lies between
         if not least <= ahead(now.dist, before.dist_abs) <= pulses:
             return TURNED_WRONGLY
+        if self._learns and now.dist <= LEARNING_PULSES + 1:
+            return ""
         speed_mps = 1000 * per_ms * self._pulse_m
         return TURNED_AT_SPEED if speed_mps - BRAKING_MPS2 * moved_ms / 1000 > SLOW_MPS else ""
 
@@ -312,35 +404,50 @@ class _WheelGate:
         """Why a report that may follow the last one had better be confirmed."""
         for before, now, per_ms in zip(self._last, record, self._per_ms):
             pulses = ahead(now.dist_abs, before.dist_abs)
-            if pulses and before.direction != NO_DIRECTION:
-                moved_ms = ahead(now.when, before.when)
-                if pulses > SURPRISE_PULSES + per_ms * min(moved_ms, TRUSTED_MS):
-                    return SURPRISING
-                if newest_tick is not None and min(moved_ms, ahead(now.when, newest_tick)) > self._longest_gap_ms:
-                    return PULSE_AHEAD
-            elif pulses > SURPRISE_PULSES:
+            moved_ms = ahead(now.when, before.when) if before.when else 0
+            if pulses > SURPRISE_PULSES + per_ms * min(moved_ms, TRUSTED_MS):
                 return SURPRISING
+            if newest_tick is not None and min(moved_ms, ahead(now.when, newest_tick)) > self._longest_gap_ms:
+                return PULSE_AHEAD
         return ""
 
-    def _speed(self, before, now, per_ms):
-        """A wheel's speed in pulses per ms from its last two pulses' reports, rather too low than too high."""
+    def _speed(self, before, now, per_ms, pulse_tick):
+        """A wheel's speed in pulses per ms between its last two pulses' reports, rather too low than too high."""
         pulses = ahead(now.dist_abs, before.dist_abs)
-        moved_ms = ahead(now.when, before.when)
-        if pulses <= 0 or moved_ms < 0 or before.direction == NO_DIRECTION:
-            return 0.0 if before.direction == NO_DIRECTION else per_ms
-        return min(self._top_per_ms, pulses / (moved_ms + QUANTUM_MS))
+        if pulses <= 0:
+            return per_ms, pulse_tick
+        moved_ms = -1 if pulse_tick is None else ahead(now.when, pulse_tick)
+        return min(self._top_per_ms, pulses / (moved_ms + QUANTUM_MS)) if moved_ms >= 0 else 0.0, now.when
 
 
 _FINE = Verdict(True, "")
 _NOTHING_YET = WheelStatus(*2 * (Wheel(0, NO_DIRECTION, 0, 0, 0),))
 
 
-def _way(before, now):
-    return signed_pulses(before.left, now.left), signed_pulses(before.right, now.right)
+def _learning_pulses(before, now):
+    """(signed proven, unproven) pulses of a wheel whose Teensy may not have known its hall sensor's pins yet.
+
+    A direction that begins with the second pulse, after a first one without any, is right: the firmware knows both pins.
+    """
+    learning = 1 if now.direction != NO_DIRECTION and now.dist == 2 else LEARNING_PULSES
+    unproven = max(0, min(now.dist_abs, learning) - before.dist_abs)
+    if not unproven:
+        return signed_pulses(before, now), 0
+    if now.dist_abs <= learning:
+        return 0, unproven
+    if now.dist <= learning:
+        return signed_pulses(now._replace(dist_abs=learning), now), unproven
+    other = BACKWARD if now.direction == FORWARD else FORWARD
+    return signed_pulses(Wheel(0, other, 0, 0, learning), now), unproven
 
 
 def _difference(way, other):
-    return way[0] - other[0], way[1] - other[1]
+    return tuple(one - another for one, another in zip(way, other))
+
+
+def _is_zero(record):
+    """Both odometers as they stand after power-up and after a reset."""
+    return all(wheel.direction == NO_DIRECTION and not wheel.dist_abs for wheel in record)
 
 
 def _is_fresh(record):

@@ -1,0 +1,294 @@
+"""What the wheels did while nobody counted their pulses, and which way they turned in the first pulses after it.
+
+A Teensy that reboots counts no pulse for about 0.3 s, and does not know the direction of each wheel's first two pulses
+after that (see ``plausibility``). ``RestartBridge`` collects the pulses after the restart until they say enough, and
+then finds the magnets at which both wheels were, from four things:
+
+- a wheel makes pulses at fixed places, one magnet apart, so that each wheel has skipped a whole number of them;
+- speed before and after, which changes evenly in between: so far the car has rolled, give or take some magnets;
+- curvature before and after: by so much the wheels' distances differ. Heading depends on that difference alone, and a
+  car that keeps its curvature lets it be known to the magnet;
+- a direction that one wheel proves holds for both, as it does for a wheel's own first two pulses.
+
+The likelihoods of the next best answers give the variances of what is added: a heading is never claimed to be better
+than a pulse in three sigma. Pure; units are pulses and milliseconds.
+"""
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import NamedTuple, Sequence
+
+LEFT, RIGHT = 0, 1
+ROLLING_PER_MS = 0.01  # 0.15 m/s: from here on a wheel is taken to go on as it rolled
+BLIND_MS = 100.0  # a restart that takes longer was one of the Teensy; a reset of its odometers loses a report or two
+REPEAT_MS = 450.0  # a standing car is reported at least so often
+MAX_BLIND_MS = 2_000.0  # after longer nobody knows anything of the speed between
+ENOUGH_PULSES = 6  # of each wheel after the restart, for its speed
+ENOUGH_MS = 250.0  # or so long after the first
+LATE_INTERVALS = 1.6  # a first pulse that comes later than so many intervals is that of a car which started after it
+STOPPED_INTERVALS = 3.0  # no pulse for so many of the intervals before: it stopped while nobody counted
+SEARCHED = 6  # magnets around the likeliest
+UNEVEN_PER_MS2 = 1.3e-4  # by how much an acceleration may differ from the even one, 2 m/s²
+CLOCK_MS = 4.0  # how well the duration of a reboot is known
+TICK_MS = 0.45  # of the interval between two ticks, one sigma
+CURVATURE_SIGMA = 0.03  # 1/m: what a curvature is claimed to be known by, at the best
+PLACE_SIGMA, DIFFERENCE_SIGMA = 0.3, 0.2  # pulses: of where the wheels were before
+LEAST_DIFFERENCE_VARIANCE = 1 / 9  # pulses²: a whole one within three sigma
+
+
+class WheelState(NamedTuple):
+    """A wheel when its pulses were last counted."""
+
+    count: int  # the wheel is between this magnet and the next
+    position: float
+    speed: float  # pulses per ms
+
+
+class CarState(NamedTuple):
+    """The car when its pulses were last counted."""
+
+    at_ms: float
+    wheels: tuple[WheelState, WheelState]
+    curvature_per_m: float
+    curvature_variance: float
+
+
+class WheelStart(NamedTuple):
+    """How a wheel goes on.
+
+    Attributes:
+        place: of its first pulse's magnet.
+        speed: then.
+        forward: which way it turns.
+        pulses: (so many, at ms), the first of which was at ``place``.
+    """
+
+    place: int
+    speed: float
+    forward: bool
+    pulses: list
+
+
+class Outcome(NamedTuple):
+    """What is known after a restart."""
+
+    wheels: tuple  # WheelStart, or None for one that has made no pulse since
+    was_rolling: bool
+    curvature_per_m: float
+    curvature_variance: float
+    mean_variance: float  # pulses², of what both wheels have rolled
+    difference_variance: float  # pulses², of what right has rolled more than left
+
+
+class RestartBridge:
+    """From the last report before a restart to the pulses that show how the car goes on.
+
+    Args:
+        state: of the car then.
+        track_m: between the wheels.
+    """
+
+    def __init__(self, state: CarState, track_m: float):
+        self._state = state
+        self._track_m = track_m
+        self._seen_ms: float | None = None  # from when on pulses were counted again
+        self._stop_variance = 0.0
+        self._pulses: tuple[list, list] = ([], [])
+        self._signs = [0, 0]
+        self._assumed = 0  # a sign that nothing has proven
+
+    def restart(self) -> None:
+        """Once more, before anything was known: pulses since then don't count."""
+        self._seen_ms = None
+        self._pulses = ([], [])
+        self._signs = [0, 0]
+
+    def pending(self, side: int) -> int:
+        """Pulses of a wheel since the restart."""
+        return sum(count for count, _ in self._pulses[side])
+
+    def is_reset(self, pulses: Sequence[int], unproven: Sequence[int], now_ms: float) -> bool:
+        """Whether the first pulses show that it was WHEEL_RESET: all directions are known, and hardly a pulse is lost."""
+        seen_ms = now_ms if self._seen_ms is None else self._seen_ms
+        return (any(pulses) and not any(unproven) and not any(self._pulses)
+                and seen_ms - self._state.at_ms <= REPEAT_MS)
+
+    def report(self, now_ms: float) -> bool:
+        """Note that pulses are counted; whether the car has stopped while they weren't, which is news once."""
+        if self._seen_ms is None:
+            self._seen_ms = now_ms
+        state = self._state
+        fastest = max(abs(wheel.speed) for wheel in state.wheels)
+        if fastest == 0.0 or any(self._pulses) or now_ms - self._seen_ms < max(BLIND_MS, STOPPED_INTERVALS / fastest):
+            return False
+        blind_ms = min(self._seen_ms - state.at_ms, MAX_BLIND_MS)
+        self._stop_variance = (fastest * blind_ms / 4) ** 2
+        self._state = state._replace(at_ms=now_ms, wheels=tuple(
+            wheel._replace(position=wheel.position + wheel.speed * blind_ms / 2, speed=0.0) for wheel in state.wheels))
+        return True
+
+    @property
+    def positions(self) -> tuple[float, float]:
+        """Where the wheels stand, after ``report`` said that the car has stopped."""
+        left, right = self._state.wheels
+        return left.position, right.position
+
+    def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
+        """Take pulses of a wheel: so many without and (signed) with a known direction; the newest was at ``at_ms``."""
+        count = unproven + abs(proven)
+        if count:
+            self._pulses[side].append((count, at_ms))
+        if proven:
+            self._signs[side] = 1 if proven > 0 else -1
+
+    def is_ready(self, now_ms: float) -> bool:
+        """Whether enough is known to go on."""
+        if not any(self._pulses) or not self._find_sign(now_ms):
+            return False
+        if not self._was_rolling():
+            return any(self._signs) or now_ms - self._first_ms() > ENOUGH_MS
+        if now_ms - self._first_ms() > ENOUGH_MS:
+            return True
+        wanted = ENOUGH_PULSES if self._blind_ms() > BLIND_MS else 1
+        return all(self.pending(side) >= wanted for side in (LEFT, RIGHT))
+
+    def solve(self, now_ms: float) -> Outcome:
+        """How the wheels go on; ``is_ready`` first."""
+        was_rolling = self._was_rolling()
+        state, signs = self._state, self._all_signs(now_ms)
+        speeds = self._speeds(signs)
+        curvature, curvature_variance = self._curvature(speeds, was_rolling)
+        guesses = [self._guess(side, speeds, curvature, was_rolling, signs) for side in (LEFT, RIGHT)]
+        blind_ms = self._blind_ms()
+        mean_speed = sum(speeds) / 2
+        rolled = sum(guess - wheel.position for guess, wheel in zip(guesses, state.wheels)) / 2
+        mean_variance = self._stop_variance + PLACE_SIGMA ** 2
+        if was_rolling and blind_ms > BLIND_MS:
+            mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 12) ** 2 + (mean_speed * CLOCK_MS) ** 2
+        difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * curvature_variance * self._track_m ** 2
+                               + curvature_variance * (rolled * self._track_m) ** 2)
+        places, spread = self._search(guesses, signs, mean_variance, difference_variance)
+        unknown = 0.0 if self._assumed == 0 else max(self.pending(LEFT), self.pending(RIGHT)) ** 2
+        if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
+            spread = spread[0], max(spread[1], LEAST_DIFFERENCE_VARIANCE)
+        return Outcome(
+            wheels=tuple(WheelStart(places[side], speeds[side], signs[side] > 0, self._pulses[side])
+                         if self._pulses[side] else None for side in (LEFT, RIGHT)),
+            was_rolling=was_rolling, curvature_per_m=curvature, curvature_variance=curvature_variance,
+            mean_variance=spread[0] + unknown, difference_variance=spread[1] + unknown)
+
+    def _first_ms(self):
+        return min(pulses[0][1] for pulses in self._pulses if pulses)
+
+    def _blind_ms(self):
+        seen_ms = self._first_ms() if self._seen_ms is None else self._seen_ms
+        return min(max(0.0, seen_ms - self._state.at_ms), MAX_BLIND_MS)
+
+    def _mean_before(self):
+        return sum(wheel.speed for wheel in self._state.wheels) / 2
+
+    def _find_sign(self, now_ms):
+        """Of the car: proven by a wheel, or as it rolled before; 0 = not known."""
+        proven = next((sign for sign in self._signs if sign), 0)
+        if proven:
+            return proven
+        before = self._mean_before()
+        if abs(before) > ROLLING_PER_MS and self._blind_ms() < MAX_BLIND_MS:
+            return 1 if before > 0 else -1
+        return 0
+
+    def _all_signs(self, now_ms):
+        sign = self._find_sign(now_ms)
+        return [own or sign for own in self._signs]
+
+    def _was_rolling(self):
+        """Whether the car rolled as pulses began to be counted again; else it started later."""
+        if self._seen_ms is None:
+            return True
+        for pulses in self._pulses:
+            rate = _rate(pulses)
+            if pulses and rate and pulses[0][1] - self._seen_ms <= LATE_INTERVALS / rate:
+                return True
+        return not any(_rate(pulses) for pulses in self._pulses) and abs(self._mean_before()) > ROLLING_PER_MS
+
+    def _speeds(self, signs):
+        """Of both wheels at their pulses; what one doesn't say is taken from the other, or from before."""
+        rates = [_rate(pulses) for pulses in self._pulses]
+        known = [sign * rate for sign, rate in zip(signs, rates) if rate]
+        return [sign * rate if rate else known[0] if known else wheel.speed
+                for sign, rate, wheel in zip(signs, rates, self._state.wheels)]
+
+    def _curvature(self, speeds, was_rolling):
+        """Over the time that nobody counted, and its variance, from before and after."""
+        before, before_variance = self._state.curvature_per_m, self._state.curvature_variance
+        spans = [pulses[-1][1] - pulses[0][1] if pulses else 0.0 for pulses in self._pulses]
+        mean = (speeds[LEFT] + speeds[RIGHT]) / 2
+        if not was_rolling or not mean or not all(spans) or self._blind_ms() <= BLIND_MS:
+            return before, before_variance
+        after = (speeds[RIGHT] - speeds[LEFT]) / mean / self._track_m
+        after_variance = sum((TICK_MS / span) ** 2 for span in spans) / self._track_m ** 2
+        least = CURVATURE_SIGMA ** 2
+        if not abs(self._mean_before()) > ROLLING_PER_MS:
+            return after, after_variance + least
+        if (after - before) ** 2 > 4 * (before_variance + after_variance):
+            return (before + after) / 2, (after - before) ** 2 / 12 + least
+        total = before_variance + after_variance
+        return ((before * after_variance + after * before_variance) / total,
+                before_variance * after_variance / total + least)
+
+    def _guess(self, side, speeds, curvature, was_rolling, signs):
+        """Where a wheel was at its first pulse, in pulses, without regard to magnets."""
+        state = self._state
+        wheel = state.wheels[side]
+        pulses = self._pulses[side]
+        before = self._mean_before()
+        if not was_rolling or not pulses:
+            # It was somewhere between two magnets, half a pulse from the next one on average.
+            rolled = before * self._blind_ms() / 2 + (signs[side] * (pulses[0][0] - 0.5) if pulses else 0.0)
+        else:
+            mean = (speeds[LEFT] + speeds[RIGHT]) / 2
+            at_ms = pulses[0][1]
+            middle_ms = (at_ms + pulses[-1][1]) / 2
+            elapsed_ms = min(max(0.0, at_ms - state.at_ms), MAX_BLIND_MS)
+            until_middle_ms = max(elapsed_ms, min(middle_ms - state.at_ms, MAX_BLIND_MS), 1.0)
+            then = before + (mean - before) * elapsed_ms / until_middle_ms
+            rolled = (before + then) / 2 * elapsed_ms
+        side_sign = 1 if side == RIGHT else -1
+        return wheel.position + rolled * (1 + side_sign * curvature * self._track_m / 2)
+
+    def _search(self, guesses, signs, mean_variance, difference_variance):
+        """The likeliest magnets of the first pulses, and the variances of their mean and difference."""
+        mean = sum(guesses) / 2
+        difference = guesses[RIGHT] - guesses[LEFT]
+        around = [range(round(guess) - SEARCHED, round(guess) + SEARCHED + 1) if self._pulses[side] else
+                  (guess,) for side, guess in enumerate(guesses)]
+        around = [self._possible(side, places, signs[side]) for side, places in enumerate(around)]
+        scored = []
+        for left, right in product(*around):
+            cost = (((left + right) / 2 - mean) ** 2 / mean_variance
+                    + (right - left - difference) ** 2 / difference_variance)
+            scored.append((cost, left, right))
+        least, left, right = min(scored)
+        weights = [(math.exp((least - cost) / 2), one, other) for cost, one, other in scored]
+        total = sum(weight for weight, _, _ in weights)
+        return (left, right), (
+            sum(weight * ((one + other) / 2 - (left + right) / 2) ** 2 for weight, one, other in weights) / total,
+            sum(weight * (other - one - right + left) ** 2 for weight, one, other in weights) / total)
+
+    def _possible(self, side, places, sign):
+        """Of these places those that a wheel can have reached: one that goes on as it rolled has gone on."""
+        wheel = self._state.wheels[side]
+        first = self._pulses[side][0][0] if self._pulses[side] else 0
+        if not first or wheel.speed * sign < 0 or self._stop_variance:
+            return places
+        nearest = wheel.count + first if sign > 0 else wheel.count + 1 - first
+        kept = [place for place in places if (place - nearest) * sign >= 0]
+        return kept or [nearest]
+
+
+def _rate(pulses):
+    """Pulses per ms; 0 when one report says nothing of it."""
+    if len(pulses) < 2 or pulses[-1][1] <= pulses[0][1]:
+        return 0.0
+    return sum(count for count, _ in pulses[1:]) / (pulses[-1][1] - pulses[0][1])
