@@ -19,11 +19,13 @@ from car_interface.teensy.framing import FrameDecoder
 from car_interface.teensy.measurements import MeasurementConfig, Measurements
 from car_interface.teensy.pinging import Answer
 from car_interface.teensy.protocol import Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.sonar_monitor import SonarMonitor
 
 FOLDER = Path(__file__).resolve().parents[1] / "data" / "firmware"
 NAMES = tuple(sorted(path.name.split(".")[0] for path in FOLDER.glob("*.tar.xz")))
 NS_PER_US = 1_000
-PING_BYTES = 39 + 16  # the host's filler, and a ping without escapes
+PING_BYTES = 15  # without escapes; a filler had gone before
+COMMAND_US = 2_000  # from the host's write to the receiver that accepts the command
 READ_DELAY_US = 300  # a host reads a pong 0.1 to 3 ms after its last byte
 
 
@@ -93,10 +95,13 @@ class Capture:
         ratio = (t_us - before.t_us) / (after.t_us - before.t_us)
         return Truth(*(a + ratio * (b - a) for a, b in zip(before, after)))
 
-    def distance_m(self, until_us: float = math.inf) -> float:
-        """Driven until then, by the wheels' true positions."""
-        rows = [row for row in self.truth if row.t_us <= until_us]
-        return sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in zip(rows, rows[1:]))
+    def distance_m(self) -> float:
+        """Driven, forward and backward."""
+        return sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in zip(self.truth, self.truth[1:]))
+
+    def pulse_us(self, sensor: int, t_us: int) -> float | None:
+        """How long a sonar's newest echo before then took; ``None``: its pin stays high."""
+        return next(pulse_us for at_us, of, pulse_us in reversed(self.echoes) if of == sensor and at_us < t_us)
 
 
 def _rows(data):
@@ -128,7 +133,9 @@ def replay(capture: Capture, config: MeasurementConfig = MeasurementConfig(), sk
         measurements: to feed; by default new ones.
     """
     measurements = measurements or Measurements(config)
+    monitor = SonarMonitor()
     decoder = FrameDecoder()
+    starts_us = [line["t_us"] - COMMAND_US for line in capture.commands if line["host"] == "sonar_start"]
     sent = {}
     pings = [ping for ping in capture.pings if ping.sent_us >= skip_us]
     moments = []
@@ -139,6 +146,8 @@ def replay(capture: Capture, config: MeasurementConfig = MeasurementConfig(), sk
         while pings and pings[0].sent_us < received_us:
             ping = pings.pop(0)
             sent[ping.timestamp1] = ping
+        while starts_us and starts_us[0] < received_us:
+            monitor.started(starts_us.pop(0) * NS_PER_US)
         for body in decoder.feed(data):
             record = decode(body)
             result = None
@@ -148,7 +157,8 @@ def replay(capture: Capture, config: MeasurementConfig = MeasurementConfig(), sk
                                                           (received_us - ping.sent_us) * NS_PER_US, PING_BYTES)
                 result = measurements.pong(record, answer, received_us * NS_PER_US)
             elif isinstance(record, SonarStatus):
-                result = measurements.sonar(record, received_us * NS_PER_US)
+                is_trusted = monitor.report(record.sensor, record.echo_us, record.when, received_us * NS_PER_US)
+                result = measurements.sonar(record, received_us * NS_PER_US, is_trusted)
             elif isinstance(record, WheelStatus):
                 result = measurements.wheels(record, received_us * NS_PER_US)
             moments.append(Moment(received_us, record, result))

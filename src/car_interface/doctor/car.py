@@ -82,13 +82,13 @@ def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequ
         reports: the newest of each name.
         namespace: the car's; other cars' reports are left out.
         reporting: the paths of the running nodes, which should each report.
-        told: the paths of nodes whose complaints are told elsewhere.
+        told: the names of reports that are told elsewhere.
     """
     prefix = namespace.strip("/") + "/" if namespace.strip("/") else ""
     ours = [report for report in reports if report.name.startswith(prefix)
             and "/" not in report.name.partition(":")[0][len(prefix):]]
     silent = [path for path in reporting if not any(_is_of(report, path) for report in ours)]
-    bad = [report for report in ours if report.level != OK and not any(_is_of(report, path) for path in told)]
+    bad = [report for report in ours if report.level != OK and report.name not in told]
     found = [Finding(OK, "reports", ", ".join(report.name for report in ours if report.level == OK))]
     found = found if any(report.level == OK for report in ours) else []
     for report in bad:

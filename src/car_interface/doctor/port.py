@@ -15,6 +15,9 @@ HUB = "teensy_sensor_hub"
 MOST_NAMES = 3
 NS_PER_MS = 1_000_000
 PING_PERIOD_NS = 300 * NS_PER_MS
+SONARS_WITHIN_NS = 2500 * NS_PER_MS  # a round of all six takes 0.6 s at most, unless their wait was set longer
+SONARS_REMEDY = ("Check their plugs, wires and supply; were they stopped, or left out of the sequence? The hub starts "
+                 "them, and says more: roslaunch car_interface teensy_sensor_hub.launch")
 LONGEST_NS = 3600 * NS_PER_MS  # five pings in vain at 0.5 s each, and one with the other checksum
 
 
@@ -81,6 +84,8 @@ class TeensyProbe:
         self._malformed = 0
         self._round_trip_ns = math.nan
         self._records_at_expiry = 0
+        self._sonars: set = set()  # that have reported
+        self._sonars_ns = now_ns + SONARS_WITHIN_NS
         self._health.opened(self._counts(), now_ns)
 
     def hear(self, data: bytes, now_ns: int) -> None:
@@ -90,6 +95,8 @@ class TeensyProbe:
             self._malformed += isinstance(record, protocol.Malformed)
             tick = (record.timestamp2 if isinstance(record, protocol.Pong)
                     else record.when if isinstance(record, protocol.SonarStatus) else None)
+            if isinstance(record, protocol.SonarStatus):
+                self._sonars.add(record.sensor)
             reboot = None if tick is None else self._clock.tick(tick, now_ns)
             if reboot is not None:
                 self._health.rebooted(reboot, now_ns)
@@ -100,8 +107,8 @@ class TeensyProbe:
     def step(self, now_ns: int) -> bytes:
         """Judge, and say what to send now; often nothing."""
         records = self._counts().records
-        self._pinger.expire(now_ns, heard=records > self._records_at_expiry)
-        self._records_at_expiry = records
+        if self._pinger.expire(now_ns, heard=records > self._records_at_expiry):
+            self._records_at_expiry = records
         self._health.judge(self._counts(), now_ns)
         if now_ns < self._pinger.due_ns:
             return b""
@@ -114,7 +121,8 @@ class TeensyProbe:
 
     def is_done(self, now_ns: int) -> bool:
         """Whether nothing more is to be learned, or it took too long."""
-        is_fine = self._health.verdict.state == FINE and self._pinger.answered > 1
+        has_heard_sonars = len(self._sonars) == len(protocol.SONARS) or now_ns >= self._sonars_ns
+        is_fine = self._health.verdict.state == FINE and self._pinger.answered > 1 and has_heard_sonars
         return now_ns >= self._end_ns or is_fine and not self._decoder.tally.bad_frames
 
     def finding(self) -> Finding:
@@ -127,8 +135,18 @@ class TeensyProbe:
             return Finding(WARN, "Teensy", "too little came to judge it", "Run the doctor again")
         if verdict.level != OK:
             return Finding(verdict.level, "Teensy", verdict.words, verdict.next_step)
+        missing = [name for sensor, name in enumerate(protocol.SONARS) if sensor not in self._sonars]
+        if missing:
+            return Finding(WARN, "Teensy", f"{verdict.words}, but nothing came from {self._describe_missing(missing)} in "
+                                           f"{SONARS_WITHIN_NS / 1e9:g} s", SONARS_REMEDY)
         pong = _pong_words(self._round_trip_ns / 1e9, self._pinger.checksum)
         return Finding(OK, "Teensy", f"{verdict.words}; {pong}")
+
+    @staticmethod
+    def _describe_missing(names):
+        if len(names) == len(protocol.SONARS):
+            return "any of the sonars"
+        return ("the sonar " if len(names) == 1 else "the sonars ") + ", ".join(names)
 
     def _counts(self):
         tally = self._decoder.tally

@@ -34,6 +34,7 @@ from car_interface.nodes.doctor_computer import look_at_clock, look_at_groups, l
 from car_interface.nodes.doctor_devices import is_pseudo_terminal, look_at_board, look_at_port
 from car_interface.nodes.doctor_master import NODES, Master, read_parameters
 from car_interface.params import Params
+from car_interface.teensy.health import LINK_REPORT
 from car_interface.pca9685.duty import prescale_for
 
 VIRTUAL = "virtual"
@@ -215,7 +216,8 @@ def examine(options: argparse.Namespace) -> Iterator[Finding]:
     if heard:
         if car.runs("turn_arb"):
             yield from check_steering(heard.steering, car.runs("turn_arb").path)
-        yield from check_diagnostics(heard.reports, options.ns, reporting, told=[hub.path] if hub else [])
+        yield from check_diagnostics(heard.reports, options.ns, reporting, 
+                                     told=[f"{hub.path.strip('/')}: {LINK_REPORT}"] if hub and heard.link else [])
 
 
 def _or(result_and_trouble, default):

@@ -25,7 +25,7 @@ from car_interface.teensy.measurements import MeasurementConfig, Measurements
 from car_interface.teensy.odometry import SHORTEST_M, OdometryConfig
 from car_interface.teensy.plausibility import GateConfig
 from car_interface.teensy.protocol import SONARS
-from car_interface.teensy.ranging import INF, MAX_RANGE, RangingConfig
+from car_interface.teensy.ranging import INF, MAX_RANGE, MAX_TIMEOUT_MS, USUAL_TIMEOUT_MS, RangingConfig
 
 QUEUE_SIZE = 100
 NS_PER_S = 1_000_000_000
@@ -37,6 +37,8 @@ MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0]
 MOST_WAITING = 10  # reports of the wheels: what is passed on as it is shall not wait for long behind them
 REFUSED_SHARE = 0.01  # of a second's records, from which on it's worth a warning
 SLOWEST_ODOM_HZ = 0.1
+SAME_OFFSET_NS = 200_000  # the system's clock is slewed by 0.5 ms a second at most
+SET_BACK_NS = NS_PER_S // 2  # a clock that goes back by more was set on purpose
 
 
 class Settings(NamedTuple):
@@ -89,6 +91,7 @@ class MeasurementPublisher:
         self._settings = settings
         self._ranging = config.ranging
         self._measurements = Measurements(config)
+        self._ros_clock = RosClock()
         self._steering_check = SteeringCheck()
         self._complaints = Complaints()
         self._sync = None
@@ -126,20 +129,20 @@ class MeasurementPublisher:
             return
         self._sync = sync
         self._clock.publish(TeensyClock(
-            stamp=self._ros_time(received_ns), sent=answer.sent_ns, received=received_ns, sent_bytes=answer.sent_bytes,
+            stamp=self._ros_clock.stamp("clock", received_ns), sent=answer.sent_ns, received=received_ns, sent_bytes=answer.sent_bytes,
             baud=self._settings.baud, tick=record.timestamp2, used=sync.used, reason=sync.reason,
             converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
             uncertainty=sync.uncertainty_ns / NS_PER_S, round_trip=sync.round_trip_ns / NS_PER_S))
 
-    def sonar(self, record, received_ns: int) -> None:
-        """Take a sonar's report; publish its range."""
+    def sonar(self, record, received_ns: int, is_trusted: bool) -> None:
+        """Take a sonar's report; publish its range, if it is one."""
         self._catch_up()
-        measured = self._measurements.sonar(record, received_ns)
+        measured = self._measurements.sonar(record, received_ns, is_trusted)
         if measured is None or not is_heard(self._ranges[measured.sensor]):
             return
         message = self._heard
         message.range = measured.range_m
-        message.header.stamp = self._ros_time(measured.stamp.time_ns)
+        message.header.stamp = self._ros_clock.stamp(measured.sensor, measured.stamp.time_ns)
         message.header.frame_id = self._settings.sonar_frames[measured.sensor]
         self._ranges[measured.sensor].publish(message)
 
@@ -180,7 +183,7 @@ class MeasurementPublisher:
     def _publish_motion(self, measured):
         """Odometry, its transform, and the wheels' joints."""
         motion = measured.motion
-        stamp = self._ros_time(measured.stamp.time_ns)  # one for all: they are looked up by it
+        stamp = self._ros_clock.stamp("motion", measured.stamp.time_ns)  # one for all: they are looked up by it
         if is_heard(self._odometry):
             self._odometry.publish(self._odometry_message(motion, stamp))
         if self._tf is not None and is_heard(self._tf):
@@ -224,7 +227,7 @@ class MeasurementPublisher:
                        "wheels, sonars and pongs make sense")
         status.add("accepted", gates.accepted)
         status.add("refused", gates.refused)
-        for reason, count in sorted(gates.counts.items()):
+        for reason, count in sorted((gates.counts + self._measurements.ranging.counts).items()):
             status.add(reason, count)
         return status
 
@@ -260,13 +263,35 @@ class MeasurementPublisher:
         twist.covariance = _covariance(motion.speed_variance, 0, 0, UNMEASURED, 0, motion.yaw_rate_variance)
         return message
 
-    @staticmethod
-    def _ros_time(time_ns):
-        """A monotonic time as ROS time, by how both stand now: setting the clock disturbs nothing that is measured.
+
+class RosClock:
+    """Monotonic times as ROS times, for messages whose stamps rise strictly.
+
+    ROS time is the computer's clock, which gets slewed and set: setting it disturbs nothing that is measured. Both are
+    read one after the other, never at the same time, so that their difference is kept until it has changed by more than
+    the reading can be off. Otherwise two messages a moment apart could be stamped the other way round.
+    """
+
+    def __init__(self):
+        self._offset_ns = None
+        self._newest_ns: dict = {}  # stamp of each kind of message
+
+    def stamp(self, kind, time_ns: int) -> rospy.Time:
+        """The ROS time of a monotonic one, later than that of the ``kind``'s message before, unless the clock was set.
 
         Before ROS time began, as while /use_sim_time waits for a /clock, it is 0: no message carries less.
         """
-        return rospy.Time(nsecs=max(0, rospy.Time.now().to_nsec() - time.monotonic_ns() + time_ns))
+        before_ns = time.monotonic_ns()
+        ros_ns = rospy.Time.now().to_nsec()
+        offset_ns = ros_ns - (before_ns + time.monotonic_ns()) // 2
+        if self._offset_ns is None or abs(offset_ns - self._offset_ns) > SAME_OFFSET_NS:
+            self._offset_ns = offset_ns
+        stamp_ns = max(0, self._offset_ns + time_ns)
+        newest_ns = self._newest_ns.get(kind)
+        if newest_ns is not None and newest_ns - SET_BACK_NS < stamp_ns <= newest_ns:
+            stamp_ns = newest_ns + 1
+        self._newest_ns[kind] = stamp_ns
+        return rospy.Time(nsecs=stamp_ns)
 
 
 def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) -> MeasurementConfig:
@@ -290,7 +315,9 @@ def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) ->
             min_range_m=params.number("min_range", 0.02, low=0.0, high=100),
             max_range_m=params.number("max_range", 2.0, above=0.0, high=100),
             no_echo=params.choice("no_echo", INF, (INF, MAX_RANGE)),
-            median=params.flag("median", False)))
+            median=params.flag("median", False),
+            timeouts_ms=tuple(params.number(f"no_echo_timeouts/{name}", USUAL_TIMEOUT_MS, above=0.0,
+                                            high=MAX_TIMEOUT_MS) for name in SONARS)))
 
 
 def _odom_rate(params):

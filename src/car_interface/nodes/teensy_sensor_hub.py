@@ -21,6 +21,10 @@ Parameters:
     ~port /dev/ttyAMA0, ~baud 115200, ~ping_period 1.0 (s).
     ~firmware_checksum auto: which checksum the Teensy's receiver wants; shipped, corrected, or find out.
     ~required false: true = end with exit code 1 when the port can't be opened at start.
+    ~sonar_restart 3.0 (s): after so long without a report of any sonar, though there should be some, SONAR_START is sent;
+        0 = never.
+    ~sonar_sequence []: the order in which the sonars fire, sent when the port opens and after each reboot; [] = the firmware's
+        own, 0 to 5.
     ~raw_only false: true = the four raw topics and the link only; nothing is measured, for half the CPU.
     ~pulses_per_revolution 20, ~wheel_diameter 0.095, ~track 0.296, ~wheelbase 0.324 (m), ~top_speed 20 (m/s; what is
         faster is taken for line noise), ~use_steering false: true = the commanded steering helps the heading.
@@ -28,7 +32,8 @@ Parameters:
         ~base_frame base_link, ~frame_prefix "" (before every frame and joint).
     ~sonars/front_right … ~sonars/rear_left [x, y, yaw] (m, rad, in base_link), ~field_of_view 0.524 (rad),
         ~min_range 0.02, ~max_range 2.0 (m), ~no_echo inf (or max_range), ~median false (true = over five of a sonar),
-        ~temperature 20 (°C).
+        ~temperature 20 (°C), ~no_echo_timeouts/front_right … ~no_echo_timeouts/rear_left 38 (ms: when the sensor ends
+        its pulse by itself).
 """
 from __future__ import annotations
 
@@ -39,7 +44,7 @@ from concurrent.futures import Future
 import rospy
 from std_srvs.srv import Trigger
 
-from car_interface.errors import DeviceError, ProtocolError
+from car_interface.errors import ConfigError, DeviceError, ProtocolError
 from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
 from car_interface.nodes.diagnostics import Diagnostics
 from car_interface.nodes.keys import Keys
@@ -48,9 +53,22 @@ from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, advertise,
 from car_interface.srv import SetSonarSequence, SetSonarWait
 from car_interface.teensy import protocol
 from car_interface.teensy.framing import CORRECTED, RESYNC_FILLER, SHIPPED, FrameDecoder, encode
-from car_interface.teensy.health import FINE, OK, REBOOTED, WAITING, Counts, LinkHealth, TeensyClock
+from car_interface.teensy.health import (
+    FINE,
+    LINK_REPORT,
+    OK,
+    REBOOTED,
+    SONAR_FAULT,
+    WAITING,
+    WARN,
+    Counts,
+    LinkHealth,
+    TeensyClock,
+    Verdict,
+)
 from car_interface.teensy.link import SerialLink
 from car_interface.teensy.pinging import AUTO, Pinger
+from car_interface.teensy.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
 
 QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
@@ -72,6 +90,8 @@ class TeensySensorHub:
         checksum = params.choice("firmware_checksum", AUTO, (AUTO, SHIPPED, CORRECTED))
         required = params.flag("required", False)
         raw_only = params.flag("raw_only", False)
+        sonar_restart_s = params.number("sonar_restart", 3.0, low=0.0, high=3600)
+        sonar_sequence = _sonar_sequence(params)
         settings = read_settings(params, baud)
         params.finish()
         self._measurements = None if raw_only else MeasurementPublisher(settings, inbox)
@@ -79,6 +99,7 @@ class TeensySensorHub:
         self._link = SerialLink(port, baud)
         self._health = LinkHealth(baud)
         self._clock = TeensyClock()
+        self._sonars = SonarMonitor(sonar_restart_s, sonar_sequence)
         self._decoder = FrameDecoder()
         self._pinger = Pinger(round(settings.ping_period_s * NS_PER_S), checksum, now_ns)
         self._inbox = inbox
@@ -98,19 +119,19 @@ class TeensySensorHub:
         self._link_beat = Heartbeat(1, now_ns)
         self._link_status = advertise("~link", LinkStatus, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, f"Teensy on {port}", {
-            "Teensy link": self._report, **(self._measurements.reports if self._measurements else {})}, now_ns)
+            LINK_REPORT: self._report, **(self._measurements.reports if self._measurements else {})}, now_ns)
         self._publish = self._publishers()
         if required:
             self._open()
         self._services()
         self._key_actions = {
             "P": self._ping_and_wait,
-            "S": lambda: self._send(protocol.sonar_start()),
-            "N": lambda: self._send(protocol.sonar_stop()),
+            "S": self._start_sonars,
+            "N": self._stop_sonars,
             "R": lambda: self._send(protocol.wheel_reset()),
             "C": self._get_counters,
-            "X": lambda: self._send(protocol.set_sonar_sequence((0, 1, 5))),
-            "Y": lambda: self._send(protocol.set_sonar_sequence(range(len(protocol.SONARS)))),
+            "X": lambda: self._set_sonar_sequence((0, 1, 5)),
+            "Y": lambda: self._set_sonar_sequence(range(len(protocol.SONARS))),
         }
         self._keys = Keys()
         self._has_keys = self._keys.start()
@@ -132,6 +153,7 @@ class TeensySensorHub:
         def on_pong(record, received_ns):
             pong(*record)
             self._on_tick(record.timestamp2, received_ns)
+            self._sonars.tick(record.timestamp2, received_ns)
             answer = self._answered(record, received_ns)
             if measurements:
                 measurements.pong(record, answer, received_ns)
@@ -149,8 +171,9 @@ class TeensySensorHub:
                 echo.sensor, echo.distance, echo.when = record
                 distance.publish(echo)
             self._on_tick(record.when, received_ns)
+            is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
             if measurements:
-                measurements.sonar(record, received_ns)
+                measurements.sonar(record, received_ns, is_trusted)
 
         def on_counter(record, received_ns):
             error(*record)
@@ -160,15 +183,13 @@ class TeensySensorHub:
                 protocol.ErrorCount: on_counter, protocol.Malformed: self._on_malformed}
 
     def _services(self):
-        for name, action in (("sonar_start", protocol.sonar_start), ("sonar_stop", protocol.sonar_stop),
-                             ("wheel_reset", protocol.wheel_reset)):
-            self._serve(name, Trigger, lambda request, action=action: self._send(action()))
+        for name, action in (("sonar_start", self._start_sonars), ("sonar_stop", self._stop_sonars),
+                             ("wheel_reset", lambda: self._send(protocol.wheel_reset()))):
+            self._serve(name, Trigger, lambda request, action=action: action())
         self._serve("get_counters", Trigger, lambda request: self._get_counters())
         self._serve("ping", Trigger, lambda request: self._ping_and_wait())
-        self._serve("set_sonar_sequence", SetSonarSequence,
-                    lambda request: self._send(protocol.set_sonar_sequence(request.sequence)))
-        self._serve("set_sonar_wait", SetSonarWait,
-                    lambda request: self._send(protocol.sonar_wait(request.wait_ms)))
+        self._serve("set_sonar_sequence", SetSonarSequence, lambda request: self._set_sonar_sequence(request.sequence))
+        self._serve("set_sonar_wait", SetSonarWait, lambda request: self._set_sonar_wait(request.wait_ms))
 
     def _serve(self, name, service_type, action):
         """A service whose ``action(request)`` runs in the node's thread; it returns (success, message), or a Future."""
@@ -185,6 +206,7 @@ class TeensySensorHub:
             self._measurements.step(now_ns)
         if self._link_beat.is_due(now_ns):
             self._judge()
+            self._judge_sonars()
             self._publish_link_status()
         self._diagnostics.step(now_ns)
         return min(self._link_beat.due_ns, self._diagnostics.due_ns, port_ns,
@@ -235,6 +257,7 @@ class TeensySensorHub:
         rospy.loginfo("the Teensy's port is open")
         now_ns = time.monotonic_ns()
         self._health.opened(self._counts(), now_ns)
+        self._sonars.opened(now_ns)
         self._publish_link_status()
         self._pinger.restart(now_ns)
         if self._write(RESYNC_FILLER):
@@ -275,6 +298,7 @@ class TeensySensorHub:
         noise_bytes = self._decoder.tally.noise_bytes
         for body in self._decoder.feed(data):
             record = protocol.decode(body)
+            self._sonars.frame(received_ns)
             self._publish[type(record)](record, received_ns)
         noise_bytes = self._decoder.tally.noise_bytes - noise_bytes
         if noise_bytes:
@@ -350,6 +374,7 @@ class TeensySensorHub:
         reboot = self._clock.tick(tick, received_ns)
         if reboot is not None:
             self._health.rebooted(reboot, received_ns)
+            self._sonars.rebooted(received_ns)
             self._pinger.hurry()
             self._complaints.warn("rebooted", f"the Teensy rebooted: {reboot}")
 
@@ -380,11 +405,31 @@ class TeensySensorHub:
         elif verdict.state == FINE and is_news:
             rospy.loginfo("Teensy on %s: %s", self._port, verdict.words)
 
+    def _judge_sonars(self):
+        """Send what the sonars need, and say what is wrong with them."""
+        now_ns = time.monotonic_ns()
+        command = self._sonars.next_command(now_ns) if self._link.is_open else None
+        if command == SEND_SEQUENCE:
+            self._send(protocol.set_sonar_sequence(self._sonars.sequence))
+        elif command:
+            self._complaints.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
+            self._send(protocol.sonar_start())
+        faults = self._sonars.faults(now_ns)
+        if faults:
+            words, next_step = describe(faults)
+            self._complaints.warn(f"sonars {sorted(str(fault.sensor) for fault in faults)}", f"{words}. {next_step}")
+
+    def _verdict(self):
+        """Of the link, and where it is fine, of the sonars behind it."""
+        verdict = self._health.verdict
+        faults = self._sonars.faults(time.monotonic_ns()) if verdict.level == OK and self._link.is_open else ()
+        return Verdict(SONAR_FAULT, WARN, *describe(faults)) if faults else verdict
+
     def _publish_link_status(self):
         self._link_status.publish(self._status())
 
     def _status(self):
-        tally, verdict = self._decoder.tally, self._health.verdict
+        tally, verdict = self._decoder.tally, self._verdict()
         return LinkStatus(
             stamp=rospy.Time.now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
             words=verdict.words, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
@@ -392,7 +437,8 @@ class TeensySensorHub:
             noise_bytes=tally.noise_bytes, resyncs=self._openings + self._pinger.resyncs,
             reconnects=max(0, self._openings - 1), reboots=self._clock.reboots, pings=self._pinger.sent,
             pongs=self._pinger.answered, round_trip=self._round_trip_ns / NS_PER_S,
-            firmware_checksum=self._pinger.checksum,
+            firmware_checksum=self._pinger.checksum, sonar_starts=self._sonars.starts,
+            dropped_sonars=list(self._sonars.dropped),
             counters=[Error(count, name) for name, count in sorted(self._counters.items())])
 
     def _report(self, report):
@@ -404,7 +450,7 @@ class TeensySensorHub:
         report.add("round trip", "never measured" if math.isnan(status.round_trip) else
                    f"{status.round_trip * 1e3:.1f} ms")
         for name in ("frames", "bad_frames", "malformed_frames", "unknown_commands", "noise_bytes", "resyncs",
-                     "reconnects", "reboots", "pings", "pongs", "firmware_checksum"):
+                     "reconnects", "reboots", "pings", "pongs", "firmware_checksum", "sonar_starts"):
             report.add(name.replace("_", " "), getattr(status, name))
         for counter in status.counters:
             report.add(f"Teensy's {counter.name}", counter.count)
@@ -428,6 +474,30 @@ class TeensySensorHub:
         if self._link.is_open and self._write(encode(body, self._pinger.checksum)):
             return True, "sent"
         return NOT_OPEN
+
+    def _start_sonars(self):
+        result = self._send(protocol.sonar_start())
+        if result[0]:
+            self._sonars.started(time.monotonic_ns())
+        return result
+
+    def _stop_sonars(self):
+        result = self._send(protocol.sonar_stop())
+        if result[0]:
+            self._sonars.stopped()
+        return result
+
+    def _set_sonar_sequence(self, sequence):
+        result = self._send(protocol.set_sonar_sequence(sequence))
+        if result[0]:
+            self._sonars.sequence_set(sequence, time.monotonic_ns())
+        return result
+
+    def _set_sonar_wait(self, wait_ms):
+        result = self._send(protocol.sonar_wait(wait_ms))
+        if result[0]:
+            self._sonars.wait_set(wait_ms)
+        return result
 
     def _get_counters(self):
         now_ns = time.monotonic_ns()
@@ -457,6 +527,14 @@ class TeensySensorHub:
                 _when_done(self._key_actions[key](), lambda result, key=key: _log_key(key, *result))
             elif key.strip():
                 rospy.loginfo(KEY_HELP)
+
+
+def _sonar_sequence(params):
+    """The order of the sonars that the parameters ask for; ``None`` = the firmware's own."""
+    sequence = params.numbers("sonar_sequence", [], low=0, high=len(protocol.SONARS) - 1)
+    if len(sequence) > protocol.LONGEST_SEQUENCE or any(sensor % 1 for sensor in sequence):
+        raise ConfigError("sonar_sequence", sequence, f"up to {protocol.LONGEST_SEQUENCE} whole numbers from 0 to 5")
+    return [int(sensor) for sensor in sequence] or None
 
 
 def _answer(done, action, request):

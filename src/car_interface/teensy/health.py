@@ -19,6 +19,8 @@ ABSENT, NO_PERMISSION, BUSY, NO_PORT, FAILING = (
 # How one that is open does.
 WAITING, SILENT, NO_FRAMES, BAD_CHECKSUMS, NO_PONGS, REBOOTED, FINE = (
     "waiting", "silent", "no frames", "bad checksums", "no pongs", "rebooted", "fine")
+LINK_REPORT = "Teensy link"  # the report on /diagnostics that says the same as the topic link
+SONAR_FAULT = "sonar fault"  # of a link that is fine
 
 SHORTEST_SPAN_NS = 800 * NS_PER_MS  # counters that stand closer together say too little: 5 frames a second may be all
 WINDOW = 10  # spans, over which the share of bad frames is taken

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from car_interface.teensy.clock import Clock, ClockConfig, Stamp, Sync
 from car_interface.teensy.odometry import Motion, Odometry, OdometryConfig
 from car_interface.teensy.pinging import Answer
-from car_interface.teensy.plausibility import GateConfig, Gates, ahead
-from car_interface.teensy.protocol import UINT32, Pong, SonarStatus, WheelStatus
+from car_interface.teensy.plausibility import GateConfig, Gates, ahead, has_pulsed
+from car_interface.teensy.protocol import SONARS, UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.ranging import Ranging, RangingConfig
 
 NS_PER_MS = 1_000_000
@@ -65,7 +65,9 @@ class Measurements:
         self._has_heard_a_tick = False
         self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never begins anew
         self._newest_ms = -math.inf  # of the wheels' pulses and repeats, on the odometry's clock
+        # Of the newest of each kind: stamps rise even where the clocks' relation is found anew.
         self._motion_ns = 0
+        self._range_ns = [0] * len(SONARS)
 
     def pong(self, record: Pong, answer: Answer | None, received_ns: int) -> Sync | None:
         """Take a pong, and the ping that it answers (``None``: no ping of ours); ``None`` when it was refused."""
@@ -75,15 +77,19 @@ class Measurements:
         self._hear_tick(verdict, record.timestamp2, received_ns)
         return self.clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, received_ns, PONG_BYTES)
 
-    def sonar(self, record: SonarStatus, received_ns: int) -> RangeMeasurement | None:
-        """Take a sonar's report; ``None`` when it was refused."""
+    def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True) -> RangeMeasurement | None:
+        """Take a sonar's report; ``None`` when it was refused, or says nothing about the room."""
         verdict = self.gates.sonar(record)
         if not verdict.accepted:
             return None
         self._hear_tick(verdict, record.when, received_ns)
         self.clock.heard(record.when, received_ns, SONAR_BYTES)
-        stamp = self.clock.translate(record.when, received_ns, SONAR_BYTES)
-        return RangeMeasurement(stamp, record.sensor, self.ranging.range(record.sensor, record.echo_us))
+        range_m = self.ranging.range(record.sensor, record.echo_us, record.when, is_trusted)
+        if range_m is None:
+            return None
+        time_ns, uncertainty_ns = self.clock.translate(record.when, received_ns, SONAR_BYTES)
+        time_ns = self._range_ns[record.sensor] = max(time_ns, self._range_ns[record.sensor] + 1)
+        return RangeMeasurement(Stamp(time_ns, uncertainty_ns), record.sensor, range_m)
 
     def wheels(self, record: WheelStatus, received_ns: int) -> MotionMeasurement | None:
         """Take a report of the wheels; ``None`` when it was refused."""
@@ -99,7 +105,7 @@ class Measurements:
         if verdict.boot_tick is not None:
             self._restart_clock(verdict.boot_tick, received_ns)
         received_ms = self.clock.tick_at(received_ns) + self._shift_ms
-        left_ms, right_ms = (self.clock.unwrap(wheel.when) + self._shift_ms if wheel.when else -math.inf
+        left_ms, right_ms = (self.clock.unwrap(wheel.when) + self._shift_ms if has_pulsed(wheel) else -math.inf
                              for wheel in record)
         # When a report was sent nobody knows; but until its newest pulse or repeat no later pulse had come.
         newest_ms = -math.inf if newest is None else self.clock.unwrap(newest) + self._shift_ms
@@ -137,5 +143,5 @@ class Measurements:
 
 def _newest_when(record):
     """The tick of the newest pulse or repeat; ``None`` before the first."""
-    ticks = [wheel.when for wheel in record if wheel.when]
+    ticks = [wheel.when for wheel in record if has_pulsed(wheel)]
     return max(ticks, key=lambda tick: ahead(tick, ticks[0])) if ticks else None

@@ -18,7 +18,7 @@ What a healthy firmware sends is never refused. So:
 
 - A wheel's ``when`` is the tick of its last pulse *or repeat*: a standing car repeats its report with a new ``when`` for
   both wheels. Only a change of ``dist_abs`` is a pulse.
-- ``when`` is 0 until the first pulse after power-up or reset: that is no reading of the clock.
+- ``when`` is 0 until the first pulse after power-up: that is no reading of the clock. WHEEL_RESET keeps it.
 - At power-up the firmware takes both pins of a hall sensor for low and then learns one of them with each pulse. So the
   direction of a wheel's first two pulses is worth nothing: it may be wrong, or still missing while ``dist_abs`` grows.
   They are ``unproven``; whoever counts them must find their direction elsewhere. WHEEL_RESET keeps the pins' states, so
@@ -71,6 +71,7 @@ SPEED_TOO_HIGH = "a wheel's speed above the top speed"
 COUNT_BACK = "a wheel's count that goes back"
 PULSE_BACK = "a wheel's last pulse that goes back in time"
 CHANGE_WITHOUT_PULSE = "a change of direction in a wheel that made no pulse"
+REPEAT_ALONE = "a wheel's time that changes without a pulse or a repeat"
 TOO_MANY_PULSES = "more pulses than the top speed allows"
 TURNED_WRONGLY = "a direction that doesn't go with the counts"
 TURNED_AT_SPEED = "a direction that changes at speed"
@@ -190,6 +191,11 @@ def signed_pulses(before: Wheel, now: Wheel) -> int:
     return sign * (pulses - earlier) - (sign * earlier if now.direction != before.direction else 0)
 
 
+def has_pulsed(wheel: Wheel) -> bool:
+    """Whether its ``when`` is a reading of the clock: until the first pulse it is 0, and so is it with a wrap."""
+    return bool(wheel.when or wheel.speed)
+
+
 def ahead(later: int, earlier: int) -> int:
     """How far one 32-bit counter is ahead of another, which wraps: −2**31 .. 2**31 − 1."""
     return (later - earlier + UINT32 // 2) % UINT32 - UINT32 // 2
@@ -277,7 +283,8 @@ class _WheelGate:
         boot_tick = self._find_boot(record, newest_tick, clock_restarts)
         verdict = self._judge(record, newest_tick if boot_tick is None else boot_tick)
         if verdict.reason == ODOMETERS_RESET:
-            self._zero, self._learns = (newest_tick, clock_restarts), True
+            self._zero = (newest_tick, clock_restarts)
+            self._learns = not any(wheel.when for wheel in record if not wheel.dist_abs)  # which WHEEL_RESET keeps
             boot_tick = self._find_boot(record, newest_tick, clock_restarts)
             way = self._way(_NOTHING_YET, record)
             verdict = verdict._replace(pulses=way[:2], unproven=way[2:])
@@ -295,7 +302,7 @@ class _WheelGate:
         if self._zero is None or _is_zero(record) or newest_tick is None:
             return None
         tick_at_zero, restarts_at_zero = self._zero
-        if clock_restarts != restarts_at_zero or tick_at_zero is None or tick_at_zero < YOUNG_MS:
+        if not self._learns or clock_restarts != restarts_at_zero or (tick_at_zero or 0) < YOUNG_MS:
             return None
         when = max(wheel.when for wheel in record if wheel.dist_abs)
         if when < newest_tick and ahead(when, newest_tick) < -OVERTAKEN_MS:
@@ -349,9 +356,11 @@ class _WheelGate:
                 reason, known, wrong = TAKEN_BACK, [self._before, *chain], self._way(self._before, self._last)
             else:
                 reason, known = ODOMETERS_RESTARTED, list(chain)
-                self._learns = True
+                self._learns = any(ahead(now.when, last.when) < 0 for now, last in zip(chain[0], self._last))
         way = _difference([sum(ways) for ways in zip(*map(self._way, known, known[1:]))], wrong)
         self._last = chain[-2]
+        self._pulse_ticks = tuple(now.when if now.dist_abs != before.dist_abs else None
+                                  for before, now in zip(chain[-3], chain[-2]))
         self._accept(record, "", way, before=chain[-2])
         return Verdict(True, reason, way[:2], restarted=reason == ODOMETERS_RESTARTED, unproven=way[2:])
 
@@ -376,11 +385,12 @@ class _WheelGate:
     def _fault(self, before, now, per_ms):
         """Why one report can't follow another, whatever was lost in between; empty when it can."""
         return (self._wheel_fault(before.left, now.left, per_ms[0])
-                or self._wheel_fault(before.right, now.right, per_ms[1]))
+                or self._wheel_fault(before.right, now.right, per_ms[1])
+                or _repeat_fault(before, now))
 
     def _wheel_fault(self, before, now, per_ms):
         pulses = ahead(now.dist_abs, before.dist_abs)
-        has_tick = before.when and now.when
+        has_tick = has_pulsed(before) and has_pulsed(now)
         moved_ms = ahead(now.when, before.when) if has_tick else 0
         if pulses < 0:
             return COUNT_BACK
@@ -404,7 +414,7 @@ class _WheelGate:
         """Why a report that may follow the last one had better be confirmed."""
         for before, now, per_ms in zip(self._last, record, self._per_ms):
             pulses = ahead(now.dist_abs, before.dist_abs)
-            moved_ms = ahead(now.when, before.when) if before.when else 0
+            moved_ms = ahead(now.when, before.when) if has_pulsed(before) else 0
             if pulses > SURPRISE_PULSES + per_ms * min(moved_ms, TRUSTED_MS):
                 return SURPRISING
             if newest_tick is not None and min(moved_ms, ahead(now.when, newest_tick)) > self._longest_gap_ms:
@@ -422,6 +432,18 @@ class _WheelGate:
 
 _FINE = Verdict(True, "")
 _NOTHING_YET = WheelStatus(*2 * (Wheel(0, NO_DIRECTION, 0, 0, 0),))
+
+
+def _repeat_fault(before, now):
+    """Why a wheel without a pulse can't have its new ``when``: a repeat renews both wheels', to the same tick."""
+    renewed = [wheel for wheel, old in zip(now, before) if wheel.dist_abs == old.dist_abs and wheel.when != old.when]
+    if not renewed:
+        return ""
+    others = [wheel for wheel in now if wheel.dist_abs and wheel not in renewed]
+    # Beside a wheel that has pulsed since, the repeat itself was lost: it lay between the report before and that pulse.
+    fits = (all(ahead(renewed[0].when, old.when) > 0 for old in before if has_pulsed(old))
+            and all(ahead(other.when, renewed[0].when) >= 0 for other in others) and renewed[0].when == renewed[-1].when)
+    return "" if fits else REPEAT_ALONE
 
 
 def _learning_pulses(before, now):

@@ -20,7 +20,7 @@ FORWARD, BACKWARD, NO_DIRECTION, DIRECTION_ERROR = range(4)
 LONGEST_SEQUENCE = 24
 LONGEST_COUNTER_NAME = 23
 UINT32 = 2 ** 32
-LONGEST_SONAR_WAIT_MS = UINT32 - 1
+LONGEST_SONAR_WAIT_MS = UINT32 // 2 - 1  # beyond, the firmware's comparison of times takes it for no wait at all
 
 
 class Pong(NamedTuple):
@@ -34,16 +34,16 @@ class SonarStatus(NamedTuple):
     """One sonar's echo."""
 
     sensor: int  # index in SONARS
-    echo_us: int  # there and back; 0 = no echo within range
+    echo_us: int  # there and back, or the sensor's own time-out, see ranging; 0 = its pin was high all the time
     when: int  # the Teensy's clock, ms
 
 
 class Wheel(NamedTuple):
     """One wheel's odometer."""
 
-    speed: int  # pulses per second; stays up for a few reports after a stop
-    direction: int  # FORWARD, BACKWARD, NO_DIRECTION yet, DIRECTION_ERROR
-    when: int  # the Teensy's clock at the last pulse, ms
+    speed: int  # pulses per second over the last ten pulses and repeats: it takes 2 s to fall to 0 after a stop
+    direction: int  # FORWARD, BACKWARD, NO_DIRECTION yet, DIRECTION_ERROR; of a wheel's first two pulses it means nothing
+    when: int  # the Teensy's clock at the last pulse or repeat, ms; 0 before the first pulse
     dist: int  # dist_abs at the first pulse of the present direction
     dist_abs: int  # pulses since the last reset, whichever way the wheel turned
 
@@ -188,7 +188,7 @@ def get_counters() -> bytes:
 
 
 def sonar_wait(wait_ms: int) -> bytes:
-    """SONAR_WAIT: the pause between an echo and the next sonar's ping, 0..2**32 − 1 ms; 50 at power-up.
+    """SONAR_WAIT: the pause between an echo and the next sonar's ping, 0..2**31 − 1 ms; 50 at power-up.
 
     Raises:
         ProtocolError: for anything else.

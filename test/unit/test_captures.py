@@ -1,0 +1,282 @@
+"""The host's side against captures of the original firmware: every frame is understood, and the car is where it is.
+
+The truth comes with the captures (test/data/firmware): no code of this package had a part in it.
+"""
+from __future__ import annotations
+
+import math
+from statistics import mean, median
+from typing import NamedTuple
+
+import pytest
+from captures import NAMES, NS_PER_US, load, replay
+
+from car_interface.teensy import plausibility
+from car_interface.teensy.framing import FrameDecoder
+from car_interface.teensy.measurements import MeasurementConfig, MotionMeasurement
+from car_interface.teensy.protocol import (
+    BACKWARD,
+    DIRECTION_ERROR,
+    ErrorCount,
+    Pong,
+    SonarStatus,
+    Wheel,
+    WheelStatus,
+    decode,
+)
+from car_interface.teensy.ranging import MICROS_WRAP, STUCK, RangingConfig
+
+S_US = 1_000_000
+SPEED_OF_SOUND_MPS = 343.42
+MAX_RANGE_M = 2.0
+WORTH_A_WORD = {plausibility.FIRST, plausibility.ODOMETERS_RESET, plausibility.CLOCK_RESTARTED}
+
+
+class Error(NamedTuple):
+    """One odometry against the truth at its stamp."""
+
+    received_us: int
+    stamp_ns: int
+    uncertainty_ns: int
+    position_m: float
+    yaw_deg: float
+    sigmas: float  # the worst of x, y and yaw
+    speed_mps: float
+
+
+def motions(moments):
+    return [moment for moment in moments if isinstance(moment.result, MotionMeasurement)]
+
+
+def errors(capture, moments):
+    """Odometry is counted from the place and heading at its first message."""
+    found = motions(moments)
+    start = capture.truth_at(found[0].result.stamp.time_ns / NS_PER_US)
+    cos, sin = math.cos(start.yaw_rad), math.sin(start.yaw_rad)
+    result = []
+    for moment in found:
+        stamp, motion = moment.result
+        truth = capture.truth_at(stamp.time_ns / NS_PER_US)
+        dx, dy = truth.x_m - start.x_m, truth.y_m - start.y_m
+        off = (motion.x_m - (cos * dx + sin * dy), motion.y_m - (cos * dy - sin * dx),
+               motion.yaw_rad - (truth.yaw_rad - start.yaw_rad))
+        sigmas = max(abs(value) / math.sqrt(motion.pose_covariance[axis][axis]) for axis, value in enumerate(off))
+        result.append(Error(moment.received_us, stamp.time_ns, stamp.uncertainty_ns, math.hypot(*off[:2]),
+                            math.degrees(off[2]), sigmas, motion.speed_mps))
+    return result
+
+
+@pytest.fixture(scope="module")
+def replayed():
+    """Each capture is replayed once."""
+    done = {}
+
+    def get(name):
+        if name not in done:
+            capture = load(name)
+            moments, measurements = replay(capture)
+            done[name] = capture, moments, measurements, errors(capture, moments)
+        return done[name]
+    return get
+
+
+# --- frames ---
+
+
+def as_record(frame):
+    kind = frame["frame"]
+    if kind == "wheel":
+        return WheelStatus(*(Wheel(**frame[side]) for side in ("left", "right")))
+    if kind == "sonar":
+        return SonarStatus(frame["sensor"], frame["distance"], frame["when"])
+    if kind == "pong":
+        return Pong(frame["timestamp1"], frame["timestamp2"])
+    return ErrorCount(frame["count"], frame["name"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_frame_is_decoded_as_the_firmware_meant_it_and_in_its_order(name):
+    capture = load(name)
+    decoder = FrameDecoder()
+    decoded = [decode(body) for body in decoder.feed(capture.data)]
+    assert decoded == [as_record(frame) for frame in capture.frames if not frame.get("cut")]
+    cuts = sum(event["event"] == "reboot" for event in capture.events)
+    assert decoder.tally.bad_frames <= cuts
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_record_of_a_healthy_firmware_is_refused(replayed, name):
+    _, _, measurements, _ = replayed(name)
+    assert measurements.gates.refused == 0
+    assert set(measurements.gates.counts) <= WORTH_A_WORD
+    assert not measurements.clock.counts
+
+
+# --- odometry ---
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_odometry_goes_on_while_frames_come(replayed, name):
+    capture, moments, _, _ = replayed(name)
+    reboots_us = [event["t_us"] for event in capture.events if event["event"] == "reboot"]
+    # Before the first pong there is no clock to stamp a car by that has made no pulse yet.
+    ticks_us = next(moment.received_us for moment in moments if moment.result is not None)
+    times_us = [ticks_us] + [moment.received_us for moment in motions(moments)] + [moments[-1].received_us]
+    for before_us, after_us in zip(times_us, times_us[1:]):
+        is_reboot = any(before_us - S_US < reboot_us <= after_us for reboot_us in reboots_us)
+        assert after_us - before_us <= (1.0 if is_reboot else 0.5) * S_US
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_car_ends_where_it_is(replayed, name):
+    capture, _, _, found = replayed(name)
+    assert found[-1].position_m <= max(0.03, 0.005 * capture.distance_m())
+    assert abs(found[-1].yaw_deg) <= 3.0
+
+
+def test_heading_at_the_end_is_mostly_right_to_half_a_pulse(replayed):
+    assert median(abs(replayed(name)[3][-1].yaw_deg) for name in NAMES) <= 1.5
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_truth_lies_within_three_sigma(replayed, name):
+    found = replayed(name)[3]
+    later = [error for error in found if error.received_us >= found[0].received_us + 2 * S_US]
+    assert sum(error.sigmas <= 3 for error in later) >= 0.99 * len(later)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_stamps_rise_strictly_and_are_as_good_as_they_claim(replayed, name):
+    capture, moments, _, found = replayed(name)
+    stamps = [error.stamp_ns for error in found]
+    assert all(earlier < later for earlier, later in zip(stamps, stamps[1:]))
+    per_sensor = {}
+    for moment in moments:
+        if isinstance(moment.record, SonarStatus) and moment.result is not None:
+            assert moment.result.stamp.time_ns > per_sensor.get(moment.record.sensor, 0)
+            per_sensor[moment.record.sensor] = moment.result.stamp.time_ns
+            truth = capture.truth_at(moment.result.stamp.time_ns / NS_PER_US)
+            if not capture.truth_at(moment.received_us).millis < truth.millis:  # a wrap lies between two rows of truth
+                off_ms = truth.millis - moment.record.when - 0.5
+                if abs(off_ms) < 1000:
+                    assert abs(off_ms) <= moment.result.stamp.uncertainty_ns / 1e6 + 0.01
+
+
+def last_pulses_us(capture):
+    """When a wheel made its last pulse before each time that the car stood for 1.5 s."""
+    frames = [frame for frame in capture.frames if frame["frame"] == "wheel"]
+    pulses = [after["t_us"] for before, after in zip(frames, frames[1:])
+              if any(before[side]["dist_abs"] != after[side]["dist_abs"] for side in ("left", "right"))]
+    pulses.append(capture.duration_us)
+    return [one for one, other in zip(pulses, pulses[1:]) if other - one > 1.5 * S_US]
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if last_pulses_us(load(name))])
+def test_car_that_has_stopped_is_said_to_stand_within_a_second_and_four_times_a_second(replayed, name):
+    _, _, _, found = replayed(name)
+    for stop_us in last_pulses_us(replayed(name)[0]):
+        standing = [error for error in found if stop_us + 1.0 * S_US <= error.received_us <= stop_us + 1.5 * S_US]
+        assert len(standing) >= 2
+        assert all(error.speed_mps == 0.0 for error in standing)
+
+
+@pytest.mark.parametrize("name, begin_s", [
+    pytest.param("stop_go", 9.6, id="standing_after_a_drive"),
+    pytest.param("stop_go", 5.1, id="in_mid_drive"),
+    pytest.param("drive_reverse", 12.35, id="rolling_backward"),
+    pytest.param("wrap", 9.6, id="a_second_before_all_counters_wrap"),
+    pytest.param("missing_sonars", 5.1, id="rolling_with_all_sonars_silent"),
+    pytest.param("reboot_rolling", 12.2, id="a_moment_before_the_teensy_reboots"),
+])
+def test_host_that_begins_to_listen_later_has_odometry_at_once(name, begin_s):
+    capture = load(name)
+    moments, measurements = replay(capture, skip_us=round(begin_s * S_US))
+    found = errors(capture, moments)
+    assert found[0].received_us <= (begin_s + 0.35) * S_US
+    assert measurements.gates.refused == 0
+    assert found[-1].position_m <= max(0.05, 0.005 * capture.distance_m())
+    assert abs(found[-1].yaw_deg) <= 3.0
+
+
+def test_reboots_in_mid_drive_leave_heading_and_place(replayed):
+    capture, moments, measurements, found = replayed("reboot_rolling")
+    assert measurements.gates.counts[plausibility.CLOCK_RESTARTED] == 3
+    false_pulses = [wheel for moment in moments if isinstance(moment.record, WheelStatus)
+                    for wheel in moment.record if wheel.direction == BACKWARD]
+    assert false_pulses, "the capture has the false backward pulses that this is about"
+    assert all(abs(error.yaw_deg) < 4.0 for error in found)
+
+
+# --- what a wheel's report may look like, all of it seen in a capture ---
+
+
+def test_captures_have_what_the_gates_must_let_through():
+    reports = [as_record(frame) for name in NAMES for frame in load(name).frames if frame["frame"] == "wheel"]
+    wheels = [wheel for report in reports for wheel in report]
+    assert any(wheel.direction == 2 and wheel.dist_abs == 2 for wheel in wheels), "pulses without a direction"
+    assert not any(wheel.direction == DIRECTION_ERROR for wheel in wheels)
+    pairs = [pair for name in NAMES for pair in zip(*[[as_record(frame) for frame in load(name).frames
+                                                       if frame["frame"] == "wheel"][start:] for start in (0, 1)])]
+    assert any(before.left.when != now.left.when and before.left.dist_abs == now.left.dist_abs
+               for before, now in pairs), "repeats of a standing car"
+
+
+# --- sonars ---
+
+
+def ranges(capture, moments):
+    """(measured, truth) of each report; ``None`` as measured: no range was made of it. Truth inf: nothing in range."""
+    result = []
+    for moment in moments:
+        if isinstance(moment.record, SonarStatus):
+            pulse_us = capture.pulse_us(moment.record.sensor, moment.received_us)
+            truth_m = math.inf if pulse_us is None else pulse_us * 1e-6 * SPEED_OF_SOUND_MPS / 2
+            result.append((moment.result and moment.result.range_m, truth_m if truth_m <= MAX_RANGE_M else math.inf))
+    return result
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_range_is_true_to_a_millimetre(replayed, name):
+    capture, moments, _, _ = replayed(name)
+    made = [(measured, truth) for measured, truth in ranges(capture, moments) if measured is not None]
+    assert all(measured == truth for measured, truth in made if math.isinf(truth) or math.isinf(measured))
+    off = [measured - truth for measured, truth in made if not math.isinf(truth)]
+    assert abs(mean(off)) <= 0.001 and max(map(abs, off)) <= 0.001
+
+
+@pytest.mark.parametrize("name", ["far", "far_young", "stop_go", "drive"])
+def test_sonar_that_sees_nothing_says_so_each_time(replayed, name):
+    capture, moments, _, _ = replayed(name)
+    nothing = [measured for measured, truth in ranges(capture, moments) if math.isinf(truth)]
+    assert len(nothing) > 20 and all(measured == math.inf for measured in nothing)
+
+
+def test_sonar_that_sees_nothing_can_say_the_maximum_for_ros_1_s_costmaps():
+    capture = load("far_young")
+    moments, _ = replay(capture, MeasurementConfig(ranging=RangingConfig(no_echo="max_range")))
+    nothing = [measured for measured, truth in ranges(capture, moments) if math.isinf(truth)]
+    assert len(nothing) > 20 and set(nothing) == {MAX_RANGE_M}
+
+
+@pytest.mark.parametrize("name, reason, at_most", [
+    pytest.param("stuck_sonar", STUCK, 4, id="a_pin_that_is_stuck_high"),
+    pytest.param("wrap", MICROS_WRAP, 10, id="a_wrap_of_micros"),
+])
+def test_false_echoes_make_no_range_and_are_counted(replayed, name, reason, at_most):
+    capture, moments, measurements, _ = replayed(name)
+    refused = [measured for measured, _ in ranges(capture, moments) if measured is None]
+    assert measurements.ranging.counts == {reason: len(refused)}
+    assert 0 < len(refused) <= at_most
+
+
+def test_false_echoes_after_sonar_start_make_no_range(replayed):
+    capture, moments, measurements, _ = replayed("sonar_start")
+    refused = sum(measured is None for measured, _ in ranges(capture, moments))
+    assert 10 <= refused <= 3 * 10, "three reports for each of ten SONAR_STARTs at most"
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("stuck_sonar", "wrap", "sonar_start",
+                                                                         "missing_sonars", "stuck_old")])
+def test_each_echo_of_healthy_sonars_makes_a_range(replayed, name):
+    capture, moments, _, _ = replayed(name)
+    assert all(measured is not None for measured, _ in ranges(capture, moments))

@@ -1,0 +1,271 @@
+"""Which sonars are alive: told by name within ten seconds, started again only when they are silent."""
+from __future__ import annotations
+
+import pytest
+from captures import NAMES, NS_PER_US, load
+
+from car_interface.teensy.framing import FrameDecoder
+from car_interface.teensy.protocol import Pong, SonarStatus, decode
+from car_interface.teensy.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe
+
+MS, S = 1_000_000, 1_000_000_000
+ALL = (0, 1, 2, 3, 4, 5)
+ROUND_NS = 55 * MS
+
+
+class Listener:
+    """Follows a capture as the hub would: each record as it comes, commands and faults four times a second."""
+
+    def __init__(self, monitor):
+        self.monitor = monitor
+        self.commands = []  # (s, command)
+        self.faults = []  # (s, words), whenever they change
+        self.distrusted = []
+
+    def follow(self, capture, knows_commands=True):
+        decoder = FrameDecoder()
+        starts_ns = [line["t_us"] * NS_PER_US for line in capture.commands
+                     if line["host"] == "sonar_start" and knows_commands]
+        next_ns = 0
+        self.monitor.opened(0)
+        for t_us, data in capture.chunks():
+            now_ns = t_us * NS_PER_US
+            while starts_ns and starts_ns[0] <= now_ns:
+                self.monitor.started(starts_ns.pop(0))
+            for body in decoder.feed(data):
+                self.take(decode(body), now_ns)
+            if now_ns >= next_ns:
+                next_ns = now_ns + S // 4
+                self.judge(now_ns)
+        return self
+
+    def take(self, record, now_ns):
+        self.monitor.frame(now_ns)
+        if isinstance(record, SonarStatus):
+            if not self.monitor.report(record.sensor, record.echo_us, record.when, now_ns):
+                self.distrusted.append(record)
+        elif isinstance(record, Pong):
+            self.monitor.tick(record.timestamp2, now_ns)
+
+    def judge(self, now_ns):
+        command = self.monitor.next_command(now_ns)
+        if command:
+            self.commands.append((now_ns / S, command))
+        words = describe(self.monitor.faults(now_ns))[0]
+        if words != (self.faults[-1][1] if self.faults else ""):
+            self.faults.append((now_ns / S, words))
+
+    def first(self, *parts):
+        """When all of these were first told together."""
+        return next((at_s for at_s, words in self.faults if all(part in words for part in parts)), None)
+
+
+# --- captures of the original firmware ---
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if "stuck" not in name and "missing" not in name])
+def test_sonars_that_run_are_never_started_and_never_blamed(name):
+    listener = Listener(SonarMonitor()).follow(load(name))
+    assert (listener.commands, listener.faults) == ([], [])
+
+
+def test_sonars_that_all_are_silent_from_power_up_are_started_after_three_seconds_and_the_missing_one_is_named():
+    listener = Listener(SonarMonitor()).follow(load("missing_sonars"))
+    at_s, command = listener.commands[0]
+    assert command == SEND_START and 3.0 <= at_s <= 4.5
+    assert listener.first("no sonar reports", "1 SONAR_START") <= 10
+    # In the capture a SONAR_START arrives at 14 s: from then on five report, and the first is told by name.
+    named_s = listener.first("front_right does not report")
+    assert 14 < named_s < 17
+    assert not [at_s for at_s, _ in listener.commands if at_s > 14]
+
+
+def test_starts_that_do_not_help_become_rare():
+    monitor = SonarMonitor()
+    starts_s = []
+    for now_s in range(600):
+        monitor.frame(now_s * S)
+        if monitor.next_command(now_s * S) == SEND_START:
+            starts_s.append(now_s)
+    gaps_s = [after - before for before, after in zip(starts_s, starts_s[1:])]
+    assert starts_s[0] == 3 and gaps_s == sorted(gaps_s) and max(gaps_s) == 60
+    assert monitor.starts == len(starts_s)
+
+
+def test_sonar_that_is_stuck_high_is_named_and_then_left_out():
+    listener = Listener(SonarMonitor()).follow(load("stuck_sonar"))
+    assert listener.first("front_left seems stuck high") <= 5
+    at_s, command = listener.commands[0]
+    assert command == SEND_SEQUENCE and at_s <= 10
+    assert listener.monitor.sequence == (0, 1, 3, 4, 5) and listener.monitor.dropped == (2,)
+    assert listener.first("front_left is stuck high and was taken out of the sequence") == at_s
+
+
+def test_sonar_that_silences_all_others_is_named_and_then_left_out():
+    """In the capture all go silent at front_left after 2.1 s, and again after a SONAR_START at 5.5 s."""
+    capture = load("stuck_old")
+    listener = Listener(SonarMonitor()).follow(capture, knows_commands=False)
+    assert listener.commands[0][1] == SEND_START
+    assert listener.first("front_left seems stuck high") <= 2.1 + 5
+    # The capture ends soon; what follows is that nothing but wheels comes.
+    end_ns = capture.duration_us * NS_PER_US
+    for step in range(1, 8):
+        listener.monitor.frame(end_ns + step * S)
+        listener.judge(end_ns + step * S)
+    assert (2,) == listener.monitor.dropped
+    assert SEND_SEQUENCE in [command for _, command in listener.commands]
+
+
+def test_reports_right_after_sonar_start_are_not_trusted_and_all_false_ones_are_among_them():
+    listener = Listener(SonarMonitor()).follow(load("sonar_start"))
+    true_us = {0: 2899, 1: 4646, 2: 6393, 3: 8140, 4: 9887, 5: 11343}
+    distrusted = {(record.sensor, record.when) for record in listener.distrusted}
+    false = {(frame["sensor"], frame["when"]) for frame in load("sonar_start").frames
+             if frame["frame"] == "sonar" and abs(frame["distance"] - true_us[frame["sensor"]]) > 3}
+    assert len(false) == 9 and false <= distrusted
+    assert len(distrusted) <= 3 * 10
+
+
+# --- rules ---
+
+
+class Sonars:
+    """Reports in a steady rhythm, of the sensors that are alive."""
+
+    def __init__(self, monitor=None):
+        self.monitor = monitor or SonarMonitor()
+        self.now_ns = 1000 * S
+        self.monitor.opened(self.now_ns)
+
+    def run(self, seconds, sensors=ALL, echo_us=5000, zeros=()):
+        end_ns = self.now_ns + round(seconds * S)
+        while self.now_ns < end_ns:
+            for sensor in sensors:
+                self.now_ns += ROUND_NS
+                self.monitor.frame(self.now_ns)
+                self.monitor.report(sensor, 0 if sensor in zeros else echo_us, self.tick, self.now_ns)
+        return self
+
+    def be_silent(self, seconds):
+        for _ in range(round(seconds * 5)):
+            self.now_ns += S // 5
+            self.monitor.frame(self.now_ns)
+        return self
+
+    @property
+    def tick(self):
+        return self.now_ns // MS
+
+    @property
+    def words(self):
+        return describe(self.monitor.faults(self.now_ns))[0]
+
+    @property
+    def command(self):
+        return self.monitor.next_command(self.now_ns)
+
+
+def test_one_that_falls_silent_is_named_within_two_seconds_and_forgiven_with_its_next_report():
+    sonars = Sonars().run(2)
+    assert sonars.words == ""
+    sonars.run(1.5, sensors=(0, 1, 2, 3, 5))
+    assert sonars.words == "rear_middle does not report: it seems not to be connected"
+    sonars.run(0.4)
+    assert sonars.words == ""
+
+
+def test_stopped_sonars_are_neither_started_nor_missed():
+    sonars = Sonars().run(1)
+    sonars.monitor.stopped()
+    sonars.be_silent(100)
+    assert sonars.command is None and sonars.words == ""
+
+
+def test_sonars_are_missed_again_once_they_were_started():
+    sonars = Sonars().run(1)
+    sonars.monitor.stopped()
+    sonars.be_silent(10)
+    sonars.monitor.started(sonars.now_ns)
+    assert sonars.be_silent(2.8).command is None
+    assert sonars.be_silent(0.4).command == SEND_START
+
+
+def test_nothing_is_started_on_a_line_on_which_nothing_comes():
+    sonars = Sonars().run(1)
+    sonars.now_ns += 100 * S
+    assert sonars.command is None and sonars.words == ""
+    assert sonars.be_silent(2.5).command is None, "the Teensy has just come back"
+    assert sonars.be_silent(1.0).command == SEND_START
+
+
+def test_restart_can_be_turned_off():
+    assert Sonars(SonarMonitor(restart_s=0)).be_silent(100).command is None
+
+
+def test_long_wait_between_pings_is_not_taken_for_silence():
+    sonars = Sonars().run(1)
+    sonars.monitor.wait_set(5000)
+    assert sonars.be_silent(9.8).command is None
+    assert sonars.be_silent(0.4).command == SEND_START
+
+
+def test_two_zeros_name_a_sonar_and_the_third_drops_it():
+    sonars = Sonars().run(0.5, zeros=(3,))
+    assert sonars.command is None
+    sonars.run(0.6, zeros=(3,))
+    assert "rear_right is stuck high" in sonars.words or "rear_right seems stuck high" in sonars.words
+    sonars.run(0.6, zeros=(3,))
+    assert sonars.command == SEND_SEQUENCE
+    assert sonars.monitor.sequence == (0, 1, 2, 4, 5)
+    sonars.run(1, sensors=(0, 1, 2, 4, 5))
+    assert sonars.words == "rear_right is stuck high and was taken out of the sequence"
+    assert sonars.command is None
+
+
+def test_zero_around_a_wrap_of_micros_blames_nobody():
+    sonars = Sonars()
+    sonars.now_ns = 4_294_967 * MS - 20 * MS
+    for sensor in (1, 1, 1, 1):
+        sonars.now_ns += 5 * MS
+        sonars.monitor.frame(sonars.now_ns)
+        sonars.monitor.report(sensor, 0, sonars.tick, sonars.now_ns)
+    assert sonars.command is None and sonars.words == ""
+
+
+def test_sonar_that_was_dropped_comes_back_with_a_new_sequence_or_a_reboot():
+    for revive in (lambda monitor, now_ns: monitor.sequence_set(ALL, now_ns),
+                   lambda monitor, now_ns: monitor.rebooted(now_ns)):
+        sonars = Sonars().run(1.5, zeros=(3,))
+        assert sonars.command == SEND_SEQUENCE
+        revive(sonars.monitor, sonars.now_ns)
+        assert sonars.run(1).words == "" and sonars.monitor.dropped == () and sonars.monitor.sequence == ALL
+
+
+def test_last_sonar_of_the_sequence_is_never_dropped():
+    sonars = Sonars()
+    sonars.monitor.sequence_set((2,), sonars.now_ns)
+    sonars.run(3, sensors=(2,), zeros=(2,))
+    assert sonars.command is None and "front_left seems stuck high" in sonars.words
+
+
+def test_configured_sequence_is_sent_at_start_after_a_reboot_and_when_the_port_is_opened_again():
+    sonars = Sonars(SonarMonitor(sequence=(1, 4)))
+    sonars.monitor.frame(sonars.now_ns)
+    assert sonars.command == SEND_SEQUENCE and sonars.monitor.sequence == (1, 4)
+    assert sonars.command is None
+    assert sonars.run(2, sensors=(1, 4)).words == "", "the others aren't missed"
+    for again in (sonars.monitor.rebooted, sonars.monitor.opened):
+        again(sonars.now_ns)
+        sonars.monitor.frame(sonars.now_ns)
+        assert sonars.command == SEND_SEQUENCE
+        assert sonars.command is None
+
+
+def test_without_a_configured_sequence_none_is_sent():
+    assert Sonars().run(1).command is None
+
+
+def test_each_fault_comes_with_what_to_do():
+    sonars = Sonars().run(1, sensors=(0, 1, 2))
+    words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
+    assert words.count("does not report") == 3 and next_step.count("Check its plug and wires") == 1
