@@ -192,8 +192,7 @@ class Listener:
         self._frames = frames
         self._result = result
         self._decoder = FrameDecoder()
-        # The capture holds made-up echoes that are longer than the firmware listens.
-        self._gates = Gates(GateConfig(longest_echo_us=0xFFFF))
+        self._gates = Gates()
         self._pings = {sent.record.timestamp1 for sent in frames if isinstance(sent.record, Pong)}
         self._way, self._ungated = Way(), Way()
         self._believed = None
@@ -247,7 +246,9 @@ class Listener:
     def _roll(self, record, sent, right, verdict):
         result = self._result
         drive = (self._round, sent.drive)
-        self._way.add(verdict.pulses)
+        # In this capture the firmware knew the directions of the first pulses, too.
+        self._way.add(proven + (unproven if wheel.direction == FORWARD else -unproven)
+                      for proven, unproven, wheel in zip(verdict.pulses, verdict.unproven, record))
         result.restarts += verdict.restarted
         if sent.way is not None and verdict.accepted:
             error_m = self._way.error_m(sent.way, drive) if right else self._harm_m(sent, drive)

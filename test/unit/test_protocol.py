@@ -34,7 +34,7 @@ COMMANDS = [
     pytest.param(protocol.get_counters, "02010a00", "f2", id="get_counters"),
     pytest.param(lambda: protocol.sonar_wait(50), "02010c00 32000000", "be", id="sonar_wait_as_at_power_up"),
     pytest.param(lambda: protocol.sonar_wait(0), "02010c00 00000000", "f0", id="sonar_wait_of_0"),
-    pytest.param(lambda: protocol.sonar_wait(2 ** 32 - 1), "02010c00 ffffffff", "f4", id="longest_sonar_wait"),
+    pytest.param(lambda: protocol.sonar_wait(2 ** 31 - 1), "02010c00 ffffff7f", "74", id="longest_sonar_wait"),
 ]
 
 
@@ -57,9 +57,9 @@ def test_command_on_the_line_has_its_own_flags_and_the_receiver_s_checksum(comma
                  id="sonar_that_does_not_exist"),
     pytest.param(lambda: protocol.set_sonar_sequence([-1]), "there is no sonar -1: ids go from 0 to 5",
                  id="negative_sonar"),
-    pytest.param(lambda: protocol.sonar_wait(-1), "a sonar wait is 0 to 4294967295 ms, not -1", id="negative_wait"),
-    pytest.param(lambda: protocol.sonar_wait(2 ** 32), "a sonar wait is 0 to 4294967295 ms, not 4294967296",
-                 id="wait_too_long"),
+    pytest.param(lambda: protocol.sonar_wait(-1), "a sonar wait is 0 to 2147483647 ms, not -1", id="negative_wait"),
+    pytest.param(lambda: protocol.sonar_wait(2 ** 31), "a sonar wait is 0 to 2147483647 ms, not 2147483648",
+                 id="wait_that_the_firmware_takes_for_none"),
     pytest.param(lambda: protocol.ping(-1), "a ping's timestamp is 0 to 4294967295, not -1", id="negative_timestamp"),
     pytest.param(lambda: protocol.ping(2 ** 32), "a ping's timestamp is 0 to 4294967295, not 4294967296",
                  id="timestamp_too_great"),

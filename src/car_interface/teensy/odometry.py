@@ -28,7 +28,7 @@ from typing import NamedTuple, Sequence
 from car_interface.errors import ConfigError
 from car_interface.teensy.plausibility import LEARNING_PULSES
 from car_interface.teensy.protocol import BACKWARD, NO_DIRECTION, WheelStatus
-from car_interface.teensy.restart import CarState, RestartBridge, WheelState
+from car_interface.teensy.restart import MAX_BLIND_MS, CarState, RestartBridge, WheelState
 
 TICK_MIDDLE_MS = 0.5
 TICK_VARIANCE = 1 / 12  # of a moment within its tick, ms²
@@ -378,6 +378,10 @@ class _WheelFilter:
 
     def wait(self, now_ms):
         """No pulse has come until now."""
+        if self.is_lost and now_ms - self._time_ms > MAX_BLIND_MS:
+            self._time_ms = now_ms
+            self._stand()
+            return
         self._predict(now_ms)
         since_ms = now_ms - self._pulse_ms
         # The newest pulse was somewhere in its tick, and until then no other had come: half a tick to either side.

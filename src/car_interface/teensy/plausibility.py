@@ -159,6 +159,7 @@ class Gates:
         verdict = self._wheels.judge(record, self._ticks.newest, self._ticks.restarts)
         if verdict.boot_tick is not None:
             self._ticks.restart(verdict.boot_tick)
+            self.counts[CLOCK_RESTARTED] += 1
         return self._counted(verdict)
 
     def _judge_tick(self, tick):
@@ -288,6 +289,8 @@ class _WheelGate:
             boot_tick = self._find_boot(record, newest_tick, clock_restarts)
             way = self._way(_NOTHING_YET, record)
             verdict = verdict._replace(pulses=way[:2], unproven=way[2:])
+        elif verdict.reason == ODOMETERS_RESTARTED and self._learns:
+            boot_tick = _tick_gone_back(record, newest_tick)
         if not verdict.accepted:
             return verdict
         if not _is_zero(record):
@@ -304,11 +307,10 @@ class _WheelGate:
         tick_at_zero, restarts_at_zero = self._zero
         if not self._learns or clock_restarts != restarts_at_zero or (tick_at_zero or 0) < YOUNG_MS:
             return None
-        when = max(wheel.when for wheel in record if wheel.dist_abs)
-        if when < newest_tick and ahead(when, newest_tick) < -OVERTAKEN_MS:
-            return when
-        self._learns = False  # the clock goes on: it was WHEEL_RESET, and the pins' states are known
-        return None
+        boot_tick = _tick_gone_back(record, newest_tick)
+        if boot_tick is None:
+            self._learns = False  # the clock goes on: it was WHEEL_RESET, and the pins' states are known
+        return boot_tick
 
     def _judge(self, record, newest_tick):
         if self._last is None:
@@ -432,6 +434,14 @@ class _WheelGate:
 
 _FINE = Verdict(True, "")
 _NOTHING_YET = WheelStatus(*2 * (Wheel(0, NO_DIRECTION, 0, 0, 0),))
+
+
+def _tick_gone_back(record, newest_tick):
+    """The newest pulse's tick, if it can only be of a clock that began anew; else ``None``."""
+    when = max((wheel.when for wheel in record if wheel.dist_abs), default=None)
+    if when is None or newest_tick is None:
+        return None
+    return when if when < newest_tick and ahead(when, newest_tick) < -OVERTAKEN_MS else None
 
 
 def _repeat_fault(before, now):

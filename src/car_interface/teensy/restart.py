@@ -146,10 +146,10 @@ class RestartBridge:
         """Whether enough is known to go on."""
         if not any(self._pulses) or not self._find_sign(now_ms):
             return False
-        if not self._was_rolling():
-            return any(self._signs) or now_ms - self._first_ms() > ENOUGH_MS
         if now_ms - self._first_ms() > ENOUGH_MS:
             return True
+        if not self._was_rolling():
+            return all(sign or not pulses for sign, pulses in zip(self._signs, self._pulses))
         wanted = ENOUGH_PULSES if self._blind_ms() > BLIND_MS else 1
         return all(self.pending(side) >= wanted for side in (LEFT, RIGHT))
 
@@ -166,6 +166,8 @@ class RestartBridge:
         mean_variance = self._stop_variance + PLACE_SIGMA ** 2
         if was_rolling and blind_ms > BLIND_MS:
             mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 12) ** 2 + (mean_speed * CLOCK_MS) ** 2
+        if blind_ms > MAX_BLIND_MS:
+            mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
         difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * curvature_variance * self._track_m ** 2
                                + curvature_variance * (rolled * self._track_m) ** 2)
         places, spread = self._search(guesses, signs, mean_variance, difference_variance)
@@ -183,7 +185,7 @@ class RestartBridge:
 
     def _blind_ms(self):
         seen_ms = self._first_ms() if self._seen_ms is None else self._seen_ms
-        return min(max(0.0, seen_ms - self._state.at_ms), MAX_BLIND_MS)
+        return max(0.0, seen_ms - self._state.at_ms)
 
     def _mean_before(self):
         return sum(wheel.speed for wheel in self._state.wheels) / 2
@@ -250,8 +252,8 @@ class RestartBridge:
             mean = (speeds[LEFT] + speeds[RIGHT]) / 2
             at_ms = pulses[0][1]
             middle_ms = (at_ms + pulses[-1][1]) / 2
-            elapsed_ms = min(max(0.0, at_ms - state.at_ms), MAX_BLIND_MS)
-            until_middle_ms = max(elapsed_ms, min(middle_ms - state.at_ms, MAX_BLIND_MS), 1.0)
+            elapsed_ms = max(0.0, at_ms - state.at_ms)
+            until_middle_ms = max(elapsed_ms, middle_ms - state.at_ms, 1.0)
             then = before + (mean - before) * elapsed_ms / until_middle_ms
             rolled = (before + then) / 2 * elapsed_ms
         side_sign = 1 if side == RIGHT else -1
