@@ -24,16 +24,18 @@ ROLLING_PER_MS = 0.01  # 0.15 m/s: from here on a wheel is taken to go on as it 
 BLIND_MS = 100.0  # a restart that takes longer was one of the Teensy; a reset of its odometers loses a report or two
 REPEAT_MS = 450.0  # a standing car is reported at least so often
 MAX_BLIND_MS = 2_000.0  # after longer nobody knows anything of the speed between
-ENOUGH_PULSES = 6  # of each wheel after the restart, for its speed
-ENOUGH_MS = 250.0  # or so long after the first
+# After the restart each wheel's speed is taken over so many pulses and so long, or whatever has come when that is over.
+ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
 LATE_INTERVALS = 1.6  # a first pulse that comes later than so many intervals is that of a car which started after it
 STOPPED_INTERVALS = 3.0  # no pulse for so many of the intervals before: it stopped while nobody counted
 SEARCHED = 6  # magnets around the likeliest
 UNEVEN_PER_MS2 = 1.3e-4  # by how much an acceleration may differ from the even one, 2 m/s²
 CLOCK_MS = 4.0  # how well the duration of a reboot is known
 TICK_MS = 0.45  # of the interval between two ticks, one sigma
-CURVATURE_SIGMA = 0.03  # 1/m: what a curvature is claimed to be known by, at the best
+CURVATURE_SIGMA = 0.05  # 1/m: what the curvature between is claimed to be known by, at the best
+UNEVEN_START_RATIO = 0.3  # of the distance that a car has made which started while nobody counted, one sigma
 PLACE_SIGMA, DIFFERENCE_SIGMA = 0.3, 0.2  # pulses: of where the wheels were before
+STANDING_DIFFERENCE_VARIANCE = 0.4  # pulses²: of wheels that stood, each anywhere between two magnets
 LEAST_DIFFERENCE_VARIANCE = 1 / 9  # pulses²: a whole one within three sigma
 
 
@@ -150,8 +152,10 @@ class RestartBridge:
             return True
         if not self._was_rolling():
             return all(sign or not pulses for sign, pulses in zip(self._signs, self._pulses))
-        wanted = ENOUGH_PULSES if self._blind_ms() > BLIND_MS else 1
-        return all(self.pending(side) >= wanted for side in (LEFT, RIGHT))
+        if self._blind_ms() <= BLIND_MS:
+            return all(self._pulses)
+        return all(self.pending(side) >= ENOUGH_PULSES and pulses[-1][1] - pulses[0][1] >= ENOUGH_SPAN_MS
+                   for side, pulses in enumerate(self._pulses))
 
     def solve(self, now_ms: float) -> Outcome:
         """How the wheels go on; ``is_ready`` first."""
@@ -166,10 +170,14 @@ class RestartBridge:
         mean_variance = self._stop_variance + PLACE_SIGMA ** 2
         if was_rolling and blind_ms > BLIND_MS:
             mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 12) ** 2 + (mean_speed * CLOCK_MS) ** 2
+            if abs(self._mean_before()) <= ROLLING_PER_MS:
+                mean_variance += (UNEVEN_START_RATIO * rolled) ** 2
         if blind_ms > MAX_BLIND_MS:
             mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
         difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * curvature_variance * self._track_m ** 2
                                + curvature_variance * (rolled * self._track_m) ** 2)
+        if abs(self._mean_before()) <= ROLLING_PER_MS and was_rolling:
+            difference_variance += STANDING_DIFFERENCE_VARIANCE
         places, spread = self._search(guesses, signs, mean_variance, difference_variance)
         unknown = 0.0 if self._assumed == 0 else max(self.pending(LEFT), self.pending(RIGHT)) ** 2
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
@@ -224,20 +232,25 @@ class RestartBridge:
     def _curvature(self, speeds, was_rolling):
         """Over the time that nobody counted, and its variance, from before and after."""
         before, before_variance = self._state.curvature_per_m, self._state.curvature_variance
-        spans = [pulses[-1][1] - pulses[0][1] if pulses else 0.0 for pulses in self._pulses]
-        mean = (speeds[LEFT] + speeds[RIGHT]) / 2
-        if not was_rolling or not mean or not all(spans) or self._blind_ms() <= BLIND_MS:
+        after, after_variance = self._curvature_after()
+        if not was_rolling or after is None or self._blind_ms() <= BLIND_MS:
             return before, before_variance
-        after = (speeds[RIGHT] - speeds[LEFT]) / mean / self._track_m
-        after_variance = sum((TICK_MS / span) ** 2 for span in spans) / self._track_m ** 2
-        least = CURVATURE_SIGMA ** 2
-        if not abs(self._mean_before()) > ROLLING_PER_MS:
-            return after, after_variance + least
-        if (after - before) ** 2 > 4 * (before_variance + after_variance):
-            return (before + after) / 2, (after - before) ** 2 / 12 + least
-        total = before_variance + after_variance
-        return ((before * after_variance + after * before_variance) / total,
-                before_variance * after_variance / total + least)
+        if abs(self._mean_before()) <= ROLLING_PER_MS:
+            return after, after_variance + CURVATURE_SIGMA ** 2
+        # Exact where it changes evenly; a step at any moment between is spread like that.
+        return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2
+
+    def _curvature_after(self):
+        """From what both wheels have rolled over the same time, and its variance; ``None`` when that says nothing."""
+        if any(len(pulses) < 2 for pulses in self._pulses):
+            return None, math.inf
+        begin_ms = max(pulses[0][1] for pulses in self._pulses)
+        end_ms = min(pulses[-1][1] for pulses in self._pulses)
+        left, right = (_count_at(pulses, end_ms) - _count_at(pulses, begin_ms) for pulses in self._pulses)
+        if end_ms <= begin_ms or not left + right:
+            return None, math.inf
+        return (2 * (right - left) / (left + right) / self._track_m,
+                2 * (TICK_MS / (end_ms - begin_ms) / self._track_m) ** 2)
 
     def _guess(self, side, speeds, curvature, was_rolling, signs):
         """Where a wheel was at its first pulse, in pulses, without regard to magnets."""
@@ -256,8 +269,20 @@ class RestartBridge:
             until_middle_ms = max(elapsed_ms, middle_ms - state.at_ms, 1.0)
             then = before + (mean - before) * elapsed_ms / until_middle_ms
             rolled = (before + then) / 2 * elapsed_ms
+            if abs(before) <= ROLLING_PER_MS:
+                rolled = math.copysign(min(abs(rolled), self._distance_from_rest(at_ms)), then)
         side_sign = 1 if side == RIGHT else -1
         return wheel.position + rolled * (1 + side_sign * curvature * self._track_m / 2)
+
+    def _distance_from_rest(self, at_ms):
+        """What the car had rolled by then since it stood: by its speed v and acceleration a, v² / 2a."""
+        early_rate, late_rate, early_ms, late_ms = (
+            sum(values) / 2 for values in zip(*(_early_and_late(pulses or max(self._pulses, key=len))
+                                                for pulses in self._pulses)))
+        if not early_rate < late_rate:
+            return math.inf
+        acceleration = (late_rate - early_rate) / (late_ms - early_ms)
+        return max(0.0, early_rate + acceleration * (at_ms - early_ms)) ** 2 / (2 * acceleration)
 
     def _search(self, guesses, signs, mean_variance, difference_variance):
         """The likeliest magnets of the first pulses, and the variances of their mean and difference."""
@@ -285,6 +310,8 @@ class RestartBridge:
         if not first or wheel.speed * sign < 0 or self._stop_variance:
             return places
         nearest = wheel.count + first if sign > 0 else wheel.count + 1 - first
+        if wheel.speed == 0.0 and not self._was_rolling():
+            return [nearest]  # it stood until pulses were counted again
         kept = [place for place in places if (place - nearest) * sign >= 0]
         return kept or [nearest]
 
@@ -294,3 +321,20 @@ def _rate(pulses):
     if len(pulses) < 2 or pulses[-1][1] <= pulses[0][1]:
         return 0.0
     return sum(count for count, _ in pulses[1:]) / (pulses[-1][1] - pulses[0][1])
+
+
+def _count_at(pulses, at_ms):
+    """How many pulses a wheel has made since its first, between two of them in proportion."""
+    counted = 0
+    for (_, before_ms), (count, after_ms) in zip(pulses, pulses[1:]):
+        if at_ms <= after_ms:
+            return counted + (count * (at_ms - before_ms) / (after_ms - before_ms) if after_ms > before_ms else count)
+        counted += count
+    return counted
+
+
+def _early_and_late(pulses):
+    """Rates of a wheel's first and last half of pulses, and the middles of these times."""
+    middle = len(pulses) // 2
+    early, late = pulses[:middle + 1], pulses[middle:]
+    return _rate(early), _rate(late), (early[0][1] + early[-1][1]) / 2, (late[0][1] + late[-1][1]) / 2
