@@ -210,9 +210,11 @@ class Odometry:
         outcome = bridge.solve(now_ms)
         for wheel, start in zip(self._wheels, outcome.wheels):
             wheel.pending = 0
-            if start is not None:
+            if start.pulses:
                 wheel.go_on(start, outcome.was_rolling, now_ms)
                 wheel.wait(now_ms)
+            else:
+                wheel.stop_at(start.place)  # its next pulse tells the magnet
         return self._move(record, True, now_ms, outcome)
 
     def _move(self, record, is_news, now_ms, outcome=None):

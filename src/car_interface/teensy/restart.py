@@ -31,6 +31,7 @@ STOPPED_INTERVALS = 3.0  # no pulse for so many of the intervals before: it stop
 SEARCHED = 6  # magnets around the likeliest
 UNEVEN_PER_MS2 = 1.3e-4  # by how much an acceleration may differ from the even one, 2 m/s²
 CLOCK_MS = 4.0  # how well the duration of a reboot is known
+REST_MS, UNPROVEN_VARIANCE = 1000.0, 4.0  # ms; pulses²: two of them the other way in less than three sigma
 TICK_MS = 0.45  # of the interval between two ticks, one sigma
 CURVATURE_SIGMA = 0.05  # 1/m: what the curvature between is claimed to be known by, at the best
 UNEVEN_START_RATIO = 0.3  # of the distance that a car has made which started while nobody counted, one sigma
@@ -60,13 +61,13 @@ class WheelStart(NamedTuple):
     """How a wheel goes on.
 
     Attributes:
-        place: of its first pulse's magnet.
+        place: of its first pulse's magnet; without pulses where it is, anywhere between two.
         speed: then.
         forward: which way it turns.
         pulses: (so many, at ms), the first of which was at ``place``.
     """
 
-    place: int
+    place: float
     speed: float
     forward: bool
     pulses: list
@@ -75,7 +76,7 @@ class WheelStart(NamedTuple):
 class Outcome(NamedTuple):
     """What is known after a restart."""
 
-    wheels: tuple  # WheelStart, or None for one that has made no pulse since
+    wheels: tuple  # of WheelStart
     was_rolling: bool
     curvature_per_m: float
     curvature_variance: float
@@ -98,7 +99,6 @@ class RestartBridge:
         self._stop_variance = 0.0
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
-        self._assumed = 0  # a sign that nothing has proven
 
     def restart(self) -> None:
         """Once more, before anything was known: pulses since then don't count."""
@@ -161,7 +161,7 @@ class RestartBridge:
         """How the wheels go on; ``is_ready`` first."""
         was_rolling = self._was_rolling()
         state, signs = self._state, self._all_signs(now_ms)
-        speeds = self._speeds(signs)
+        speeds = self._speeds(signs, now_ms)
         curvature, curvature_variance = self._curvature(speeds, was_rolling)
         guesses = [self._guess(side, speeds, curvature, was_rolling, signs) for side in (LEFT, RIGHT)]
         blind_ms = self._blind_ms()
@@ -178,15 +178,16 @@ class RestartBridge:
                                + curvature_variance * (rolled * self._track_m) ** 2)
         if abs(self._mean_before()) <= ROLLING_PER_MS and was_rolling:
             difference_variance += STANDING_DIFFERENCE_VARIANCE
-        places, spread = self._search(guesses, signs, mean_variance, difference_variance)
-        unknown = 0.0 if self._assumed == 0 else max(self.pending(LEFT), self.pending(RIGHT)) ** 2
+        places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
-            spread = spread[0], max(spread[1], LEAST_DIFFERENCE_VARIANCE)
+            doubt = max(doubt, LEAST_DIFFERENCE_VARIANCE)
+        # After a rest a car may have turned round, and nobody knows which way its first pulses were.
+        unknown = UNPROVEN_VARIANCE if not was_rolling and now_ms - self._first_ms() > REST_MS else 0.0
         return Outcome(
             wheels=tuple(WheelStart(places[side], speeds[side], signs[side] > 0, self._pulses[side])
-                         if self._pulses[side] else None for side in (LEFT, RIGHT)),
+                         for side in (LEFT, RIGHT)),
             was_rolling=was_rolling, curvature_per_m=curvature, curvature_variance=curvature_variance,
-            mean_variance=spread[0] + unknown, difference_variance=spread[1] + unknown)
+            mean_variance=mean_variance + unknown, difference_variance=doubt + unknown)
 
     def _first_ms(self):
         return min(pulses[0][1] for pulses in self._pulses if pulses)
@@ -218,16 +219,19 @@ class RestartBridge:
             return True
         for pulses in self._pulses:
             rate = _rate(pulses)
-            if pulses and rate and pulses[0][1] - self._seen_ms <= LATE_INTERVALS / rate:
+            if rate > ROLLING_PER_MS / 2 and pulses[0][1] - self._seen_ms <= LATE_INTERVALS / rate:
                 return True
         return not any(_rate(pulses) for pulses in self._pulses) and abs(self._mean_before()) > ROLLING_PER_MS
 
-    def _speeds(self, signs):
+    def _speeds(self, signs, now_ms):
         """Of both wheels at their pulses; what one doesn't say is taken from the other, or from before."""
         rates = [_rate(pulses) for pulses in self._pulses]
         known = [sign * rate for sign, rate in zip(signs, rates) if rate]
-        return [sign * rate if rate else known[0] if known else wheel.speed
-                for sign, rate, wheel in zip(signs, rates, self._state.wheels)]
+        # A wheel of which no second pulse has come for a while has become slow.
+        fastest = 1 / max(now_ms - self._first_ms(), 1.0)
+        slowed = [wheel.speed if abs(wheel.speed) < 2 * fastest else math.copysign(fastest, wheel.speed)
+                  for wheel in self._state.wheels]
+        return [sign * rate if rate else known[0] if known else speed for sign, rate, speed in zip(signs, rates, slowed)]
 
     def _curvature(self, speeds, was_rolling):
         """Over the time that nobody counted, and its variance, from before and after."""
@@ -253,18 +257,18 @@ class RestartBridge:
                 2 * (TICK_MS / (end_ms - begin_ms) / self._track_m) ** 2)
 
     def _guess(self, side, speeds, curvature, was_rolling, signs):
-        """Where a wheel was at its first pulse, in pulses, without regard to magnets."""
+        """Where a wheel was at its first pulse, or the other's, in pulses, without regard to magnets."""
         state = self._state
         wheel = state.wheels[side]
         pulses = self._pulses[side]
         before = self._mean_before()
-        if not was_rolling or not pulses:
+        if not was_rolling:
             # It was somewhere between two magnets, half a pulse from the next one on average.
             rolled = before * self._blind_ms() / 2 + (signs[side] * (pulses[0][0] - 0.5) if pulses else 0.0)
         else:
             mean = (speeds[LEFT] + speeds[RIGHT]) / 2
-            at_ms = pulses[0][1]
-            middle_ms = (at_ms + pulses[-1][1]) / 2
+            at_ms = pulses[0][1] if pulses else self._first_ms()
+            middle_ms = (at_ms + pulses[-1][1]) / 2 if pulses else at_ms
             elapsed_ms = max(0.0, at_ms - state.at_ms)
             until_middle_ms = max(elapsed_ms, middle_ms - state.at_ms, 1.0)
             then = before + (mean - before) * elapsed_ms / until_middle_ms
@@ -285,7 +289,7 @@ class RestartBridge:
         return max(0.0, early_rate + acceleration * (at_ms - early_ms)) ** 2 / (2 * acceleration)
 
     def _search(self, guesses, signs, mean_variance, difference_variance):
-        """The likeliest magnets of the first pulses, and the variances of their mean and difference."""
+        """The likeliest magnets of the first pulses, and the variance of their difference."""
         mean = sum(guesses) / 2
         difference = guesses[RIGHT] - guesses[LEFT]
         around = [range(round(guess) - SEARCHED, round(guess) + SEARCHED + 1) if self._pulses[side] else
@@ -299,9 +303,7 @@ class RestartBridge:
         least, left, right = min(scored)
         weights = [(math.exp((least - cost) / 2), one, other) for cost, one, other in scored]
         total = sum(weight for weight, _, _ in weights)
-        return (left, right), (
-            sum(weight * ((one + other) / 2 - (left + right) / 2) ** 2 for weight, one, other in weights) / total,
-            sum(weight * (other - one - right + left) ** 2 for weight, one, other in weights) / total)
+        return (left, right), sum(weight * (other - one - right + left) ** 2 for weight, one, other in weights) / total
 
     def _possible(self, side, places, sign):
         """Of these places those that a wheel can have reached: one that goes on as it rolled has gone on."""
