@@ -279,9 +279,13 @@ class TeensyFirmware:
         """From now on a sensor is SONAR_FINE, SONAR_MISSING (not connected) or SONAR_STUCK.
 
         One that is stuck raises its echo pin at its next ping and holds it high until it is fine again.
+
+        Raises:
+            ConfigError: no such sensor, no such condition.
         """
+        require(sensor in range(SONARS), "sonar", sensor, "a sensor from 0 to 5")
         self.advance(now_ns)
-        self._sensors[sensor].set_condition(condition, self._now_ns)
+        self._sensors[int(sensor)].set_condition(condition, self._now_ns)
         self._sonars.schedule()
 
     def millis(self, now_ns: int) -> int:
