@@ -699,6 +699,8 @@ class Transmitter:
     def _next(self) -> bytearray | None:
         if self._first:
             return self._first.popleft()
+        if not any(self._reports):
+            return None
         for _ in self._reports:
             packet, self._reports[self._turn] = self._reports[self._turn], None
             if packet is not None:
