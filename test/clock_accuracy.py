@@ -29,7 +29,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from car_interface.sim.line import BitErrors
-from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_firmware import BACKWARD, ECHO_RISE_US, FORWARD, FirmwareConfig, TeensyFirmware
 from car_interface.teensy.clock import Clock, ClockConfig
 from car_interface.teensy.framing import RESYNC_FILLER, SHIPPED, FrameDecoder, encode
 from car_interface.teensy.pinging import Pinger
@@ -198,7 +198,7 @@ class Bench:
     def _echo_us(self, sensor, at_ns):
         """Of walls at all distances; the time at which it's heard is the truth of the sonar's tick."""
         echo_us = self._random.randrange(1_000, 14_000)
-        heard_ns = at_ns + (echo_us if echo_us <= 11_428 else 11_428) * NS_PER_US
+        heard_ns = at_ns + (ECHO_RISE_US + echo_us) * NS_PER_US
         if hasattr(self, "_teensy"):
             self._truth["sonar", sensor, self._teensy.millis(heard_ns)] = heard_ns
         return echo_us
@@ -216,7 +216,7 @@ class Bench:
             self._teensy.reboot(now_ns)
             self._score_from_ns = now_ns + SCORED_AFTER_NS
             if self._scenario.saturated:
-                self._write(encode(sonar_wait(0), SHIPPED), now_ns + 100 * NS_PER_MS)
+                self._write(encode(sonar_wait(0), SHIPPED), now_ns + 400 * NS_PER_MS)  # it has booted
 
     def _write(self, data, now_ns, timestamp1=None):
         late_ns = self._random.uniform(0.2, 2.0) if self._random.random() < 0.02 else self._random.uniform(0, 0.2)

@@ -7,7 +7,7 @@ import unittest
 import rospy
 import rostest
 from car_interface.msg import Distance, Error, LinkStatus, Pong, Wheel, WheelDirection
-from car_interface.srv import SetSonarSequence, SetSonarWait
+from car_interface.srv import InjectFault, SetSonarSequence, SetSonarWait
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import Trigger
 
@@ -74,6 +74,26 @@ class HubAgainstTheVirtualTeensy(unittest.TestCase):
         self.assertLessEqual(len(self.sonars.since(mark)), 1)
         self.assertTrue(self.call("sonar_start", Trigger).success)
         self.sonars.wait_for_count(6, self.sonars.mark())
+
+    def inject(self, fault, value):
+        rospy.wait_for_service("/car_sim/inject_fault", 10)
+        return rospy.ServiceProxy("/car_sim/inject_fault", InjectFault)(fault, value)
+
+    def newest_sensors(self):
+        return {report.sensor for report in self.sonars.since()[-12:]}
+
+    def test_sonar_that_is_missing_is_skipped_until_it_is_fine_again(self):
+        eventually(lambda: self.newest_sensors() == set(range(6)), "reports of all six sonars")
+        self.assertTrue(self.inject("sonar_missing", 3).success)
+        self.addCleanup(self.inject, "sonar_fine", 3)
+        eventually(lambda: self.newest_sensors() == {0, 1, 2, 4, 5}, "none of the sonar that isn't there")
+        self.assertTrue(self.inject("sonar_fine", 3).success)
+        eventually(lambda: self.newest_sensors() == set(range(6)), "reports of all six sonars again")
+
+    def test_sonar_that_does_not_exist_cannot_be_made_to_fail(self):
+        answer = self.inject("sonar_stuck", 6)
+        self.assertFalse(answer.success)
+        self.assertIn("accepted: a sensor from 0 to 5", answer.message)
 
     def test_sonar_wait_slows_the_sonars_down(self):
         self.assertTrue(self.call("set_sonar_wait", SetSonarWait, 400).success)

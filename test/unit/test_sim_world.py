@@ -32,7 +32,8 @@ def hall(boxes=(), posts=(), **config):
         pytest.param((9.0, 0.0, math.radians(30)), FRONT_RIGHT, 1.0, id="front_right_looks_30_degrees_right"),
         pytest.param((-9.0, 0.0, math.radians(30)), REAR_LEFT, 1.0, id="rear_left_looks_back"),
         pytest.param((-9.0, 0.0, math.radians(-30)), REAR_RIGHT, 1.0, id="rear_right_looks_back"),
-        pytest.param((7.9, 0.0, 0.0), FRONT, None, id="wall_beyond_two_metres"),
+        pytest.param((7.9, 0.0, 0.0), FRONT, 2.1, id="wall_beyond_two_metres"),
+        pytest.param((5.9, 0.0, 0.0), FRONT, None, id="wall_beyond_four_metres"),
         pytest.param((0.0, 0.0, 0.0), FRONT, None, id="nothing_near"),
     ],
 )
@@ -95,9 +96,10 @@ def test_echo_of_a_metre_is_there_and_back_at_the_speed_of_sound(temperature_c, 
     assert echo_us == round(2e6 / speed_of_sound_mps(temperature_c))
 
 
-def test_echo_from_beyond_two_metres_is_zero():
-    assert hall().echo_us((7.99, 0.0, 0.0), FRONT) == 0
-    assert hall().echo_us((8.01, 0.0, 0.0), FRONT) > 11_000
+def test_echo_from_beyond_four_metres_is_zero_and_from_two_it_is_not():
+    assert hall().echo_us((5.99, 0.0, 0.0), FRONT) == 0
+    assert hall().echo_us((6.01, 0.0, 0.0), FRONT) > 23_000
+    assert hall().echo_us((7.9, 0.0, 0.0), FRONT) > 12_000
 
 
 def test_echo_of_something_that_touches_is_not_zero():
@@ -108,7 +110,7 @@ def test_echo_of_something_that_touches_is_not_zero():
 def test_echo_anywhere_in_the_default_room_is_none_or_within_range(x_m, y_m, yaw_rad, sensor):
     world = World()
     echo_us = world.echo_us((x_m, y_m, yaw_rad), sensor)
-    assert echo_us == 0 or 1 <= echo_us <= round(4e6 / 343.42)
+    assert echo_us == 0 or 1 <= echo_us <= round(8e6 / 343.42)
 
 
 def test_default_room_leaves_the_figure_eight_free_and_has_something_to_hear_on_it():

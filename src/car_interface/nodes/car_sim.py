@@ -17,12 +17,17 @@ Parameters:
     ~steering_duties, ~steering_curvatures: the true steering, rising duties and curvatures in 1/m, left positive.
     ~forward_acceleration, ~reverse_acceleration, ~brake_deceleration (m/s²): the true drive train.
     ~temperature 20 (°C): of the air that the sonars' sound travels through.
-    ~clock_start_ms 0, ~clock_drift_ppm 0: the Teensy's clock.  ~corrected_checksum false: its receiver repaired.
-    ~seed: of the garbage in the Teensy's memory at power-up, and of the noise on its line.
+    ~wheel_pulses: where the rear wheels (left, right) stand at the start, in pulses: the levels of their hall pins, which
+        the Teensy takes for others than they are, and how far it is to the next ones.
+    ~clock_start_ms, ~clock_drift_ppm: the Teensy's clock.  ~corrected_checksum false: its receiver repaired.
+    ~sonar_pulse_end 38000 (µs): so long a sonar that hears nothing holds its echo pin.
+    ~seed: of all that isn't given: wheel_pulses, clock_start_ms (up to an hour), clock_drift_ppm (±50), of the garbage in
+        the Teensy's memory at power-up, and of the noise on its line. Not given it differs each time; it is logged.
 """
 from __future__ import annotations
 
 import math
+import random
 import time
 
 import rospy
@@ -34,17 +39,21 @@ from car_interface.errors import ConfigError
 from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run, subscribe
 from car_interface.nodes.virtual_line import VirtualLine
 from car_interface.servo import CHANNELS, UNCHANGED
-from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
 STEP_NS = 2_000_000  # the car's longest step, and how often bytes leave
+LONGEST_UPTIME_MS = 3_600_000
+MOST_DRIFT_PPM = 50.0
+SEEDS = 1 << 31
+HALL_STATES = 4  # after so many pulses a wheel's hall pins have the same levels again
 TRUTH_RATE_HZ = 50
 LONGEST_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes on from now
 
 
-def read_vehicle(params) -> VehicleConfig:
-    """The car's configuration from the node's parameters."""
+def read_vehicle(params, rng) -> VehicleConfig:
+    """The car's configuration from the node's parameters, and by chance where they leave it open."""
     steering, drive = SteeringConfig(), DriveConfig()
     duties, curvatures = zip(*steering.curve)
     duties = params.numbers("steering_duties", list(duties))
@@ -54,6 +63,9 @@ def read_vehicle(params) -> VehicleConfig:
     start = params.numbers("start", [0.0, 0.0, 0.0])
     if len(start) != len(Pose._fields):
         raise ConfigError("start", start, "three numbers: x, y in m, and yaw in rad")
+    wheel_pulses = params.numbers("wheel_pulses", [HALL_STATES * rng.random() for _ in range(2)])
+    if len(wheel_pulses) != 2:
+        raise ConfigError("wheel_pulses", wheel_pulses, "two numbers: left, right")
     return VehicleConfig(
         steering=SteeringConfig(curve=tuple(zip(duties, curvatures))),
         drive=DriveConfig(
@@ -64,16 +76,22 @@ def read_vehicle(params) -> VehicleConfig:
         track_m=params.number("track", 0.296, above=0.0),
         wheel_diameter_m=params.number("wheel_diameter", 0.095, above=0.0),
         pulses_per_revolution=params.integer("pulses_per_revolution", 20, low=1),
+        pulse_phase=tuple(wheel_pulses),
         start=Pose(*start))
 
 
-def read_firmware(params) -> FirmwareConfig:
-    """The Teensy's configuration from the node's parameters."""
+def read_firmware(params, rng, seed, wheel_pulses) -> FirmwareConfig:
+    """The Teensy's configuration from the node's parameters, and by chance where they leave it open."""
+    uptime_ms = rng.randrange(BOOT_MS, LONGEST_UPTIME_MS)
+    drift_ppm = rng.uniform(-MOST_DRIFT_PPM, MOST_DRIFT_PPM)
     return FirmwareConfig(
-        clock_start_ms=int(params.number("clock_start_ms", 0, low=0, high=2 ** 32 - 1)),
-        clock_drift_ppm=params.number("clock_drift_ppm", 0.0, low=-10_000, high=10_000),
+        clock_start_ms=int(params.number("clock_start_ms", uptime_ms, low=0, high=2 ** 32 - 1)),
+        clock_drift_ppm=params.number("clock_drift_ppm", drift_ppm, low=-10_000, high=10_000),
+        sonar_pulse_end_us=params.integer(
+            "sonar_pulse_end", FirmwareConfig.sonar_pulse_end_us, low=12_000, high=1_000_000),
+        wheel_positions=tuple(math.floor(pulses) for pulses in wheel_pulses),
         corrected_checksum=params.flag("corrected_checksum", False),
-        seed=params.integer("seed", None, low=0))
+        seed=seed)
 
 
 class CarSim:
@@ -84,21 +102,24 @@ class CarSim:
         port = params.text("port", "/tmp/car_sim_teensy")
         self._steering_channel = params.integer("steering_channel", 0, low=0, high=CHANNELS - 1)
         self._throttle_channel = params.integer("throttle_channel", 1, low=0, high=CHANNELS - 1)
-        self._vehicle = Vehicle(read_vehicle(params), now_ns)
+        seed = params.integer("seed", random.randrange(SEEDS), low=0)
+        rng = random.Random(seed)
+        vehicle_config = read_vehicle(params, rng)
+        self._vehicle = Vehicle(vehicle_config, now_ns)
         world = World(WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)))
-        firmware_config = read_firmware(params)
+        firmware_config = read_firmware(params, rng, seed, vehicle_config.pulse_phase)
         params.finish()
         self._firmware = TeensyFirmware(
             firmware_config, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [UNCHANGED] * CHANNELS
         self._inbox = inbox
         self._complaints = Complaints()
-        self._line = VirtualLine(port, self._firmware, firmware_config.seed or 0, inbox)
+        self._line = VirtualLine(port, self._firmware, seed, inbox)
         self._line.serve(time.monotonic_ns)
         self._heartbeat = Heartbeat(TRUTH_RATE_HZ, now_ns)
         self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
-        rospy.loginfo("a virtual Teensy is on %s", port)
+        rospy.loginfo("a virtual Teensy is on %s (seed %d)", port, seed)
 
     def step(self, now_ns):
         """Live on until now: first the car, then the Teensy, then the line."""

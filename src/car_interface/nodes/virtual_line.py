@@ -4,8 +4,10 @@ Service:
     ~inject_fault (InjectFault): ``unplug`` (the port vanishes and comes back after so many seconds; 0 = with
         ``plug``), ``plug``, ``silence`` (for so many seconds nothing comes from the Teensy), ``scramble`` (for so many
         seconds both sides' baud rates differ), ``cut`` (the next so many bytes to the host are lost), ``flood`` (for so
-        many seconds random bytes, 1 MB/s), ``bit_errors`` (this share of all bits, 0 = none), ``reboot`` (of the
-        Teensy), ``out_of_step`` (its receiver takes opening flags for closing ones, for good).
+        many seconds random bytes, 1 MB/s), ``bit_errors`` (this share of all bits, 0 = none), ``reboot`` (the Teensy
+        loses its power for a moment and boots for 0.3 s, in which the wheels turn uncounted), ``out_of_step`` (its
+        receiver takes opening flags for closing ones, for good), ``sonar_missing``, ``sonar_stuck``, ``sonar_fine`` (the
+        sonar of this number, 0 to 5, isn't connected; raises its echo pin at its next ping and holds it; is whole again).
 """
 from __future__ import annotations
 
@@ -15,6 +17,7 @@ import tty
 from car_interface.errors import ConfigError
 from car_interface.nodes.faults import serve_faults
 from car_interface.sim.line import LONGEST_S, NS_PER_S, BadLine
+from car_interface.sim.teensy_firmware import SONAR_CONDITIONS
 
 READ_SIZE = 4096
 ODD_FLAG = b"\x7e"
@@ -58,6 +61,8 @@ class VirtualLine:
             "bit_errors": bad.bit_errors,
             "reboot": lambda value: firmware.reboot(clock_ns()),
             "out_of_step": lambda value: firmware.receive(ODD_FLAG, clock_ns()),
+            **{f"sonar_{condition}": lambda value, condition=condition: firmware.set_sonar(value, condition, clock_ns())
+               for condition in SONAR_CONDITIONS},
         })
 
     def step(self, now_ns: int) -> None:

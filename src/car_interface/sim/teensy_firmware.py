@@ -54,6 +54,7 @@ TIMER_MAX_US = 178_956_970  # of the interval timer: 2**32 periods of 24 MHz; be
 SONAR_RETRY_MS = 1000  # between attempts at a first ping that failed at power-up
 # Sonars, in µs of true time
 ECHO_RISE_US = 449  # from the trigger to the echo pin's rise
+ECHO_MIN_US = 116  # 2 cm, the nearest that an HC-SR04 measures
 
 MIN_REPORT_MS = 5  # no wheel report sooner than this after the one before
 STANDING_CHECK_MS = 200  # a check whether the wheels stand comes when more than this has passed since the last one
@@ -100,8 +101,8 @@ class FirmwareConfig:
             200 ms with some clones.
         sonars_missing: the sensors that are not connected at power-up; see ``set_sonar``.
         wheel_positions: where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
-        odometer_start: what both dist and dist_abs of both wheels say at power-up. Not 0: then they have turned forward.
-            After ``reboot`` it is 0.
+        odometer_start: what both dist and dist_abs of both wheels say at power-up. Not 0: then they have turned
+            forward. After ``reboot`` it is 0.
         corrected_checksum: True for a firmware whose receiver sums with carry over unescaped bytes. Its other
             faults stay.
         pool_size: packets that receiver, queues and transmitter share.
@@ -147,7 +148,8 @@ class FirmwareConfig:
         sequence = self.sonar_sequence
         fine = 0 < len(sequence) <= SEQUENCE_MAX and set(sequence) <= set(range(SONARS))
         require(fine, "sonar_sequence", sequence, "1 to 24 sensors from 0 to 5")
-        require(set(self.sonars_missing) <= set(range(SONARS)), "sonars_missing", self.sonars_missing, "sensors from 0 to 5")
+        missing = self.sonars_missing
+        require(set(missing) <= set(range(SONARS)), "sonars_missing", missing, "sensors from 0 to 5")
 
 
 class TeensyFirmware:
@@ -277,9 +279,13 @@ class TeensyFirmware:
         """From now on a sensor is SONAR_FINE, SONAR_MISSING (not connected) or SONAR_STUCK.
 
         One that is stuck raises its echo pin at its next ping and holds it high until it is fine again.
+
+        Raises:
+            ConfigError: no such sensor, no such condition.
         """
+        require(sensor in range(SONARS), "sonar", sensor, "a sensor from 0 to 5")
         self.advance(now_ns)
-        self._sensors[sensor].set_condition(condition, self._now_ns)
+        self._sensors[int(sensor)].set_condition(condition, self._now_ns)
         self._sonars.schedule()
 
     def millis(self, now_ns: int) -> int:
@@ -461,13 +467,35 @@ class Clock:
         return at_ns
 
     def passes_ns(self, deadline_ms: int, now_ns: int) -> int:
-        """When ``millis() > deadline_ms`` becomes true, as the firmware compares: a deadline beyond the wrap counts as passed."""
+        """When ``millis() > deadline_ms`` becomes true.
+
+        The firmware compares like this: a deadline beyond the wrap counts as passed already.
+        """
         left_ms = deadline_ms - self.millis(now_ns)
         if left_ms < 0:
             return now_ns
         if deadline_ms == UINT32:
             return NEVER_NS
         return self.reaches_ns(self.tick(now_ns) + left_ms + 1, now_ns)
+
+
+class Deadline:
+    """What the loop waits for until ``millis()`` is past it, compared as the firmware compares.
+
+    Attributes:
+        due_ns: when it will be, if nothing but time passes; the loop looks then.
+    """
+
+    def __init__(self, clock: Clock, wait_ms: int, now_ns: int):
+        self._clock = clock
+        self._deadline_ms = clock.millis(now_ns) + wait_ms & UINT32
+        self.due_ns = clock.passes_ns(self._deadline_ms, now_ns)
+
+    def has_passed(self, now_ns: int) -> bool:
+        """Whether it has. Beyond the wrap it seems to have until ``millis()`` has wrapped as well."""
+        if now_ns >= self.due_ns:
+            self.due_ns = self._clock.passes_ns(self._deadline_ms, now_ns)
+        return now_ns >= self.due_ns
 
 
 class PoolEmpty(Exception):
@@ -671,6 +699,8 @@ class Transmitter:
     def _next(self) -> bytearray | None:
         if self._first:
             return self._first.popleft()
+        if not any(self._reports):
+            return None
         for _ in self._reports:
             packet, self._reports[self._turn] = self._reports[self._turn], None
             if packet is not None:
@@ -852,12 +882,12 @@ class Axle:
         self._reported_tick = 0  # of the pulse or repeat that the last report was for
         self._has_news = True
         self._is_first = True
-        self._check_ns = AT_ONCE_NS
+        self._check: Deadline | None = None
 
     @property
     def due_ns(self) -> int:
         """When the loop has something to do here."""
-        return AT_ONCE_NS if self._has_news else self._check_ns
+        return AT_ONCE_NS if self._has_news else self._check.due_ns
 
     def reset(self):
         for wheel in self.wheels:
@@ -873,14 +903,14 @@ class Axle:
 
     def begin(self, clock: Clock, now_ns: int):
         """Begins the checks for wheels that stand."""
-        self._check_ns = clock.passes_ns(clock.millis(now_ns) + STANDING_CHECK_MS & UINT32, now_ns)
+        self._check = Deadline(clock, STANDING_CHECK_MS, now_ns)
 
     def report_when_due(self, clock: Clock, now_ns: int) -> bytes | None:
         tick = clock.tick(now_ns)
         if self._is_first:
             self._is_first = False
             self._announce(tick)
-        if now_ns >= self._check_ns:
+        if self._check.has_passed(now_ns):
             self.begin(clock, now_ns)
             if tick - self._reported_tick > STANDING_CHECK_MS:
                 for wheel in self.wheels:
@@ -935,7 +965,8 @@ class SonarSensor:
         self.rise_ns = now_ns + ECHO_RISE_US * NS_PER_US
         self.fall_ns = NEVER_NS
         if self._condition == SONAR_FINE:
-            pulse_us = min(self._echo_us(now_ns) or self._pulse_end_us, self._pulse_end_us)
+            echo_us = self._echo_us(now_ns) or self._pulse_end_us
+            pulse_us = min(max(ECHO_MIN_US, echo_us), self._pulse_end_us)
             self.fall_ns = self.rise_ns + round(pulse_us * NS_PER_US)
 
 
@@ -972,8 +1003,8 @@ class SonarArray:
         self._start_us = 0
         self._timer_ns = NEVER_NS
         self._echo: tuple[int, int, int] | None = None  # sensor, µs, millis
-        self._ping_ns = NEVER_NS  # when the wait is over
-        self._attempt_ns = NEVER_NS  # when a first ping that failed is tried again
+        self._wait: Deadline | None = None  # of the wait for the next ping
+        self._attempt: Deadline | None = None  # of the next attempt at a first ping that failed
         self._retry: bytearray | None = None  # the packet by which the firmware reminds itself
         self.wait_ms = wait_ms
         self.running = True
@@ -984,7 +1015,9 @@ class SonarArray:
         """When the loop has something to do here."""
         if self._echo is not None or self._retry is not None:
             return AT_ONCE_NS
-        return min(self._ping_ns, self._attempt_ns) if self.running else NEVER_NS
+        if not self.running:
+            return NEVER_NS
+        return min(deadline.due_ns if deadline else NEVER_NS for deadline in (self._wait, self._attempt))
 
     @property
     def is_retrying(self) -> bool:
@@ -995,13 +1028,14 @@ class SonarArray:
     def begin(self, now_ns: int) -> Held:
         """The first ping, before the loop begins. When it fails, it alone is tried again and again."""
         now_ns, has_begun = yield from self._ping(now_ns)
-        self._attempt_ns = NEVER_NS if has_begun else AT_ONCE_NS
+        if not has_begun:
+            self._attempt = Deadline(self._clock, -1, now_ns)
         return now_ns
 
     def start(self, now_ns: int) -> Held:
         """SONAR_START: pings with the present sensor, and at once with the next one as well."""
         self.running = True
-        self._attempt_ns = self._ping_ns = NEVER_NS
+        self._attempt = self._wait = None
         now_ns, _ = yield from self._ping(now_ns)
         return (yield from self._ping_next(now_ns))
 
@@ -1014,15 +1048,15 @@ class SonarArray:
         return now_ns
 
     def ping_when_due(self, now_ns: int) -> Held:
-        if now_ns < self.due_ns:
+        if not self.running:
             return now_ns
-        if now_ns >= self._attempt_ns:
-            self._attempt_ns = self._deadline_ns(SONAR_RETRY_MS, now_ns)
+        if self._attempt is not None and self._attempt.has_passed(now_ns):
+            self._attempt = Deadline(self._clock, SONAR_RETRY_MS, now_ns)
             now_ns, has_begun = yield from self._ping(now_ns)
             if has_begun:
-                self._attempt_ns = NEVER_NS
-        elif self.running and now_ns >= self._ping_ns:
-            self._ping_ns = NEVER_NS
+                self._attempt = None
+        elif self._wait is not None and self._wait.has_passed(now_ns):
+            self._wait = None
             now_ns = yield from self._ping_next(now_ns)
         return now_ns
 
@@ -1106,10 +1140,7 @@ class SonarArray:
 
     def wait(self, now_ns: int):
         """Begins the wait for the next ping."""
-        self._ping_ns = now_ns if self.wait_ms >= 1 << 31 else self._deadline_ns(self.wait_ms, now_ns)
-
-    def _deadline_ns(self, wait_ms: int, now_ns: int) -> int:
-        return self._clock.passes_ns(self._clock.millis(now_ns) + wait_ms & UINT32, now_ns)
+        self._wait = Deadline(self._clock, self.wait_ms if self.wait_ms < 1 << 31 else -1, now_ns)
 
     def set_sequence(self, length: int, sensors: bytes):
         """Takes a new sequence; of an entry that is no sensor the old one stays."""

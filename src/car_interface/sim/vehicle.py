@@ -138,7 +138,8 @@ class VehicleConfig:
         track_m: between the rear wheels.
         wheelbase_m: between the axles; turns curvature into the front wheels' angle.
         wheel_diameter_m, pulses_per_revolution: one pulse each 14.9 mm.
-        pulse_phase: how far each rear wheel (left, right) stands beyond a magnet at the start, in pulses.
+        pulse_phase: where each rear wheel (left, right) stands at the start, in pulses; at each whole number one of its
+            two hall pins changes, and after four of them their levels are the same again.
         start: the pose at the start.
         slope: of the ground, all of which is one plane: metres up for each metre, 0.02 is 2 %.
         uphill_rad: the heading in which it rises.

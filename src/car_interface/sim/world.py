@@ -56,7 +56,7 @@ class WorldConfig:
         mounts: the sonars, by their number on the wire.
         cone_rad: the whole angle in which a sonar hears.
         rays: how many lines the cone is sampled by, both edges included.
-        max_range_m: an echo from farther is none.
+        max_range_m: an echo from farther is none: 4 m with an HC-SR04. The Teensy sets no limit of its own.
         temperature_c: of the air; sound travels 331.3 + 0.606 T m/s.
     """
 
@@ -72,7 +72,7 @@ class WorldConfig:
     )  # fmt: skip
     cone_rad: float = math.radians(30)
     rays: int = 7
-    max_range_m: float = 2.0
+    max_range_m: float = 4.0
     temperature_c: float = 20.0
 
     def __post_init__(self):
