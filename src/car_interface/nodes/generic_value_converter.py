@@ -16,7 +16,7 @@ Parameters:
     ~odometry_timeout 0.5 (s, 0 = never).
     ~servo/channel −1 (none), ~servo/value_axis, ~servo/duty_table, ~servo/neutral: the ESC.
     ~command_timeout 0.5, ~human_timeout 0.5, ~steering_timeout 0.25 (s, 0 = never): for the ESC.
-    ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false: as turn_arb's, for the ESC.
+    ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's, for the ESC.
     ~live_range 100 (duty): how far servo/neutral may be tuned while it runs.  ~save_to: the file to save it to.
 Services, with servo/channel set: see ``live``; set_parameters is below ~servo.
 """

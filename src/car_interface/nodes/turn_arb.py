@@ -18,6 +18,8 @@ Parameters (those of the original are also looked up in the namespaces around th
     ~slew_limit 0 (duty per second, 0 = none): how fast gamepad and planner may move the servo.
     ~e_stop_timeout 1.0 (s, 0 = never): a lock that was heard once and is silent for longer is on.
     ~e_stop_required false: true = also one that was never heard.
+    ~grant_at_start true: false (as in config/) = a deadman that is held when the node starts counts only after it was
+        let go, while e_stop is off or ~e_stop_timeout has passed without it.
     ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
     ~live_range 500 (duty): how far ends and center may be tuned while it runs.  ~save_to: the file to save them to.
 Services: see ``live``.
