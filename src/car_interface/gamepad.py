@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.errors import ConfigError
-from car_interface.freshness import Heard
+from car_interface.freshness import DROPPED, Heard
 from car_interface.permission import STARTED
 
 LET_GO = "let go of the deadman, then hold it again"  # what brings back what was lost
@@ -76,8 +76,12 @@ class Gamepad:
     def hear(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """A message: axes −1..1, buttons 0 or 1."""
         if self._joy.was_heard and self._joy.is_silent(now_ns):
-            self._lost = "the gamepad was silent"
+            self._lost = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
         self._joy.hear(self._read(axes, buttons), now_ns)
+
+    def mark_stale(self) -> None:
+        """Messages were dropped before they got here: nothing is held until all deadmen were let go."""
+        self._joy.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
         """What the gamepad asks for at ``now_ns``."""

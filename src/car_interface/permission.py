@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.freshness import NS_PER_S, Heard
+from car_interface.freshness import DROPPED, NS_PER_S, Heard
 
 HUMAN_TIMEOUT_S = 0.5
 STARTED = "this node has just started"
@@ -59,8 +59,9 @@ class Refusal(NamedTuple):
 class Permission:
     """Grants or refuses, from the newest of lock and deadman.
 
-    After a loss (deadman silent, the lock on, or the start unless ``grant_at_start``) it takes a false of the deadman
-    while nothing is lost any more, and then a true. The start is the first time that anything is passed in.
+    After a loss (deadman silent, the lock on, messages dropped, or the start unless ``grant_at_start``) it takes a
+    false of the deadman while nothing is lost any more, and then a true. The start is the first time that anything is
+    passed in.
     """
 
     def __init__(self, config: PermissionConfig):
@@ -68,7 +69,9 @@ class Permission:
         self._human = Heard("human_in_loop", config.human_timeout_s)
         self._e_stop = Heard("e_stop", config.e_stop_timeout_s)
         self._lost = "" if config.grant_at_start else STARTED  # what was lost since the deadman was last let go
-        self._started_ns: int | None = None
+        # Why an emergency stop that is on may be unheard, and since when: its first message takes a while to come.
+        self._unknown = "" if config.grant_at_start else STARTED
+        self._unknown_since_ns: int | None = None
 
     def hear_human(self, present: bool, now_ns: int) -> None:
         """The deadman: true while a human holds it."""
@@ -83,6 +86,13 @@ class Permission:
         self._e_stop.hear(bool(locked), now_ns)
         self._note_losses(now_ns)
 
+    def mark_stale(self, now_ns: int) -> None:
+        """Messages were dropped before they got here: all that was heard is lost, as at a start that grants nothing."""
+        self._human.mark_stale()
+        self._e_stop.mark_stale()
+        self._lost = self._unknown = DROPPED
+        self._unknown_since_ns = now_ns
+
     def refusal(self, now_ns: int) -> Refusal | None:
         """Why the car may not move at ``now_ns``; ``None`` when it may."""
         self._note_losses(now_ns)
@@ -91,7 +101,7 @@ class Permission:
             return lock
         if self._waits_for_e_stop(now_ns):
             return Refusal(False, "starting",
-                           f"{STARTED}: it waits up to {self._config.e_stop_timeout_s:g} s for e_stop")
+                           f"{self._unknown}: it waits up to {self._config.e_stop_timeout_s:g} s for e_stop")
         if self._human.is_silent(now_ns):
             return Refusal(False, "human silent" if self._human.was_heard else "human never heard",
                            self._human.silence(now_ns))
@@ -119,15 +129,14 @@ class Permission:
         return Refusal(True, "e_stop", "e_stop is true") if self._e_stop.value else None
 
     def _waits_for_e_stop(self, now_ns):
-        """Whether an emergency stop that is on may still be unheard: the first message takes a while to come."""
-        if self._config.grant_at_start or self._e_stop.was_heard:
+        if not self._unknown or self._e_stop.was_heard:
             return False
-        return now_ns - self._started_ns < round(self._config.e_stop_timeout_s * NS_PER_S)
+        return now_ns - self._unknown_since_ns < round(self._config.e_stop_timeout_s * NS_PER_S)
 
     def _note_losses(self, now_ns):
-        if self._started_ns is None:
-            self._started_ns = now_ns
+        if self._unknown_since_ns is None:
+            self._unknown_since_ns = now_ns
         if self._lock(now_ns) is not None:
-            self._lost = "the lock was on"
+            self._lost = DROPPED if self._e_stop.is_marked_stale else "the lock was on"
         elif self._human.was_heard and self._human.is_silent(now_ns):
-            self._lost = "human_in_loop was silent"
+            self._lost = DROPPED if self._human.is_marked_stale else "human_in_loop was silent"

@@ -171,3 +171,16 @@ def test_gamepad_that_was_silent_since_the_start_holds_nothing_when_it_is_heard(
 def test_one_button_for_both_deadmen_is_refused():
     with pytest.raises(ConfigError, match="autonomous_button is 4; accepted: a button other than manual_button's"):
         config(manual_button=4, autonomous_button=4)
+
+
+def test_after_dropped_messages_nothing_is_held_until_all_deadmen_were_let_go():
+    """The hand may have let go in one of them."""
+    gamepad = gamepad_at_rest()
+    gamepad.hear([0.5, 0.5], MANUAL, NOW)
+    gamepad.mark_stale()
+    assert gamepad.requests(NOW) == (False, 0.0, 0.0, "joy was not heard since messages were dropped")
+    gamepad.hear([0.5, 0.5], MANUAL, NOW)
+    assert gamepad.requests(NOW).reason == "messages were dropped; let go of the deadman, then hold it again"
+    gamepad.hear([0.5, 0.5], NONE, NOW)
+    gamepad.hear([0.5, 0.5], MANUAL, NOW)
+    assert gamepad.requests(NOW).human_in_loop

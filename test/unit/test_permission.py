@@ -20,6 +20,7 @@ E_STOP, RUN = ("e_stop", True), ("e_stop", False)
 HOLD, LET_GO = ("human", True), ("human", False)
 SILENCE = ("silence", 600 * MS)  # longer than the deadman's timeout, shorter than the lock's
 LONG_SILENCE = ("silence", 1100 * MS)  # longer than both
+DROPPED = ("dropped", None)  # messages, before they got here
 NOTHING_GRANTED = {"grant_at_start": False}
 
 
@@ -33,6 +34,9 @@ def after(*events, **changes):
             now_ns += value
         else:
             now_ns += 10 * MS
+        if kind == "dropped":
+            permission.mark_stale(now_ns)
+        elif kind != "silence":
             (permission.hear_human if kind == "human" else permission.hear_e_stop)(value, now_ns)
     return permission.refusal(now_ns)
 
@@ -179,6 +183,37 @@ def test_shipped_configuration_grants_nothing_at_start(name):
     assert re.findall(r"(?m)^grant_at_start: *(\w+)", (CONFIG_FILES / name).read_text(encoding="utf-8")) == ["false"]
 
 
+E_STOP_UNKNOWN = (True, "e_stop silent", "e_stop was not heard since messages were dropped")
+
+
+@pytest.mark.parametrize("events, refusal", [
+    pytest.param([RUN, HOLD, DROPPED], E_STOP_UNKNOWN, id="nothing_heard_since"),
+    pytest.param([RUN, HOLD, DROPPED, LET_GO, HOLD], E_STOP_UNKNOWN, id="e_stop_not_heard_since"),
+    pytest.param([RUN, HOLD, DROPPED, RUN], (False, "human silent",
+                                             "human_in_loop was not heard since messages were dropped"),
+                 id="deadman_not_heard_since"),
+    pytest.param([RUN, HOLD, DROPPED, RUN, HOLD], (False, "not re-armed",
+                                                   "messages were dropped; let go once: publish false, then true"),
+                 id="deadman_held_on"),
+    pytest.param([HOLD, DROPPED, HOLD], (False, "starting", "messages were dropped: it waits up to 1 s for e_stop"),
+                 id="the_first_of_e_stop_may_be_among_them"),
+    pytest.param([HOLD, DROPPED, LONG_SILENCE, HOLD], (False, "not re-armed",
+                                                       "messages were dropped; let go once: publish false, then true"),
+                 id="deadman_held_on_without_an_e_stop"),
+])
+@pytest.mark.parametrize("grant_at_start", [True, False])
+def test_dropped_messages_are_a_loss_of_everything(events, refusal, grant_at_start):
+    armed = [RUN, LET_GO] if events[0] == RUN else [LONG_SILENCE, LET_GO]
+    assert after(*armed, *events[:2 if events[0] == RUN else 1], grant_at_start=grant_at_start) is None
+    assert after(*armed, *events, grant_at_start=grant_at_start) == refusal
+
+
+def test_after_dropped_messages_letting_go_and_holding_grants_again():
+    assert after(RUN, HOLD, DROPPED, RUN, LET_GO, HOLD) is None
+    assert after(HOLD, DROPPED, LONG_SILENCE, LET_GO, HOLD) is None
+    assert after(HOLD, DROPPED, LET_GO, HOLD, e_stop_timeout_s=0.0) is None
+
+
 def test_ages_are_told():
     permission = Permission(PermissionConfig())
     assert (permission.human_age_s(NOW), permission.e_stop_age_s(NOW)) == (math.inf, math.inf)
@@ -197,8 +232,8 @@ def test_whatever_happened_the_car_moves_only_with_the_deadman_held_and_the_lock
         assert events[-1] not in (SILENCE, LONG_SILENCE)
 
 
-@given(st.lists(st.sampled_from([E_STOP, RUN, HOLD, SILENCE, LONG_SILENCE]), max_size=12),
-       st.sampled_from([SILENCE, E_STOP]))
+@given(st.lists(st.sampled_from([E_STOP, RUN, HOLD, SILENCE, LONG_SILENCE, DROPPED]), max_size=12),
+       st.sampled_from([SILENCE, E_STOP, DROPPED]))
 def test_after_a_loss_nothing_but_letting_go_brings_control_back(events, loss):
     assert after(HOLD, loss, *events) is not None
 

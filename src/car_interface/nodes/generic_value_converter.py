@@ -115,6 +115,7 @@ class GenericValueConverter:
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
             self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
             self._live = self._offer_tuning(tuning)
+        inbox.on_overflow(self._on_overflow)
         rospy.loginfo("waiting for odometry on %s and commands on %s",
                       *(rospy.resolve_name(inbox.own(name)) for name in ("~input/odometry", "~input/control_cmd")))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
@@ -160,6 +161,11 @@ class GenericValueConverter:
             self._throttle.hear_human(False, time.monotonic_ns())
             self._publish_throttle(self._throttle.decide(time.monotonic_ns()))
             time.sleep(0.02)  # it leaves by a thread of rospy's
+
+    def _on_overflow(self, now_ns):
+        self._converter.mark_stale()
+        if self._throttle is not None:
+            self._throttle.mark_stale(now_ns)
 
     def _on_odometry(self, message, now_ns):
         self._note_odd_stamp("odometry", message.header.stamp)

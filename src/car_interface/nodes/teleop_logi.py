@@ -58,6 +58,7 @@ class TeleopLogi:
         self._human = rospy.Publisher("/teleop_logi/human_in_loop", Bool, queue_size=10)
         self._steering = rospy.Publisher("/teleop_logi/tele_steer_req", Float32, queue_size=10)
         self._throttle = rospy.Publisher("/teleop_logi/tele_throt_req", Float32, queue_size=10)
+        inbox.on_overflow(lambda now_ns: self._gamepad.mark_stale())
         subscribe("joy", Joy, inbox, self._on_joy)
 
     def step(self, now_ns):

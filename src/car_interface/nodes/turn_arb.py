@@ -79,6 +79,7 @@ class TurnArb:
         self._diagnostics = Diagnostics(inbox, "none", {"steering": self._report}, now_ns)
         self._master_trouble = ""
         MasterWatch(inbox, self._on_master)
+        inbox.on_overflow(self._on_overflow)
         subscribe_permission(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
@@ -102,6 +103,10 @@ class TurnArb:
         self._master_trouble = trouble
         if trouble:
             self._complaints.warn("master", trouble)
+
+    def _on_overflow(self, now_ns):
+        self._arbiter.mark_stale(now_ns)
+        self._decide(now_ns)
 
     def _on_teleop(self, message, now_ns):
         self._arbiter.hear_teleop(message.data, now_ns)
