@@ -45,6 +45,8 @@ DRIVES_FOR_S = 1.5  # between two faults
 WARM_UP_SHARE = 0.4  # of the time: nodes are killed only until then, and what grows afterwards is a leak
 MOST_GROWTH_MB = 1.0
 AUTONOMOUS_BUTTON = 5
+GRANTING = ("/turn_arb", "/teleop_logi")  # one that was started again stops the whole car
+STAYS_STOPPED_S = 2.0  # a second in which it waits for e_stop, and one in which it might drive off
 
 
 class Person:
@@ -231,6 +233,9 @@ class Soak:
         pid = pid_of(node)
         os.kill(pid, signal.SIGKILL)
         self._await(lambda: pid_of(node) not in (None, pid), RECOVERED_WITHIN_S, f"another {node}")
+        if node in GRANTING:  # the deadman is held all the time, and must not count for the new one
+            time.sleep(STAYS_STOPPED_S)
+            self._await(self._watch.is_neutral, 0.0, f"neutral after {node} was started again")
 
     # --- the run ---
 

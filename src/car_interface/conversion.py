@@ -68,6 +68,10 @@ class Converter:
         """The car's forward velocity in m/s."""
         self._odometry.hear(velocity, now_ns)
 
+    def mark_stale(self) -> None:
+        """Messages were dropped before they got here: the velocity is lost."""
+        self._odometry.mark_stale()
+
     def convert(self, acceleration: float, now_ns: int) -> Conversion:
         """The value for a commanded acceleration in m/s² at the newest velocity."""
         if not math.isfinite(acceleration):

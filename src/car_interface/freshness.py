@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 NS_PER_S = 1_000_000_000
+DROPPED = "messages were dropped"  # before a node took them: one of them may have said what counts
 
 
 class Heard:
@@ -22,11 +23,17 @@ class Heard:
         self.value = None
         self._timeout_ns = round(timeout_s * NS_PER_S) if timeout_s else math.inf
         self._at_ns = None
+        self.is_marked_stale = False
 
     def hear(self, value, now_ns: int) -> None:
         """Take ``value`` as the newest, arrived at ``now_ns``."""
         self.value = value
         self._at_ns = now_ns
+        self.is_marked_stale = False
+
+    def mark_stale(self) -> None:
+        """Messages were dropped, and its newest may be one of them: it is silent, whatever its timeout, until heard."""
+        self.is_marked_stale = self.was_heard
 
     @property
     def was_heard(self) -> bool:
@@ -34,8 +41,8 @@ class Heard:
         return self._at_ns is not None
 
     def is_silent(self, now_ns: int) -> bool:
-        """Whether it was never heard, or not for longer than its timeout."""
-        return self._at_ns is None or now_ns - self._at_ns > self._timeout_ns
+        """Whether it was never heard, not for longer than its timeout, or not since it was marked stale."""
+        return self._at_ns is None or self.is_marked_stale or now_ns - self._at_ns > self._timeout_ns
 
     def age_s(self, now_ns: int) -> float:
         """Seconds since it was heard; inf = never."""
@@ -45,4 +52,6 @@ class Heard:
         """Its silence in words, for a reason: ``human_in_loop silent for 0.52 s``."""
         if not self.was_heard:
             return f"{self.name} was never heard"
+        if self.is_marked_stale:
+            return f"{self.name} was not heard since {DROPPED}"
         return f"{self.name} silent for {self.age_s(now_ns):.2f} s"

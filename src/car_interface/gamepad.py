@@ -2,7 +2,8 @@
 
 A held level, never a toggle: letting go releases at once, and so does a gamepad that falls silent or that sends fewer
 axes or buttons than it should. After that it holds nothing until all deadmen were let go: a car must not set off when a
-radio link recovers.
+radio link recovers. Nor does it hold anything at the start: what is held then may have been held before, for a node
+that died.
 """
 from __future__ import annotations
 
@@ -11,8 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.errors import ConfigError
-from car_interface.freshness import Heard
+from car_interface.freshness import DROPPED, Heard
+from car_interface.permission import STARTED
 
+LET_GO = "let go of the deadman, then hold it again"  # what brings back what was lost
 BEYOND, LEAST = 2, 0.002  # so many deadbands a stick at rest is from neutral, and so much: less than a servo follows
 
 
@@ -56,6 +59,11 @@ class Requests(NamedTuple):
     throttle: float  # −1 .. +1
     reason: str
 
+    @property
+    def must_let_go(self) -> bool:
+        """Whether a deadman is held that doesn't count before it was let go."""
+        return self.reason.endswith(LET_GO)
+
 
 class Gamepad:
     """The newest message of the gamepad, read as requests."""
@@ -63,13 +71,17 @@ class Gamepad:
     def __init__(self, config: GamepadConfig):
         self._config = config
         self._joy = Heard("joy", config.joy_timeout_s)
-        self._lost = ""  # what was lost since the deadmen were last let go
+        self._lost = STARTED  # what was lost since the deadmen were last let go
 
     def hear(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """A message: axes −1..1, buttons 0 or 1."""
         if self._joy.was_heard and self._joy.is_silent(now_ns):
-            self._lost = "the gamepad was silent"
+            self._lost = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
         self._joy.hear(self._read(axes, buttons), now_ns)
+
+    def mark_stale(self) -> None:
+        """Messages were dropped before they got here: nothing is held until all deadmen were let go."""
+        self._joy.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
         """What the gamepad asks for at ``now_ns``."""
@@ -98,7 +110,7 @@ class Gamepad:
             self._lost = ""
             return self._released("no deadman is held")
         if self._lost:
-            return self._released(f"{self._lost}: let go of the deadman, then hold it again")
+            return self._released(f"{self._lost}; {LET_GO}")
         if buttons[config.manual_button]:
             return Requests(True, self._steered(_unit(steering)), _unit(throttle), "manual deadman held")
         return Requests(True, config.steer_neutral, 0.0, "autonomous deadman held")

@@ -171,6 +171,12 @@ class SteeringArbiter:
         """The planner's turn radius in metres, right negative; 0 = no request."""
         self._planner.hear(radius_m, now_ns)
 
+    def mark_stale(self, now_ns: int) -> None:
+        """Messages were dropped before they got here: all that was heard is lost."""
+        self._permission.mark_stale(now_ns)
+        self._teleop.mark_stale()
+        self._planner.mark_stale()
+
     def decide(self, now_ns: int) -> Decision:
         """Who steers at ``now_ns``, with what duty, and why. With a slew limit the duty depends on the calls before."""
         source, duty, cause, reason = self._rule(now_ns)

@@ -110,6 +110,10 @@ class SteeringCheck:
         self._command.hear(1 / radius_m if radius_m else math.nan, now_ns)
         self._take_command(now_ns)
 
+    def mark_stale(self) -> None:
+        """Messages were dropped before they got here: the command is lost."""
+        self._command.mark_stale()
+
     def hear_motion(self, speed_mps: float, yaw_rate_radps: float, now_ns: int) -> None:
         """What the wheels make, backward and to the right negative. What it said before held until now."""
         before, was_silent = self._motion.value, self._motion.is_silent(now_ns)

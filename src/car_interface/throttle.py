@@ -101,6 +101,12 @@ class Throttle:
         """What became of the newest command."""
         self._command.hear(conversion, now_ns)
 
+    def mark_stale(self, now_ns: int) -> None:
+        """Messages were dropped before they got here: all that was heard is lost."""
+        self._permission.mark_stale(now_ns)
+        self._steering.mark_stale()
+        self._command.mark_stale()
+
     def decide(self, now_ns: int) -> ThrottleDecision:
         """The ESC's duty at ``now_ns``, and why."""
         hindrance = self._hindrance(now_ns)

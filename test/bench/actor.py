@@ -5,6 +5,7 @@
     sink TOPIC FILE             notes in a file when something arrived: as the virtual chip does
     beat NAME...                hears inputs and publishes 16 duties at 100 Hz, whatever it hears: a bare heartbeat
     inputs NAME...              publishes human, steering, radius, odometry, acceleration, joy at 50 Hz, never changing
+                                once turn_arb has heard that nobody holds the deadman, and it's held
     pipe PORT [RATE]            reads a serial port; for each frame a ready-made teensy_wheel or teensy_distance; with a
                                 RATE also odom, tf and joint_states so often, and a range with each teensy_distance
     line LINK                   a serial line with captured wheel and sonar frames: "go 10" on standard input has it
@@ -28,7 +29,7 @@ import tty
 from pathlib import Path
 
 import rospy
-from car_interface.msg import Control, Distance, Longitudinal, OneWheel, Wheel
+from car_interface.msg import Control, Distance, Longitudinal, OneWheel, SteeringState, Wheel
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState, Joy, Range
@@ -105,18 +106,40 @@ def joy(autonomous=1):
     return Joy(axes=[0.0] * 8, buttons=[0] * 5 + [autonomous] + [0] * 5)
 
 
+class Deadman:
+    """Let go until turn_arb has heard so, and counts it: what is held at its start counts for nothing."""
+
+    def __init__(self):
+        self._heard = 0
+
+    @property
+    def is_held(self):
+        return self._heard >= 3  # one on the change, and two a tenth of a second apart: others came in between
+
+    def wait_for_turn_arb(self):
+        states = rospy.Subscriber("turn_arb/state", SteeringState, self._hear)
+        while not self.is_held and not rospy.is_shutdown():
+            time.sleep(0.01)
+        states.unregister()  # it would cost turn_arb something
+
+    def _hear(self, state):
+        self._heard += state.reason == "human_in_loop is false"
+
+
+DEADMAN = Deadman()
 INPUTS = {
-    "human": ("/teleop_logi/human_in_loop", Bool, lambda: True),
+    "human": ("/teleop_logi/human_in_loop", Bool, lambda: DEADMAN.is_held),
     "steering": ("/teleop_logi/tele_steer_req", Float32, lambda: 0.3),
     "radius": ("/av_turnrad_req", Float32, lambda: 2.0),
     "acceleration": ("/control/command/control_cmd", Control, control),
     "odometry": ("/odom", Odometry, odometry),
-    "joy": ("/joy", Joy, joy),
+    "joy": ("/joy", Joy, lambda: joy(int(DEADMAN.is_held))),
 }
 
 
 def inputs(*names):
     publish = [(publisher(*INPUTS[name][:2]).publish, INPUTS[name][2]) for name in names]
+    threading.Thread(target=DEADMAN.wait_for_turn_arb, daemon=True).start()
     ready()
     at_50_hz(lambda: [say(make()) for say, make in publish])
 

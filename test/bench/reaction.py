@@ -174,6 +174,9 @@ def measure_heartbeat(effort: Effort, stage: Stage) -> Iterator[Row]:
     stage.load("/turn_arb", "turn_arb.yaml")
     arb, (bare, inputs) = stage.node("turn_arb"), stage.actors(("beat", *INPUTS), ("inputs", *INPUTS))
     with stage.running(arb, bare, inputs):
+        duties = Ear("/servo/cmdVector", Int32MultiArray, lambda message: message.data[0])
+        duties.first(lambda duty: duty != CENTER)
+        duties.close()
         ears = [Ear(topic, rospy.AnyMsg, lambda message: None).connected()
                 for topic in ("/servo/cmdVector", "/bench/beat")]
         time.sleep(1.0)

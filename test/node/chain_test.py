@@ -37,6 +37,7 @@ MESSAGE_TRIALS = 10 * TRIALS
 HOUR_S = 3600
 FAKETIME_MS = 100  # libfaketime makes its programs late by up to this, with its clock left alone too
 ATTEMPT_S = 3.0
+ONE_PROCESS_BACK_MS = 5000  # Python, four nodes: what an idle machine needs three times
 
 
 class ChainTest(unittest.TestCase):
@@ -52,14 +53,22 @@ class ChainTest(unittest.TestCase):
     def setUp(self):
         self.car = None
 
-    def drive(self, car, request="steering", **actors):
+    def drive(self, car, request="steering", one_process=False, **actors):
         """Everybody there, the wheel to the left by what asks for it, the ESC driving."""
         self.car = car
-        car.actors(**actors)
+        if one_process:
+            car.load_one_process()
+            car.one_process()
+        else:
+            car.actors(**actors)
         self.rest = car.driver("rest", "human", "e_stop", "steering", "radius", "acceleration", "odometry")
         self.car.sent(self.rest, "odometry", "1.0")
         self.car.sent(self.rest, "acceleration", "1.0")
         if request is None:
+            self.car.sent(self.rest, "human", "0")
+            for node in ("turn_arb", "generic_value_converter"):
+                self.car.processes[node].wait_for_info("human_in_loop is false")
+            self.car.sent(self.rest, "human", "0")  # one that comes after both began to count them
             self.car.sent(self.rest, "human", "1")
         else:
             self.car.sent(self.rest, request, "1.0")
@@ -276,6 +285,75 @@ class Losses(ChainTest):
         self.report("pca9685 ended (SIGTERM), then off", "servo", off, 300)
 
 
+class Restarts(ChainTest):
+    """A node that dies and is started again at once while the deadman is held: nothing moves until it was let go."""
+
+    BOTH, ESC = ((0, CENTER), (1, ESC_NEUTRAL)), ((1, ESC_NEUTRAL),)
+
+    def restart(self, name, channels, start, rearm, bound_ms):
+        """Kill it while the car drives, start it again, wait until it says why it refuses, and a second longer."""
+        times = {channel: [] for channel, _ in channels}
+        for _ in range(TRIALS):
+            process = self.car.processes[name]
+            killed_ns = int(process.send(signal.SIGKILL) * 1e9)
+            process.wait_for_exit()
+            successor = start()
+            neutral_ns = {channel: self.car.chip.wait_for(channel, lambda counts, neutral=neutral: counts == neutral,
+                                                          killed_ns) for channel, neutral in channels}
+            for channel, at_ns in neutral_ns.items():
+                times[channel].append((at_ns - killed_ns) / 1e6)
+            refused = eventually(lambda: self.refusals_of(successor) >= (2 if name == "car_nodes" else 1),
+                                 f"{name} says what it takes")
+            self.assertTrue(refused)
+            refused_ns = time.monotonic_ns()
+            eventually(lambda: time.monotonic_ns() - refused_ns > 1e9, "a second")
+            for channel, neutral in channels:
+                self.assertLessEqual(set(self.car.chip.values_since(channel, neutral_ns[channel])), {neutral},
+                                     f"{name} drove on by itself")
+            rearm()
+        for channel, times_ms in times.items():
+            self.report(f"{name} killed and started again, deadman held", ("servo", "ESC")[channel], times_ms, bound_ms)
+
+    @staticmethod
+    def refusals_of(process):
+        """How many of its parts say that the deadman has to be let go, for it is held since before the start."""
+        return sum("this node has just started; let go" in line
+                   for line in process.stdout.since() + process.stderr.since())
+
+    def test_turn_arb(self):
+        self.drive(Car(self))
+        self.restart("turn_arb", self.BOTH, self.car.turn_arb, self.arm, 300)
+
+    def test_converter(self):
+        self.drive(Car(self))
+        self.restart("generic_value_converter", self.ESC, self.car.converter, self.arm, 300)
+
+    def test_one_process(self):
+        """The chip goes on pulsing until the process is there again."""
+        self.drive(Car(self), one_process=True)
+        self.restart("car_nodes", self.BOTH, self.car.one_process, self.arm, ONE_PROCESS_BACK_MS)
+
+    def test_teleop_logi(self):
+        car = self.car = Car(self)
+        car.actors()
+        car.load("/teleop_logi", "teleop_logi.yaml")
+        self.rest = car.driver("rest", "acceleration", "odometry")
+        car.sent(self.rest, "odometry", "1.0")
+        car.sent(self.rest, "acceleration", "1.0")
+        car.node("teleop_logi")
+        pad = car.driver("pad", "joy")
+
+        def hold():
+            def attempt():
+                car.sent(pad, "joy", "0")
+                self.neutral_ms(time.monotonic_ns())
+                car.sent(pad, "joy", "1.0")
+                self.wait_until_driving(ATTEMPT_S)
+            retried(attempt)
+        hold()
+        self.restart("teleop_logi", self.BOTH, lambda: car.node("teleop_logi"), hold, 550)
+
+
 class MasterLost(ChainTest):
     def test_drive_goes_on_and_is_warned_about(self):
         times = []
@@ -384,7 +462,7 @@ class Suite(unittest.TestSuite):
     def __init__(self):
         loader = unittest.TestLoader()
         super().__init__(loader.loadTestsFromTestCase(case)
-                         for case in (Messages, Losses, MasterLost, ClockStepped, TeensyUnplugged))
+                         for case in (Messages, Losses, Restarts, MasterLost, ClockStepped, TeensyUnplugged))
 
 
 if __name__ == "__main__":

@@ -109,7 +109,8 @@ READERS = {
         name: value for name, value in {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml")}.items()
         if name not in MEASURED_ELSEWHERE}),
     "permission": (read_permission,
-                   lambda: {"human_timeout": 0.5, "e_stop_timeout": 1.0, "e_stop_required": False}),
+                   lambda: {"human_timeout": 0.5, "e_stop_timeout": 1.0, "e_stop_required": False,
+                            "grant_at_start": False}),
     "car_sim's vehicle": (car_sim.read_vehicle, lambda: {
         "steering_duties": [3800, 5100, 6700], "steering_curvatures": [1.0, 0.0, -1.0], "start": [0, 0, 0],
         "wheelbase": 0.324, "track": 0.296, "wheel_diameter": 0.095, "pulses_per_revolution": 20,

@@ -104,9 +104,11 @@ class LiveTest(unittest.TestCase):
             eventually(lambda topic=topic: not topic._subscriber.get_num_connections(), f"the end of {topic.name}")
 
     def drive(self, teleop=0.0, planner=0.0):
-        self.human.publish(False)
+        self.inputs.hold(self.human, False)
+        self.states.wait_for(lambda state: state.reason == "human_in_loop is false", self.states.mark())
         self.inputs.hold(self.teleop, teleop)
         self.inputs.hold(self.planner, planner)
+        self.inputs.hold(self.human, False)  # one that comes after turn_arb began to count them
         self.inputs.hold(self.human, True)
 
     def wait_for_duty(self, channel, duty, since=None):

@@ -139,16 +139,26 @@ class TeleopByItsTopics(unittest.TestCase):
 
 
 class TeleopByItself(unittest.TestCase):
-    def test_for_its_first_second_it_says_nothing_before_it_has_heard_the_gamepad(self):
-        """Else one that was started anew while the deadman is held would pass for a hand that let go."""
+    def test_a_deadman_that_is_held_at_its_start_counts_once_it_was_let_go(self):
+        """One that was started anew while the deadman is held must not have the car drive on."""
         human = Topic("/anew/human", Bool)
+        inputs = Repeater()
+        self.addCleanup(inputs.end)
         parameters = [f"_{key}:={value}" for key, value in GIVEN.items()]
         process = start_node(self, "teleop_logi", *parameters, "joy:=/anew/joy",
                              "/teleop_logi/human_in_loop:=/anew/human", "/teleop_logi/tele_steer_req:=/anew/steer",
                              "/teleop_logi/tele_throt_req:=/anew/throttle", name="anew")
-        first = human.wait_for(lambda _: True)
-        self.assertGreater(first.at_s - process.started_s, 1.0)
-        self.assertFalse(first.what.data)
+        for key in GIVEN:
+            self.addCleanup(delete_param, f"/anew/{key}")
+        gamepad = Sender("/anew/joy", Joy)
+        inputs.hold(gamepad, joy(manual=1))
+        process.wait_for_line(r"WARN.*human in loop: False \(this node has just started; let go of the deadman, then "
+                              r"hold it again\)")
+        human.wait_for_count(20, human.mark())
+        self.assertEqual({message.data for message in human.since()}, {False})
+        inputs.hold(gamepad, joy())
+        inputs.hold(gamepad, joy(manual=1))
+        human.wait_for(lambda message: message.data)
         self.assertEqual(process.end(), 0)
 
     def test_each_index_is_required_and_named(self):
@@ -185,7 +195,9 @@ class TeleopByItself(unittest.TestCase):
         human = Topic("/ending/human", Bool)
         inputs = Repeater()
         self.addCleanup(inputs.end)
-        inputs.hold(Sender("/ending/joy", Joy), Joy(axes=[0.0, 0.0], buttons=[1, 0]))
+        gamepad = Sender("/ending/joy", Joy)
+        gamepad.publish(Joy(axes=[0.0, 0.0], buttons=[0, 0]))
+        inputs.hold(gamepad, Joy(axes=[0.0, 0.0], buttons=[1, 0]))
         human.wait_for(lambda message: message.data)
         self.assertEqual(process.end(signal.SIGTERM), 0)
         self.assertIs(human.since()[-1].data, False)

@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 import os
 import re
+import shutil
 import statistics
+import subprocess
+import tempfile
 import time
 import unittest
 
@@ -52,6 +55,7 @@ class TurnArbByItsTopics(unittest.TestCase):
         cls.human = Sender("/teleop_logi/human_in_loop", Bool)
         cls.teleop = Sender("/teleop_logi/tele_steer_req", Float32)
         cls.planner = Sender("/av_turnrad_req", Float32)
+        cls.states.wait_for(lambda state: state.reason == "human_in_loop was never heard")
 
     def setUp(self):
         self.inputs = Repeater()
@@ -179,7 +183,7 @@ class TurnArbByItsTopics(unittest.TestCase):
         self.wait_for_state(SteeringState.NO_HUMAN, "human_in_loop silent for .*")
         self.inputs.hold(self.human, True)
         self.wait_for_state(SteeringState.NO_HUMAN,
-                            "human_in_loop was silent: let go of the deadman, then hold it again")
+                            "human_in_loop was silent; let go once: publish false, then true")
         for vector in self.commands.wait_for_count(20, self.commands.mark()):
             self.assertEqual(steering_of(vector), CENTER)
         self.inputs.hold(self.human, False)
@@ -203,7 +207,7 @@ class TurnArbByItsTopics(unittest.TestCase):
         def unlock():
             """Until that was heard letting go wouldn't count, and topics come in any order."""
             self.inputs.hold(e_stop, False)
-            wait_for_source(SteeringState.NO_HUMAN, "the lock was on: let go of the deadman, then hold it again")
+            wait_for_source(SteeringState.NO_HUMAN, "the lock was on; let go once: publish false, then true")
 
         def re_arm():
             self.inputs.hold(human, False)
@@ -212,7 +216,7 @@ class TurnArbByItsTopics(unittest.TestCase):
             wait_for_source(SteeringState.PLANNER)
 
         self.inputs.hold(planner, -4.5)
-        self.inputs.hold(human, True)
+        re_arm()
         self.assertEqual(wait_for_source(SteeringState.PLANNER).e_stop_age, INF)
         self.inputs.hold(e_stop, True)
         self.assertEqual(wait_for_source(SteeringState.LOCKED, "e_stop is true").duty, CENTER)
@@ -237,6 +241,7 @@ class TurnArbByItsTopics(unittest.TestCase):
             self.addCleanup(each.close)
         self.addCleanup(self.inputs.drop)  # comes before the closing: cleanups go last in, first out
         states.wait_for(lambda state: state.reason == "human_in_loop was never heard" and state.human_age == INF)
+        self.inputs.hold(human, False)
         self.inputs.hold(human, True)
         states.wait_for(lambda state: state.source == SteeringState.NEUTRAL
                         and state.reason == "neither tele_steer_req nor av_turnrad_req asks for anything")
@@ -316,6 +321,60 @@ class TurnArbByItsTopics(unittest.TestCase):
         retried(attempt)
 
 
+class TurnArbThatHasJustStarted(unittest.TestCase):
+    """Launched into a car whose deadman is held: it may be the successor of one that died while the car was driving."""
+
+    def setUp(self):
+        path = os.path.join(rospkg.RosPack().get_path("car_interface"), "config", "turn_arb.yaml")
+        with open(path, encoding="utf-8") as file:
+            set_params(self, "/fresh/turn_arb", yaml.safe_load(file))
+        self.inputs = Repeater()
+        self.addCleanup(self.inputs.end)
+        self.states = Topic("/fresh/turn_arb/state", SteeringState)
+        self.addCleanup(self.states.close)
+
+    def start(self, **parameters):
+        """It hears a deadman that is held, and a planner."""
+        set_params(self, "/fresh/turn_arb", parameters)
+        self.process = start_node(self, "turn_arb", "__ns:=/fresh", "/servo/cmdVector:=servo/cmdVector",
+                                  "/teleop_logi/human_in_loop:=human", "/e_stop:=e_stop")
+        self.human, planner = Sender("/fresh/human", Bool), Sender("/fresh/av_turnrad_req", Float32)
+        self.inputs.hold(planner, -4.5)
+        self.inputs.hold(self.human, True)
+
+    def wait_for_state(self, source, reason):
+        self.states.wait_for(lambda state: (state.source, state.reason) == (source, reason), self.states.mark())
+
+    def expect_center(self):
+        """Since its start, and for a while."""
+        self.states.wait_for_count(10, self.states.mark())
+        self.assertEqual({state.duty for state in self.states.since()}, {CENTER})
+
+    def test_a_deadman_that_is_held_counts_once_it_was_let_go_and_its_log_says_so(self):
+        self.start()
+        self.wait_for_state(SteeringState.NO_HUMAN, "this node has just started; let go once: publish false, then true")
+        self.process.wait_for_line("WARN.*NO_HUMAN: this node has just started; let go once: publish false, then true")
+        self.expect_center()
+        self.human.publish(False)
+        self.states.wait_for(lambda state: state.source == SteeringState.PLANNER)
+
+    def test_nothing_counts_before_e_stop_was_heard(self):
+        self.start(e_stop_timeout=3600)
+        waits = "this node has just started: it waits up to 3600 s for e_stop"
+        self.wait_for_state(SteeringState.NO_HUMAN, waits)
+        self.inputs.hold(self.human, False)
+        self.inputs.hold(self.human, True)
+        self.wait_for_state(SteeringState.NO_HUMAN, waits)
+        e_stop = Sender("/fresh/e_stop", Bool)
+        e_stop.publish(True)
+        self.wait_for_state(SteeringState.LOCKED, "e_stop is true")
+        e_stop.publish(False)
+        self.wait_for_state(SteeringState.NO_HUMAN, "the lock was on; let go once: publish false, then true")
+        self.expect_center()
+        self.human.publish(False)
+        self.states.wait_for(lambda state: state.source == SteeringState.PLANNER)
+
+
 class TurnArbParameters(unittest.TestCase):
     """turn_arb run by itself, with parameters that it can and can't work with."""
 
@@ -363,6 +422,27 @@ class TurnArbParameters(unittest.TestCase):
                  r"k_pwmcmd_right_table_servo\[0\] is nan; accepted: a number from 0 to 65535"),
                 ("negative_timeout", {"human_timeout": -1}, "human_timeout is -1; accepted: a number from 0.0 to 3600"),
             )])
+
+    def test_launched_it_grants_nothing_at_its_start_unless_its_owners_file_says_so(self):
+        """A file of one's own that says nothing of it must not have the car drive on when a node was started again."""
+        folder = tempfile.mkdtemp()
+        self.addCleanup(shutil.rmtree, folder)
+        shipped = os.path.join(rospkg.RosPack().get_path("car_interface"), "config")
+        for says, grants in (("grant_at_start: false", False), ("", False), ("grant_at_start: true", True)):
+            for name in os.listdir(shipped):
+                with open(os.path.join(shipped, name), encoding="utf-8") as file:
+                    text = file.read()
+                with open(os.path.join(folder, name), "w", encoding="utf-8") as file:
+                    file.write(text.replace("grant_at_start: false", says))
+            for one_process in ("false", "true"):
+                with self.subTest(says=says, one_process=one_process):
+                    dumped = subprocess.run(
+                        ["roslaunch", "car_interface", "car.launch", "--dump-params", f"config:={folder}",
+                         "throttle:=true", "gamepad:=false", f"one_process:={one_process}"],
+                        stdout=subprocess.PIPE, check=True).stdout
+                    params = yaml.safe_load(dumped)
+                    for node in ("turn_arb", "generic_value_converter"):
+                        self.assertIs(params[f"/{node}/grant_at_start"], grants)
 
     def test_the_originals_parameters_are_found_in_the_root_namespace(self):
         """The params.yaml of the original is loaded there; two rooms further in its names are still found."""

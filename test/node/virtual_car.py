@@ -126,24 +126,49 @@ class Car:
     def load(self, node, *names):
         """Set a node's parameters from files in config/."""
         for name in names:
-            load = (shutil.which("rosparam"), "load", os.path.join(PACKAGE, "config", name), node)
-            subprocess.run(self.on_host("rosparam", load), check=True, env={**os.environ, **self._env},
-                           stdout=subprocess.DEVNULL)
+            self._rosparam("load", os.path.join(PACKAGE, "config", name), node)
 
-    def actors(self, odometry="localization/kinematic_state"):
-        """The three nodes between the senders and the chip."""
+    def _rosparam(self, *arguments):
+        subprocess.run(self.on_host("rosparam", (shutil.which("rosparam"), *arguments)), check=True,
+                       env={**os.environ, **self._env}, stdout=subprocess.DEVNULL)
+
+    def load_actors(self):
+        """The parameters of the three nodes between the senders and the chip."""
         self.load("/turn_arb", "turn_arb.yaml")
         self.load("/pca9685", "pca9685.yaml", "pca9685_throttle.yaml")
         self.load("/generic_value_converter", "generic_value_converter.yaml", "throttle.yaml")
+
+    def actors(self, odometry="localization/kinematic_state"):
+        """The three nodes between the senders and the chip."""
+        self.load_actors()
         self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
         self.turn_arb()
-        self.node("generic_value_converter", "generic_value_converter/input/control_cmd:=control/command/control_cmd",
-                  f"generic_value_converter/input/odometry:={odometry}",
-                  f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
+        self.converter(odometry)
 
     def turn_arb(self):
         """Start turn_arb; its parameters are there."""
         return self.node("turn_arb")
+
+    def converter(self, odometry="localization/kinematic_state"):
+        """Start the converter; its parameters are there but for the map."""
+        return self.node("generic_value_converter",
+                         "generic_value_converter/input/control_cmd:=control/command/control_cmd",
+                         f"generic_value_converter/input/odometry:={odometry}",
+                         f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
+
+    def load_one_process(self):
+        """The parameters of car_nodes. Its Teensy is absent."""
+        self.load_actors()
+        self.load("/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
+        for name, value in (("/pca9685/device", "virtual"), ("/pca9685/virtual_log", self.chip.path),
+                            ("/teensy_sensor_hub/port", os.path.join(self.folder, "absent")),
+                            ("/generic_value_converter/csv_path_value_map", f"{PACKAGE}/config/value_map.csv")):
+            self._rosparam("set", name, value)
+
+    def one_process(self):
+        """Start car_nodes; its parameters are there."""
+        return self.node("car_nodes", "generic_value_converter/input/control_cmd:=control/command/control_cmd",
+                         "generic_value_converter/input/odometry:=localization/kinematic_state")
 
     def driver(self, name, *names):
         """Start a chain_driver that may publish these names."""

@@ -51,3 +51,21 @@ def test_input_silent_for_a_while_says_so_in_words_and_seconds():
     heard = heard_once(0.5)
     assert heard.age_s(AT + 520_000_000) == pytest.approx(0.52)
     assert heard.silence(AT + 520_000_000) == "human_in_loop silent for 0.52 s"
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, 0.5])
+def test_input_marked_stale_is_silent_until_it_is_heard_again_whatever_its_timeout(timeout_s):
+    heard = heard_once(timeout_s)
+    heard.mark_stale()
+    assert heard.is_silent(AT) and heard.was_heard
+    assert heard.silence(AT) == "human_in_loop was not heard since messages were dropped"
+    heard.hear("new", AT)
+    assert not heard.is_silent(AT)
+
+
+def test_input_never_heard_stays_so_when_it_is_marked_stale():
+    heard = Heard("human_in_loop", 0.5)
+    heard.mark_stale()
+    assert heard.silence(AT) == "human_in_loop was never heard"
+    heard.hear("new", AT)
+    assert not heard.is_silent(AT)

@@ -15,8 +15,9 @@ FOUNDATION = {"errors", "freshness", "interpolation", "params", "processes", "se
 ROOM_OF = {**dict.fromkeys(("value_map", "value_map_bulk", "conversion", "throttle"), "acceleration"),
            "steering_params": "steering"}
 # Between parts there is nothing but this: what drives the ESC reads who steers out of turn_arb's state, and it asks for
-# permission by the same rules as the steering.
-BETWEEN_PARTS = {("acceleration", "steering"), ("acceleration", "permission"), ("steering", "permission")}
+# permission by the same rules as the steering; the gamepad says in the same words that it has just started.
+BETWEEN_PARTS = {("acceleration", "steering"), ("acceleration", "permission"), ("steering", "permission"),
+                 ("gamepad", "permission")}
 # Devices and ROS are for nodes; numpy is imported where whole arrays are worked on, never with a module, but by
 # calibration, which is nothing but arrays.
 LINK = "teensy/link.py"

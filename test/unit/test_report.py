@@ -238,7 +238,8 @@ def test_flood_of_faults_is_kept_to_a_bound_and_counted(tmp_path):
 
 @pytest.mark.parametrize("reason, lost", [
     ("human_in_loop silent for 0.52 s", True), ("tele_steer_req is nan, no number to act on", True),
-    ("the deadman was silent: let go of the deadman, then hold it again", True), ("human_in_loop is false", False),
+    ("human_in_loop was silent; let go once: publish false, then true", True), ("human_in_loop is false", False),
+    ("human_in_loop was silent: let go of the deadman, then hold it again", True),
     ("neither tele_steer_req nor av_turnrad_req asks for anything", False)])
 def test_loss_is_told_from_nobody_asking(reason, lost):
     assert is_loss(reason) == lost

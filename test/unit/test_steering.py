@@ -460,3 +460,25 @@ def test_times_out_of_order_do_not_disturb_the_slew():
     arbiter.hear_teleop(1.0, NOW)
     assert arbiter.decide(NOW).duty == CENTER
     assert arbiter.decide(NOW + S // 5).duty == 5000
+
+
+@pytest.mark.parametrize("again, source, reason", [
+    pytest.param(["human"], NEUTRAL, "tele_steer_req was not heard since messages were dropped", id="gamepad_lost"),
+    pytest.param(["human", "teleop"], NEUTRAL, "av_turnrad_req was not heard since messages were dropped",
+                 id="planner_lost"),
+    pytest.param(["human", "teleop", "planner"], PLANNER, "av_turnrad_req is 5.000 m", id="all_heard_again"),
+])
+def test_dropped_messages_make_every_input_stale(again, source, reason):
+    arbiter = SteeringArbiter(config(permission=PermissionConfig(e_stop_timeout_s=0.0), planner_timeout_s=0.0,
+                                     teleop_timeout_s=0.0))
+    inputs = {"human": lambda: (arbiter.hear_human(False, NOW), arbiter.hear_human(True, NOW)),
+              "teleop": lambda: arbiter.hear_teleop(0.0, NOW), "planner": lambda: arbiter.hear_planner(5.0, NOW)}
+    for hear in inputs.values():
+        hear()
+    assert arbiter.decide(NOW).source == PLANNER
+    arbiter.mark_stale(NOW)
+    assert arbiter.decide(NOW)[:2] == (NO_HUMAN, CENTER)
+    for name in again:
+        inputs[name]()
+    decision = arbiter.decide(NOW)
+    assert (SOURCE_NAMES[decision.source], decision.reason) == (SOURCE_NAMES[source], reason)

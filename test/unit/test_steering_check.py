@@ -276,3 +276,11 @@ def test_warnings_of_both_sides_are_told_together(car):
 def test_impossible_configuration_is_named(wrong, message):
     with pytest.raises(ConfigError, match=message):
         SteeringCheckConfig(**wrong)
+
+
+def test_command_is_unknown_after_dropped_messages_until_it_is_heard_again(car):
+    car.drives(2.0, 2.0, 1.0)
+    car.check.mark_stale()
+    assert math.isnan(car.judgement.commanded_m)
+    car.drives(2.0, 2.0, 0.1)
+    assert car.judgement.commanded_m == 2.0

@@ -181,3 +181,29 @@ def test_lock_stops_the_esc_above_everything():
     assert throttle.decide(NOW).driving
     throttle.hear_e_stop(True, NOW)
     assert throttle.decide(NOW) == (NEUTRAL_DUTY, False, "e_stop", "e_stop is true")
+
+
+@pytest.mark.parametrize("again, reason", [
+    pytest.param([], "human_in_loop was not heard since messages were dropped", id="human_lost"),
+    pytest.param(["human"], "turn_arb's state was not heard since messages were dropped", id="steering_lost"),
+    pytest.param(["human", "steering"], "control_cmd was not heard since messages were dropped", id="command_lost"),
+    pytest.param(["human", "steering", "command"], "odometry was not heard since messages were dropped",
+                 id="odometry_lost"),
+    pytest.param(["human", "steering", "command", "odometry"], "the value is 3.000", id="all_heard_again"),
+])
+def test_dropped_messages_make_every_input_stale(again, reason):
+    converter = Converter(ConversionConfig(), None)
+    throttle = Throttle(config(permission=PermissionConfig(e_stop_timeout_s=0.0)), converter)
+    inputs = {"human": lambda: (throttle.hear_human(False, NOW), throttle.hear_human(True, NOW)),
+              "steering": lambda: throttle.hear_steering(PLANNER, NOW),
+              "command": lambda: throttle.hear_conversion(Conversion(3.0), NOW),
+              "odometry": lambda: converter.hear_odometry(0.0, NOW)}
+    for hear in inputs.values():
+        hear()
+    assert throttle.decide(NOW).driving
+    throttle.mark_stale(NOW)
+    converter.mark_stale()
+    for name in again:
+        inputs[name]()
+    assert throttle.decide(NOW).reason == reason
+    assert throttle.decide(NOW).driving == (len(again) == 4)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from car_interface.bags.recording import NoRecording, Recorded, absolute_names, contents, other_version, read
 from car_interface.bags.trace import Path, Spots, Trace
+from car_interface.permission import REARM
 from car_interface.steering import LOCKED, NEUTRAL, NO_HUMAN
 
 NS_PER_S = 1_000_000_000
@@ -48,6 +49,7 @@ CLOCK_SET_S = 0.05  # of a change between ROS time and the monotonic clock from 
 STEADY_S, LEAST_CURVATURE, LEAST_SPEED_MPS = 0.7, 0.1, 0.3
 RATIO_BINS, BINS_PER_UNIT = 300, 100
 MOST_TOLD = 2000  # entries of a list; the rest are counted
+LOSS_SIGNS = (" silent for ", "no number to act on", REARM, "let go of the deadman")  # the last: of older recordings
 
 
 class Episode(NamedTuple):
@@ -431,7 +433,7 @@ class _Watch:
 
 def is_loss(reason: str) -> bool:
     """Whether turn_arb's reason is that something was there and failed, not that nobody asked."""
-    return any(sign in reason for sign in (" silent for ", "no number to act on", "let go of the deadman"))
+    return any(sign in reason for sign in LOSS_SIGNS)
 
 
 def _kind(text):

@@ -5,6 +5,7 @@ which can be dead; so the node's heartbeat paces it.
 """
 from __future__ import annotations
 
+import time
 from typing import Callable
 
 import rospy
@@ -49,9 +50,21 @@ class Diagnostics:
         self._updater = _Updater(inbox.node_name)
         inbox.made(self._updater.publisher.unregister)
         self._updater.setHardwareID(hardware_id)
+        self._inbox = inbox
         for name, report in reports.items():
-            self._updater.add(name, report)
+            self._updater.add(name, self._with_inbox(report))
         self._heartbeat = Heartbeat(RATE_HZ, now_ns + 1_000_000_000 // RATE_HZ)
+
+    def _with_inbox(self, report):
+        """That a node lost messages belongs to whatever it says of itself."""
+        def report_both(status):
+            report(status)
+            if self._inbox.overflowed_lately(time.monotonic_ns()):
+                status.mergeSummary(ERROR, self._inbox.overflow)
+            if self._inbox.dropped:
+                status.add("messages dropped by its inbox", self._inbox.dropped)
+            return status
+        return report_both
 
     @property
     def due_ns(self) -> int:

@@ -16,7 +16,7 @@ Parameters:
     ~odometry_timeout 0.5 (s, 0 = never).
     ~servo/channel −1 (none), ~servo/value_axis, ~servo/duty_table, ~servo/neutral: the ESC.
     ~command_timeout 0.5, ~human_timeout 0.5, ~steering_timeout 0.25 (s, 0 = never): for the ESC.
-    ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false: as turn_arb's, for the ESC.
+    ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's, for the ESC.
     ~live_range 100 (duty): how far servo/neutral may be tuned while it runs.  ~save_to: the file to save it to.
 Services, with servo/channel set: see ``live``; set_parameters is below ~servo.
 """
@@ -115,6 +115,7 @@ class GenericValueConverter:
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
             self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
             self._live = self._offer_tuning(tuning)
+        inbox.on_overflow(self._on_overflow)
         rospy.loginfo("waiting for odometry on %s and commands on %s",
                       *(rospy.resolve_name(inbox.own(name)) for name in ("~input/odometry", "~input/control_cmd")))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
@@ -160,6 +161,11 @@ class GenericValueConverter:
             self._throttle.hear_human(False, time.monotonic_ns())
             self._publish_throttle(self._throttle.decide(time.monotonic_ns()))
             time.sleep(0.02)  # it leaves by a thread of rospy's
+
+    def _on_overflow(self, now_ns):
+        self._converter.mark_stale()
+        if self._throttle is not None:
+            self._throttle.mark_stale(now_ns)
 
     def _on_odometry(self, message, now_ns):
         self._note_odd_stamp("odometry", message.header.stamp)

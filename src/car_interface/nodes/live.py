@@ -18,7 +18,7 @@ from typing import Callable, Mapping
 import rospy
 from dynamic_reconfigure.server import Server
 
-from car_interface.nodes.node import Complaints, Inbox
+from car_interface.nodes.node import TOO_BUSY, Complaints, Inbox
 from car_interface.nodes.saving import File, serve_saving
 from car_interface.tuning import Tuning
 from car_interface.yaml_edit import Values
@@ -48,6 +48,11 @@ class _Request:
     def __init__(self, wanted):
         self.wanted = wanted
         self.answered = threading.Event()
+        self.was_dropped = False
+
+    def drop(self):
+        self.was_dropped = True
+        self.answered.set()
 
 
 class Live:
@@ -100,8 +105,11 @@ class Live:
         """Pass a request on, wait for the answer, return what is accepted by now. In a thread of ROS's."""
         if self._serving:
             request = _Request({name: config.get(name) for name in self._tuning.accepted})
-            self._inbox.put(self._on_request, request)
-            if request.answered.wait(ANSWER_WITHIN_S):
+            self._inbox.put(self._on_request, request, on_drop=request.drop)
+            answered = request.answered.wait(ANSWER_WITHIN_S)
+            if request.was_dropped:
+                raise rospy.ServiceException(TOO_BUSY)
+            if answered:
                 self._keep_for_a_restart()
         else:
             self._groups = config["groups"]  # as the .cfg file has them

@@ -108,6 +108,7 @@ class MeasurementPublisher:
         self._static_tf = advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True)
         self._static_tf.publish([_transform(settings.base_frame, frame, *mount)
                                  for frame, mount in zip(settings.sonar_frames, settings.mounts)])
+        inbox.on_overflow(self._on_overflow)
         subscribe("temperature", Temperature, inbox, self._on_temperature)
         subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
 
@@ -239,6 +240,11 @@ class MeasurementPublisher:
         status.add("commanded turn radius", f"{judgement.commanded_m:.2f} m")
         status.add("estimated_turn_radius", f"{judgement.estimated_m:.2f} m")
         return status
+
+    def _on_overflow(self, now_ns):
+        self._catch_up()
+        self._steering_check.mark_stale()
+        self._measurements.steer(math.nan)
 
     def _on_temperature(self, message, now_ns):
         try:

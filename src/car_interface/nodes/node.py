@@ -18,23 +18,27 @@ import sys
 import threading
 import time
 import traceback
-from collections import Counter, deque
+from collections import Counter
 from concurrent.futures import Future, InvalidStateError
 from typing import Any, Callable
 
 import rospy
 
 from car_interface.errors import CarInterfaceError
+from car_interface.freshness import DROPPED
 from car_interface.nodes.logs import LogsAside, LogStream
 from car_interface.params import Params
 
 NS_PER_S = 1_000_000_000
 LONGEST_WAIT_NS = NS_PER_S
 INBOX_LIMIT = 10_000  # more than any node is sent while its thread waits for a device
+OVERFLOW_SHOWN_NS = 10_000_000_000  # for so long /diagnostics says that an inbox has overflowed
 SHUT_DOWN_S = 2.0
 LAST_WORDS_S = 0.5  # for what was logged at the end
 SWITCH_INTERVAL_S = 0.0005  # how long one thread may keep the others from a message; Python's own 5 ms show
 COMPLAINT_PERIOD_NS = 10 * NS_PER_S
+# To who waits for a service's answer.
+ENDED, TOO_BUSY = "the node has ended", f"the node was held up for too long: {DROPPED}, and this request with them"
 
 
 class Inbox:
@@ -43,17 +47,28 @@ class Inbox:
     It waits with select on a pipe: before Python 3.11 a timed ``Condition.wait`` follows the settable clock, and poll
     rounds up to whole milliseconds.
 
+    It is bounded. When the node's thread was held up for so long that it is full, all that waits in it is dropped, and
+    so is all that the node has heard before: among the dropped may be an emergency stop. Services are answered with an
+    error, and what each node does about its inputs is called by ``on_overflow``.
+
     Args:
         node_name: the node's, with its namespace; ``None`` = the process's, of which it is the only node.
+        limit: how much may wait.
     """
 
-    def __init__(self, node_name: str | None = None):
+    def __init__(self, node_name: str | None = None, limit: int = INBOX_LIMIT):
         self.ending = False
         self._node_name = node_name
         self._made: list[Callable[[], None]] = []  # how to take back what the node has on the ROS graph
         self._asked: set[Future] = set()  # what services' callers wait for
         self._closed = False
-        self._items: deque = deque(maxlen=INBOX_LIMIT)
+        self.dropped = 0  # how much was put in and never taken
+        self._dropped_ns = -OVERFLOW_SHOWN_NS  # when that was last said to the node
+        self._overflow_handlers: list[Callable[[int], None]] = []
+        self._overflow_warnings = Complaints(rospy.logerr)
+        self._limit = limit
+        self._items: list[tuple] = []  # (handler, item, arrival_ns), and what to call if that is dropped
+        self._lock = threading.Lock()  # of the items
         self._wake_read, self._wake_write = os.pipe()
         # It is closed with the last one who may wake: the number of a closed file may be a serial port's by then.
         self._pipe = [io.FileIO(fd) for fd in (self._wake_read, self._wake_write)]
@@ -84,35 +99,65 @@ class Inbox:
                 logging.getLogger("car_interface").info("%s", traceback.format_exc())
         self._made.clear()
         for done in list(self._asked):
-            self._refuse(done)
+            self._refuse(done, ENDED)
 
     def ask(self, handler: Callable[[Any, Future], None], request: Any) -> Any:
         """What the Future gets that the node's thread gives to ``handler(request, future)``. For other threads."""
         done: Future = Future()
         self._asked.add(done)
-        self.put(lambda item, now_ns: handler(item, done), request)
+        self.put(lambda item, now_ns: handler(item, done), request, on_drop=lambda: self._refuse(done, TOO_BUSY))
         if self._closed:  # or ``close`` may have come before the question
-            self._refuse(done)
+            self._refuse(done, ENDED)
         try:
             return done.result()
         finally:
             self._asked.discard(done)
 
     @staticmethod
-    def _refuse(done):
+    def _refuse(done, reason):
         try:
-            done.set_exception(rospy.ServiceException("the node has ended"))
+            done.set_exception(rospy.ServiceException(reason))
         except InvalidStateError:
             pass  # it was answered meanwhile
 
-    def put(self, handler: Callable[[Any, int], None], item: Any, wakes: bool = True) -> None:
+    def put(self, handler: Callable[[Any, int], None], item: Any, wakes: bool = True,
+            on_drop: Callable[[], None] | None = None) -> None:
         """Have the node's thread call ``handler(item, arrival_ns)``: now, or whenever it's next awake.
 
-        May be called from any thread.
+        May be called from any thread. Where the item is dropped ``on_drop`` is called, in any thread.
         """
-        self._items.append((handler, item, time.monotonic_ns()))
+        dropped: list[tuple] = []
+        with self._lock:
+            if len(self._items) >= self._limit:
+                dropped.extend(self._items)
+                self._items.clear()
+                self.dropped += sum(event[0] != self._on_overflow for event, _ in dropped)
+                self._items.append(((self._on_overflow, None, time.monotonic_ns()), None))
+            self._items.append(((handler, item, time.monotonic_ns()), on_drop))
+        for _, tell in dropped:
+            if tell is not None:
+                tell()
         if wakes:
             self.wake()
+
+    def on_overflow(self, handler: Callable[[int], None]) -> None:
+        """Have the node's thread call ``handler(now_ns)`` after messages were dropped, before it takes newer ones."""
+        self._overflow_handlers.append(handler)
+
+    def _on_overflow(self, _, now_ns):
+        self._dropped_ns = now_ns
+        self._overflow_warnings.warn("overflow", f"{self.overflow}; all that was heard before counts as lost")
+        for handler in self._overflow_handlers:
+            handler(now_ns)
+
+    @property
+    def overflow(self) -> str:
+        """What was dropped so far, in words."""
+        return f"the inbox of this node overflowed: {DROPPED}, {self.dropped} in all"
+
+    def overflowed_lately(self, now_ns: int) -> bool:
+        """Whether that was just now."""
+        return now_ns - self._dropped_ns < OVERFLOW_SHOWN_NS
 
     def wake(self) -> None:
         """End the wait under way, or the next one. May be called from any thread, and from a signal handler."""
@@ -143,9 +188,9 @@ class Inbox:
 
     def take(self) -> list[tuple]:
         """What has arrived, oldest first, as (handler, item, arrival_ns)."""
-        taken = []
-        while self._items:
-            taken.append(self._items.popleft())
+        with self._lock:
+            taken = [event for event, _ in self._items]
+            self._items.clear()
         return taken
 
 
@@ -167,10 +212,15 @@ class Heartbeat:
 
 
 class Complaints:
-    """Counts what goes wrong by kind, and logs each kind at once and then at most every 10 s."""
+    """Counts what goes wrong by kind, and logs each kind at once and then at most every 10 s.
 
-    def __init__(self):
+    Args:
+        log: rospy's function of the level.
+    """
+
+    def __init__(self, log: Callable = rospy.logwarn):
         self.counts: Counter = Counter()
+        self._log = log
         self._silent_until_ns: dict[str, int] = {}
 
     def warn(self, kind: str, text: str, count: int = 1) -> None:
@@ -180,7 +230,7 @@ class Complaints:
         if now_ns >= self._silent_until_ns.get(kind, 0):
             self._silent_until_ns[kind] = now_ns + COMPLAINT_PERIOD_NS
             times = self.counts[kind]
-            rospy.logwarn("%s%s", text, f" ({times} so far)" if times > 1 else "")
+            self._log("%s%s", text, f" ({times} so far)" if times > 1 else "")
 
 
 def run(name: str, node_class) -> None:

@@ -152,6 +152,7 @@ class Pca9685:
         if required:
             self._open_or_end(now_ns)
         bus.serve(inbox)
+        inbox.on_overflow(lambda now_ns: self._channels.make_safe())
         for topic in ("command", "/servo/cmdVector"):
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
         subscribe("servo/neutral", Int32MultiArray, inbox, self._on_neutral)

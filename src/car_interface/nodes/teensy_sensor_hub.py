@@ -40,6 +40,7 @@ from __future__ import annotations
 import math
 import time
 from concurrent.futures import Future
+from dataclasses import dataclass
 
 import rospy
 from std_srvs.srv import Trigger
@@ -48,7 +49,7 @@ from car_interface.errors import ConfigError, DeviceError, ProtocolError
 from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
 from car_interface.nodes.diagnostics import Diagnostics
 from car_interface.nodes.keys import Keys
-from car_interface.nodes.measurements import MeasurementPublisher, read_settings
+from car_interface.nodes.measurements import MeasurementPublisher, Settings, read_settings
 from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, advertise, is_heard, run, serve
 from car_interface.srv import SetSonarSequence, SetSonarWait
 from car_interface.teensy import protocol
@@ -80,28 +81,66 @@ NOT_OPEN = (False, "the Teensy's port is not open")
 KEY_HELP = "keys: P ping, S sonar start, N sonar stop, R wheel reset, C counters, X sonars 0 1 5, Y all sonars, Q quit"
 
 
+@dataclass(frozen=True)
+class HubConfig:
+    """What the node's parameters say.
+
+    Attributes:
+        port: the Teensy's serial port.
+        baud: of its line.
+        firmware_checksum: which one the Teensy's receiver wants: AUTO = find out, SHIPPED or CORRECTED.
+        required: end when the port can't be opened at start.
+        raw_only: nothing is measured.
+        sonar_restart_s: after so long without any sonar's report SONAR_START is sent; 0 = never.
+        sonar_sequence: the order in which the sonars fire; ``None`` = the firmware's own.
+        settings: of measuring, and of the messages.
+    """
+
+    port: str
+    baud: int
+    firmware_checksum: str
+    required: bool
+    raw_only: bool
+    sonar_restart_s: float
+    sonar_sequence: list | None
+    settings: Settings
+
+
+def read_config(params) -> HubConfig:
+    """The node's configuration from its parameters; it opens and makes nothing.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    baud = params.integer("baud", 115200, low=300, high=4_000_000)
+    config = HubConfig(
+        port=params.text("port", "/dev/ttyAMA0"),
+        baud=baud,
+        firmware_checksum=params.choice("firmware_checksum", AUTO, (AUTO, SHIPPED, CORRECTED)),
+        required=params.flag("required", False),
+        raw_only=params.flag("raw_only", False),
+        sonar_restart_s=params.number("sonar_restart", 3.0, low=0.0, high=3600),
+        sonar_sequence=_sonar_sequence(params),
+        settings=read_settings(params, baud))
+    params.finish()
+    return config
+
+
 class TeensySensorHub:
     """Keeps the link open and pinged, and passes on what comes through it."""
 
     def __init__(self, params, inbox):
         now_ns = time.monotonic_ns()
-        port = params.text("port", "/dev/ttyAMA0")
-        baud = params.integer("baud", 115200, low=300, high=4_000_000)
-        checksum = params.choice("firmware_checksum", AUTO, (AUTO, SHIPPED, CORRECTED))
-        required = params.flag("required", False)
-        raw_only = params.flag("raw_only", False)
-        sonar_restart_s = params.number("sonar_restart", 3.0, low=0.0, high=3600)
-        sonar_sequence = _sonar_sequence(params)
-        settings = read_settings(params, baud)
-        params.finish()
-        self._measurements = None if raw_only else MeasurementPublisher(settings, inbox)
+        config = read_config(params)
+        port, baud, settings = config.port, config.baud, config.settings
+        self._measurements = None if config.raw_only else MeasurementPublisher(settings, inbox)
         self._port = port
         self._link = SerialLink(port, baud)
         self._health = LinkHealth(baud)
         self._clock = TeensyClock()
-        self._sonars = SonarMonitor(sonar_restart_s, sonar_sequence)
+        self._sonars = SonarMonitor(config.sonar_restart_s, config.sonar_sequence)
         self._decoder = FrameDecoder()
-        self._pinger = Pinger(round(settings.ping_period_s * NS_PER_S), checksum, now_ns)
+        self._pinger = Pinger(round(settings.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
         self._inbox = inbox
         self._complaints = Complaints()
         self._retry_ns = FIRST_RETRY_NS
@@ -121,7 +160,7 @@ class TeensySensorHub:
         self._diagnostics = Diagnostics(inbox, f"Teensy on {port}", {
             LINK_REPORT: self._report, **(self._measurements.reports if self._measurements else {})}, now_ns)
         self._publish = self._publishers()
-        if required:
+        if config.required:
             self._open()
         self._services()
         self._key_actions = {

@@ -3,7 +3,8 @@
 Subscribes:
     joy (sensor_msgs/Joy).
 Publishes, at 50 Hz and at once when the deadman changes:
-    /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is heard.
+    /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is heard; a button
+        that is held at the start counts from when all were let go.
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman, and never
         quite so under the manual one, or with the stick at rest the planner would steer.
     /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 under the autonomous deadman.
@@ -23,13 +24,10 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
 from car_interface.gamepad import Gamepad, GamepadConfig
-from car_interface.nodes.node import NS_PER_S, Heartbeat, run, subscribe
+from car_interface.nodes.node import Heartbeat, run, subscribe
 
 RATE_HZ = 50
 MOST_AXES = 64
-# A node that was started anew while the deadman is held must not pass for a hand that let go and holds again: so long
-# after its start it says nothing before it has heard the gamepad. What is silent holds nothing either.
-MUTE_NS = NS_PER_S
 
 
 def read_config(params) -> GamepadConfig:
@@ -56,20 +54,19 @@ class TeleopLogi:
         self._gamepad = Gamepad(read_config(params))
         self._inbox = inbox
         self._published = None
-        self._mute_until_ns = time.monotonic_ns() + MUTE_NS
         self._heartbeat = Heartbeat(RATE_HZ, time.monotonic_ns())
         self._human = rospy.Publisher("/teleop_logi/human_in_loop", Bool, queue_size=10)
         self._steering = rospy.Publisher("/teleop_logi/tele_steer_req", Float32, queue_size=10)
         self._throttle = rospy.Publisher("/teleop_logi/tele_throt_req", Float32, queue_size=10)
+        inbox.on_overflow(lambda now_ns: self._gamepad.mark_stale())
         subscribe("joy", Joy, inbox, self._on_joy)
 
     def step(self, now_ns):
         """Take each message with its consequence; then publish if it is time."""
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
-            self._mute_until_ns = arrival_ns
             self._publish_if_deadman_changed(arrival_ns)
-        if self._heartbeat.is_due(now_ns) and now_ns >= self._mute_until_ns:
+        if self._heartbeat.is_due(now_ns):
             self._publish(self._gamepad.requests(now_ns))
         return self._heartbeat.due_ns
 
@@ -95,8 +92,10 @@ class TeleopLogi:
         self._throttle.publish(requests.throttle)
         if requests.human_in_loop:
             self._human.publish(True)
-        if before is None or before.human_in_loop != requests.human_in_loop:
-            rospy.loginfo("human in loop: %s (%s)", requests.human_in_loop, requests.reason)
+        if before is None or (before.human_in_loop, before.must_let_go) != (requests.human_in_loop,
+                                                                            requests.must_let_go):
+            log = rospy.logwarn if requests.must_let_go else rospy.loginfo
+            log("human in loop: %s (%s)", requests.human_in_loop, requests.reason)
 
 
 def main():

@@ -18,6 +18,8 @@ Parameters (those of the original are also looked up in the namespaces around th
     ~slew_limit 0 (duty per second, 0 = none): how fast gamepad and planner may move the servo.
     ~e_stop_timeout 1.0 (s, 0 = never): a lock that was heard once and is silent for longer is on.
     ~e_stop_required false: true = also one that was never heard.
+    ~grant_at_start true: false (as in config/) = a deadman that is held when the node starts counts only after it was
+        let go, while e_stop is off or ~e_stop_timeout has passed without it.
     ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
     ~live_range 500 (duty): how far ends and center may be tuned while it runs.  ~save_to: the file to save them to.
 Services: see ``live``.
@@ -77,6 +79,7 @@ class TurnArb:
         self._diagnostics = Diagnostics(inbox, "none", {"steering": self._report}, now_ns)
         self._master_trouble = ""
         MasterWatch(inbox, self._on_master)
+        inbox.on_overflow(self._on_overflow)
         subscribe_permission(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
@@ -100,6 +103,10 @@ class TurnArb:
         self._master_trouble = trouble
         if trouble:
             self._complaints.warn("master", trouble)
+
+    def _on_overflow(self, now_ns):
+        self._arbiter.mark_stale(now_ns)
+        self._decide(now_ns)
 
     def _on_teleop(self, message, now_ns):
         self._arbiter.hear_teleop(message.data, now_ns)

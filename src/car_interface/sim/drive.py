@@ -19,6 +19,7 @@ class DriveConfig(NamedTuple):
     """The drive's measures. The defaults fit the default room and take about 40 s."""
 
     nobody_s: float = 5.0
+    picked_up_s: float = 2.0  # so long before it is used the gamepad is there, with no deadman held
     let_go_s: float = 6.0
     longest_turn_s: float = 20.0  # a circle that takes longer is given up
     speed_mps: float = 1.2
@@ -37,11 +38,7 @@ class Orders(NamedTuple):
     steering: float  # the gamepad's stick, −1 right .. +1 left
     radius_m: float  # the planner's request, right negative
     acceleration_mps2: float  # the planner's request
-
-    @property
-    def gamepad_on(self) -> bool:
-        """Whether there is a gamepad at all."""
-        return self.stage not in (NOBODY, DONE)
+    gamepad_on: bool  # there is a gamepad at all
 
 
 class Drive:
@@ -64,7 +61,8 @@ class Drive:
         if self._last_yaw_rad is not None:
             self._turned_rad += math.remainder(yaw_rad - self._last_yaw_rad, TURN_RAD)
         self._last_yaw_rad = yaw_rad
-        if self._is_over((now_ns - self._since_ns) / NS_PER_S):
+        elapsed_s = (now_ns - self._since_ns) / NS_PER_S
+        if self._is_over(elapsed_s):
             self.stage += 1
             self._since_ns = now_ns
             self._turned_rad = 0.0
@@ -76,7 +74,9 @@ class Drive:
             autonomous=self.stage in (LEFT_CIRCLE, RIGHT_CIRCLE),
             steering=config.teleop_steering,
             radius_m=-config.radius_m if self.stage == RIGHT_CIRCLE else config.radius_m,
-            acceleration_mps2=max(-config.most_acceleration_mps2, min(config.most_acceleration_mps2, wanted)))
+            acceleration_mps2=max(-config.most_acceleration_mps2, min(config.most_acceleration_mps2, wanted)),
+            gamepad_on=(elapsed_s >= config.nobody_s - config.picked_up_s if self.stage == NOBODY
+                        else self.stage != DONE))
 
     def _is_over(self, elapsed_s):
         config = self._config

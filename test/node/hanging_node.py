@@ -1,0 +1,22 @@
+#!/usr/bin/env python3
+"""turn_arb with an inbox for few messages; a Float32 on ~hang is slept in its thread, while rospy's go on hearing."""
+from __future__ import annotations
+
+import functools
+import time
+
+from std_msgs.msg import Float32
+
+from car_interface.nodes import node, turn_arb
+
+LIMIT = 50
+
+
+class HangingTurnArb(turn_arb.TurnArb):
+    def __init__(self, params, inbox):
+        super().__init__(params, inbox)
+        node.subscribe("~hang", Float32, inbox, lambda message, now_ns: time.sleep(message.data))
+
+
+node.Inbox = functools.partial(node.Inbox, limit=LIMIT)
+node.run("turn_arb", HangingTurnArb)
