@@ -41,7 +41,7 @@ from typing import NamedTuple
 import numpy as np
 
 from car_interface.teensy.framing import ESCAPE, FLAG, FrameDecoder
-from car_interface.teensy.plausibility import GateConfig, Gates
+from car_interface.teensy.plausibility import Gates
 from car_interface.teensy.protocol import FORWARD, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
 
 DATA = Path(__file__).resolve().parent / "data"

@@ -3,10 +3,10 @@
 
     PYTHONPATH=src python3 test/reboot_accuracy.py [--reboots N] [--seed N]
 
-Virtual time: wheels roll by a plan of speed and curvature, their hall pins stand anywhere, and power is cut in the middle;
-frames are cut on the line, no pulse counts while the Teensy boots, and its first pulses have wrong directions. What is
-scored is what the reboot itself changes: the error of heading and place a second after it, less the error just before
-it; and whether the truth lies within the published covariance's three sigma.
+Virtual time: wheels roll by a plan of speed and curvature, their hall pins stand anywhere, and power is cut in the
+middle; frames are cut on the line, no pulse counts while the Teensy boots, and its first pulses have wrong directions.
+What is scored is what the reboot itself changes: the errors of heading and place at the end less those just before it;
+and whether the truth lies within the published covariance's three sigma.
 """
 from __future__ import annotations
 
@@ -146,8 +146,8 @@ def run(seed: int) -> Outcome:
                     found.append(errors(result, truth))
         drive.step()
     after = found[-1]
-    return Outcome(drive.plan, math.degrees(after[2] - before[2]), math.hypot(after[0] - before[0], after[1] - before[1]),
-                   max(after[3]), after[3][2], gap_ns / S)
+    return Outcome(drive.plan, math.degrees(after[2] - before[2]),
+                   math.hypot(after[0] - before[0], after[1] - before[1]), max(after[3]), after[3][2], gap_ns / S)
 
 
 def errors(result, truth):
@@ -171,13 +171,14 @@ def main():
         heading = sorted(abs(outcome.heading_deg) for outcome in some)
         place = sorted(100 * outcome.position_m for outcome in some)
         inside = sum(outcome.heading_sigmas <= 3 for outcome in some)
-        print(f"{name:9} | {len(some):3} | {_spread(heading)} | {sum(x > 6 for x in heading):3} | {inside:5}/{len(some):<5} "
-              f"| {_spread(place)} | {max(outcome.gap_s for outcome in some):5.2f}")
+        print(f"{name:9} | {len(some):3} | {_spread(heading)} | {sum(x > 6 for x in heading):3} | "
+              f"{inside:5}/{len(some):<5} | {_spread(place)} | {max(outcome.gap_s for outcome in some):5.2f}")
     return 0
 
 
 def _spread(values):
-    return f"{values[len(values) // 2]:6.2f} {values[min(len(values) - 1, int(0.99 * len(values)))]:5.2f} {values[-1]:6.2f}"
+    count = len(values)
+    return f"{values[count // 2]:6.2f} {values[min(count - 1, int(0.99 * count))]:5.2f} {values[-1]:6.2f}"
 
 
 if __name__ == "__main__":

@@ -122,17 +122,16 @@ class Moment(NamedTuple):
     result: object  # what Measurements made of it, or None
 
 
-def replay(capture: Capture, config: MeasurementConfig = MeasurementConfig(), skip_us: int = 0,
-           measurements: Measurements | None = None) -> tuple[list[Moment], Measurements]:
+def replay(capture: Capture, config: MeasurementConfig | None = None, skip_us: int = 0
+           ) -> tuple[list[Moment], Measurements]:
     """Feed a capture's bytes to the measurements at the pace at which they came.
 
     Args:
         capture: which.
         config: of the measurements.
         skip_us: the host begins to listen then.
-        measurements: to feed; by default new ones.
     """
-    measurements = measurements or Measurements(config)
+    measurements = Measurements(config or MeasurementConfig())
     monitor = SonarMonitor()
     decoder = FrameDecoder()
     starts_us = [line["t_us"] - COMMAND_US for line in capture.commands if line["host"] == "sonar_start"]

@@ -9,8 +9,8 @@ from statistics import mean, median
 from typing import NamedTuple
 
 import pytest
-from captures import NAMES, NS_PER_US, load, replay
 
+from captures import NAMES, NS_PER_US, load, replay
 from car_interface.teensy import plausibility
 from car_interface.teensy.framing import FrameDecoder
 from car_interface.teensy.measurements import MeasurementConfig, MotionMeasurement
@@ -199,7 +199,7 @@ def test_host_that_begins_to_listen_later_has_odometry_at_once(name, begin_s):
 
 
 def test_reboots_in_mid_drive_leave_heading_and_place(replayed):
-    capture, moments, measurements, found = replayed("reboot_rolling")
+    _, moments, measurements, found = replayed("reboot_rolling")
     assert measurements.gates.counts[plausibility.CLOCK_RESTARTED] == 3
     false_pulses = [wheel for moment in moments if isinstance(moment.record, WheelStatus)
                     for wheel in moment.record if wheel.direction == BACKWARD]
@@ -270,7 +270,7 @@ def test_false_echoes_make_no_range_and_are_counted(replayed, name, reason, at_m
 
 
 def test_false_echoes_after_sonar_start_make_no_range(replayed):
-    capture, moments, measurements, _ = replayed("sonar_start")
+    capture, moments, _, _ = replayed("sonar_start")
     refused = sum(measured is None for measured, _ in ranges(capture, moments))
     assert 10 <= refused <= 3 * 10, "three reports for each of ten SONAR_STARTs at most"
 

@@ -90,7 +90,8 @@ OTHER = Report("car1/pca9685: servo board", BAD, "nothing answers")
         ([STEERING], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
         ([], "/", ["/turn_arb"], [], [BAD]),
     ],
-    ids=["good", "bad", "stale", "told_elsewhere", "another_of_the_same_node", "another_cars", "own_namespace", "one_silent", "all_silent"],
+    ids=["good", "bad", "stale", "told_elsewhere", "another_of_the_same_node", "another_cars", "own_namespace",
+         "one_silent", "all_silent"],
 )
 def test_reports(reports, namespace, reporting, told, levels):
     assert [found.level for found in check_diagnostics(reports, namespace, reporting, told)] == levels

@@ -320,7 +320,8 @@ def test_setting_off_right_after_a_repeat_is_no_speed():
     assert (some.wheels(report(turned)).accepted, some.refused) == (True, 0)
 
 
-BOOT = [  # both wheels rolled on at 1 m/s, seen in test/data/firmware: false backward pulses, and pulses without direction
+# Both wheels rolled on at 1 m/s, as in test/data/firmware: false backward pulses, and pulses without direction.
+BOOT = [
     WheelStatus(NEW, NEW),
     WheelStatus(Wheel(0, 1, 302, 1, 1), Wheel(0, 2, 311, 0, 1)),
     WheelStatus(Wheel(66, 1, 317, 1, 2), Wheel(0, 2, 311, 0, 1)),

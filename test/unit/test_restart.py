@@ -1,6 +1,6 @@
 """What a reboot in mid-drive costs: the heading stays to a pulse or two, and the covariance says what isn't known.
 
-test/reboot_accuracy.py measures it over many drives on the virtual Teensy; a few of them are here, and the rules behind.
+test/reboot_accuracy.py measures it over many drives on the virtual Teensy; a few of them are here, with the rules.
 """
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 from __future__ import annotations
 
 import pytest
-from captures import NAMES, NS_PER_US, load
 
+from captures import NAMES, NS_PER_US, load
 from car_interface.teensy.framing import FrameDecoder
 from car_interface.teensy.protocol import Pong, SonarStatus, decode
 from car_interface.teensy.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe
@@ -112,7 +112,7 @@ def test_sonar_that_silences_all_others_is_named_and_then_left_out():
     for step in range(1, 8):
         listener.monitor.frame(end_ns + step * S)
         listener.judge(end_ns + step * S)
-    assert (2,) == listener.monitor.dropped
+    assert listener.monitor.dropped == (2,)
     assert SEND_SEQUENCE in [command for _, command in listener.commands]
 
 

@@ -137,18 +137,18 @@ class TeensyProbe:
             return Finding(verdict.level, "Teensy", verdict.words, verdict.next_step)
         missing = [name for sensor, name in enumerate(protocol.SONARS) if sensor not in self._sonars]
         if missing:
-            return Finding(WARN, "Teensy", f"{verdict.words}, but nothing came from {self._describe_missing(missing)} in "
+            return Finding(WARN, "Teensy", f"{verdict.words}, but nothing came from {_describe_sonars(missing)} in "
                                            f"{SONARS_WITHIN_NS / 1e9:g} s", SONARS_REMEDY)
         pong = _pong_words(self._round_trip_ns / 1e9, self._pinger.checksum)
         return Finding(OK, "Teensy", f"{verdict.words}; {pong}")
-
-    @staticmethod
-    def _describe_missing(names):
-        if len(names) == len(protocol.SONARS):
-            return "any of the sonars"
-        return ("the sonar " if len(names) == 1 else "the sonars ") + ", ".join(names)
 
     def _counts(self):
         tally = self._decoder.tally
         return Counts(bytes_in=tally.bytes_in, records=tally.frames - self._malformed, bad_frames=tally.bad_frames,
                       bad_checksums=tally.bad_checksum, pings_in_vain=self._pinger.unanswered_in_a_row)
+
+
+def _describe_sonars(names):
+    if len(names) == len(protocol.SONARS):
+        return "any of the sonars"
+    return ("the sonar " if len(names) == 1 else "the sonars ") + ", ".join(names)

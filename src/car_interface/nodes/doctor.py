@@ -34,8 +34,8 @@ from car_interface.nodes.doctor_computer import look_at_clock, look_at_groups, l
 from car_interface.nodes.doctor_devices import is_pseudo_terminal, look_at_board, look_at_port
 from car_interface.nodes.doctor_master import NODES, Master, read_parameters
 from car_interface.params import Params
-from car_interface.teensy.health import LINK_REPORT
 from car_interface.pca9685.duty import prescale_for
+from car_interface.teensy.health import LINK_REPORT
 
 VIRTUAL = "virtual"
 STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/dev/ttyAMA0", "/dev/i2c-1", 0x40
@@ -216,7 +216,7 @@ def examine(options: argparse.Namespace) -> Iterator[Finding]:
     if heard:
         if car.runs("turn_arb"):
             yield from check_steering(heard.steering, car.runs("turn_arb").path)
-        yield from check_diagnostics(heard.reports, options.ns, reporting, 
+        yield from check_diagnostics(heard.reports, options.ns, reporting,
                                      told=[f"{hub.path.strip('/')}: {LINK_REPORT}"] if hub and heard.link else [])
 
 

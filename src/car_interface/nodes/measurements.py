@@ -130,7 +130,8 @@ class MeasurementPublisher:
             return
         self._sync = sync
         self._clock.publish(TeensyClock(
-            stamp=self._ros_clock.stamp("clock", received_ns), sent=answer.sent_ns, received=received_ns, sent_bytes=answer.sent_bytes,
+            stamp=self._ros_clock.stamp("clock", received_ns), sent=answer.sent_ns, received=received_ns,
+            sent_bytes=answer.sent_bytes,
             baud=self._settings.baud, tick=record.timestamp2, used=sync.used, reason=sync.reason,
             converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
             uncertainty=sync.uncertainty_ns / NS_PER_S, round_trip=sync.round_trip_ns / NS_PER_S))

@@ -21,10 +21,10 @@ Parameters:
     ~port /dev/ttyAMA0, ~baud 115200, ~ping_period 1.0 (s).
     ~firmware_checksum auto: which checksum the Teensy's receiver wants; shipped, corrected, or find out.
     ~required false: true = end with exit code 1 when the port can't be opened at start.
-    ~sonar_restart 3.0 (s): after so long without a report of any sonar, though there should be some, SONAR_START is sent;
-        0 = never.
-    ~sonar_sequence []: the order in which the sonars fire, sent when the port opens and after each reboot; [] = the firmware's
-        own, 0 to 5.
+    ~sonar_restart 3.0 (s): after so long without a report of any sonar, though there should be some, SONAR_START is
+        sent; 0 = never.
+    ~sonar_sequence []: the order in which the sonars fire, sent when the port opens and after each reboot; [] = the
+        firmware's own, 0 to 5.
     ~raw_only false: true = the four raw topics and the link only; nothing is measured, for half the CPU.
     ~pulses_per_revolution 20, ~wheel_diameter 0.095, ~track 0.296, ~wheelbase 0.324 (m), ~top_speed 20 (m/s; what is
         faster is taken for line noise), ~use_steering false: true = the commanded steering helps the heading.

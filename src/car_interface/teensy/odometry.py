@@ -364,18 +364,18 @@ class _WheelFilter:
     def go_on(self, start, was_rolling, now_ms):
         """Follow it from its first pulse after a restart."""
         self.is_lost = False
-        (count, at_ms), *others = start.pulses
+        first_count, first_ms = start.pulses[0]
         sign = 1 if start.forward else -1
-        self.count = start.place - count if start.forward else start.place - 1 + count
+        self.count = start.place - first_count if start.forward else start.place - 1 + first_count
         self._forward = start.forward
-        self._time_ms = min(self._time_ms, at_ms)
+        self._time_ms = min(self._time_ms, first_ms)
         if was_rolling:
             self.position, self.speed, self._acceleration = float(start.place), start.speed, 0.0
             self._variances = (MAGNET_VARIANCE, 0.0, 0.0, (SPEED_SHARE * start.speed) ** 2, 0.0,
                                STARTING_ACCELERATION ** 2)
             self._since_stop = STARTING_PULSES
             self._pulse_ms = -math.inf
-        for count, at_ms in ((count, at_ms), *others):
+        for count, at_ms in start.pulses:
             self.pulse(sign * count, start.forward, at_ms, max(now_ms, at_ms))
 
     def wait(self, now_ms):

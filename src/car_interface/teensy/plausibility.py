@@ -16,8 +16,8 @@ Three rules keep one wrong record from doing harm, and a true jump from being lo
 
 What a healthy firmware sends is never refused. So:
 
-- A wheel's ``when`` is the tick of its last pulse *or repeat*: a standing car repeats its report with a new ``when`` for
-  both wheels. Only a change of ``dist_abs`` is a pulse.
+- A wheel's ``when`` is the tick of its last pulse *or repeat*: a standing car repeats its report with a new ``when``
+  for both wheels. Only a change of ``dist_abs`` is a pulse.
 - ``when`` is 0 until the first pulse after power-up: that is no reading of the clock. WHEEL_RESET keeps it.
 - At power-up the firmware takes both pins of a hall sensor for low and then learns one of them with each pulse. So the
   direction of a wheel's first two pulses is worth nothing: it may be wrong, or still missing while ``dist_abs`` grows.
@@ -452,14 +452,15 @@ def _repeat_fault(before, now):
     others = [wheel for wheel in now if wheel.dist_abs and wheel not in renewed]
     # Beside a wheel that has pulsed since, the repeat itself was lost: it lay between the report before and that pulse.
     fits = (all(ahead(renewed[0].when, old.when) > 0 for old in before if has_pulsed(old))
-            and all(ahead(other.when, renewed[0].when) >= 0 for other in others) and renewed[0].when == renewed[-1].when)
+            and all(ahead(other.when, renewed[0].when) >= 0 for other in others)
+            and renewed[0].when == renewed[-1].when)
     return "" if fits else REPEAT_ALONE
 
 
 def _learning_pulses(before, now):
     """(signed proven, unproven) pulses of a wheel whose Teensy may not have known its hall sensor's pins yet.
 
-    A direction that begins with the second pulse, after a first one without any, is right: the firmware knows both pins.
+    A direction that begins with the second pulse, after a first one without any, is right: both pins are known then.
     """
     learning = 1 if now.direction != NO_DIRECTION and now.dist == 2 else LEARNING_PULSES
     unproven = max(0, min(now.dist_abs, learning) - before.dist_abs)

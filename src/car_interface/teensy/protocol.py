@@ -42,7 +42,7 @@ class Wheel(NamedTuple):
     """One wheel's odometer."""
 
     speed: int  # pulses per second over the last ten pulses and repeats: it takes 2 s to fall to 0 after a stop
-    direction: int  # FORWARD, BACKWARD, NO_DIRECTION yet, DIRECTION_ERROR; of a wheel's first two pulses it means nothing
+    direction: int  # FORWARD, BACKWARD, NO_DIRECTION yet, DIRECTION_ERROR; of the first two pulses it means nothing
     when: int  # the Teensy's clock at the last pulse or repeat, ms; 0 before the first pulse
     dist: int  # dist_abs at the first pulse of the present direction
     dist_abs: int  # pulses since the last reset, whichever way the wheel turned

@@ -111,7 +111,7 @@ class RestartBridge:
         return sum(count for count, _ in self._pulses[side])
 
     def is_reset(self, pulses: Sequence[int], unproven: Sequence[int], now_ms: float) -> bool:
-        """Whether the first pulses show that it was WHEEL_RESET: all directions are known, and hardly a pulse is lost."""
+        """Whether the first pulses show that it was WHEEL_RESET: each direction is known, hardly a pulse is lost."""
         seen_ms = now_ms if self._seen_ms is None else self._seen_ms
         return (any(pulses) and not any(unproven) and not any(self._pulses)
                 and seen_ms - self._state.at_ms <= REPEAT_MS)
@@ -231,7 +231,8 @@ class RestartBridge:
         fastest = 1 / max(now_ms - self._first_ms(), 1.0)
         slowed = [wheel.speed if abs(wheel.speed) < 2 * fastest else math.copysign(fastest, wheel.speed)
                   for wheel in self._state.wheels]
-        return [sign * rate if rate else known[0] if known else speed for sign, rate, speed in zip(signs, rates, slowed)]
+        return [sign * rate if rate else known[0] if known else speed
+                for sign, rate, speed in zip(signs, rates, slowed)]
 
     def _curvature(self, speeds, was_rolling):
         """Over the time that nobody counted, and its variance, from before and after."""
