@@ -3,12 +3,12 @@
 
     PYTHONPATH=src python3 test/odometry_accuracy.py [--runs N] [--only NAME]
 
-Virtual time: the car drives, its Teensy reports byte by byte, gates and odometry follow. Where the wheels stand between
-magnets at the start differs from run to run, as do the Teensy's clock and the driver's hand. With --pins the levels of
-their hall pins differ as well, which the Teensy takes for 00 at power-up: up to four pulses of a wheel are wrong then. What is scored: the final
-error of the position, as a share of the way, and of the heading; the 95th percentile of the speed's relative error over
-all reports above 0.5 m/s, at the crawl over all in which it really crawls; how many reports have the truth within three
-sigma in x, y and heading at once, and errors in sigmas.
+Virtual time: the car drives, its Teensy reports byte by byte, gates and odometry follow. Where the wheels stand
+between magnets at the start differs from run to run, as do the Teensy's clock and the driver's hand. With --pins the
+levels of their hall pins differ as well, which the Teensy takes for 00 at power-up: up to four pulses of a wheel are
+wrong then. What is scored: the final error of the position, as a share of the way, and of the heading; the 95th
+percentile of the speed's relative error over all reports above 0.5 m/s, at the crawl over all in which it really
+crawls; how many reports have the truth within three sigma in x, y and heading at once, and errors in sigmas.
 """
 from __future__ import annotations
 
