@@ -179,6 +179,8 @@ class Soak:
                 ("line at another baud rate", "scramble", 1.0), ("line cut in mid-frame", "cut", 50),
                 ("line flooded", "flood", 1.0), ("Teensy's receiver out of step", "out_of_step", 0)):
             faults[name] = lambda fault=fault, value=value: self._inject("/car_sim", fault, value)
+        for name, fault in (("sonar not connected", "sonar_missing"), ("sonar's echo stuck high", "sonar_stuck")):
+            faults[name] = lambda fault=fault: self._sonar(fault)
         faults["bit errors"] = self._bit_errors
         for node in NODES:
             faults[f"{node[1:]} frozen for a second"] = lambda node=node: self._freeze(node)
@@ -214,6 +216,12 @@ class Soak:
         self._inject("/car_sim", "bit_errors", 1e-3)
         time.sleep(2.0)
         self._inject("/car_sim", "bit_errors", 0)
+
+    def _sonar(self, fault):
+        sensor = self._random.randrange(6)
+        self._inject("/car_sim", fault, sensor)
+        time.sleep(self._random.uniform(0.5, 2.0))
+        self._inject("/car_sim", "sonar_fine", sensor)
 
     def _ask_for_counters(self):
         call = rospy.ServiceProxy("/teensy_sensor_hub/get_counters", Trigger)

@@ -413,7 +413,7 @@ class _Recorder:
         self._bag = bag
         self._imu = _Imu(self._noise) if imu else None
         self._servo_topic = servo_topic
-        self._teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=rng.randrange(100_000),
+        self._teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=300 + rng.randrange(3_600_000),
                                                      clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS)
         self._magnets = _Magnets(car, self._noise)
         self._decoder = FrameDecoder()

@@ -17,11 +17,11 @@ Parameters:
     ~steering_duties, ~steering_curvatures: the true steering, rising duties and curvatures in 1/m, left positive.
     ~forward_acceleration, ~reverse_acceleration, ~brake_deceleration (m/s²): the true drive train.
     ~temperature 20 (°C): of the air that the sonars' sound travels through.
-    ~wheel_pulses: where the rear wheels (left, right) stand at the start, in pulses: the levels of their hall pins,
-        which the Teensy takes for others than they are, and how far it is to the next ones.
+    ~wheel_pulses: where the rear wheels (left, right) stand at the start, in pulses: how far to the next ones, and
+        the levels of their hall pins, which the Teensy takes for 00 (0.25 and 0.75: they are).
     ~clock_start_ms, ~clock_drift_ppm: the Teensy's clock.  ~corrected_checksum false: its receiver repaired.
     ~sonar_pulse_end 38000 (µs): so long a sonar that hears nothing holds its echo pin.
-    ~seed: of all that isn't given: wheel_pulses, clock_start_ms (up to an hour), clock_drift_ppm (±50), of the garbage
+    ~seed: of all that isn't given: wheel_pulses, clock_start_ms (up to an hour), clock_drift_ppm (±50); of the garbage
         in the Teensy's memory at power-up, and of the noise on its line. Not given it differs each time; it is logged.
 """
 from __future__ import annotations
