@@ -69,9 +69,14 @@ class Params:
                             lambda v: v if isinstance(v, str) and (may_be_empty or v.strip()) else None, "a text")
 
     def path(self, name: str, default=REQUIRED) -> str:
-        """The whole path of a file: a relative one would count from where ROS starts nodes, not from its owner's."""
+        """The whole path of a file or folder.
+
+        A relative one would count from where ROS starts nodes, and ~ from the home of whoever runs them, not from their
+        owner's; so neither is taken.
+        """
         return self._scalar(name, default, False, lambda v: v if isinstance(v, str) and os.path.isabs(v) else None,
-                            "a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder")
+                            "a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is "
+                            "no name to them")
 
     def text_or_integer(self, name: str, default):
         """A string that isn't empty, or an integer of at least 0."""

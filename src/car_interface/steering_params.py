@@ -14,7 +14,11 @@ FASTEST_SLEW = 1e9  # duty per second: from end to end within a heartbeat, many 
 
 
 def read_config(params) -> SteeringConfig:
-    """The node's configuration from its parameters."""
+    """The steering's configuration from the node's parameters, the last of which these are.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
     timeout_s = params.timeout("input_timeout", 0.5)
     config = SteeringConfig(
         servo_left=params.integer("servo_left", low=0, high=MAX_DUTY, outward=True),
@@ -32,6 +36,7 @@ def read_config(params) -> SteeringConfig:
         planner_timeout_s=params.timeout("planner_timeout", timeout_s),
     )
     params.finish()
+    SteeringArbiter(config)  # its tables are checked when it's made
     return config
 
 
@@ -44,11 +49,9 @@ def load_steering(path: str) -> SteeringConfig:
     params = Params(load_yaml(path))
     try:
         read_tuning(params, 0)  # the node's, beside the calibration
-        config = read_config(params)
-        SteeringArbiter(config)  # its tables are checked when it's made
+        return read_config(params)
     except ConfigError as error:
         raise error.within(path) from error
-    return config
 
 
 def load_yaml(path: str) -> dict[str, Any]:

@@ -57,6 +57,15 @@ def trimmed(config: ThrottleConfig, neutral: int) -> ThrottleConfig:
                    duty_table=[max(0, min(MAX_DUTY, duty + shift)) if shift else duty for duty in config.duty_table])
 
 
+def duty_of_value(config: ThrottleConfig) -> LookupTable:
+    """The duty for each value.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    return LookupTable(config.value_axis, config.duty_table, "servo/value_axis", "servo/duty_table")
+
+
 class ThrottleDecision(NamedTuple):
     """What the ESC shall get."""
 
@@ -82,7 +91,7 @@ class Throttle:
         Raises:
             ConfigError: naming the parameter; then the one before stays.
         """
-        duty = LookupTable(config.value_axis, config.duty_table, "servo/value_axis", "servo/duty_table")
+        duty = duty_of_value(config)
         self.config, self._duty = config, duty
 
     def hear_e_stop(self, locked: bool, now_ns: int) -> None:

@@ -53,16 +53,16 @@ class Examination(NamedTuple):
         return [(match.group(1), match.group(3)) for match in found if match.group(2) == subject]
 
 
-def run(*command, env=None) -> subprocess.CompletedProcess:
+def run(*command, env=None, cwd=None) -> subprocess.CompletedProcess:
     """Run a program to its end, in pipes."""
-    return subprocess.run(command, env=env, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60,
-                          check=False)
+    return subprocess.run(command, env=env, cwd=cwd, stdin=subprocess.DEVNULL, capture_output=True, text=True,
+                          timeout=60, check=False)
 
 
-def examine(*options, **environment) -> Examination:
+def examine(*options, cwd=None, **environment) -> Examination:
     """Run the doctor as a user does, in a pipe."""
     began_s = time.monotonic()
-    done = run(executable("doctor"), *options, env={**os.environ, **environment})
+    done = run(executable("doctor"), *options, env={**os.environ, **environment}, cwd=cwd)
     return Examination(done.returncode, done.stdout.splitlines(), done.stderr, time.monotonic() - began_s)
 
 
@@ -110,6 +110,15 @@ class DoctorTest(unittest.TestCase):
         self.assertLess(examination.took_s, MOST_S)
 
 
+    def replace_param(self, path, value):
+        """Set a parameter until the test ends."""
+        if rospy.has_param(path):
+            self.addCleanup(rospy.set_param, path, rospy.get_param(path))
+        else:
+            self.addCleanup(rospy.delete_param, path)
+        rospy.set_param(path, value)
+
+
 class HealthyCar(DoctorTest):
     def test_nothing_is_bad_and_everything_was_looked_at(self):
         examination = examine()
@@ -135,6 +144,18 @@ class HealthyCar(DoctorTest):
         self.assertEqual({link.reconnects for link in links}, {links[0].reconnects})
         self.assertEqual({link.bad_frames for link in links}, {links[0].bad_frames})
         self.assertEqual({state.duty for state in self.states.since(marks[1])}, {duty})
+
+    def test_it_leaves_no_file_behind(self):
+        """It reads the parameters of a virtual chip that writes a log, and listens by rospy, which would, too."""
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        log = os.path.join(folder.name, "chip")
+        self.replace_param("/pca9685/virtual_log", log)
+        places = {name: os.path.join(folder.name, name) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR", "TMPDIR")}
+        examination = examine(**places, ROS_PYTHON_LOG_CONFIG_FILE="", cwd=folder.name)
+        self.check(examination, "parameters", OK, "/pca9685")
+        self.check(examination, "steering", OK, "NO_HUMAN")
+        self.assertEqual([path for path, _, _ in os.walk(folder.name)] + os.listdir(folder.name), [folder.name])
 
     def test_other_namespace_has_no_car(self):
         examination = examine("--ns", "car1", "--i2c", "virtual")
@@ -223,6 +244,17 @@ class BrokenSetUps(DoctorTest):
         self.addCleanup(os.close, far)
         self.check(examine("--port", os.ttyname(far)), "Teensy", BAD, "nothing comes", "TX")
 
+    def test_table_that_makes_no_sense_and_map_that_is_not_there_are_told(self):
+        table = rospy.get_param("/turn_arb/k_pwmcmd_left_table_servo")
+        self.replace_param("/turn_arb/k_pwmcmd_left_table_servo", table[:-1])
+        self.replace_param("/generic_value_converter/csv_path_value_map", "/nowhere.csv")
+        self.replace_param("/pca9685/virtual_log", "chip.log")
+        examination = examine()
+        for words in ("k_pwmcmd_left_table_servo is [",
+                      "csv_path_value_map is '/nowhere.csv'; accepted: a file that can",
+                      "virtual_log is 'chip.log'; accepted: a whole path, from / on"):
+            self.check(examination, "parameters", BAD, words, "YAML")
+
     def test_bad_parameters_are_told_as_the_node_would(self):
         for path, value in (("/turn_arb/servo_left", 99999), ("/pca9685/frequnecy", 60),
                             ("/teensy_sensor_hub/ping_period", "soon"), ("/teleop_logi/steer_axis", 3000),
@@ -234,14 +266,6 @@ class BrokenSetUps(DoctorTest):
                       "steer_axis is 3000", "wheelbase is 0"):
             self.check(examination, "parameters", BAD, words, "YAML")
         self.assertNotIn(OK, [level for level, _ in examination.of("parameters")])
-
-    def replace_param(self, path, value):
-        """Set a parameter until the test ends."""
-        if rospy.has_param(path):
-            self.addCleanup(rospy.set_param, path, rospy.get_param(path))
-        else:
-            self.addCleanup(rospy.delete_param, path)
-        rospy.set_param(path, value)
 
     def test_lost_servo_board_is_bad(self):
         inject = rospy.ServiceProxy("/pca9685/inject_fault", InjectFault)

@@ -84,17 +84,8 @@ NODES = {
 }
 
 
-def read_pca9685(params):
-    pca9685.read_device(params)
-    pca9685.read_channels(params)
-
-
 def read_measurements(params):
     measurements.read_settings(params, 115200)
-
-
-def read_converter(params):
-    generic_value_converter.read_throttle(params, generic_value_converter.read_converter(params))
 
 
 # What the hub reads by itself, beside the sensors' configuration.
@@ -103,8 +94,11 @@ MEASURED_ELSEWHERE = ("baud", "ping_period", "firmware_checksum", "use_steering"
 READERS = {
     "turn_arb": (turn_arb.read_config, lambda: config("turn_arb.yaml")),
     "teleop_logi": (teleop_logi.read_config, lambda: config("teleop_logi.yaml")),
-    "generic_value_converter": (read_converter, converter_config),
-    "pca9685": (read_pca9685, lambda: config("pca9685.yaml")),
+    "generic_value_converter": (generic_value_converter.read_config, converter_config),
+    "pca9685": (pca9685.read_config, lambda: config("pca9685.yaml")),
+    "teensy_sensor_hub": (teensy_sensor_hub.read_config,
+                          lambda: {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml"), "port": PORT}),
+    "car_display": (car_display.read_config, lambda: {"wheelbase": 0.324, "frame_prefix": "car1/"}),
     "measurements": (read_measurements, lambda: {
         name: value for name, value in {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml")}.items()
         if name not in MEASURED_ELSEWHERE}),

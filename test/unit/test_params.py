@@ -50,6 +50,8 @@ def read(reader, value, *args, **kwargs):
     pytest.param("text", None, {"default": "/dev/ttyAMA0"}, "/dev/ttyAMA0", id="text_by_default"),
     pytest.param("text", None, {"default": None}, None, id="text_that_may_be_missing"),
     pytest.param("text", "", {"may_be_empty": True}, "", id="text_that_may_be_empty"),
+    pytest.param("path", "/home/me/my_car/map.csv", {}, "/home/me/my_car/map.csv", id="whole_path"),
+    pytest.param("path", None, {"default": None}, None, id="path_that_may_be_missing"),
     pytest.param("text_or_integer", "/dev/i2c-1", {"default": "a"}, "/dev/i2c-1", id="text_or_integer_that_is_a_text"),
     pytest.param("text_or_integer", 1, {"default": "a"}, 1, id="text_or_integer_that_is_an_integer"),
     pytest.param("text_or_integer", "1", {"default": "a"}, 1, id="text_or_integer_that_spells_one"),

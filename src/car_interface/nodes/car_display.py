@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from dataclasses import dataclass
 
 import rospy
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -49,6 +50,34 @@ ARROW, TRAIL, WORDS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.0, 0.6, 0.35, 
 NO_TURN = Quaternion(0.0, 0.0, 0.0, 1.0)
 
 
+@dataclass(frozen=True)
+class CarDisplayConfig:
+    """What the node's parameters say: the car's size, and the frames with their prefix."""
+
+    wheelbase_m: float
+    track_m: float
+    wheel_diameter_m: float
+    odom_frame: str
+    base_frame: str
+
+
+def read_config(params) -> CarDisplayConfig:
+    """The node's configuration from its parameters.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    prefix = params.text("frame_prefix", "", may_be_empty=True)
+    config = CarDisplayConfig(
+        wheelbase_m=params.number("wheelbase", 0.324, above=0.0, high=10),
+        track_m=params.number("track", 0.296, above=0.0, high=10),
+        wheel_diameter_m=params.number("wheel_diameter", 0.095, above=0.0, high=10),
+        odom_frame=prefix + params.text("odom_frame", "odom"),
+        base_frame=prefix + params.text("base_frame", "base_link"))
+    params.finish()
+    return config
+
+
 class Trail:
     """Where the car went, in steps."""
 
@@ -74,13 +103,10 @@ class CarDisplay:
     """Hears where the car is and what it's told; draws both."""
 
     def __init__(self, params, inbox):
-        self._wheelbase_m = params.number("wheelbase", 0.324, above=0.0, high=10)
-        self._track_m = params.number("track", 0.296, above=0.0, high=10)
-        self._wheel_m = params.number("wheel_diameter", 0.095, above=0.0, high=10)
-        prefix = params.text("frame_prefix", "", may_be_empty=True)
-        self._odom_frame = prefix + params.text("odom_frame", "odom")
-        self._base_frame = prefix + params.text("base_frame", "base_link")
-        params.finish()
+        config = read_config(params)
+        self._wheelbase_m, self._track_m = config.wheelbase_m, config.track_m
+        self._wheel_m = config.wheel_diameter_m
+        self._odom_frame, self._base_frame = config.odom_frame, config.base_frame
         self._inbox = inbox
         self._state = Heard("turn_arb/state", COMMAND_TIMEOUT_S)
         self._trail = Trail()

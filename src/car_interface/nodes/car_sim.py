@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 import random
 import time
+from dataclasses import dataclass
 
 import rospy
 from geometry_msgs.msg import Point, Quaternion, Vector3
@@ -94,11 +95,50 @@ def read_firmware(params, rng, seed, wheel_pulses) -> FirmwareConfig:
         seed=seed)
 
 
+@dataclass(frozen=True)
+class CarSimConfig:
+    """What the node's parameters say.
+
+    Attributes:
+        port: where the link to the Teensy's pseudo-terminal appears.
+        steering_channel, throttle_channel: of /servo/output, 0..15.
+        vehicle: the car.
+        world: what its sonars see.
+        firmware: its Teensy.
+    """
+
+    port: str
+    steering_channel: int
+    throttle_channel: int
+    vehicle: VehicleConfig
+    world: WorldConfig
+    firmware: FirmwareConfig
+
+
+def read_config(params) -> CarSimConfig:
+    """The node's configuration from its parameters; it opens and makes nothing.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    config = CarSimConfig(
+        port=params.text("port", "/tmp/car_sim_teensy"),
+        steering_channel=params.integer("steering_channel", 0, low=0, high=CHANNELS - 1),
+        throttle_channel=params.integer("throttle_channel", 1, low=0, high=CHANNELS - 1),
+        vehicle=read_vehicle(params),
+        world=WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)),
+        firmware=read_firmware(params))
+    params.finish()
+    return config
+
+
 class CarSim:
     """Moves the car, feeds the Teensy, and carries its bytes to and from the pseudo-terminal."""
 
     def __init__(self, params, inbox):
+        config = read_config(params)
         now_ns = time.monotonic_ns()
+<<<<<<< HEAD
         port = params.text("port", "/tmp/car_sim_teensy")
         self._steering_channel = params.integer("steering_channel", 0, low=0, high=CHANNELS - 1)
         self._throttle_channel = params.integer("throttle_channel", 1, low=0, high=CHANNELS - 1)
@@ -109,17 +149,30 @@ class CarSim:
         world = World(WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)))
         firmware_config = read_firmware(params, rng, seed, vehicle_config.pulse_phase)
         params.finish()
+=======
+        self._steering_channel, self._throttle_channel = config.steering_channel, config.throttle_channel
+        self._vehicle = Vehicle(config.vehicle, now_ns)
+        world = World(config.world)
+>>>>>>> safety
         self._firmware = TeensyFirmware(
-            firmware_config, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
+            config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [UNCHANGED] * CHANNELS
         self._inbox = inbox
         self._complaints = Complaints()
+<<<<<<< HEAD
         self._line = VirtualLine(port, self._firmware, seed, inbox)
+=======
+        self._line = VirtualLine(config.port, self._firmware, config.firmware.seed or 0, inbox)
+>>>>>>> safety
         self._line.serve(time.monotonic_ns)
         self._heartbeat = Heartbeat(TRUTH_RATE_HZ, now_ns)
         self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
+<<<<<<< HEAD
         rospy.loginfo("a virtual Teensy is on %s (seed %d)", port, seed)
+=======
+        rospy.loginfo("a virtual Teensy is on %s", config.port)
+>>>>>>> safety
 
     def step(self, now_ns):
         """Live on until now: first the car, then the Teensy, then the line."""

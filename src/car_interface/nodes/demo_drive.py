@@ -7,7 +7,7 @@ Publishes:
     joy (sensor_msgs/Joy), av_turnrad_req (std_msgs/Float32), control/command/control_cmd (Control): each at 50 Hz.
 Subscribes to what the car's nodes publish.
 Parameters:
-    ~bag_dir: where to record a bag of all topics; none = record nothing.
+    ~bag_dir: where to record a bag of all topics, by its whole path; none = record nothing.
 """
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from dataclasses import dataclass
 
 import rospy
 from nav_msgs.msg import Odometry
@@ -137,12 +138,29 @@ class Watch:
         return [name for name, thing in seen.items() if not thing]
 
 
+@dataclass(frozen=True)
+class DemoDriveConfig:
+    """What the node's parameters say: where a bag is recorded; ``None`` = nowhere."""
+
+    bag_dir: str | None
+
+
+def read_config(params) -> DemoDriveConfig:
+    """The node's configuration from its parameters; it opens and makes nothing.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    config = DemoDriveConfig(bag_dir=params.path("bag_dir", None))
+    params.finish()
+    return config
+
+
 class DemoDrive:
     """Plays the script, watches, judges."""
 
     def __init__(self, params, inbox):
-        bag_dir = params.text("bag_dir", None)
-        params.finish()
+        bag_dir = read_config(params).bag_dir
         self._inbox = inbox
         self._watch = Watch()
         self._drive = None

@@ -11,14 +11,7 @@ from car_interface.params import Params
 
 CALLER = "/doctor"
 ANSWER_WITHIN_S = 1.0
-NODES = {
-    "turn_arb": "TurnArb",
-    "pca9685": "Pca9685",
-    "teensy_sensor_hub": "TeensySensorHub",
-    "generic_value_converter": "GenericValueConverter",
-    "teleop_logi": "TeleopLogi",
-    "car_sim": "CarSim",
-}
+NODES = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "teleop_logi", "car_sim")
 # These may be parts of one process, which the master then knows by this name alone.
 ONE_PROCESS = "car_nodes"
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
@@ -104,20 +97,8 @@ class _HastyTransport(xmlrpc.client.Transport):
         return connection
 
 
-class _AllRead(Exception):
-    """A node has read its parameters to the end, and found nothing wrong."""
-
-
-class _ReadOnly(Params):
-    """Ends a node's life where it would begin: a node calls ``finish`` before it makes or opens anything."""
-
-    def finish(self):
-        super().finish()
-        raise _AllRead
-
-
 def read_parameters(master: Master, node: Node) -> Reading | None:
-    """Have a node's own class read what the server holds for it; ``None`` when that is nothing and it doesn't run."""
+    """Read what the server holds for a node as the node does; ``None`` when that is nothing and it doesn't run."""
     private = master.parameter(node.path)
     if not isinstance(private, dict):
         if not node.registered:
@@ -125,11 +106,9 @@ def read_parameters(master: Master, node: Node) -> Reading | None:
         private = {}
     try:
         module = importlib.import_module(f"car_interface.nodes.{node.name}")
-        getattr(module, NODES[node.name])(_ReadOnly(private, lambda name: master.outward(node.path, name)), None)
-    except _AllRead:
-        return Reading(node.path, "", node.registered)
+        module.read_config(Params(private, lambda name: master.outward(node.path, name)))
     except CarInterfaceError as error:
         return Reading(node.path, str(error), node.registered)
     except ImportError as error:
         return Reading(node.path, f"it can't be imported ({error})", node.registered)
-    raise AssertionError(f"{node.name} didn't finish reading its parameters")
+    return Reading(node.path, "", node.registered)

@@ -58,6 +58,7 @@ def listen(hub: str | None, turn_arb: str | None, reporting) -> Heard:
         reporting: the paths of the nodes that report on /diagnostics.
     """
     logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes is told as findings
+    rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
     rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
     ear = _Ear()
     if hub:

@@ -10,7 +10,7 @@ Publishes:
         servo/neutral (the same, latched): its neutral, for the servo board's timeout value.
     /diagnostics: what becomes of the commands; 1 Hz.
 Parameters:
-    ~csv_path_value_map: the map; required unless it isn't used.  ~allow_plateaus false.
+    ~csv_path_value_map: the map, by its whole path; required unless it isn't used.  ~allow_plateaus false.
     ~max_value 3.0, ~min_value −5.0: what goes out is clamped to these.
     ~convert_value_cmd true, ~use_value_ff true: one of them false passes accelerations through.
     ~odometry_timeout 0.5 (s, 0 = never).
@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
+from dataclasses import dataclass
 
 import rospy
 from nav_msgs.msg import Odometry
@@ -41,9 +42,9 @@ from car_interface.nodes.node import Complaints, Heartbeat, advertise, run, subs
 from car_interface.nodes.permission import subscribe_permission
 from car_interface.permission import read_permission
 from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
-from car_interface.throttle import Throttle, ThrottleConfig, trimmed
-from car_interface.tuning import Tuning, read_tuning
-from car_interface.value_map import load_value_map
+from car_interface.throttle import Throttle, ThrottleConfig, duty_of_value, trimmed
+from car_interface.tuning import Tuning, TuningSettings, read_tuning
+from car_interface.value_map import ValueMap, load_value_map
 
 RATE_HZ = 50
 NO_CHANNEL = -1
@@ -52,31 +53,60 @@ LIVE_RATE = 100  # duty per second
 ODD_STAMP_S = 10.0  # a stamp this far from now is worth a word
 
 
-def read_converter(params) -> Converter:
-    """The converter and its map from the node's parameters."""
+@dataclass(frozen=True)
+class ConverterConfig:
+    """What the node's parameters say.
+
+    Attributes:
+        conversion: limits and timeout.
+        map_path: the file that the map is from; empty = accelerations pass through.
+        value_map: the map; ``None`` = accelerations pass through.
+        throttle: the ESC's channel and rules; ``None`` = there is none.
+        tuning: how far the ESC's neutral may be tuned while the car drives, and where that is saved.
+    """
+
+    conversion: ConversionConfig
+    map_path: str
+    value_map: ValueMap | None
+    throttle: ThrottleConfig | None
+    tuning: TuningSettings
+
+
+def read_config(params) -> ConverterConfig:
+    """The node's configuration from its parameters, the map with it; it makes nothing.
+
+    Raises:
+        ConfigError: naming the parameter, or the place in the map's file.
+    """
+    tuning = read_tuning(params, LIVE_RANGE)
+    conversion, map_path, value_map = _read_conversion(params)
+    throttle = _read_throttle(params)
+    params.finish()
+    return ConverterConfig(conversion, map_path, value_map, throttle, tuning)
+
+
+def _read_conversion(params):
+    """Limits and timeout, the map's path, and the map; without one an empty path and ``None``."""
     converts = params.flag("convert_value_cmd", True)
     uses_map = params.flag("use_value_ff", True)
-    path = params.text("csv_path_value_map", None)
+    path = params.path("csv_path_value_map", None)
     allow_plateaus = params.flag("allow_plateaus", False)
-    config = ConversionConfig(min_value=params.number("min_value", -5.0), max_value=params.number("max_value", 3.0),
-                              odometry_timeout_s=params.timeout("odometry_timeout", 0.5))
+    conversion = ConversionConfig(min_value=params.number("min_value", -5.0), max_value=params.number("max_value", 3.0),
+                                  odometry_timeout_s=params.timeout("odometry_timeout", 0.5))
     if not (converts and uses_map):
-        return Converter(config, None)
+        return conversion, "", None
     if path is None:
-        path = params.text("csv_path_value_map")
+        path = params.path("csv_path_value_map")
     value_map = load_value_map(path, allow_plateaus)
     try:
-        converter = Converter(config, value_map)
+        Converter(conversion, value_map)  # map and limits are held against each other when it's made
     except ConfigError as error:
         raise error.within(path) from error
-    if value_map.values[0] < config.min_value or value_map.values[-1] > config.max_value:
-        rospy.logwarn("%s has values from %g to %g; min_value and max_value clamp them to %g to %g", path,
-                      value_map.values[0], value_map.values[-1], config.min_value, config.max_value)
-    return converter
+    return conversion, path, value_map
 
 
-def read_throttle(params, converter):
-    """The ESC's channel and rules, or ``(-1, None)``."""
+def _read_throttle(params):
+    """The ESC's channel and rules, or ``None``."""
     channel = params.integer("servo/channel", NO_CHANNEL, low=NO_CHANNEL, high=CHANNELS - 1)
     missing = {"default": []} if channel == NO_CHANNEL else {}
     settings = {
@@ -87,18 +117,21 @@ def read_throttle(params, converter):
         "steering_timeout_s": params.timeout("steering_timeout", 0.25),
         "command_timeout_s": params.timeout("command_timeout", 0.5),
     }
-    throttle = None if channel == NO_CHANNEL else Throttle(ThrottleConfig(channel=channel, **settings), converter)
-    return channel, throttle
+    if channel == NO_CHANNEL:
+        return None
+    config = ThrottleConfig(channel=channel, **settings)
+    duty_of_value(config)  # the table is checked when it's made
+    return config
 
 
 class GenericValueConverter:
     """Answers each command with a value, and keeps the ESC's channel."""
 
     def __init__(self, params, inbox):
-        tuning = read_tuning(params, LIVE_RANGE)
-        self._converter = read_converter(params)
-        self._channel, self._throttle = read_throttle(params, self._converter)
-        params.finish()
+        config = read_config(params)
+        self._converter = Converter(config.conversion, config.value_map)
+        self._throttle = None if config.throttle is None else Throttle(config.throttle, self._converter)
+        _warn_of_clamped_values(config)
         self._inbox = inbox
         self._complaints = Complaints()
         self._decision = None
@@ -114,7 +147,7 @@ class GenericValueConverter:
             subscribe_permission(inbox, self._throttle)
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
             self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
-            self._live = self._offer_tuning(tuning)
+            self._live = self._offer_tuning(config.tuning)
         inbox.on_overflow(self._on_overflow)
         rospy.loginfo("waiting for odometry on %s and commands on %s",
                       *(rospy.resolve_name(inbox.own(name)) for name in ("~input/odometry", "~input/control_cmd")))
@@ -129,7 +162,7 @@ class GenericValueConverter:
 
         def apply(values):
             self._throttle.calibrate(trimmed(config, **values))
-            self._neutral = duty_vector(one_channel(self._channel, values["neutral"]))
+            self._neutral = duty_vector(one_channel(config.channel, values["neutral"]))
             self._neutrals.publish(self._neutral)
 
         def parameters(values):
@@ -227,10 +260,18 @@ class GenericValueConverter:
         return status
 
     def _publish_throttle(self, decision):
-        self._commands.publish(duty_vector(one_channel(self._channel, decision.duty)))
+        self._commands.publish(duty_vector(one_channel(self._throttle.config.channel, decision.duty)))
         before, self._decision = self._decision, decision
         if before is None or before.cause != decision.cause:
             rospy.loginfo("throttle %s: %s", "driving" if decision.driving else "neutral", decision.reason)
+
+
+def _warn_of_clamped_values(config):
+    """A map with values that never go out is worth a word."""
+    limits, value_map = config.conversion, config.value_map
+    if value_map is not None and (value_map.values[0] < limits.min_value or value_map.values[-1] > limits.max_value):
+        rospy.logwarn("%s has values from %g to %g; min_value and max_value clamp them to %g to %g", config.map_path,
+                      value_map.values[0], value_map.values[-1], limits.min_value, limits.max_value)
 
 
 def main():

@@ -27,6 +27,7 @@ import fcntl
 import os
 import time
 from collections import Counter
+from dataclasses import dataclass
 
 import rospy
 import smbus2
@@ -52,8 +53,65 @@ LIVE_RANGE, THROTTLE_LIVE_RANGE = 500, 100  # duty, as those of turn_arb and gen
 NO_CHANNEL = -1
 
 
-def read_channels(params):
-    """The sixteen channels' configuration."""
+@dataclass(frozen=True)
+class Pca9685Config:
+    """What the node's parameters say.
+
+    Attributes:
+        device: the bus's path, or ``VIRTUAL``.
+        address: the chip's on it, 0x40..0x7f.
+        prescale: the chip's register, 3..255.
+        oscillator_hz: the chip's clock.
+        channels: limits and failsafe of each of the sixteen.
+        timeout_value: duties as that parameter has them, which is what ~save puts back for all but throttle_channel.
+        throttle_channel: the ESC's, or ``NO_CHANNEL``.
+        save_to, throttle_save_to: the files that ~save writes; ``None`` = nowhere.
+        required: end when the board can't be used at start.
+        virtual_log: where the virtual chip notes what it takes; ``None`` = nowhere.
+    """
+
+    device: str
+    address: int
+    prescale: int
+    oscillator_hz: float
+    channels: tuple[ChannelConfig, ...]
+    timeout_value: tuple[int, ...]
+    throttle_channel: int
+    save_to: str | None
+    throttle_save_to: str | None
+    required: bool
+    virtual_log: str | None
+
+
+def read_config(params) -> Pca9685Config:
+    """The node's configuration from its parameters; it opens and makes nothing.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    device = params.text_or_integer("device", "/dev/i2c-1")
+    frequency_hz = params.number("frequency", 50.0, above=0.0)
+    oscillator_hz = params.number("oscillator_hz", 25e6, low=1e6, high=50e6)
+    prescale = params.integer("prescale", None, low=PRESCALE_MIN, high=PRESCALE_MAX)
+    config = Pca9685Config(
+        device=f"/dev/i2c-{device}" if isinstance(device, int) else device,
+        address=params.integer("address", 0x40, low=0x40, high=0x7F),
+        prescale=prescale_for(frequency_hz, oscillator_hz) if prescale is None else prescale,
+        oscillator_hz=oscillator_hz,
+        channels=_read_channels(params),
+        timeout_value=tuple(params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)),
+        throttle_channel=params.integer("throttle_channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1),
+        save_to=params.path("save_to", None),
+        throttle_save_to=params.path("throttle_save_to", None),
+        required=params.flag("required", False),
+        virtual_log=params.path("virtual_log", None) if device == VIRTUAL else None)
+    params.finish()
+    Channels(config.channels)  # limits are held against each other when it's made
+    return config
+
+
+def _read_channels(params):
+    """Limits and failsafe of each of the sixteen."""
     timeouts_ms = params.integers("timeout", CHANNELS, 250, 0, LONGEST_TIMEOUT_MS)
     timeout_values = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
     live_ranges = [params.integer("live_range", LIVE_RANGE, 0, MAX_DUTY)] * CHANNELS
@@ -64,31 +122,19 @@ def read_channels(params):
         timeout_values[throttle_channel] = params.integer("throttle_neutral", low=0, high=MAX_DUTY)
     pwm_min = params.integers("pwm_min", CHANNELS, 0, 0, MAX_DUTY)
     pwm_max = params.integers("pwm_max", CHANNELS, MAX_DUTY, 0, MAX_DUTY)
-    return Channels([ChannelConfig(*settings)
-                     for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max, live_ranges)])
+    return tuple(ChannelConfig(*settings)
+                 for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max, live_ranges))
 
 
-def read_saving(params):
-    """Makes of timeout values what ~save shall save."""
-    start = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
-    throttle_channel = params.integer("throttle_channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
-    save_to, throttle_save_to = params.path("save_to", None), params.path("throttle_save_to", None)
-
-    def files(timeout_values):
-        plain = [start[channel] if channel == throttle_channel else duty
-                 for channel, duty in enumerate(timeout_values)]
-        own = [File("save_to", save_to, {"timeout_value": plain})] if any(start) else []
-        if throttle_channel == NO_CHANNEL:
-            return own
-        neutral = {"throttle_neutral": timeout_values[throttle_channel]}
-        return [*own, File("throttle_save_to", throttle_save_to, neutral)]
-    return files
-
-
-def read_device(params):
-    """The bus: ``virtual``, or a path (a number n means /dev/i2c-n)."""
-    device = params.text_or_integer("device", "/dev/i2c-1")
-    return f"/dev/i2c-{device}" if isinstance(device, int) else device
+def files_to_save(config: Pca9685Config, timeout_values) -> list[File]:
+    """What of the timeout values that are in force goes to which file."""
+    start, throttle_channel = config.timeout_value, config.throttle_channel
+    plain = [start[channel] if channel == throttle_channel else duty for channel, duty in enumerate(timeout_values)]
+    own = [File("save_to", config.save_to, {"timeout_value": plain})] if any(start) else []
+    if throttle_channel == NO_CHANNEL:
+        return own
+    neutral = {"throttle_neutral": timeout_values[throttle_channel]}
+    return [*own, File("throttle_save_to", config.throttle_save_to, neutral)]
 
 
 class SmbusBus:
@@ -126,19 +172,13 @@ class Pca9685:
     """Takes commands, keeps the chip at what they say, and tells how that goes."""
 
     def __init__(self, params, inbox):
+        config = read_config(params)
         now_ns = time.monotonic_ns()
-        self._channels = read_channels(params)
-        files = read_saving(params)
-        self._device = read_device(params)
-        self._address = params.integer("address", 0x40, low=0x40, high=0x7F)
-        frequency_hz = params.number("frequency", 50.0, above=0.0)
-        self._oscillator_hz = params.number("oscillator_hz", 25e6, low=1e6, high=50e6)
-        prescale = params.integer("prescale", None, low=PRESCALE_MIN, high=PRESCALE_MAX)
-        self._prescale = prescale_for(frequency_hz, self._oscillator_hz) if prescale is None else prescale
-        required = params.flag("required", False)
-        bus = (VirtualBoardBus(params, self._address) if self._device == VIRTUAL
+        self._channels = Channels(config.channels)
+        self._device, self._address = config.device, config.address
+        self._prescale, self._oscillator_hz = config.prescale, config.oscillator_hz
+        bus = (VirtualBoardBus(self._address, config.virtual_log) if self._device == VIRTUAL
                else SmbusBus(self._device, self._address))
-        params.finish()
         self._inbox = inbox
         self._complaints = Complaints()
         self._keeper = BoardKeeper(bus.open, bus.close, self._make_board, self._on_board_event)
@@ -149,14 +189,14 @@ class Pca9685:
         self._published = [UNCHANGED] * CHANNELS
         self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, self._name(), {"servo board": self._report}, now_ns)
-        if required:
+        if config.required:
             self._open_or_end(now_ns)
         bus.serve(inbox)
         inbox.on_overflow(lambda now_ns: self._channels.make_safe())
         for topic in ("command", "/servo/cmdVector"):
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
         subscribe("servo/neutral", Int32MultiArray, inbox, self._on_neutral)
-        serve_saving(self._inbox, lambda: files(self._channels.timeout_values))
+        serve_saving(self._inbox, lambda: files_to_save(config, self._channels.timeout_values))
 
     def step(self, now_ns):
         """Take all that arrived, expire the old, and only then write: a slow bus must not replay what is stale."""

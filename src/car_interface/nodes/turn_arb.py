@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 
 import rospy
 from std_msgs.msg import Float32, Int32MultiArray
@@ -41,9 +42,9 @@ from car_interface.nodes.messages import duty_vector
 from car_interface.nodes.node import Complaints, Heartbeat, advertise, run, subscribe_changes
 from car_interface.nodes.permission import subscribe_permission
 from car_interface.servo import one_channel
-from car_interface.steering import LOCKED, SOURCE_NAMES, SteeringArbiter, trimmed
-from car_interface.steering_params import read_config
-from car_interface.tuning import Tuning, read_tuning
+from car_interface.steering import LOCKED, SOURCE_NAMES, SteeringArbiter, SteeringConfig, trimmed
+from car_interface.steering_params import read_config as read_steering
+from car_interface.tuning import Tuning, TuningSettings, read_tuning
 
 RATE_HZ = 100
 BEATS_PER_STATE, BEATS_PER_NEUTRAL = 10, 100
@@ -56,15 +57,37 @@ ALARMING = ("human silent", "not re-armed", "teleop silent", "teleop not finite"
 TELL_AFTER_NS = 500_000
 
 
+@dataclass(frozen=True)
+class TurnArbConfig:
+    """What the node's parameters say.
+
+    Attributes:
+        steering: the calibration, and the rules of who steers.
+        tuning: how far it may be tuned while the car drives, and where that is saved.
+    """
+
+    steering: SteeringConfig
+    tuning: TuningSettings
+
+
+def read_config(params) -> TurnArbConfig:
+    """The node's configuration from its parameters; it opens and makes nothing.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    tuning = read_tuning(params, LIVE_RANGE)
+    return TurnArbConfig(steering=read_steering(params), tuning=tuning)
+
+
 class TurnArb:
     """Hears the three inputs, decides, publishes."""
 
     def __init__(self, params, inbox):
-        tuning = read_tuning(params, LIVE_RANGE)
         config = read_config(params)
         now_ns = time.monotonic_ns()
-        self._arbiter = SteeringArbiter(config)
-        self._channel = config.servo_channel
+        self._arbiter = SteeringArbiter(config.steering)
+        self._channel = config.steering.servo_channel
         self._inbox = inbox
         self._complaints = Complaints()
         self._heartbeat = Heartbeat(RATE_HZ, now_ns)
@@ -83,7 +106,7 @@ class TurnArb:
         subscribe_permission(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
-        self._live = self._offer_tuning(config, tuning)
+        self._live = self._offer_tuning(config.steering, config.tuning)
 
     def step(self, now_ns):
         """Take what arrived, news with its consequence; then beat if it is time."""

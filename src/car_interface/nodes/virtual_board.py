@@ -5,7 +5,7 @@ Service:
         ``power`` (of the chip, 1 or 0), ``brownout`` (its registers are reset), ``address`` (it answers there now).
 Parameter:
     ~virtual_log: a file to which each write that the chip takes is appended: monotonic time in ns, address, register
-        and bytes.
+        and bytes. A whole path.
 """
 from __future__ import annotations
 
@@ -18,12 +18,20 @@ from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 
 class VirtualBoardBus:
-    """Opens and closes as a real bus does; the chip on it lives on."""
+    """Opens and closes as a real bus does; the chip on it lives on.
 
-    def __init__(self, params, address: int):
+    Args:
+        address: the chip's.
+        log_path: what ~virtual_log names; ``None`` = nothing is noted.
+
+    Raises:
+        ConfigError: when it can't be written.
+    """
+
+    def __init__(self, address: int, log_path: str | None = None):
         self._address = address
         self._chip = VirtualPca9685()
-        self._log = _open_log(params.text("virtual_log", None))
+        self._log = _open_log(log_path)
         self._bus = VirtualBus({address: self._chip}, time.sleep, self._note_write)
 
     def open(self) -> VirtualBus:

@@ -1,0 +1,168 @@
+#!/usr/bin/env python3
+"""What each node makes of its parameters: defaults, bad and unknown ones, and that reading them does nothing."""
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+import tempfile
+import unittest
+
+import rospkg
+import rostest
+import yaml
+
+from car_interface.errors import ConfigError
+from car_interface.params import Params
+
+PACKAGE = rospkg.RosPack().get_path("car_interface")
+WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
+
+
+def config(*names):
+    """Parameters from files in config/."""
+    values = {}
+    for name in names:
+        with open(os.path.join(PACKAGE, "config", name), encoding="utf-8") as file:
+            values.update(yaml.safe_load(file))
+    return values
+
+
+MAP = {"csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}
+STEERING = {name: value for name, value in config("turn_arb.yaml").items() if name.startswith(("servo_", "m_", "k_"))}
+ESC = {"servo": config("throttle.yaml")["servo"]}
+BUTTONS = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5}
+# By node: what is required, and some of what a configuration is made of by default, as a path of attributes.
+DEFAULTS = {
+    "turn_arb": (STEERING, {
+        "steering.servo_left": 3800, "steering.tele_steer_deadband": 0.001, "steering.slew_limit": 0.0,
+        "steering.teleop_timeout_s": 0.5, "steering.permission.human_timeout_s": 0.5,
+        "steering.permission.e_stop_timeout_s": 1.0, "steering.permission.e_stop_required": False,
+        "steering.permission.grant_at_start": True, "tuning.reach": 500, "tuning.save_to": None}),
+    "generic_value_converter": ({**MAP, **ESC}, {
+        "conversion.min_value": -5.0, "conversion.max_value": 3.0, "conversion.odometry_timeout_s": 0.5,
+        "map_path": MAP["csv_path_value_map"], "throttle.channel": 1, "throttle.command_timeout_s": 0.5,
+        "throttle.steering_timeout_s": 0.25, "throttle.permission.grant_at_start": True, "tuning.reach": 100}),
+    "pca9685": ({}, {
+        "device": "/dev/i2c-1", "address": 0x40, "prescale": 121, "oscillator_hz": 25e6, "throttle_channel": -1,
+        "timeout_value": (0,) * 16, "save_to": None, "required": False, "virtual_log": None}),
+    "teensy_sensor_hub": ({}, {
+        "port": "/dev/ttyAMA0", "baud": 115200, "firmware_checksum": "auto", "required": False, "raw_only": False,
+        "settings.ping_period_s": 1.0, "settings.odom_frame": "odom", "settings.odom_rate_hz": 50.0}),
+    "teleop_logi": (BUTTONS, {"steer_scale": 1.0, "steer_neutral": 0.0, "joy_timeout_s": 0.25}),
+    "car_sim": ({}, {"port": "/tmp/car_sim_teensy", "steering_channel": 0, "throttle_channel": 1,
+                     "vehicle.wheelbase_m": 0.324, "firmware.clock_start_ms": 0}),
+    "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
+    "demo_drive": ({}, {"bag_dir": None}),
+}
+# Node, what is given besides the required ones, and how the one line begins.
+REFUSALS = [
+    ("turn_arb", {"servo_left": "x"}, "servo_left is 'x'; accepted: an integer from 0 to 65535"),
+    ("turn_arb", {"k_pwmcmd_left_table_servo": [1, 2]},
+     "k_pwmcmd_left_table_servo is [1.0, 2.0]; accepted: 15 numbers"),
+    ("turn_arb", {"grant_at_start": 0}, "grant_at_start is 0; accepted: true or false"),
+    ("turn_arb", {"live_range": -1}, "live_range is -1; accepted: an integer from 0"),
+    ("turn_arb", {"save_to": "turn_arb.yaml"}, f"save_to is 'turn_arb.yaml'; {WHOLE_PATH}"),
+    ("generic_value_converter", {"csv_path_value_map": "value_map.csv"},
+     f"csv_path_value_map is 'value_map.csv'; {WHOLE_PATH}"),
+    ("generic_value_converter", {"csv_path_value_map": "~/my_car/value_map.csv"},
+     f"csv_path_value_map is '~/my_car/value_map.csv'; {WHOLE_PATH}"),
+    ("generic_value_converter", {"csv_path_value_map": "/nowhere.csv"},
+     "csv_path_value_map is '/nowhere.csv'; accepted: a file that can be read"),
+    ("generic_value_converter", {"max_value": -9}, "min_value is -5.0; accepted: at most max_value -9.0"),
+    ("generic_value_converter", {"min_value": 8, "max_value": 9}, f"{MAP['csv_path_value_map']}, value map has values"),
+    ("generic_value_converter", {"servo": {**ESC["servo"], "duty_table": [1, 2]}},
+     "servo/duty_table is [1.0, 2.0]; accepted: 3 numbers"),
+    ("generic_value_converter", {"servo": {**ESC["servo"], "neutral": 1}}, "servo/neutral is 1; accepted: a duty"),
+    ("generic_value_converter", {"servo": {**ESC["servo"], "value_axis": [3, 2, 1]}},
+     "servo/value_axis[1] is 2.0; accepted: more than"),
+    ("pca9685", {"address": 0x80}, "address is 128; accepted: an integer from 64 to 127"),
+    ("pca9685", {"pwm_min": 5000, "pwm_max": 4000}, "pwm_min[0] is 5000; accepted: at most pwm_max[0] 4000"),
+    ("pca9685", {"throttle_channel": 1}, "throttle_neutral is missing"),
+    ("pca9685", {"throttle_save_to": "./a.yaml"}, f"throttle_save_to is './a.yaml'; {WHOLE_PATH}"),
+    ("pca9685", {"device": "virtual", "virtual_log": "chip.log"}, f"virtual_log is 'chip.log'; {WHOLE_PATH}"),
+    ("pca9685", {"virtual_log": "/tmp/chip.log"}, "unknown parameter virtual_log is '/tmp/chip.log'"),
+    ("teensy_sensor_hub", {"baud": 0}, "baud is 0; accepted: an integer from 300"),
+    ("teensy_sensor_hub", {"firmware_checksum": "odd"}, "firmware_checksum is 'odd'; accepted: one of auto, "),
+    ("teensy_sensor_hub", {"odom_rate": 0.01}, "odom_rate is 0.01; accepted: 0, or a number from 0.1 to 1000"),
+    ("teleop_logi", {"joy_timeout": -1}, "joy_timeout is -1; accepted: a number from 0.0"),
+    ("teleop_logi", {"manual_button": 5}, "autonomous_button is 5; accepted: a button other than manual_button's"),
+    ("car_sim", {"wheelbase": 0}, "wheelbase is 0; accepted: a number above 0.0"),
+    ("car_display", {"track": 11}, "track is 11; accepted: a number above 0.0"),
+    ("demo_drive", {"bag_dir": "bags"}, f"bag_dir is 'bags'; {WHOLE_PATH}"),
+]
+
+
+def read(node, values):
+    """What a node makes of parameters."""
+    return importlib.import_module(f"car_interface.nodes.{node}").read_config(Params(values))
+
+
+class ReadConfig(unittest.TestCase):
+    def test_defaults_are_those_of_the_nodes_description(self):
+        for node, (required, expected) in DEFAULTS.items():
+            made = read(node, required)
+            for path, value in expected.items():
+                with self.subTest(node=node, path=path):
+                    found = made
+                    for name in path.split("."):
+                        found = getattr(found, name)
+                    self.assertEqual(found, value)
+
+    def test_shipped_files_are_taken(self):
+        for node, values in (
+                ("turn_arb", config("turn_arb.yaml")), ("teleop_logi", config("teleop_logi.yaml")),
+                ("pca9685", config("pca9685.yaml", "pca9685_throttle.yaml")),
+                ("teensy_sensor_hub", config("teensy_sensor_hub.yaml", "sonars.yaml")),
+                ("generic_value_converter", {**config("generic_value_converter.yaml", "throttle.yaml"), **MAP})):
+            with self.subTest(node):
+                self.assertTrue(dataclasses.is_dataclass(read(node, values)))
+
+    def test_configuration_is_never_changed(self):
+        for node, (required, expected) in DEFAULTS.items():
+            with self.subTest(node), self.assertRaises(dataclasses.FrozenInstanceError):
+                setattr(read(node, required), next(iter(expected)).partition(".")[0], None)
+
+    def test_bad_parameter_is_named_with_its_value_and_what_is_accepted(self):
+        for node, given, begin in REFUSALS:
+            with self.subTest(node=node, given=given), self.assertRaises(ConfigError) as raised:
+                read(node, {**DEFAULTS[node][0], **given})
+            self.assertTrue(str(raised.exception).startswith(begin), f"{raised.exception}\n{begin}")
+
+    def test_missing_parameter_is_named(self):
+        for node, (required, _) in DEFAULTS.items():
+            for missing in required:
+                with self.subTest(node=node, missing=missing):
+                    rest = {name: value for name, value in required.items() if name != missing}
+                    if missing == "servo":  # there is no ESC
+                        self.assertIsNone(read(node, rest).throttle)
+                        continue
+                    with self.assertRaisesRegex(ConfigError, f"^{missing} is missing; accepted: "):
+                        read(node, rest)
+
+    def test_unknown_parameter_is_named_with_those_that_are_known(self):
+        for node, (required, _) in DEFAULTS.items():
+            with self.subTest(node), self.assertRaisesRegex(
+                    ConfigError, "^unknown parameter no_such_thing is 1; accepted: only "):
+                read(node, {**required, "no_such_thing": 1})
+
+    def test_accelerations_that_pass_through_need_no_map(self):
+        made = read("generic_value_converter", {"use_value_ff": False})
+        self.assertEqual((made.map_path, made.value_map, made.throttle), ("", None, None))
+
+    def test_reading_opens_and_makes_nothing(self):
+        with tempfile.TemporaryDirectory() as folder:
+            for node, given in (("pca9685", {"device": "virtual", "virtual_log": f"{folder}/chip", "required": True,
+                                             "save_to": f"{folder}/a.yaml"}),
+                                ("car_sim", {"port": f"{folder}/teensy"}),
+                                ("demo_drive", {"bag_dir": f"{folder}/bags"}),
+                                ("teensy_sensor_hub", {"port": f"{folder}/teensy", "required": True}),
+                                ("turn_arb", {"save_to": f"{folder}/b.yaml"})):
+                files = os.listdir("/proc/self/fd")
+                read(node, {**DEFAULTS[node][0], **given})
+                self.assertEqual(os.listdir("/proc/self/fd"), files)
+            self.assertEqual(os.listdir(folder), [])
+
+
+if __name__ == "__main__":
+    rostest.rosrun("car_interface", "config_test", "__main__")
