@@ -27,12 +27,12 @@ from sensor_msgs.msg import JointState, Range
 from tf2_msgs.msg import TFMessage
 
 sys.path.append(os.path.join(rospkg.RosPack().get_path("car_interface"), "test", "unit"))
-from captures import load  # noqa: E402
-
-from waiting import Topic, eventually, start_node  # noqa: E402
+from captures import load
+from waiting import Topic, eventually, start_node
 
 QUICK = {"stop_go": None, "reboot_rolling": None, "far_young": None, "wrap": None, "drive_reverse": 25.0}
-WHOLE = dict.fromkeys((*QUICK, "far", "missing_sonars", "stuck_sonar", "stuck_old", "sonar_start", "line_busy", "drive"))
+WHOLE = dict.fromkeys((*QUICK, "far", "missing_sonars", "stuck_sonar", "stuck_old", "sonar_start", "line_busy",
+                       "drive"))
 PLAYED = WHOLE if os.environ.get("CAR_INTERFACE_ALL") else QUICK  # name: seconds, None = all of it
 SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
 FLAG = b"\x7e"

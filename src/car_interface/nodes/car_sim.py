@@ -116,18 +116,21 @@ class CarSimConfig:
 
 
 def read_config(params) -> CarSimConfig:
-    """The node's configuration from its parameters; it opens and makes nothing.
+    """The node's configuration from its parameters, and by chance where they leave it open.
 
     Raises:
         ConfigError: naming the parameter.
     """
+    seed = params.integer("seed", random.randrange(SEEDS), low=0)
+    rng = random.Random(seed)
+    vehicle = read_vehicle(params, rng)
     config = CarSimConfig(
         port=params.text("port", "/tmp/car_sim_teensy"),
         steering_channel=params.integer("steering_channel", 0, low=0, high=CHANNELS - 1),
         throttle_channel=params.integer("throttle_channel", 1, low=0, high=CHANNELS - 1),
-        vehicle=read_vehicle(params),
+        vehicle=vehicle,
         world=WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)),
-        firmware=read_firmware(params))
+        firmware=read_firmware(params, rng, seed, vehicle.pulse_phase))
     params.finish()
     return config
 
@@ -138,41 +141,20 @@ class CarSim:
     def __init__(self, params, inbox):
         config = read_config(params)
         now_ns = time.monotonic_ns()
-<<<<<<< HEAD
-        port = params.text("port", "/tmp/car_sim_teensy")
-        self._steering_channel = params.integer("steering_channel", 0, low=0, high=CHANNELS - 1)
-        self._throttle_channel = params.integer("throttle_channel", 1, low=0, high=CHANNELS - 1)
-        seed = params.integer("seed", random.randrange(SEEDS), low=0)
-        rng = random.Random(seed)
-        vehicle_config = read_vehicle(params, rng)
-        self._vehicle = Vehicle(vehicle_config, now_ns)
-        world = World(WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)))
-        firmware_config = read_firmware(params, rng, seed, vehicle_config.pulse_phase)
-        params.finish()
-=======
         self._steering_channel, self._throttle_channel = config.steering_channel, config.throttle_channel
         self._vehicle = Vehicle(config.vehicle, now_ns)
         world = World(config.world)
->>>>>>> safety
         self._firmware = TeensyFirmware(
             config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [UNCHANGED] * CHANNELS
         self._inbox = inbox
         self._complaints = Complaints()
-<<<<<<< HEAD
-        self._line = VirtualLine(port, self._firmware, seed, inbox)
-=======
-        self._line = VirtualLine(config.port, self._firmware, config.firmware.seed or 0, inbox)
->>>>>>> safety
+        self._line = VirtualLine(config.port, self._firmware, config.firmware.seed, inbox)
         self._line.serve(time.monotonic_ns)
         self._heartbeat = Heartbeat(TRUTH_RATE_HZ, now_ns)
         self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
-<<<<<<< HEAD
-        rospy.loginfo("a virtual Teensy is on %s (seed %d)", port, seed)
-=======
-        rospy.loginfo("a virtual Teensy is on %s", config.port)
->>>>>>> safety
+        rospy.loginfo("a virtual Teensy is on %s (seed %d)", config.port, config.firmware.seed)
 
     def step(self, now_ns):
         """Live on until now: first the car, then the Teensy, then the line."""
