@@ -375,6 +375,13 @@ def test_after_wheel_reset_every_direction_is_proven():
     assert way(verdicts) == (2, 2) and not any(any(verdict.unproven) for verdict in verdicts)
 
 
+def test_first_pulses_of_a_car_that_has_stood_since_power_up_are_unproven_however_long_ago_that_was():
+    some = Gates()
+    judged([sonar(3_600_000), sonar(3_600_055)], some.sonar)
+    first = [report(NEW), report(NEW), report(Wheel(0, BACKWARD, 3_600_100, 1, 1))]
+    assert [verdict.unproven for verdict in judged(first, some.wheels)] == [(0, 0), (0, 0), (1, 1)]
+
+
 def test_pulses_of_a_teensy_that_counts_for_long_are_proven_also_over_a_wrap():
     some = Gates()
     records = [report(Wheel(10, FORWARD, START_MS + 50 * n, UINT32 - 90, (UINT32 - 3 + n) % UINT32)) for n in range(8)]

@@ -293,7 +293,9 @@ class RosClock:
         offset_ns = ros_ns - (before_ns + time.monotonic_ns()) // 2
         if self._offset_ns is None or abs(offset_ns - self._offset_ns) > SAME_OFFSET_NS:
             self._offset_ns = offset_ns
-        stamp_ns = max(0, self._offset_ns + time_ns)
+        stamp_ns = self._offset_ns + time_ns
+        if stamp_ns <= 0:
+            return rospy.Time()
         newest_ns = self._newest_ns.get(kind)
         if newest_ns is not None and newest_ns - SET_BACK_NS < stamp_ns <= newest_ns:
             stamp_ns = newest_ns + 1

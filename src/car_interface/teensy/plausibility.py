@@ -270,7 +270,7 @@ class _WheelGate:
         self._per_ms = (0.0, 0.0)  # each wheel's speed when it made its last pulse
         self._pulse_ticks: tuple = (None, None)  # of the last pulses; ``when`` may be that of a repeat
         self._learns = True  # pulses of small number are unproven
-        self._zero = None  # (newest tick, restarts of the clock) when both odometers were first seen at zero
+        self._zero = None  # (newest tick, restarts of the clock) when both odometers went back to zero
 
     @property
     def is_zero_again(self):
@@ -285,7 +285,7 @@ class _WheelGate:
         verdict = self._judge(record, newest_tick if boot_tick is None else boot_tick)
         if verdict.reason == ODOMETERS_RESET:
             self._zero = (newest_tick, clock_restarts)
-            self._learns = not any(wheel.when for wheel in record if not wheel.dist_abs)  # which WHEEL_RESET keeps
+            self._learns = not any(wheel.when for wheel in record if not wheel.dist_abs)
             boot_tick = self._find_boot(record, newest_tick, clock_restarts)
             way = self._way(_NOTHING_YET, record)
             verdict = verdict._replace(pulses=way[:2], unproven=way[2:])
@@ -296,8 +296,8 @@ class _WheelGate:
         if not _is_zero(record):
             self._zero = None
             self._learns = self._learns and any(wheel.dist_abs <= LEARNING_PULSES for wheel in record)
-        elif self._zero is None:
-            self._zero, self._learns = (newest_tick, clock_restarts), True
+        elif verdict.reason == FIRST:
+            self._learns = not any(wheel.when for wheel in record)  # which WHEEL_RESET keeps
         return verdict if boot_tick is None else verdict._replace(boot_tick=boot_tick)
 
     def _find_boot(self, record, newest_tick, clock_restarts):
