@@ -24,6 +24,7 @@ import rostest
 
 from virtual_car import DRIVER, HERE, PYTHONPATH38, Car
 from waiting import PATIENCE_S, eventually, retried, skip
+from witness import measured
 
 TRIALS = int(os.environ.get("CAR_INTERFACE_TRIALS", "5"))
 TABLE = os.environ.get("CAR_INTERFACE_TABLE")
@@ -392,12 +393,15 @@ class ClockStepped(ChainTest):
         version = "3.8" if python38 else ".".join(map(str, sys.version_info[:2]))
         offset_s, mark = [0], [0]
 
-        def fall_silent():
+        def step():
             before_ns = time.monotonic_ns()
             offset_s[0] = -HOUR_S if offset_s[0] >= 0 else HOUR_S
             set_clock(clock, offset_s[0])
             eventually(lambda: time.monotonic_ns() - before_ns > 1.5e9, "1.5 s, by when all threads have the new time")
             self.assertEqual(self.car.chip.values_since(0, before_ns), [], "the step moved the servo")
+
+        def fall_silent():
+            measured(step, restore=self.arm)
             mark[0] = self.car.processes["turn_arb"].stderr.mark()
             self.rest.tell("human -")
             return time.monotonic_ns()

@@ -6,6 +6,7 @@ import glob
 import math
 import os
 import re
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -30,6 +31,8 @@ from browser import Browser, find_browser
 
 DRIVE_WITHIN_S = 120
 STAMPS_DIFFER_NS = 1_000_000
+LATE_NS = 50_000_000
+SAME_PLACE_M = 0.005
 LISTENING, LOOPBACK = "0A", "0100007F:"  # as /proc/net/tcp has them
 # What a car's namespace moves although it's absolute by default.
 ABSOLUTE = ("/servo/output", "/servo/cmdVector", "/teleop_logi/human_in_loop", "/teleop_logi/tele_steer_req",
@@ -97,21 +100,22 @@ class TwoCarsDrive(unittest.TestCase):
         """The raw records of the bag, put through the same core again, make the same poses."""
         with rosbag.Bag(path) as bag:
             live = [message for _, message, _ in bag.read_messages("/odom")]
-            _, clock, _ = next(bag.read_messages("/teensy_clock"))
-        offset_ns = clock.received - clock.stamp.to_nsec()
+            clocks = [message for _, message, _ in bag.read_messages("/teensy_clock")]
+        offset_ns = statistics.median(clock.received - clock.stamp.to_nsec() for clock in clocks)
         again = [measured for measured in replay(read(path, TOPICS), MeasurementConfig())
                  if isinstance(measured, MotionMeasurement)]
         times_ns = [measured.stamp.time_ns for measured in again]
         self.assertGreater(max(math.hypot(*_place(message)) for message in live), 2.0)
-        found = 0
+        in_time = 0
         for message in live:
             time_ns = message.header.stamp.to_nsec() + offset_ns
-            at = bisect(times_ns, time_ns - STAMPS_DIFFER_NS)
-            if at < len(again) and times_ns[at] < time_ns + STAMPS_DIFFER_NS:
-                found += 1
-                motion = again[at].motion
-                self.assertLess(math.dist(_place(message), (motion.x_m, motion.y_m)), 0.005)
-        self.assertGreater(found, 0.9 * len(live))  # until the clock is known, stamps differ by more
+            near = again[bisect(times_ns, time_ns - LATE_NS):bisect(times_ns, time_ns + LATE_NS)]
+            same = [measured for measured in near
+                    if math.dist(_place(message), (measured.motion.x_m, measured.motion.y_m)) < SAME_PLACE_M]
+            self.assertEqual(bool(near), bool(same), f"nothing near {_place(message)}")
+            in_time += any(abs(measured.stamp.time_ns - time_ns) < STAMPS_DIFFER_NS for measured in same)
+        # Until the clock is known, and where a busy machine held a node up while it made a stamp, they differ by more.
+        self.assertGreater(in_time, 0.9 * len(live))
 
     def check_report(self, path):
         """bag_report makes a page of it; a browser shows every plot and has nothing to complain of."""

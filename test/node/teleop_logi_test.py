@@ -13,6 +13,7 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
 from waiting import Repeater, Sender, Topic, delete_param, rate_hz, retried, start_node
+from witness import measured
 
 STEER, THROTTLE, MANUAL, AUTONOMOUS = 0, 4, 4, 5  # as config/teleop_logi.yaml has them
 
@@ -46,8 +47,10 @@ class TeleopByItsTopics(unittest.TestCase):
         self.inputs.hold(self.joy, joy(**what))
 
     def press(self, **what):
-        """The same, after all was let go: what was lost comes back no other way."""
+        """The same, once all was seen let go: what was lost comes back no other way. The next true is of this press."""
+        self.inputs.drop()
         self.joy.publish(joy())
+        self.wait_for_human(False)
         self.hold(**what)
 
     def wait_for_human(self, present):
@@ -82,32 +85,33 @@ class TeleopByItsTopics(unittest.TestCase):
         self.wait_for_requests(-0.5, 0.0)
 
     def test_letting_go_is_told_with_the_message_that_says_so_however_short_it_is(self):
-        self.press(manual=1)
-        self.wait_for_human(True)
-        self.inputs.drop()
-        mark = self.human.mark()
-        for pressed in (1, 0, 1):
-            self.joy.publish(joy(manual=pressed))
-        released = self.human.wait_for(lambda message: not message.data, mark)
-        pressed_again = self.human.wait_for(lambda message: message.data, mark + self.place_of(released, mark))
-        self.assertLess(pressed_again.at_s - released.at_s, 0.25)  # the timeout has no part in it
+        def attempt():
+            self.press(manual=1)
+            self.wait_for_human(True)
+            self.inputs.drop()
+            mark = self.human.mark()
+            for pressed in (1, 0, 1):
+                self.joy.publish(joy(manual=pressed))
+            released = self.human.wait_for(lambda message: not message.data, mark)
+            pressed_again = self.human.wait_for(lambda message: message.data, mark + self.place_of(released, mark))
+            self.assertLess(pressed_again.at_s - released.at_s, 0.25)  # the timeout has no part in it
+        measured(attempt)
 
     def place_of(self, heard, mark):
         return self.human.heard_since(mark).index(heard)
 
     def test_a_gamepad_that_falls_silent_releases_after_a_quarter_of_a_second(self):
-        self.press(steering=1.0, manual=1)
-        self.wait_for_human(True)
-
         def attempt():
-            self.inputs.drop()
+            self.press(steering=1.0, manual=1)
+            self.wait_for_human(True)
+            self.press()
             mark = self.human.mark()
-            self.joy.publish(joy())
+            self.inputs.drop()
             self.joy.publish(joy(steering=1.0, manual=1))
             held = self.human.wait_for(lambda message: message.data, mark)
             released = self.human.wait_for(lambda message: not message.data, mark + self.place_of(held, mark))
             self.assertAlmostEqual(released.at_s - held.at_s, 0.25, delta=0.06)
-        retried(attempt)
+        measured(attempt)
         self.wait_for_requests(0.0, 0.0)
 
     def test_a_gamepad_that_was_silent_has_to_be_let_go_and_held_again(self):

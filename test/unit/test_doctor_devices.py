@@ -11,7 +11,7 @@ import pytest
 
 from car_interface.doctor import board
 from car_interface.doctor.findings import BAD, OK, WARN
-from car_interface.doctor.port import Link, TeensyProbe, check_holders, check_link
+from car_interface.doctor.port import Link, TeensyProbe, check_holders, check_link, is_terminal
 from car_interface.nodes import doctor_computer, doctor_devices
 from car_interface.pca9685.board import Board
 from car_interface.processes import openers, process_name
@@ -127,6 +127,32 @@ def test_pseudo_terminal_is_no_console_s():
     assert not is_consoles(os.ttyname(theirs))
     os.close(ours)
     os.close(theirs)
+
+
+TTY_DRIVERS = """\
+/dev/tty             /dev/tty        5       0 system:/dev/tty
+usbserial            /dev/ttyUSB   188 0-511 serial
+serial               /dev/ttyS       4 64-95 serial
+pty_slave            /dev/pts      136 0-1048575 pty:slave
+unknown              /dev/tty        4 1-63 console
+"""
+
+
+@pytest.mark.parametrize(("number", "expected"), [
+    ((4, 64), True), ((4, 95), True), ((4, 96), False), ((188, 511), True), ((136, 70_000), True), ((5, 0), True),
+    ((5, 1), False), ((1, 3), False), ((64, 0), False)])
+def test_terminals_are_those_of_the_kernel_s_drivers(number, expected):
+    assert is_terminal(*number, TTY_DRIVERS) is expected
+    assert not is_terminal(*number, "")
+
+
+def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open_in_a_chroot_without_sys_too(monkeypatch):
+    def readlink(path):
+        raise FileNotFoundError(path)
+    monkeypatch.setattr(os, "readlink", readlink)
+    monkeypatch.setattr(doctor_devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
+    found, = doctor_devices.look_at_port("/dev/null", 115200)
+    assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
 
 
 def test_port_that_nobody_has_is_nothing_to_tell():

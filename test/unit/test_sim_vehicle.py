@@ -408,9 +408,9 @@ def test_step_costs_less_than_its_share_of_a_millisecond():
     vehicle = rolling(14.0)
     best_s = math.inf
     for _ in range(5):
-        start_s = time.perf_counter()
+        start_s = time.process_time()
         drive(vehicle, 0.5, 5300, FULL)
-        best_s = min(best_s, (time.perf_counter() - start_s) / 500)
+        best_s = min(best_s, (time.process_time() - start_s) / 500)
     assert best_s < 30e-6
 
 

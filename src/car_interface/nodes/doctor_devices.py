@@ -9,7 +9,7 @@ import time
 
 from car_interface.doctor.board import Bus, check_bus, check_chip, check_no_answer, find_others, read_registers
 from car_interface.doctor.findings import BAD, OK, Finding
-from car_interface.doctor.port import HUB, TeensyProbe, check_holders
+from car_interface.doctor.port import HUB, TeensyProbe, check_holders, is_terminal
 from car_interface.errors import DeviceError
 from car_interface.nodes.doctor_computer import group_of
 from car_interface.processes import openers
@@ -52,7 +52,17 @@ def _subsystem(path):
     """What kind of device the kernel says it is, such as ``tty``; ``None`` when it says nothing."""
     try:
         number = os.stat(path).st_rdev
+    except OSError:
+        return None
+    try:
         return os.path.basename(os.readlink(f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem"))
+    except OSError:
+        pass  # pseudo-terminals aren't in there, and in a chroot nothing may be
+    if not _is_character_device(path):
+        return None
+    try:
+        with open("/proc/tty/drivers", encoding="ascii", errors="replace") as file:
+            return "tty" if is_terminal(os.major(number), os.minor(number), file.read()) else "unknown"
     except OSError:
         return None
 
