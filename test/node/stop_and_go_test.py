@@ -1,0 +1,78 @@
+#!/usr/bin/env python3
+"""The demo's graph with throttle drives, stops, stands for a while, and drives again, three times.
+
+The throttle needs odometry that is not older than half a second: it must go on while the car stands.
+"""
+from __future__ import annotations
+
+import math
+import unittest
+
+import rospy
+import rostest
+from car_interface.msg import Control
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Float32
+
+from waiting import Repeater, Sender, Topic, eventually
+
+STRAIGHT_M = 300.0
+DRIVE_MPS2, BRAKE_MPS2 = 1.5, -2.0
+PLANNER_BUTTON = 5  # as config/teleop_logi.yaml has it
+STANDING_S = 3.0  # longer than any timeout in the chain
+ROUNDS = 3
+
+
+def gamepad(holds):
+    """The planner's deadman, held or not, and the stick at rest."""
+    return Joy(axes=[0.0] * 8, buttons=[int(holds and index == PLANNER_BUTTON) for index in range(11)])
+
+
+def control(acceleration_mps2):
+    command = Control()
+    command.longitudinal.acceleration = acceleration_mps2
+    return command
+
+
+class StopAndGoTest(unittest.TestCase):
+    def test_car_sets_off_again_after_each_stop(self):
+        human = Sender("/joy", Joy)
+        radius = Sender("/av_turnrad_req", Float32)
+        planner = Sender("/control/command/control_cmd", Control)
+        odom = Topic("/odom", Odometry).connected()
+        truth = Topic("/car_sim/truth", Odometry).connected()
+        inputs = Repeater()
+        self.addCleanup(inputs.end)
+        inputs.hold(radius, Float32(STRAIGHT_M))
+        inputs.hold(planner, control(0.0))
+        inputs.hold(human, gamepad(False))
+        odom.wait_for(lambda message: True)
+        rospy.sleep(1.5)  # the e-stop was never heard: its timeout has to pass before the deadman counts
+        inputs.hold(human, gamepad(True))
+        for _ in range(ROUNDS):
+            mark, true_mark = odom.mark(), truth.mark()
+            inputs.hold(planner, control(DRIVE_MPS2))
+            truth.wait_for(lambda message: message.twist.twist.linear.x > 1.0, true_mark)
+            odom.wait_for(lambda message: abs(message.twist.twist.linear.x - 1.0) < 0.2, mark)
+            inputs.hold(planner, control(BRAKE_MPS2))
+            truth.wait_for(lambda message: message.twist.twist.linear.x < 0.05, true_mark)
+            inputs.hold(planner, control(0.0))
+            stop_mark = truth.mark()
+            truth.wait_for(lambda message: message.twist.twist.linear.x == 0.0, stop_mark)
+            stood_s = truth.heard_since(stop_mark)[-1].at_s
+            mark = odom.mark()
+            eventually(lambda mark=mark, stood_s=stood_s: odom.heard_since(mark)
+                       and odom.heard_since(mark)[-1].at_s > stood_s + STANDING_S, "odometry of a car that stands")
+            standing = odom.heard_since(mark)
+            times_s = [heard.at_s for heard in standing]
+            self.assertLess(max(after - before for before, after in zip(times_s, times_s[1:])), 1.0)
+            self.assertGreater(len(standing), 2 * STANDING_S)
+            self.assertEqual(standing[-1].what.twist.twist.linear.x, 0.0)
+        seen, real = odom.since()[-1].pose.pose.position, truth.since()[-1].pose.pose.position
+        self.assertLess(math.hypot(seen.x - real.x, seen.y - real.y), 0.1)
+
+
+if __name__ == "__main__":
+    rospy.init_node("stop_and_go_test")
+    rostest.rosrun("car_interface", "stop_and_go_test", StopAndGoTest)
