@@ -152,7 +152,7 @@ class HealthyCar(DoctorTest):
         log = os.path.join(folder.name, "chip")
         self.replace_param("/pca9685/virtual_log", log)
         places = {name: os.path.join(folder.name, name) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR", "TMPDIR")}
-        examination = examine(**places, ROS_PYTHON_LOG_CONFIG_FILE="", cwd=folder.name)
+        examination = examine(**places, cwd=folder.name)
         self.check(examination, "parameters", OK, "/pca9685")
         self.check(examination, "steering", OK, "NO_HUMAN")
         self.assertEqual([path for path, _, _ in os.walk(folder.name)] + os.listdir(folder.name), [folder.name])
