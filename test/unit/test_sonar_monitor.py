@@ -4,8 +4,9 @@ from __future__ import annotations
 import pytest
 
 from captures import NAMES, NS_PER_US, load
-from car_interface.teensy.framing import FrameDecoder
-from car_interface.teensy.protocol import Pong, SonarStatus, decode
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.teensy.framing import SHIPPED, FrameDecoder, encode
+from car_interface.teensy.protocol import Pong, SonarStatus, decode, set_sonar_sequence, sonar_start
 from car_interface.teensy.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe
 
 MS, S = 1_000_000, 1_000_000_000
@@ -269,3 +270,60 @@ def test_each_fault_comes_with_what_to_do():
     sonars = Sonars().run(1, sensors=(0, 1, 2))
     words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
     assert words.count("does not report") == 3 and next_step.count("Check its plug and wires") == 1
+
+
+# --- together with the virtual Teensy, which obeys ---
+
+
+class Car:
+    """A virtual Teensy whose sonars the monitor looks after, in virtual time."""
+
+    def __init__(self, **config):
+        self.firmware = TeensyFirmware(FirmwareConfig(seed=1, **config), lambda sensor, at_ns: 4000 + 500 * sensor)
+        self.listener = Listener(SonarMonitor())
+        self.monitor = self.listener.monitor
+        self.monitor.opened(0)
+        self.decoder = FrameDecoder()
+        self.now_ns = 0
+        self.reports = []  # (s, sensor)
+
+    def until(self, at_s):
+        next_ns = self.now_ns
+        while self.now_ns < at_s * S:
+            self.now_ns += 2 * MS
+            for body in self.decoder.feed(self.firmware.transmit(self.now_ns)):
+                record = decode(body)
+                self.listener.take(record, self.now_ns)
+                if isinstance(record, SonarStatus) and record.echo_us:
+                    self.reports.append((self.now_ns / S, record.sensor))
+            if self.now_ns >= next_ns:
+                next_ns += S
+                before = len(self.listener.commands)
+                self.listener.judge(self.now_ns)
+                for _, command in self.listener.commands[before:]:
+                    body = sonar_start() if command == SEND_START else set_sonar_sequence(self.monitor.sequence)
+                    self.firmware.receive(encode(body, SHIPPED), self.now_ns)
+        return self
+
+    def sensors_since(self, at_s):
+        return {sensor for when_s, sensor in self.reports if when_s >= at_s}
+
+
+def test_car_whose_first_sonar_is_missing_has_the_other_five_after_one_start():
+    car = Car(sonars_missing=(0,)).until(12)
+    assert [command for _, command in car.listener.commands] == [SEND_START]
+    assert car.sensors_since(10) == {1, 2, 3, 4, 5}
+    assert car.listener.first("front_right does not report") <= 10
+
+
+@pytest.mark.parametrize("uptime_s", [pytest.param(0.3, id="since_power_up"), pytest.param(60, id="after_a_minute"),
+                                      pytest.param(185, id="after_it_silences_all_others")])
+def test_car_with_a_stuck_sonar_gets_the_other_five_back(uptime_s):
+    car = Car(clock_start_ms=round(1000 * uptime_s)).until(5)
+    car.firmware.set_sonar(2, "stuck", car.now_ns)
+    stuck_s = car.now_ns / S
+    car.until(stuck_s + 150)
+    assert car.monitor.dropped == (2,)
+    assert car.listener.first("front_left") <= stuck_s + 10
+    assert car.sensors_since(stuck_s + 149) == {0, 1, 3, 4, 5}
+    assert car.listener.faults[-1][1] == "front_left is stuck high and was taken out of the sequence"
