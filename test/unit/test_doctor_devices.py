@@ -4,6 +4,7 @@ from __future__ import annotations
 import errno
 import grp
 import os
+import random
 import sys
 import types
 
@@ -162,9 +163,9 @@ def test_port_that_nobody_has_is_nothing_to_tell():
 # --- the Teensy ---
 
 
-def probed(firmware=None, change=lambda data: data, baud=115200):
+def probed(firmware=None, change=lambda data: data, baud=115200, begin_ns=50_000 * MS):
     """The finding about a Teensy behind a line that ``change`` spoils, and how long it took."""
-    begin_ns = now_ns = 50_000 * MS
+    now_ns = begin_ns
     firmware = firmware or TeensyFirmware(FirmwareConfig(seed=1), lambda sensor, at_ns: 0, now_ns)
     probe = TeensyProbe(baud, now_ns)
     while not probe.is_done(now_ns):
@@ -217,6 +218,31 @@ def test_what_is_wrong_with_the_line_is_told(change, level, words, cure):
     found, took_ms = probed(change=change)
     assert (found.subject, found.level) == ("Teensy", level)
     assert words in found.what and cure in found.cure
+    assert took_ms < 4000
+
+
+@pytest.mark.parametrize("corrected", (False, True), ids=("shipped", "corrected"))
+def test_healthy_teensy_is_never_blamed_for_its_wire_whichever_checksum_its_receiver_wants(corrected):
+    rng = random.Random(7)
+    for seed in range(30):
+        begin_ns = rng.randrange(10 ** 6) * MS + rng.randrange(MS)
+        firmware = TeensyFirmware(FirmwareConfig(seed=seed, corrected_checksum=corrected,
+                                                 clock_start_ms=rng.randrange(300, 3_600_000)),
+                                  lambda sensor, at_ns: 4000, begin_ns)
+        found, took_ms = probed(firmware, begin_ns=begin_ns)
+        assert found.level == OK and "pong after" in found.what, found
+        assert took_ms < 4000
+
+
+@pytest.mark.parametrize("missing, words", [
+    ((3,), "nothing came from the sonar rear_right in 2.5 s"),
+    ((2, 5), "nothing came from the sonars front_left, rear_left in 2.5 s"),
+    ((0,), "nothing came from any of the sonars in 2.5 s"),
+], ids=("one", "two", "the_first_silences_all"))
+def test_sonars_that_do_not_report_are_named_with_the_remedy(missing, words):
+    firmware = TeensyFirmware(FirmwareConfig(seed=1, sonars_missing=missing), lambda sensor, at_ns: 4000, 50_000 * MS)
+    found, took_ms = probed(firmware)
+    assert found.level == WARN and words in found.what and "Check their plugs" in found.cure
     assert took_ms < 4000
 
 
