@@ -8,24 +8,13 @@ import os
 import tempfile
 import unittest
 
-import rospkg
 import rostest
-import yaml
 
 from car_interface.errors import ConfigError
 from car_interface.params import Params
+from waiting import PACKAGE, config
 
-PACKAGE = rospkg.RosPack().get_path("car_interface")
 WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
-
-
-def config(*names):
-    """Parameters from files in config/."""
-    values = {}
-    for name in names:
-        with open(os.path.join(PACKAGE, "config", name), encoding="utf-8") as file:
-            values.update(yaml.safe_load(file))
-    return values
 
 
 MAP = {"csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}

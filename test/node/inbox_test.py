@@ -9,10 +9,8 @@ import time
 import unittest
 from unittest import mock
 
-import rospkg
 import rospy
 import rostest
-import yaml
 from car_interface.msg import Control, SteeringState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dynamic_reconfigure.msg import Config, IntParameter
@@ -28,22 +26,12 @@ from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.teleop_logi import TeleopLogi
 from car_interface.nodes.turn_arb import TurnArb
 from car_interface.params import Params
-from waiting import Repeater, Sender, Topic, eventually, set_params, start
+from waiting import Repeater, Sender, Topic, config, eventually, set_params, start
 
-PACKAGE = rospkg.RosPack().get_path("car_interface")
 HANGING = os.path.join(os.path.dirname(os.path.abspath(__file__)), "hanging_node.py")
 LEFT, CENTER = 3800, 5100
 ESC_NEUTRAL, ESC_FULL = 4915, 6554
 LIMIT = 20  # of the inboxes in here
-
-
-def config(*names):
-    """Parameters from files in config/."""
-    values = {}
-    for name in names:
-        with open(os.path.join(PACKAGE, "config", name), encoding="utf-8") as file:
-            values.update(yaml.safe_load(file))
-    return values
 
 
 class AnInbox(unittest.TestCase):

@@ -15,7 +15,6 @@ import unittest
 import rosnode
 import rospy
 import rostest
-import yaml
 from car_interface.msg import Control, Float64Stamped, SteeringState, Wheel
 from car_interface.srv import InjectFault
 from diagnostic_msgs.msg import DiagnosticArray
@@ -23,7 +22,18 @@ from std_msgs.msg import Bool, Empty, Float32, Int32MultiArray
 from std_srvs.srv import Trigger
 
 from virtual_car import HERE, PACKAGE, Chip
-from waiting import PATIENCE_S, Repeater, Sender, Topic, eventually, retried, set_params, start, start_node
+from waiting import (
+    PATIENCE_S,
+    Repeater,
+    Sender,
+    Topic,
+    config,
+    eventually,
+    retried,
+    set_params,
+    start,
+    start_node,
+)
 
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
 FAULTY = os.path.join(HERE, "faulty_car_nodes.py")
@@ -32,15 +42,6 @@ REMAPPED = ("/servo/output", "/servo/cmdVector", "/teleop_logi/human_in_loop", "
 LEFT, CENTER, RIGHT, ESC_NEUTRAL, OFF = 238, 319, 419, 307, 0  # counts of 3800, 5100, 6700, 4915
 WITHIN_MS = 500  # what takes one on an idle machine
 DRIVE_WITHIN_S = 120
-
-
-def config(*names):
-    """Parameters from files in config/."""
-    values = {}
-    for name in names:
-        with open(os.path.join(PACKAGE, "config", name), encoding="utf-8") as file:
-            values.update(yaml.safe_load(file))
-    return values
 
 
 def graph_of(namespace, nodes):

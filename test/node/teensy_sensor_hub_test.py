@@ -327,8 +327,8 @@ class HubUnderRoslaunch(unittest.TestCase):
                 ("set_sonar_sequence", SetSonarSequence, [-1], "there is no sonar -1: ids go from 0 to 5"),
                 ("set_sonar_sequence", SetSonarSequence, [], "a sonar sequence has 1 to 24 entries, not 0"),
                 ("set_sonar_sequence", SetSonarSequence, [0] * 25, "a sonar sequence has 1 to 24 entries, not 25"),
-                ("set_sonar_wait", SetSonarWait, -1, "a sonar wait is 0 to 4294967295 ms, not -1"),
-                ("set_sonar_wait", SetSonarWait, 2 ** 32, "a sonar wait is 0 to 4294967295 ms, not 4294967296")):
+                ("set_sonar_wait", SetSonarWait, -1, "a sonar wait is 0 to 2147483647 ms, not -1"),
+                ("set_sonar_wait", SetSonarWait, 2 ** 31, "a sonar wait is 0 to 2147483647 ms, not 2147483648")):
             with self.subTest(reason):
                 response = self.call(name, service_type, argument)
                 self.assertEqual((response.success, response.message), (False, reason))

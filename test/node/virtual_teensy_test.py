@@ -2,6 +2,7 @@
 """The hub against the virtual Teensy: pings, commands and odometers, answered as the firmware answers."""
 from __future__ import annotations
 
+import tempfile
 import unittest
 
 import rospy
@@ -11,7 +12,7 @@ from car_interface.srv import InjectFault, SetSonarSequence, SetSonarWait
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import Trigger
 
-from waiting import Sender, Topic, eventually
+from waiting import Sender, Topic, eventually, start_node
 
 PINGS = 100
 STEERING, ESC = 5100, 5700  # gently forward
@@ -122,6 +123,45 @@ class HubAgainstTheVirtualTeensy(unittest.TestCase):
         refused = self.call("get_counters", Trigger)
         self.assertFalse(refused.success)
         self.assertIn("less than a second", refused.message)
+
+
+class HubWhoseSonarsFail(unittest.TestCase):
+    def test_stuck_sonar_that_silences_all_others_is_named_and_left_out_and_they_report_again(self):
+        """A Teensy that has run for long waits for such a sonar for ever."""
+        with tempfile.TemporaryDirectory() as folder:
+            port = f"_port:={folder}/teensy"
+            start_node(self, "car_sim", "__ns:=stuck", port, "_clock_start_ms:=200000")
+            start_node(self, "teensy_sensor_hub", "__ns:=stuck", port, "_publish_tf:=false")
+            links = Topic("/stuck/teensy_sensor_hub/link", LinkStatus).connected()
+            sonars = Topic("/stuck/teensy_distance", Distance).connected()
+            eventually(lambda: {report.sensor for report in sonars.since()[-12:]} == set(range(6)), "all six sonars")
+            rospy.wait_for_service("/stuck/car_sim/inject_fault", 10)
+            self.assertTrue(rospy.ServiceProxy("/stuck/car_sim/inject_fault", InjectFault)("sonar_stuck", 2).success)
+            named = links.wait_for(lambda status: "front_left" in status.words, within_s=10).what
+            self.assertEqual((named.state, named.level), ("sonar fault", LinkStatus.WARN))
+            self.assertIn("Check its echo wire", named.next_step)
+            dropped = links.wait_for(lambda status: status.dropped_sonars, within_s=20).what
+            self.assertEqual(list(dropped.dropped_sonars), [2])
+            self.assertGreaterEqual(dropped.sonar_starts, 1)
+            mark = sonars.mark()
+            others = {report.sensor for report in sonars.wait_for_count(15, mark)}
+            self.assertEqual(others, {0, 1, 3, 4, 5})
+
+    def test_first_sonar_that_is_missing_at_power_up_costs_only_itself(self):
+        with tempfile.TemporaryDirectory() as folder:
+            port = f"_port:={folder}/teensy"
+            start_node(self, "car_sim", "__ns:=missing", port)
+            start_node(self, "teensy_sensor_hub", "__ns:=missing", port, "_publish_tf:=false")
+            links = Topic("/missing/teensy_sensor_hub/link", LinkStatus).connected()
+            sonars = Topic("/missing/teensy_distance", Distance).connected()
+            sonars.wait_for_count(6)
+            rospy.wait_for_service("/missing/car_sim/inject_fault", 10)
+            inject = rospy.ServiceProxy("/missing/car_sim/inject_fault", InjectFault)
+            self.assertTrue(inject("sonar_missing", 0).success)
+            self.assertTrue(inject("reboot", 0).success)
+            links.wait_for(lambda status: status.sonar_starts == 1, within_s=10)
+            links.wait_for(lambda status: "front_right does not report" in status.words, within_s=10)
+            self.assertEqual({report.sensor for report in sonars.wait_for_count(15, sonars.mark())}, {1, 2, 3, 4, 5})
 
 
 class HubAgainstARepairedTeensy(unittest.TestCase):

@@ -9,9 +9,12 @@ import threading
 import time
 from typing import Any, Callable, NamedTuple
 
+import rospkg
 import rospy
+import yaml
 from roslib.packages import find_node
 
+PACKAGE = rospkg.RosPack().get_path("car_interface")
 PATIENCE_S = 15.0  # a machine with other work to do; a test that passes waits for a fraction of this
 POLL_S = 0.005
 
@@ -226,6 +229,15 @@ class NodeProcess:
 def executable(node: str) -> str:
     """The path of one of this package's nodes, as roslaunch finds it."""
     return find_node("car_interface", node)[0]
+
+
+def config(*names: str) -> dict:
+    """Parameters from files in config/."""
+    values: dict = {}
+    for name in names:
+        with open(os.path.join(PACKAGE, "config", name), encoding="utf-8") as file:
+            values.update(yaml.safe_load(file))
+    return values
 
 
 def start_node(test, node: str, *arguments: str, name: str | None = None) -> NodeProcess:

@@ -53,6 +53,7 @@ class Capture:
 
     Attributes:
         data: all bytes that left the UART.
+        lines: of the truth, in order, as test/data/firmware/README.md has them.
         times: (offset, t_us): the bytes before ``offset`` had left by then.
         pings: what the host sent.
         frames: as the firmware's own structures had them.
@@ -68,7 +69,7 @@ class Capture:
         self.times = [(int(row["offset"]), int(row["t_us"])) for row in _rows(files[f"{name}.times.csv"])]
         self.pings = [Ping(int(row["sent_us"]), int(row["timestamp1"]), int(row["received_us"] or 0) or None)
                       for row in _rows(files[f"{name}.host.csv"])]
-        lines = [json.loads(line) for line in files[f"{name}.truth.jsonl"].splitlines()]
+        self.lines = lines = [json.loads(line) for line in files[f"{name}.truth.jsonl"].splitlines()]
         self.frames = [line for line in lines if "frame" in line]
         self.commands = [line for line in lines if "host" in line]
         self.events = [line for line in lines if "event" in line and line["event"] != "echo"]
@@ -78,6 +79,10 @@ class Capture:
                             line["right_pulses"], line["millis"]) for line in lines if "truth" in line]
         self._truth_us = [row.t_us for row in self.truth]
         self.duration_us = max(self.times[-1][1], self.truth[-1].t_us)
+
+    def sent_by(self, t_us: int) -> bytes:
+        """The bytes that had left the UART by then."""
+        return self.data[:max((offset for offset, at_us in self.times if at_us <= t_us), default=0)]
 
     def chunks(self) -> Iterator[tuple[int, bytes]]:
         """The bytes with the time at which the last of them had left the UART."""

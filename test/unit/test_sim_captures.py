@@ -1,6 +1,6 @@
 """The simulated Teensy against captures of the original firmware: same wheels, echoes and commands in, same frames out.
 
-The captures (test/data/firmware_inputs) were made by the original firmware, compiled for a desktop, whose loop passed
+The captures (test/data/firmware; of ``drive`` the first 75 s) were made by the original firmware, compiled for a desktop, whose loop passed
 every 250 µs. Fed to the simulated one are its pins at power-up, its wheels' pulses, the length of each echo, the host's
 commands and the losses of power, each at its time, with the captures' uptime and a clock that is 25 ppm fast.
 
@@ -21,16 +21,14 @@ In ``wrap`` the offset of the clock is known to 1 µs only, and what it does nea
 within that µs one was taken that gives the captured ticks.
 """
 
-import json
-import lzma
 import math
 import struct
 from collections import Counter, deque
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
+from captures import load
 from car_interface.sim.teensy_firmware import (
     BACKWARD,
     FORWARD,
@@ -41,7 +39,6 @@ from car_interface.sim.teensy_firmware import (
     TeensyFirmware,
 )
 
-DATA = Path(__file__).resolve().parents[1] / "data" / "firmware_inputs"
 MS, US = 1_000_000, 1_000
 BYTE_NS = 10 * 1_000_000_000 / 115200
 LOOK_NS = MS // 2
@@ -64,6 +61,7 @@ class Capture:
         lead_us: and its first sonar hears an echo of this length, after which the next one pings when the first
             captured one did. What it sends before the capture begins isn't looked at.
         config: what it is like otherwise.
+        until_us: where it ends.
     """
 
     name: str
@@ -72,11 +70,14 @@ class Capture:
     first_us: float = 0.0
     lead_us: float = 0.0
     config: tuple = ()
+    until_us: float = math.inf
 
     @property
     def rows(self):
-        with lzma.open(DATA / f"{self.name}.jsonl.xz", "rt") as file:
-            return [json.loads(line) for line in file]
+        """[kind, µs since the start, ...] of what went in and what came out, in order."""
+        capture = load(self.name)
+        found = (row_of(line, capture) for line in capture.lines if line["t_us"] <= self.until_us)
+        return [row for row in found if row is not None]
 
     def at_ns(self, t_us):
         """A captured time, moved so that the loop passes at whole multiples of its period."""
@@ -89,7 +90,7 @@ POWERED_UP = [
     Capture("missing_sonars", 145.6, config=(("sonars_missing", (0,)),)),
     Capture("stuck_sonar", 54),
     Capture("sonar_start", 191),
-    Capture("drive", 92, undetermined=60),
+    Capture("drive", 92, undetermined=60, until_us=75_000_000),
     Capture("drive_reverse", 196.4, undetermined=60),
 ]
 STREAMS = [
@@ -113,6 +114,40 @@ STREAMS = [
     ),
 ]  # fmt: skip
 BUSY = Capture("line_busy", 114)
+
+
+WHEEL_FIELDS = ("speed", "direction", "when", "dist", "dist_abs")
+
+
+def row_of(line, capture):
+    """What a line of a capture says; ``None`` for what neither goes in nor comes out."""
+    at_us = line["t_us"]
+    if "truth" in line:
+        return ["motion", at_us, line["left_pulses"], line["right_pulses"], line["speed_mps"]]
+    if line.get("cut"):
+        reboot_us = next(event["t_us"] for event in capture.events if event["t_us"] > at_us)
+        sent = capture.sent_by(reboot_us + 1000)
+        return ["cut", at_us, sent[sent.rindex(b"\x7e"):].hex()]
+    if "frame" in line:
+        return frame_row(line["frame"], at_us, line)
+    if "host" in line:
+        kind = {"get_counters": "ask_counters"}.get(line["host"], line["host"])
+        return [kind, at_us, *(line[name] for name in ("timestamp1", "ms") if name in line)]
+    if line["event"] == "echo":
+        return ["echo", at_us, line["sensor"], line["pulse_us"]]
+    if line["event"] == "power up":
+        return ["power_up", at_us, line["pins_left"], line["pins_right"]]
+    return ["reboot", at_us] if line["event"] == "reboot" else None
+
+
+def frame_row(kind, at_us, line):
+    if kind == "wheel":
+        return [kind, at_us, *([line[side][name] for name in WHEEL_FIELDS] for side in ("left", "right"))]
+    if kind == "sonar":
+        return [kind, at_us, line["sensor"], line["distance"], line["when"]]
+    if kind == "pong":
+        return [kind, at_us, line["timestamp1"], line["timestamp2"]]
+    return ["counter", at_us, line["name"], line["count"]]
 
 
 # What goes in
