@@ -2,8 +2,8 @@
 
 The captures (test/data/firmware; of ``drive`` the first 75 s) were made by the original firmware, compiled for a
 desktop, whose loop passed every 250 µs. Fed to the simulated one are its pins at power-up, its wheels' pulses, the
-length of each echo, the host's commands and the losses of power, each at its time, with the captures' uptime and a clock
-that is 25 ppm fast.
+length of each echo, the host's commands and the losses of power, each at its time, with the captures' uptime and a
+clock that is 25 ppm fast.
 
 What comes out is the captures' frames in the captures' order, all of them, with these tolerances and exceptions:
 
