@@ -217,7 +217,8 @@ class SonarMonitor:
                                         "Check its echo wire and supply"))
             elif self._others[sensor] >= rounds:
                 found.append(SonarFault(sensor, f"{SONARS[sensor]} does not report: it seems not to be connected",
-                                        "Check its plug and wires; for a car without it leave it out of ~sonar_sequence"))
+                                        "Check its plug and wires; for a car without it leave it out of "
+                                        "~sonar_sequence"))
         silent_ns = now_ns - self._since_ns
         # One that was just left out still holds the others up until the next SONAR_START.
         if self.starts and self._last is None and silent_ns > (2 * self._restart_ns if self.dropped else NS_PER_S):
