@@ -223,8 +223,8 @@ class SonarMonitor:
         # One that was just left out still holds the others up until the next SONAR_START.
         if self.starts and self._last is None and silent_ns > (2 * self._restart_ns if self.dropped else NS_PER_S):
             found.append(SonarFault(None, f"no sonar reports, in spite of {self.starts} SONAR_STARTs",
-                                    "Check the sonars' supply and plugs; for a car without sonars set ~sonar_restart "
-                                          "to 0"))
+                                    "Check the sonars' supply and plugs; for a car without sonars set "
+                                    "~sonar_restart to 0"))
         return found
 
 
