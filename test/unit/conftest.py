@@ -9,3 +9,12 @@ if "HYPOTHESIS_STORAGE_DIRECTORY" not in os.environ:
     set_hypothesis_home_dir(os.path.join(tempfile.gettempdir(), f"hypothesis-{os.getuid()}"))
 settings.register_profile("car_interface", database=None, deadline=None, derandomize=True)
 settings.load_profile("car_interface")
+
+# What ``./dev test`` leaves out where it runs the same tests on a second Python.
+MARKS = ("accuracy: fits a simulated drive to see how exact the result is: long, and the same with every Python",
+         "browser: looks at a page in a real browser")
+
+
+def pytest_configure(config):
+    for mark in MARKS:
+        config.addinivalue_line("markers", mark)

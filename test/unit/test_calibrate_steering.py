@@ -186,6 +186,7 @@ def test_forced_table_keeps_old_duties_where_nothing_was_driven_marked(bag_witho
             assert now.planner_duty(radius) != old.planner_duty(radius)
 
 
+@pytest.mark.accuracy
 def test_recording_with_gaps_is_calibrated_all_the_same(tmp_path_factory, tmp_path):
     path = record(tmp_path_factory, missing=virtual_drive.TWO_THIRDS)
     assert run(path, "-o", tmp_path / "made.yaml") in (0, 1)  # but never a wrong table
@@ -228,6 +229,7 @@ def test_person_comes_to_a_position_from_both_sides():
     assert asked.count(4000.0) * 0.02 == pytest.approx(2 * virtual_drive.HELD_S, abs=0.1)
 
 
+@pytest.mark.accuracy
 def test_imu_and_commands_instead_of_output_do_as_well(tmp_path_factory, tmp_path, capsys):
     path = record(tmp_path_factory, imu=True, servo_topic="/servo/cmdVector")
     assert run(path, "-o", tmp_path / "made.yaml") == 0
@@ -237,6 +239,7 @@ def test_imu_and_commands_instead_of_output_do_as_well(tmp_path_factory, tmp_pat
         assert driven_radius_m(config, radius) == pytest.approx(radius, rel=0.06)
 
 
+@pytest.mark.accuracy
 def test_several_recordings_count_together(bag, tmp_path, capsys):
     again = tmp_path / "again.bag"
     virtual_drive.record(virtual_drive.random_car(SEED), again, SEED + 1, duration_s=100.0)
@@ -251,6 +254,7 @@ def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
         assert f"{bag} and {again} {words}" in capsys.readouterr().err
 
 
+@pytest.mark.accuracy
 def test_recordings_before_and_after_the_linkage_was_changed_are_refused_by_their_names(bag, tmp_path, capsys):
     car, again = virtual_drive.random_car(SEED), tmp_path / "again.bag"
     moved = replace(car.steering, center_duty=car.steering.center_duty + 60,

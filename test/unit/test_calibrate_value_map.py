@@ -56,6 +56,7 @@ def test_map_loads_and_is_near_the_truth_and_the_report_lies_beside_it(bag, tmp_
     assert sorted(path.name for path in tmp_path.iterdir()) == ["map.csv", "map.report.txt"]
 
 
+@pytest.mark.accuracy
 def test_duty_of_the_escs_channel_serves_as_the_value_that_makes_it(bag, tmp_path, capsys):
     assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1") == 0
     table = load_value_map(str(tmp_path / "map.csv"))
@@ -105,6 +106,7 @@ def test_duties_that_no_value_makes_are_told(bag, tmp_path, capsys):
     assert table.values[0] >= -3.0 and table.values[-1] <= 2.0
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("options", [("--acceleration", "odom"), ("--imu", "imu/data"),
                                      ("--imu", "imu/data", "--acceleration", "imu")], ids=" ".join)
 def test_other_ways_to_measure_find_the_map_too(bag, tmp_path, options):
@@ -170,6 +172,7 @@ def test_too_little_driving_is_refused_with_what_is_missing_and_no_file_is_left(
     assert not list(tmp_path.glob("map*"))
 
 
+@pytest.mark.accuracy
 def test_what_was_left_out_of_the_drive_is_missing_and_not_made_up(tmp_path, capsys):
     path = tmp_path / "slow.bag"
     virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=SECONDS, missing=virtual_drive.NO_FAST)

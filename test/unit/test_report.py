@@ -511,6 +511,7 @@ def test_page_of_a_car_below_a_namespace_has_that_in_its_name(tmp_path, capsys):
 # --- in a browser ---
 
 
+@pytest.mark.browser
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium on this computer")
 def test_page_in_chromium_shows_every_plot_and_complains_of_nothing(bag, tmp_path):
     out = tmp_path / "out.html"
