@@ -25,7 +25,7 @@ from car_interface.servo import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.teensy.clock import Clock
 from car_interface.teensy.measurements import PONG_BYTES, WHEEL_BYTES
 from car_interface.teensy.plausibility import Gates
-from car_interface.teensy.protocol import NO_DIRECTION, Pong, Wheel, WheelStatus
+from car_interface.teensy.protocol import Pong, Wheel, WheelStatus
 
 NS_PER_S = 1_000_000_000
 ODOM, OUTPUT, IMU, VALUE, PULSES = PARTS = "odom", "output", "imu", "value", "pulses"
@@ -416,6 +416,7 @@ class _PulseColumns:
         self._waiting = []
         self._has_heard_a_tick = False
         self._times, self._counts = (array("d"), array("d")), (array("q"), array("q"))
+        self._unproven = [0, 0]
         self._refused = 0
 
     @property
@@ -463,11 +464,17 @@ class _PulseColumns:
         if not verdict.accepted:
             self._refused += 1
             return
-        self._hear_tick(verdict)
+        if verdict.boot_tick is not None:
+            self._clock.restart()
         received_ns = recorded.time_ns + self._to_monotonic_ns
-        for wheel, pulses, times, counts in zip(report, verdict.pulses, self._times, self._counts):
-            if not pulses or wheel.direction == NO_DIRECTION:
+        for side, (wheel, pulses, times, counts) in enumerate(
+                zip(report, verdict.pulses, self._times, self._counts)):
+            self._unproven[side] += verdict.unproven[side]
+            if not pulses:
                 continue
+            # Pulses whose direction the firmware didn't know were made in that of the first one that it did.
+            made = pulses + (self._unproven[side] if pulses > 0 else -self._unproven[side])
+            self._unproven[side] = 0
             stamp_ns = self._clock.translate(wheel.when, received_ns, WHEEL_BYTES).time_ns
             at_s = time.of_stamp(stamp_ns - self._to_monotonic_ns)
             if abs(at_s - now_s) > ODD_STAMP_S:
@@ -475,7 +482,7 @@ class _PulseColumns:
             if times and at_s <= times[-1]:
                 at_s = times[-1] + 1e-6  # of pulses none may be lost
             times.append(at_s)
-            counts.append((counts[-1] if counts else 0) + pulses)
+            counts.append((counts[-1] if counts else 0) + made)
 
     def _hear_tick(self, verdict):
         if verdict.restarted and self._has_heard_a_tick:
