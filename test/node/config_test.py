@@ -40,7 +40,7 @@ DEFAULTS = {
         "settings.ping_period_s": 1.0, "settings.odom_frame": "odom", "settings.odom_rate_hz": 50.0}),
     "teleop_logi": (BUTTONS, {"steer_scale": 1.0, "steer_neutral": 0.0, "joy_timeout_s": 0.25}),
     "car_sim": ({}, {"port": "/tmp/car_sim_teensy", "steering_channel": 0, "throttle_channel": 1,
-                     "vehicle.wheelbase_m": 0.324, "firmware.clock_start_ms": 0}),
+                     "vehicle.wheelbase_m": 0.324, "firmware.sonar_pulse_end_us": 38_000}),
     "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
     "demo_drive": ({}, {"bag_dir": None}),
 }

@@ -105,12 +105,12 @@ READERS = {
     "permission": (read_permission,
                    lambda: {"human_timeout": 0.5, "e_stop_timeout": 1.0, "e_stop_required": False,
                             "grant_at_start": False}),
-    "car_sim's vehicle": (car_sim.read_vehicle, lambda: {
+    "car_sim": (car_sim.read_config, lambda: {
         "steering_duties": [3800, 5100, 6700], "steering_curvatures": [1.0, 0.0, -1.0], "start": [0, 0, 0],
         "wheelbase": 0.324, "track": 0.296, "wheel_diameter": 0.095, "pulses_per_revolution": 20,
-        "forward_acceleration": 3, "reverse_acceleration": 3, "brake_deceleration": 5}),
-    "car_sim's Teensy": (car_sim.read_firmware, lambda: {
-        "clock_start_ms": 0, "clock_drift_ppm": 0, "corrected_checksum": False, "seed": 1}),
+        "forward_acceleration": 3, "reverse_acceleration": 3, "brake_deceleration": 5,
+        "wheel_pulses": [0.3, 1.7], "clock_start_ms": 300, "clock_drift_ppm": 0, "corrected_checksum": False, "seed": 1,
+        "sonar_pulse_end": 38_000}),
 }
 
 
