@@ -22,6 +22,7 @@ from rosgraph_msgs.msg import Log
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from waiting import Repeater, Sender, Topic, rate_hz, retried, set_params, start_node
+from witness import measured
 
 LEFT, CENTER, RIGHT = 3800, 5100, 6700
 NAN, INF = math.nan, math.inf
@@ -73,6 +74,10 @@ class TurnArbByItsTopics(unittest.TestCase):
         self.human.publish(False)  # what was lost comes back only by letting go and holding again
         self.inputs.hold(self.teleop, teleop)
         self.inputs.hold(self.planner, planner)
+        self.inputs.hold(self.human, True)
+
+    def let_go_and_hold(self):
+        self.human.publish(False)
         self.inputs.hold(self.human, True)
 
     def test_heartbeat_is_100_hz_with_the_original_layout_and_minus_one_elsewhere(self):
@@ -258,7 +263,7 @@ class TurnArbByItsTopics(unittest.TestCase):
                     self.inputs.hold(sender, request)
                     self.wait_for_duty(duty, mark)
                     self.assertLessEqual(set(map(steering_of, self.commands.since(mark))), {before, duty})
-                retried(attempt)
+                measured(attempt, restore=self.let_go_and_hold)
 
     def test_teleop_requests_have_their_exact_duties(self):
         self.let_human_in(planner=-3.0)

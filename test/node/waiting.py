@@ -13,6 +13,19 @@ import rospkg
 import rospy
 import yaml
 from roslib.packages import find_node
+from rosunit import xmlrunner
+
+# rosunit counts a subtest that failed, and its results name none: they would say that every test passed.
+_add_subtest = xmlrunner._XMLTestResult.addSubTest
+
+
+def _add_and_name_subtest(result, test, subtest, error):
+    _add_subtest(result, test, subtest, error)
+    if error is not None:
+        result._failure = (AssertionError, f"{subtest._subDescription()}: {error[1]}", error[2])
+
+
+xmlrunner._XMLTestResult.addSubTest = _add_and_name_subtest
 
 PACKAGE = rospkg.RosPack().get_path("car_interface")
 PATIENCE_S = 15.0  # a machine with other work to do; a test that passes waits for a fraction of this
