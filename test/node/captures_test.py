@@ -89,6 +89,11 @@ class Player:
                 self.pings += 1
                 self._waiting.append(body[4:8])
 
+    def is_open(self):
+        """Whether a hub has opened the port, and pings."""
+        self.read()
+        return self.pings > 0
+
     def write(self, now_s):
         """Write what is due."""
         while self.due_s <= now_s:
@@ -160,6 +165,8 @@ class CapturesTest(unittest.TestCase):
                        f"_frame_prefix:={name}/", "_sonar_restart:=0")
         for outputs in cls.outputs.values():
             outputs.connected()
+        # A hub throws away what arrived before it opened its port; then it pings.
+        eventually(lambda: all(player.is_open() for player in cls.players.values()), "hubs that have opened their ports")
         cls.ros_s = rospy.Time.now().to_sec() - time.monotonic()
         cls.play()
         for name, player in cls.players.items():
@@ -239,7 +246,7 @@ class CapturesTest(unittest.TestCase):
             dx, dy = end.x_m - start.x_m, end.y_m - start.y_m
             position = odoms[-1].pose.pose.position
             off_m = math.hypot(position.x - (cos * dx + sin * dy), position.y - (cos * dy - sin * dx))
-            # How long the Teensy was away the hub knows by its bytes' arrival only: what came late adds to that, at 1 m/s.
+            # How long the Teensy was away the hub knows by its bytes' arrival only: what came late adds to that.
             late_m = 1.5 * player.latest_s * len(player.reboots_us)
             self.assertLessEqual(off_m, max(0.04, 0.005 * player.capture.distance_m()) + late_m)
             orientation = odoms[-1].pose.pose.orientation
