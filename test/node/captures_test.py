@@ -166,7 +166,7 @@ class CapturesTest(unittest.TestCase):
         for outputs in cls.outputs.values():
             outputs.connected()
         # A hub throws away what arrived before it opened its port; then it pings.
-        eventually(lambda: all(player.is_open() for player in cls.players.values()), "hubs that have opened their ports")
+        eventually(lambda: all(player.is_open() for player in cls.players.values()), "hubs that have opened their port")
         cls.ros_s = rospy.Time.now().to_sec() - time.monotonic()
         cls.play()
         for name, player in cls.players.items():

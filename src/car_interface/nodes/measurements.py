@@ -290,8 +290,11 @@ class RosClock:
         """
         before_ns = time.monotonic_ns()
         ros_ns = rospy.Time.now().to_nsec()
-        offset_ns = ros_ns - (before_ns + time.monotonic_ns()) // 2
-        if self._offset_ns is None or abs(offset_ns - self._offset_ns) > SAME_OFFSET_NS:
+        after_ns = time.monotonic_ns()
+        offset_ns = ros_ns - (before_ns + after_ns) // 2
+        # A thread that is held up between the readings knows it less well.
+        if (self._offset_ns is None
+                or abs(offset_ns - self._offset_ns) > SAME_OFFSET_NS + after_ns - before_ns):
             self._offset_ns = offset_ns
         stamp_ns = self._offset_ns + time_ns
         if stamp_ns <= 0:
