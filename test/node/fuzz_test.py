@@ -47,9 +47,9 @@ settings.register_profile("fuzz", database=None, deadline=None, derandomize=True
                           suppress_health_check=list(HealthCheck))
 settings.load_profile("fuzz")
 
-MESSAGES = 3000  # to each topic, beside the warm-up
-WARM_UP = 1000
-MOST_GROWTH = 100_000  # bytes over MESSAGES: a leak of 34 bytes a message shows
+MESSAGES = 1500  # to each topic, beside the warm-up
+WARM_UP = 500
+MOST_GROWTH = 50_000  # bytes over MESSAGES: a leak of 34 bytes a message shows
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "config")
 PORT = f"/tmp/car_interface_fuzz_{os.getpid()}"
 

@@ -11,7 +11,7 @@ settings.register_profile("car_interface", database=None, deadline=None, derando
 settings.load_profile("car_interface")
 
 # What ``./dev test`` leaves out where it runs the same tests on a second Python.
-MARKS = ("accuracy: fits a simulated drive to see how exact the result is: long, and the same with every Python",
+MARKS = ("once: takes long, and comes out the same with every Python: one of them is enough",
          "browser: looks at a page in a real browser")
 
 

@@ -1,7 +1,9 @@
 """The command calibrate_steering: from a recording of a virtual car to a file by which turn_arb drives it better."""
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 import math
 import os
 import random
@@ -11,6 +13,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -47,6 +50,21 @@ def bag_without_right_turns(tmp_path_factory):
     return record(tmp_path_factory, missing=virtual_drive.NO_RIGHT, duration_s=150.0)
 
 
+class Calibrated(NamedTuple):
+    """What the command made of the drive by its own defaults."""
+
+    path: Path
+    out: str
+
+
+@pytest.fixture(scope="module")
+def calibrated(bag, tmp_path_factory):
+    made = tmp_path_factory.mktemp("calibrated") / "made.yaml"
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert run(bag, "-o", made) == 0
+    return Calibrated(made, out.getvalue())
+
+
 def run(*arguments):
     return main("calibrate_steering", [str(argument) for argument in arguments])
 
@@ -61,15 +79,14 @@ def driven_radius_m(config, radius_m):
     return 1 / vehicle.curvature_per_m
 
 
-def test_car_that_is_driven_by_its_own_table_turns_as_it_is_asked(bag, tmp_path, capsys):
-    made = tmp_path / "made.yaml"
-    assert run(bag, "-o", made) == 0
+def test_car_that_is_driven_by_its_own_table_turns_as_it_is_asked(calibrated):
+    made = calibrated.path
     radii = [sign * radius for sign in (1, -1) for radius in (1.3, 1.6, 2.0, 2.5, 3.0, 4.0, 5.0)]
     errors = {path: [abs(driven_radius_m(load_steering(str(path)), radius) / radius - 1) for radius in radii]
               for path in (STOCK, made)}
     assert np.median(errors[made]) < 0.04 and max(errors[made]) < 0.10
     assert np.median(errors[made]) < np.median(errors[STOCK]) / 5
-    assert "play in the steering: " in capsys.readouterr().out
+    assert "play in the steering: " in calibrated.out
 
 
 def test_file_keeps_what_else_the_base_has_and_tells_how_well_it_is_known(bag, tmp_path):
@@ -93,13 +110,15 @@ def test_file_keeps_what_else_the_base_has_and_tells_how_well_it_is_known(bag, t
         assert np.all(np.diff(after[name]) >= 0) or np.all(np.diff(after[name]) <= 0)
 
 
-def test_calibration_may_be_its_own_base(bag, tmp_path):
-    made, again = tmp_path / "made.yaml", tmp_path / "again.yaml"
-    assert run(bag, "-o", made) == 0 and run(bag, "-o", again, "--base", made) == 0
+@pytest.mark.once
+def test_calibration_may_be_its_own_base(bag, calibrated, tmp_path):
+    made, again = calibrated.path, tmp_path / "again.yaml"
+    assert run(bag, "-o", again, "--base", made) == 0
     assert again.read_text(encoding="utf-8").count("# Written by") == 1
     assert yaml.safe_load(again.read_text(encoding="utf-8")) == yaml.safe_load(made.read_text(encoding="utf-8"))
 
 
+@pytest.mark.once
 def test_base_in_another_layout_keeps_its_values(bag, tmp_path):
     base, made = tmp_path / "base.yaml", tmp_path / "made.yaml"
     values = {**yaml.safe_load(STOCK.read_text(encoding="utf-8")), "slew_limit": 9000}
@@ -108,6 +127,7 @@ def test_base_in_another_layout_keeps_its_values(bag, tmp_path):
     assert yaml.safe_load(made.read_text(encoding="utf-8"))["slew_limit"] == 9000
 
 
+@pytest.mark.once
 def test_axis_is_the_one_that_is_asked_for(bag, tmp_path):
     made = tmp_path / "made.yaml"
     assert run(bag, "-o", made, "--axis", "1.5,2,3,5,10,100") == 0
@@ -115,6 +135,7 @@ def test_axis_is_the_one_that_is_asked_for(bag, tmp_path):
     assert list(config.radius_axis_m) == [1.5, 2, 3, 5, 10, 100]
 
 
+@pytest.mark.once
 def test_axis_that_ends_early_goes_on_to_almost_straight_on(bag, tmp_path, capsys):
     made = tmp_path / "made.yaml"
     assert run(bag, "-o", made, "--axis", "1.5,2,5") == 0
@@ -130,6 +151,7 @@ def test_axis_outside_of_what_was_driven_is_refused(bag, tmp_path, capsys):
     assert "--axis 0.1 to 0.2 m lies outside of what was driven: the tightest circle" in capsys.readouterr().err
 
 
+@pytest.mark.once
 def test_calibration_that_is_replaced_stays_beside_it(bag, tmp_path, capsys):
     made = tmp_path / "turn_arb.yaml"
     shutil.copy(str(STOCK), str(made))
@@ -155,14 +177,13 @@ def test_terminal_that_knows_ascii_only_loses_no_work(bag, tmp_path):
     assert b" +- " in done.stdout and made.exists()
 
 
-def test_center_drives_straight(bag, tmp_path):
-    made = tmp_path / "made.yaml"
-    assert run(bag, "-o", made) == 0
-    center = load_steering(str(made)).servo_center
+def test_center_drives_straight(calibrated):
+    center = load_steering(str(calibrated.path)).servo_center
     curvature = virtual_drive.true_curvature_per_m(virtual_drive.random_car(SEED), center)
     assert abs(curvature) < 0.005
 
 
+@pytest.mark.once
 def test_side_that_was_not_driven_is_refused_with_what_to_drive(bag_without_right_turns, tmp_path, capsys):
     made = tmp_path / "made.yaml"
     assert run(bag_without_right_turns, "-o", made) == 1
@@ -173,6 +194,7 @@ def test_side_that_was_not_driven_is_refused_with_what_to_drive(bag_without_righ
     assert "left turns" not in error
 
 
+@pytest.mark.once
 def test_forced_table_keeps_old_duties_where_nothing_was_driven_marked(bag_without_right_turns, tmp_path):
     made = tmp_path / "made.yaml"
     assert run(bag_without_right_turns, "-o", made, "--force") == 0
@@ -186,7 +208,7 @@ def test_forced_table_keeps_old_duties_where_nothing_was_driven_marked(bag_witho
             assert now.planner_duty(radius) != old.planner_duty(radius)
 
 
-@pytest.mark.accuracy
+@pytest.mark.once
 def test_recording_with_gaps_is_calibrated_all_the_same(tmp_path_factory, tmp_path):
     path = record(tmp_path_factory, missing=virtual_drive.TWO_THIRDS)
     assert run(path, "-o", tmp_path / "made.yaml") in (0, 1)  # but never a wrong table
@@ -229,7 +251,7 @@ def test_person_comes_to_a_position_from_both_sides():
     assert asked.count(4000.0) * 0.02 == pytest.approx(2 * virtual_drive.HELD_S, abs=0.1)
 
 
-@pytest.mark.accuracy
+@pytest.mark.once
 def test_imu_and_commands_instead_of_output_do_as_well(tmp_path_factory, tmp_path, capsys):
     path = record(tmp_path_factory, imu=True, servo_topic="/servo/cmdVector")
     assert run(path, "-o", tmp_path / "made.yaml") == 0
@@ -239,7 +261,7 @@ def test_imu_and_commands_instead_of_output_do_as_well(tmp_path_factory, tmp_pat
         assert driven_radius_m(config, radius) == pytest.approx(radius, rel=0.06)
 
 
-@pytest.mark.accuracy
+@pytest.mark.once
 def test_several_recordings_count_together(bag, tmp_path, capsys):
     again = tmp_path / "again.bag"
     virtual_drive.record(virtual_drive.random_car(SEED), again, SEED + 1, duration_s=100.0)
@@ -247,6 +269,7 @@ def test_several_recordings_count_together(bag, tmp_path, capsys):
     assert "340 s" in capsys.readouterr().out
 
 
+@pytest.mark.once
 def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
     shutil.copy(bag, str(tmp_path / "copy.bag"))
     for again, words in ((bag, "are the same recording"), (tmp_path / "copy.bag", "have the same driving in them")):
@@ -254,7 +277,7 @@ def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
         assert f"{bag} and {again} {words}" in capsys.readouterr().err
 
 
-@pytest.mark.accuracy
+@pytest.mark.once
 def test_recordings_before_and_after_the_linkage_was_changed_are_refused_by_their_names(bag, tmp_path, capsys):
     car, again = virtual_drive.random_car(SEED), tmp_path / "again.bag"
     moved = replace(car.steering, center_duty=car.steering.center_duty + 60,

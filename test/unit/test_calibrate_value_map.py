@@ -56,7 +56,7 @@ def test_map_loads_and_is_near_the_truth_and_the_report_lies_beside_it(bag, tmp_
     assert sorted(path.name for path in tmp_path.iterdir()) == ["map.csv", "map.report.txt"]
 
 
-@pytest.mark.accuracy
+@pytest.mark.once
 def test_duty_of_the_escs_channel_serves_as_the_value_that_makes_it(bag, tmp_path, capsys):
     assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1") == 0
     table = load_value_map(str(tmp_path / "map.csv"))
@@ -98,6 +98,7 @@ def test_throttle_that_can_not_be_turned_round_is_refused_by_name(bag, tmp_path,
     assert str(path) in line and said in line and not (tmp_path / "map.csv").exists()
 
 
+@pytest.mark.once
 def test_duties_that_no_value_makes_are_told(bag, tmp_path, capsys):
     path = throttle_file(tmp_path, "servo: {value_axis: [-3, 0, 2], duty_table: [3932, 4915, 6008], neutral: 4915}")
     assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1", "--throttle", path) == 0
@@ -106,7 +107,7 @@ def test_duties_that_no_value_makes_are_told(bag, tmp_path, capsys):
     assert table.values[0] >= -3.0 and table.values[-1] <= 2.0
 
 
-@pytest.mark.accuracy
+@pytest.mark.once
 @pytest.mark.parametrize("options", [("--acceleration", "odom"), ("--imu", "imu/data"),
                                      ("--imu", "imu/data", "--acceleration", "imu")], ids=" ".join)
 def test_other_ways_to_measure_find_the_map_too(bag, tmp_path, options):
@@ -114,6 +115,7 @@ def test_other_ways_to_measure_find_the_map_too(bag, tmp_path, options):
     assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.12
 
 
+@pytest.mark.once
 def test_prior_gives_the_axes_and_stays_where_nothing_was_driven(bag, tmp_path, capsys):
     prior = ROOT / "config" / "value_map.csv"
     assert run(bag, "-o", tmp_path / "map.csv", "--prior", prior) == 0
@@ -130,6 +132,7 @@ def test_two_bags_read_by_two_processes_make_one_map(bag, tmp_path):
     assert run(bag, again, "-o", tmp_path / "map.csv", "--jobs", 2) == 0
 
 
+@pytest.mark.once
 def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
     shutil.copy(bag, str(tmp_path / "copy.bag"))
     for again, words in ((bag, "are the same recording"), (tmp_path / "copy.bag", "have the same driving in them")):
@@ -137,6 +140,7 @@ def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
         assert f"{bag} and {again} {words}" in capsys.readouterr().err
 
 
+@pytest.mark.once
 def test_map_and_report_that_are_replaced_stay_beside_them(bag, tmp_path, capsys):
     shutil.copy(str(ROOT / "config" / "value_map.csv"), str(tmp_path / "map.csv"))
     (tmp_path / "map.report.txt").write_text("old", encoding="utf-8")
@@ -158,6 +162,7 @@ def test_output_that_would_overwrite_a_recording_is_refused(bag, tmp_path, capsy
     assert mine.read_bytes() == before
 
 
+@pytest.mark.once
 def test_map_may_go_to_a_stream_alone(bag, tmp_path, capfd):
     assert run(bag, "-o", "/dev/null") == 0
     assert capfd.readouterr().out.endswith("written: /dev/null\n")
@@ -172,7 +177,7 @@ def test_too_little_driving_is_refused_with_what_is_missing_and_no_file_is_left(
     assert not list(tmp_path.glob("map*"))
 
 
-@pytest.mark.accuracy
+@pytest.mark.once
 def test_what_was_left_out_of_the_drive_is_missing_and_not_made_up(tmp_path, capsys):
     path = tmp_path / "slow.bag"
     virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=SECONDS, missing=virtual_drive.NO_FAST)
@@ -184,6 +189,7 @@ def test_what_was_left_out_of_the_drive_is_missing_and_not_made_up(tmp_path, cap
     assert "missing: value -4.0: at any speed" in out and "6.0 m/s" in out
 
 
+@pytest.mark.once
 def test_force_writes_what_is_refused_and_marks_it(bag, tmp_path, capsys):
     # Two values only: no map that anybody should drive with.
     given = ("--values", "0.2", "2.5", "--velocities", "1", "2", "3")

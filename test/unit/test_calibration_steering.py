@@ -14,7 +14,7 @@ from car_interface.calibration.delay import Delay, held, lagged
 from car_interface.calibration.steering_pieces import Drive, FitConfig, NothingToFit
 from car_interface.calibration.steering_table import DRIVEN, END, LEFT, OLD, RIGHT, UNKNOWN, Breakpoint
 
-pytestmark = pytest.mark.accuracy
+pytestmark = pytest.mark.once
 
 STEP_S = 0.02
 LEFT_STOP, CENTER, RIGHT_STOP = 3900, 5200, 6400

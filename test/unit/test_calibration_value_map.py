@@ -16,7 +16,7 @@ from car_interface.calibration.acceleration import Drive, Series, WindowConfig, 
 from car_interface.calibration.surface import Grid, rising_column
 from car_interface.value_map import ValueMap
 
-pytestmark = pytest.mark.accuracy
+pytestmark = pytest.mark.once
 
 PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))
 DELAY_S = 0.08

@@ -558,7 +558,7 @@ SCENARIOS = {
 }
 
 
-@pytest.mark.accuracy
+@pytest.mark.once
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_stamps_on_the_virtual_teensy_are_within_a_millisecond_and_honest(name):
     """A short set of what the script measures at length."""
@@ -570,7 +570,7 @@ def test_stamps_on_the_virtual_teensy_are_within_a_millisecond_and_honest(name):
     assert score.bytes_per_s > 8000 or not scenario.saturated
 
 
-@pytest.mark.accuracy
+@pytest.mark.once
 def test_one_way_methods_on_the_same_bytes_are_worse():
     score = clock_accuracy.run(clock_accuracy.Scenario("saturated", saturated=True, drift_ppm=-100, seconds=40))
     ours, newest, smallest = (clock_accuracy.percentile(errors, 0.99)

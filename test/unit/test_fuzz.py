@@ -47,6 +47,7 @@ def test_case_that_fails_is_told():
         run.case(0)
 
 
+@pytest.mark.once
 @settings(max_examples=2000)
 @given(st.binary(max_size=60) | st.tuples(st.sampled_from([2, 6, 7, 9]), st.binary(max_size=40)).map(
     lambda parts: bytes((1, 2, parts[0], 0)) + parts[1]))
@@ -132,6 +133,7 @@ def test_map_that_was_good_and_has_a_fault_is_loaded_or_refused_with_a_config_er
 NUMBERS = st.one_of(st.floats(-1e100, 1e100), st.integers(-3, 3).map(float), st.sampled_from([1e100, -1e100, 1e-9]))
 
 
+@pytest.mark.once
 @settings(max_examples=500)
 @given(st.lists(NUMBERS, min_size=2, max_size=4, unique=True).map(sorted),
        st.lists(NUMBERS, min_size=2, max_size=4, unique=True).map(sorted), st.data())
@@ -166,6 +168,7 @@ READERS = [
 ]
 
 
+@pytest.mark.once
 @settings(max_examples=800)
 @given(st.sampled_from(READERS), VALUES)
 def test_reader_of_a_parameter_of_any_value_returns_or_raises_a_config_error(reader, value):

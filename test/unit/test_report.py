@@ -323,6 +323,7 @@ def test_each_plot_is_one_svg_with_ids_of_its_own(seen):
         assert used <= set(re.findall(r'\bid="([^"]+)"', plot.svg))
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("changed", [
     ("asked curvature", "speed", "frames"), ("sent curvature", "acceleration", "bad frames"),
     ("turned curvature", "asked acceleration", "round trip"), ("gamepad", "value", "skew")], ids=", ".join)
@@ -365,6 +366,7 @@ def test_servos_channel_is_not_drawn_as_the_escs_though_nobody_says_which_it_is(
     assert drawn == ["The ESC's duty", "duty on channel 1"]
 
 
+@pytest.mark.once
 def test_plots_of_a_long_drive_are_no_larger_than_those_of_a_short_one(tmp_path):
     random = np.random.default_rng(2)
     sizes = []
@@ -455,6 +457,7 @@ def test_command_without_output_puts_the_page_beside_the_recording(bag, capsys):
     assert capsys.readouterr().out == bag.replace(".bag", ".html") + "\n"
 
 
+@pytest.mark.once
 def test_several_recordings_get_a_page_each_and_a_bad_one_stops_no_other(bag, tmp_path, capsys):
     bad = tmp_path / "bad.bag"
     bad.write_bytes(b"no bag")
