@@ -12,7 +12,7 @@ PACKAGE = ElementTree.parse(str(HERE / "package.xml")).getroot()
 
 
 def files(folder, pattern):
-    """A folder's files for pip to put where bags/package_files.py looks for them; catkin installs them by itself."""
+    """A folder's files for pip to put where common/package_files.py looks for them; catkin installs them by itself."""
     names = sorted(path.relative_to(HERE).as_posix() for path in (HERE / folder).glob(pattern))
     return f"share/car_interface/{folder}", names
 
@@ -28,16 +28,31 @@ setup(
     python_requires=">=3.8",
     packages=[
         "car_interface",
-        "car_interface.bags",
         "car_interface.calibration",
+        "car_interface.calibration.steering",
+        "car_interface.calibration.value_map",
+        "car_interface.cli",
+        "car_interface.common",
         "car_interface.doctor",
+        "car_interface.doctor.checks",
+        "car_interface.doctor.probes",
+        "car_interface.host_setup",
+        "car_interface.interlock",
         "car_interface.nodes",
         "car_interface.pca9685",
+        "car_interface.recordings",
+        "car_interface.report",
+        "car_interface.ros",
         "car_interface.sim",
+        "car_interface.steering",
         "car_interface.teensy",
+        "car_interface.teensy.link",
+        "car_interface.teensy.sensing",
+        "car_interface.teleop",
+        "car_interface.throttle",
     ],
     package_dir={"": "src"},
     data_files=[files("msg", "*.msg"), files("config", "*.yaml"), files("config", "*.csv")],
     extras_require={"tools": ["matplotlib", "numpy", "PyYAML", "rosbags>=0.9.23", "scipy", "tqdm"]},
-    entry_points={"console_scripts": ["car-interface = car_interface.bags.command_line:main"]},
+    entry_points={"console_scripts": ["car-interface = car_interface.cli.main:main"]},
 )

@@ -30,11 +30,9 @@ from dataclasses import dataclass, field
 
 from car_interface.sim.line import BitErrors
 from car_interface.sim.teensy_firmware import BACKWARD, ECHO_RISE_US, FORWARD, FirmwareConfig, TeensyFirmware
-from car_interface.teensy.clock import Clock, ClockConfig
-from car_interface.teensy.framing import RESYNC_FILLER, SHIPPED, FrameDecoder, encode
-from car_interface.teensy.pinging import Pinger
-from car_interface.teensy.plausibility import Gates
-from car_interface.teensy.protocol import (
+from car_interface.teensy.link.framing import RESYNC_FILLER, SHIPPED, FrameDecoder, encode
+from car_interface.teensy.link.pinging import Pinger
+from car_interface.teensy.link.protocol import (
     NO_DIRECTION,
     UINT32,
     Pong,
@@ -45,6 +43,8 @@ from car_interface.teensy.protocol import (
     sonar_stop,
     sonar_wait,
 )
+from car_interface.teensy.sensing.clock import Clock, ClockConfig
+from car_interface.teensy.sensing.plausibility import Gates
 
 NS_PER_S, NS_PER_MS, NS_PER_US = 1_000_000_000, 1_000_000, 1_000
 BAUD = 115200

@@ -19,9 +19,9 @@ import tracemalloc
 from collections import Counter
 from pathlib import Path
 
-from car_interface.teensy.framing import LONGEST_ON_LINE, FrameDecoder
-from car_interface.teensy.plausibility import Gates
-from car_interface.teensy.protocol import Malformed, Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.link.framing import LONGEST_ON_LINE, FrameDecoder
+from car_interface.teensy.link.protocol import Malformed, Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.sensing.plausibility import Gates
 
 CAPTURE = (Path(__file__).resolve().parent / "data" / "capture_mixed.bin").read_bytes()
 SPECIAL = (0x7E, 0x7D, 0x5E, 0x5D, 0x00, 0xFF, 0x20)

@@ -40,9 +40,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from car_interface.teensy.framing import ESCAPE, FLAG, FrameDecoder
-from car_interface.teensy.plausibility import Gates
-from car_interface.teensy.protocol import FORWARD, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
+from car_interface.teensy.link.framing import ESCAPE, FLAG, FrameDecoder
+from car_interface.teensy.link.protocol import FORWARD, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
+from car_interface.teensy.sensing.plausibility import Gates
 
 DATA = Path(__file__).resolve().parent / "data"
 RATES = (1e-5, 1e-4, 1e-3)

@@ -24,10 +24,10 @@ from typing import Callable
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import Vehicle, VehicleConfig, true_acceleration_mps2
-from car_interface.teensy.framing import SHIPPED, FrameDecoder, encode
-from car_interface.teensy.odometry import Odometry, OdometryConfig
-from car_interface.teensy.plausibility import Gates
-from car_interface.teensy.protocol import SonarStatus, WheelStatus, decode, wheel_reset
+from car_interface.teensy.link.framing import SHIPPED, FrameDecoder, encode
+from car_interface.teensy.link.protocol import SonarStatus, WheelStatus, decode, wheel_reset
+from car_interface.teensy.sensing.odometry import Odometry, OdometryConfig
+from car_interface.teensy.sensing.plausibility import Gates
 
 NS_PER_S, NS_PER_MS = 1_000_000_000, 1_000_000
 STEP_NS = 2 * NS_PER_MS

@@ -17,10 +17,10 @@ import sys
 from typing import NamedTuple
 
 from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, FirmwareConfig, TeensyFirmware
-from car_interface.teensy.framing import FrameDecoder
-from car_interface.teensy.measurements import Measurements, MotionMeasurement
-from car_interface.teensy.pinging import Pinger
-from car_interface.teensy.protocol import Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.teensy.link.pinging import Pinger
+from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.sensing.measurements import Measurements, MotionMeasurement
 
 MS, S = 1_000_000, 1_000_000_000
 PULSE_M, TRACK_M = math.pi * 0.095 / 20, 0.296

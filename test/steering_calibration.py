@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from virtual_drive import COUNT, MIXED, NO_FAST, NO_RIGHT, TWO_THIRDS, random_car, record, true_curvature_per_m
 
-from car_interface.bags.command_line import main as command
-from car_interface.steering import SteeringArbiter
-from car_interface.steering_params import load_steering
+from car_interface.cli.main import main as command
+from car_interface.steering.arbiter import SteeringArbiter
+from car_interface.steering.params import load_steering
 
 STOCK = Path(__file__).resolve().parents[1] / "config" / "turn_arb.yaml"
 WIDEST_M = 5.0

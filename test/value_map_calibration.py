@@ -27,12 +27,12 @@ from pathlib import Path
 import numpy as np
 import virtual_drive
 
-from car_interface.bags import calibrate_value_map as command
-from car_interface.calibration import acceleration as cut
-from car_interface.calibration import value_map_table as tables
-from car_interface.errors import CarInterfaceError
+from car_interface.calibration.value_map import acceleration as cut
+from car_interface.calibration.value_map import table as tables
+from car_interface.cli import calibrate_value_map as command
+from car_interface.common.errors import CarInterfaceError
 from car_interface.sim.vehicle import true_acceleration_mps2
-from car_interface.value_map import load_value_map
+from car_interface.throttle.value_map import load_value_map
 
 STOCK_MAP = Path(__file__).resolve().parents[1] / "config" / "value_map.csv"
 CACHE = Path(tempfile.gettempdir()) / "car_interface_drives"

@@ -31,12 +31,12 @@ from car_interface.sim.vehicle import (
     VehicleConfig,
 )
 from car_interface.sim.vehicle import true_acceleration_mps2 as acceleration_of_duty_mps2
-from car_interface.teensy.framing import SHIPPED, FrameDecoder
-from car_interface.teensy.measurements import MeasurementConfig, Measurements
-from car_interface.teensy.odometry import OdometryConfig
-from car_interface.teensy.pinging import Pinger
-from car_interface.teensy.plausibility import GateConfig
-from car_interface.teensy.protocol import Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
+from car_interface.teensy.link.pinging import Pinger
+from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
+from car_interface.teensy.sensing.odometry import OdometryConfig
+from car_interface.teensy.sensing.plausibility import GateConfig
 
 NS_PER_S, NS_PER_MS = 1_000_000_000, 1_000_000
 STEP_NS = 4 * NS_PER_MS

@@ -15,9 +15,9 @@ import sys
 from pathlib import Path
 from time import perf_counter_ns
 
-from car_interface.teensy import framing, protocol
-from car_interface.teensy.framing import FrameDecoder
-from car_interface.value_map import ValueMap
+from car_interface.teensy.link import framing, protocol
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.throttle.value_map import ValueMap
 
 CAPTURE = Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin"
 FRAMES = 795  # in the capture

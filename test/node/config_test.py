@@ -10,8 +10,8 @@ import unittest
 
 import rostest
 
-from car_interface.errors import ConfigError
-from car_interface.params import Params
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
 from waiting import PACKAGE, config
 
 WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"

@@ -21,9 +21,9 @@ import rosnode
 import rospy
 import rostest
 
-from car_interface.bags.recording import read
-from car_interface.bags.replay import TOPICS, replay
-from car_interface.teensy.measurements import MeasurementConfig, MotionMeasurement
+from car_interface.recordings.recording import read
+from car_interface.recordings.replay import TOPICS, replay
+from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionMeasurement
 from waiting import start_node
 
 sys.path.append(os.path.join(os.path.dirname(os.path.abspath(__file__)), os.pardir, "unit"))

@@ -27,21 +27,20 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from car_interface.errors import CarInterfaceError, ConfigError
+from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.params import Params
+from car_interface.interlock.motion_interlock import read_permission
 from car_interface.nodes import (
     car_display,
     car_sim,
     generic_value_converter,
-    measurements,
-    node,
     pca9685,
     teensy_sensor_hub,
     teleop_logi,
     turn_arb,
 )
-from car_interface.nodes.node import Inbox
-from car_interface.params import Params
-from car_interface.permission import read_permission
+from car_interface.ros import measurement_publisher, runtime
+from car_interface.ros.runtime import Inbox
 
 settings.register_profile("fuzz", database=None, deadline=None, derandomize=True,
                           suppress_health_check=list(HealthCheck))
@@ -85,7 +84,7 @@ NODES = {
 
 
 def read_measurements(params):
-    measurements.read_settings(params, 115200)
+    measurement_publisher.read_settings(params, 115200)
 
 
 # What the hub reads by itself, beside the sensors' configuration.
@@ -343,6 +342,6 @@ add_tests("with_services_asked_anything_answers_in_words", FuzzTest.check_servic
           ["turn_arb", "generic_value_converter", "teensy_sensor_hub", "pca9685", "car_sim"])
 
 if __name__ == "__main__":
-    node.logging.raiseExceptions = False
+    runtime.logging.raiseExceptions = False
     rospy.init_node("fuzz_test", log_level=rospy.FATAL)
     rostest.rosrun("car_interface", "fuzz_test", FuzzTest)

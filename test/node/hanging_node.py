@@ -7,7 +7,8 @@ import time
 
 from std_msgs.msg import Float32
 
-from car_interface.nodes import node, turn_arb
+from car_interface.nodes import turn_arb
+from car_interface.ros import runtime
 
 LIMIT = 50
 
@@ -15,8 +16,8 @@ LIMIT = 50
 class HangingTurnArb(turn_arb.TurnArb):
     def __init__(self, params, inbox):
         super().__init__(params, inbox)
-        node.subscribe("~hang", Float32, inbox, lambda message, now_ns: time.sleep(message.data))
+        runtime.subscribe("~hang", Float32, inbox, lambda message, now_ns: time.sleep(message.data))
 
 
-node.Inbox = functools.partial(node.Inbox, limit=LIMIT)
-node.run("turn_arb", HangingTurnArb)
+runtime.Inbox = functools.partial(runtime.Inbox, limit=LIMIT)
+runtime.run("turn_arb", HangingTurnArb)

@@ -19,13 +19,13 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
+from car_interface.common.params import Params
 from car_interface.nodes.generic_value_converter import GenericValueConverter
-from car_interface.nodes.node import Inbox
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.teleop_logi import TeleopLogi
 from car_interface.nodes.turn_arb import TurnArb
-from car_interface.params import Params
+from car_interface.ros.runtime import Inbox
 from waiting import Repeater, Sender, Topic, config, eventually, set_params, start
 
 HANGING = os.path.join(os.path.dirname(os.path.abspath(__file__)), "hanging_node.py")
@@ -118,7 +118,7 @@ class Built:
         self._ahead_ns = 0
         self.inbox = Inbox(limit=LIMIT)
         with mock.patch.multiple(rospy, Subscriber=self._subscribe, Publisher=self._advertise, Service=mock.Mock()), \
-                mock.patch("car_interface.nodes.live._Server", mock.Mock()):
+                mock.patch("car_interface.ros.reconfigure._Server", mock.Mock()):
             self.node = node_class(Params(values), self.inbox)
 
     def _subscribe(self, topic, _, callback, **__):

@@ -20,12 +20,12 @@ from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
-from car_interface.errors import ConfigError
-from car_interface.nodes.measurements import read_settings
-from car_interface.params import Params
-from car_interface.teensy.measurements import Measurements
-from car_interface.teensy.pinging import Answer
-from car_interface.teensy.protocol import Pong
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
+from car_interface.ros.measurement_publisher import read_settings
+from car_interface.teensy.link.pinging import Answer
+from car_interface.teensy.link.protocol import Pong
+from car_interface.teensy.sensing.measurements import Measurements
 from waiting import Repeater, Sender, Topic, eventually, set_params, start_node
 
 SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")

@@ -15,11 +15,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Iterator, NamedTuple
 
-from car_interface.teensy.framing import FrameDecoder
-from car_interface.teensy.measurements import MeasurementConfig, Measurements
-from car_interface.teensy.pinging import Answer
-from car_interface.teensy.protocol import Pong, SonarStatus, WheelStatus, decode
-from car_interface.teensy.sonar_monitor import SonarMonitor
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.teensy.link.pinging import Answer
+from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
+from car_interface.teensy.sensing.sonar_monitor import SonarMonitor
 
 FOLDER = Path(__file__).resolve().parents[1] / "data" / "firmware"
 NAMES = tuple(sorted(path.name.split(".")[0] for path in FOLDER.glob("*.tar.xz")))

@@ -20,11 +20,12 @@ import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
-from car_interface.bags import calibrate_steering, signals
-from car_interface.bags.command_line import main
+from car_interface.cli import calibrate_steering
+from car_interface.cli.main import main
+from car_interface.recordings import signals
 from car_interface.sim.vehicle import Vehicle
-from car_interface.steering import SteeringArbiter
-from car_interface.steering_params import load_steering
+from car_interface.steering.arbiter import SteeringArbiter
+from car_interface.steering.params import load_steering
 from recordings import Written, odometry, write_ros1
 
 ROOT = Path(__file__).resolve().parents[2]

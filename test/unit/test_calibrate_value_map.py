@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from car_interface.bags import calibrate_value_map as command
-from car_interface.bags.command_line import main
-from car_interface.bags.signals import Pulses
-from car_interface.calibration import value_map_table as tables
-from car_interface.calibration.acceleration import Series
-from car_interface.value_map import load_value_map
+from car_interface.calibration.value_map import table as tables
+from car_interface.calibration.value_map.acceleration import Series
+from car_interface.cli import calibrate_value_map as command
+from car_interface.cli.main import main
+from car_interface.recordings.signals import Pulses
+from car_interface.throttle.value_map import load_value_map
 from recordings import Written, write_ros1, write_ros2
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_interface.calibration import steering, steering_pieces, steering_smooth, steering_table
 from car_interface.calibration.delay import Delay, held, lagged
-from car_interface.calibration.steering_pieces import Drive, FitConfig, NothingToFit
-from car_interface.calibration.steering_table import DRIVEN, END, LEFT, OLD, RIGHT, UNKNOWN, Breakpoint
+from car_interface.calibration.steering import fit, segments, smooth, table
+from car_interface.calibration.steering.segments import Drive, FitConfig, NothingToFit
+from car_interface.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT, UNKNOWN, Breakpoint
 
 pytestmark = pytest.mark.once
 
@@ -60,7 +60,7 @@ def mixed(low=3700, high=6600, count=40, seed=3):
 
 
 def test_curve_center_and_stops_are_those_of_the_car():  # positions are 75 duty apart
-    found = steering.fit([drive(mixed())])
+    found = fit.fit([drive(mixed())])
     inside = (found.duties > LEFT_STOP + 50) & (found.duties < RIGHT_STOP - 50)
     assert np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.01
     assert found.center == pytest.approx(CENTER, abs=8)
@@ -73,37 +73,37 @@ def test_curve_center_and_stops_are_those_of_the_car():  # positions are 75 duty
 
 @pytest.mark.parametrize("lag_s, delay_s", ((0.15, 0.0), (0.05, 0.2)))
 def test_delay_and_lag_of_the_servo_are_found(lag_s, delay_s):
-    found = steering.fit([drive(mixed(), lag_s=lag_s, delay_s=delay_s)]).delay
+    found = fit.fit([drive(mixed(), lag_s=lag_s, delay_s=delay_s)]).delay
     assert found.delay_s + found.lag_s == pytest.approx(lag_s + delay_s, abs=0.04)
 
 
 @pytest.mark.parametrize("play", (0.0, 12.0, 30.0, 60.0))
 def test_play_is_found_and_the_curve_is_that_of_its_middle(play):
     duties = np.concatenate([mixed(), mixed(seed=4)])
-    found = steering.fit([drive(duties, play=play)])
+    found = fit.fit([drive(duties, play=play)])
     assert found.play_duty == pytest.approx(play, abs=6)
     inside = (found.duties > LEFT_STOP + 100) & (found.duties < RIGHT_STOP - 100)
     assert np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.01
 
 
 def test_servo_that_is_the_other_way_round_is_found():
-    found = steering.fit([drive(mixed(), curve=lambda duty: -true_curvature(duty))])
+    found = fit.fit([drive(mixed(), curve=lambda duty: -true_curvature(duty))])
     assert found.left.duty > found.center > found.right.duty
-    left = steering_table.breakpoints(found, [2.0], LEFT)[0]
+    left = table.breakpoints(found, [2.0], LEFT)[0]
     assert -true_curvature(left.duty) == pytest.approx(0.5, abs=0.01)
 
 
 def test_driving_backward_tells_the_same():
-    found = steering.fit([drive(mixed(), speed_mps=-1.0)])
+    found = fit.fit([drive(mixed(), speed_mps=-1.0)])
     assert found.curvature(4500) == pytest.approx(true_curvature(4500), abs=0.01)
 
 
 def test_several_drives_count_together():
     halves = mixed(count=40)
-    found = steering.fit([drive(halves[:20]), drive(halves[20:], seed=5, start_s=1000.0)])
+    found = fit.fit([drive(halves[:20]), drive(halves[20:], seed=5, start_s=1000.0)])
     assert found.curvature(5800) == pytest.approx(true_curvature(5800), abs=0.01)
-    assert len(found.kept) == len(steering.fit([drive(halves[:20])]).kept) + len(
-        steering.fit([drive(halves[20:], seed=5)], FitConfig()).kept)
+    assert len(found.kept) == len(fit.fit([drive(halves[:20])]).kept) + len(
+        fit.fit([drive(halves[20:], seed=5)], FitConfig()).kept)
 
 
 def test_pieces_that_do_not_belong_are_left_out_and_counted():
@@ -112,7 +112,7 @@ def test_pieces_that_do_not_belong_are_left_out_and_counted():
     for begin in (1055, 4055, 7055):  # the car was pushed
         yaw[begin:begin + 140] += np.linspace(0, 1.5, 140)
         yaw[begin + 140:] += 1.5
-    found = steering.fit([good._replace(yaw_rad=yaw)])
+    found = fit.fit([good._replace(yaw_rad=yaw)])
     assert found.counts["apart from all others"] >= 2
     inside = (found.duties > LEFT_STOP + 100) & (found.duties < RIGHT_STOP - 100)
     assert np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.02
@@ -125,14 +125,14 @@ def test_pieces_that_do_not_belong_are_left_out_and_counted():
 def test_stretches_that_tell_nothing_are_counted_by_reason(change, reason):
     good = drive(mixed())
     bad = change(drive(mixed(seed=9), start_s=500.0))
-    found = steering.fit([good, bad])
+    found = fit.fit([good, bad])
     assert found.counts[reason] > 0
     assert found.curvature(4500) == pytest.approx(true_curvature(4500), abs=0.01)
 
 
 def test_breakpoints_have_the_duty_that_turns_so_tight_with_a_band_that_holds_the_truth():
-    found = steering.fit([drive(mixed(count=60))])
-    points = steering_table.breakpoints(found, [1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 50.0], LEFT)
+    found = fit.fit([drive(mixed(count=60))])
+    points = table.breakpoints(found, [1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 50.0], LEFT)
     for point in points:
         assert point.source == DRIVEN
         assert true_curvature(point.duty) == pytest.approx(1 / point.radius_m, abs=0.01)
@@ -142,31 +142,31 @@ def test_breakpoints_have_the_duty_that_turns_so_tight_with_a_band_that_holds_th
 
 
 def test_tighter_than_the_stop_has_the_duty_of_the_stop():
-    found = steering.fit([drive(mixed())])
-    points = steering_table.breakpoints(found, [0.5, 0.8, 1.5], RIGHT)
+    found = fit.fit([drive(mixed())])
+    points = table.breakpoints(found, [0.5, 0.8, 1.5], RIGHT)
     assert [point.source for point in points] == [END, END, DRIVEN]
     assert points[0].duty == points[1].duty == found.right.duty
 
 
 def test_tighter_than_what_was_driven_is_unknown_unless_a_stop_was_met():
-    found = steering.fit([drive(mixed(low=3700, high=5700))])
+    found = fit.fit([drive(mixed(low=3700, high=5700))])
     assert not found.right.is_stop
-    points = steering_table.breakpoints(found, [1.0, 2.0, 4.0], RIGHT)
+    points = table.breakpoints(found, [1.0, 2.0, 4.0], RIGHT)
     assert [point.source for point in points] == [UNKNOWN, UNKNOWN, DRIVEN]
     assert all(point.duty <= found.right.farthest_duty + 1 for point in points)
 
 
 def test_limit_of_the_stick_is_an_end_too():
-    found = steering.fit([drive(mixed(low=3700, high=6000))], FitConfig(limits=(3800, 6000)))
+    found = fit.fit([drive(mixed(low=3700, high=6000))], FitConfig(limits=(3800, 6000)))
     assert found.right.is_end and not found.right.is_stop
-    assert steering_table.breakpoints(found, [1.0], RIGHT)[0].source == END
+    assert table.breakpoints(found, [1.0], RIGHT)[0].source == END
 
 
 def test_gap_in_what_was_driven_is_unknown():
     duties = np.concatenate([mixed(low=3700, high=4100, count=15), mixed(low=4950, high=6600, count=25)])
     curve = lambda duty: np.sign(CENTER - duty) * np.abs((CENTER - duty) / 1250) ** 2.5  # noqa: E731
-    found = steering.fit([drive(duties, curve=curve)])
-    sources = {point.radius_m: point.source for point in steering_table.breakpoints(found, [1.2, 3.0, 100.0], LEFT)}
+    found = fit.fit([drive(duties, curve=curve)])
+    sources = {point.radius_m: point.source for point in table.breakpoints(found, [1.2, 3.0, 100.0], LEFT)}
     assert sources == {1.2: DRIVEN, 3.0: UNKNOWN, 100.0: DRIVEN}
 
 
@@ -181,7 +181,7 @@ def test_what_the_servo_did_in_a_gap_of_the_recording_is_not_taken_for_known():
     gappy = whole._replace(t_s=whole.t_s[~missed], way_m=whole.way_m[~missed], yaw_rad=whole.yaw_rad[~missed],
                            duty_t_s=whole.duty_t_s[kept_duty], duty=whole.duty[kept_duty])
     assert missed.any()
-    found = steering.fit([gappy])
+    found = fit.fit([gappy])
     # Each piece, not the curve: that one is robust, and would pass over a few that rest on a duty from before the gap.
     assert len(found.pieces.duty) > 15
     assert np.abs(found.pieces.curvature_per_m - true_curvature(found.pieces.duty)).max() < 0.05
@@ -208,23 +208,23 @@ def steep_drive(play=6.0):
 
 
 def test_bands_hold_the_truth_where_a_steering_is_steep_and_where_it_is_nearly_level():
-    found = steering.fit([steep_drive()])
+    found = fit.fit([steep_drive()])
     off = np.abs(found.curvatures - steep_ends(found.duties))
-    assert np.mean(off <= steering.BAND * found.sigmas) > 0.95
+    assert np.mean(off <= fit.BAND * found.sigmas) > 0.95
     assert found.play_duty == pytest.approx(6.0, abs=0.3)
 
 
 def test_smooth_curve_may_bend_a_little_where_it_was_straight_beside_a_sharp_corner():
-    smooth = steering_smooth.Smooth.__new__(steering_smooth.Smooth)
-    smooth.curvatures = np.maximum(0.0, np.arange(400) - 350.0)
-    smooth._second = steering_smooth.sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(398, 400), format="csr")
-    local = smooth._local()
+    curve = smooth.Smooth.__new__(smooth.Smooth)
+    curve.curvatures = np.maximum(0.0, np.arange(400) - 350.0)
+    curve._second = smooth.sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(398, 400), format="csr")
+    local = curve._local()
     assert local.max() / local.min() < 1.001e5
     assert local.argmax() == pytest.approx(349, abs=1)
 
 
 def test_duty_for_a_turn_is_such_that_the_nearest_count_is_the_best_one():
-    found = steering.fit([steep_drive()])
+    found = fit.fit([steep_drive()])
     counts = np.arange(math.ceil(found.duties[0] / 16), math.floor(found.duties[-1] / 16) + 1) * 16.0
     made = found.curvature(counts)
     for curvature in np.linspace(-0.95, 1.05, 300):
@@ -233,7 +233,7 @@ def test_duty_for_a_turn_is_such_that_the_nearest_count_is_the_best_one():
 
 
 def test_stop_is_a_count_that_turns_as_tight_as_any():
-    found = steering.fit([drive(mixed())])
+    found = fit.fit([drive(mixed())])
     for side in (found.left, found.right):
         assert side.is_stop and side.duty % 16 == 0
         assert abs(found.curvature(side.duty)) >= 0.993 * side.curvature_per_m
@@ -241,19 +241,19 @@ def test_stop_is_a_count_that_turns_as_tight_as_any():
 
 def test_between_places_that_differ_the_band_holds_a_stop_that_nobody_drove_at():
     duties = np.concatenate([[3500, 3600, 3700], np.arange(3984, 6700, 48)])
-    found = steering.fit([drive(np.random.default_rng(1).permutation(16 * np.round(duties / 16)), hold_s=2.0)])
+    found = fit.fit([drive(np.random.default_rng(1).permutation(16 * np.round(duties / 16)), hold_s=2.0)])
     inside = (found.duties > 3700) & (found.duties < 3984)
     off = np.abs(found.curvatures - true_curvature(found.duties))[inside]
-    assert np.all(off <= steering.BAND * found.sigmas[inside])
-    bends = steering._bends(found.duties, found.pieces, found.kept)[inside]
-    assert bends.max() > 0.03 and steering.BAND * found.sigmas[inside].max() > bends.max() / 2
+    assert np.all(off <= fit.BAND * found.sigmas[inside])
+    bends = fit._bends(found.duties, found.pieces, found.kept)[inside]
+    assert bends.max() > 0.03 and fit.BAND * found.sigmas[inside].max() > bends.max() / 2
 
 
 def test_where_the_wheels_are_is_less_known_when_the_linkage_floats_in_its_play():
     sure = np.repeat(from_both_sides(mixed(count=30)), 5)
     # Half a second a little beyond, and back by less than the play: how far it came is a matter of the servo's lag.
     floating = [6000] * 5 + [4940] + [5000] * 6
-    found = steering.fit([drive(np.concatenate([sure, floating]), hold_s=0.5, play=30.0)])
+    found = fit.fit([drive(np.concatenate([sure, floating]), hold_s=0.5, play=30.0)])
     pieces = found.pieces
     assert np.median(pieces.duty_sigma) < 1.2
     assert pieces.duty_sigma[np.argmax(pieces.t_s)] > 4.0
@@ -262,13 +262,13 @@ def test_where_the_wheels_are_is_less_known_when_the_linkage_floats_in_its_play(
 @pytest.mark.parametrize("lag_s", (0.1, 0.2))
 def test_lag_is_found_though_the_recording_has_gaps(lag_s):
     whole = drive(mixed(count=90), lag_s=lag_s, hold_s=2.0)
-    found = steering.fit([with_gaps(whole, every_s=7.0, missed_s=2.5)])
+    found = fit.fit([with_gaps(whole, every_s=7.0, missed_s=2.5)])
     assert found.delay.delay_s + found.delay.lag_s == pytest.approx(lag_s, abs=0.03)
 
 
 def test_servo_is_not_taken_for_arrived_when_nobody_knows_from_where_it_came():
     swings = with_gaps(drive(np.tile([4800, 5600], 60), hold_s=0.3), every_s=9.0, missed_s=2.0)
-    wheels = steering_pieces.Wheels(swings, Delay(0.05, 0.2, 1.0), 0.3)
+    wheels = segments.Wheels(swings, Delay(0.05, 0.2, 1.0), 0.3)
     for end_s in (5.0, 14.0, 23.0):
         known_s = wheels.t_s[(wheels.t_s > end_s) & wheels.is_known][0] - end_s
         assert 0.05 + 5 * 0.2 <= known_s < 2.5  # less than 1 % of its way is left, wherever that began
@@ -282,22 +282,22 @@ def pieces_at(duty, curvature):
 def test_curve_may_bend_between_two_places_as_far_as_both_neighbours_lead():
     stop = pieces_at([0, 100, 400, 500], [0.0, 0.0, 0.1, 0.2])  # level up to a corner at 300
     knots = np.array([100.0, 200.0, 300.0, 350.0, 400.0])
-    bends = steering._bends(knots, stop, np.ones(4, bool))
+    bends = fit._bends(knots, stop, np.ones(4, bool))
     assert bends == pytest.approx([0.0, 0.1 / 3, 0.2 / 3, 0.1 / 3, 0.0], abs=1e-3)
     straight = pieces_at([0, 100, 400, 500], [0.0, 0.1, 0.4, 0.5])
-    assert steering._bends(knots, straight, np.ones(4, bool)) == pytest.approx(np.zeros(5), abs=1e-9)
+    assert fit._bends(knots, straight, np.ones(4, bool)) == pytest.approx(np.zeros(5), abs=1e-9)
 
 
 def test_what_a_table_says_was_driven_is_known_as_well_as_it_is_promised():
-    found = steering.fit([drive(from_both_sides(mixed(count=8)), curve=lambda duty: np.sign(CENTER - duty) * np.abs(
+    found = fit.fit([drive(from_both_sides(mixed(count=8)), curve=lambda duty: np.sign(CENTER - duty) * np.abs(
         (CENTER - duty) / 1300) ** 2.5, hold_s=2.0)])
     radii = np.exp(np.linspace(math.log(1.1), math.log(100), 80))
-    points = [point for side in (LEFT, RIGHT) for point in steering_table.breakpoints(found, radii, side)]
+    points = [point for side in (LEFT, RIGHT) for point in table.breakpoints(found, radii, side)]
     assert {UNKNOWN, DRIVEN} <= {point.source for point in points}
     for point in points:
         count = round(point.duty / 16) * 16
         half_count = abs(np.diff(found.curvature(np.array([count - 16, count + 16])))[0]) / 4
-        band = steering.BAND * point.radius_sigma_m / point.radius_m ** 2
+        band = fit.BAND * point.radius_sigma_m / point.radius_m ** 2
         promised = max(0.08 / point.radius_m, 0.01) + half_count
         assert band <= promised + 1e-9 or point.source == UNKNOWN
 
@@ -308,7 +308,7 @@ def test_what_a_table_says_was_driven_is_known_as_well_as_it_is_promised():
 ), ids=("none", "one position", "nearly one", "no heading", "standing", "no pulses"))
 def test_drives_that_tell_nothing_are_refused_in_words(drives):
     with pytest.raises(NothingToFit, match=r"the|recordings"):
-        steering.fit(drives)
+        fit.fit(drives)
 
 
 @settings(max_examples=25, deadline=None)
@@ -319,15 +319,15 @@ def test_curve_and_table_are_monotone_whatever_the_data(places, seed):
     one = drive(duties, curve=lambda at: curvatures[np.argmin(np.abs(at[:, None] - known), axis=1)], seed=seed,
                 lag_s=0.0)
     try:
-        found = steering.fit([one], FitConfig(delay=Delay(0.0, 0.0, 1.0), play_duty=0.0))
+        found = fit.fit([one], FitConfig(delay=Delay(0.0, 0.0, 1.0), play_duty=0.0))
     except NothingToFit:
         return
     steps = np.diff(found.curvatures)
     assert np.all(steps >= -1e-12) or np.all(steps <= 1e-12)
     for side in (LEFT, RIGHT):
-        points = steering_table.breakpoints(found, [0.7, 1.0, 1.5, 2.0, 5.0, 20.0, 300.0], side)
+        points = table.breakpoints(found, [0.7, 1.0, 1.5, 2.0, 5.0, 20.0, 300.0], side)
         center = found.center if math.isfinite(found.center) else 5200.0
-        made = [point.duty for point in steering_table.completed(points, center, [4000.0] * 7)]
+        made = [point.duty for point in table.completed(points, center, [4000.0] * 7)]
         steps = np.diff(made)
         assert np.all(steps >= -1e-6) or np.all(steps <= 1e-6)
 
@@ -335,10 +335,10 @@ def test_curve_and_table_are_monotone_whatever_the_data(places, seed):
 @given(st.lists(st.tuples(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3)), min_size=1, max_size=40))
 def test_nearest_rising_sequence_rises_and_leaves_a_rising_one_alone(pairs):
     values, weights = (np.array(column) for column in zip(*pairs))
-    made = steering_smooth.rising(values, weights)
+    made = smooth.rising(values, weights)
     assert len(made) == len(values) and np.all(np.diff(made) >= -1e-9)
     assert np.average(made, weights=weights) == pytest.approx(np.average(values, weights=weights), abs=1e-6)
-    assert np.allclose(steering_smooth.rising(np.sort(values), weights), np.sort(values))
+    assert np.allclose(smooth.rising(np.sort(values), weights), np.sort(values))
 
 
 def point(radius_m, duty, source):
@@ -353,7 +353,7 @@ def point(radius_m, duty, source):
 def test_old_duties_give_way_to_driven_ones(center, old, expected):
     points = [point(1.0, 0.0, UNKNOWN), point(2.0, 5800.0, DRIVEN), point(3.0, 0.0, UNKNOWN),
               point(9.0, 5200.0, DRIVEN)]
-    made = steering_table.completed(points, center, old)
+    made = table.completed(points, center, old)
     assert [one.duty for one in made] == expected
     assert [one.source for one in made] == [OLD, DRIVEN, OLD, DRIVEN]
 
@@ -361,16 +361,16 @@ def test_old_duties_give_way_to_driven_ones(center, old, expected):
 @given(st.floats(0.3, 7.0))
 def test_axis_rises_whatever_the_tightest_turn(tightest_m):
     side = SimpleNamespace(curvature_per_m=1 / tightest_m)
-    radii = steering_table.axis(SimpleNamespace(left=side, right=side))
+    radii = table.axis(SimpleNamespace(left=side, right=side))
     assert all(wider > radius + 0.01 for radius, wider in zip(radii, radii[1:]))
 
 
 def test_axis_begins_at_the_tightest_turn_and_lines_between_its_radii_are_exact():
-    found = steering.fit([drive(mixed())])
-    radii = steering_table.axis(found)
+    found = fit.fit([drive(mixed())])
+    radii = table.axis(found)
     assert radii[0] == pytest.approx(1.0, abs=0.03) and radii[-1] == 300
     assert all(wider > radius for radius, wider in zip(radii, radii[1:]))
-    tables = {side: [one.duty for one in steering_table.breakpoints(found, radii, side)] for side in (LEFT, RIGHT)}
+    tables = {side: [one.duty for one in table.breakpoints(found, radii, side)] for side in (LEFT, RIGHT)}
     for radius in np.exp(np.linspace(math.log(1.2), math.log(300), 200)):
         for side, sign in ((LEFT, 1), (RIGHT, -1)):
             assert found.curvature(np.interp(radius, radii, tables[side])) == pytest.approx(sign / radius, abs=0.008)

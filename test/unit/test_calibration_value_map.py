@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_interface.calibration import acceleration as cut
-from car_interface.calibration import value_map as fitting
-from car_interface.calibration import value_map_table as tables
-from car_interface.calibration import value_map_windows as taken
-from car_interface.calibration.acceleration import Drive, Series, WindowConfig, windows
-from car_interface.calibration.surface import Grid, rising_column
-from car_interface.value_map import ValueMap
+from car_interface.calibration.value_map import acceleration as cut
+from car_interface.calibration.value_map import fit as fitting
+from car_interface.calibration.value_map import table as tables
+from car_interface.calibration.value_map import windows as taken
+from car_interface.calibration.value_map.acceleration import Drive, Series, WindowConfig, windows
+from car_interface.calibration.value_map.surface import Grid, rising_column
+from car_interface.throttle.value_map import ValueMap
 
 pytestmark = pytest.mark.once
 

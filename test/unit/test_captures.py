@@ -11,10 +11,8 @@ from typing import NamedTuple
 import pytest
 
 from captures import NAMES, NS_PER_US, load, replay
-from car_interface.teensy import plausibility
-from car_interface.teensy.framing import FrameDecoder
-from car_interface.teensy.measurements import MeasurementConfig, MotionMeasurement
-from car_interface.teensy.protocol import (
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.teensy.link.protocol import (
     BACKWARD,
     DIRECTION_ERROR,
     ErrorCount,
@@ -24,7 +22,9 @@ from car_interface.teensy.protocol import (
     WheelStatus,
     decode,
 )
-from car_interface.teensy.ranging import MICROS_WRAP, STUCK, RangingConfig
+from car_interface.teensy.sensing import plausibility
+from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionMeasurement
+from car_interface.teensy.sensing.ranging import MICROS_WRAP, STUCK, RangingConfig
 
 S_US = 1_000_000
 SPEED_OF_SOUND_MPS = 343.42

@@ -9,17 +9,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from car_interface.bags import check_map
-from car_interface.bags.check_map import (
-    map_notes,
-    map_picture,
-    steering_notes,
-    steering_picture,
-)
-from car_interface.bags.command_line import main
-from car_interface.conversion import ConversionConfig
-from car_interface.steering_params import load_steering
-from car_interface.value_map import ValueMap
+from car_interface.cli import check_map
+from car_interface.cli.check_map import map_notes, map_picture, steering_notes, steering_picture
+from car_interface.cli.main import main
+from car_interface.steering.params import load_steering
+from car_interface.throttle.converter import ConversionConfig
+from car_interface.throttle.value_map import ValueMap
 
 ROOT = Path(__file__).resolve().parents[2]
 STOCK = ROOT / "config" / "turn_arb.yaml"

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
-from car_interface.teensy.clock import (
+from car_interface.common.errors import ConfigError
+from car_interface.teensy.sensing.clock import (
     BEGUN_ANEW,
     CONTRADICTION,
     CONVERGED_PONGS,

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from car_interface.bags import command_line, jobs, output
-from car_interface.bags.command_line import MODULES, main
-from car_interface.bags.package_files import package_file
-from car_interface.errors import CarInterfaceError
-from car_interface.steering_params import load_steering
+from car_interface.cli import jobs, output
+from car_interface.cli.main import MODULES, main
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.package_files import package_file
+from car_interface.steering.params import load_steering
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "config" / "turn_arb.yaml"
@@ -32,7 +32,7 @@ def command(monkeypatch):
     module.add_arguments = lambda parser: parser.add_argument("--number", type=int, default=0)
     module.run = lambda options: options.number
     monkeypatch.setitem(sys.modules, "tried", module)
-    monkeypatch.setattr(command_line, "MODULES", {"try": "tried"})
+    monkeypatch.setattr(main, "MODULES", {"try": "tried"})
     return module
 
 
@@ -101,7 +101,7 @@ def test_output_that_nobody_reads_any_more_is_no_fault():
     read, write = os.pipe()
     os.close(read)
     try:
-        done = subprocess.run([sys.executable, "-B", "-m", "car_interface.bags.command_line", "check_map", str(TABLE)],
+        done = subprocess.run([sys.executable, "-B", "-m", "car_interface.cli.main", "check_map", str(TABLE)],
                               env={"PYTHONPATH": path_for_children()}, stdout=write, stderr=subprocess.PIPE, text=True,
                               check=False)
     finally:
@@ -183,12 +183,12 @@ def test_files_of_the_package_are_found_in_the_checkout():
 @pytest.mark.parametrize("modules", ["lib/python3/dist-packages", "lib/python3.11/site-packages", "."],
                          ids=["catkin_install", "venv", "pip_target"])
 def test_files_of_the_package_are_found_where_it_is_installed(modules, tmp_path):
-    for name in ("__init__.py", "errors.py", "bags/__init__.py", "bags/package_files.py"):
+    for name in ("__init__.py", "errors.py", "bags/__init__.py", "common/package_files.py"):
         target = tmp_path / modules / "car_interface" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(str(ROOT / "src/car_interface" / name), str(target))
     shutil.copytree(str(ROOT / "msg"), str(tmp_path / "share/car_interface/msg"))
-    code = "from car_interface.bags.package_files import package_file; print(package_file('msg'))"
+    code = "from car_interface.common.package_files import package_file; print(package_file('msg'))"
     done = subprocess.run([sys.executable, "-B", "-c", code], env={"PYTHONPATH": str(tmp_path / modules)},
                           capture_output=True, text=True, check=False)
     assert (done.stdout.strip(), done.stderr) == (str(tmp_path.resolve() / "share/car_interface/msg"), "")
@@ -232,7 +232,7 @@ def test_setup_ships_every_message_definition_and_the_stock_configuration():
 
 def test_setup_makes_the_command_and_names_what_it_needs():
     found = setup_arguments()
-    assert found["entry_points"] == {"console_scripts": ["car-interface = car_interface.bags.command_line:main"]}
+    assert found["entry_points"] == {"console_scripts": ["car-interface = car_interface.cli.main:main"]}
     libraries = {"matplotlib", "numpy", "PyYAML", "rosbags", "scipy", "tqdm"}
     assert {need.split(">")[0] for need in found["extras_require"]["tools"]} == libraries
 

@@ -5,9 +5,9 @@ import math
 
 import pytest
 
-from car_interface.conversion import ConversionConfig, Converter
-from car_interface.errors import ConfigError
-from car_interface.value_map import ValueMap
+from car_interface.common.errors import ConfigError
+from car_interface.throttle.converter import ConversionConfig, Converter
+from car_interface.throttle.value_map import ValueMap
 
 S = 1_000_000_000
 NOW = 1000 * S

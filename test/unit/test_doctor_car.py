@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.doctor.car import (
+from car_interface.doctor.checks.car import (
     DUTIES,
     Node,
     Reading,
@@ -14,7 +14,7 @@ from car_interface.doctor.car import (
     check_parameters,
     check_steering,
 )
-from car_interface.doctor.findings import BAD, OK, WARN
+from car_interface.doctor.checks.findings import BAD, OK, WARN
 
 # --- nodes ---
 

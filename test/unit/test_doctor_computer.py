@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.doctor.computer import (
+from car_interface.doctor.checks.computer import (
     ClockReading,
     Library,
     Membership,
@@ -12,7 +12,7 @@ from car_interface.doctor.computer import (
     check_groups,
     check_versions,
 )
-from car_interface.doctor.findings import BAD, OK, WARN
+from car_interface.doctor.checks.findings import BAD, OK, WARN
 
 # --- groups ---
 

@@ -10,15 +10,15 @@ import types
 
 import pytest
 
-from car_interface.doctor import board
-from car_interface.doctor.findings import BAD, OK, WARN
-from car_interface.doctor.port import Link, TeensyProbe, check_holders, check_link, is_terminal
-from car_interface.nodes import doctor_computer, doctor_devices
+from car_interface.common.processes import openers, process_name
+from car_interface.doctor.checks import board
+from car_interface.doctor.checks.findings import BAD, OK, WARN
+from car_interface.doctor.checks.port import Link, TeensyProbe, check_holders, check_link, is_terminal
+from car_interface.doctor.probes import computer, devices
 from car_interface.pca9685.board import Board
-from car_interface.processes import openers, process_name
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.teensy.console import consoles, is_consoles, take_off
+from car_interface.teensy.link.console import consoles, is_consoles, take_off
 
 MS = 1_000_000
 
@@ -101,17 +101,17 @@ def test_console_is_found_by_the_port_s_name_among_its_arguments(tmp_path):
 
 
 def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch):
-    monkeypatch.setattr(doctor_devices, "_is_character_device", lambda path: True)
-    monkeypatch.setattr(doctor_devices, "_subsystem", lambda path: "tty")
-    monkeypatch.setattr(doctor_devices, "consoles", lambda path: [(612, "agetty")])
-    found, = doctor_devices.look_at_port("/dev/ttyAMA7", 115200)
+    monkeypatch.setattr(devices, "_is_character_device", lambda path: True)
+    monkeypatch.setattr(devices, "_subsystem", lambda path: "tty")
+    monkeypatch.setattr(devices, "consoles", lambda path: [(612, "agetty")])
+    found, = devices.look_at_port("/dev/ttyAMA7", 115200)
     assert (found.level, found.what) == (BAD, "/dev/ttyAMA7: another program has it open: agetty (process 612)")
     assert "log-in console" in found.cure and "serial-getty@ttyAMA7" in found.cure
 
 
 def test_port_that_a_console_has_is_its_console_s_and_asks_for_no_group_tty(consoles_port):
     assert is_consoles(consoles_port) and "serial-getty@ttyAMA0 " in take_off(consoles_port)
-    assert doctor_computer.group_of(consoles_port, "dialout") == "dialout"
+    assert computer.group_of(consoles_port, "dialout") == "dialout"
 
 
 @pytest.mark.parametrize(("mode", "group"), [(0o20660, 5), (0o20620, 20), (0o20600, 987)],
@@ -151,8 +151,8 @@ def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open_in_a_chroot_w
     def readlink(path):
         raise FileNotFoundError(path)
     monkeypatch.setattr(os, "readlink", readlink)
-    monkeypatch.setattr(doctor_devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
-    found, = doctor_devices.look_at_port("/dev/null", 115200)
+    monkeypatch.setattr(devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
+    found, = devices.look_at_port("/dev/null", 115200)
     assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
 
 
@@ -413,12 +413,12 @@ def smbus2(monkeypatch):
 
     module.SMBus = SMBus
     monkeypatch.setitem(sys.modules, "smbus2", module)
-    monkeypatch.setattr(doctor_devices, "_bus", lambda device: board.Bus(device, True, True, True, "i2c"))
+    monkeypatch.setattr(devices, "_bus", lambda device: board.Bus(device, True, True, True, "i2c"))
     return module
 
 
 def levels_and_words(address=0x40, driven=False):
-    found = doctor_devices.look_at_board("/dev/i2c-1", address, 121, driven, 25e6)
+    found = devices.look_at_board("/dev/i2c-1", address, 121, driven, 25e6)
     return [(finding.subject, finding.level) for finding in found], found[-1].what
 
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.doctor.findings import BAD, OK, WARN
-from car_interface.doctor.network import (
+from car_interface.doctor.checks.findings import BAD, OK, WARN
+from car_interface.doctor.checks.network import (
     Master,
     OwnAddress,
     check_master,

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from car_interface.teensy.framing import FrameDecoder
+from car_interface.teensy.link.framing import FrameDecoder
 
 
 def line(text):

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from car_interface.freshness import Heard
+from car_interface.common.staleness import Heard
 
 S = 1_000_000_000
 AT = 1000 * S

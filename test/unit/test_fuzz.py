@@ -18,11 +18,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
-from car_interface.params import Params
-from car_interface.teensy import protocol
-from car_interface.teensy.framing import FrameDecoder
-from car_interface.value_map import ValueMap, load_value_map
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
+from car_interface.teensy.link import protocol
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.throttle.value_map import ValueMap, load_value_map
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 fuzz = importlib.import_module("fuzz")

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
-from car_interface.gamepad import Gamepad, GamepadConfig
+from car_interface.common.errors import ConfigError
+from car_interface.teleop.gamepad import Gamepad, GamepadConfig
 
 S = 1_000_000_000
 NOW = 1000 * S

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from car_interface.teensy.framing import FrameDecoder
-from car_interface.teensy.protocol import ErrorCount, Malformed, Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, WheelStatus, decode
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 CAPTURE = (DATA / "capture_mixed.bin").read_bytes()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from car_interface.hardware_setup import GROUPS, RULES_NAME, Computer, plan, remarks
+from car_interface.host_setup.plan import GROUPS, RULES_NAME, Computer, plan, remarks
 
 RULES = Path(__file__).resolve().parents[2] / "udev" / RULES_NAME
 
@@ -80,7 +80,7 @@ def test_only_what_udev_does_by_itself_later_may_fail():
 def run(monkeypatch, capsys):
     """Runs setup_hardware where some programs fail: its exit code, the programs that it ran, and all that it said."""
     pytest.importorskip("rospkg")
-    from car_interface.nodes import setup_hardware
+    from car_interface.host_setup import cli
 
     def run(*failing):
         ran = []
@@ -89,13 +89,13 @@ def run(monkeypatch, capsys):
             ran.append(command[0])
             return subprocess.CompletedProcess(command, int(command[0] in failing))
         monkeypatch.setattr(subprocess, "run", execute)
-        monkeypatch.setattr(setup_hardware, "look", lambda user, rules: computer())
-        monkeypatch.setattr(setup_hardware, "as_root", list)
-        monkeypatch.setattr(setup_hardware.rospkg.RosPack, "get_path", lambda self, name: "/share")
+        monkeypatch.setattr(cli, "look", lambda user, rules: computer())
+        monkeypatch.setattr(cli, "as_root", list)
+        monkeypatch.setattr(cli.rospkg.RosPack, "get_path", lambda self, name: "/share")
         monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann"])
         last_words = ""
         try:
-            setup_hardware.main()
+            cli.main()
         except SystemExit as end:
             last_words = end.code
         return int(bool(last_words)), ran, capsys.readouterr().out + last_words

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.teensy.health import (
+from car_interface.teensy.link.health import (
     ABSENT,
     BAD_CHECKSUMS,
     BUSY,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
-from car_interface.interpolation import LookupTable, check_axis, round_half_away
+from car_interface.common.errors import ConfigError
+from car_interface.common.lookup_table import LookupTable, check_axis, round_half_away
 
 AXIS = [1.0, 2.0, 4.0, 8.0]
 VALUES = [10.0, 30.0, 20.0, 20.0]

@@ -1,4 +1,4 @@
-"""The walls of the house: what imports what. Downwards only: scripts, nodes, sim, the parts, the foundation."""
+"""Which folder imports which: downwards only, from scripts over nodes, ros and the parts to common."""
 from __future__ import annotations
 
 import ast
@@ -10,37 +10,65 @@ import pytest
 
 SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
-FOUNDATION = {"errors", "freshness", "interpolation", "params", "processes", "servo", "tuning", "whole_file"}
-# A room is a folder, or the modules named here, or else a single module.
-ROOM_OF = {**dict.fromkeys(("value_map", "value_map_bulk", "conversion", "throttle"), "acceleration"),
-           "steering_params": "steering"}
-# Between parts there is nothing but this: what drives the ESC reads who steers out of turn_arb's state, and it asks for
-# permission by the same rules as the steering; the gamepad says in the same words that it has just started.
-BETWEEN_PARTS = {("acceleration", "steering"), ("acceleration", "permission"), ("steering", "permission"),
-                 ("gamepad", "permission")}
-# Devices and ROS are for nodes; numpy is imported where whole arrays are worked on, never with a module, but by
-# calibration, which is nothing but arrays.
-LINK = "teensy/link.py"
-FOR_ARRAYS = ("value_map_bulk.py",)
+SENSING = ("common", "teensy/link", "teensy/sensing")
+PARTS = (*SENSING, "interlock", "steering", "throttle", "planner", "teleop", "pca9685")
+# What each folder may import beside itself. A simulated device that shared code with what it tests would prove nothing.
+MAY_IMPORT = {
+    "common": (),
+    "interlock": ("common",),
+    "steering": ("common", "interlock"),
+    "throttle": ("common", "interlock", "steering"),  # the ESC is driven while turn_arb's state says who steers
+    "planner": ("common",),
+    "teleop": ("common", "interlock"),
+    "pca9685": ("common",),
+    "teensy/link": ("common",),
+    "teensy/sensing": SENSING,
+    "sim": ("common",),
+    "ros": (*PARTS, "sim"),
+    "nodes": (*PARTS, "sim", "ros"),
+    "recordings": PARTS,
+    "report": (*PARTS, "recordings"),
+    "calibration": ("common",),
+    "calibration/steering": ("common", "calibration"),
+    "calibration/value_map": ("common", "calibration"),
+    "cli": (*PARTS, "recordings", "report", "calibration", "calibration/steering", "calibration/value_map"),
+    "doctor/checks": PARTS,
+    "doctor/probes": (*PARTS, "doctor/checks"),
+    "doctor": (*PARTS, "doctor/checks", "doctor/probes"),
+    "host_setup": ("common",),
+}
+ROS = ("nodes/", "ros/", "doctor/probes/")
+# Libraries, and the only places that import them.
+ONLY_IN = {
+    "rospy": ROS,
+    "rosbags": ("recordings/",),
+    "matplotlib": ("report/",),
+    "tqdm": ("recordings/", "cli/"),
+    "scipy": ("calibration/",),
+    "serial": ("teensy/link/port.py",),
+    "dynamic_reconfigure": ("ros/reconfigure.py",),
+    "smbus2": ("nodes/pca9685.py", "doctor/probes/devices.py"),
+}
+# Imported alone, a module outside of these pulls in none of the heavy ones.
+XX
+            "throttle/value_map_bulk.py")
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
-ONLY_IN = {"rospy": ("nodes/",), "rosbags": ("bags/",), "matplotlib": ("bags/",), "tqdm": ("bags/",),
-           "scipy": ("calibration/",), "serial": ("teensy/link.py",),
-           "dynamic_reconfigure": ("nodes/live.py",),
-           "smbus2": ("nodes/pca9685.py", "nodes/doctor_devices.py")}
 
 
 def modules() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
+def inside(path: Path) -> str:
+    return path.relative_to(PACKAGE).as_posix()
+
+
+def dotted(path: Path) -> str:
+    return ".".join(path.relative_to(SRC).with_suffix("").parts).replace(".__init__", "")
+
+
 def pure_modules() -> list[str]:
-    names = []
-    for path in modules():
-        inside = path.relative_to(PACKAGE)
-        folder, file = inside.parts[0], inside.as_posix()
-        if folder not in ("nodes", "bags", "calibration") and file not in (LINK, *FOR_ARRAYS):
-            names.append(".".join(path.relative_to(SRC).with_suffix("").parts).replace(".__init__", ""))
-    return names
+    return [dotted(path) for path in modules() if not inside(path).startswith(NOT_PURE)]
 
 
 def imports(path: Path) -> set[str]:
@@ -55,25 +83,14 @@ def imports(path: Path) -> set[str]:
     return found
 
 
-def room(name: str) -> str:
-    """Returns the room of a module given as its path below the package, or as its full name."""
-    first = name.replace("car_interface.", "", 1).replace("/", ".").split(".")[0]
-    return ROOM_OF.get(first, "foundation" if first in FOUNDATION else first)
+def folder(name: str) -> str:
+    """Returns the folder, as MAY_IMPORT names it, of a module or of something in a module."""
+    parts = name.split(".")[1:]
+    return max((known for known in MAY_IMPORT if parts[:known.count("/") + 1] == known.split("/")), key=len, default="")
 
 
-def allowed(importer: str, imported: str) -> bool:
-    """Says whether a module of one room may import one of another."""
-    if importer == imported or imported == "foundation" or importer == "nodes":
-        return True
-    if importer == "sim":
-        # A simulated Teensy that shares code with the host that it tests would prove nothing; nor would a chip.
-        return imported not in ("nodes", "teensy", "pca9685")
-    if importer == "bags":
-        return imported not in ("nodes", "sim", "doctor")
-    if importer == "doctor":
-        # It examines the parts' devices by what the parts know of them.
-        return imported not in ("nodes", "sim")
-    return (importer, imported) in BETWEEN_PARTS
+def is_allowed(importer: str, imported: str) -> bool:
+    return importer == imported or imported in MAY_IMPORT[importer]
 
 
 @pytest.mark.parametrize("name", pure_modules())
@@ -90,26 +107,35 @@ def test_pure_module_imported_alone_pulls_in_no_device_no_ros_and_no_numpy(name)
     assert (done.returncode, done.stderr, done.stdout.strip()) == (0, "", "")
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda path: path.relative_to(PACKAGE).as_posix())
+@pytest.mark.parametrize("path", modules(), ids=inside)
 def test_module_imports_downwards_only(path):
-    importer = room(path.relative_to(PACKAGE).with_suffix("").as_posix())
+    if path == PACKAGE / "__init__.py":
+        assert imports(path) == set()
+        return
+    importer = folder(dotted(path))
     ours = {name for name in imports(path) if name.startswith("car_interface.")}
-    generated = {name for name in ours if name.split(".")[1] in ("msg", "srv")}
-    assert not generated or importer == "nodes"
-    assert [name for name in sorted(ours - generated) if not allowed(importer, room(name))] == []
+    generated = {name for name in ours if name.split(".")[1] in ("msg", "srv", "cfg")}
+    assert not generated or inside(path).startswith(ROS)
+    assert [name for name in sorted(ours - generated) if not is_allowed(importer, folder(name))] == []
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda path: path.relative_to(PACKAGE).as_posix())
+@pytest.mark.parametrize("path", modules(), ids=inside)
 def test_ros_and_devices_are_imported_only_where_they_belong(path):
-    inside = path.relative_to(PACKAGE).as_posix()
     libraries = {name.split(".")[0] for name in imports(path)}
-    assert [name for name in ONLY_IN if name in libraries and not inside.startswith(ONLY_IN[name])] == []
+    assert [name for name in ONLY_IN if name in libraries and not inside(path).startswith(ONLY_IN[name])] == []
 
 
-def test_the_walls_are_looked_at():
-    assert allowed("nodes", "sim") and allowed("sim", "steering") and allowed("teensy", "foundation")
-    assert not allowed("teensy", "pca9685") and not allowed("steering", "acceleration") and not allowed("sim", "teensy")
-    assert allowed("nodes", "doctor") and allowed("doctor", "teensy") and not allowed("doctor", "nodes")
-    assert not allowed("teensy", "doctor") and not allowed("foundation", "steering") and not allowed("pca9685", "nodes")
-    assert allowed("bags", "calibration") and not allowed("calibration", "bags") and not allowed("calibration", "sim")
-    assert "car_interface.steering" in pure_modules() and "car_interface.teensy.link" not in pure_modules()
+def test_every_folder_is_in_the_table_and_the_package_has_no_loose_modules():
+    folders = {inside(path.parent) for path in modules()} - {"."}
+    assert folders - {"teensy"} <= set(MAY_IMPORT)
+    assert [path.name for path in PACKAGE.glob("*.py")] == ["__init__.py"]
+
+
+def test_imports_upwards_and_between_parts_are_found():
+    assert is_allowed("nodes", "sim") and is_allowed("teensy/sensing", "teensy/link") and is_allowed("cli", "report")
+    assert not is_allowed("teensy/link", "teensy/sensing") and not is_allowed("steering", "throttle")
+    assert not is_allowed("sim", "pca9685") and not is_allowed("doctor/checks", "doctor/probes")
+    assert folder("car_interface.doctor.checks.board.ADDRESSES") == "doctor/checks"
+    assert folder("car_interface.doctor.cli") == "doctor"
+    assert "car_interface.steering.arbiter" in pure_modules()
+    assert "car_interface.teensy.link.port" not in pure_modules()

@@ -16,9 +16,9 @@ import pytest
 
 serial = pytest.importorskip("serial")
 
-from car_interface.errors import DeviceError  # noqa: E402
-from car_interface.teensy.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT  # noqa: E402
-from car_interface.teensy.link import SerialLink  # noqa: E402
+from car_interface.common.errors import DeviceError  # noqa: E402
+from car_interface.teensy.link.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT  # noqa: E402
+from car_interface.teensy.link.port import SerialLink  # noqa: E402
 
 
 class Terminal:
@@ -333,7 +333,7 @@ def test_port_that_stays_busy_is_not_searched_for_at_each_attempt(terminal, othe
     other_program(locks=True)
     link = SerialLink(terminal.path, 115200)
     searched = []
-    monkeypatch.setattr("car_interface.teensy.link._holders", lambda path: searched.append(path) or [(1, "other")])
+    monkeypatch.setattr("car_interface.teensy.link.port._holders", lambda path: searched.append(path) or [(1, "other")])
     for _ in range(10):
         with pytest.raises(DeviceError, match=r"another program has it open: other \(process 1\)"):
             link.open()
@@ -342,7 +342,7 @@ def test_port_that_stays_busy_is_not_searched_for_at_each_attempt(terminal, othe
 
 def test_port_held_by_modem_manager_names_the_cure(terminal, other_program, monkeypatch):
     other_program(locks=True)
-    monkeypatch.setattr("car_interface.teensy.link.process_name", lambda pid: "ModemManager")
+    monkeypatch.setattr("car_interface.teensy.link.port.process_name", lambda pid: "ModemManager")
     assert "rosrun car_interface setup_hardware" in refusal(terminal.path).cure
 
 

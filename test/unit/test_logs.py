@@ -7,7 +7,7 @@ import sys
 # In an interpreter of its own: pytest's handlers are the root logger's, too.
 SCRIPT = """
 import logging, threading
-from car_interface.nodes.logs import WAITING, LogsAside
+from car_interface.ros.logs import WAITING, LogsAside
 
 free = threading.Event()
 

@@ -5,16 +5,21 @@ import math
 
 import pytest
 
-from car_interface.errors import ConfigError
+from car_interface.common.errors import ConfigError
 from car_interface.sim.teensy_firmware import FORWARD as ROLLS_FORWARD
 from car_interface.sim.teensy_firmware import LEFT, RIGHT, FirmwareConfig, TeensyFirmware
-from car_interface.teensy import plausibility
-from car_interface.teensy.framing import FrameDecoder
-from car_interface.teensy.measurements import MeasurementConfig, Measurements, MotionMeasurement, RangeMeasurement
-from car_interface.teensy.odometry import OdometryConfig
-from car_interface.teensy.pinging import Answer, Pinger
-from car_interface.teensy.plausibility import GateConfig
-from car_interface.teensy.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus, decode
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.teensy.link.pinging import Answer, Pinger
+from car_interface.teensy.link.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus, decode
+from car_interface.teensy.sensing import plausibility
+from car_interface.teensy.sensing.measurements import (
+    MeasurementConfig,
+    Measurements,
+    MotionMeasurement,
+    RangeMeasurement,
+)
+from car_interface.teensy.sensing.odometry import OdometryConfig
+from car_interface.teensy.sensing.plausibility import GateConfig
 
 MS, S = 1_000_000, 1_000_000_000
 START_NS = 5_000 * S

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from car_interface.teensy.framing import FrameDecoder
+from car_interface.teensy.link.framing import FrameDecoder
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 noise = importlib.import_module("noise")

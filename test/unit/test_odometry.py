@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
-from car_interface.teensy.odometry import Odometry, OdometryConfig
-from car_interface.teensy.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, WheelStatus
+from car_interface.common.errors import ConfigError
+from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, WheelStatus
+from car_interface.teensy.sensing.odometry import Odometry, OdometryConfig
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 odometry_accuracy = importlib.import_module("odometry_accuracy")

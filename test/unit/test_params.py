@@ -5,8 +5,8 @@ import math
 
 import pytest
 
-from car_interface.errors import CarInterfaceError, ConfigError, DeviceError, ProtocolError
-from car_interface.params import Params
+from car_interface.common.errors import CarInterfaceError, ConfigError, DeviceError, ProtocolError
+from car_interface.common.params import Params
 
 
 def read(reader, value, *args, **kwargs):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
+from car_interface.common.errors import ConfigError
 from car_interface.pca9685.channels import ChannelConfig, Channels, blocks, differences
 
 MS = 1_000_000

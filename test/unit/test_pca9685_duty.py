@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
-from car_interface.pca9685.duty import counts_of_duty, duty_of_counts, frequency_for, prescale_for, register_bytes
+from car_interface.common.errors import ConfigError
+from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for, prescale_for, register_bytes
 
 
 @pytest.mark.parametrize("duty, counts", [

@@ -4,7 +4,7 @@ from __future__ import annotations
 import pytest
 
 from car_interface.pca9685.board import Board, BoardMismatch
-from car_interface.pca9685.keeper import ABSENT, LOST, MISMATCH, RETRIED, RUNNING, BoardKeeper
+from car_interface.pca9685.supervisor import ABSENT, LOST, MISMATCH, RETRIED, RUNNING, BoardKeeper
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 MS = 1_000_000

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.params import Params
-from car_interface.permission import Permission, PermissionConfig, read_permission
+from car_interface.common.params import Params
+from car_interface.interlock.motion_interlock import Permission, PermissionConfig, read_permission
 
 CONFIG_FILES = Path(__file__).resolve().parents[2] / "config"
 S = 1_000_000_000

@@ -4,9 +4,9 @@ from __future__ import annotations
 import pytest
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.teensy.framing import CORRECTED, SHIPPED, FrameDecoder
-from car_interface.teensy.pinging import AUTO, DITHER_NS, QUICK_PINGS, Answer, Pinger
-from car_interface.teensy.protocol import Pong, decode
+from car_interface.teensy.link.framing import CORRECTED, SHIPPED, FrameDecoder
+from car_interface.teensy.link.pinging import AUTO, DITHER_NS, QUICK_PINGS, Answer, Pinger
+from car_interface.teensy.link.protocol import Pong, decode
 
 S = 1_000_000_000
 MS = 1_000_000

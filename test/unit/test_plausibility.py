@@ -7,12 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
+from car_interface.common.errors import ConfigError
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.teensy import plausibility as gates
-from car_interface.teensy.framing import FrameDecoder
-from car_interface.teensy.plausibility import GateConfig, Gates, ahead, signed_pulses
-from car_interface.teensy.protocol import (
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.teensy.link.protocol import (
     BACKWARD,
     DIRECTION_ERROR,
     FORWARD,
@@ -25,6 +23,8 @@ from car_interface.teensy.protocol import (
     WheelStatus,
     decode,
 )
+from car_interface.teensy.sensing import plausibility as gates
+from car_interface.teensy.sensing.plausibility import GateConfig, Gates, ahead, signed_pulses
 from test_golden_capture import CAPTURE
 
 PULSE_M = math.pi * 0.095 / 20

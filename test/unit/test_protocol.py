@@ -5,10 +5,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from car_interface.errors import ProtocolError
-from car_interface.teensy import protocol
-from car_interface.teensy.framing import encode
-from car_interface.teensy.protocol import ErrorCount, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
+from car_interface.common.errors import ProtocolError
+from car_interface.teensy.link import protocol
+from car_interface.teensy.link.framing import encode
+from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
 
 
 def body_of(text):

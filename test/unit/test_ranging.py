@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
+from car_interface.common.errors import ConfigError
 from car_interface.sim.world import Box, World, WorldConfig
-from car_interface.teensy.protocol import SONARS
-from car_interface.teensy.ranging import (
+from car_interface.teensy.link.protocol import SONARS
+from car_interface.teensy.sensing.ranging import (
     DISTRUSTED,
     INF,
     MAX_RANGE,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from car_interface.bags import recording
-from car_interface.bags.recording import NoRecording, contents, read, require, topics, with_bar
+from car_interface.recordings import recording
+from car_interface.recordings.recording import NoRecording, contents, read, require, topics, with_bar
 from recordings import START_NS, Written, odometry, write_ros1, write_ros2
 
 MCAP = Path(__file__).resolve().parents[1] / "data" / "autoware_mcap"

@@ -19,13 +19,14 @@ from rosbags.typesys import Stores
 
 import recordings
 from browser import Browser, find_browser
-from car_interface.bags import report, report_plots
-from car_interface.bags.command_line import main
-from car_interface.bags.drive import ERROR, WARN, is_loss, look_at
-from car_interface.bags.recording import NoRecording
-from car_interface.bags.report_page import page
-from car_interface.bags.report_plots import plots
-from car_interface.bags.trace import Path, Spots, Trace
+from car_interface.cli import bag_report
+from car_interface.cli.main import main
+from car_interface.recordings.recording import NoRecording
+from car_interface.report import plots as report_plots
+from car_interface.report.downsample import Path, Spots, Trace
+from car_interface.report.page import page
+from car_interface.report.plots import plots
+from car_interface.report.summary import ERROR, WARN, is_loss, look_at
 from recordings import (
     HOSTILE,
     NEUTRAL,
@@ -497,7 +498,7 @@ def test_page_replaces_an_old_one_but_never_a_recording(bag, tmp_path, capsys):
 def test_recording_that_breaks_the_report_stops_no_other(bag, tmp_path, capsys, monkeypatch):
     other = str(tmp_path / "other.bag")
     shutil.copy(bag, other)
-    monkeypatch.setattr(report, "plots", lambda seen: {bag: {}}[seen.path])
+    monkeypatch.setattr(bag_report, "plots", lambda seen: {bag: {}}[seen.path])
     assert main("bag_report", [other, bag, "-o", str(tmp_path), "--jobs", "1"]) == 1
     shown = capsys.readouterr()
     assert shown.out == f"{tmp_path / 'drive.html'}\n"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from car_interface.teensy.restart import LEFT, RIGHT, CarState, RestartBridge, WheelState
+from car_interface.teensy.sensing.restart import LEFT, RIGHT, CarState, RestartBridge, WheelState
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 reboot_accuracy = importlib.import_module("reboot_accuracy")

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from car_interface.bags import signals
-from car_interface.bags.recording import NoRecording
-from car_interface.bags.signals import IMU, ODOM, OUTPUT, PULSES, VALUE, load
+from car_interface.recordings import signals
+from car_interface.recordings.recording import NoRecording
+from car_interface.recordings.signals import IMU, ODOM, OUTPUT, PULSES, VALUE, load
 from recordings import START_NS, Written, odometry, stamp, write_ros1, write_ros2
 
 ODOMETRY = [odometry(0.1 * index, x_m=0.2 * index, yaw_rad=0.5 * index, speed_mps=2.0) for index in range(20)]

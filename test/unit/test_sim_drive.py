@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.sim.drive import DONE, LET_GO, NOBODY, TELEOP, Drive, DriveConfig
+from car_interface.sim.demo_script import DONE, LET_GO, NOBODY, TELEOP, Drive, DriveConfig
 
 S = 1_000_000_000
 NOW = 1000 * S

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
+from car_interface.common.errors import ConfigError
 from car_interface.sim.line import BadLine, BitErrors, SlowReceiver
 
 MS, S = 1_000_000, 1_000_000_000

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
+from car_interface.common.errors import ConfigError
 from car_interface.sim.teensy_firmware import (
     BACKWARD,
     COUNTER_NAMES,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
+from car_interface.common.errors import ConfigError
 from car_interface.sim.world import SENSOR_NAMES, Box, Mount, Post, World, WorldConfig, speed_of_sound_mps
 
 FRONT_RIGHT, FRONT, FRONT_LEFT, REAR_RIGHT, REAR, REAR_LEFT = range(6)

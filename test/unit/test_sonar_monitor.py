@@ -5,9 +5,9 @@ import pytest
 
 from captures import NAMES, NS_PER_US, load
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.teensy.framing import SHIPPED, FrameDecoder, encode
-from car_interface.teensy.protocol import Pong, SonarStatus, decode, set_sonar_sequence, sonar_start
-from car_interface.teensy.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe
+from car_interface.teensy.link.framing import SHIPPED, FrameDecoder, encode
+from car_interface.teensy.link.protocol import Pong, SonarStatus, decode, set_sonar_sequence, sonar_start
+from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe
 
 MS, S = 1_000_000, 1_000_000_000
 ALL = (0, 1, 2, 3, 4, 5)

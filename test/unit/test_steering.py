@@ -10,19 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
-from car_interface.permission import PermissionConfig
-from car_interface.servo import one_channel
-from car_interface.steering import (
-    LOCKED,
-    NEUTRAL,
-    NO_HUMAN,
-    PLANNER,
-    SOURCE_NAMES,
-    TELEOP,
-    SteeringArbiter,
-    SteeringConfig,
-)
+from car_interface.common.errors import ConfigError
+from car_interface.common.servo_channels import one_channel
+from car_interface.interlock.motion_interlock import PermissionConfig
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SOURCE_NAMES, TELEOP, SteeringArbiter
+from car_interface.steering.calibration import SteeringConfig
 
 S = 1_000_000_000
 NOW = 1000 * S

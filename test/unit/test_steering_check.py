@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
-from car_interface.steering_check import SteeringCheck, SteeringCheckConfig
+from car_interface.common.errors import ConfigError
+from car_interface.steering.monitor import SteeringCheck, SteeringCheckConfig
 
 S = 1_000_000_000
 START_NS = 1000 * S

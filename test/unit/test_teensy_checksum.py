@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from car_interface.teensy.framing import CORRECTED, RESYNC_FILLER, SHIPPED, encode
+from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED, encode
 
 FLAG, ESCAPE = 0x7e, 0x7d
 LONGEST = 36  # bytes before the checksum

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.conversion import Conversion, ConversionConfig, Converter
-from car_interface.errors import ConfigError
-from car_interface.permission import PermissionConfig
-from car_interface.steering import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
-from car_interface.throttle import Throttle, ThrottleConfig
-from car_interface.value_map import ValueMap
+from car_interface.common.errors import ConfigError
+from car_interface.interlock.motion_interlock import PermissionConfig
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.throttle.converter import Conversion, ConversionConfig, Converter
+from car_interface.throttle.esc_channel import Throttle, ThrottleConfig
+from car_interface.throttle.value_map import ValueMap
 
 S = 1_000_000_000
 NOW = 1000 * S

@@ -10,13 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface import steering, throttle
-from car_interface.errors import ConfigError
-from car_interface.params import Params
-from car_interface.steering import SteeringArbiter, SteeringConfig
-from car_interface.steering_params import load_steering
-from car_interface.throttle import ThrottleConfig
-from car_interface.tuning import Tuning, TuningSettings, read_tuning
+from car_interface.common.errors import ConfigError
+from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.params import Params
+from car_interface.steering import arbiter as steering
+from car_interface.steering import calibration
+from car_interface.steering.arbiter import SteeringArbiter
+from car_interface.steering.calibration import SteeringConfig
+from car_interface.steering.params import load_steering
+from car_interface.throttle import esc_channel
+from car_interface.throttle.esc_channel import ThrottleConfig
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 MS = 1_000_000
@@ -38,7 +41,7 @@ def values(left=3800, center=5100, right=6700):
 
 def tuning(reach=REACH, rate=RATE, config=SLASH):
     start = {name: getattr(config, name) for name in NAMES}
-    return Tuning(start, reach, rate, lambda wanted: steering.trimmed(config, **wanted))
+    return Tuning(start, reach, rate, lambda wanted: calibration.trimmed(config, **wanted))
 
 
 def settle(tuned, now_ns):
@@ -177,7 +180,7 @@ def test_whatever_is_asked_each_step_is_valid_and_within_the_rate(wanted, beats,
         for _ in range(beats):
             now_ns += BEAT
             tuned.advance(now_ns)
-            moved = steering.trimmed(SLASH, **tuned.in_force)
+            moved = calibration.trimmed(SLASH, **tuned.in_force)
             SteeringArbiter(moved)
             assert all(tuned.low[name] <= value <= tuned.high[name] for name, value in tuned.in_force.items())
             assert max(abs(tuned.in_force[name] - before[name]) for name in NAMES) <= rate * BEAT / S + 1
@@ -188,23 +191,23 @@ def test_whatever_is_asked_each_step_is_valid_and_within_the_rate(wanted, beats,
 
 
 def test_trimmed_to_where_it_is_changes_nothing_at_all():
-    assert steering.trimmed(SLASH, 3800, 5100, 6700) is SLASH
+    assert calibration.trimmed(SLASH, 3800, 5100, 6700) is SLASH
 
 
 def test_planner_drives_straight_on_and_turns_tightest_where_the_gamepad_does():
-    arbiter = SteeringArbiter(steering.trimmed(SLASH, 3750, 5200, 6800))
+    arbiter = SteeringArbiter(calibration.trimmed(SLASH, 3750, 5200, 6800))
     assert [arbiter.planner_duty(radius) for radius in (300, -300, 1, -1)] == [5200, 5200, 3750, 6800]
     assert [arbiter.teleop_duty(request) for request in (0, 1, -1)] == [5200, 3750, 6800]
 
 
 def test_table_between_keeps_its_share_of_the_way_from_center_to_end():
-    moved = steering.trimmed(SLASH, 3800, 5200, 6700)
+    moved = calibration.trimmed(SLASH, 3800, 5200, 6700)
     assert moved.left_duties[11] == 5200 - (5100 - 4300) * 1400 / 1300 // 0.1 / 10  # 60 m: 861.5
     assert moved.right_duties[13] == round(5200 + 200 * 1500 / 1600, 1)
 
 
 def test_all_three_moved_alike_move_every_duty_alike():
-    moved = steering.trimmed(SLASH, 3830, 5130, 6730)
+    moved = calibration.trimmed(SLASH, 3830, 5130, 6730)
     assert moved.left_duties == [duty + 30 for duty in SLASH.left_duties]
     assert moved.right_duties == [duty + 30 for duty in SLASH.right_duties]
 
@@ -212,12 +215,12 @@ def test_all_three_moved_alike_move_every_duty_alike():
 def test_car_whose_left_is_the_larger_duty_is_tuned_alike():
     turned = replace(SLASH, servo_left=6700, servo_right=3800, left_duties=SLASH.right_duties,
                      right_duties=SLASH.left_duties)
-    arbiter = SteeringArbiter(steering.trimmed(turned, 6750, 5050, 3850))
+    arbiter = SteeringArbiter(calibration.trimmed(turned, 6750, 5050, 3850))
     assert [arbiter.planner_duty(radius) for radius in (1, 300, -300, -1)] == [6750, 5050, 5050, 3850]
 
 
 def test_commanded_radius_of_a_duty_moves_along_too():
-    arbiter = SteeringArbiter(steering.trimmed(SLASH, 3800, 5200, 6700))
+    arbiter = SteeringArbiter(calibration.trimmed(SLASH, 3800, 5200, 6700))
     assert arbiter.turn_radius_m(5200) == math.inf
     assert arbiter.turn_radius_m(arbiter.planner_duty(50)) == pytest.approx(50, rel=0.01)
 
@@ -233,21 +236,21 @@ def test_commanded_radius_of_a_duty_moves_along_too():
 ])
 def test_impossible_trim_is_refused(wanted, message):
     with pytest.raises(ConfigError, match=message):
-        steering.trimmed(SLASH, *wanted)
+        calibration.trimmed(SLASH, *wanted)
 
 
 def test_center_that_is_an_end_at_start_is_not_tuned():
     """On the way from there the two could meet again, and a side without a way can't be tuned back."""
     config = replace(SLASH, servo_center=3800)
-    assert steering.trimmed(config, 3800, 3800, 6700) is config
+    assert calibration.trimmed(config, 3800, 3800, 6700) is config
     with pytest.raises(ConfigError, match="servo_center is an end at start"):
-        steering.trimmed(config, 3900, 3950, 6700)
+        calibration.trimmed(config, 3900, 3950, 6700)
 
 
 @given(TRIPLES)
 def test_trimmed_tables_keep_their_order_and_stay_duties(wanted):
     try:
-        moved = steering.trimmed(SLASH, *wanted)
+        moved = calibration.trimmed(SLASH, *wanted)
     except ConfigError:
         return
     assert list(moved.left_duties) == sorted(moved.left_duties)
@@ -259,7 +262,7 @@ def test_arbiter_calibrated_anew_keeps_what_it_heard():
     arbiter = SteeringArbiter(SLASH)
     arbiter.hear_human(True, S)
     arbiter.hear_teleop(1.0, S)
-    arbiter.calibrate(steering.trimmed(SLASH, 3700, 5100, 6700))
+    arbiter.calibrate(calibration.trimmed(SLASH, 3700, 5100, 6700))
     assert arbiter.decide(S)[:3] == (steering.TELEOP, 3700, "teleop")
     with pytest.raises(ConfigError, match="k_pwmcmd_left_table_servo"):
         arbiter.calibrate(replace(SLASH, left_duties=[1]))
@@ -270,13 +273,13 @@ def test_arbiter_calibrated_anew_keeps_what_it_heard():
 
 
 def test_esc_table_moves_along_with_its_neutral():
-    moved = throttle.trimmed(ESC, 4950)
+    moved = esc_channel.trimmed(ESC, 4950)
     assert (moved.neutral, moved.duty_table) == (4950, [3312, 4950, 6589])
 
 
 def test_esc_table_ends_where_duties_do():
-    assert throttle.trimmed(replace(ESC, duty_table=[10, 4915, 65530]), 4895).duty_table == [0, 4895, 65510]
-    assert throttle.trimmed(replace(ESC, duty_table=[10, 4915, 65530]), 4935).duty_table == [30, 4935, 65535]
+    assert esc_channel.trimmed(replace(ESC, duty_table=[10, 4915, 65530]), 4895).duty_table == [0, 4895, 65510]
+    assert esc_channel.trimmed(replace(ESC, duty_table=[10, 4915, 65530]), 4935).duty_table == [30, 4935, 65535]
 
 
 # --- parameters ---

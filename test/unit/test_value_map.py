@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.errors import ConfigError
-from car_interface.value_map import ValueMap, load_value_map
+from car_interface.common.errors import ConfigError
+from car_interface.throttle.value_map import ValueMap, load_value_map
 
 SHIPPED = Path(__file__).resolve().parents[2] / "config" / "value_map.csv"
 

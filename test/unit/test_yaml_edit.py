@@ -11,9 +11,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface import whole_file
-from car_interface.errors import ConfigError
-from car_interface.yaml_edit import edited, save
+from car_interface.common import atomic_file
+from car_interface.common.errors import ConfigError
+from car_interface.common.yaml_edit import edited, save
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -161,7 +161,7 @@ def test_save_that_fails_half_way_leaves_the_file_as_it_was_and_nothing_beside_i
 def test_file_that_cannot_be_put_aside_stays(path, monkeypatch):
     def refused(_):
         raise PermissionError(13, "Permission denied")
-    monkeypatch.setattr(whole_file, "_put_aside", refused)
+    monkeypatch.setattr(atomic_file, "_put_aside", refused)
     with pytest.raises(ConfigError, match=r"can't be saved \(Permission denied\)"):
         save(str(path), {"a": 2})
     assert list(path.parent.iterdir()) == [path]

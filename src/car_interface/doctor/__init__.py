@@ -1,1 +1,1 @@
-"""What the doctor makes of what it finds: facts in, findings out. Looking and asking is done by ``nodes.doctor``."""
+"""The doctor: looks at a car and says what is wrong, with the remedy."""

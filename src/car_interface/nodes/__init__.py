@@ -1,1 +1,1 @@
-"""The ROS nodes, a file each, and what they share. The only place that imports rospy and generated messages."""
+"""The ROS nodes, one file each: entry points only."""

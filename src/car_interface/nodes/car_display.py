@@ -25,10 +25,10 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from car_interface.freshness import Heard
+from car_interface.common.staleness import Heard
 from car_interface.msg import SteeringState
-from car_interface.nodes.node import Heartbeat, run, subscribe
-from car_interface.steering import source_name
+from car_interface.ros.runtime import Heartbeat, run, subscribe
+from car_interface.steering.arbiter import source_name
 
 RATE_HZ = 10
 BEATS_PER_TRAIL = 10  # a trail that didn't grow is sent once a second, for an rviz that comes late

@@ -22,12 +22,12 @@ from typing import Callable
 
 import rospy
 
-from car_interface.errors import CarInterfaceError
+from car_interface.common.errors import CarInterfaceError
 from car_interface.nodes.generic_value_converter import GenericValueConverter
-from car_interface.nodes.node import NS_PER_S, Inbox, in_words, live, run
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.turn_arb import TurnArb
+from car_interface.ros.runtime import NS_PER_S, Inbox, in_words, live, run
 
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
          "generic_value_converter": GenericValueConverter}

@@ -36,10 +36,10 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32MultiArray
 
-from car_interface.errors import ConfigError
-from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, run, subscribe
-from car_interface.nodes.virtual_line import VirtualLine
-from car_interface.servo import CHANNELS, UNCHANGED
+from car_interface.common.errors import ConfigError
+from car_interface.common.servo_channels import CHANNELS, UNCHANGED
+from car_interface.ros.runtime import NS_PER_S, Complaints, Heartbeat, run, subscribe
+from car_interface.ros.virtual_line import VirtualLine
 from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig

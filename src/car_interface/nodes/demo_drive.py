@@ -25,7 +25,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
-from car_interface.errors import CarInterfaceError, ConfigError
+from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.msg import (
     Control,
     Distance,
@@ -38,8 +38,8 @@ from car_interface.msg import (
     TeensyClock,
     Wheel,
 )
-from car_interface.nodes.node import NS_PER_S, Heartbeat, run, subscribe
-from car_interface.sim.drive import (
+from car_interface.ros.runtime import NS_PER_S, Heartbeat, run, subscribe
+from car_interface.sim.demo_script import (
     DONE,
     LEFT_CIRCLE,
     LET_GO,
@@ -51,9 +51,9 @@ from car_interface.sim.drive import (
     Drive,
     DriveConfig,
 )
-from car_interface.steering import NO_HUMAN, PLANNER, SOURCE_NAMES
-from car_interface.steering import TELEOP as TELEOP_STEERS
-from car_interface.teensy.protocol import SONARS
+from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
+from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
+from car_interface.teensy.link.protocol import SONARS
 
 RATE_HZ = 50
 READY_WITHIN_S = 30

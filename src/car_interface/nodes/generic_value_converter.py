@@ -32,19 +32,19 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32MultiArray
 
 from car_interface.cfg import EscNeutralConfig
-from car_interface.conversion import ConversionConfig, Converter
-from car_interface.errors import ConfigError
+from car_interface.common.errors import ConfigError
+from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, one_channel
+from car_interface.interlock.motion_interlock import read_permission
 from car_interface.msg import Control, Float64Stamped, SteeringState
-from car_interface.nodes.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.nodes.live import Live
-from car_interface.nodes.messages import duty_vector
-from car_interface.nodes.node import Complaints, Heartbeat, advertise, run, subscribe
-from car_interface.nodes.permission import subscribe_permission
-from car_interface.permission import read_permission
-from car_interface.servo import CHANNELS, MAX_DUTY, one_channel
-from car_interface.throttle import Throttle, ThrottleConfig, duty_of_value, trimmed
-from car_interface.tuning import Tuning, TuningSettings, read_tuning
-from car_interface.value_map import ValueMap, load_value_map
+from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.ros.interlock_topics import subscribe_permission
+from car_interface.ros.reconfigure import Live
+from car_interface.ros.runtime import Complaints, Heartbeat, advertise, run, subscribe
+from car_interface.ros.servo_messages import duty_vector
+from car_interface.throttle.converter import ConversionConfig, Converter
+from car_interface.throttle.esc_channel import Throttle, ThrottleConfig, duty_of_value, trimmed
+from car_interface.throttle.value_map import ValueMap, load_value_map
 
 RATE_HZ = 50
 NO_CHANNEL = -1

@@ -33,17 +33,17 @@ import rospy
 import smbus2
 from std_msgs.msg import Int32MultiArray
 
-from car_interface.errors import DeviceError
-from car_interface.nodes.diagnostics import ERROR, OK, Diagnostics
-from car_interface.nodes.messages import duty_vector
-from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, advertise, run, subscribe
-from car_interface.nodes.saving import File, serve_saving
-from car_interface.nodes.virtual_board import VirtualBoardBus
+from car_interface.common.errors import DeviceError
+from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.pca9685.board import Board, BoardMismatch
 from car_interface.pca9685.channels import ChannelConfig, Channels
-from car_interface.pca9685.duty import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
-from car_interface.pca9685.keeper import LOST, MISMATCH, RETRIED, RUNNING, BoardKeeper
-from car_interface.servo import CHANNELS, MAX_DUTY, UNCHANGED
+from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
+from car_interface.pca9685.supervisor import LOST, MISMATCH, RETRIED, RUNNING, BoardKeeper
+from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
+from car_interface.ros.runtime import NS_PER_S, Complaints, Heartbeat, advertise, run, subscribe
+from car_interface.ros.save_service import File, serve_saving
+from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.virtual_board import VirtualBoardBus
 
 OUTPUT_RATE_HZ = 1
 INSIST_NS = NS_PER_S  # how long a node that ends goes on trying to reach a chip that pulses

@@ -45,16 +45,16 @@ from dataclasses import dataclass
 import rospy
 from std_srvs.srv import Trigger
 
-from car_interface.errors import ConfigError, DeviceError, ProtocolError
+from car_interface.common.errors import ConfigError, DeviceError, ProtocolError
 from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
-from car_interface.nodes.diagnostics import Diagnostics
-from car_interface.nodes.keys import Keys
-from car_interface.nodes.measurements import MeasurementPublisher, Settings, read_settings
-from car_interface.nodes.node import NS_PER_S, Complaints, Heartbeat, advertise, is_heard, run, serve
+from car_interface.ros.diagnostics import Diagnostics
+from car_interface.ros.keyboard import Keys
+from car_interface.ros.measurement_publisher import MeasurementPublisher, Settings, read_settings
+from car_interface.ros.runtime import NS_PER_S, Complaints, Heartbeat, advertise, is_heard, run, serve
 from car_interface.srv import SetSonarSequence, SetSonarWait
-from car_interface.teensy import protocol
-from car_interface.teensy.framing import CORRECTED, RESYNC_FILLER, SHIPPED, FrameDecoder, encode
-from car_interface.teensy.health import (
+from car_interface.teensy.link import protocol
+from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED, FrameDecoder, encode
+from car_interface.teensy.link.health import (
     FINE,
     LINK_REPORT,
     OK,
@@ -67,9 +67,9 @@ from car_interface.teensy.health import (
     TeensyClock,
     Verdict,
 )
-from car_interface.teensy.link import SerialLink
-from car_interface.teensy.pinging import AUTO, Pinger
-from car_interface.teensy.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
+from car_interface.teensy.link.pinging import AUTO, Pinger
+from car_interface.teensy.link.port import SerialLink
+from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
 
 QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S

@@ -23,8 +23,8 @@ import rospy
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
-from car_interface.gamepad import Gamepad, GamepadConfig
-from car_interface.nodes.node import Heartbeat, run, subscribe
+from car_interface.ros.runtime import Heartbeat, run, subscribe
+from car_interface.teleop.gamepad import Gamepad, GamepadConfig
 
 RATE_HZ = 50
 MOST_AXES = 64

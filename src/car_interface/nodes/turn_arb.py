@@ -34,17 +34,18 @@ import rospy
 from std_msgs.msg import Float32, Int32MultiArray
 
 from car_interface.cfg import SteeringTrimConfig
+from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.servo_channels import one_channel
 from car_interface.msg import SteeringState
-from car_interface.nodes.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.nodes.live import Live
-from car_interface.nodes.master import MasterWatch
-from car_interface.nodes.messages import duty_vector
-from car_interface.nodes.node import Complaints, Heartbeat, advertise, run, subscribe_changes
-from car_interface.nodes.permission import subscribe_permission
-from car_interface.servo import one_channel
-from car_interface.steering import LOCKED, SOURCE_NAMES, SteeringArbiter, SteeringConfig, trimmed
-from car_interface.steering_params import read_config as read_steering
-from car_interface.tuning import Tuning, TuningSettings, read_tuning
+from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.ros.interlock_topics import subscribe_permission
+from car_interface.ros.master_watch import MasterWatch
+from car_interface.ros.reconfigure import Live
+from car_interface.ros.runtime import Complaints, Heartbeat, advertise, run, subscribe_changes
+from car_interface.ros.servo_messages import duty_vector
+from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, SteeringArbiter
+from car_interface.steering.calibration import SteeringConfig, trimmed
+from car_interface.steering.params import read_config as read_steering
 
 RATE_HZ = 100
 BEATS_PER_STATE, BEATS_PER_NEUTRAL = 10, 100

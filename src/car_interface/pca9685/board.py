@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Callable
 
+from car_interface.common.servo_channels import CHANNELS
 from car_interface.pca9685.channels import blocks
-from car_interface.pca9685.duty import COUNTS, frequency_for, register_bytes
-from car_interface.servo import CHANNELS
+from car_interface.pca9685.registers import COUNTS, frequency_for, register_bytes
 
 MODE1, MODE2, LED0_ON_L, ALL_LED_OFF_H, PRE_SCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
 RESTART, EXTCLK, AUTO_INCREMENT, SLEEP = 0x80, 0x40, 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)

@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
-from car_interface.errors import ConfigError
-from car_interface.pca9685.duty import counts_of_duty
-from car_interface.servo import CHANNELS, MAX_DUTY, UNCHANGED
+from car_interface.common.errors import ConfigError
+from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
+from car_interface.pca9685.registers import counts_of_duty
 
 NS_PER_MS = 1_000_000
 

@@ -1,6 +1,6 @@
 """How the simulator's configurations refuse what no car could be."""
 
-from car_interface.errors import ConfigError
+from car_interface.common.errors import ConfigError
 
 
 def require(fine: bool, name: str, value: object, accepted: str):

@@ -1,0 +1,1 @@
+"""Fit of the steering table: turn radius against servo duty."""

@@ -1,0 +1,1 @@
+"""Fit of the actuator map: acceleration against speed and actuator value."""

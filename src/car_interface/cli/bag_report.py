@@ -1,0 +1,81 @@
+"""A page about a drive: who drove, how it steered, where it went, how fast, and what went wrong.
+
+It is one HTML file that needs nothing besides itself, no network either.
+"""
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+from functools import partial
+from pathlib import Path
+
+from car_interface.cli import output
+from car_interface.cli.jobs import add_jobs_argument, for_each
+from car_interface.cli.options import add_namespace_argument
+from car_interface.common.errors import CarInterfaceError
+from car_interface.report.page import page
+from car_interface.report.plots import plots
+from car_interface.report.summary import look_at
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of bag_report."""
+    parser.add_argument("bags", nargs="+", metavar="BAG", help="a ROS 1 bag, or a ROS 2 bag (its folder)")
+    parser.add_argument("-o", "--output", metavar="FILE",
+                        help="the page, or for several recordings a folder (default: BAG.html beside each)")
+    add_namespace_argument(parser)
+    parser.add_argument("--odom", default="odom", metavar="TOPIC", help="the topic of its odometry (default: odom)")
+    add_jobs_argument(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the pages."""
+    pages = _pages(options.bags, options.output, options.namespace)
+    work = partial(_report, options=options, progress=len(options.bags) == 1)
+    failed = 0
+    for (_, path), trouble in zip(pages, for_each(work, pages, options.jobs)):
+        if trouble:
+            failed = 1
+            print(f"bag_report: {trouble}", file=sys.stderr)
+        else:
+            print(path)
+    return failed
+
+
+def _pages(bags, folder, namespace):
+    """Pairs of a recording and where its page goes."""
+    ending = ".".join(["", *filter(None, namespace.split("/")), "html"])
+    if len(bags) == 1 and folder is not None and not os.path.isdir(folder):
+        return [(bags[0], folder)]
+    if folder is not None and not os.path.isdir(folder):
+        raise CarInterfaceError(f"-o {folder} is no folder, and {len(bags)} recordings need one: "
+                                f"mkdir {shlex.quote(folder)}")
+    pages = []
+    for bag in bags:
+        # A folder may be given as "." or with a slash behind it.
+        place = Path(bag) if Path(bag).suffix == ".bag" else Path(bag).resolve()
+        stem = place.stem if place.suffix == ".bag" or folder is not None else place.name
+        pages.append((bag, str(Path(folder or place.parent) / (stem + ending))))
+    names = [os.path.realpath(page) for _, page in pages]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise CarInterfaceError(f"two recordings would both get the page {Path(twice).name}: report them one by one")
+    return pages
+
+
+def _report(bag_and_page, options, progress):
+    """Write one page; what went wrong, or an empty text."""
+    bag, path = bag_and_page
+    try:
+        output.check(path, options.bags)
+        drive = look_at(bag, options.namespace, options.odom, progress)
+        output.write(path, page(drive, plots(drive)))
+    except CarInterfaceError as error:
+        return str(error)
+    except OSError as error:
+        return f"{error.filename or path}: {error.strerror}"
+    except Exception as error:  # whatever is in a recording, it must not keep the others from their pages
+        return f"{bag}: no page can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
+    return ""

@@ -1,0 +1,109 @@
+"""The commands for recordings and tables: ``car-interface COMMAND …``, and ``rosrun car_interface COMMAND …``.
+
+A command is a module with ``add_arguments(parser)`` and ``run(arguments)``, which returns the exit code: 0 done,
+1 refused or failed, with one line that says why; 2 is for what argparse doesn't understand.
+"""
+from __future__ import annotations
+
+import argparse
+import codecs
+import importlib
+import os
+import signal
+import sys
+from typing import Sequence
+
+from car_interface.common.errors import CarInterfaceError
+
+PROGRAM = "car-interface"
+MODULES = {
+    "bag_report": "car_interface.cli.bag_report",
+    "calibrate_steering": "car_interface.cli.calibrate_steering",
+    "calibrate_value_map": "car_interface.cli.calibrate_value_map",
+    "check_map": "car_interface.cli.check_map",
+}
+INSTALL = "pip install '.[tools]' in the checkout"
+# What is called otherwise where it's installed from.
+PACKAGES = {"yaml": "PyYAML", "ruamel": "ruamel.yaml"}
+# For terminals that know no more than ASCII.
+PLAIN = {"█": "#", "│": "|", "└": "+", "─": "-", "²": "2", "±": "+-", "°": " deg", "…": "...", "−": "-", "×": "x"}
+INTERRUPTED = 128 + signal.SIGINT
+
+
+def main(command: str | None = None, arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        command: its name; ``None`` = the first of the arguments.
+        arguments: by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    codecs.register_error("car_interface.plain", _plain)
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="car_interface.plain")
+    try:
+        parser = _parser(command, arguments)
+        options = parser.parse_args(arguments)
+        code = options.run(options)
+        sys.stdout.flush()  # while a broken pipe can still be caught
+        return code
+    except CarInterfaceError as error:
+        return _failed(command, error)
+    except ModuleNotFoundError as error:
+        if (error.name or "car_interface").startswith("car_interface"):
+            raise
+        library = error.name.split(".")[0]
+        return _failed(command, f"this needs {PACKAGES.get(library, library)}, which isn't installed: {INSTALL}")
+    except BrokenPipeError:  # the reader, such as head, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        if error.filename is None:
+            raise
+        return _failed(command, f"{error.filename}: {error.strerror}")
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def _parser(command, arguments):
+    """The parser for one command; for all of them, with a line for each, when none is named."""
+    if command is not None:
+        parser = argparse.ArgumentParser(prog=command)
+        return _describe(parser, command)
+    parser = argparse.ArgumentParser(prog=PROGRAM, description="Tables and reports from recordings of a car's drives.")
+    commands = parser.add_subparsers(metavar="COMMAND", dest="command")
+    commands.required = True
+    named = next((argument for argument in arguments if argument in MODULES), None)
+    for name in [named] if named else MODULES:
+        _describe(commands.add_parser(name, help=_first_line(importlib.import_module(MODULES[name]))), name)
+    return parser
+
+
+def _describe(parser, name):
+    module = importlib.import_module(MODULES[name])
+    parser.description = module.__doc__
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    module.add_arguments(parser)
+    parser.set_defaults(run=module.run)
+    return parser
+
+
+def _plain(error):
+    """What stands for characters that the output can't have."""
+    return "".join(PLAIN.get(character, "?") for character in error.object[error.start:error.end]), error.end
+
+
+def _first_line(module):
+    return module.__doc__.strip().split("\n")[0]
+
+
+def _failed(command, error):
+    print(f"{command or PROGRAM}: {error}", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,188 @@
+"""A node's parameters, read once at start and checked on the way.
+
+Plain values in, plain values out; ``node.run`` fetches them from the parameter server, a tool from a YAML file. Each
+reader names the parameter, its value and what's accepted when it raises, and ``finish`` refuses names that nobody asked
+for: a typing error in a YAML file must not pass for a default.
+
+They came by YAML or XML: ``10`` is fine for a float, a float without a fraction for an integer, and ``1e-3`` and
+``0x40`` arrive as strings. True is no number.
+"""
+from __future__ import annotations
+
+import math
+import os
+from typing import Any, Callable, Sequence
+
+from car_interface.common.errors import ConfigError
+
+REQUIRED = object()
+DURATION_S = (0.0, 3600.0)  # range of every timeout
+
+
+class Params:
+    """The parameters in a node's private namespace.
+
+    Args:
+        private: what the namespace holds, as rospy returns it: nested dicts for names with a slash.
+        outward: looks up a name that the private namespace lacks in the namespaces around it; None when there is none.
+    """
+
+    def __init__(self, private: dict[str, Any] | None, outward: Callable[[str], Any] = lambda name: None):
+        self._values = _flatten(private or {})
+        self._outward = outward
+        self._asked: set = set()
+
+    def number(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, above=None, outward=False) -> float:
+        """A finite number from ``low`` to ``high``, or greater than ``above``."""
+        accepted = "a number" + _range_text(low, high, above)
+        return self._scalar(name, default, outward, lambda value: _number(value, low, high, above), accepted)
+
+    def integer(self, name: str, default=REQUIRED, low=-2 ** 31, high=2 ** 31 - 1, outward=False) -> int:
+        """An integer from ``low`` to ``high``, or the default, which may be ``None``."""
+        accepted = "an integer" + _range_text(low, high)
+        return self._scalar(name, default, outward, lambda value: _integer(value, low, high), accepted)
+
+    def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, outward=False) -> list[float]:
+        """A list of finite numbers from ``low`` to ``high``."""
+        return self._list(name, default, outward, lambda value: _number(value, low, high, None),
+                          "a number" + _range_text(low, high))
+
+    def integers(self, name: str, length: int, default: int, low: int, high: int) -> list[int]:
+        """``length`` integers; a scalar stands for all of them."""
+        accepted = "an integer" + _range_text(low, high)
+        value = self._get(name, default, False)
+        if not isinstance(value, (list, tuple)):
+            value = self._checked(name, value, lambda v: _integer(v, low, high), f"{accepted}, or {length} of them")
+            return [value] * length
+        if len(value) != length:
+            raise ConfigError(name, value, f"{length} integers, or one for all of them")
+        return [self._checked(f"{name}[{index}]", element, lambda v: _integer(v, low, high), accepted)
+                for index, element in enumerate(value)]
+
+    def flag(self, name: str, default=REQUIRED) -> bool:
+        """True or false."""
+        return self._scalar(name, default, False, lambda v: v if isinstance(v, bool) else None, "true or false")
+
+    def text(self, name: str, default=REQUIRED, may_be_empty=False) -> str:
+        """A string, by default one that isn't empty."""
+        return self._scalar(name, default, False,
+                            lambda v: v if isinstance(v, str) and (may_be_empty or v.strip()) else None, "a text")
+
+    def path(self, name: str, default=REQUIRED) -> str:
+        """The whole path of a file or folder.
+
+        A relative one would count from where ROS starts nodes, and ~ from the home of whoever runs them, not from their
+        owner's; so neither is taken.
+        """
+        return self._scalar(name, default, False, lambda v: v if isinstance(v, str) and os.path.isabs(v) else None,
+                            "a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is "
+                            "no name to them")
+
+    def text_or_integer(self, name: str, default):
+        """A string that isn't empty, or an integer of at least 0."""
+        def read(value):
+            number = _integer(value, 0, 2 ** 31 - 1)
+            return number if number is not None else value if isinstance(value, str) and value.strip() else None
+        return self._scalar(name, default, False, read, "a text, or an integer of at least 0")
+
+    def choice(self, name: str, default, choices: Sequence[str]) -> str:
+        """One of ``choices``."""
+        return self._scalar(name, default, False, lambda v: v if v in choices else None, "one of " + ", ".join(choices))
+
+    def timeout(self, name: str, default: float) -> float:
+        """Seconds of silence after which an input counts as lost; 0 = never."""
+        return self.number(name, default, *DURATION_S)
+
+    def finish(self) -> None:
+        """Refuse what's left over.
+
+        Raises:
+            ConfigError: naming the first unknown parameter and the known ones.
+        """
+        unknown = sorted(set(self._values) - self._asked)
+        if unknown:
+            raise ConfigError(f"unknown parameter {unknown[0]}", self._values[unknown[0]],
+                              "only " + ", ".join(sorted(self._asked)))
+
+    def _scalar(self, name, default, outward, read, accepted):
+        value = self._get(name, default, outward, accepted)
+        return None if value is None else self._checked(name, value, read, accepted)
+
+    def _list(self, name, default, outward, read, element):
+        accepted = f"a list, each {element}"
+        value = self._get(name, default, outward, accepted)
+        if not isinstance(value, (list, tuple)):
+            raise ConfigError(name, value, accepted)
+        return [self._checked(f"{name}[{index}]", x, read, element) for index, x in enumerate(value)]
+
+    def _get(self, name, default, outward, accepted=""):
+        self._asked.add(name)
+        value = self._values.get(name)
+        if value is None and outward:
+            value = self._outward(name)
+        if value is None:
+            value = default
+        if value is REQUIRED:
+            raise ConfigError(name, None, accepted)
+        return value
+
+    @staticmethod
+    def _checked(name, value, read, accepted):
+        result = read(value)
+        if result is None:
+            raise ConfigError(name, value, accepted)
+        return result
+
+
+def _flatten(tree, prefix=""):
+    flat = {}
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            flat.update(_flatten(value, f"{prefix}{key}/"))
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def _number(value, low, high, above):
+    if isinstance(value, str):
+        value = _spelled(value)
+    try:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            return None
+    except OverflowError:  # an integer beyond all floats
+        return None
+    return float(value) if low <= value <= high and (above is None or value > above) else None
+
+
+def _spelled(text):
+    """The number that a text spells, 1e-3 or 0x40; None when it spells none."""
+    for read in (float, lambda digits: float(int(digits, 0))):
+        try:
+            return read(text)
+        except (ValueError, OverflowError):
+            continue
+    return None
+
+
+def _integer(value, low, high):
+    if isinstance(value, str):
+        try:
+            value = int(value, 0)
+        except ValueError:
+            return None
+    if isinstance(value, float) and value % 1 == 0:
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, int):
+        return None
+    return value if low <= value <= high else None
+
+
+def _range_text(low, high, above=None):
+    if above is not None:
+        return f" above {above}" + (f", at most {high}" if high < math.inf else "")
+    if low == -math.inf and high == math.inf:
+        return ""
+    if high == math.inf:
+        return f" of at least {low}"
+    return f" from {low} to {high}"

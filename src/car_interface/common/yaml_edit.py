@@ -1,0 +1,155 @@
+"""Saves single values back to a YAML file, and leaves every other character of it alone, comments too.
+
+The file is replaced whole, in one step; the old one stays beside it under a name with the time.
+"""
+from __future__ import annotations
+
+import errno
+import os
+from typing import Mapping, Sequence, Union
+
+from car_interface.common.atomic_file import is_write_protected, replace
+from car_interface.common.errors import ConfigError
+
+Value = Union[int, float, Sequence[Union[int, float]]]
+Values = Mapping[str, Value]  # by name; one inside a mapping as ``servo/neutral``
+
+
+def save(path: str, values: Values) -> str | None:
+    """Put ``values`` into the file at ``path``.
+
+    Returns:
+        Where the old file is now; ``None`` when it had these values already: then nothing is written.
+
+    Raises:
+        ConfigError: naming the file and why it was left as it is.
+    """
+    path = os.path.realpath(path)  # a link stays a link
+    try:
+        with open(path, encoding="utf-8", newline="") as file:
+            before = file.read()
+        if is_write_protected(path):
+            raise PermissionError(errno.EACCES, "it is write-protected")
+        after = edited(before, values, path)
+        return None if after == before else replace(path, after.encode("utf-8"), keeps_old=True)
+    except UnicodeDecodeError as error:
+        raise ConfigError(path, None, "parameters in YAML, UTF-8", "is no text in UTF-8") from error
+    except OSError as error:
+        raise ConfigError(path, None, "a file that this node may read and write, in a folder where it may too",
+                          f"can't be saved ({error.strerror})") from error
+
+
+def edited(text: str, values: Values, path: str = "the file") -> str:
+    """The text of a YAML file, with ``values`` in the place of what it has there; names that it lacks at its end.
+
+    Raises:
+        ConfigError: when that can't be done without touching anything else.
+    """
+    root = _compose(text, path)
+    places = {name: _find(root, name.split("/")) for name in values}
+    if not any(places.values()):
+        raise ConfigError(path, None, "a file with at least one of them", f"has none of {', '.join(values)}")
+    values = {name: value for name, value in values.items()
+              if places[name] is None or not _says(places[name], value)}
+    result, added = text, ""
+    cuts = [cut for name, value in values.items() if places[name] is not None for cut in _cuts(places[name], value)]
+    for begin, end, spelled in sorted(cuts, reverse=True):
+        result = result[:begin] + spelled + result[end:]
+    for name, value in values.items():
+        if places[name] is None:
+            if "/" in name:
+                raise ConfigError(path, None, f"a file with {name}", "lacks it")
+            added += f"{name}: {_spell(value)}\n"
+    if added:
+        result += ("" if result.endswith("\n") else "\n") + added
+    try:
+        is_right = _shape(_compose(result, path)) == _shape(root, values)
+    except ConfigError:
+        is_right = False
+    if not is_right:
+        raise ConfigError(path, None, "plain values, each written out in its place", "can't be edited safely")
+    return result
+
+
+def _compose(text, path):
+    """The tree of a YAML text that is a mapping."""
+    import yaml  # ROS brings it along for nodes; nothing else in the parts needs it
+    try:
+        root = yaml.compose(text, yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        raise ConfigError(path, None, "parameters in YAML", f"is no YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(root, yaml.MappingNode):
+        raise ConfigError(path, None, "YAML lines of a parameter's name, a colon and its value", "has no such lines")
+    return root
+
+
+def _find(node, names):
+    """The node of a value, or None."""
+    for name in names:
+        pairs = getattr(node, "value", None)
+        node = None
+        if isinstance(pairs, list) and all(isinstance(pair, tuple) for pair in pairs):
+            for key, value in pairs:
+                if key.value == name:
+                    node = value
+    return node
+
+
+def _says(node, value):
+    """Whether it has this value already; one number stands for a list of equal ones."""
+    if _elements(node) is not None:
+        return not _cuts(node, value)
+    numbers = value if isinstance(value, (list, tuple)) else [value]
+    return all(number == _number(node) for number in numbers)
+
+
+def _cuts(node, value):
+    """The pieces of text to replace, as (begin, end, text): only of what differs."""
+    elements = _elements(node)
+    if elements is not None and isinstance(value, (list, tuple)) and len(elements) == len(value):
+        return [cut for element, number in zip(elements, value) for cut in _cuts(element, number)]
+    if elements is None and _number(node) == value:
+        return []
+    return [(node.start_mark.index, node.end_mark.index, _spell(value))]
+
+
+def _elements(node):
+    """What a list consists of; None for anything else."""
+    is_list = isinstance(node.value, list) and not any(isinstance(element, tuple) for element in node.value)
+    return node.value if is_list else None
+
+
+def _number(node):
+    """The number that a scalar spells, as the parameter server would take it; None when it spells none."""
+    import yaml
+    try:
+        value = yaml.safe_load(node.value)
+        number = float(value) if isinstance(value, str) else value
+        return None if isinstance(number, bool) or number != number else number  # nan is equal to nothing
+    except (ValueError, TypeError, yaml.YAMLError):
+        return None
+
+
+def _spell(value):
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_spell(element) for element in value) + "]"
+    return str(int(value)) if value == int(value) else repr(float(value))
+
+
+def _shape(node, changes=None):
+    """All that a document says, with ``changes`` in their places: what an edited one must say."""
+    changes = dict(changes or {})
+    elements = _elements(node)
+    if elements is not None:
+        return [_shape(element) for element in elements]
+    if not isinstance(node.value, list):
+        number = _number(node)
+        return node.value if number is None else number
+    inside = {}
+    for key, value in node.value:
+        name = str(key.value)
+        inside[name] = _shape(value, {path[len(name) + 1:]: change for path, change in changes.items()
+                                      if path.startswith(f"{name}/")})
+    inside.update({name: list(change) if isinstance(change, (list, tuple)) else change
+                   for name, change in changes.items() if "/" not in name})
+    return inside

@@ -1,0 +1,171 @@
+"""The Teensy's port: who has it, and what comes through it when nobody has."""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Sequence
+
+from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
+from car_interface.teensy.link import protocol
+from car_interface.teensy.link.console import PROGRAMS, take_off
+from car_interface.teensy.link.framing import RESYNC_FILLER, FrameDecoder
+from car_interface.teensy.link.health import FINE, WAITING, Counts, LinkHealth, TeensyClock
+from car_interface.teensy.link.pinging import AUTO, Pinger
+
+HUB = "teensy_sensor_hub"
+MOST_NAMES = 3
+NS_PER_MS = 1_000_000
+PING_PERIOD_NS = 300 * NS_PER_MS
+SONARS_WITHIN_NS = 2500 * NS_PER_MS  # a round of all six takes 0.6 s at most, unless their wait was set longer
+SONARS_REMEDY = ("Check their plugs, wires and supply; were they stopped, or left out of the sequence? The hub starts "
+                 "them, and says more: roslaunch car_interface teensy_sensor_hub.launch")
+LONGEST_NS = 3600 * NS_PER_MS  # five pings in vain at 0.5 s each, and one with the other checksum
+
+
+def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding]:
+    """A finding when other programs have the port open; bytes that they read, the hub can't."""
+    if not holders:
+        return []
+    names = [f"{name} (process {pid})" for pid, name in holders]
+    programs = [name for _, name in holders]
+    if HUB in programs:
+        return [Finding(WARN, "port", f"{path}: {names[programs.index(HUB)]} has it open, but doesn't answer under "
+                                      "this master and namespace",
+                        "See the nodes above; or run the doctor with that node's ROS_MASTER_URI, and --ns")]
+    if "ModemManager" in programs:
+        cure = "It tries every new port. Keep it off: rosrun car_interface setup_hardware, then plug the Teensy in anew"
+    elif set(programs) & set(PROGRAMS):
+        cure = f"That is a log-in console: {take_off(path)}"
+    else:
+        cure = f"End it; more about it: fuser -v {path}"
+    others = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return [Finding(BAD, "port", f"{path}: another program has it open: {', '.join(names[:MOST_NAMES])}{others}", cure)]
+
+
+def is_terminal(major: int, minor: int, drivers: str) -> bool:
+    """Whether a device is a serial port or another terminal.
+
+    Args:
+        major: of its number, as is the minor.
+        minor: of its number.
+        drivers: /proc/tty/drivers, a driver in each line: ``serial /dev/ttyS 4 64-95 serial``.
+    """
+    for line in drivers.splitlines():
+        fields = line.split()
+        if len(fields) >= 4 and fields[2] == str(major):
+            first, _, last = fields[3].partition("-")
+            if int(first) <= minor <= int(last or first):
+                return True
+    return False
+
+
+class Link(NamedTuple):
+    """What the hub's ~link topic says, as far as the doctor wants to know."""
+
+    level: int
+    words: str
+    next_step: str
+    round_trip_s: float
+    firmware_checksum: str
+
+
+def check_link(link: Link | None, node: str) -> list[Finding]:
+    """The link as the running hub sees it; ``None`` = it said nothing."""
+    if link is None:
+        return [Finding(BAD, "Teensy", f"{node} is registered, but its topic link is silent",
+                        f"See whether it hangs: rosnode ping {node}")]
+    if link.level != OK:
+        return [Finding(min(link.level, BAD), "Teensy", link.words, link.next_step or f"rostopic echo {node}/link")]
+    return [Finding(OK, "Teensy", f"{link.words}; {_pong_words(link.round_trip_s, link.firmware_checksum)}")]
+
+
+def _pong_words(round_trip_s, checksum):
+    if math.isnan(round_trip_s):
+        return "no pong yet"
+    return f"pong after {1e3 * round_trip_s:.1f} ms ({checksum} checksum)"
+
+
+class TeensyProbe:
+    """Listens to a Teensy and pings it, until it's known how it does. No clock, no port: bytes and ``now_ns`` in.
+
+    Args:
+        baud: of the line.
+        now_ns: when the port was opened.
+    """
+
+    def __init__(self, baud: int, now_ns: int):
+        self._decoder = FrameDecoder()
+        self._pinger = Pinger(PING_PERIOD_NS, AUTO, now_ns)
+        self._clock = TeensyClock()
+        self._health = LinkHealth(baud)
+        self._end_ns = now_ns + LONGEST_NS
+        self._malformed = 0
+        self._round_trip_ns = math.nan
+        self._records_at_expiry = 0
+        self._sonars: set = set()  # that have reported
+        self._sonars_ns = now_ns + SONARS_WITHIN_NS
+        self._health.opened(self._counts(), now_ns)
+
+    def hear(self, data: bytes, now_ns: int) -> None:
+        """Take what came from the port."""
+        for body in self._decoder.feed(data):
+            record = protocol.decode(body)
+            self._malformed += isinstance(record, protocol.Malformed)
+            tick = (record.timestamp2 if isinstance(record, protocol.Pong)
+                    else record.when if isinstance(record, protocol.SonarStatus) else None)
+            if isinstance(record, protocol.SonarStatus):
+                self._sonars.add(record.sensor)
+            reboot = None if tick is None else self._clock.tick(tick, now_ns)
+            if reboot is not None:
+                self._health.rebooted(reboot, now_ns)
+            if isinstance(record, protocol.Pong):
+                answer = self._pinger.pong(record.timestamp1, now_ns)
+                self._round_trip_ns = self._round_trip_ns if answer is None else answer.round_trip_ns
+
+    def step(self, now_ns: int) -> bytes:
+        """Judge, and say what to send now; often nothing."""
+        records = self._counts().records
+        if self._pinger.expire(now_ns, heard=records > self._records_at_expiry):
+            self._records_at_expiry = records
+        self._health.judge(self._counts(), now_ns)
+        if now_ns < self._pinger.due_ns:
+            return b""
+        filler = b"" if self._pinger.sent else RESYNC_FILLER  # the pinger sends it itself after a ping in vain
+        return filler + self._pinger.ping(now_ns // NS_PER_MS % protocol.UINT32, now_ns)
+
+    def next_event_ns(self) -> int:
+        """When ``step`` has something to do."""
+        return min(self._pinger.next_event_ns(), self._end_ns)
+
+    def is_done(self, now_ns: int) -> bool:
+        """Whether nothing more is to be learned, or it took too long."""
+        has_heard_sonars = len(self._sonars) == len(protocol.SONARS) or now_ns >= self._sonars_ns
+        is_fine = self._health.verdict.state == FINE and self._pinger.answered > 1 and has_heard_sonars
+        return now_ns >= self._end_ns or is_fine and not self._decoder.tally.bad_frames
+
+    def finding(self) -> Finding:
+        """How the Teensy does."""
+        verdict = self._health.verdict
+        if verdict.state == FINE and not self._pinger.answered:
+            return Finding(WARN, "Teensy", f"{verdict.words}, but no ping was answered",
+                           "Check the wire from this port's TX to the Teensy's RX")
+        if verdict.state == WAITING:
+            return Finding(WARN, "Teensy", "too little came to judge it", "Run the doctor again")
+        if verdict.level != OK:
+            return Finding(verdict.level, "Teensy", verdict.words, verdict.next_step)
+        missing = [name for sensor, name in enumerate(protocol.SONARS) if sensor not in self._sonars]
+        if missing:
+            return Finding(WARN, "Teensy", f"{verdict.words}, but nothing came from {_describe_sonars(missing)} in "
+                                           f"{SONARS_WITHIN_NS / 1e9:g} s", SONARS_REMEDY)
+        pong = _pong_words(self._round_trip_ns / 1e9, self._pinger.checksum)
+        return Finding(OK, "Teensy", f"{verdict.words}; {pong}")
+
+    def _counts(self):
+        tally = self._decoder.tally
+        return Counts(bytes_in=tally.bytes_in, records=tally.frames - self._malformed, bad_frames=tally.bad_frames,
+                      bad_checksums=tally.bad_checksum, pings_in_vain=self._pinger.unanswered_in_a_row)
+
+
+def _describe_sonars(names):
+    if len(names) == len(protocol.SONARS):
+        return "any of the sonars"
+    return ("the sonar " if len(names) == 1 else "the sonars ") + ", ".join(names)

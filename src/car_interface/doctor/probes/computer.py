@@ -1,0 +1,180 @@
+"""What the doctor finds out about this computer: groups, clock, versions, network. Nothing is changed."""
+from __future__ import annotations
+
+import ctypes
+import glob
+import grp
+import importlib
+import importlib.metadata
+import os
+import pwd
+import socket
+import sys
+import time
+from typing import Callable
+
+from car_interface.doctor.checks.computer import (
+    ClockReading,
+    Library,
+    Membership,
+    Need,
+    check_clock,
+    check_groups,
+    check_versions,
+)
+from car_interface.doctor.checks.findings import BAD, WARN
+from car_interface.doctor.checks.network import (
+    Master,
+    OwnAddress,
+    check_master,
+    check_own_address,
+    host_and_port,
+    listeners,
+    own_name,
+)
+from car_interface.teensy.link.console import is_consoles
+
+CLOCK_WATCHED_S = 1.0
+TIME_ERROR = 5  # what adjtimex returns while the clock is not synchronised: adjtimex(2)
+TIMEX_SIZE = 512  # more than struct timex on any computer
+
+# What nodes import: how it's distributed, the oldest version with what they use, and what installs it.
+LIBRARIES = (
+    ("rospy", "rospy", (), "Source the workspace; or sudo apt install ros-noetic-rospy (Debian: python3-rospy)"),
+    ("car_interface.msg", "", (), "Build the workspace and source it: catkin_make && source devel/setup.bash"),
+    ("diagnostic_updater", "diagnostic_updater", (),
+     "sudo apt install ros-noetic-diagnostic-updater (Debian: python3-diagnostic-updater)"),
+    ("serial", "pyserial", (3, 3), "sudo apt install python3-serial"),
+    ("smbus2", "smbus2", (), "sudo apt install python3-smbus2 (Ubuntu 20.04: pip3 install smbus2)"),
+)
+
+
+def look_at_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool):
+    """Whether this process is in the groups of the devices that the car uses."""
+    needs = []
+    if not virtual_port:
+        needs.append(Need(group_of(port, "dialout"), "the Teensy's port", BAD))
+    if not virtual_bus:
+        needs.append(Need(group_of(bus, "i2c"), "the servo board's bus", BAD))
+    if any(not os.access(path, os.R_OK) for path in glob.glob("/dev/input/js*")):
+        needs.append(Need("input", "the gamepad", WARN))
+    return check_groups(_membership(), list(dict.fromkeys(needs)))
+
+
+def group_of(path: str, usual: str) -> str:
+    """A device's group; the usual one when it's absent, a console's, or root's, as before a udev rule was installed."""
+    try:
+        gid = os.stat(path).st_gid
+        return grp.getgrgid(gid).gr_name if gid and not is_consoles(path) else usual
+    except (OSError, KeyError):
+        return usual
+
+
+def _membership():
+    groups = grp.getgrall()
+    try:
+        entry = pwd.getpwuid(os.geteuid())
+        user, primary = entry.pw_name, entry.pw_gid
+    except KeyError:
+        user, primary = str(os.geteuid()), os.getegid()
+    of_process = {os.getegid(), *os.getgroups()}
+    return Membership(
+        user=user, is_root=os.geteuid() == 0,
+        of_process=frozenset(group.gr_name for group in groups if group.gr_gid in of_process),
+        of_user=frozenset(group.gr_name for group in groups if user in group.gr_mem or group.gr_gid == primary),
+        existing=frozenset(group.gr_name for group in groups))
+
+
+def look_at_clock(uses_sim_time: bool):
+    """How the wall clock does beside the monotonic one, for a second."""
+    wall_s, monotonic_s = time.time(), time.monotonic()
+    time.sleep(CLOCK_WATCHED_S)
+    return check_clock(ClockReading(year=time.gmtime().tm_year, synchronised=_is_synchronised(),
+                                    wall_s=time.time() - wall_s, monotonic_s=time.monotonic() - monotonic_s,
+                                    uses_sim_time=uses_sim_time))
+
+
+def _is_synchronised():
+    """As the kernel has it; ``None`` where it doesn't tell."""
+    try:
+        state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(TIMEX_SIZE))  # zeros: only asks
+    except (OSError, AttributeError):
+        return None
+    return None if state < 0 else state != TIME_ERROR
+
+
+def look_at_versions():
+    """Python and what nodes import."""
+    return check_versions(sys.version_info[:3],
+                          [Library(name, _version(name, distribution), oldest, cure)
+                           for name, distribution, oldest, cure in LIBRARIES])
+
+
+def _version(name, distribution):
+    try:
+        module = importlib.import_module(name)
+    except Exception:  # a library can fail in any way; that it does is the finding
+        return None
+    try:
+        return importlib.metadata.version(distribution) if distribution else ""
+    except importlib.metadata.PackageNotFoundError:
+        return str(getattr(module, "__version__", ""))
+
+
+def look_at_network(uri: str, ask_master: Callable[[], str]):
+    """The master and this computer's own address.
+
+    Args:
+        uri: ROS_MASTER_URI.
+        ask_master: returns why the master doesn't answer; empty when it does.
+
+    Returns:
+        The findings about the master and about the address, and whether the master answers.
+    """
+    place = host_and_port(uri) if uri else None
+    if place is None:
+        return check_master(Master(uri)), [], False
+    here = _leads_here(place[0])
+    trouble = ask_master() if here is not None else "its host can't be found"
+    master = Master(uri, trouble, here, listeners(_tcp_tables(), place[1]) if here else ())
+    name = own_name(os.environ, socket.gethostname())
+    leads_here = _leads_here(name)
+    own = OwnAddress(name, leads_here is not None, bool(leads_here), _is_loopback(name))
+    return check_master(master), check_own_address(os.environ, own, here is not False), not trouble
+
+
+def _addresses(host):
+    try:
+        return {info[4][0] for info in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)}
+    except (OSError, UnicodeError):
+        return set()
+
+
+def _leads_here(host):
+    """Whether a name leads to this computer; ``None`` when it leads nowhere."""
+    addresses = _addresses(host)
+    return any(map(_is_own, addresses)) if addresses else None
+
+
+def _is_own(address):
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        try:
+            probe.bind((address, 0))
+        except OSError:
+            return False
+    return True
+
+
+def _is_loopback(host):
+    addresses = _addresses(host)
+    return bool(addresses) and all(address == "::1" or address.startswith("127.") for address in addresses)
+
+
+def _tcp_tables():
+    for path in ("/proc/net/tcp", "/proc/net/tcp6"):
+        try:
+            with open(path, encoding="ascii") as file:
+                yield file.read()
+        except OSError:
+            continue

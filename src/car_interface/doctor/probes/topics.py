@@ -1,0 +1,94 @@
+"""What the doctor hears of a running car: who drives, how the Teensy's link does, and what nodes complain of."""
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import NamedTuple
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+
+from car_interface.doctor.checks.car import Report, Steering
+from car_interface.doctor.checks.port import Link
+from car_interface.msg import LinkStatus, SteeringState
+from car_interface.steering.arbiter import source_name
+
+LISTEN_S = 3.0  # for what comes once a second, behind a connection that may take a moment
+POLL_S = 0.02
+
+
+class Heard(NamedTuple):
+    """The newest of each topic; ``None`` where nothing came."""
+
+    link: Link | None
+    steering: Steering | None
+    reports: list
+
+
+class _Ear:
+    """Keeps what came."""
+
+    def __init__(self):
+        self.links, self.states, self.reports = [], [], {}
+        self._lock = threading.Lock()
+
+    def hear_reports(self, array):
+        with self._lock:
+            for status in array.status:
+                self.reports[status.name] = Report(status.name, _level(status.level), status.message)
+
+    def reporters(self):
+        """The nodes whose reports came."""
+        with self._lock:
+            return {name.partition(":")[0] for name in self.reports}
+
+
+def _level(level):
+    """genpy gives a byte as a number or, for ROS 2's sake, as bytes."""
+    return level[0] if isinstance(level, bytes) else level
+
+
+def listen(hub: str | None, turn_arb: str | None, reporting) -> Heard:
+    """Listen until everything was heard that is expected, at most for ``LISTEN_S``.
+
+    Args:
+        hub: the Teensy hub's path; ``None`` when it doesn't run.
+        turn_arb: turn_arb's; likewise.
+        reporting: the paths of the nodes that report on /diagnostics.
+    """
+    logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes is told as findings
+    rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
+    rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
+    ear = _Ear()
+    if hub:
+        rospy.Subscriber(f"{hub}/link", LinkStatus, ear.links.append)
+    if turn_arb:
+        rospy.Subscriber(f"{turn_arb}/state", SteeringState, ear.states.append)
+    rospy.Subscriber("/diagnostics", DiagnosticArray, ear.hear_reports)
+    wanted = {path.strip("/") for path in reporting}
+    deadline_s = time.monotonic() + LISTEN_S
+    while time.monotonic() < deadline_s:
+        if (ear.links or not hub) and (len(ear.states) > 1 or not turn_arb) and wanted <= ear.reporters():
+            break
+        time.sleep(POLL_S)
+    return Heard(_link(ear.links), _steering(ear.states), list(ear.reports.values()))
+
+
+def leave() -> None:
+    """Take leave of the master."""
+    rospy.signal_shutdown("the doctor is done")
+
+
+def _link(links):
+    if not links:
+        return None
+    link = links[-1]
+    return Link(link.level, link.words, link.next_step, link.round_trip, link.firmware_checksum)
+
+
+def _steering(states):
+    if not states:
+        return None
+    state = states[-1]
+    return Steering(source_name(state.source), state.reason, state.duty, repeats=len(states) > 1)

@@ -1,0 +1,1 @@
+"""Whether the car may move at all: emergency stop, deadman, re-arming."""

@@ -1,0 +1,54 @@
+"""Duties, counts, register bytes and the prescale of a PCA9685. Pure arithmetic.
+
+A duty is 0..65535 of the PWM period. The chip divides the period into 4096 counts; 0 counts stand for its full-off bit
+and 4096 for its full-on bit (data sheet 7.3.3), so that neither end leaves a glitch of one count.
+"""
+from __future__ import annotations
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.servo_channels import MAX_DUTY
+
+COUNTS = 4096
+DUTY_PER_COUNT = 16  # 65536 / 4096
+FULL_BIT = 0x10  # bit 4 of LEDn_ON_H: full on; of LEDn_OFF_H: full off
+PRESCALE_MIN, PRESCALE_MAX = 3, 255  # 3 is forced by the hardware (data sheet 7.3.5)
+
+
+def counts_of_duty(duty: int) -> int:
+    """The nearest of 0..4096 counts to a duty of 0..65535, halves up."""
+    return min(COUNTS, (duty + DUTY_PER_COUNT // 2) // DUTY_PER_COUNT)
+
+
+def duty_of_counts(counts: int) -> int:
+    """The duty that 0..4096 counts make; 65535 for full on."""
+    return min(MAX_DUTY, counts * DUTY_PER_COUNT)
+
+
+def register_bytes(counts: int) -> bytes:
+    """LEDn_ON_L, ON_H, OFF_L, OFF_H for a pulse of 0..4096 counts that begins with the period."""
+    if counts <= 0:
+        return bytes((0, 0, 0, FULL_BIT))
+    if counts >= COUNTS:
+        return bytes((0, FULL_BIT, 0, 0))
+    return bytes((0, 0, counts & 0xFF, counts >> 8))
+
+
+def prescale_for(frequency_hz: float, oscillator_hz: float = 25e6) -> int:
+    """The PRE_SCALE that comes nearest to a PWM frequency: round(oscillator / (4096 · f)) − 1 (data sheet 7.3.5).
+
+    121 for 50 Hz and the nominal 25 MHz, which makes 50.03 Hz.
+
+    Raises:
+        ConfigError: when the frequency is out of the chip's reach, naming what is in reach.
+    """
+    divider = min(oscillator_hz / (COUNTS * frequency_hz), 1e6)  # however near to 0 the frequency, a finite number
+    prescale = round(divider) - 1
+    if not PRESCALE_MIN <= prescale <= PRESCALE_MAX:
+        low, high = (frequency_for(p, oscillator_hz) for p in (PRESCALE_MAX, PRESCALE_MIN))
+        raise ConfigError("frequency", frequency_hz, f"{low:.1f} to {high:.0f} Hz with this oscillator")
+    return prescale
+
+
+def frequency_for(prescale: int, oscillator_hz: float = 25e6) -> float:
+    """The PWM frequency in Hz that a PRE_SCALE value really makes."""
+    return oscillator_hz / (COUNTS * (prescale + 1))

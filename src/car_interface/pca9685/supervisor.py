@@ -1,0 +1,176 @@
+"""Keeps one PCA9685 at what is wanted, whatever happens to bus and chip.
+
+A failed transfer is made once more; when that fails too, the bus is reopened and the chip initialised anew, with
+growing pauses. Twice a second the chip is asked whether it still runs as it was told to: one that lost its power holds
+its reset values and answers every write as if nothing had happened.
+
+It opens no bus by itself and calls no clock: the bus is opened by a function that it's given, ``now_ns`` is passed in.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Callable, Sequence
+
+from car_interface.common.servo_channels import CHANNELS
+from car_interface.pca9685.board import Board, BoardMismatch
+from car_interface.pca9685.channels import differences
+
+NS_PER_MS = 1_000_000
+CHECK_PERIOD_NS = 500 * NS_PER_MS
+FIRST_RETRY_NS, LAST_RETRY_NS = 100 * NS_PER_MS, 2000 * NS_PER_MS
+
+# What happened, as ``on_event`` is told.
+RETRIED, LOST, ABSENT, RUNNING, MISMATCH = "retried", "lost", "absent", "running", "mismatch"
+
+
+@dataclass
+class BoardTally:
+    """What went wrong so far."""
+
+    errors: int = 0  # transfers that failed, first tries and repetitions
+    reopenings: int = 0  # times that bus and chip were brought back
+    reinitialisations: int = 0  # times that a chip which answered had forgotten what it was told
+
+
+class BoardKeeper:
+    """Opens, writes, checks and reopens.
+
+    Args:
+        open_bus: opens the bus and returns it; raises OSError. Called again after a failure.
+        close_bus: closes what ``open_bus`` returned.
+        make_board: from an open bus to the chip on it.
+        on_event: told one of the names above and the OSError or None, at each attempt.
+    """
+
+    def __init__(self, open_bus: Callable, close_bus: Callable, make_board: Callable[..., Board],
+                 on_event: Callable[[str, Exception | None], None]):
+        self.tally = BoardTally()
+        self._open_bus = open_bus
+        self._close_bus = close_bus
+        self._make_board = make_board
+        self._on_event = on_event
+        self._bus = None
+        self._board: Board | None = None
+        self._was_running = False
+        self._retry_ns = FIRST_RETRY_NS
+        self._next_try_ns = 0
+        self._next_check_ns = 0
+
+    @property
+    def running(self) -> bool:
+        """Whether the chip is there, as far as is known."""
+        return self._board is not None
+
+    @property
+    def ever_ran(self) -> bool:
+        """Whether the chip was ever there, so that it may be pulsing now."""
+        return self._was_running
+
+    @property
+    def held(self) -> list[int | None]:
+        """The counts that the chip holds; ``None`` = not known."""
+        return [None] * CHANNELS if self._board is None else self._board.held
+
+    def next_due_ns(self) -> int:
+        """When ``keep`` has something to do even if no target changes."""
+        return self._next_try_ns if self._board is None else self._next_check_ns
+
+    def keep(self, targets: Sequence[int], now_ns: int) -> None:
+        """Open, check or write, whatever is due; the errors of the bus end here."""
+        if self._board is None:
+            if now_ns >= self._next_try_ns:
+                self._try_to_open(targets, now_ns)
+            return
+        try:
+            if now_ns >= self._next_check_ns:
+                self._next_check_ns = now_ns + CHECK_PERIOD_NS
+                self._check()
+            self._write(targets)
+        except OSError as error:
+            self._lose(error, now_ns)
+
+    def open(self, targets: Sequence[int], now_ns: int) -> None:
+        """Open bus and chip now, and give every channel its target.
+
+        Raises:
+            OSError: why not; BoardMismatch when the chip doesn't keep what it's told.
+        """
+        try:
+            self._bus = self._open_bus()
+            board = self._make_board(self._bus)
+            board.initialise()
+            board.write(differences(board.held, targets))
+        except OSError:
+            self.tally.errors += 1
+            self._close()
+            raise
+        self._board = board
+        self.tally.reopenings += self._was_running
+        self._was_running = True
+        self._retry_ns = FIRST_RETRY_NS
+        self._next_check_ns = now_ns + CHECK_PERIOD_NS
+        self._on_event(RUNNING, None)
+
+    def all_off(self, now_ns: int) -> bool:
+        """Every output off; whether the chip took it."""
+        if self._board is None:
+            return False
+        try:
+            self._repeat(self._board.all_off)
+        except OSError as error:
+            self._lose(error, now_ns)
+        return self._board is not None
+
+    def close(self) -> None:
+        """Let go of the bus; the chip goes on with what it was told."""
+        self._close()
+
+    def hurry(self) -> None:
+        """Let the next ``keep`` try at once to open what was lost."""
+        self._next_try_ns = 0
+
+    def _try_to_open(self, targets, now_ns):
+        try:
+            self.open(targets, now_ns)
+        except OSError as error:
+            self._on_event(ABSENT, error)
+            self._wait(now_ns)
+
+    def _check(self):
+        try:
+            self._repeat(self._board.check)
+        except BoardMismatch as mismatch:
+            self._on_event(MISMATCH, mismatch)
+            self._board.initialise()
+            self.tally.reinitialisations += 1
+
+    def _write(self, targets):
+        if differences(self._board.held, targets):
+            self._repeat(lambda: self._board.write(differences(self._board.held, targets)))
+
+    def _repeat(self, transfer):
+        """Do it, and once more when it fails."""
+        try:
+            transfer()
+        except BoardMismatch:
+            raise
+        except OSError as error:
+            self.tally.errors += 1
+            self._on_event(RETRIED, error)
+            transfer()
+
+    def _lose(self, error, now_ns):
+        self.tally.errors += 1
+        self._on_event(LOST, error)
+        self._close()
+        self._wait(now_ns)
+
+    def _wait(self, now_ns):
+        self._next_try_ns = now_ns + self._retry_ns
+        self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
+
+    def _close(self):
+        self._board = None
+        if self._bus is not None:
+            self._close_bus(self._bus)
+            self._bus = None

@@ -1,0 +1,93 @@
+"""What the fields of a recorded message are: from the recording itself, or else from ROS 2's and this package's types.
+
+ROS 1 bags always have their definitions with them, ROS 2 bags since Iron. For older ones the standard types of ROS 2
+Humble serve, the ones in this package's ``msg`` folder, and Autoware's twins of these.
+"""
+from __future__ import annotations
+
+from typing import Any, Callable
+
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.package_files import package_file
+
+PACKAGE = "car_interface"
+# Autoware's packages that define messages with the fields of ours.
+TWINS = {
+    "autoware_control_msgs": ("Control", "Lateral", "Longitudinal"),
+    "autoware_internal_debug_msgs": ("Float64Stamped",),
+    "tier4_debug_msgs": ("Float64Stamped",),
+}
+IDL_RULE = "=" * 80 + "\n"
+
+
+class UnknownType(CarInterfaceError):
+    """A message type of which nobody has a definition."""
+
+
+class Definitions:
+    """Turns a recording's bytes into messages; a type's code is made when it is first asked for.
+
+    Args:
+        is_ros2: whether the bytes are CDR, as ROS 2 has them.
+    """
+
+    def __init__(self, is_ros2: bool):
+        self._is_ros2 = is_ros2
+        self._by_text: dict = {}  # of bags in which two publishers disagree about a type, each is taken at its word
+
+    def decoder(self, connection) -> Callable[[bytes], Any]:
+        """A function from the bytes of one connection's messages to messages.
+
+        Raises:
+            UnknownType: neither the recording nor this package has its definition.
+        """
+        text, is_idl = _definition(connection)
+        name, key = connection.msgtype, (connection.msgtype, text) if text else None
+        if key not in self._by_text:
+            self._by_text[key] = _store(name, text, is_idl) if text else known_types()
+        store = self._by_text[key]
+        try:
+            store.get_msgdef(name)
+        except (KeyError, TypesysError) as error:
+            raise UnknownType(f"neither the recording nor this package knows all of its type {name}") from error
+        deserialize = store.deserialize_cdr if self._is_ros2 else store.deserialize_ros1
+        return lambda data: deserialize(data, name)
+
+
+def known_types() -> Any:
+    """The types of ROS 2 Humble, of this package, and Autoware's twins of these, as rosbags' typestore."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types: dict = {}
+    for path in sorted(package_file("msg").glob("*.msg")):
+        text = path.read_text(encoding="utf-8")
+        types.update(get_types_from_msg(text, f"{PACKAGE}/msg/{path.stem}"))
+        for twin, names in TWINS.items():
+            if path.stem in names:
+                types.update(get_types_from_msg(text, f"{twin}/msg/{path.stem}"))
+    store.register(types)
+    return store
+
+
+def _store(name, text, is_idl):
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if not is_idl:
+            store.register(get_types_from_msg(text, name))
+        elif text.startswith(IDL_RULE):
+            for part in text.split(IDL_RULE)[1:]:
+                store.register(get_types_from_idl(part.split("\n", 1)[1]))
+        else:
+            store.register(get_types_from_idl(text))
+    except Exception as error:  # a parser may stumble over anything in a damaged text
+        raise UnknownType(f"the recording's definition of its type {name} makes no sense") from error
+    return store
+
+
+def _definition(connection):
+    """The text of a definition, empty when the recording has none, and whether it's in IDL."""
+    definition = connection.msgdef
+    if isinstance(definition, str):  # rosbags before 0.10
+        return definition, definition.startswith(IDL_RULE + "IDL: ")
+    return definition.data, definition.format.name == "IDL"

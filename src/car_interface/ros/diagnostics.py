@@ -1,0 +1,82 @@
+"""What a node reports on /diagnostics, once a second.
+
+``diagnostic_updater`` makes the messages. Its own pace follows ROS time, which can be set back, and asks the master,
+which can be dead; so the node's heartbeat paces it.
+"""
+from __future__ import annotations
+
+import time
+from typing import Callable
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_updater import DiagnosticStatusWrapper, Updater
+
+from car_interface.ros.runtime import Heartbeat, Inbox
+
+RATE_HZ = 1
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+Report = Callable[[DiagnosticStatusWrapper], DiagnosticStatusWrapper]
+
+
+class _Updater(Updater):
+    """Reports in the name of its node, which needn't be that of the process."""
+
+    def __init__(self, node_name):
+        self._prefix = node_name[1:]
+        super().__init__()
+
+    def publish(self, msg):
+        statuses = msg if isinstance(msg, list) else [msg]
+        for status in statuses:
+            status.name = f"{self._prefix}: {status.name}"
+        array = DiagnosticArray(status=statuses)
+        array.header.stamp = rospy.Time.now()
+        self.publisher.publish(array)
+
+
+class Diagnostics:
+    """One node's reports.
+
+    Args:
+        inbox: the node's.
+        hardware_id: what the reports are about, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
+        reports: by name; each fills in the status that it's given, and returns it.
+        now_ns: the first report comes a second later.
+    """
+
+    def __init__(self, inbox: Inbox, hardware_id: str, reports: dict[str, Report], now_ns: int):
+        self._updater = _Updater(inbox.node_name)
+        inbox.made(self._updater.publisher.unregister)
+        self._updater.setHardwareID(hardware_id)
+        self._inbox = inbox
+        for name, report in reports.items():
+            self._updater.add(name, self._with_inbox(report))
+        self._heartbeat = Heartbeat(RATE_HZ, now_ns + 1_000_000_000 // RATE_HZ)
+
+    def _with_inbox(self, report):
+        """That a node lost messages belongs to whatever it says of itself."""
+        def report_both(status):
+            report(status)
+            if self._inbox.overflowed_lately(time.monotonic_ns()):
+                status.mergeSummary(ERROR, self._inbox.overflow)
+            if self._inbox.dropped:
+                status.add("messages dropped by its inbox", self._inbox.dropped)
+            return status
+        return report_both
+
+    @property
+    def due_ns(self) -> int:
+        """When the next report is due."""
+        return self._heartbeat.due_ns
+
+    def step(self, now_ns: int) -> None:
+        """Report, if it's time."""
+        if self._heartbeat.is_due(now_ns):
+            self._updater.force_update()
+
+
+def age_text(age_s: float) -> str:
+    """An age for a report: ``0.02 s``, or ``never heard``."""
+    return "never heard" if age_s == float("inf") else f"{age_s:.2f} s"

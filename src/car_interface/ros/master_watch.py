@@ -1,0 +1,55 @@
+"""Whether the ROS master is there. Topics that are connected go on without it, but nothing can join any more."""
+from __future__ import annotations
+
+import threading
+import time
+import xmlrpc.client
+from typing import Any, Callable
+
+import rosgraph
+import rospy
+
+from car_interface.ros.runtime import Inbox
+
+POLL_S = 2.0
+ANSWER_WITHIN_S = 1.0
+GONE = ("the ROS master is gone: what is connected goes on, but no node that starts now can join, and one that ends is "
+        "not replaced. Stop the car, then start the launch file again")
+ANOTHER = ("there is another ROS master now, which doesn't know these nodes. Stop the car, then start the launch file "
+           "again")
+
+
+class MasterWatch:
+    """Asks the master for a sign of life in a thread of its own, for a dead one lets its callers wait.
+
+    Args:
+        inbox: of the node that wants to know.
+        handler: called in the node's thread with the trouble in words, or with an empty text while there is none.
+    """
+
+    def __init__(self, inbox: Inbox, handler: Callable[[str, int], None]):
+        self._inbox = inbox
+        self._handler = handler
+        self._master = xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=_HastyTransport())
+        self._pid = None
+        threading.Thread(target=self._watch, name="master watch", daemon=True).start()
+
+    def _watch(self):
+        while not (rospy.is_shutdown() or self._inbox.ending):
+            self._inbox.put(self._handler, self._trouble())
+            time.sleep(POLL_S)
+
+    def _trouble(self):
+        try:
+            pid = self._master.getPid(rospy.get_name())[2]
+        except Exception:  # whatever is wrong with the answer: there is none
+            return GONE
+        self._pid = self._pid or pid
+        return "" if pid == self._pid else ANOTHER
+
+
+class _HastyTransport(xmlrpc.client.Transport):
+    def make_connection(self, host: Any):
+        connection = super().make_connection(host)
+        connection.timeout = ANSWER_WITHIN_S
+        return connection

@@ -1,0 +1,1 @@
+"""The serial link to the Teensy: framing, records, port, pings, health."""

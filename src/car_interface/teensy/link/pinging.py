@@ -1,0 +1,137 @@
+"""When to ping the Teensy, which pong answers which ping, and which checksum its receiver wants.
+
+Pure: ``now_ns`` in, bytes for the line out.
+"""
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import NamedTuple
+
+from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED, encode
+from car_interface.teensy.link.protocol import ping
+
+AUTO = "auto"
+NS_PER_S = 1_000_000_000
+# A pong's way back is at most what the Teensy's transmit buffers hold: some 2 kB, 0.2 s at 115200 baud.
+ANSWER_WITHIN_NS = NS_PER_S // 2
+UNANSWERED_BEFORE_SWITCH = 5
+# Each ping leaves its place in the period by up to so much: pings that kept to a period of whole ms would meet the
+# Teensy's ticks at the same phase for ever, and what they tell of its clock would be off by that.
+DITHER_NS = 10_000_000
+DITHER_SHARE = 10  # of the period, at most one in so many
+# Multiples of the golden section, modulo 1, fill an interval more evenly than chance would, however many there are.
+GOLDEN_SECTION = (5 ** 0.5 - 1) / 2
+# Once a Teensy answers, some pings come faster, so that its clock is known within a second.
+QUICK_PINGS = 5
+QUICKER = 5
+QUICK_PERIOD_NS = NS_PER_S // 5  # faster isn't needed, whatever the period
+
+
+class Answer(NamedTuple):
+    """What a pong says about the ping that it answers."""
+
+    sent_ns: int
+    round_trip_ns: int
+    sent_bytes: int  # all that was written with it, filler too
+
+
+class Pinger:
+    """Keeps the pings that wait for an answer.
+
+    Args:
+        period_ns: from one ping to the next, on average.
+        checksum: ``framing.SHIPPED``, ``framing.CORRECTED``, or ``AUTO``: shipped first, and the other one whenever
+            five pings in a row go unanswered while the Teensy is heard.
+        now_ns: when to send the first.
+
+    Attributes:
+        due_ns: when to send the next.
+    """
+
+    def __init__(self, period_ns: int, checksum: str, now_ns: int):
+        self._period_ns = period_ns
+        self._quick_period_ns = max(period_ns // QUICKER, min(period_ns, QUICK_PERIOD_NS))
+        self._dither_ns = min(DITHER_NS, period_ns // DITHER_SHARE)
+        self._auto = checksum == AUTO
+        self.checksum = SHIPPED if self._auto else checksum
+        self._waiting: OrderedDict = OrderedDict()  # timestamp1 → (when it was sent, bytes written)
+        self.unanswered_in_a_row = 0
+        self._unanswered_though_heard = 0
+        self.sent = 0
+        self.answered = 0
+        self.resyncs = 0  # pings behind the filler
+        self._dithered = 0  # how many were
+        self._plan(now_ns)
+        self.hurry()
+
+    def restart(self, now_ns: int) -> None:
+        """The line was opened: what waited won't be answered; ping now."""
+        self._waiting.clear()
+        self.unanswered_in_a_row = self._unanswered_though_heard = 0
+        self._plan(now_ns)
+        self.hurry()
+
+    def hurry(self) -> None:
+        """Ping faster for a while, as long as pings are answered: nothing is known of the Teensy's clock."""
+        self._quick = QUICK_PINGS
+
+    def next_event_ns(self) -> int:
+        """When the next ping is due, or the oldest one has waited too long."""
+        oldest_ns, _ = next(iter(self._waiting.values()), (None, 0))
+        return self.due_ns if oldest_ns is None else min(self.due_ns, oldest_ns + ANSWER_WITHIN_NS)
+
+    def expire(self, now_ns: int, heard: bool = True) -> list[int]:
+        """Give up on pings that have waited too long; their timestamps. May change ``checksum``.
+
+        Args:
+            heard: whether other frames came from the Teensy meanwhile. When nothing gets through, or it's unplugged,
+                an unanswered ping says nothing about the checksum.
+        """
+        expired = [token for token, (sent_ns, _) in self._waiting.items() if now_ns - sent_ns >= ANSWER_WITHIN_NS]
+        for token in expired:
+            del self._waiting[token]
+            self.unanswered_in_a_row += 1
+            self._unanswered_though_heard += heard
+            if self._auto and self._unanswered_though_heard == UNANSWERED_BEFORE_SWITCH:
+                self._unanswered_though_heard = 0
+                self.checksum = CORRECTED if self.checksum == SHIPPED else SHIPPED
+        if expired:
+            self._plan(now_ns)  # don't wait out the period: the receiver may be out of step
+        return expired
+
+    def ping(self, timestamp1: int, now_ns: int) -> bytes:
+        """The bytes of a ping; after an unanswered one, behind the filler that brings the receiver back in step.
+
+        Of two with the same timestamp the first is the one that is answered: either may be, but none before it.
+        """
+        self.sent += 1
+        if now_ns >= self.due_ns:
+            next_ns = self._planned_ns + self._period_ns
+            self._plan(next_ns if next_ns > now_ns else now_ns + self._period_ns, self._dither())
+        filler = RESYNC_FILLER if self.unanswered_in_a_row else b""
+        self.resyncs += bool(filler)
+        data = filler + encode(ping(timestamp1), self.checksum)
+        self._waiting.setdefault(timestamp1, (now_ns, len(data)))
+        return data
+
+    def pong(self, timestamp1: int, now_ns: int) -> Answer | None:
+        """Take a pong; ``None`` when nobody waits for it."""
+        sent_ns, sent_bytes = self._waiting.pop(timestamp1, (None, 0))
+        if sent_ns is None:
+            return None
+        self.unanswered_in_a_row = self._unanswered_though_heard = 0
+        self.answered += 1
+        if self._quick:
+            self._quick -= 1
+            if now_ns + self._quick_period_ns < self._planned_ns:
+                self._plan(now_ns + self._quick_period_ns, self._dither())
+        return Answer(sent_ns, now_ns - sent_ns, sent_bytes)
+
+    def _plan(self, at_ns, dither_ns=0):
+        """Send the next ping then; those after it keep to its place, but not to its dither."""
+        self._planned_ns = at_ns
+        self.due_ns = at_ns + dither_ns
+
+    def _dither(self):
+        self._dithered += 1
+        return int(self._dithered * GOLDEN_SECTION % 1 * self._dither_ns)

@@ -1,0 +1,226 @@
+"""The serial port: open, read, write, and what's wrong with it in words. The only place that knows pyserial.
+
+Reading never blocks: a node waits on ``fileno()`` together with whatever else it waits for.
+"""
+from __future__ import annotations
+
+import errno
+import grp
+import os
+import pwd
+import select
+import stat
+import termios
+
+import serial
+
+from car_interface.common.errors import DeviceError
+from car_interface.common.processes import openers, process_name
+from car_interface.teensy.link.console import is_consoles, take_off
+from car_interface.teensy.link.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT
+
+READ_SIZE = 4096
+WRITE_WITHIN_MS = 500  # what a line at 115200 baud carries in that time is more than its driver holds
+SEARCHED_EVERY = 5  # refusals of a busy port; at 2 s between attempts, every 10 s: there may be many processes
+
+
+class PortError(DeviceError):
+    """A port that can't be opened or was lost.
+
+    Args:
+        path: of the port.
+        state: which fault it is, one of ``health``'s.
+        cause: what went wrong, in words.
+        cure: what its owner can do or type next.
+    """
+
+    def __init__(self, path: str, state: str, cause: str, cure: str):
+        self.state = state
+        super().__init__(f"Teensy on {path}", cause, cure)
+
+
+class SerialLink:
+    """One serial port, 8N1, locked against a second opener.
+
+    Args:
+        port: the device's path.
+        baud: bits per second; at 8N1 a byte takes ten of them.
+    """
+
+    def __init__(self, port: str, baud: int):
+        self._path = port
+        self._baud = baud
+        self._serial = None
+        self._fd = None  # its file descriptor, while it's open
+        self._refusals = 0  # of a busy port, since it was last opened
+        self._holders = []
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is open, as far as is known."""
+        return self._serial is not None
+
+    def fileno(self) -> int:
+        """The open port's file descriptor, for select or poll.
+
+        Raises:
+            PortError: when it isn't open.
+        """
+        if self._fd is None:
+            raise PortError(self._path, FAILING, "the port is not open", "It is opened again as soon as that works")
+        return self._fd
+
+    def open(self) -> None:
+        """Open the port, without what arrived before.
+
+        Raises:
+            PortError: with the cause and what to do about it.
+        """
+        try:
+            self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
+            self._fd = self._serial.fileno()
+            _tell_silence_from_hangup(self._fd)
+        except (OSError, ValueError, termios.error) as error:
+            self.close()
+            raise PortError(self._path, *self._explain(error)) from error
+        self._refusals = 0
+
+    def read(self) -> bytes:
+        """What has arrived, up to 4 KiB; empty when nothing has.
+
+        Raises:
+            PortError: when the port is gone; it is closed then.
+        """
+        fd = self.fileno()
+        try:
+            data = os.read(fd, READ_SIZE)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise self._lost(error) from error
+        if not data:
+            raise self._lost("the line hung up")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; waits a moment for room.
+
+        Raises:
+            PortError: when the port is gone or takes nothing; it is closed then.
+        """
+        fd = self.fileno()
+        room = select.poll()
+        room.register(fd, select.POLLOUT)
+        while data:
+            # Not pyserial's write: against a port that is full it spins until its timeout.
+            if not room.poll(WRITE_WITHIN_MS):
+                raise self._lost("write timeout: it takes nothing")
+            try:
+                data = data[os.write(fd, data):]
+            except BlockingIOError:
+                continue
+            except OSError as error:
+                raise self._lost(error) from error
+
+    def close(self) -> None:
+        """Close the port, if it is open."""
+        if self._serial is not None:
+            try:
+                self._serial.close()
+            except OSError:
+                pass  # it was pulled out; there is nothing left to close
+            self._serial = self._fd = None
+
+    def _lost(self, error):
+        self._discard_output()
+        self.close()
+        return PortError(self._path, FAILING, f"the port was lost ({error})",
+                         "Check its cable and power; it is opened again as soon as it is back")
+
+    def _discard_output(self):
+        """What a port hasn't taken would keep its close waiting, with some drivers for half a minute."""
+        try:
+            termios.tcflush(self.fileno(), termios.TCOFLUSH)
+        except (OSError, termios.error):
+            pass  # it was pulled out; nothing waits any more
+
+    def _explain(self, error):
+        """State, cause and cure of a failed open, from the path itself and from the error's number."""
+        path, number = self._path, getattr(error, "errno", None)
+        if os.path.isdir(path):
+            return NO_PORT, "this is a directory, not a serial port", ("Set ~port to the port's own path: "
+                                                                       "ls /dev/serial/by-id")
+        if number == errno.ENOENT or not os.path.exists(path):
+            return ABSENT, "there is no such port", ("Plug the Teensy in and see what it is called: "
+                                                     "ls /dev/serial/by-id /dev/ttyA*")
+        if number in (errno.EACCES, errno.EPERM):
+            return (NO_PERMISSION, *_explain_permission(path))
+        if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or "lock" in str(error):
+            return (BUSY, *self._explain_busy())
+        if number == errno.ENOTTY or "configure" in str(error):
+            return NO_PORT, "this is not a serial port", "Set ~port to the Teensy's port: ls /dev/serial/by-id"
+        return FAILING, f"it can't be opened ({error})", "Check ~port and ~baud"
+
+    def _explain_busy(self):
+        if self._refusals % SEARCHED_EVERY == 0:
+            self._holders = _holders(self._path)
+        self._refusals += 1
+        names = ", ".join(f"{name} (process {pid})" for pid, name in self._holders)
+        cause = "another program has it open" + (f": {names}" if names else "")
+        if "ModemManager" in names:
+            return cause, "It tries every new port; this keeps it off: rosrun car_interface setup_hardware"
+        return cause, f"See which one, and end it: fuser -v {self._path}"
+
+
+def _tell_silence_from_hangup(fd):
+    """With VMIN 0, as pyserial leaves it, a read of nothing means either; with VMIN 1 it means that the device left."""
+    attributes = termios.tcgetattr(fd)
+    attributes[6][termios.VMIN] = 1
+    termios.tcsetattr(fd, termios.TCSANOW, attributes)
+
+
+def _explain_permission(path):
+    """Cause and cure, by the port's group and whether this user is in it."""
+    if is_consoles(path):
+        return "no permission to open it: a log-in console has it", take_off(path)
+    status = os.stat(path)
+    group, user = _name(grp.getgrgid, status.st_gid), _name(pwd.getpwuid, os.geteuid())
+    if not status.st_mode & stat.S_IRGRP or not status.st_mode & stat.S_IWGRP:
+        return (f"no permission to open it, nor has its group, {group}",
+                f"See whom it is open to: ls -lL {path}; for a Teensy on USB: rosrun car_interface setup_hardware")
+    if status.st_gid in os.getgroups():
+        return f"no permission to open it, in spite of its group, {group}", f"See whom it is open to: ls -lL {path}"
+    if group in _groups_of(user):
+        return f"no permission to open it: {user} joined its group, {group}, after logging in", "Log in anew"
+    return (f"no permission to open it: {user} is not in its group, {group}",
+            f"Join it and log in anew: sudo usermod -aG {group} {user}")
+
+
+def _name(look_up, number):
+    """A user's or a group's name, or its number when it has none."""
+    try:
+        return look_up(number)[0]
+    except KeyError:
+        return str(number)
+
+
+def _groups_of(user):
+    """The groups of the next log-in; those of the running process may be older."""
+    return [group.gr_name for group in grp.getgrall() if user in group.gr_mem]
+
+
+def _holders(path):
+    """Who has a port open, as (process, name), as far as /proc tells: a lock's owner, or else whoever holds it."""
+    try:
+        owners = [pid for pid in _lock_owners(os.stat(path)) if pid != os.getpid()]
+    except OSError:
+        return []
+    return [(pid, process_name(pid)) for pid in owners] or openers(path)
+
+
+def _lock_owners(status):
+    """From /proc/locks, whose lines are ``1: FLOCK ADVISORY WRITE pid major:minor:inode start end``."""
+    wanted = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    with open("/proc/locks", encoding="ascii") as file:
+        locks = [line.split() for line in file]
+    return sorted({int(lock[4]) for lock in locks if len(lock) > 5 and lock[5] == wanted and int(lock[4]) > 0})

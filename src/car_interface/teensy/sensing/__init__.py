@@ -1,0 +1,1 @@
+"""What the Teensy's records measure: plausibility, its clock, odometry, ranges."""

@@ -1,0 +1,147 @@
+"""The Teensy's records as measurements: stamped on the host's monotonic clock, in SI units, and checked.
+
+Consumes each pong, sonar report and wheel report with the moment at which it was read; what the plausibility gates
+accept goes through clock, ranging or odometry. A live node and the replay of a recording use this alike.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from car_interface.teensy.link.pinging import Answer
+from car_interface.teensy.link.protocol import SONARS, UINT32, Pong, SonarStatus, WheelStatus
+from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
+from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
+from car_interface.teensy.sensing.plausibility import GateConfig, Gates, ahead, has_pulsed
+from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
+
+NS_PER_MS = 1_000_000
+# On the line, with checksum and closing flag: the least, without escapes and with a shared opening flag. What is taken
+# off the time of receipt for it must not be more than the line took.
+PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
+TICK_MIDDLE_MS = 0.5
+
+
+@dataclass(frozen=True)
+class MeasurementConfig:
+    """One car's sensors."""
+
+    gates: GateConfig = field(default_factory=GateConfig)
+    clock: ClockConfig = field(default_factory=ClockConfig)
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    ranging: RangingConfig = field(default_factory=RangingConfig)
+
+
+class RangeMeasurement(NamedTuple):
+    """One sonar's range."""
+
+    stamp: Stamp
+    sensor: int  # index in protocol.SONARS
+    range_m: float  # never NaN
+
+
+class MotionMeasurement(NamedTuple):
+    """Where the car was, and how it moved."""
+
+    stamp: Stamp
+    motion: Motion
+
+
+class Measurements:
+    """Everything that one Teensy measures.
+
+    Attributes:
+        gates: what was refused, and why.
+        clock: how the Teensy's clock relates to the host's.
+        ranging: its temperature may be set at any time.
+    """
+
+    def __init__(self, config: MeasurementConfig = MeasurementConfig()):
+        self.gates = Gates(config.gates)
+        self.clock = Clock(config.clock)
+        self.ranging = Ranging(config.ranging)
+        self._odometry = Odometry(config.odometry)
+        self._has_heard_a_tick = False
+        self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never begins anew
+        self._newest_ms = -math.inf  # of the wheels' pulses and repeats, on the odometry's clock
+        # Of the newest of each kind: stamps rise even where the clocks' relation is found anew.
+        self._motion_ns = 0
+        self._range_ns = [0] * len(SONARS)
+
+    def pong(self, record: Pong, answer: Answer | None, received_ns: int) -> Sync | None:
+        """Take a pong, and the ping that it answers (``None``: no ping of ours); ``None`` when it was refused."""
+        verdict = self.gates.pong(record, answer is not None)
+        if not verdict.accepted:
+            return None
+        self._hear_tick(verdict, record.timestamp2, received_ns)
+        return self.clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, received_ns, PONG_BYTES)
+
+    def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True) -> RangeMeasurement | None:
+        """Take a sonar's report; ``None`` when it was refused, or says nothing about the room."""
+        verdict = self.gates.sonar(record)
+        if not verdict.accepted:
+            return None
+        self._hear_tick(verdict, record.when, received_ns)
+        self.clock.heard(record.when, received_ns, SONAR_BYTES)
+        range_m = self.ranging.range(record.sensor, record.echo_us, record.when, is_trusted)
+        if range_m is None:
+            return None
+        time_ns, uncertainty_ns = self.clock.translate(record.when, received_ns, SONAR_BYTES)
+        time_ns = self._range_ns[record.sensor] = max(time_ns, self._range_ns[record.sensor] + 1)
+        return RangeMeasurement(Stamp(time_ns, uncertainty_ns), record.sensor, range_m)
+
+    def wheels(self, record: WheelStatus, received_ns: int) -> MotionMeasurement | None:
+        """Take a report of the wheels; ``None`` when it was refused."""
+        verdict = self.gates.wheels(record)
+        if not verdict.accepted:
+            return None
+        newest = _newest_when(record)
+        if not self._has_heard_a_tick:
+            if newest is None:
+                return None
+            self._hear_tick(verdict, newest, received_ns)
+            self.clock.heard(newest, received_ns, WHEEL_BYTES)
+        if verdict.boot_tick is not None:
+            self._restart_clock(verdict.boot_tick, received_ns)
+        received_ms = self.clock.tick_at(received_ns) + self._shift_ms
+        left_ms, right_ms = (self.clock.unwrap(wheel.when) + self._shift_ms if has_pulsed(wheel) else -math.inf
+                             for wheel in record)
+        # When a report was sent nobody knows; but until its newest pulse or repeat no later pulse had come.
+        newest_ms = -math.inf if newest is None else self.clock.unwrap(newest) + self._shift_ms
+        is_news = self._newest_ms < newest_ms <= received_ms
+        if is_news:
+            self._newest_ms = newest_ms
+        motion = self._odometry.report(record, verdict.pulses, verdict.restarted, left_ms, right_ms,
+                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven)
+        return MotionMeasurement(self._stamp(motion.time_ms - self._shift_ms, received_ns), motion)
+
+    def steer(self, curvature_per_m: float) -> None:
+        """What the steering is commanded to, left positive; for an odometry that uses it."""
+        self._odometry.steer(curvature_per_m)
+
+    def _stamp(self, time_ms, received_ns):
+        """Of a moment between two ticks; always after the one before it, or a transform would be there twice."""
+        tick = math.floor(time_ms)
+        time_ns, uncertainty_ns = self.clock.translate(tick % UINT32, received_ns, WHEEL_BYTES)
+        time_ns += round((time_ms - tick - TICK_MIDDLE_MS) * NS_PER_MS)
+        time_ns = self._motion_ns = max(min(time_ns, received_ns), self._motion_ns + 1)
+        return Stamp(time_ns, uncertainty_ns)
+
+    def _hear_tick(self, verdict, tick, received_ns):
+        """The odometry's time goes on when the Teensy's clock begins anew; the first tick begins both."""
+        if verdict.restarted and self._has_heard_a_tick:
+            self._restart_clock(tick, received_ns)
+        self._has_heard_a_tick = True
+
+    def _restart_clock(self, tick, received_ns):
+        """The Teensy rebooted, and this is a tick of its new clock."""
+        self._shift_ms += self.clock.tick_at(received_ns) - tick
+        self.clock.restart()
+        self.clock.heard(tick, received_ns, 0)
+
+
+def _newest_when(record):
+    """The tick of the newest pulse or repeat; ``None`` before the first."""
+    ticks = [wheel.when for wheel in record if has_pulsed(wheel)]
+    return max(ticks, key=lambda tick: ahead(tick, ticks[0])) if ticks else None

@@ -1,0 +1,170 @@
+"""Echo times → ranges.
+
+Consumes microseconds from a sonar's ping to its echo as the firmware reports them; produces metres, as
+sensor_msgs/Range wants them. What is no distance is said as REP-117 has it: nothing in range +inf, too near to be
+measured −inf. ROS 1's costmap layer drops infinite ranges and clears only at ``max_range``, so there is a way to have
+numbers only. Never NaN.
+
+What the firmware reports (seen on the original one, see test/data/firmware):
+
+- 13 µs less than the echo took: they are added.
+- Whatever the sensor's own pulse lasts, in 16 bits. Without an echo an HC-SR04 ends its pulse after 38 ms. There are
+  clones that hold it for 200 ms, of which 3,379 µs are left, 0.58 m: their time-out has to be known.
+- 0 for a pin that never fell, and around a wrap of micros(): no distance, and no report about the room either. Around
+  the wrap, every 71.6 minutes of the Teensy's uptime, several pings fail or fire together: nothing of it is believed.
+
+Pure: the temperature of the air is set from outside, whenever it is known.
+"""
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass
+
+from car_interface.common.errors import ConfigError
+from car_interface.teensy.link.protocol import SONARS
+
+INF, MAX_RANGE = "inf", "max_range"
+US_PER_S = 1e6
+COLDEST_C, HOTTEST_C = -50.0, 60.0
+MEDIAN_OF = 5
+TAKEN_OFF_US = 13  # by the firmware, of each echo
+UINT16, UINT32 = 2 ** 16, 2 ** 32
+USUAL_TIMEOUT_MS, MAX_TIMEOUT_MS = 38.0, 1000.0
+# From so much of its time-out on an echo is none; where the time-out wraps, that is told by how near it comes to it.
+TIMEOUT_RATIO, TIMEOUT_TOLERANCE_US = 0.95, 300
+# Around a wrap of micros(): a ping begun in the last 29 ms before it fails, and what fires then reports a little later.
+# The first report after power-up comes at 300 ms.
+BEFORE_WRAP_US, AFTER_WRAP_US = 50_000, 250_000
+
+# Why an echo makes no range, in words.
+STUCK = "an echo of 0: the pin was high all the time"
+MICROS_WRAP = "an echo around the wrap of the Teensy's micros()"
+DISTRUSTED = "an echo right after SONAR_START"
+
+
+def _check_temperature(temperature_c):
+    if not COLDEST_C <= temperature_c <= HOTTEST_C:  # nor is NaN
+        raise ConfigError("temperature", temperature_c, f"{COLDEST_C:g} to {HOTTEST_C:g} °C")
+
+
+@dataclass(frozen=True)
+class RangingConfig:
+    """How echoes are taken.
+
+    Attributes:
+        temperature_c: of the air, −50 to 60.
+        min_range_m: what is nearer is too near to be measured: the sonar itself still rings.
+        max_range_m: an echo from farther counts as none.
+        no_echo: ``inf``: no echo is +inf, one from too near −inf. ``max_range``: no echo is ``max_range_m``, one from
+            too near is ``min_range_m``: something stands there, and a costmap shall keep it.
+        timeouts_ms: after which each sonar ends its pulse by itself when it hears no echo; up to 1000.
+        median: of each sonar's newest five echoes, not the newest. One or two wrong ones in a row don't show; what is
+            new shows with the third report, two reports later than without.
+
+    Raises:
+        ConfigError: naming the ROS parameter.
+    """
+
+    temperature_c: float = 20.0
+    min_range_m: float = 0.02
+    max_range_m: float = 2.0
+    no_echo: str = INF
+    median: bool = False
+    timeouts_ms: tuple = (USUAL_TIMEOUT_MS,) * len(SONARS)
+
+    def __post_init__(self):
+        for name, timeout_ms in zip(SONARS, self.timeouts_ms):
+            if not 0 < timeout_ms <= MAX_TIMEOUT_MS:  # nor is NaN
+                raise ConfigError(f"no_echo_timeouts/{name}", timeout_ms, f"more than 0, up to {MAX_TIMEOUT_MS:g} ms")
+        _check_temperature(self.temperature_c)
+        if not 0 <= self.min_range_m < math.inf:
+            raise ConfigError("min_range", self.min_range_m, "0 m or more")
+        if not self.min_range_m < self.max_range_m < math.inf:
+            raise ConfigError("max_range", self.max_range_m, f"more than min_range, {self.min_range_m} m")
+        if self.no_echo not in (INF, MAX_RANGE):
+            raise ConfigError("no_echo", self.no_echo, f"{INF} or {MAX_RANGE}")
+
+
+class Ranging:
+    """Turns each sonar's echoes into ranges.
+
+    Attributes:
+        counts: echoes that made no range, by reason.
+    """
+
+    def __init__(self, config: RangingConfig = RangingConfig()):
+        self._config = config
+        self._temperature_c = config.temperature_c
+        self._nothing_m = math.inf if config.no_echo == INF else config.max_range_m
+        self._too_near_m = -math.inf if config.no_echo == INF else config.min_range_m
+        self.counts: Counter = Counter()
+        self._timeouts_us = [round(1000 * timeout_ms) for timeout_ms in config.timeouts_ms]
+        self._newest_us = [deque(maxlen=MEDIAN_OF if config.median else 1) for _ in SONARS]
+
+    @property
+    def temperature_c(self) -> float:
+        """Of the air.
+
+        Raises:
+            ConfigError: when it's set to anything but a number from −50 to 60; the one before stays.
+        """
+        return self._temperature_c
+
+    @temperature_c.setter
+    def temperature_c(self, temperature_c: float) -> None:
+        _check_temperature(temperature_c)
+        self._temperature_c = temperature_c
+
+    def range(self, sensor: int, echo_us: int, tick: int, is_trusted: bool = True) -> float | None:
+        """Metres from a sonar to what its echo came from.
+
+        Args:
+            sensor: index in ``protocol.SONARS``.
+            echo_us: as the firmware reports it.
+            tick: the Teensy's clock then, ms.
+            is_trusted: False within two reports of a SONAR_START: the firmware fires two sonars at once.
+
+        Returns:
+            ``min_range_m`` to ``max_range_m``; else what ``no_echo`` says; ``None`` when the report says nothing about
+            the room. With ``median`` no echo counts as one from beyond all others, so that three of the newest five
+            decide; of the first two or four the nearer middle one.
+        """
+        doubt = "" if is_trusted else DISTRUSTED
+        if is_near_micros_wrap(tick):
+            doubt = MICROS_WRAP
+        elif not echo_us:
+            doubt = STUCK
+        if doubt:
+            self.counts[doubt] += 1
+            return None
+        newest_us = self._newest_us[sensor]
+        newest_us.append(self._echo_us(sensor, echo_us))
+        median_us = sorted(newest_us)[(len(newest_us) - 1) // 2]
+        range_m = median_us / US_PER_S * speed_of_sound_mps(self._temperature_c) / 2
+        if range_m > self._config.max_range_m:
+            return self._nothing_m
+        return range_m if range_m >= self._config.min_range_m else self._too_near_m
+
+
+    def _echo_us(self, sensor, reported_us):
+        """What the echo took; infinite when there was none."""
+        timeout_us = self._timeouts_us[sensor]
+        if timeout_us >= UINT16:
+            off_us = (reported_us + TAKEN_OFF_US - timeout_us + UINT16 // 2) % UINT16 - UINT16 // 2
+            if abs(off_us) <= TIMEOUT_TOLERANCE_US:
+                return math.inf
+        elif reported_us + TAKEN_OFF_US >= TIMEOUT_RATIO * timeout_us:
+            return math.inf
+        return reported_us + TAKEN_OFF_US
+
+
+def is_near_micros_wrap(tick: int) -> bool:
+    """Whether the Teensy's 32 bits of µs wrap at about this tick of its 32 bits of ms. Both begin at power-up."""
+    since_us = 1000 * tick % UINT32  # 2**32 ms are 1000 wraps
+    return since_us >= UINT32 - BEFORE_WRAP_US or since_us <= AFTER_WRAP_US
+
+
+def speed_of_sound_mps(temperature_c: float) -> float:
+    """In dry air: the tangent at 0 °C of 331.3 √(1 + T / 273.15), 0.23 % above it at 40 °C, less from −20 on."""
+    return 331.3 + 0.606 * temperature_c

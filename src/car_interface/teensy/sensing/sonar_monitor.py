@@ -1,0 +1,234 @@
+"""Which sonars are alive, which of their reports to trust, and when to start them again.
+
+Consumes the sonars' reports and what the host commands; answers with faults by name and with what to do about them.
+What the firmware does (seen on the original one, see test/data/firmware):
+
+- A sonar that isn't connected is skipped. The first of the sequence missing at power-up silences all of them, until
+  SONAR_START steps to the next.
+- One whose echo pin is stuck high holds the others up for about the Teensy's uptime and reports 0; after 179 s of
+  uptime (89 s on a Teensy 3.1) it silences all of them, until SONAR_START, and then again at that sonar.
+- SONAR_START while they run fires two sonars at once, and the second one hears the first one's echo. So it's sent only
+  when they are silent, and reports right after it aren't trusted.
+
+Pure: ``now_ns`` in, nothing that grows.
+"""
+from __future__ import annotations
+
+from typing import NamedTuple, Sequence
+
+from car_interface.teensy.link.protocol import SONARS
+from car_interface.teensy.sensing.ranging import is_near_micros_wrap
+
+NS_PER_MS, NS_PER_S = 1_000_000, 1_000_000_000
+MISSING_ROUNDS = 2  # so many rounds of the others without a report
+STUCK_ZEROS, DROPPED_ZEROS = 2, 3  # echoes of 0 in a row
+STUCK_SILENCES = 2  # so often in a row all went silent at the same sonar
+DISTRUSTED_REPORTS = 2
+# A report of before SONAR_START may still be on its way; the last false one comes with the end of a pulse of 38 ms.
+BEFORE_START_MS, AFTER_START_MS = 15, 70
+MAX_RETRY_NS = 60 * NS_PER_S  # between SONAR_STARTs that don't help
+FIRMWARE_WAIT_MS = 50
+SEND_START, SEND_SEQUENCE = "SONAR_START", "SET_SONAR_SEQ"
+ALIVE_NS = NS_PER_S  # a link on which nothing came for longer says nothing about sonars
+
+
+class SonarFault(NamedTuple):
+    """What is wrong with the sonars.
+
+    Attributes:
+        sensor: index in ``protocol.SONARS``; ``None`` for all of them.
+        words: what is wrong.
+        next_step: what its owner can do.
+    """
+
+    sensor: int | None
+    words: str
+    next_step: str
+
+
+class SonarMonitor:
+    """Follows the six sonars of one Teensy.
+
+    Args:
+        restart_s: after so long without any report, though there should be some, SONAR_START is wanted; 0 = never.
+        sequence: the sonars in use, to be sent to each Teensy that comes up; ``None`` = the firmware's own order.
+
+    Attributes:
+        sequence: the sonars in use, as the firmware fires them.
+        starts: how many SONAR_STARTs it asked for.
+        dropped: sensors that are stuck and were taken out of the sequence.
+    """
+
+    def __init__(self, restart_s: float = 3.0, sequence: Sequence[int] | None = None):
+        self._restart_ns = round(restart_s * NS_PER_S)
+        self._configured = None if sequence is None else tuple(sequence)
+        self.starts = 0
+        self._newest: tuple | None = None  # (tick, when it was received)
+        self._stopped = False
+        self._frame_ns: int | None = None
+        self._forget_commands()
+        self._forget_reports(0)
+
+    def _forget_commands(self):
+        self.sequence = self._configured or tuple(range(len(SONARS)))
+        self.dropped: tuple = ()
+        self._wait_ms = FIRMWARE_WAIT_MS
+        self._must_send = self._configured is not None
+
+    def _forget_reports(self, now_ns):
+        self._since_ns = now_ns  # from when on reports are missed
+        self._others = [0] * len(SONARS)  # reports of other sonars since its own last one
+        self._zeros = [0] * len(SONARS)  # in a row
+        self._last: int | None = None  # the sensor that reported last, since SONAR_START
+        self._silences = [0] * len(SONARS)  # in a row, at this sensor
+        self._retry_ns = self._restart_ns
+        self._trusted_after = (0, 0)  # reports still to be distrusted, tick until which all are
+
+    def opened(self, now_ns: int) -> None:
+        """The port was opened: nothing is known of what the sonars do, but their order stays what was commanded."""
+        self._forget_reports(now_ns)
+        self._newest = self._frame_ns = None
+        self._must_send = self._configured is not None or bool(self.dropped)
+
+    def rebooted(self, now_ns: int) -> None:
+        """The Teensy rebooted: its sonars run, in its own order."""
+        self._forget_commands()
+        self._forget_reports(now_ns)
+        self._newest = None
+        self._stopped = False
+
+    def frame(self, now_ns: int) -> None:
+        """Any frame came: the Teensy is alive."""
+        if self._frame_ns is None or now_ns - self._frame_ns > ALIVE_NS:
+            self._since_ns = max(self._since_ns, now_ns)
+        self._frame_ns = now_ns
+
+    def tick(self, tick: int, now_ns: int) -> None:
+        """The Teensy's clock, ms, by a pong or a sonar."""
+        self._newest = (tick, now_ns)
+
+    def stopped(self) -> None:
+        """SONAR_STOP was sent on somebody's behalf."""
+        self._stopped = True
+
+    def started(self, now_ns: int) -> None:
+        """SONAR_START was sent."""
+        self._stopped = False
+        self._since_ns = now_ns
+        self._last = None
+        until = 0
+        if self._newest is not None:
+            tick, at_ns = self._newest
+            until = tick + (now_ns - at_ns) // NS_PER_MS + AFTER_START_MS
+        self._trusted_after = (DISTRUSTED_REPORTS, until)
+
+    def sequence_set(self, sequence: Sequence[int], now_ns: int) -> None:
+        """SET_SONAR_SEQ was sent on somebody's behalf: who puts a sonar in wants it to be used."""
+        self.sequence = tuple(sequence)
+        self.dropped = tuple(sensor for sensor in self.dropped if sensor not in sequence)
+        self._since_ns = max(self._since_ns, now_ns)
+        for sensor in range(len(SONARS)):
+            self._others[sensor] = self._zeros[sensor] = self._silences[sensor] = 0
+
+    def wait_set(self, wait_ms: int) -> None:
+        """SONAR_WAIT was sent."""
+        self._wait_ms = wait_ms
+
+    def report(self, sensor: int, echo_us: int, tick: int, now_ns: int) -> bool:
+        """Take a report; whether it may be trusted."""
+        is_trusted = self._is_trusted(tick)
+        self.tick(tick, now_ns)
+        self._since_ns = now_ns
+        self._retry_ns = self._restart_ns
+        self._last = sensor
+        self._silences[sensor] = 0
+        for other in range(len(SONARS)):
+            self._others[other] = 0 if other == sensor else self._others[other] + 1
+        if is_trusted and not is_near_micros_wrap(tick):
+            self._zeros[sensor] = 0 if echo_us else self._zeros[sensor] + 1
+        return is_trusted
+
+    def _is_trusted(self, tick):
+        left, until = self._trusted_after
+        if not left and not until:
+            return True
+        if until:
+            if tick < until - AFTER_START_MS - BEFORE_START_MS:
+                return True  # it was on its way as SONAR_START was sent
+            if tick > until:
+                until = 0
+        self._trusted_after = (max(0, left - 1), until)
+        return not left and not until
+
+    def next_command(self, now_ns: int) -> str | None:
+        """What to send now: ``SEND_START``, ``SEND_SEQUENCE`` (``sequence`` has it already), or ``None``."""
+        if not self._is_alive(now_ns):
+            return None
+        if self._must_send:
+            self._must_send = False
+            return SEND_SEQUENCE
+        if self._stopped:
+            return None
+        for sensor in set(self.sequence):
+            if self._is_stuck(sensor) and len(set(self.sequence)) > 1:
+                self.sequence = tuple(other for other in self.sequence if other != sensor)
+                self.dropped += (sensor,)
+                self._last = None
+                return SEND_SEQUENCE
+        if not self._is_silent(now_ns):
+            return None
+        suspect = self._suspect()
+        if suspect is not None:
+            self._silences[suspect] += 1
+        elif self.starts:
+            self._retry_ns = min(2 * self._retry_ns, MAX_RETRY_NS)
+        self.starts += 1
+        self.started(now_ns)
+        return SEND_START
+
+    def _is_alive(self, now_ns):
+        return self._frame_ns is not None and now_ns - self._frame_ns <= ALIVE_NS
+
+    def _is_stuck(self, sensor):
+        return self._zeros[sensor] >= DROPPED_ZEROS or self._silences[sensor] >= STUCK_SILENCES
+
+    def _is_silent(self, now_ns):
+        """Whether reports are missing for long enough to start the sonars."""
+        patience_ns = max(self._retry_ns, 2 * self._wait_ms * NS_PER_MS)
+        return bool(self._restart_ns) and now_ns - self._since_ns >= patience_ns
+
+    def _suspect(self):
+        """The sonar at which they stopped: the one after the last that reported."""
+        if self._last not in self.sequence:
+            return None
+        return self.sequence[(self.sequence.index(self._last) + 1) % len(self.sequence)]
+
+    def faults(self, now_ns: int) -> list[SonarFault]:
+        """What is wrong, by name; empty when all that are in use report, or when nobody wants them to."""
+        found = [SonarFault(sensor, f"{SONARS[sensor]} is stuck high and was taken out of the sequence",
+                            "Check its echo wire and supply; when it is mended: ~set_sonar_sequence, or power the "
+                            "Teensy off and on") for sensor in self.dropped]
+        if self._stopped or not self._is_alive(now_ns):
+            return found
+        rounds = MISSING_ROUNDS * len(self.sequence)
+        for sensor in sorted(set(self.sequence)):
+            if self._zeros[sensor] >= STUCK_ZEROS or self._silences[sensor]:
+                found.append(SonarFault(sensor, f"{SONARS[sensor]} seems stuck high: it holds the other sonars up",
+                                        "Check its echo wire and supply"))
+            elif self._others[sensor] >= rounds:
+                found.append(SonarFault(sensor, f"{SONARS[sensor]} does not report: it seems not to be connected",
+                                        "Check its plug and wires; for a car without it leave it out of "
+                                        "~sonar_sequence"))
+        silent_ns = now_ns - self._since_ns
+        # One that was just left out still holds the others up until the next SONAR_START.
+        if self.starts and self._last is None and silent_ns > (2 * self._restart_ns if self.dropped else NS_PER_S):
+            found.append(SonarFault(None, f"no sonar reports, in spite of {self.starts} SONAR_STARTs",
+                                    "Check the sonars' supply and plugs; for a car without sonars set "
+                                    "~sonar_restart to 0"))
+        return found
+
+
+def describe(faults: Sequence[SonarFault]) -> tuple[str, str]:
+    """All faults in words, and all that can be done about them."""
+    steps = dict.fromkeys(fault.next_step for fault in faults)
+    return "; ".join(fault.words for fault in faults), ". ".join(steps)

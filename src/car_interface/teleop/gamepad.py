@@ -1,0 +1,127 @@
+"""A gamepad's axes and buttons → steering and throttle requests, and whether a human holds a deadman.
+
+A held level, never a toggle: letting go releases at once, and so does a gamepad that falls silent or that sends fewer
+axes or buttons than it should. After that it holds nothing until all deadmen were let go: a car must not set off when a
+radio link recovers. Nor does it hold anything at the start: what is held then may have been held before, for a node
+that died.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Sequence
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.staleness import DROPPED, Heard
+from car_interface.interlock.motion_interlock import STARTED
+
+LET_GO = "let go of the deadman, then hold it again"  # what brings back what was lost
+BEYOND, LEAST = 2, 0.002  # so many deadbands a stick at rest is from neutral, and so much: less than a servo follows
+
+
+@dataclass(frozen=True)
+class GamepadConfig:
+    """Which axis and button does what (indices into sensor_msgs/Joy), and the scale of each axis.
+
+    Attributes:
+        steer_axis, throttle_axis: indices of axes.
+        steer_scale, throttle_scale: −1 turns an axis round.
+        manual_button: deadman: the human steers.
+        autonomous_button: deadman: the planner steers while a human watches.
+        steer_neutral: the request that means "not steering".
+        steer_deadband: requests this near to it mean the same. Both as turn_arb has them.
+        joy_timeout_s: silence longer than this releases; 0 = never.
+
+    Raises:
+        ConfigError: naming the ROS parameter.
+    """
+
+    steer_axis: int
+    throttle_axis: int
+    manual_button: int
+    autonomous_button: int
+    steer_scale: float = 1.0
+    throttle_scale: float = 1.0
+    steer_neutral: float = 0.0
+    steer_deadband: float = 0.001
+    joy_timeout_s: float = 0.25
+
+    def __post_init__(self):
+        if self.manual_button == self.autonomous_button:
+            raise ConfigError("autonomous_button", self.autonomous_button, "a button other than manual_button's")
+
+
+class Requests(NamedTuple):
+    """What the gamepad asks for."""
+
+    human_in_loop: bool
+    steering: float  # −1 right .. +1 left
+    throttle: float  # −1 .. +1
+    reason: str
+
+    @property
+    def must_let_go(self) -> bool:
+        """Whether a deadman is held that doesn't count before it was let go."""
+        return self.reason.endswith(LET_GO)
+
+
+class Gamepad:
+    """The newest message of the gamepad, read as requests."""
+
+    def __init__(self, config: GamepadConfig):
+        self._config = config
+        self._joy = Heard("joy", config.joy_timeout_s)
+        self._lost = STARTED  # what was lost since the deadmen were last let go
+
+    def hear(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
+        """A message: axes −1..1, buttons 0 or 1."""
+        if self._joy.was_heard and self._joy.is_silent(now_ns):
+            self._lost = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
+        self._joy.hear(self._read(axes, buttons), now_ns)
+
+    def mark_stale(self) -> None:
+        """Messages were dropped before they got here: nothing is held until all deadmen were let go."""
+        self._joy.mark_stale()
+
+    def requests(self, now_ns: int) -> Requests:
+        """What the gamepad asks for at ``now_ns``."""
+        if self._joy.is_silent(now_ns):
+            return self._released(self._joy.silence(now_ns))
+        return self._joy.value
+
+    def _released(self, reason):
+        return Requests(False, self._config.steer_neutral, 0.0, reason)
+
+    def _read(self, axes, buttons):
+        config = self._config
+        for name, index, there in (("steer_axis", config.steer_axis, axes),
+                                   ("throttle_axis", config.throttle_axis, axes),
+                                   ("manual_button", config.manual_button, buttons),
+                                   ("autonomous_button", config.autonomous_button, buttons)):
+            if index >= len(there):
+                self._lost = f"the gamepad had no {name}"
+                return self._released(f"the gamepad has no {name} {index}: it has {len(there)} of them")
+        steering = config.steer_scale * axes[config.steer_axis]
+        throttle = config.throttle_scale * axes[config.throttle_axis]
+        if not (math.isfinite(steering) and math.isfinite(throttle)):
+            self._lost = "an axis of the gamepad was no number"
+            return self._released("an axis of the gamepad isn't a number")
+        if not (buttons[config.manual_button] or buttons[config.autonomous_button]):
+            self._lost = ""
+            return self._released("no deadman is held")
+        if self._lost:
+            return self._released(f"{self._lost}; {LET_GO}")
+        if buttons[config.manual_button]:
+            return Requests(True, self._steered(_unit(steering)), _unit(throttle), "manual deadman held")
+        return Requests(True, config.steer_neutral, 0.0, "autonomous deadman held")
+
+    def _steered(self, steering):
+        """Who holds the manual deadman steers, with the stick at rest too: where nothing is asked the planner would."""
+        neutral, least = self._config.steer_neutral, max(BEYOND * self._config.steer_deadband, LEAST)
+        if abs(steering - neutral) >= least:
+            return steering
+        return neutral + (least if neutral <= 0 else -least)
+
+
+def _unit(x):
+    return max(-1.0, min(1.0, x))

@@ -1,0 +1,99 @@
+"""Accelerations to an actuator's values: the rules around the map.
+
+Consumes odometry's velocity and commanded accelerations with their arrival times, answers each command with a value or
+with the reason why there is none. A value that nobody can vouch for is not sent.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.staleness import Heard
+from car_interface.throttle.value_map import ValueMap
+
+
+@dataclass(frozen=True)
+class ConversionConfig:
+    """Limits and modes, named as the ROS parameters.
+
+    Attributes:
+        min_value, max_value: what goes out is clamped to these, passed through or converted.
+        odometry_timeout_s: a velocity older than this is no velocity; 0 = never.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+
+    min_value: float = -5.0
+    max_value: float = 3.0
+    odometry_timeout_s: float = 0.5
+
+    def __post_init__(self):
+        if self.min_value > self.max_value:
+            raise ConfigError("min_value", self.min_value, f"at most max_value {self.max_value}")
+
+
+class Conversion(NamedTuple):
+    """A value to send, or ``None`` and the reason."""
+
+    value: float | None
+    cause: str = ""  # the kind of reason, without numbers
+    reason: str = ""
+
+
+class Converter:
+    """Turns commanded accelerations into values.
+
+    Args:
+        config: limits and timeout.
+        value_map: the map; ``None`` passes accelerations through, clamped, and needs no odometry.
+
+    Raises:
+        ConfigError: when all of the map's values are beyond the limits: it would send the same one for everything.
+    """
+
+    def __init__(self, config: ConversionConfig, value_map: ValueMap | None):
+        if value_map is not None and not (value_map.values[0] < config.max_value
+                                          and value_map.values[-1] > config.min_value):
+            raise ConfigError("value map", list(value_map.values), f"values within min_value {config.min_value} to "
+                              f"max_value {config.max_value}, or others for these",
+                              f"has values from {value_map.values[0]} to {value_map.values[-1]}")
+        self._config = config
+        self._map = value_map
+        self._odometry = Heard("odometry", config.odometry_timeout_s)
+
+    def hear_odometry(self, velocity: float, now_ns: int) -> None:
+        """The car's forward velocity in m/s."""
+        self._odometry.hear(velocity, now_ns)
+
+    def mark_stale(self) -> None:
+        """Messages were dropped before they got here: the velocity is lost."""
+        self._odometry.mark_stale()
+
+    def convert(self, acceleration: float, now_ns: int) -> Conversion:
+        """The value for a commanded acceleration in m/s² at the newest velocity."""
+        if not math.isfinite(acceleration):
+            return Conversion(None, "command not finite", f"the commanded acceleration is {acceleration}")
+        if self._map is None:
+            return Conversion(self._clamp(acceleration))
+        trouble = self.odometry_trouble(now_ns)
+        if trouble is not None:
+            return trouble
+        return Conversion(self._clamp(self._map.value_at(acceleration, self._odometry.value)))
+
+    def odometry_trouble(self, now_ns: int) -> Conversion | None:
+        """Why the velocity can't be used at ``now_ns``; ``None`` when it can."""
+        if self._odometry.is_silent(now_ns):
+            return Conversion(None, "odometry silent", self._odometry.silence(now_ns))
+        if not math.isfinite(self._odometry.value):
+            return Conversion(None, "odometry not finite", f"the velocity in the odometry is {self._odometry.value}")
+        return None
+
+    def odometry_age_s(self, now_ns: int) -> float:
+        """Seconds since odometry was heard; inf = never."""
+        return self._odometry.age_s(now_ns)
+
+    def _clamp(self, value):
+        return max(self._config.min_value, min(self._config.max_value, value))

@@ -1,0 +1,144 @@
+"""Whether the ESC gets the converted value, or neutral, and why.
+
+The ESC is driven only while a human holds the deadman, the steering arbiter is alive and hasn't locked, and command and
+odometry are fresh: steering and throttle stop together.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Sequence
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.lookup_table import LookupTable, round_half_away
+from car_interface.common.servo_channels import MAX_DUTY
+from car_interface.common.staleness import Heard
+from car_interface.interlock.motion_interlock import Permission, PermissionConfig
+from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP, source_name
+from car_interface.throttle.converter import Conversion, Converter
+
+
+@dataclass(frozen=True)
+class ThrottleConfig:
+    """The ESC's channel and its calibration, named as the parameters under ``servo/``.
+
+    Attributes:
+        channel: 0..15.
+        value_axis, duty_table: the duty for each value, linear between, saturated beyond.
+        neutral: the duty that neither drives nor brakes.
+        permission: the rules of lock and deadman.
+        steering_timeout_s, command_timeout_s: silence longer than this is a loss; 0 = never.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+
+    channel: int
+    value_axis: Sequence[float]
+    duty_table: Sequence[float]
+    neutral: int
+    permission: PermissionConfig = field(default_factory=PermissionConfig)
+    steering_timeout_s: float = 0.25
+    command_timeout_s: float = 0.5
+
+    def __post_init__(self):
+        whole = self.duty_table and len(self.duty_table) == len(self.value_axis)  # else the table itself is refused
+        if whole and not min(self.duty_table) <= self.neutral <= max(self.duty_table):
+            raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
+
+
+def trimmed(config: ThrottleConfig, neutral: int) -> ThrottleConfig:
+    """An ESC's calibration with another neutral; the whole table moves along, so that a value of 0 still does nothing.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    shift = neutral - config.neutral
+    return replace(config, neutral=neutral,
+                   duty_table=[max(0, min(MAX_DUTY, duty + shift)) if shift else duty for duty in config.duty_table])
+
+
+def duty_of_value(config: ThrottleConfig) -> LookupTable:
+    """The duty for each value.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    return LookupTable(config.value_axis, config.duty_table, "servo/value_axis", "servo/duty_table")
+
+
+class ThrottleDecision(NamedTuple):
+    """What the ESC shall get."""
+
+    duty: int
+    driving: bool  # False: neutral
+    cause: str
+    reason: str
+
+
+class Throttle:
+    """Decides what the ESC gets from the newest of what was heard."""
+
+    def __init__(self, config: ThrottleConfig, converter: Converter):
+        self.calibrate(config)
+        self._converter = converter
+        self._permission = Permission(config.permission)
+        self._steering = Heard("turn_arb's state", config.steering_timeout_s)
+        self._command = Heard("control_cmd", config.command_timeout_s)
+
+    def calibrate(self, config: ThrottleConfig) -> None:
+        """Go by another calibration from now on; timeouts and permission stay as they were at start.
+
+        Raises:
+            ConfigError: naming the parameter; then the one before stays.
+        """
+        duty = duty_of_value(config)
+        self.config, self._duty = config, duty
+
+    def hear_e_stop(self, locked: bool, now_ns: int) -> None:
+        """The emergency stop: true = neutral."""
+        self._permission.hear_e_stop(locked, now_ns)
+
+    def hear_human(self, present: bool, now_ns: int) -> None:
+        """The deadman: true while a human holds it."""
+        self._permission.hear_human(present, now_ns)
+
+    def hear_steering(self, source: int, now_ns: int) -> None:
+        """Who steers, as in SteeringState.source."""
+        self._steering.hear(source, now_ns)
+
+    def hear_conversion(self, conversion: Conversion, now_ns: int) -> None:
+        """What became of the newest command."""
+        self._command.hear(conversion, now_ns)
+
+    def mark_stale(self, now_ns: int) -> None:
+        """Messages were dropped before they got here: all that was heard is lost."""
+        self._permission.mark_stale(now_ns)
+        self._steering.mark_stale()
+        self._command.mark_stale()
+
+    def decide(self, now_ns: int) -> ThrottleDecision:
+        """The ESC's duty at ``now_ns``, and why."""
+        hindrance = self._hindrance(now_ns)
+        if hindrance is not None:
+            return ThrottleDecision(self.config.neutral, False, *hindrance)
+        value = self._command.value.value
+        duty = max(0, min(MAX_DUTY, round_half_away(self._duty(value))))
+        return ThrottleDecision(duty, True, "driving", f"the value is {value:.3f}")
+
+    def ages_s(self, now_ns: int) -> dict[str, float]:
+        """Seconds since each input was heard, by its name; inf = never."""
+        return {"e_stop": self._permission.e_stop_age_s(now_ns), "human_in_loop": self._permission.human_age_s(now_ns),
+                self._steering.name: self._steering.age_s(now_ns), self._command.name: self._command.age_s(now_ns)}
+
+    def _hindrance(self, now_ns) -> Sequence[str] | None:
+        refusal = self._permission.refusal(now_ns)
+        if refusal is not None:
+            return refusal.cause, refusal.reason
+        if self._steering.is_silent(now_ns):
+            return "steering silent", self._steering.silence(now_ns)
+        if self._steering.value not in (NEUTRAL, TELEOP, PLANNER):
+            return "steering stopped", f"turn_arb says {source_name(self._steering.value)}"
+        if self._command.is_silent(now_ns):
+            return "command silent", self._command.silence(now_ns)
+        trouble = self._command.value if self._command.value.value is None else self._converter.odometry_trouble(now_ns)
+        return None if trouble is None else (trouble.cause, trouble.reason)

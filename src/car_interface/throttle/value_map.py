@@ -1,0 +1,206 @@
+"""A calibrated map: (value, velocity) → acceleration, and its inverse: (acceleration, velocity) → value.
+
+The map is a grid; between its points it is bilinear. At any velocity acceleration must rise with value, or there would
+be no telling which value to send: that's checked when the map is made, so that a lookup can't fail.
+Format and method are those of Autoware's value map. Velocities are in m/s, accelerations in m/s²; the value's unit is
+the actuator's own.
+"""
+from __future__ import annotations
+
+import csv
+import math
+from array import array
+from bisect import bisect_right
+from typing import Sequence
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.lookup_table import check_axis
+
+# Python finds a tuple's numbers fastest while they all fit into the processor's caches, and side by side if not.
+MOST_IN_TUPLES = 100_000
+
+
+class ValueMap:
+    """The map.
+
+    Args:
+        values: the rows' axis, at least two, strictly increasing.
+        velocities: the columns' axis in m/s, at least two, strictly increasing.
+        accelerations: a row for each value, in m/s²; along each column rising from row to row.
+        allow_plateaus: take a column that stays level from one row to the next, too.
+        name: what to call the map in an error.
+
+    Raises:
+        ConfigError: naming the axis, or the rows and the velocity at fault.
+    """
+
+    def __init__(self, values: Sequence[float], velocities: Sequence[float], accelerations: Sequence[Sequence[float]],
+                 allow_plateaus: bool = False, name: str = "value map"):
+        check_axis(values, f"{name}, values")
+        check_axis(velocities, f"{name}, velocities")
+        if len(accelerations) != len(values):
+            raise ConfigError(f"{name}, rows", len(accelerations), f"{len(values)}, one for each value")
+        for value, row in zip(values, accelerations):
+            if len(row) != len(velocities) or not all(map(math.isfinite, row)):
+                raise ConfigError(f"{name}, row of value {value}", list(row), f"{len(velocities)} finite accelerations")
+        self.values = tuple(map(float, values))
+        self.velocities = tuple(map(float, velocities))
+        self._bulk = None  # prepared when it's first asked for
+        is_large = len(values) * len(velocities) > MOST_IN_TUPLES
+        keep = (lambda column: array("d", column)) if is_large else (lambda column: tuple(map(float, column)))
+        self._columns = [keep(column) for column in zip(*accelerations)]
+        for velocity, column in zip(velocities, self._columns):
+            _check_rising(values, column, velocity, allow_plateaus, name)
+        self._strips = self._between_columns()
+
+    def _between_columns(self):
+        """For each interval of velocities (its begin, its width, the column at its begin, the one at its end).
+
+        Below the first velocity and above the last one a column is its own neighbour, and the width is 0.
+        """
+        velocities, columns = self.velocities, self._columns
+        inner = zip(velocities, velocities[1:], columns, columns[1:])
+        return [(velocities[0], 0.0, columns[0], columns[0]),
+                *((begin, end - begin, low, high) for begin, end, low, high in inner),
+                (velocities[-1], 0.0, columns[-1], columns[-1])]
+
+    def value_at(self, acceleration: float, velocity: float) -> float:
+        """The value that makes ``acceleration`` at ``velocity``; neither may be NaN.
+
+        Velocity is clamped to the map; an acceleration beyond it gets the first or the last value. On a plateau the
+        value of least magnitude. O(log rows): acceleration between the velocities' two columns is a blend of theirs,
+        so the row that it lies in is between the rows that it lies in there.
+        """
+        begin, width, low, high = self._strips[bisect_right(self.velocities, velocity)]
+        part = (velocity - begin) / width if width else 0.0
+        values = self.values
+        if part == 0.0:
+            above = bisect_right(low, acceleration)
+        else:
+            first, above = bisect_right(low, acceleration), bisect_right(high, acceleration)
+            if first > above:
+                first, above = above, first
+            while first < above:  # the first row whose acceleration at this velocity is above the wanted one
+                middle = (first + above) >> 1
+                if acceleration < low[middle] + part * (high[middle] - low[middle]):
+                    above = middle
+                else:
+                    first = middle + 1
+        if above == 0:
+            return values[0]
+        below = above - 1
+        a0 = low[below] + part * (high[below] - low[below])
+        if acceleration <= a0:  # below it only by the blend's rounding
+            return self._least_on_plateau(acceleration, low, high, part, below)
+        if above == len(values):
+            return values[-1]
+        a1 = low[above] + part * (high[above] - low[above])
+        if acceleration >= a1:  # by the same rounding, where neighbours are all but level
+            return values[above]
+        return values[below] + (acceleration - a0) / (a1 - a0) * (values[above] - values[below])
+
+    def values_at(self, accelerations, velocities):
+        """``value_at`` for numpy arrays of one shape, or that are broadcast to one; at 100×100 ten times as fast.
+
+        The same numbers but for the last digits. Where a plateau is asked for, any value of it may come.
+        """
+        if self._bulk is None:
+            from car_interface.throttle.value_map_bulk import BulkLookup  # numpy is for those who have arrays
+            self._bulk = BulkLookup(self.values, self.velocities, self._columns)
+        return self._bulk(accelerations, velocities)
+
+    def acceleration_at(self, value: float, velocity: float) -> float:
+        """The acceleration that ``value`` makes at ``velocity``, both clamped to the map; neither may be NaN."""
+        begin, width, low, high = self._strips[bisect_right(self.velocities, velocity)]
+        part = (velocity - begin) / width if width else 0.0
+        values = self.values
+        value = max(values[0], min(values[-1], value))
+        above = min(max(bisect_right(values, value), 1), len(values) - 1)
+        below = above - 1
+        a0 = low[below] + part * (high[below] - low[below])
+        a1 = low[above] + part * (high[above] - low[above])
+        return a0 + (value - values[below]) / (values[above] - values[below]) * (a1 - a0)
+
+    def _least_on_plateau(self, acceleration, low, high, part, last):
+        """Of the rows up to ``last`` that make exactly this acceleration, the least value in magnitude."""
+        first = last
+        while first and low[first - 1] + part * (high[first - 1] - low[first - 1]) == acceleration:
+            first -= 1
+        return max(self.values[first], min(self.values[last], 0.0))
+
+
+def _check_rising(values, column, velocity, allow_plateaus, name):
+    if not math.isfinite(column[-1] - column[0]):
+        raise ConfigError(f"{name}, at velocity {velocity} m/s", (column[0], column[-1]), "a finite span")
+    for index in range(1, len(column)):
+        before, after = column[index - 1], column[index]
+        if after > before or allow_plateaus and after == before:
+            continue
+        found = f"stays level at {after} m/s²" if after == before else f"falls from {before} to {after} m/s²"
+        accepted = ("an acceleration that rises with value"
+                    + (" (allow_plateaus: true takes level stretches)" if after == before else ""))
+        raise ConfigError(f"{name}, at velocity {velocity} m/s, from value {values[index - 1]} to {values[index]}",
+                          (before, after), accepted, found)
+
+
+def load_value_map(path: str, allow_plateaus: bool = False) -> ValueMap:
+    """Read a map from a CSV file.
+
+    The first row is a name and the velocities, every other row a value and its accelerations. CRLF, a byte-order mark,
+    spaces around numbers and blank lines at the end are fine.
+
+    Raises:
+        ConfigError: naming the file, the line, the column and what is wrong there.
+    """
+    rows = _read_rows(path)
+    if len(rows) < 3:
+        raise ConfigError(path, len(rows), "a line of velocities and at least two lines of accelerations",
+                          f"has {len(rows)} line(s)")
+    width = len(rows[0])
+    if width < 3:
+        raise ConfigError(f"{path}, line 1", rows[0], "a name and at least two velocities")
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != width:
+            raise ConfigError(f"{path}, line {number}", len(row), f"{width}, as in line 1", f"has {len(row)} columns")
+    velocities = _numbers(path, 1, rows[0], first_column=1)
+    table = [_numbers(path, number, row, first_column=0) for number, row in enumerate(rows[1:], 2)]
+    _check_file_axis(path, velocities, lambda index: (1, index + 2))
+    _check_file_axis(path, [row[0] for row in table], lambda index: (index + 2, 1))
+    return ValueMap([row[0] for row in table], velocities, [row[1:] for row in table], allow_plateaus, path)
+
+
+def _read_rows(path) -> list[list[str]]:
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            rows = [[cell.strip() for cell in row] for row in csv.reader(file)]
+    except OSError as error:
+        raise ConfigError("csv_path_value_map", path, f"a file that can be read ({error.strerror})") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError("csv_path_value_map", path, f"a CSV file in UTF-8 ({error})") from error
+    while rows and not any(rows[-1]):
+        rows.pop()
+    for number, row in enumerate(rows, 1):
+        if not any(row):
+            raise ConfigError(f"{path}, line {number}", "", "numbers; a blank line may only come last", "is blank")
+    return rows
+
+
+def _numbers(path, line, cells, first_column):
+    numbers = []
+    for column, cell in enumerate(cells[first_column:], first_column + 1):
+        try:
+            number = float(cell)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise ConfigError(f"{path}, line {line}, column {column}", cell, "a finite number")
+        numbers.append(number)
+    return numbers
+
+
+def _check_file_axis(path, axis, place):
+    for index in range(1, len(axis)):
+        if not axis[index] > axis[index - 1]:
+            line, column = place(index)
+            raise ConfigError(f"{path}, line {line}, column {column}", axis[index],
+                              f"more than the one before it, {axis[index - 1]}")
