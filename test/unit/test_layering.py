@@ -50,8 +50,8 @@ ONLY_IN = {
     "smbus2": ("nodes/pca9685.py", "doctor/probes/devices.py"),
 }
 # Imported alone, a module outside of these pulls in none of the heavy ones.
-XX
-            "throttle/value_map_bulk.py")
+NOT_PURE = (*ROS, "doctor/cli.py", "host_setup/cli.py", "recordings/", "report/", "cli/", "calibration/",
+            "teensy/link/port.py", "throttle/value_map_bulk.py")
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
 
 

@@ -1,4 +1,4 @@
-"""A short run of the noise measurement (test/noise.py has the long one), and the calculation that it is held to."""
+"""A short run of the noise measurement (accuracy/noise.py has the long one), and the calculation that it is held to."""
 from __future__ import annotations
 
 import importlib
@@ -12,7 +12,7 @@ import pytest
 from car_interface.teensy.link.framing import FrameDecoder
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-noise = importlib.import_module("noise")
+noise = importlib.import_module("accuracy.noise")
 
 FRAMES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 20_000
 

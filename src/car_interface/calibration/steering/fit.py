@@ -42,7 +42,7 @@ from car_interface.calibration.steering.segments import (
 from car_interface.calibration.steering.smooth import Smooth, rising
 
 # Standard errors on either side. On virtual cars they hold the truth more often than 19 times of 20, also where the
-# recording has gaps: see test/steering_calibration.py.
+# recording has gaps: see test/accuracy/steering_calibration.py.
 BAND = 1.96
 CONTRADICTIONS = 6.0  # so much more than with the best play is chance
 LEAST_PLAY_SIGMA = 1.0

@@ -1,0 +1,375 @@
+#!/usr/bin/env python3
+"""How well the Teensy's ticks become host time, measured on the virtual Teensy, whose true clock is known.
+
+    PYTHONPATH=src:test python3 -m accuracy.clock
+
+prints a table and ends with exit code 1 when 99 % of the stamps aren't within 1 ms of the truth, from 10 s after start
+or reboot on, or when less than 99.9 % of the truths lie within the uncertainty that came with them. Half a millisecond
+of the error is the tick's.
+
+The Teensy runs byte by byte in virtual time. Idle: sonars every 50 ms and more, a pulse of each wheel every 0.3 s.
+Saturated: no wait between the sonars, pulses for a report of the wheels every 5 ms, and all counters once a second,
+which is more than the cars' firmware ever sends.
+
+The host isn't ideal either: what it writes leaves up to 0.2 ms after it took the time, one write in fifty up to 2 ms
+after; it reads 0.3 ms after the bytes have come, on average, and once in a hundred times 5 to 10 ms later.
+
+An error is that of a stamp against the true time of what it stands for: a wheel's last pulse, a sonar's echo, the
+making of a pong. Beside it, what one-way methods make of the same bytes: the offset of the newest tick, and the
+smallest offset of a minute.
+"""
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import statistics
+import sys
+from collections import deque
+from dataclasses import dataclass, field
+
+from car_interface.sim.line import BitErrors
+from car_interface.sim.teensy_firmware import BACKWARD, ECHO_RISE_US, FORWARD, FirmwareConfig, TeensyFirmware
+from car_interface.teensy.link.framing import RESYNC_FILLER, SHIPPED, FrameDecoder, encode
+from car_interface.teensy.link.pinging import Pinger
+from car_interface.teensy.link.protocol import (
+    NO_DIRECTION,
+    UINT32,
+    Pong,
+    SonarStatus,
+    WheelStatus,
+    decode,
+    get_counters,
+    sonar_stop,
+    sonar_wait,
+)
+from car_interface.teensy.sensing.clock import Clock, ClockConfig
+from car_interface.teensy.sensing.plausibility import Gates
+
+NS_PER_S, NS_PER_MS, NS_PER_US = 1_000_000_000, 1_000_000, 1_000
+BAUD = 115200
+BYTE_NS = 10 * NS_PER_S / BAUD
+PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
+START_NS = 5_000 * NS_PER_S
+LOOK_NS = 100 * NS_PER_US  # so often the host's UART is looked at: about a byte
+SCORED_AFTER_NS = 10 * NS_PER_S
+WINDOW_NS = 60 * NS_PER_S
+GOAL_MS, GOAL_SHARE = 1.0, 0.999
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One row of the table.
+
+    Attributes:
+        reboot_s: when the Teensy reboots, after so many seconds; 0 = never.
+        bit_errors: the share of bits that are wrong, both ways.
+        sonars: False = they are stopped, so that only pongs bound the line.
+    """
+
+    name: str
+    saturated: bool = False
+    drift_ppm: float = 0.0
+    ramp_ppm_per_h: float = 0.0
+    clock_start_ms: int = 12_345
+    reboot_s: float = 0.0
+    bit_errors: float = 0.0
+    sonars: bool = True
+    seconds: float = 120.0
+    seed: int = 1
+
+
+@dataclass
+class Score:
+    """What came of it; errors in ms."""
+
+    clock: list = field(default_factory=list)
+    newest: list = field(default_factory=list)  # one-way: the newest tick's offset
+    smallest: list = field(default_factory=list)  # one-way: the smallest offset of a minute
+    uncertainty: list = field(default_factory=list)
+    inside: int = 0
+    bytes_per_s: float = 0.0
+    skew_error_ppm: float = math.nan
+    converged_s: float = math.nan
+    counts: dict = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        """Of the truths that lay within the uncertainty."""
+        return self.inside / max(1, len(self.clock))
+
+    def failures(self) -> list[str]:
+        """What misses the goal."""
+        found = []
+        if percentile(self.clock, 0.99) > GOAL_MS:
+            found.append(f"p99 {percentile(self.clock, 0.99):.3f} ms > {GOAL_MS} ms")
+        if self.share < GOAL_SHARE:
+            found.append(f"only {self.share:.2%} of the truths within the uncertainty")
+        return found
+
+
+def percentile(values: list, share: float) -> float:
+    """The value that this share of them doesn't exceed."""
+    return sorted(values)[min(len(values) - 1, int(share * len(values)))] if values else math.nan
+
+
+class OneWay:
+    """What rosserial and its like do: receipt minus tick."""
+
+    def __init__(self):
+        self.newest_ns = None
+        self._falling: deque = deque()  # (receipt, offset), offsets rising: the first is the window's smallest
+
+    def restart(self) -> None:
+        """Forget everything."""
+        self.newest_ns = None
+        self._falling.clear()
+
+    def hear(self, tick: int, latest_ns: int) -> None:
+        """Take a tick that is new."""
+        self.newest_ns = offset_ns = latest_ns - (2 * tick + 1) * NS_PER_MS // 2
+        while self._falling and self._falling[-1][1] >= offset_ns:
+            self._falling.pop()
+        self._falling.append((latest_ns, offset_ns))
+        while self._falling[0][0] < latest_ns - WINDOW_NS:
+            self._falling.popleft()
+
+    def translate(self, tick: int) -> tuple[int, int]:
+        """By the newest and by the smallest offset."""
+        middle_ns = (2 * tick + 1) * NS_PER_MS // 2
+        return middle_ns + self.newest_ns, middle_ns + self._falling[0][1]
+
+
+class Bench:
+    """A virtual Teensy, a host that isn't ideal, and the truth."""
+
+    def __init__(self, scenario: Scenario, config: ClockConfig):
+        self._scenario = scenario
+        self._random = random.Random(scenario.seed)
+        self._noise = BitErrors(scenario.seed), BitErrors(scenario.seed + 1)
+        for noise in self._noise:
+            noise.set_rate(scenario.bit_errors)
+        self._teensy = TeensyFirmware(
+            FirmwareConfig(clock_start_ms=scenario.clock_start_ms, clock_drift_ppm=scenario.drift_ppm,
+                           clock_ramp_ppm_per_h=scenario.ramp_ppm_per_h), self._echo_us, START_NS)
+        self._truth: dict = {}  # (what, tick) → when it was
+        self._ping_truth: dict = {}  # timestamp1 → when its pong was made
+        self._wire_free_ns = START_NS
+        self._writes: deque = deque()  # (when the UART gets it, bytes, timestamp1 of the ping in it)
+        self._arrived = b""
+        self._read_ns = math.inf
+        self._period_ns = 2_700 * NS_PER_US if scenario.saturated else 300 * NS_PER_MS
+        self._pulses = [[START_NS + self._period_ns, 0], [START_NS + self._period_ns * 3 // 2, 1]]
+        self._counters_ns = START_NS + NS_PER_S if scenario.saturated else math.inf
+        self._reboot_ns = START_NS + round(scenario.reboot_s * NS_PER_S) if scenario.reboot_s else math.inf
+        self._decoder = FrameDecoder()
+        self._gates = Gates()
+        self._pinger = Pinger(NS_PER_S, SHIPPED, START_NS + NS_PER_S // 2)
+        self._clock = Clock(config)
+        self._one_way = OneWay()
+        self._score_from_ns = START_NS + SCORED_AFTER_NS
+        self._score = Score()
+
+    def run(self) -> Score:
+        """Live through the scenario."""
+        now_ns = START_NS
+        end_ns = START_NS + round(self._scenario.seconds * NS_PER_S)
+        self._write(RESYNC_FILLER, now_ns)
+        if self._scenario.saturated:
+            self._write(encode(sonar_wait(0), SHIPPED), now_ns)
+        if not self._scenario.sonars:
+            self._write(encode(sonar_stop(), SHIPPED), now_ns)
+        look_ns = now_ns
+        while now_ns < end_ns:
+            now_ns = min(look_ns, self._pulses[0][0], self._pinger.next_event_ns(), self._read_ns, self._counters_ns,
+                         self._reboot_ns, self._writes[0][0] if self._writes else math.inf)
+            self._drive(now_ns)
+            self._talk(now_ns)
+            if now_ns >= look_ns:
+                look_ns += LOOK_NS
+                self._look(now_ns)
+            if now_ns >= self._read_ns:
+                self._read(now_ns)
+        score = self._score
+        score.bytes_per_s = self._decoder.tally.bytes_in / self._scenario.seconds
+        score.counts = {**self._clock.counts, **self._gates.counts}
+        return score
+
+    def _echo_us(self, sensor, at_ns):
+        """Of walls at all distances; the time at which it's heard is the truth of the sonar's tick."""
+        echo_us = self._random.randrange(1_000, 14_000)
+        heard_ns = at_ns + (ECHO_RISE_US + echo_us) * NS_PER_US
+        if hasattr(self, "_teensy"):
+            self._truth["sonar", sensor, self._teensy.millis(heard_ns)] = heard_ns
+        return echo_us
+
+    def _drive(self, now_ns):
+        while self._pulses[0][0] <= now_ns:
+            at_ns, side = self._pulses[0]
+            self._truth["wheel", side, self._teensy.millis(at_ns)] = at_ns
+            self._teensy.wheel_pulse(side, BACKWARD if side and not self._scenario.saturated else FORWARD, at_ns)
+            self._pulses[0][0] += round(self._period_ns * self._random.uniform(0.97, 1.03))
+            self._pulses.sort()
+        if now_ns >= self._reboot_ns:
+            self._reboot_ns = math.inf
+            self._truth.clear()
+            self._teensy.reboot(now_ns)
+            self._score_from_ns = now_ns + SCORED_AFTER_NS
+            if self._scenario.saturated:
+                self._write(encode(sonar_wait(0), SHIPPED), now_ns + 400 * NS_PER_MS)  # it has booted
+
+    def _write(self, data, now_ns, timestamp1=None):
+        late_ns = self._random.uniform(0.2, 2.0) if self._random.random() < 0.02 else self._random.uniform(0, 0.2)
+        at_ns = now_ns + round(late_ns * NS_PER_MS)
+        if self._writes:
+            at_ns = max(at_ns, self._writes[-1][0])
+        self._writes.append((at_ns, data, timestamp1))
+
+    def _talk(self, now_ns):
+        while self._writes and self._writes[0][0] <= now_ns:
+            at_ns, data, timestamp1 = self._writes.popleft()
+            self._wire_free_ns = max(at_ns, self._wire_free_ns) + math.ceil(len(data) * BYTE_NS)
+            if timestamp1 is not None:
+                self._ping_truth[timestamp1] = self._wire_free_ns
+            self._teensy.receive(self._noise[0].flip(data), at_ns)
+        if now_ns >= self._pinger.next_event_ns():
+            self._pinger.expire(now_ns)
+        if now_ns >= self._pinger.due_ns:
+            timestamp1 = now_ns // NS_PER_MS % UINT32
+            self._write(self._pinger.ping(timestamp1, now_ns), now_ns, timestamp1)
+        if now_ns >= self._counters_ns:
+            self._counters_ns += NS_PER_S
+            self._write(encode(get_counters(), SHIPPED), now_ns)
+
+    def _look(self, now_ns):
+        arrived = self._teensy.transmit(now_ns)
+        if arrived:
+            self._arrived += self._noise[1].flip(arrived)
+            if self._read_ns == math.inf:
+                late_ms = self._random.expovariate(1 / 0.3)
+                if self._random.random() < 0.01:
+                    late_ms += self._random.uniform(5, 10)
+                self._read_ns = now_ns + round(late_ms * NS_PER_MS)
+
+    def _read(self, now_ns):
+        self._arrived += self._teensy.transmit(now_ns) if not self._scenario.bit_errors else b""
+        data, self._arrived, self._read_ns = self._arrived, b"", math.inf
+        for body in self._decoder.feed(data):
+            record = decode(body)
+            if isinstance(record, Pong):
+                self._on_pong(record, now_ns)
+            elif isinstance(record, SonarStatus):
+                self._on_sonar(record, now_ns)
+            elif isinstance(record, WheelStatus) and self._gates.wheels(record).accepted:
+                for side, wheel in enumerate(record):
+                    if wheel.direction != NO_DIRECTION:
+                        truth_ns = self._truth.get(("wheel", side, wheel.when))
+                        self._judge(wheel.when, truth_ns, now_ns, WHEEL_BYTES)
+
+    def _on_pong(self, record, now_ns):
+        answer = self._pinger.pong(record.timestamp1, now_ns)
+        verdict = self._gates.pong(record, answer is not None)
+        if not verdict.accepted:
+            return
+        self._restart_if(verdict)
+        sync = self._clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, now_ns, PONG_BYTES)
+        if sync.converged:
+            if math.isnan(self._score.converged_s):
+                self._score.converged_s = (now_ns - START_NS) / NS_PER_S
+            ramp_ppm = self._scenario.ramp_ppm_per_h * (now_ns - START_NS) / (3600 * NS_PER_S)
+            self._score.skew_error_ppm = sync.skew_ppm - self._scenario.drift_ppm - ramp_ppm
+        self._on_tick(record.timestamp2, self._ping_truth.pop(record.timestamp1, None), now_ns, PONG_BYTES)
+
+    def _on_sonar(self, record, now_ns):
+        verdict = self._gates.sonar(record)
+        if verdict.accepted:
+            self._restart_if(verdict)
+            self._clock.heard(record.when, now_ns, SONAR_BYTES)
+            self._on_tick(record.when, self._truth.get(("sonar", record.sensor, record.when)), now_ns, SONAR_BYTES)
+
+    def _restart_if(self, verdict):
+        if verdict.restarted:
+            self._clock.restart()
+            self._one_way.restart()
+            self._pinger.hurry()
+
+    def _on_tick(self, tick, truth_ns, now_ns, byte_count):
+        self._one_way.hear(self._clock.unwrap(tick), now_ns - round(byte_count * BYTE_NS))
+        self._judge(tick, truth_ns, now_ns, byte_count)
+
+    def _judge(self, tick, truth_ns, now_ns, byte_count):
+        if truth_ns is None or now_ns < self._score_from_ns or self._one_way.newest_ns is None:
+            return
+        score = self._score
+        stamp = self._clock.translate(tick, now_ns, byte_count)
+        score.clock.append(abs(stamp.time_ns - truth_ns) / NS_PER_MS)
+        score.uncertainty.append(stamp.uncertainty_ns / NS_PER_MS)
+        score.inside += abs(stamp.time_ns - truth_ns) <= stamp.uncertainty_ns
+        newest_ns, smallest_ns = self._one_way.translate(self._clock.unwrap(tick))
+        score.newest.append(abs(newest_ns - truth_ns) / NS_PER_MS)
+        score.smallest.append(abs(smallest_ns - truth_ns) / NS_PER_MS)
+
+
+def run(scenario: Scenario, config: ClockConfig | None = None) -> Score:
+    """The score of one scenario."""
+    return Bench(scenario, config or ClockConfig()).run()
+
+
+def scenarios(seconds: float) -> list[Scenario]:
+    """All rows."""
+    found = []
+    for saturated in (False, True):
+        load = "saturated" if saturated else "idle"
+        for drift_ppm in (0, 40, -40, 100, -100):
+            found.append(Scenario(f"{drift_ppm:+d} ppm, {load}" if drift_ppm else f"no drift, {load}", saturated,
+                                  drift_ppm, seconds=seconds))
+        found.append(Scenario(f"+20 ppm/h, {load}", saturated, 0, 20, seconds=5 * seconds))
+        found.append(Scenario(f"wrap, {load}", saturated, 40, clock_start_ms=UINT32 - round(500 * seconds),
+                              seconds=seconds))
+        found.append(Scenario(f"reboot, {load}", saturated, 40, reboot_s=seconds / 2, seconds=seconds))
+        found.append(Scenario(f"no sonars, {load}", saturated, 40, sonars=False, seconds=seconds))
+        found.append(Scenario(f"1e-4 bits wrong, {load}", saturated, 40, bit_errors=1e-4, seconds=seconds))
+    return found
+
+
+HEADING = (f"{'':26}|{'line':>6} |{'the clock: error in ms':>24} {'uncer-':>7} {'truth':>8} {'skew':>6} |"
+           f"{'newest tick':>20} |{'smallest offset':>21}\n"
+           f"{'':26}|{'kB/s':>6} |{'median':>8}{'p99':>8}{'max':>8} {'tainty':>7} {'within':>8} {'error':>6} |"
+           f"{'median':>7}{'p99':>7}{'max':>6} |{'median':>7}{'p99':>7}{'max':>7}")
+
+
+def row(name: str, score: Score) -> str:
+    """One line of the table."""
+    def three(values, width, digits):
+        shown = (percentile(values, 0.5), percentile(values, 0.99), max(values, default=math.nan))
+        return "".join(f"{value:{width}.{digits}f}" for value in shown)
+    return (f"{name:26}|{score.bytes_per_s / 1000:6.1f} |{three(score.clock, 8, 3)} "
+            f"{statistics.median(score.uncertainty):7.2f} {score.share:8.2%} {score.skew_error_ppm:6.1f} |"
+            f"{three(score.newest, 7, 2)} |{three(score.smallest, 7, 2)}")
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--seconds", type=float, default=120.0, help="of virtual time per row; the ramp's take 5 times")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="rows with this in their name")
+    parser.add_argument("-v", "--verbose", action="store_true", help="what clock and gates counted, too")
+    arguments = parser.parse_args()
+    print(HEADING)
+    failed = False
+    for scenario in scenarios(arguments.seconds):
+        if arguments.only not in scenario.name:
+            continue
+        score = run(Scenario(**{**vars(scenario), "seed": arguments.seed}))
+        print(row(scenario.name, score), flush=True)
+        if arguments.verbose:
+            print(f"{'':26}| converged after {score.converged_s:.2f} s; {score.counts}")
+        for failure in score.failures():
+            failed = True
+            print(f"{'':26}| FAILED: {failure}")
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,185 @@
+#!/usr/bin/env python3
+"""What a reboot of the Teensy in mid-drive costs heading and place, measured on the virtual Teensy.
+
+    PYTHONPATH=src:test python3 -m accuracy.reboot [--reboots N] [--seed N]
+
+Virtual time: wheels roll by a plan of speed and curvature, their hall pins stand anywhere, and power is cut in the
+middle; frames are cut on the line, no pulse counts while the Teensy boots, and its first pulses have wrong directions.
+What is scored is what the reboot itself changes: the errors of heading and place at the end less those just before it;
+and whether the truth lies within the published covariance's three sigma.
+"""
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import sys
+from typing import NamedTuple
+
+from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, FirmwareConfig, TeensyFirmware
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.teensy.link.pinging import Pinger
+from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.sensing.measurements import Measurements, MotionMeasurement
+
+MS, S = 1_000_000, 1_000_000_000
+PULSE_M, TRACK_M = math.pi * 0.095 / 20, 0.296
+STEP_NS = MS
+REBOOT_S, END_S = 6.0, 9.0
+ACCELERATION_MPS2 = 2.0
+KINDS = ("straight", "curve", "slowing", "starting", "slalom", "stopping", "backward", "standing")
+STEADY = ("straight", "curve", "slowing", "backward")  # those whose curvature stays
+
+
+class Plan(NamedTuple):
+    """What the driver wants: speed (m/s) and curvature (1/m, left positive) by the time."""
+
+    kind: str
+    speed_mps: float
+    curvature_per_m: float
+
+    def at(self, now_s):
+        speed, curvature = self.speed_mps, self.curvature_per_m
+        if now_s < 1.0:
+            return 0.0, curvature
+        if self.kind == "slowing" and now_s > REBOOT_S - 0.2:
+            speed /= 2
+        elif self.kind == "starting" and now_s < REBOOT_S + 0.1 or self.kind == "standing":
+            # It has driven before: where the wheels stand at the reboot is known.
+            speed = speed if now_s < 3.0 else 0.0
+            if self.kind == "standing" and now_s > REBOOT_S + 1.0:
+                speed = self.speed_mps
+        elif self.kind == "stopping" and now_s > REBOOT_S - 0.1:
+            speed = 0.0
+        elif self.kind == "slalom":
+            curvature *= math.sin(2.5 * now_s)
+        return speed, curvature
+
+
+class Outcome(NamedTuple):
+    plan: Plan
+    heading_deg: float  # that the reboot changed the error of the heading by
+    position_m: float
+    sigmas: float  # the worst of x, y, yaw after the reboot
+    heading_sigmas: float
+    gap_s: float  # without odometry
+
+
+def make_plan(rng):
+    kind = rng.choice(KINDS)
+    speed = rng.uniform(0.3, 3.0) * (-1 if kind == "backward" else 1)
+    curvature = 0.0 if kind == "straight" else rng.uniform(-0.9, 0.9)
+    if abs(curvature) * speed ** 2 > 4.0:  # what tyres hold
+        speed = math.copysign(math.sqrt(4.0 / abs(curvature)), speed)
+    return Plan(kind, speed, curvature)
+
+
+class Drive:
+    """A car on rails: its wheels roll by the plan."""
+
+    def __init__(self, plan, rng):
+        self.plan = plan
+        self.now_ns = 0
+        self.speed = self.x = self.y = self.yaw = 0.0
+        self.curvature = plan.at(0.0)[1]
+        self.positions = [rng.uniform(0, 4), rng.uniform(0, 4)]
+        whole = tuple(math.floor(position) for position in self.positions)
+        self.teensy = TeensyFirmware(FirmwareConfig(
+            clock_start_ms=rng.randrange(300, 100_000), clock_drift_ppm=rng.uniform(-50, 50), wheel_positions=whole,
+            seed=rng.randrange(1000)), lambda sensor, at_ns: 4000 + 900 * sensor)
+
+    def step(self):
+        wanted, curvature = self.plan.at(self.now_ns / S)
+        change = ACCELERATION_MPS2 * STEP_NS / S
+        self.speed += max(-change, min(change, wanted - self.speed))
+        self.curvature += max(-0.01, min(0.01, curvature - self.curvature))  # a servo takes a fifth of a second
+        rolled = self.speed * STEP_NS / S
+        yaw = self.yaw + rolled * self.curvature
+        self.x += rolled * math.cos((yaw + self.yaw) / 2)
+        self.y += rolled * math.sin((yaw + self.yaw) / 2)
+        self.yaw = yaw
+        pulses = []
+        for side, sign in ((0, -1), (1, 1)):
+            before = self.positions[side]
+            after = before + rolled * (1 + sign * self.curvature * TRACK_M / 2) / PULSE_M
+            self.positions[side] = after
+            first, last = math.floor(before), math.floor(after)
+            for magnet in range(first + 1, last + 1):
+                pulses.append((self.now_ns + round((magnet - before) / (after - before) * STEP_NS), side, FORWARD))
+            for magnet in range(first, last, -1):
+                pulses.append((self.now_ns + round((magnet - before) / (after - before) * STEP_NS), side, BACKWARD))
+        for at_ns, side, direction in sorted(pulses):
+            self.teensy.wheel_pulse(side, direction, at_ns)
+        self.now_ns += STEP_NS
+
+
+def run(seed: int) -> Outcome:
+    """One drive with one reboot."""
+    rng = random.Random(seed)
+    drive = Drive(make_plan(rng), rng)
+    measured, decoder, pinger = Measurements(), FrameDecoder(), Pinger(S, "shipped", 0)
+    reboot_ns = round((REBOOT_S + rng.uniform(0, 0.2)) * S)
+    off_ns = rng.choice((0, 0, rng.randrange(200 * MS)))
+    before, found, truth, last_ns, gap_ns = None, [], {}, 0, 0
+    while drive.now_ns < END_S * S:
+        now_ns = drive.now_ns
+        truth[now_ns // STEP_NS] = drive.x, drive.y, drive.yaw
+        if reboot_ns is not None and now_ns >= reboot_ns:
+            drive.teensy.reboot(now_ns, off_ns)
+            before, reboot_ns = (found[-1] if found else None), None
+            pinger.hurry()
+        if now_ns >= pinger.next_event_ns():
+            pinger.expire(now_ns)
+            if now_ns >= pinger.due_ns:
+                drive.teensy.receive(pinger.ping(now_ns // MS, now_ns), now_ns)
+        for body in decoder.feed(drive.teensy.transmit(now_ns)):
+            record = decode(body)
+            if isinstance(record, Pong):
+                measured.pong(record, pinger.pong(record.timestamp1, now_ns), now_ns)
+            elif isinstance(record, SonarStatus):
+                measured.sonar(record, now_ns)
+            elif isinstance(record, WheelStatus):
+                result = measured.wheels(record, now_ns)
+                if isinstance(result, MotionMeasurement):
+                    gap_ns = max(gap_ns, now_ns - last_ns) if last_ns else 0
+                    last_ns = now_ns
+                    found.append(errors(result, truth))
+        drive.step()
+    after = found[-1]
+    return Outcome(drive.plan, math.degrees(after[2] - before[2]),
+                   math.hypot(after[0] - before[0], after[1] - before[1]), max(after[3]), after[3][2], gap_ns / S)
+
+
+def errors(result, truth):
+    """(x, y, yaw, each in sigmas) off the truth at the stamp."""
+    motion = result.motion
+    at = truth.get(result.stamp.time_ns // STEP_NS) or truth[max(truth)]
+    off = motion.x_m - at[0], motion.y_m - at[1], motion.yaw_rad - at[2]
+    return (*off, [abs(value) / math.sqrt(motion.pose_covariance[axis][axis] + 1e-6) for axis, value in enumerate(off)])
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--reboots", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    outcomes = [run(1000 * arguments.seed + index) for index in range(arguments.reboots)]
+    print("drive     |   n | heading off, deg    | > 6 | heading     | place off, cm       | no odom")
+    print("          |     | median   p99  worst |     | within 3 s. | median   p99  worst | worst s")
+    for name, kinds in [(kind, (kind,)) for kind in KINDS] + [("steady", STEADY), ("all", KINDS)]:
+        some = [outcome for outcome in outcomes if outcome.plan.kind in kinds]
+        heading = sorted(abs(outcome.heading_deg) for outcome in some)
+        place = sorted(100 * outcome.position_m for outcome in some)
+        inside = sum(outcome.heading_sigmas <= 3 for outcome in some)
+        print(f"{name:9} | {len(some):3} | {_spread(heading)} | {sum(x > 6 for x in heading):3} | "
+              f"{inside:5}/{len(some):<5} | {_spread(place)} | {max(outcome.gap_s for outcome in some):5.2f}")
+    return 0
+
+
+def _spread(values):
+    count = len(values)
+    return f"{values[count // 2]:6.2f} {values[min(count - 1, int(0.99 * count))]:5.2f} {values[-1]:6.2f}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

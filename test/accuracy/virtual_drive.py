@@ -1,0 +1,612 @@
+"""Recordings of virtual cars whose true curves are known: what the calibration tools are judged by.
+
+``random_car`` makes a car, ``record`` lets a scripted person drive it in virtual time (car, Teensy byte by byte,
+measurements, messages) and writes a ROS 1 bag as rosbag would have written it of the real nodes. Whoever calibrates
+sees only the bag; ``true_curvature_per_m`` and ``true_acceleration_mps2`` are for the judge.
+
+The person sees what odometry says, reacts every quarter of a second, and knows the car only by what it did before.
+
+    PYTHONPATH=src:test python3 test/accuracy/virtual_drive.py SEED FILE.bag [--missing right|fast|third] [--imu]
+"""
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import sys
+from collections import deque
+from pathlib import Path
+from typing import Iterator, NamedTuple
+
+import numpy as np
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from car_interface.sim.teensy_firmware import BACKWARD, FirmwareConfig, TeensyFirmware
+from car_interface.sim.vehicle import (
+    GRAVITY_MPS2,
+    DriveConfig,
+    SteeringConfig,
+    Vehicle,
+    VehicleConfig,
+)
+from car_interface.sim.vehicle import true_acceleration_mps2 as acceleration_of_duty_mps2
+from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
+from car_interface.teensy.link.pinging import Pinger
+from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
+from car_interface.teensy.sensing.odometry import OdometryConfig
+from car_interface.teensy.sensing.plausibility import GateConfig
+
+NS_PER_S, NS_PER_MS = 1_000_000_000, 1_000_000
+STEP_NS = 4 * NS_PER_MS
+CONTROL_NS = 20 * NS_PER_MS
+OUTPUT_NS = 100 * NS_PER_MS  # /servo/output at the least
+ODOM_NS = 20 * NS_PER_MS  # odom at the most: the hub's odom_rate of 50 Hz
+IMU_NS = 10 * NS_PER_MS
+REACTION_S, MISSED_S, BEYOND_S = 0.25, 0.5, 0.4
+HELD_S = 1.8  # a position of the stick, from either side
+START_NS = 5_000 * NS_PER_S  # monotonic
+ROS_START_NS = 1_700_000_000 * NS_PER_S
+COUNT = 16  # duty of one count of the servo board
+STEERING_CHANNEL, THROTTLE_CHANNEL, CHANNELS = 0, 1, 16
+# config/throttle.yaml: value → duty of the ESC's channel.
+VALUE_AXIS, DUTY_TABLE = (-5.0, 0.0, 3.0), (3277.0, 4915.0, 6554.0)
+LEAST_DUTY, MOST_DUTY = 3350, 7050  # as far as the person turns the stick
+SIDEWAYS_MPS2 = 3.0  # nobody drives faster than that round a bend
+MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS = "mixed", "right", "fast", "third"
+MESSAGES = Path(__file__).resolve().parents[2] / "msg"
+
+
+# --- the car ---
+
+
+def random_car(seed: int) -> VehicleConfig:
+    """A car as no other: where it goes straight and where its stops are, how steep in between, what drives it.
+
+    Each fourth one has a steering like the Slash's that the package's table is of: flat in the middle, all of its turns
+    within a few counts at both ends.
+    """
+    rng = random.Random(seed)
+    like_slash = seed % 4 == 3
+    curve, center = _slash_curve(rng) if like_slash else _smooth_curve(rng)
+    steering = SteeringConfig(curve=curve, center_duty=center + rng.uniform(-60, 60), lag_s=0.15,
+                              play_duty=rng.uniform(2, 6) if like_slash else rng.uniform(8, 32))
+    neutral = 4915 + rng.uniform(-15, 15)
+    drive = DriveConfig(
+        neutral_duty=neutral, neutral_band_duty=rng.uniform(20, 45),
+        forward_mps2=rng.uniform(4.5, 7.0), reverse_mps2=rng.uniform(2.8, 4.5), brake_mps2=rng.uniform(5.5, 8.5),
+        thrust_halves_mps=rng.uniform(7.0, 13.0), drag_mps2=rng.uniform(0.25, 0.5), drag_per_s=rng.uniform(0.05, 0.12),
+        drag_per_m=rng.uniform(0.002, 0.007), sag=0.10, sag_over_s=300.0)
+    return VehicleConfig(steering=steering, drive=drive, pulse_phase=(rng.random(), rng.random()), slope=0.02,
+                         uphill_rad=rng.uniform(-math.pi, math.pi))
+
+
+def _smooth_curve(rng):
+    """A linkage that turns by w·u + (1 − w)·u^p of what its stop allows, u being how far the servo is on its way."""
+    center = rng.uniform(4850, 5250)
+    sides = []
+    for towards in (-1, 1):
+        reach = rng.uniform(950, 1450)
+        tightest_per_m = rng.uniform(0.8, 1.2)
+        linear, power = rng.uniform(0.3, 1.0), rng.uniform(2.0, 4.0)
+        shares = [index / 40 for index in range(1, 41)]
+        sides.append([(center + towards * reach * u,
+                       -towards * tightest_per_m * (linear * u + (1 - linear) * u ** power)) for u in shares])
+    left, right = sides
+    return (*reversed(left), (center, 0.0), *right), center
+
+
+def _slash_curve(rng):
+    shift, narrower, tighter = rng.uniform(-120, 120), rng.uniform(0.9, 1.15), rng.uniform(0.9, 1.15)
+    curve = tuple((5070 + shift + (duty - 5070) * narrower, curvature * tighter)
+                  for duty, curvature in SteeringConfig().curve)
+    return curve, 5070 + shift
+
+
+def true_curvature_per_m(car: VehicleConfig, duty) -> np.ndarray:
+    """Where the steering leads, left positive, in the middle of its play."""
+    duties, curvatures = zip(*car.steering.curve)
+    return np.interp(duty, duties, curvatures)
+
+
+def true_acceleration_mps2(car: VehicleConfig, value: float, speed_mps: float) -> float:
+    """On level ground at mean battery, by the value as the board's nearest count has it."""
+    return acceleration_of_duty_mps2(count_duty(duty_of_value(value)), speed_mps, car.drive)
+
+
+def duty_of_value(value: float) -> float:
+    """The ESC's, by config/throttle.yaml."""
+    return float(np.interp(value, VALUE_AXIS, DUTY_TABLE))
+
+
+def count_duty(duty: float) -> int:
+    """What the servo board holds for a duty."""
+    return int((duty + COUNT / 2) // COUNT) * COUNT
+
+
+# --- the person ---
+
+
+class Command(NamedTuple):
+    """What stick and trigger ask for."""
+
+    duty: float  # of the steering
+    value: float  # −5..3, brake and reverse negative
+
+
+class View:
+    """What the person sees, and has learnt of the car."""
+
+    def __init__(self, rng):
+        self.random = rng
+        self.now_s = self.speed_mps = self.yaw_rad = self.way_m = 0.0
+        self.stick_duty = self.straight_duty = 5100.0
+        self.push = 0.4  # the value that keeps a slow speed
+        self.seen = {}  # duty of the steering → curvature
+
+    def look(self, now_s, motion):
+        self.now_s = now_s
+        if motion is not None:
+            self.speed_mps, self.yaw_rad, self.way_m = motion.speed_mps, motion.yaw_rad, motion.distance_m
+
+
+def mixed_drive(see: View, missing: str = MIXED) -> Iterator[Command]:
+    """Slow circles at ever other positions of the stick, and in between straights with throttle, coasting and brake.
+
+    Args:
+        see: what the person sees.
+        missing: ``NO_RIGHT``: no turns to the right but the slightest; ``NO_FAST``: nothing above 3 m/s and no hard
+            braking. Both leave about 30 % of the drive away.
+    """
+    yield from rest(see, 2.5)
+    yield from straight_on(see, 4.0, 1.5)
+    positions = _positions(see, missing)
+    while True:
+        for _ in range(9):
+            duty = next(positions, None)
+            if duty is not None:
+                yield from circle(see, duty)
+        yield from straight_on(see, 2.0, 2.0)
+        if see.random.random() < 0.5:
+            yield from launches(see, 3, missing)
+        else:
+            yield from steps(see, 18.0, missing)
+        if see.random.random() < 0.25:
+            yield from back_off(see)
+
+
+def rest(see, seconds):
+    """Stand."""
+    until_s = see.now_s + seconds
+    while see.now_s < until_s:
+        yield Command(see.straight_duty, 0.0)
+
+
+def circle(see, duty):
+    """Hold the stick at one position at an easy speed, and remember how tight that was.
+
+    It's come to from where the stick was, not quite there at once; and then from a little beyond, so that the play in
+    the linkage lies to the other side.
+    """
+    pace, curvatures = _pace(see), []
+    side = math.copysign(1.0, see.stick_duty - duty)
+    for come_from, seconds in ((side, MISSED_S), (-side, BEYOND_S)):
+        begun_s, missed = see.now_s, come_from * see.random.uniform(80, 140)
+        while see.now_s < begun_s + seconds:
+            yield Command(duty + missed, pace(1.5))
+        yield from _hold_circle(see, duty, pace, curvatures)
+    see.seen[count_duty(duty)] = sum(curvatures) / len(curvatures)
+
+
+def _hold_circle(see, duty, pace, curvatures, seconds=HELD_S):
+    begun_s, yaw_rad, way_m = see.now_s, None, None
+    curvature = curvatures[-1] if curvatures else 0.3
+    while see.now_s < begun_s + seconds:
+        if yaw_rad is None and see.now_s > begun_s + 0.5:
+            yaw_rad, way_m = see.yaw_rad, see.way_m
+        if yaw_rad is not None and see.way_m > way_m + 0.3:
+            curvature = (see.yaw_rad - yaw_rad) / (see.way_m - way_m)
+        speed_mps = min(2.2, math.sqrt(SIDEWAYS_MPS2 / 2 / max(0.05, abs(curvature))))
+        yield Command(duty, pace(speed_mps))
+    curvatures.append(curvature)
+
+
+def straight_on(see, seconds, speed_mps):
+    """Keep the heading at a speed."""
+    steer, pace = _straight(see), _pace(see)
+    until_s = see.now_s + seconds
+    while see.now_s < until_s:
+        yield Command(steer(), pace(speed_mps))
+
+
+def launches(see, times, missing):
+    """Throttle up to some speed, then let it roll, or brake, or both."""
+    rng = see.random
+    fastest_mps, hardest = (3.0, -1.5) if missing == NO_FAST else (8.5, -5.0)
+    for _ in range(times):
+        value, top_mps = rng.uniform(0.5, 3.0), rng.uniform(0.4, 1.0) * fastest_mps
+        yield from _hold(see, value, lambda top=top_mps: see.speed_mps > top, 5.0)
+        if rng.random() < 0.5:
+            lowest_mps = rng.uniform(0.2, 0.8) * see.speed_mps
+            yield from _hold(see, rng.choice((0.0, 0.0, 0.2, -0.15)), lambda low=lowest_mps: see.speed_mps < low, 5.0)
+        value = -0.2 + (hardest + 0.2) * rng.random() ** 1.5
+        yield from _hold(see, value, lambda: see.speed_mps < 0.6, 4.0)
+
+
+def steps(see, seconds, missing):
+    """Another throttle or brake each second or two."""
+    rng, until_s = see.random, see.now_s + seconds
+    slowest_mps, fastest_mps, hardest = (0.8, 3.0, -1.5) if missing == NO_FAST else (0.8, 8.5, -4.0)
+    while see.now_s < until_s:
+        faster = rng.random() < (fastest_mps - see.speed_mps) / (fastest_mps - slowest_mps)
+        value = rng.uniform(0.2, 3.0) if faster else rng.uniform(hardest, 0.3)
+        yield from _hold(see, value,
+                         lambda: not slowest_mps - 0.2 < see.speed_mps < fastest_mps + 0.5, rng.uniform(0.8, 2.0))
+
+
+def back_off(see):
+    """Stop, and a short way backward."""
+    yield from _hold(see, -1.0, lambda: see.speed_mps < 0.4, 6.0)
+    yield from rest(see, 1.0)
+    yield from _hold(see, -1.2, lambda: see.speed_mps < -0.8, 3.0)
+    yield from rest(see, 1.5)
+
+
+def _hold(see, value, is_over, longest_s):
+    steer, begun_s = _straight(see), see.now_s
+    while see.now_s < begun_s + longest_s:
+        yield Command(steer(), value)
+        if see.now_s > begun_s + 0.4 and is_over():
+            return
+
+
+def _positions(see, missing):
+    """Of the stick: first all over its way, then in between where it's least clear what the car does there."""
+    least, most = LEAST_DUTY, MOST_DUTY
+    if missing == NO_RIGHT:
+        most = see.straight_duty + 150
+    for index in range(9):
+        yield least + (most - least) * index / 8
+    while True:
+        duties = sorted(see.seen)
+        curvatures = [see.seen[duty] for duty in duties]
+        gaps = [(0.5 * _contrast(*curvatures[index:index + 2]) + 3 * _bend(duties, curvatures, index)
+                 + 2e-4 * (high - low), low, high)
+                for index, (low, high) in enumerate(zip(duties, duties[1:])) if high - low > COUNT]
+        if not gaps:
+            yield see.random.uniform(least, most)
+            continue
+        _, low, high = max(gaps)
+        steps = (high - low) / COUNT
+        yield low + COUNT * max(1, min(steps - 1, round(steps * see.random.uniform(0.35, 0.65))))
+
+
+def _contrast(one, other):
+    """How much two curvatures differ, by their ratio as well as by their difference."""
+    apart = abs(one - other)
+    return min(0.4, apart + 0.5 * apart / (0.08 + (abs(one) + abs(other)) / 2))
+
+
+def _bend(duties, curvatures, index):
+    """How far off the straight line from one position to the next the car may be, if it bends only once in between."""
+    def slope(at):
+        at = min(max(at, 0), len(duties) - 2)
+        return (curvatures[at + 1] - curvatures[at]) / (duties[at + 1] - duties[at])
+    before, behind = slope(index) - slope(index - 1), slope(index + 1) - slope(index)
+    width = duties[index + 1] - duties[index]
+    if before * behind <= 0:  # an S, or a straight line
+        return width * min(abs(before), abs(behind)) / 2
+    return width * before * behind / (before + behind) * math.copysign(1.0, before)
+
+
+def _pace(see):
+    """The trigger for a speed: what seems right, corrected every now and then."""
+    state = {"at_s": -1.0, "value": see.push}
+
+    def trigger(speed_mps):
+        if see.now_s >= state["at_s"]:
+            state["at_s"] = see.now_s + REACTION_S
+            missing_mps = speed_mps - see.speed_mps
+            see.push = max(0.1, min(1.0, see.push + 0.03 * missing_mps))
+            state["value"] = max(-1.5 if see.speed_mps > 1.0 else 0.0, min(1.5, see.push + 0.7 * missing_mps))
+        return state["value"]
+    return trigger
+
+
+def _straight(see):
+    """The stick for the heading that the car has now: corrected every now and then, and better known each time."""
+    state = {"at_s": -1.0, "duty": see.straight_duty, "yaw_rad": see.yaw_rad, "since_s": see.now_s}
+
+    def stick():
+        if see.now_s < state["since_s"] + 0.5:  # still coming out of a bend
+            state["yaw_rad"] = see.yaw_rad
+        elif see.now_s >= state["at_s"]:
+            state["at_s"] = see.now_s + REACTION_S
+            off_rad = see.yaw_rad - state["yaw_rad"]
+            if abs(off_rad) > 0.6:
+                state["yaw_rad"] = see.yaw_rad - math.copysign(0.6, off_rad)
+            see.straight_duty += max(-6.0, min(6.0, 8.0 * off_rad))
+            state["duty"] = see.straight_duty + 160 * off_rad / (1 + max(0.0, see.speed_mps) / 4)
+        return state["duty"]
+    return stick
+
+
+# --- the recording ---
+
+
+class Facts(NamedTuple):
+    """About a recording."""
+
+    way_m: float
+    duration_s: float
+
+
+def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing: str = MIXED, duration_s: float = 300.0,
+           imu: bool = False, servo_topic: str = "/servo/output") -> Facts:
+    """Drive a car and write the bag.
+
+    Args:
+        car: what is driven.
+        path: of the bag; must not exist.
+        seed: of the person, the Teensy's clock, magnets that sit a little off, the IMU's noise.
+        script: ``(View, missing) -> Command``s, 50 a second.
+        missing: what the person leaves away; ``TWO_THIRDS``: the recorder ran only 7 s of each 10.
+        duration_s: of the drive.
+        imu: with imu/data, 100 a second.
+        servo_topic: ``/servo/output``, or ``/servo/cmdVector`` with its −1 for channels that are left alone.
+    """
+    rng = random.Random(seed)
+    bag = _Bag(path, missing == TWO_THIRDS)
+    with bag:
+        drive = _Recorder(car, bag, rng, imu, servo_topic)
+        commands = script(drive.see, missing)
+        drive.run(commands, duration_s)
+    return Facts(drive.way_m, duration_s)
+
+
+class _Bag:
+    """Writes messages; knows the types."""
+
+    def __init__(self, path, gaps):
+        self._store = get_typestore(Stores.ROS1_NOETIC)
+        types = {}
+        for definition in MESSAGES.glob("*.msg"):
+            text = definition.read_text(encoding="utf-8")
+            types.update(get_types_from_msg(text, f"car_interface/msg/{definition.stem}"))
+        self._store.register(types)
+        self._writer = Writer(Path(path))
+        self._connections = {}
+        self._gaps = gaps
+
+    def __enter__(self):
+        self._writer.open()
+        return self
+
+    def __exit__(self, *_):
+        self._writer.close()
+
+    def type(self, name):
+        return self._store.types[name]
+
+    def write(self, topic, type_name, message, received_ns):
+        ros_ns = ros_time_ns(received_ns)
+        if self._gaps and (received_ns - START_NS) / NS_PER_S % 10 >= 7:
+            return
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, type_name, typestore=self._store)
+        self._writer.write(self._connections[topic], ros_ns, bytes(self._store.serialize_ros1(message, type_name)))
+
+
+def ros_time_ns(monotonic_ns: int) -> int:
+    """The one clock as the other."""
+    return monotonic_ns - START_NS + ROS_START_NS
+
+
+class _Recorder:
+    """The car, its Teensy, the hub and the recorder."""
+
+    def __init__(self, car, bag, rng, imu, servo_topic):
+        self._random = rng
+        self._noise = np.random.default_rng(rng.randrange(1 << 30))
+        self._car = Vehicle(car, START_NS)
+        self._bag = bag
+        self._imu = _Imu(self._noise) if imu else None
+        self._servo_topic = servo_topic
+        self._teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=300 + rng.randrange(3_600_000),
+                                                     clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS)
+        self._magnets = _Magnets(car, self._noise)
+        self._decoder = FrameDecoder()
+        self._pinger = Pinger(NS_PER_S, SHIPPED, START_NS)
+        self._measurements = Measurements(MeasurementConfig(
+            gates=GateConfig(pulse_m=car.pulse_m),
+            odometry=OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m, car.wheelbase_m)))
+        self._motion = None
+        self._odom, self._odom_due_ns = None, START_NS  # what waits to be published, and until when
+        self._held = None
+        self._held_ns = 0
+        self._time = bag.type("builtin_interfaces/msg/Time")
+        self.see = View(random.Random(rng.randrange(1 << 30)))
+
+    @property
+    def way_m(self):
+        return self._motion.distance_m if self._motion else 0.0
+
+    def run(self, commands, duration_s):
+        car, now_ns = self._car, START_NS
+        end_ns, control_ns, imu_ns = START_NS + round(duration_s * NS_PER_S), START_NS, START_NS
+        steering = throttle = -1
+        while now_ns < end_ns:
+            if now_ns >= control_ns:
+                control_ns += CONTROL_NS
+                self.see.look((now_ns - START_NS) / NS_PER_S, self._motion)
+                command = next(commands)
+                self.see.stick_duty = command.duty
+                steering, throttle = (count_duty(command.duty), count_duty(duty_of_value(command.value)))
+                self._write_command(command, steering, throttle, now_ns)
+            pulses = car.step(STEP_NS, steering, throttle)
+            now_ns = car.time_ns
+            for at_ns, side, direction in self._magnets.pass_by(pulses, car.speed_mps, now_ns):
+                self._teensy.wheel_pulse(side, direction, at_ns)
+            if now_ns >= self._pinger.due_ns:
+                self._teensy.receive(self._pinger.ping(now_ns // NS_PER_MS % 2 ** 32, now_ns), now_ns)
+            for body in self._decoder.feed(self._teensy.transmit(now_ns)):
+                self._hear(decode(body), now_ns)
+            self._write_odom(now_ns)
+            if self._imu is not None and now_ns >= imu_ns:
+                imu_ns += IMU_NS
+                self._write("imu/data", "sensor_msgs/msg/Imu", self._imu.message(self, car, now_ns), now_ns)
+
+    def stamp(self, monotonic_ns):
+        ros_ns = ros_time_ns(monotonic_ns)
+        return self._time(ros_ns // NS_PER_S, ros_ns % NS_PER_S)
+
+    def header(self, monotonic_ns, frame):
+        return self._bag.type("std_msgs/msg/Header")(0, self.stamp(monotonic_ns), frame)
+
+    def make(self, name, *fields):
+        return self._bag.type(name)(*fields)
+
+    def _write(self, topic, type_name, message, now_ns):
+        # The way from node to recorder takes a while.
+        self._bag.write("/" + topic.lstrip("/"), type_name, message, now_ns + int(self._random.expovariate(2e-6)))
+
+    def _write_command(self, command, steering, throttle, now_ns):
+        make = self.make
+        self._write("generic/output/value", "car_interface/msg/Float64Stamped",
+                    make("car_interface/msg/Float64Stamped", self.stamp(now_ns), float(command.value)), now_ns)
+        held = (steering, throttle)
+        if held == self._held and now_ns < self._held_ns + OUTPUT_NS:
+            return
+        vectors = [[steering, throttle] + [-1] * (CHANNELS - 2)]
+        if self._servo_topic != "/servo/output":
+            vectors = [[steering] + [-1] * (CHANNELS - 1), [-1, throttle] + [-1] * (CHANNELS - 2)]
+        self._held, self._held_ns = held, now_ns
+        for vector in vectors:
+            dimension = make("std_msgs/msg/MultiArrayDimension", "pwm_channel", CHANNELS, 1)
+            layout = make("std_msgs/msg/MultiArrayLayout", [dimension], 0)
+            self._write(self._servo_topic, "std_msgs/msg/Int32MultiArray",
+                        make("std_msgs/msg/Int32MultiArray", layout, np.array(vector, np.int32)), now_ns)
+
+    def _hear(self, record, now_ns):
+        if isinstance(record, WheelStatus):
+            self._hear_wheels(record, now_ns)
+        elif isinstance(record, SonarStatus):
+            self._measurements.sonar(record, now_ns)
+            self._write("teensy_distance", "car_interface/msg/Distance",
+                        self.make("car_interface/msg/Distance", record.sensor, record.echo_us, record.when), now_ns)
+        elif isinstance(record, Pong):
+            self._hear_pong(record, now_ns)
+
+    def _hear_pong(self, record, now_ns):
+        answer = self._pinger.pong(record.timestamp1, now_ns)
+        sync = self._measurements.pong(record, answer, now_ns)
+        if sync is None:
+            return
+        self._write("teensy_clock", "car_interface/msg/TeensyClock", self.make(
+            "car_interface/msg/TeensyClock", self.stamp(now_ns), answer.sent_ns, now_ns, answer.sent_bytes, 115200,
+            record.timestamp2, sync.used, sync.reason, sync.converged, sync.offset_ns / NS_PER_S, sync.skew_ppm,
+            sync.uncertainty_ns / NS_PER_S, sync.round_trip_ns / NS_PER_S), now_ns)
+
+    def _hear_wheels(self, record, now_ns):
+        one = "car_interface/msg/OneWheel"
+        wheels = [self.make(one, wheel.speed, wheel.direction, wheel.when, wheel.dist, wheel.dist_abs)
+                  for wheel in record]
+        self._write("teensy_wheel", "car_interface/msg/Wheel", self.make("car_interface/msg/Wheel", *wheels), now_ns)
+        measured = self._measurements.wheels(record, now_ns)
+        if measured is None:
+            return
+        self._motion, self._odom = measured.motion, measured
+
+    def _write_odom(self, now_ns):
+        """The newest, at most 50 a second, as the hub does."""
+        if self._odom is None or now_ns < self._odom_due_ns:
+            return
+        self._write("odom", "nav_msgs/msg/Odometry", self._odometry(self._odom), now_ns)
+        self._odom, self._odom_due_ns = None, now_ns + ODOM_NS
+
+    def _odometry(self, measured):
+        make, motion = self.make, measured.motion
+        pose_covariance, twist_covariance = np.zeros(36), np.zeros(36)
+        for row, row_values in zip((0, 1, 5), motion.pose_covariance):
+            for column, value in zip((0, 1, 5), row_values):
+                pose_covariance[6 * row + column] = value
+        twist_covariance[0], twist_covariance[35] = motion.speed_variance, motion.yaw_rate_variance
+        vector = self._bag.type("geometry_msgs/msg/Vector3")
+        pose = make("geometry_msgs/msg/Pose", make("geometry_msgs/msg/Point", motion.x_m, motion.y_m, 0.0),
+                    quaternion(make, motion.yaw_rad, 0.0))
+        twist = make("geometry_msgs/msg/Twist", vector(motion.speed_mps, 0.0, 0.0),
+                     vector(0.0, 0.0, motion.yaw_rate_radps))
+        return make("nav_msgs/msg/Odometry", self.header(measured.stamp.time_ns, "odom"), "base_link",
+                    make("geometry_msgs/msg/PoseWithCovariance", pose, pose_covariance),
+                    make("geometry_msgs/msg/TwistWithCovariance", twist, twist_covariance))
+
+
+def quaternion(make, yaw_rad, pitch_rad):
+    """Of a heading and a pitch (nose down positive)."""
+    cy, sy, cp, sp = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2), math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
+    return make("geometry_msgs/msg/Quaternion", -sp * sy, sp * cy, cp * sy, cp * cy)
+
+
+class _Magnets:
+    """Pulses come a little late, each magnet by its own share of the way to the next: none sits where it should."""
+
+    def __init__(self, car, noise):
+        self._pulse_m = car.pulse_m
+        self._late = noise.uniform(0.0, 0.06, size=(2, car.pulses_per_revolution))
+        self._places = [0, 0]
+        self._waiting: deque = deque()
+        self._last_ns = 0
+
+    def pass_by(self, pulses, speed_mps, now_ns):
+        for pulse in pulses:
+            step = -1 if pulse.direction == BACKWARD else 1
+            self._places[pulse.side] += step
+            late = self._late[pulse.side][self._places[pulse.side] % self._late.shape[1]]
+            late_s = min(0.05, late * self._pulse_m / max(1e-3, abs(speed_mps)))
+            at_ns = pulse.at_ns + int(late_s * NS_PER_S)
+            self._waiting.append((max(at_ns, self._last_ns), pulse.side, pulse.direction))
+            self._last_ns = self._waiting[-1][0]
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            yield self._waiting.popleft()
+
+
+class _Imu:
+    """A small one, with noise, and offsets that stay."""
+
+    def __init__(self, noise):
+        self._noise = noise
+        self._yaw_rate_offset, self._acceleration_offset = noise.normal(0, 0.005), noise.normal(0, 0.04)
+        self._pitch_offset = noise.normal(0, 0.003)
+
+    def message(self, recorder, car, now_ns):
+        make, noise = recorder.make, self._noise
+        up_rad = math.atan(car.config.slope) * math.cos(car.pose.yaw_rad - car.config.uphill_rad)
+        yaw_rate_radps = car.yaw_rate_radps + self._yaw_rate_offset + noise.normal(0, 0.02)
+        forward_mps2 = car.acceleration_mps2 + GRAVITY_MPS2 * math.sin(up_rad) + self._acceleration_offset
+        vector = make("geometry_msgs/msg/Vector3", 0.0, 0.0, yaw_rate_radps)
+        force = make("geometry_msgs/msg/Vector3", forward_mps2 + noise.normal(0, 0.15),
+                     car.speed_mps * car.yaw_rate_radps + noise.normal(0, 0.15), GRAVITY_MPS2 + noise.normal(0, 0.15))
+        pitch_rad = -up_rad + self._pitch_offset + noise.normal(0, 0.004)
+        covariances = [np.full(9, 0.0) for _ in range(3)]
+        return make("sensor_msgs/msg/Imu", recorder.header(now_ns, "imu_link"),
+                    quaternion(make, car.pose.yaw_rad, pitch_rad), covariances[0], vector, covariances[1], force,
+                    covariances[2])
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("seed", type=int)
+    parser.add_argument("path")
+    parser.add_argument("--missing", default=MIXED, choices=(MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS))
+    parser.add_argument("--seconds", type=float, default=300.0)
+    parser.add_argument("--imu", action="store_true")
+    arguments = parser.parse_args()
+    facts = record(random_car(arguments.seed), arguments.path, arguments.seed, missing=arguments.missing,
+                   duration_s=arguments.seconds, imu=arguments.imu)
+    print(f"{arguments.path}: {facts.duration_s:.0f} s, {facts.way_m:.0f} m")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

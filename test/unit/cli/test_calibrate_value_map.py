@@ -1,0 +1,298 @@
+"""The command calibrate_value_map, on recordings of a virtual car whose true curve is known."""
+from __future__ import annotations
+
+import importlib
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from car_interface.calibration.value_map import table as tables
+from car_interface.calibration.value_map.acceleration import Series
+from car_interface.cli import calibrate_value_map as command
+from car_interface.cli.main import main
+from car_interface.recordings.signals import Pulses
+from car_interface.throttle.value_map import load_value_map
+from written_recordings import Written, write_ros1, write_ros2
+
+ROOT = Path(__file__).resolve().parents[3]
+sys.path.append(str(ROOT / "test"))
+virtual_drive = importlib.import_module("accuracy.virtual_drive")
+SEED, SECONDS = 3, 150.0
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    path = tmp_path_factory.mktemp("drive") / "drive.bag"
+    virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=SECONDS, imu=True)
+    return str(path)
+
+
+def run(*arguments):
+    return main("calibrate_value_map", [str(argument) for argument in arguments])
+
+
+def error_mps2(table):
+    """RMS of a map, by the virtual car's truth in the middle of the drive."""
+    car = virtual_drive.random_car(SEED)
+    thrust = car.drive.thrust(SECONDS / 2)
+    duties = [virtual_drive.duty_of_value(value) for value in table.values]
+    truth = [[virtual_drive.acceleration_of_duty_mps2(duty, max(velocity, 1e-3), car.drive, thrust)
+              for velocity in table.velocities] for duty in duties]
+    found = [[table.acceleration_at(value, velocity) for velocity in table.velocities] for value in table.values]
+    return float(np.sqrt(np.mean(np.subtract(found, truth) ** 2)))
+
+
+def test_map_loads_and_is_near_the_truth_and_the_report_lies_beside_it(bag, tmp_path, capsys):
+    assert run(bag, "-o", tmp_path / "map.csv") == 0
+    assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.08
+    report = (tmp_path / "map.report.txt").read_text(encoding="utf-8")
+    assert "held out (every 5th manoeuvre" in report and "standard error" in report and "ground rises by" in report
+    assert "a stop, or slower than the slowest speed" in report and "missing: value" in report
+    assert report.strip() in capsys.readouterr().out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["map.csv", "map.report.txt"]
+
+
+@pytest.mark.once
+def test_duty_of_the_escs_channel_serves_as_the_value_that_makes_it(bag, tmp_path, capsys):
+    assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1") == 0
+    table = load_value_map(str(tmp_path / "map.csv"))
+    assert -5.0 <= table.values[0] < 0.0 < table.values[-1] <= 3.0
+    assert error_mps2(table) < 0.1
+    out = capsys.readouterr().out
+    assert "throttle.yaml makes it: 3277 is -5, 6554 is 3" in out and "missing: value 3277" not in out
+
+
+def throttle_file(tmp_path, text):
+    path = tmp_path / "throttle.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_duties_become_values_by_the_throttles_table_the_other_way_round(tmp_path):
+    path = throttle_file(tmp_path, "servo: {channel: 2, value_axis: [-1, 0, 4], duty_table: [6000, 5000, 3000], "
+                                   "neutral: 5000}\ncommand_timeout: 0.3\n")
+    values = command.load_values(str(path))
+    assert values.neutral == 0.0
+    assert values(np.array([6000, 5500, 5000, 4000, 3000])).tolist() == [-1, -0.5, 0, 2, 4]
+    assert values(np.array([6016, 2984])).tolist() == [-1, 4]  # the board's rounding
+    assert np.isnan(values(np.array([6100, 2900, 0]))).all()
+
+
+@pytest.mark.parametrize("text, said", [
+    ("servo: {value_axis: [-5, 0, 3], duty_table: [3277, 4915, 4915], neutral: 4915}", "that only rise, or only"),
+    ("servo: {value_axis: [-5, 0, 3], duty_table: [3277, 4915, 4000], neutral: 4000}", "that only rise, or only"),
+    ("servo: {value_axis: [-5, 3], duty_table: [3277, 4915, 6554], neutral: 4915}", "servo/duty_table"),
+    ("servo: {value_axis: [-5, 3], duty_table: [3277, 6554], neutral: 7000}", "servo/neutral is 7000"),
+    ("servo: {value_axis: [-5, 3], duty_table: [3277, 6554]}", "servo/neutral is missing"),
+    ("command_timeout: 1", "servo/duty_table is missing"),
+    ("- 1", "YAML lines"),
+], ids=["level", "back", "length", "neutral", "no_neutral", "no_table", "list"])
+def test_throttle_that_can_not_be_turned_round_is_refused_by_name(bag, tmp_path, capsys, text, said):
+    path = throttle_file(tmp_path, text)
+    assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1", "--throttle", path) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(path) in line and said in line and not (tmp_path / "map.csv").exists()
+
+
+@pytest.mark.once
+def test_duties_that_no_value_makes_are_told(bag, tmp_path, capsys):
+    path = throttle_file(tmp_path, "servo: {value_axis: [-3, 0, 2], duty_table: [3932, 4915, 6008], neutral: 4915}")
+    assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1", "--throttle", path) == 0
+    assert re.search(r"[1-9]\d* of \d+ duties lie beyond 3932 to 6008, where .* has no value", capsys.readouterr().out)
+    table = load_value_map(str(tmp_path / "map.csv"))
+    assert table.values[0] >= -3.0 and table.values[-1] <= 2.0
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("options", [("--acceleration", "odom"), ("--imu", "imu/data"),
+                                     ("--imu", "imu/data", "--acceleration", "imu")], ids=" ".join)
+def test_other_ways_to_measure_find_the_map_too(bag, tmp_path, options):
+    assert run(bag, "-o", tmp_path / "map.csv", *options) == 0
+    assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.12
+
+
+@pytest.mark.once
+def test_prior_gives_the_axes_and_stays_where_nothing_was_driven(bag, tmp_path, capsys):
+    prior = ROOT / "config" / "value_map.csv"
+    assert run(bag, "-o", tmp_path / "map.csv", "--prior", prior) == 0
+    before, after = load_value_map(str(prior)), load_value_map(str(tmp_path / "map.csv"))
+    assert (after.values, after.velocities) == (before.values, before.velocities)
+    assert after.acceleration_at(3.0, 10.0) == before.acceleration_at(3.0, 10.0)
+    assert abs(after.acceleration_at(1.2, 2.0) - before.acceleration_at(1.2, 2.0)) > 0.02
+    assert "the prior's" in capsys.readouterr().out
+
+
+def test_two_bags_read_by_two_processes_make_one_map(bag, tmp_path):
+    again = tmp_path / "again.bag"
+    virtual_drive.record(virtual_drive.random_car(SEED), again, SEED + 1, duration_s=60.0)
+    assert run(bag, again, "-o", tmp_path / "map.csv", "--jobs", 2) == 0
+
+
+@pytest.mark.once
+def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
+    shutil.copy(bag, str(tmp_path / "copy.bag"))
+    for again, words in ((bag, "are the same recording"), (tmp_path / "copy.bag", "have the same driving in them")):
+        assert run(bag, again, "-o", tmp_path / "map.csv") == 1
+        assert f"{bag} and {again} {words}" in capsys.readouterr().err
+
+
+@pytest.mark.once
+def test_map_and_report_that_are_replaced_stay_beside_them(bag, tmp_path, capsys):
+    shutil.copy(str(ROOT / "config" / "value_map.csv"), str(tmp_path / "map.csv"))
+    (tmp_path / "map.report.txt").write_text("old", encoding="utf-8")
+    assert run(bag, "-o", tmp_path / "map.csv", "--prior", tmp_path / "map.csv") == 0
+    kept = sorted(path.name for path in tmp_path.glob("*.bak-*"))
+    assert [name.split(".bak-")[0] for name in kept] == ["map.csv", "map.report.txt"]
+    out = capsys.readouterr().out
+    assert all(f"; the old one is {tmp_path / name}\n" in out for name in kept)
+
+
+@pytest.mark.parametrize("name", ["drive.bag", "map.csv"])
+def test_output_that_would_overwrite_a_recording_is_refused(bag, tmp_path, capsys, name):
+    mine, before = tmp_path / name, Path(bag).read_bytes()
+    mine.write_bytes(before)
+    assert run(mine, "-o", mine) == 1
+    assert f"{mine} is one of the recordings" in capsys.readouterr().err
+    assert run(bag, "-o", mine) == 1
+    assert f"{mine} is a recording, and would be lost" in capsys.readouterr().err
+    assert mine.read_bytes() == before
+
+
+@pytest.mark.once
+def test_map_may_go_to_a_stream_alone(bag, tmp_path, capfd):
+    assert run(bag, "-o", "/dev/null") == 0
+    assert capfd.readouterr().out.endswith("written: /dev/null\n")
+
+
+def test_too_little_driving_is_refused_with_what_is_missing_and_no_file_is_left(tmp_path, capsys):
+    path = tmp_path / "short.bag"
+    virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=12.0)
+    assert run(path, "-o", tmp_path / "map.csv") == 1
+    error = capsys.readouterr().err
+    assert "no map is written" in error and "at least" in error or "support" in error
+    assert not list(tmp_path.glob("map*"))
+
+
+@pytest.mark.once
+def test_what_was_left_out_of_the_drive_is_missing_and_not_made_up(tmp_path, capsys):
+    path = tmp_path / "slow.bag"
+    virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=SECONDS, missing=virtual_drive.NO_FAST)
+    given = ("--values", -4, -1, 0, 0.5, 1, 2, "--velocities", 1, 2, 3, 4, 6)
+    assert run(path, "-o", tmp_path / "map.csv", *given) == 0
+    table = load_value_map(str(tmp_path / "map.csv"))
+    assert table.velocities[-1] <= 4.0 and table.values[0] >= -1.0  # nobody drove faster than 3.5 m/s, or braked harder
+    out = capsys.readouterr().out
+    assert "missing: value -4.0: at any speed" in out and "6.0 m/s" in out
+
+
+@pytest.mark.once
+def test_force_writes_what_is_refused_and_marks_it(bag, tmp_path, capsys):
+    # Two values only: no map that anybody should drive with.
+    given = ("--values", "0.2", "2.5", "--velocities", "1", "2", "3")
+    assert run(bag, "-o", tmp_path / "map.csv", *given) == 1
+    assert "--force" in capsys.readouterr().err
+    assert run(bag, "-o", tmp_path / "map.csv", *given, "--force") == 0
+    assert "not good enough: " in (tmp_path / "map.report.txt").read_text(encoding="utf-8")
+
+
+# --- what can't be calibrated with ---
+
+
+def odometry(time_s, speed=1.0):
+    return Written(time_s, "/odom", "nav_msgs/Odometry", {"twist": {"twist": {"linear": {"x": speed}}}})
+
+
+def value(time_s, data=1.0):
+    return Written(time_s, "/generic/output/value", "car_interface/Float64Stamped", {"data": data})
+
+
+@pytest.mark.parametrize("messages, said", [
+    ([odometry(0.0)], "generic/output/value"),
+    ([value(0.0)], "odom"),
+    ([], "odom|no topic|no messages|empty"),
+    ([odometry(0.02 * i) for i in range(9)] + [value(0.02 * i) for i in range(9)], "tells an acceleration"),
+    ([odometry(0.02 * i, 0.0) for i in range(500)] + [value(0.02 * i) for i in range(500)], "a stop"),
+    ([odometry(0.02 * i, float("nan")) for i in range(9)] + [value(0.02 * i) for i in range(9)], "odom"),
+    ([Written(0.0, "/odom", "std_msgs/Float64", {"data": 1.0}), value(0.0)], "/odom is of type std_msgs/Float64"),
+], ids=["no_value", "no_odometry", "no_messages", "too_short", "standing", "not_numbers", "wrong_type"])
+@pytest.mark.parametrize("write", [write_ros1, write_ros2], ids=["ros1", "ros2"])
+def test_recording_that_tells_nothing_is_refused_in_one_line(tmp_path, capsys, write, messages, said):
+    path = write(tmp_path / "a.bag", sorted(messages, key=lambda message: message.time_s))
+    assert run(path, "-o", tmp_path / "map.csv") == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert any(part in line for part in said.split("|")) and "a.bag" in line
+
+
+@pytest.mark.parametrize("options, said", [
+    (("--value", "duty:16"), "--value is 'duty:16'; accepted: a topic, or duty:CHANNEL"),
+    (("--acceleration", "imu"), "--imu is missing"),
+    (("--values", "1", "0"), "--values"),
+    (("--prior", "nowhere.csv"), "nowhere.csv"),
+    (("--imu", "imu/none"), "imu/none"),
+    (("--value", "none"), "none"),
+    (("--odom", "none"), "none"),
+    (("--namespace", "/other"), "/other"),
+    (("--ns", "/other"), "/other"),
+    (("--esc-channel", "16"), "--esc-channel is 16; accepted: a channel of the servo board, 0 to 15"),
+    (("--esc-channel", "-2"), "--esc-channel is -2"),
+], ids=lambda part: " ".join(part) if isinstance(part, tuple) else "")
+def test_option_that_is_no_good_is_named(bag, tmp_path, capsys, options, said):
+    assert run(bag, "-o", tmp_path / "map.csv", *options) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+@pytest.mark.parametrize("option", ["--neutral", "--delay", "--min-speed", "--values", "--esc-neutral"])
+@pytest.mark.parametrize("text", ["nan", "inf"])
+def test_number_that_is_none_is_a_matter_of_usage(tmp_path, capsys, option, text):
+    with pytest.raises(SystemExit, match="2"):
+        run("a.bag", "-o", tmp_path / "map.csv", option, text)
+    assert f"'{text}' is no finite number" in capsys.readouterr().err
+
+
+# --- parts ---
+
+
+def test_value_that_did_not_reach_the_esc_is_seen():
+    t_s = np.arange(0.0, 3.0, 0.02)
+    commanded = Series(t_s, np.where(t_s > 0.5, 2.0, 0.0))
+    duty = Series(t_s, np.where((t_s > 0.55) & (t_s < 2.0), 6000.0, 4915.0))  # the human lets go after 2 s
+    driven = command.reached(commanded, duty, 0.0, 4915)
+    gone = driven.t_s[driven.y == 0]
+    assert gone.min() == pytest.approx(2.0, abs=0.03) and gone.max() > 2.9
+
+
+def test_channel_that_nobody_drives_tells_nothing():
+    t_s = np.arange(0.0, 3.0, 0.02)
+    assert command.reached(Series(t_s, t_s), Series(t_s, np.full(t_s.size, -1.0)), 0.0, 4915) is None
+
+
+def test_pulses_are_as_long_as_odometry_makes_them():
+    t_s = np.arange(0.0, 20.0, 0.01)
+    wheel = Pulses(t_s[::2], np.floor(t_s[::2] * 2.0 / 0.0149))
+    ways = command.wheel_ways((wheel, wheel), Series(t_s, np.full(t_s.size, 2.0)))
+    assert (ways[0].y[-1] - ways[0].y[0]) / (ways[0].t_s[-1] - ways[0].t_s[0]) == pytest.approx(2.0, rel=0.002)
+    assert command.wheel_ways((wheel,), Series(t_s, t_s)) == ()
+
+
+def test_pulses_counted_while_nothing_was_recorded_do_not_change_their_length():
+    t_s = np.arange(0.0, 40.0, 0.01)
+    speed = np.where((t_s > 11.0) & (t_s < 13.0), 4.0, 1.0)
+    count = np.floor(np.cumsum(speed) * 0.01 / 0.0149)
+    recorded = (t_s < 10.0) | (t_s > 14.0)
+    wheel = Pulses(t_s[recorded], count[recorded])
+    ways = command.wheel_ways((wheel, wheel), Series(t_s[recorded], speed[recorded]))
+    assert (ways[0].y[-1] - ways[0].y[0]) / (count[-1] - count[0]) == pytest.approx(0.0149, rel=0.003)
+
+
+def test_csv_is_what_the_converter_loads(tmp_path):
+    table = tables.Table(np.array([-1.0, 0.0, 0.3]), np.array([0.5, 1.0]), np.array([[-1, -2], [0, -1], [1, 0.0005]]),
+                          np.zeros((3, 2), int), np.zeros((3, 2)))
+    path = tmp_path / "map.csv"
+    path.write_text(command.csv_text(table), encoding="utf-8")
+    assert load_value_map(str(path)).values == (-1.0, 0.0, 0.3)
+    assert path.read_text(encoding="utf-8").splitlines()[0] == "default,0.5,1.0"

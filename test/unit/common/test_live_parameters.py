@@ -1,0 +1,305 @@
+"""Tuning while the car drives: what a request may change, how fast, and what moves along. Time is passed in."""
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.params import Params
+from car_interface.steering import arbiter as steering
+from car_interface.steering import calibration
+from car_interface.steering.arbiter import SteeringArbiter
+from car_interface.steering.calibration import SteeringConfig
+from car_interface.steering.params import load_steering
+from car_interface.throttle import esc_channel
+from car_interface.throttle.esc_channel import ThrottleConfig
+
+CONFIG = Path(__file__).resolve().parents[3] / "config"
+MS = 1_000_000
+S = 1000 * MS
+BEAT = 10 * MS
+REACH, RATE = 500, 500
+NAMES = ("servo_left", "servo_center", "servo_right")
+SLASH = SteeringConfig(
+    servo_left=3800, servo_center=5100, servo_right=6700, servo_channel=0,
+    radius_axis_m=[1, 2, 3, 4, 5, 6, 7, 10, 20, 30, 40, 60, 80, 100, 300],
+    left_duties=[3800, 3830, 3840, 3850, 3860, 3870, 3880, 3890, 3900, 3950, 4000, 4300, 4600, 4900, 5100],
+    right_duties=[6700, 6650, 6600, 6500, 6450, 6400, 6350, 6250, 6150, 6050, 5950, 5900, 5600, 5300, 5100])
+ESC = ThrottleConfig(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
+
+
+def values(left=3800, center=5100, right=6700):
+    return dict(zip(NAMES, (left, center, right)))
+
+
+def tuning(reach=REACH, rate=RATE, config=SLASH):
+    start = {name: getattr(config, name) for name in NAMES}
+    return Tuning(start, reach, rate, lambda wanted: calibration.trimmed(config, **wanted))
+
+
+def settle(tuned, now_ns):
+    """Beats until it has arrived; all values that were in force on the way, the last one too."""
+    seen = []
+    while tuned.moving:
+        now_ns += BEAT
+        assert tuned.advance(now_ns)
+        seen.append(tuned.in_force)
+        assert len(seen) < 10_000
+    return seen
+
+
+# --- what is accepted ---
+
+
+@pytest.mark.parametrize("wanted, accepted, complaint", [
+    pytest.param({"servo_center": 5150}, values(center=5150), "", id="center_alone"),
+    pytest.param(values(3850, 5150, 6750), values(3850, 5150, 6750), "", id="all_three"),
+    pytest.param({}, values(), "", id="nothing"),
+    pytest.param({"servo_channel": 7}, values(), "", id="what_is_not_tuned_is_ignored"),
+    pytest.param({"servo_center": 5600}, values(center=5600), "", id="as_far_as_it_may_be"),
+    pytest.param({"servo_center": 5601}, values(center=5600),
+                 "servo_center 5601 is beyond 4600 to 5600: clamped to 5600", id="too_far_is_clamped_and_said"),
+    pytest.param({"servo_left": -1, "servo_right": 2 ** 31}, values(left=3300, right=7200),
+                 "servo_left -1 is beyond 3300 to 4300: clamped to 3300; "
+                 "servo_right 2147483648 is beyond 6200 to 7200: clamped to 7200", id="each_that_is_too_far_is_said"),
+    pytest.param({"servo_left": 3700, "servo_center": 5100.5}, values(), "servo_center 5100.5 is no duty: refused",
+                 id="fraction_is_refused_with_all_the_rest"),
+    pytest.param({"servo_center": math.nan}, values(), "servo_center nan is no duty: refused", id="nan"),
+    pytest.param({"servo_center": "5150"}, values(), "servo_center '5150' is no duty: refused", id="text"),
+    pytest.param({"servo_center": True}, values(), "servo_center True is no duty: refused", id="true_is_no_number"),
+    pytest.param({"servo_center": None}, values(), "servo_center None is no duty: refused", id="none"),
+])
+def test_request_is_accepted_clamped_or_refused(wanted, accepted, complaint):
+    assert tuning().request(wanted, 0) == (accepted, complaint)
+
+
+def test_center_beyond_an_end_is_refused_in_whole_and_changes_nothing():
+    narrow = replace(SLASH, servo_left=5000)
+    tuned = tuning(config=narrow)
+    answer = tuned.request({"servo_center": 4900, "servo_right": 6800}, 0)
+    assert answer.complaint == ("servo_center is 4900; accepted: a duty between servo_left 5000 and servo_right 6800: "
+                                "refused")
+    assert answer.values == values(left=5000)
+    assert not tuned.moving and tuned.changes == ""
+
+
+def test_reach_of_0_lets_nothing_be_tuned():
+    assert tuning(reach=0).request({"servo_center": 5101}, 0) == (
+        values(), "servo_center 5101 is beyond 5100 to 5100: clamped to 5100")
+
+
+def test_limits_end_where_duties_do():
+    tuned = Tuning({"low": 100, "high": 65500}, 500, RATE, lambda wanted: None)
+    assert (tuned.low, tuned.high) == ({"low": 0, "high": 65000}, {"low": 600, "high": 65535})
+
+
+def test_limits_stay_where_they_were_at_start_however_often_one_asks():
+    tuned = tuning()
+    for _ in range(3):
+        tuned.request({"servo_center": 9999}, 0)
+        settle(tuned, 0)
+    assert tuned.in_force == values(center=5600)
+
+
+def test_changes_are_told_in_words_and_a_value_put_back_is_none():
+    tuned = tuning()
+    tuned.request({"servo_center": 5150, "servo_left": 3790}, 0)
+    assert tuned.changes == "servo_left 3800 → 3790, servo_center 5100 → 5150"
+    tuned.request(values(), S)
+    assert tuned.changes == ""
+
+
+# --- how it gets there ---
+
+
+def test_accepted_values_are_reached_at_the_rate_and_no_faster():
+    tuned = tuning()
+    tuned.request({"servo_center": 5150}, 0)
+    assert tuned.moving and tuned.in_force == values()
+    seen = [step["servo_center"] for step in settle(tuned, 0)]
+    assert seen == [5105, 5110, 5115, 5120, 5125, 5130, 5135, 5140, 5145, 5150]
+    assert not tuned.advance(S)
+
+
+def test_values_tuned_together_arrive_together():
+    tuned = tuning()
+    tuned.request(values(3900, 5200, 6300), 0)
+    seen = settle(tuned, 0)
+    assert len(seen) == 80 and seen[39] == values(3850, 5150, 6500) and seen[-1] == values(3900, 5200, 6300)
+
+
+def test_node_that_was_held_up_does_not_jump():
+    tuned = tuning()
+    tuned.request({"servo_center": 5600}, 0)
+    assert tuned.advance(3 * S) and tuned.in_force["servo_center"] == 5125
+
+
+def test_clock_that_stands_moves_nothing():
+    tuned = tuning()
+    tuned.request({"servo_center": 5600}, S)
+    tuned.advance(S)
+    tuned.advance(S - BEAT)
+    assert tuned.in_force["servo_center"] == 5100 and tuned.moving
+
+
+def test_request_on_the_way_starts_from_where_the_values_are():
+    tuned = tuning()
+    tuned.request({"servo_center": 5600}, 0)
+    for beat in range(1, 11):
+        tuned.advance(beat * BEAT)
+    assert tuned.in_force["servo_center"] == 5150
+    tuned.request({"servo_center": 5100}, 10 * BEAT)
+    assert tuned.in_force["servo_center"] == 5150
+    assert [step["servo_center"] for step in settle(tuned, 10 * BEAT)][:2] == [5145, 5140]
+
+
+def test_same_request_again_does_not_start_anew():
+    tuned = tuning()
+    for beat in range(11):
+        tuned.request({"servo_center": 5150}, beat * BEAT)
+        tuned.advance(beat * BEAT)
+    assert not tuned.moving
+
+
+TRIPLES = st.tuples(st.integers(3000, 4600), st.integers(4300, 5900), st.integers(5900, 7500))
+
+
+@given(st.lists(TRIPLES, min_size=1, max_size=4), st.integers(1, 60), st.sampled_from([1, 37, 500, 20_000]))
+def test_whatever_is_asked_each_step_is_valid_and_within_the_rate(wanted, beats, rate):
+    tuned = tuning(rate=rate)
+    now_ns, before = 0, tuned.in_force
+    for request in wanted:
+        tuned.request(values(*request), now_ns)
+        for _ in range(beats):
+            now_ns += BEAT
+            tuned.advance(now_ns)
+            moved = calibration.trimmed(SLASH, **tuned.in_force)
+            SteeringArbiter(moved)
+            assert all(tuned.low[name] <= value <= tuned.high[name] for name, value in tuned.in_force.items())
+            assert max(abs(tuned.in_force[name] - before[name]) for name in NAMES) <= rate * BEAT / S + 1
+            before = tuned.in_force
+
+
+# --- what moves along: the steering ---
+
+
+def test_trimmed_to_where_it_is_changes_nothing_at_all():
+    assert calibration.trimmed(SLASH, 3800, 5100, 6700) is SLASH
+
+
+def test_planner_drives_straight_on_and_turns_tightest_where_the_gamepad_does():
+    arbiter = SteeringArbiter(calibration.trimmed(SLASH, 3750, 5200, 6800))
+    assert [arbiter.planner_duty(radius) for radius in (300, -300, 1, -1)] == [5200, 5200, 3750, 6800]
+    assert [arbiter.teleop_duty(request) for request in (0, 1, -1)] == [5200, 3750, 6800]
+
+
+def test_table_between_keeps_its_share_of_the_way_from_center_to_end():
+    moved = calibration.trimmed(SLASH, 3800, 5200, 6700)
+    assert moved.left_duties[11] == 5200 - (5100 - 4300) * 1400 / 1300 // 0.1 / 10  # 60 m: 861.5
+    assert moved.right_duties[13] == round(5200 + 200 * 1500 / 1600, 1)
+
+
+def test_all_three_moved_alike_move_every_duty_alike():
+    moved = calibration.trimmed(SLASH, 3830, 5130, 6730)
+    assert moved.left_duties == [duty + 30 for duty in SLASH.left_duties]
+    assert moved.right_duties == [duty + 30 for duty in SLASH.right_duties]
+
+
+def test_car_whose_left_is_the_larger_duty_is_tuned_alike():
+    turned = replace(SLASH, servo_left=6700, servo_right=3800, left_duties=SLASH.right_duties,
+                     right_duties=SLASH.left_duties)
+    arbiter = SteeringArbiter(calibration.trimmed(turned, 6750, 5050, 3850))
+    assert [arbiter.planner_duty(radius) for radius in (1, 300, -300, -1)] == [6750, 5050, 5050, 3850]
+
+
+def test_commanded_radius_of_a_duty_moves_along_too():
+    arbiter = SteeringArbiter(calibration.trimmed(SLASH, 3800, 5200, 6700))
+    assert arbiter.turn_radius_m(5200) == math.inf
+    assert arbiter.turn_radius_m(arbiter.planner_duty(50)) == pytest.approx(50, rel=0.01)
+
+
+@pytest.mark.parametrize("wanted, message", [
+    pytest.param((3800, 6701, 6700), "servo_center is 6701; accepted: a duty between servo_left 3800 and servo_right",
+                 id="center_beyond_right"),
+    pytest.param((3800, 3800, 6700), "servo_center is 3800; accepted: .*, and neither of them", id="center_at_left"),
+    pytest.param((3800, 6700, 6700), "servo_center is 6700; accepted: .*, and neither of them", id="center_at_right"),
+    pytest.param((6700, 5100, 3800), "servo_left is 6700; accepted: a duty on the same side of servo_right 3800",
+                 id="ends_that_change_sides"),
+    pytest.param((5100, 5100, 5100), "servo_left is 5100; accepted: a duty on the same side", id="ends_that_meet"),
+])
+def test_impossible_trim_is_refused(wanted, message):
+    with pytest.raises(ConfigError, match=message):
+        calibration.trimmed(SLASH, *wanted)
+
+
+def test_center_that_is_an_end_at_start_is_not_tuned():
+    """On the way from there the two could meet again, and a side without a way can't be tuned back."""
+    config = replace(SLASH, servo_center=3800)
+    assert calibration.trimmed(config, 3800, 3800, 6700) is config
+    with pytest.raises(ConfigError, match="servo_center is an end at start"):
+        calibration.trimmed(config, 3900, 3950, 6700)
+
+
+@given(TRIPLES)
+def test_trimmed_tables_keep_their_order_and_stay_duties(wanted):
+    try:
+        moved = calibration.trimmed(SLASH, *wanted)
+    except ConfigError:
+        return
+    assert list(moved.left_duties) == sorted(moved.left_duties)
+    assert list(moved.right_duties) == sorted(moved.right_duties, reverse=True)
+    assert all(0 <= duty <= 65535 for duty in (*moved.left_duties, *moved.right_duties))
+
+
+def test_arbiter_calibrated_anew_keeps_what_it_heard():
+    arbiter = SteeringArbiter(SLASH)
+    arbiter.hear_human(True, S)
+    arbiter.hear_teleop(1.0, S)
+    arbiter.calibrate(calibration.trimmed(SLASH, 3700, 5100, 6700))
+    assert arbiter.decide(S)[:3] == (steering.TELEOP, 3700, "teleop")
+    with pytest.raises(ConfigError, match="k_pwmcmd_left_table_servo"):
+        arbiter.calibrate(replace(SLASH, left_duties=[1]))
+    assert arbiter.decide(S).duty == 3700
+
+
+# --- what moves along: the ESC ---
+
+
+def test_esc_table_moves_along_with_its_neutral():
+    moved = esc_channel.trimmed(ESC, 4950)
+    assert (moved.neutral, moved.duty_table) == (4950, [3312, 4950, 6589])
+
+
+def test_esc_table_ends_where_duties_do():
+    assert esc_channel.trimmed(replace(ESC, duty_table=[10, 4915, 65530]), 4895).duty_table == [0, 4895, 65510]
+    assert esc_channel.trimmed(replace(ESC, duty_table=[10, 4915, 65530]), 4935).duty_table == [30, 4935, 65535]
+
+
+# --- parameters ---
+
+
+def test_file_of_turn_arb_may_say_how_far_it_may_be_tuned():
+    shipped = (CONFIG / "turn_arb.yaml").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "turn_arb.yaml"
+        path.write_text(shipped + "live_range: 300\n", encoding="utf-8")
+        assert load_steering(str(path)).servo_center == 5100
+        path.write_text(shipped + "live_range: far\n", encoding="utf-8")
+        with pytest.raises(ConfigError, match=r"turn_arb\.yaml, live_range is 'far'"):
+            load_steering(str(path))
+
+
+def test_settings_come_from_live_range_and_save_to():
+    assert read_tuning(Params({}), 100) == TuningSettings(100, None)
+    assert read_tuning(Params({"live_range": 0, "save_to": "/a.yaml"}), 100) == TuningSettings(0, "/a.yaml")
+    with pytest.raises(ConfigError, match=r"save_to is 'a\.yaml'; accepted: a whole path, from / on"):
+        read_tuning(Params({"save_to": "a.yaml"}), 100)
+    with pytest.raises(ConfigError, match="live_range is -1; accepted: an integer from 0 to 65535"):
+        read_tuning(Params({"live_range": -1}), 100)

@@ -1,0 +1,185 @@
+"""What setup_hardware plans to do, and the udev rules that it installs."""
+from __future__ import annotations
+
+import fnmatch
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from car_interface.host_setup.plan import GROUPS, RULES_NAME, Computer, plan, remarks
+
+RULES = Path(__file__).resolve().parents[3] / "udev" / RULES_NAME
+
+
+def computer(user="ann", groups=("dialout", "input"), joined=(), has_udev=True, rules_are_new=False):
+    return Computer(user, frozenset(groups), frozenset(joined), has_udev, rules_are_new)
+
+
+def commands(of):
+    return [" ".join(step.command) for step in plan(of, "/share/rules")]
+
+
+def test_fresh_computer_gets_groups_rules_and_a_reload_in_this_order():
+    assert commands(computer()) == [
+        "groupadd --system i2c",
+        "usermod --append --groups dialout,i2c,input ann",
+        f"install -D --mode=644 /share/rules /etc/udev/rules.d/{RULES_NAME}",
+        "udevadm control --reload-rules",
+        "udevadm trigger --subsystem-match=tty --subsystem-match=i2c-dev",
+    ]
+
+
+def test_second_time_there_is_nothing_to_do():
+    done = computer(groups=GROUPS, joined=GROUPS, rules_are_new=True)
+    assert plan(done, "/share/rules") == [] and remarks(done, []) == []
+
+
+def test_only_what_is_missing_is_done():
+    assert commands(computer(groups=GROUPS, joined=["dialout", "i2c"], rules_are_new=True)) == [
+        "usermod --append --groups input ann"]
+
+
+def test_changed_rules_are_installed_again():
+    assert [step.command[0] for step in plan(computer(groups=GROUPS, joined=GROUPS), "/share/rules")] == [
+        "install", "udevadm", "udevadm"]
+
+
+def test_without_udev_the_groups_are_made_and_the_rest_is_told():
+    container = computer(has_udev=False)
+    steps = plan(container, "/share/rules")
+    assert [step.command[0] for step in steps] == ["groupadd", "usermod"]
+    assert "There is no udevadm here" in " ".join(remarks(container, steps))
+
+
+def test_root_is_added_to_no_group_and_told_so():
+    root = computer(user="root")
+    assert "usermod" not in " ".join(commands(root))
+    assert "--user NAME" in " ".join(remarks(root, plan(root, "/share/rules")))
+
+
+def test_user_is_told_to_log_in_anew():
+    assert "log out and in again" in " ".join(remarks(computer(), plan(computer(), "/share/rules")))
+
+
+def test_user_is_told_nothing_of_what_was_not_done():
+    assert remarks(computer(), []) == []
+
+
+def test_only_what_udev_does_by_itself_later_may_fail():
+    assert [step.command[0] for step in plan(computer(), "/share/rules") if step.may_fail] == ["udevadm", "udevadm"]
+    assert all(step.otherwise for step in plan(computer(), "/share/rules") if step.may_fail)
+
+
+# --- the doing ---
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Runs setup_hardware where some programs fail: its exit code, the programs that it ran, and all that it said."""
+    pytest.importorskip("rospkg")
+    from car_interface.host_setup import cli
+
+    def run(*failing):
+        ran = []
+
+        def execute(command, **_):
+            ran.append(command[0])
+            return subprocess.CompletedProcess(command, int(command[0] in failing))
+        monkeypatch.setattr(subprocess, "run", execute)
+        monkeypatch.setattr(cli, "look", lambda user, rules: computer())
+        monkeypatch.setattr(cli, "as_root", list)
+        monkeypatch.setattr(cli.rospkg.RosPack, "get_path", lambda self, name: "/share")
+        monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann"])
+        last_words = ""
+        try:
+            cli.main()
+        except SystemExit as end:
+            last_words = end.code
+        return int(bool(last_words)), ran, capsys.readouterr().out + last_words
+    return run
+
+
+ALL = ["groupadd", "usermod", "install", "udevadm", "udevadm"]
+
+
+def test_all_that_works_is_done_and_told(run):
+    code, ran, said = run()
+    assert (code, ran) == (0, ALL)
+    assert "log out and in again" in said and "now also /dev/teensy_sensor_hub" in said
+
+
+def test_user_whom_usermod_does_not_know_gets_the_udev_rule_all_the_same(run):
+    code, ran, said = run("usermod")
+    assert (code, ran) == (1, ALL)
+    assert "sudo gpasswd --add ann GROUP" in said and "Not done: add ann to dialout, i2c, input. " in said
+    assert "log out and in again" not in said and "now also /dev/teensy_sensor_hub" in said
+
+
+def test_each_step_that_failed_is_named_at_the_end(run):
+    code, ran, said = run("groupadd", "install")
+    assert (code, ran) == (1, ALL)
+    assert f"Not done: make the group i2c; install /etc/udev/rules.d/{RULES_NAME}. " in said
+    assert "now also /dev/teensy_sensor_hub" not in said
+
+
+def test_what_udev_does_by_itself_later_is_no_failure(run):
+    code, ran, said = run("udevadm")
+    assert (code, ran) == (0, ALL)
+    assert "at the next boot" in said and "Not done" not in said
+
+
+# --- the rules ---
+
+
+def rules():
+    """Each rule as its comparisons and its assignments."""
+    for line in RULES.read_text(encoding="ascii").splitlines():
+        if line and not line.startswith("#"):
+            pairs = re.findall(r'([\w{}]+)(==|\+=|=)"([^"]*)"(?:, |$)', line)
+            assert ", ".join(f'{key}{sign}"{value}"' for key, sign, value in pairs) == line
+            yield ({key: value for key, sign, value in pairs if sign == "=="},
+                   {key: value for key, sign, value in pairs if sign != "=="})
+
+
+def applied(subsystem, **attributes):
+    """What the rules assign to a device."""
+    assigned = {}
+    for wanted, given in rules():
+        facts = {"SUBSYSTEM": subsystem, **{f"ATTR{{{name}}}": value for name, value in attributes.items()},
+                 **{f"ATTRS{{{name}}}": value for name, value in attributes.items()},
+                 "ENV{ID_USB_INTERFACE_NUM}": attributes.get("interface"), "ENV{DEVTYPE}": "usb_device"}
+        if all(facts.get(key) is not None and fnmatch.fnmatchcase(facts[key], value) for key, value in wanted.items()):
+            assigned.update(given)
+    return assigned
+
+
+@pytest.mark.parametrize("product", ["0483", "0487", "0489", "048a", "048b", "048c"])
+def test_every_teensy_with_a_serial_port_gets_name_and_group_and_is_no_modem(product):
+    given = applied("tty", idVendor="16c0", idProduct=product, interface="00")
+    assert given == {"GROUP": "dialout", "MODE": "0660", "SYMLINK": "teensy_sensor_hub",
+                     "ENV{ID_MM_PORT_IGNORE}": "1", "ENV{ID_MM_DEVICE_IGNORE}": "1"}
+
+
+def test_second_port_of_a_teensy_does_not_take_the_name():
+    assert "SYMLINK" not in applied("tty", idVendor="16c0", idProduct="048b", interface="02")
+
+
+def test_whole_teensy_is_no_modem():
+    assert applied("usb", idVendor="16c0", idProduct="0483") == {"ENV{ID_MM_DEVICE_IGNORE}": "1"}
+
+
+def test_bus_is_its_groups():
+    assert applied("i2c-dev") == {"GROUP": "i2c", "MODE": "0660"}
+
+
+@pytest.mark.parametrize(("subsystem", "vendor", "product"), [
+    ("tty", "16c0", "05dc"), ("tty", "2341", "0483"), ("usb", "2341", "0043"), ("block", "16c0", "0483")])
+def test_other_devices_are_left_alone(subsystem, vendor, product):
+    assert applied(subsystem, idVendor=vendor, idProduct=product, interface="00") == {}
+
+
+def test_rules_come_after_the_interface_is_known_and_before_modem_manager():
+    assert "60-serial.rules" < RULES_NAME < "77-mm-"

@@ -1,0 +1,145 @@
+"""A bad serial line: what each fault does to the bytes, by itself. Time is passed in."""
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.common.errors import ConfigError
+from car_interface.sim.line import BadLine, BitErrors, SlowReceiver
+
+MS, S = 1_000_000, 1_000_000_000
+NOW = 100 * S
+SOME = bytes(range(256))
+CAPTURE = (Path(__file__).resolve().parents[2] / "data" / "capture_mixed.bin").read_bytes()
+
+
+@pytest.fixture
+def line():
+    return BadLine(seed=7)
+
+
+def test_line_without_a_fault_carries_every_byte_both_ways(line):
+    assert line.to_host(SOME, NOW) == line.to_teensy(SOME, NOW) == SOME
+
+
+def test_silence_keeps_everything_from_the_host_and_nothing_from_the_teensy_until_it_ends(line):
+    line.silence(2.0, NOW)
+    assert line.to_host(SOME, NOW) == line.to_host(SOME, NOW + 2 * S - 1) == b""
+    assert line.to_teensy(SOME, NOW) == SOME
+    assert line.to_host(SOME, NOW + 2 * S) == SOME
+
+
+@pytest.mark.parametrize("begin", [BadLine.silence, BadLine.scramble, BadLine.flood])
+def test_fault_of_no_duration_ends_one_under_way(line, begin):
+    begin(line, 10, NOW)
+    begin(line, 0, NOW + S)
+    assert line.to_host(SOME, NOW + S) == SOME
+
+
+def test_cut_loses_so_many_bytes_and_no_more(line):
+    line.cut(3)
+    assert [line.to_host(data, NOW) for data in (b"a", b"bcde", b"f")] == [b"", b"de", b"f"]
+
+
+def test_cut_of_bytes_that_do_not_come_waits_for_them(line):
+    line.cut(3)
+    assert line.to_host(b"", NOW) == b""
+    assert line.to_host(b"abcd", NOW) == b"d"
+
+
+def test_scramble_leaves_nothing_of_what_was_sent_in_either_direction_until_it_ends(line):
+    line.scramble(1.0, NOW)
+    for carry in (line.to_host, line.to_teensy):
+        garbage = carry(CAPTURE, NOW)
+        assert 0.4 < len(garbage) / len(CAPTURE) < 0.6
+        assert CAPTURE[5:9] not in garbage
+        assert carry(CAPTURE, NOW + S) == CAPTURE
+
+
+@pytest.mark.parametrize("sent, received", [
+    # 0 01100111 1 and 0 00011001 1 on the line; two by two: start 00, data 11 00 11 11 00 00 11 00, stop 11.
+    pytest.param(b"\xe6\x98", b"\x4d", id="bits_that_come_in_pairs"),
+    # The first stop bit is all that is high among 0 00000000 1 0 00000000 1: it falls on the fourth data bit.
+    pytest.param(bytes(6), b"\x08\x08\x08", id="zeros"),
+    pytest.param(b"\xff\x00", b"", id="start_bits_too_short_to_be_any"),
+])
+def test_receiver_at_half_the_rate_takes_two_bits_for_one(sent, received):
+    assert SlowReceiver().receive(sent) == received
+
+
+@given(st.binary(max_size=200), st.lists(st.integers(0, 200), max_size=5))
+def test_receiver_makes_the_same_of_bytes_in_any_pieces(data, cuts):
+    pieces, start = SlowReceiver(), 0
+    received = b""
+    for cut in [*sorted(cuts), len(data)]:
+        received += pieces.receive(data[start:cut])
+        start = max(start, cut)
+    assert received == SlowReceiver().receive(data)
+
+
+def test_flood_is_a_megabyte_a_second_behind_the_teensy_s_bytes(line):
+    line.flood(1.0, NOW)
+    total = 0
+    for now_ns in range(NOW + 2 * MS, NOW + 2 * S, 2 * MS):
+        data = line.to_host(b"teensy", now_ns)
+        assert data.startswith(b"teensy")
+        total += len(data) - len(b"teensy")
+    assert total == 1_000_000
+
+
+def test_flood_after_a_pause_of_the_simulator_s_is_no_torrent(line):
+    line.flood(60, NOW)
+    assert len(line.to_host(b"", NOW + 30 * S)) == 8192
+
+
+def test_bit_errors_come_at_their_rate_and_anywhere():
+    noise = BitErrors(seed=3)
+    noise.set_rate(0.01)
+    size = 100_000
+    wrong = b"".join(noise.flip(bytes(100)) for _ in range(size // 100))
+    count = sum(bin(byte).count("1") for byte in wrong)
+    expected, deviation = 8 * size * 0.01, math.sqrt(8 * size * 0.01 * 0.99)
+    assert abs(count - expected) < 4 * deviation
+    for bit in range(8):
+        assert abs(sum(byte >> bit & 1 for byte in wrong) - expected / 8) < 4 * deviation / math.sqrt(8)
+
+
+@given(st.integers(0, 2 ** 32), st.sampled_from([1e-4, 1e-2, 0.3, 0.5]), st.lists(st.binary(max_size=50), max_size=10))
+def test_bit_errors_of_one_seed_are_the_same_however_the_bytes_come(seed, rate, pieces):
+    one, other = BitErrors(seed), BitErrors(seed)
+    one.set_rate(rate)
+    other.set_rate(rate)
+    assert b"".join(one.flip(piece) for piece in pieces) == other.flip(b"".join(pieces))
+
+
+def test_bit_errors_of_another_seed_are_others(line):
+    other = BadLine(seed=8)
+    for bad in (line, other):
+        bad.bit_errors(0.01)
+    assert line.to_host(bytes(10_000), NOW) != other.to_host(bytes(10_000), NOW)
+
+
+def test_bit_errors_reach_both_directions_and_end(line):
+    line.bit_errors(0.1)
+    assert line.to_host(SOME, NOW) != SOME != line.to_teensy(SOME, NOW)
+    line.bit_errors(0)
+    assert line.to_host(SOME, NOW) == line.to_teensy(SOME, NOW) == SOME
+
+
+@pytest.mark.parametrize("make, name, accepted", [
+    pytest.param(lambda line: line.silence(-1, NOW), "silence", "0 to 3600 s", id="silence"),
+    pytest.param(lambda line: line.scramble(3601, NOW), "scramble", "0 to 3600 s", id="scramble"),
+    pytest.param(lambda line: line.flood(-0.1, NOW), "flood", "0 to 3600 s", id="flood"),
+    pytest.param(lambda line: line.cut(-1), "cut", "a whole number from 0 to 1000000", id="cut_of_less_than_none"),
+    pytest.param(lambda line: line.cut(1.5), "cut", "a whole number from 0", id="cut_of_half_a_byte"),
+    pytest.param(lambda line: line.bit_errors(0.6), "bit_errors", "0 to 0.5", id="more_errors_than_half"),
+    pytest.param(lambda line: line.bit_errors(-0.1), "bit_errors", "0 to 0.5", id="less_errors_than_none"),
+])
+def test_value_that_no_fault_can_have_is_refused(line, make, name, accepted):
+    with pytest.raises(ConfigError, match=f"^{name} is .*; accepted: {accepted}"):
+        make(line)
+    assert line.to_host(SOME, NOW + S) == SOME

@@ -1,0 +1,472 @@
+"""The simulated car against geometry, and against the calibration that ships for the real one."""
+
+import csv
+import math
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from car_interface.common.errors import ConfigError
+from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.vehicle import (
+    DriveConfig,
+    Pose,
+    SteeringConfig,
+    Vehicle,
+    VehicleConfig,
+    throttle,
+    true_acceleration_mps2,
+)
+
+MS, S = 1_000_000, 1_000_000_000
+LEFT_DUTY, CENTER, RIGHT_DUTY = 3800, 5100, 6700
+REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
+OFF, NEVER_SET = 0, -1
+
+# The Slash 4x4 calibration as its owner measured it: metres, then the duty to either side.
+RADII_M = [1, 2, 3, 4, 5, 6, 7, 10, 20, 30, 40, 60, 80, 100, 300]
+LEFT_TABLE = [3800, 3830, 3840, 3850, 3860, 3870, 3880, 3890, 3900, 3950, 4000, 4300, 4600, 4900, 5100]
+RIGHT_TABLE = [6700, 6650, 6600, 6500, 6450, 6400, 6350, 6250, 6150, 6050, 5950, 5900, 5600, 5300, 5100]
+VALUE_MAP = Path(__file__).resolve().parents[3] / "config" / "value_map.csv"
+
+# A car without surprises: what it's told is what it does.
+PLAIN = VehicleConfig(steering=SteeringConfig(curve=((4000, 1.0), (6000, -1.0)), center_duty=5000))
+
+
+def drive(vehicle, seconds, steering_duty, esc_duty, dt_ns=MS):
+    """Drives and returns every pulse on the way."""
+    pulses = []
+    for _ in range(round(seconds * S / dt_ns)):
+        pulses += vehicle.step(dt_ns, steering_duty, esc_duty)
+    return pulses
+
+
+def rolling(speed_mps, config=PLAIN):
+    vehicle = Vehicle(config)
+    vehicle.speed_mps = speed_mps
+    return vehicle
+
+
+def frictionless(**drive_config):
+    """A car that keeps its speed when it's neutral."""
+    drive = DriveConfig(drag_mps2=0.0, drag_per_s=0.0, drag_per_m=0.0, **drive_config)
+    return VehicleConfig(steering=PLAIN.steering, drive=drive)
+
+
+def table_duty(radius_m, duties):
+    for index in range(len(RADII_M) - 1):
+        near_m, far_m = RADII_M[index : index + 2]
+        if near_m <= radius_m <= far_m:
+            share = (radius_m - near_m) / (far_m - near_m)
+            return duties[index] + share * (duties[index + 1] - duties[index])
+    raise AssertionError(radius_m)
+
+
+# Steering
+
+
+@pytest.mark.parametrize("radius_m", [1, 1.25, 1.5, 1.75, 2, 2.5, 3, 4, 5, 7, 10, 20, 40, 80, 100])
+@pytest.mark.parametrize(("duties", "sign"), [(LEFT_TABLE, 1), (RIGHT_TABLE, -1)], ids=["left", "right"])
+def test_steering_by_the_calibration_table_is_right_within_a_few_percent_and_never_exactly(radius_m, duties, sign):
+    curvature_per_m = Vehicle().true_curvature_per_m(table_duty(radius_m, duties))
+    error = sign * radius_m * curvature_per_m - 1
+    assert 0.005 < abs(error) < 0.08
+
+
+def test_steering_s_left_and_right_differ():
+    vehicle = Vehicle()
+    left, right = vehicle.true_curvature_per_m(LEFT_DUTY), vehicle.true_curvature_per_m(RIGHT_DUTY)
+    assert left > 0 > right and abs(left + right) > 0.01
+
+
+def test_steering_at_the_table_s_center_pulls_a_little():
+    assert 0 < abs(Vehicle().true_curvature_per_m(CENTER)) < 1 / 300
+
+
+@given(st.floats(1638, 8192), st.floats(1638, 8192))
+def test_steering_with_more_duty_never_turns_more_to_the_left(one, other):
+    vehicle = Vehicle()
+    low, high = sorted((one, other))
+    assert vehicle.true_curvature_per_m(low) >= vehicle.true_curvature_per_m(high)
+
+
+@pytest.mark.parametrize(("duty", "radius_m"), [(3800, 0.971), (2000, 0.971), (6700, -1.031), (8000, -1.031)])
+def test_steering_at_its_stops_turns_on_a_metre(duty, radius_m):
+    vehicle = Vehicle()
+    drive(vehicle, 0.5, duty, NEUTRAL)
+    assert 1 / vehicle.curvature_per_m == pytest.approx(radius_m, abs=0.001)
+
+
+def test_steering_takes_a_quarter_of_a_second_from_stop_to_stop():
+    vehicle = Vehicle()
+    drive(vehicle, 0.5, LEFT_DUTY, NEUTRAL)
+    drive(vehicle, 0.1, RIGHT_DUTY, NEUTRAL)
+    assert vehicle.servo_duty < 5200
+    drive(vehicle, 0.25, RIGHT_DUTY, NEUTRAL)
+    assert vehicle.servo_duty == pytest.approx(RIGHT_DUTY, abs=10)
+    drive(vehicle, 0.5, RIGHT_DUTY, NEUTRAL)
+    assert vehicle.servo_duty == RIGHT_DUTY
+
+
+@pytest.mark.parametrize("no_pulse", [NEVER_SET, OFF, 1600, 8200, 65535])
+def test_servo_without_pulse_stays_where_it_is(no_pulse):
+    vehicle = Vehicle()
+    drive(vehicle, 0.5, 4000, NEUTRAL)
+    drive(vehicle, 1.0, no_pulse, NEUTRAL)
+    assert vehicle.servo_duty == 4000
+
+
+@given(st.integers(1, 20 * MS), st.integers(3000, 7500))
+def test_servo_never_overshoots(dt_ns, duty):
+    vehicle = Vehicle()
+    positions = [vehicle.servo_duty]
+    for _ in range(20):
+        vehicle.step(dt_ns, duty, NEUTRAL)
+        positions.append(vehicle.servo_duty)
+    assert positions == sorted(positions, reverse=duty < CENTER)
+    assert min(CENTER, duty) <= positions[-1] <= max(CENTER, duty)
+
+
+# Throttle
+
+
+@pytest.mark.parametrize(
+    ("duty", "expected"),
+    [(NEUTRAL, 0), (4930, 0), (4900, 0), (FULL, 1), (8000, 1), (REVERSE, -1), (1700, -1), (5747, 0.5), (4084, -0.5)],
+)
+def test_throttle_of_a_duty_is_linear_beyond_the_neutral_band(duty, expected):
+    assert throttle(duty, DriveConfig()) == pytest.approx(expected, abs=0.001)
+
+
+@pytest.mark.parametrize("duty", [NEVER_SET, OFF, 65535])
+def test_throttle_without_pulse_is_none(duty):
+    assert throttle(duty, DriveConfig()) is None
+
+
+@pytest.mark.parametrize("esc_duty", [NEUTRAL, OFF, NEVER_SET])
+def test_car_that_stands_stays_standing(esc_duty):
+    vehicle = Vehicle()
+    assert drive(vehicle, 5, LEFT_DUTY, esc_duty) == []
+    assert (vehicle.pose, vehicle.speed_mps, vehicle.travel_m) == (Pose(0, 0, 0), 0, 0)
+
+
+@pytest.mark.parametrize("esc_duty", [NEUTRAL, OFF, NEVER_SET])
+@pytest.mark.parametrize("speed_mps", [3.0, -3.0])
+def test_car_without_thrust_coasts_to_a_standstill(speed_mps, esc_duty):
+    vehicle = rolling(speed_mps)
+    drive(vehicle, 1, 5000, esc_duty)
+    assert 2.0 < abs(vehicle.speed_mps) < 3.0
+    drive(vehicle, 9, 5000, esc_duty)
+    assert vehicle.speed_mps == 0.0 and vehicle.travel_m * speed_mps > 0
+
+
+def test_car_at_full_throttle_ends_at_14_metres_per_second():
+    vehicle = rolling(0)
+    drive(vehicle, 40, 5000, FULL, dt_ns=5 * MS)
+    assert vehicle.speed_mps == pytest.approx(14.0, abs=0.1)
+
+
+def test_car_braked_stops_and_then_drives_backward():
+    vehicle = rolling(2.0)
+    speeds = []
+    for _ in range(1000):
+        vehicle.step(MS, 5000, 4200)
+        speeds.append(vehicle.speed_mps)
+    standing = speeds.index(0.0)
+    assert speeds[:standing] == sorted(speeds[:standing], reverse=True)
+    assert all(speed < 0 for speed in speeds[standing + 1 :])
+
+
+def test_brake_is_stronger_than_coasting_and_reverse_weaker_than_forward():
+    assert true_acceleration_mps2(REVERSE, 5) < true_acceleration_mps2(NEUTRAL, 5) < 0
+    assert true_acceleration_mps2(FULL, 0) > -true_acceleration_mps2(REVERSE, 0) > 0
+
+
+def test_thrust_below_the_static_drag_moves_nothing():
+    assert true_acceleration_mps2(5000, 0) == 0.0 < true_acceleration_mps2(5200, 0)
+
+
+@given(st.integers(REVERSE, FULL), st.integers(REVERSE, FULL), st.floats(0, 14))
+def test_more_duty_never_accelerates_less(one, other, speed_mps):
+    low, high = sorted((one, other))
+    assert true_acceleration_mps2(low, speed_mps) <= true_acceleration_mps2(high, speed_mps)
+
+
+def test_step_does_what_the_true_acceleration_says():
+    vehicle = rolling(3.0)
+    vehicle.step(MS, 5000, 5600)
+    expected_mps2 = true_acceleration_mps2(5600, 3.0)
+    assert vehicle.acceleration_mps2 == pytest.approx(expected_mps2)
+    assert vehicle.speed_mps == pytest.approx(3.0 + expected_mps2 / 1000)
+
+
+# Pose
+
+
+@pytest.mark.parametrize("dt_ns", [MS, 7 * MS, 20 * MS])
+@pytest.mark.parametrize("duty", [4200, 5800])
+def test_car_on_a_circle_comes_back_to_where_it_was(duty, dt_ns):
+    vehicle = rolling(2.0, frictionless())
+    drive(vehicle, 0.35, duty, NEUTRAL, dt_ns)
+    start, radius_m = vehicle.pose, 1 / vehicle.curvature_per_m
+    turn_ns = int(2 * math.pi * abs(radius_m) / 2.0 * S)
+    whole, rest_ns = divmod(turn_ns, dt_ns)
+    drive(vehicle, whole * dt_ns / S, duty, NEUTRAL, dt_ns)
+    vehicle.step(rest_ns, duty, NEUTRAL)
+    assert vehicle.pose[:2] == pytest.approx(start[:2], abs=1e-6)
+    assert vehicle.pose.yaw_rad - start.yaw_rad == pytest.approx(math.copysign(2 * math.pi, radius_m), abs=1e-6)
+
+
+def test_car_in_one_long_step_moves_on_the_exact_arc():
+    vehicle = rolling(2.0, frictionless())
+    vehicle.servo_duty, vehicle.curvature_per_m = 4500.0, 0.5
+    vehicle.step(S, 4500, NEUTRAL)  # 2 m on a circle of 2 m: 1 rad
+    assert vehicle.pose == pytest.approx((2 * math.sin(1), 2 * (1 - math.cos(1)), 1.0))
+
+
+def test_car_steered_meanwhile_turns_by_the_mean_of_both_curvatures():
+    vehicle = rolling(2.0, frictionless())
+    vehicle.step(10 * MS, 4000, NEUTRAL)
+    assert 0 < vehicle.curvature_per_m < 1
+    assert vehicle.pose.yaw_rad == pytest.approx(0.02 * vehicle.curvature_per_m / 2)
+
+
+@pytest.mark.parametrize("dt_ns", [MS, 20 * MS, 500 * MS])
+def test_car_that_stops_within_a_step_stands_where_it_stopped(dt_ns):
+    even = VehicleConfig(steering=PLAIN.steering, drive=DriveConfig(drag_mps2=0.5, drag_per_s=0.0, drag_per_m=0.0))
+    vehicle = rolling(1.0123, even)
+    drive(vehicle, 3, 5000, NEUTRAL, dt_ns)
+    assert vehicle.travel_m == pytest.approx(1.0123**2 / (2 * 0.5), abs=1e-9)
+    assert vehicle.speed_mps == 0.0
+
+
+def test_car_steered_left_goes_left_by_rep_103():
+    vehicle = rolling(1.0)
+    drive(vehicle, 1.0, 4500, NEUTRAL)
+    assert vehicle.pose.x_m > 0 and vehicle.pose.y_m > 0 and vehicle.pose.yaw_rad > 0
+    assert vehicle.yaw_rate_radps > 0 and vehicle.steering_angle_rad == pytest.approx(math.atan(0.5 * 0.324))
+
+
+def test_car_on_a_straight_goes_straight():
+    vehicle = rolling(2.0, frictionless())
+    drive(vehicle, 5, 5000, NEUTRAL)
+    assert vehicle.pose == pytest.approx((10.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_car_started_elsewhere_starts_there():
+    config = VehicleConfig(steering=PLAIN.steering, drive=frictionless().drive, start=Pose(1.0, 2.0, math.pi / 2))
+    vehicle = rolling(1.0, config)
+    drive(vehicle, 1, 5000, NEUTRAL)
+    assert vehicle.pose == pytest.approx((1.0, 3.0, math.pi / 2))
+
+
+def test_car_driven_by_the_shipped_table_goes_a_figure_eight():
+    """1.8 m to the left, then to the right, with the duty in the servo board's steps of 16."""
+    vehicle = Vehicle()
+    extremes_m = []
+    for duties in (LEFT_TABLE, RIGHT_TABLE):
+        duty = round(table_duty(1.8, duties) / 16) * 16
+        start_rad, farthest_m = vehicle.pose.yaw_rad, 0.0
+        while abs(vehicle.pose.yaw_rad - start_rad) < 2 * math.pi:
+            vehicle.step(2 * MS, duty, 5250 if vehicle.speed_mps < 1.5 else 5000)
+            farthest_m = max(farthest_m, abs(vehicle.pose.y_m))
+        extremes_m.append(farthest_m)
+        assert math.hypot(vehicle.pose.x_m, vehicle.pose.y_m) < 0.5
+    assert extremes_m == pytest.approx([3.6, 3.6], rel=0.15)
+
+
+# Pulses
+
+
+def test_pulses_of_a_straight_come_every_15_millimetres_of_each_wheel():
+    vehicle = rolling(1.0, frictionless())
+    pulses = drive(vehicle, 10, 5000, NEUTRAL)
+    for side in (LEFT, RIGHT):
+        times_ns = [pulse.at_ns for pulse in pulses if pulse.side == side]
+        assert len(times_ns) == pytest.approx(10 / (math.pi * 0.095 / 20), abs=1)
+        spans_ns = [later - earlier for earlier, later in zip(times_ns, times_ns[1:])]
+        assert max(spans_ns) - min(spans_ns) <= 2 and spans_ns[0] == pytest.approx(14_922_565, abs=2)
+    assert {pulse.direction for pulse in pulses} == {FORWARD}
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(3277, 6554), st.integers(3277, 6554), st.integers(4000, 6000), st.sampled_from([MS, 1_700_000]))
+def test_pulses_come_in_order_and_within_their_step(first_duty, second_duty, steering_duty, dt_ns):
+    vehicle = rolling(2.0)
+    for esc_duty in [first_duty] * 150 + [second_duty] * 150:
+        start_ns = vehicle.time_ns
+        pulses = vehicle.step(dt_ns, steering_duty, esc_duty)
+        assert pulses == sorted(pulses)
+        assert all(start_ns <= pulse.at_ns <= vehicle.time_ns for pulse in pulses)
+
+
+def test_pulses_do_not_depend_on_the_step():
+    """With an even acceleration: the times of pulses are exact, not those of steps."""
+    even = VehicleConfig(
+        steering=PLAIN.steering, drive=DriveConfig(drag_per_s=0.0, drag_per_m=0.0, thrust_halves_mps=1e12)
+    )
+    fine = drive(rolling(0.0, even), 3, 5000, 5800, dt_ns=100_000)
+    coarse = drive(rolling(0.0, even), 3, 5000, 5800, dt_ns=20 * MS)
+    assert len(fine) == len(coarse) > 400
+    assert [pulse[1:] for pulse in sorted(fine)] == [pulse[1:] for pulse in sorted(coarse)]
+    assert all(abs(one.at_ns - other.at_ns) < 100 for one, other in zip(fine, coarse))
+
+
+@pytest.mark.parametrize("duty", [4000, 4500, 5500, 6000])
+def test_pulses_on_a_curve_tell_its_curvature(duty):
+    vehicle = rolling(2.0, frictionless())
+    drive(vehicle, 1, duty, NEUTRAL)
+    pulses = drive(vehicle, 30, duty, NEUTRAL)
+    left = sum(pulse.side == LEFT for pulse in pulses)
+    right = sum(pulse.side == RIGHT for pulse in pulses)
+    assert 2 * (right - left) / (right + left) / 0.296 == pytest.approx(vehicle.curvature_per_m, rel=0.01)
+
+
+def test_pulses_of_the_way_back_are_backward_and_as_many():
+    vehicle = rolling(1.0, frictionless())
+    forward = drive(vehicle, 3, 5000, NEUTRAL)
+    vehicle.speed_mps = -1.0
+    backward = drive(vehicle, 3, 5000, NEUTRAL)
+    assert len(forward) == len(backward)
+    assert {pulse.direction for pulse in backward} == {BACKWARD}
+    assert vehicle.pose == pytest.approx((0, 0, 0), abs=1e-6)
+
+
+def test_pulses_are_on_the_scale_of_the_start():
+    vehicle = Vehicle(start_ns=5 * S)
+    pulses = drive(vehicle, 1, CENTER, 5600)
+    assert 5 * S < pulses[0].at_ns < pulses[-1].at_ns <= 6 * S == vehicle.time_ns
+
+
+# The value map that ships for this car
+
+
+def value_map():
+    rows = list(csv.reader(VALUE_MAP.open()))
+    assert rows[0][0] == "default"
+    velocities_mps = [float(cell) for cell in rows[0][1:]]
+    return velocities_mps, {float(row[0]): [float(cell) for cell in row[1:]] for row in rows[1:]}
+
+
+def value_duty(value):
+    """The converter's servo channel: -5, 0, 3 → 3277, 4915, 6554."""
+    return round(NEUTRAL + (value / 5 * (NEUTRAL - REVERSE) if value < 0 else value / 3 * (FULL - NEUTRAL)))
+
+
+def test_value_map_is_eleven_by_eleven_with_neutral_in_it():
+    velocities_mps, rows = value_map()
+    assert velocities_mps == [float(velocity) for velocity in range(11)]
+    assert len(rows) == 11 and list(rows) == sorted(rows) and 0.0 in rows
+    assert (min(rows), max(rows)) == (-5.0, 3.0)
+    assert all(len(row) == 11 for row in rows.values())
+
+
+def test_value_map_rises_strictly_at_every_velocity():
+    _, rows = value_map()
+    for column in zip(*rows.values()):
+        assert all(low < high for low, high in zip(column, column[1:]))
+
+
+def test_value_map_is_near_the_truth_but_not_it():
+    velocities_mps, rows = value_map()
+    errors = [
+        cell - true_acceleration_mps2(value_duty(value), velocity_mps)
+        for value, row in rows.items()
+        for velocity_mps, cell in zip(velocities_mps, row)
+    ]
+    assert max(map(abs, errors)) < 0.6
+    assert 0.02 < sum(map(abs, errors)) / len(errors) < 0.25
+
+
+# Configuration and cost
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "accepted"),
+    [
+        (SteeringConfig, "curve", ((4000, 1.0), (3900, 0.0)), "rising duty, falling 1/m"),
+        (SteeringConfig, "curve", ((4000, 0.0), (5000, 1.0)), "rising duty, falling 1/m"),
+        (SteeringConfig, "rate_duty_per_s", 0, "more than 0"),
+        (SteeringConfig, "lag_s", 0, "more than 0"),
+        (DriveConfig, "neutral_duty", 7000, "between full reverse and full forward"),
+        (DriveConfig, "thrust_halves_mps", 0, "more than 0"),
+        (VehicleConfig, "track_m", 3.0, "inside the tightest turn"),
+        (VehicleConfig, "wheelbase_m", 0, "more than 0"),
+        (VehicleConfig, "wheel_diameter_m", 0, "more than 0"),
+        (VehicleConfig, "pulses_per_revolution", 0, "more than 0"),
+    ],
+)
+def test_config_that_no_car_could_have_is_refused(kind, name, value, accepted):
+    with pytest.raises(ConfigError, match=f"{name} is .*; accepted: .*{accepted}"):
+        kind(**{name: value})
+
+
+def test_step_costs_less_than_its_share_of_a_millisecond():
+    vehicle = rolling(14.0)
+    best_s = math.inf
+    for _ in range(5):
+        start_s = time.process_time()
+        drive(vehicle, 0.5, 5300, FULL)
+        best_s = min(best_s, (time.process_time() - start_s) / 500)
+    assert best_s < 30e-6
+
+
+# --- what the default car has none of ---
+
+
+def with_play(play_duty):
+    return VehicleConfig(steering=SteeringConfig(curve=((4000, 1.0), (6000, -1.0)), center_duty=5000,
+                                                 play_duty=play_duty))
+
+
+def test_play_in_the_steering_leaves_the_wheels_half_of_it_behind_on_either_way():
+    vehicle = Vehicle(with_play(40.0))
+    drive(vehicle, 1.0, 5400, NEUTRAL)
+    assert vehicle.curvature_per_m == pytest.approx(-0.380, abs=1e-4)
+    drive(vehicle, 1.0, 5370, NEUTRAL)  # within the play: they don't follow at all
+    assert vehicle.curvature_per_m == pytest.approx(-0.380, abs=1e-4)
+    drive(vehicle, 1.0, 4600, NEUTRAL)
+    drive(vehicle, 1.0, 5000, NEUTRAL)
+    assert vehicle.curvature_per_m == pytest.approx(0.020, abs=1e-4)  # from the other side: as much too far left
+
+
+@pytest.mark.parametrize("yaw_rad, expected_mps2", ((0.0, -0.196), (math.pi, 0.196), (math.pi / 2, 0.0)),
+                         ids=("uphill", "downhill", "across"))
+def test_slope_pulls_the_car_downhill(yaw_rad, expected_mps2):
+    level = frictionless()
+    vehicle = Vehicle(VehicleConfig(steering=level.steering, drive=level.drive, slope=0.02, start=Pose(0, 0, yaw_rad)))
+    vehicle.speed_mps = 3.0
+    vehicle.step(10 * MS, CENTER, NEUTRAL)
+    assert vehicle.acceleration_mps2 == pytest.approx(expected_mps2, abs=0.001)
+
+
+def test_car_stands_on_a_slope_that_its_drag_holds_and_rolls_on_a_steeper_one():
+    held, rolls = (Vehicle(VehicleConfig(steering=PLAIN.steering, slope=slope)) for slope in (0.02, 0.10))
+    for vehicle in (held, rolls):
+        drive(vehicle, 1.0, CENTER, NEUTRAL)
+    assert held.travel_m == 0.0 and rolls.travel_m < -0.1
+
+
+def test_battery_loses_its_sag_evenly_around_the_stated_thrust_and_brakes_stay():
+    config = frictionless(sag=0.10, sag_over_s=100.0)
+    assert [config.drive.thrust(at_s) for at_s in (0, 50, 100, 500)] == pytest.approx([1.05, 1.0, 0.95, 0.95])
+    full = true_acceleration_mps2(FULL, 1.0, config.drive)
+    assert true_acceleration_mps2(FULL, 1.0, config.drive, 0.95) == pytest.approx(0.95 * full)
+    assert true_acceleration_mps2(REVERSE, 1.0, config.drive, 0.95) == true_acceleration_mps2(
+        REVERSE, 1.0, config.drive)
+    vehicle = Vehicle(config)
+    vehicle.speed_mps = 1.0
+    vehicle.step(MS, CENTER, FULL)
+    assert vehicle.acceleration_mps2 == pytest.approx(1.05 * full, rel=1e-3)
+
+
+@pytest.mark.parametrize("make, name", (
+    (lambda: SteeringConfig(play_duty=-1.0), "play_duty"), (lambda: DriveConfig(sag=1.0), "sag"),
+    (lambda: DriveConfig(sag_over_s=0.0), "sag_over_s"),
+))
+def test_hardship_that_no_car_has_is_refused_by_name(make, name):
+    with pytest.raises(ConfigError, match=f"^{name} is"):
+        make()

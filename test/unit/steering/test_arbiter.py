@@ -1,0 +1,476 @@
+"""Who steers, and with what duty: the arbiter as a table of who wins, with time passed in."""
+from __future__ import annotations
+
+import ast
+import math
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.servo_channels import one_channel
+from car_interface.interlock.motion_interlock import PermissionConfig
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SOURCE_NAMES, TELEOP, SteeringArbiter
+from car_interface.steering.calibration import SteeringConfig
+
+S = 1_000_000_000
+NOW = 1000 * S
+CONFIG_FILE = Path(__file__).resolve().parents[3] / "config" / "turn_arb.yaml"
+
+# The calibration of a Traxxas Slash 4x4, as its owner published it.
+SLASH_4X4 = {
+    "servo_left": 3800,
+    "servo_center": 5100,
+    "servo_right": 6700,
+    "servo_channel": 0,
+    "m_turnrad_axis_servo": [1, 2, 3, 4, 5, 6, 7, 10, 20, 30, 40, 60, 80, 100, 300],
+    "k_pwmcmd_left_table_servo": [3800, 3830, 3840, 3850, 3860, 3870, 3880, 3890, 3900, 3950, 4000, 4300, 4600, 4900,
+                                  5100],
+    "k_pwmcmd_right_table_servo": [6700, 6650, 6600, 6500, 6450, 6400, 6350, 6250, 6150, 6050, 5950, 5900, 5600, 5300,
+                                   5100],
+}
+CENTER = 5100
+
+
+def config(**changes):
+    settings = {
+        "servo_left": SLASH_4X4["servo_left"],
+        "servo_center": SLASH_4X4["servo_center"],
+        "servo_right": SLASH_4X4["servo_right"],
+        "servo_channel": SLASH_4X4["servo_channel"],
+        "radius_axis_m": SLASH_4X4["m_turnrad_axis_servo"],
+        "left_duties": SLASH_4X4["k_pwmcmd_left_table_servo"],
+        "right_duties": SLASH_4X4["k_pwmcmd_right_table_servo"],
+    }
+    if "human_timeout_s" in changes:
+        changes["permission"] = PermissionConfig(human_timeout_s=changes.pop("human_timeout_s"))
+    settings.update(changes)
+    return SteeringConfig(**settings)
+
+
+def decide(human=None, teleop=None, planner=None, **changes):
+    """The decision at NOW after each input was heard once: (value, its age in seconds), or None = never."""
+    arbiter = SteeringArbiter(config(**changes))
+    for hear, heard in ((arbiter.hear_human, human), (arbiter.hear_teleop, teleop), (arbiter.hear_planner, planner)):
+        if heard is not None:
+            value, age_s = heard
+            hear(value, NOW - round(age_s * S))
+    return arbiter.decide(NOW)
+
+
+HELD, LET_GO = (True, 0.1), (False, 0.1)
+STEERS, RESTS = (0.5, 0.1), (0.0, 0.1)  # a duty of 4450
+ASKS, ASKS_NOTHING = (-10.0, 0.1), (0.0, 0.1)  # a duty of 6250
+FRESH, STALE = 0.5, 0.500000001
+
+
+@pytest.mark.parametrize("human, teleop, planner, source, duty, reason", [
+    pytest.param(None, None, None, NO_HUMAN, CENTER, "human_in_loop was never heard", id="nobody_was_ever_heard"),
+    pytest.param(None, STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop was never heard",
+                 id="without_a_human_neither_gamepad_nor_planner_gets_the_wheel"),
+    pytest.param(LET_GO, STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop is false", id="a_human_who_lets_go_stops_both"),
+    pytest.param((True, 0.52), STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop silent for 0.52 s",
+                 id="a_silent_human_stops_both"),
+    pytest.param((True, STALE), STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop silent for 0.50 s",
+                 id="a_human_a_nanosecond_too_old_is_silent"),
+    pytest.param((True, FRESH), STEERS, ASKS, TELEOP, 4450, "tele_steer_req is 0.500",
+                 id="a_human_exactly_as_old_as_the_timeout_is_there"),
+    pytest.param((False, 0.52), STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop silent for 0.52 s",
+                 id="a_false_that_is_too_old_is_silence"),
+
+    pytest.param(HELD, None, None, NEUTRAL, CENTER, "neither tele_steer_req nor av_turnrad_req asks for anything",
+                 id="a_human_alone_means_neutral"),
+    pytest.param(HELD, STEERS, ASKS, TELEOP, 4450, "tele_steer_req is 0.500", id="the_gamepad_wins_over_the_planner"),
+    pytest.param(HELD, STEERS, None, TELEOP, 4450, "tele_steer_req is 0.500", id="the_gamepad_needs_no_planner"),
+    pytest.param(HELD, (0.5, STALE), ASKS, NEUTRAL, CENTER, "tele_steer_req silent for 0.50 s",
+                 id="a_gamepad_that_fell_silent_means_neutral_and_not_the_planner"),
+    pytest.param(HELD, (0.0, STALE), ASKS, NEUTRAL, CENTER, "tele_steer_req silent for 0.50 s",
+                 id="so_does_one_that_rested_when_it_fell_silent"),
+    pytest.param(HELD, (0.5, FRESH), ASKS, TELEOP, 4450, "tele_steer_req is 0.500",
+                 id="a_gamepad_exactly_as_old_as_the_timeout_steers"),
+    pytest.param(HELD, (math.nan, 0.1), ASKS, NEUTRAL, CENTER, "tele_steer_req is nan",
+                 id="a_gamepad_that_sends_nan_means_neutral_and_not_the_planner"),
+    pytest.param(HELD, (math.inf, 0.1), ASKS, NEUTRAL, CENTER, "tele_steer_req is inf", id="so_does_infinity"),
+    pytest.param(HELD, (-math.inf, 0.1), ASKS, NEUTRAL, CENTER, "tele_steer_req is -inf", id="so_does_minus_infinity"),
+
+    pytest.param(HELD, None, ASKS, PLANNER, 6250, "av_turnrad_req is -10.000 m",
+                 id="with_a_gamepad_never_heard_the_planner_may_drive"),
+    pytest.param(HELD, RESTS, ASKS, PLANNER, 6250, "av_turnrad_req is -10.000 m",
+                 id="with_the_gamepad_at_rest_the_planner_may_drive"),
+    pytest.param(HELD, RESTS, None, NEUTRAL, CENTER, "neither tele_steer_req nor av_turnrad_req asks for anything",
+                 id="a_gamepad_at_rest_without_a_planner_means_neutral"),
+    pytest.param(HELD, None, (-10.0, STALE), NEUTRAL, CENTER, "av_turnrad_req silent for 0.50 s",
+                 id="a_silent_planner_means_neutral"),
+    pytest.param(HELD, None, (-10.0, FRESH), PLANNER, 6250, "av_turnrad_req is -10.000 m",
+                 id="a_planner_exactly_as_old_as_the_timeout_steers"),
+    pytest.param(HELD, RESTS, ASKS_NOTHING, NEUTRAL, CENTER, "av_turnrad_req is 0, which asks for nothing",
+                 id="a_planner_that_asks_for_nothing_means_neutral"),
+    pytest.param(HELD, None, (math.nan, 0.1), NEUTRAL, CENTER, "av_turnrad_req is nan",
+                 id="a_planner_that_sends_nan_asks_for_nothing"),
+    pytest.param(HELD, None, (math.inf, 0.1), NEUTRAL, CENTER, "av_turnrad_req is inf",
+                 id="so_does_an_infinite_radius"),
+    pytest.param(HELD, None, (-math.inf, 0.1), NEUTRAL, CENTER, "av_turnrad_req is -inf",
+                 id="so_does_a_radius_of_minus_infinity"),
+    pytest.param(HELD, STEERS, (math.nan, 0.1), TELEOP, 4450, "tele_steer_req is 0.500",
+                 id="a_planner_that_sends_nan_is_no_matter_to_the_gamepad"),
+])
+def test_arbiter_with_these_inputs_picks_source_duty_and_reason(human, teleop, planner, source, duty, reason):
+    decision = decide(human, teleop, planner)
+    assert (SOURCE_NAMES[decision.source], decision.duty) == (SOURCE_NAMES[source], duty)
+    assert decision.reason.startswith(reason)
+
+
+def test_arbiter_through_a_drive_hands_the_wheel_on_and_back():
+    arbiter = SteeringArbiter(config())
+    now = NOW
+
+    def after(milliseconds):
+        nonlocal now
+        now += milliseconds * 1_000_000
+        return SOURCE_NAMES[arbiter.decide(now).source]
+
+    assert after(0) == "NO_HUMAN"
+    arbiter.hear_planner(5.0, now)
+    assert after(1) == "NO_HUMAN"
+    arbiter.hear_human(True, now)
+    assert after(1) == "PLANNER"
+    arbiter.hear_teleop(0.3, now)
+    assert after(1) == "TELEOP"
+    arbiter.hear_teleop(0.0, now)
+    assert after(1) == "PLANNER"
+    arbiter.hear_human(True, now)
+    arbiter.hear_planner(5.0, now)
+    assert after(499) == "PLANNER"
+    arbiter.hear_human(True, now)
+    arbiter.hear_planner(5.0, now)
+    assert after(2) == "NEUTRAL"  # the gamepad is 501 ms old
+    arbiter.hear_teleop(0.0, now)
+    assert after(1) == "PLANNER"
+    arbiter.hear_human(False, now)
+    assert after(1) == "NO_HUMAN"
+    arbiter.hear_human(True, now)
+    assert after(1) == "PLANNER"
+    assert after(500) == "NO_HUMAN"
+
+
+def test_first_true_of_the_human_after_start_grants_control():
+    arbiter = SteeringArbiter(config())
+    arbiter.hear_human(True, NOW)
+    arbiter.hear_teleop(1.0, NOW)
+    assert arbiter.decide(NOW).source == TELEOP
+
+
+@pytest.mark.parametrize("name, human, teleop, planner, source", [
+    pytest.param("human_timeout_s", (True, 1e6), STEERS, ASKS, TELEOP, id="human"),
+    pytest.param("teleop_timeout_s", HELD, (0.5, 1e6), ASKS, TELEOP, id="teleop"),
+    pytest.param("planner_timeout_s", HELD, None, (-10.0, 1e6), PLANNER, id="planner"),
+])
+def test_timeout_of_0_never_makes_an_input_silent(name, human, teleop, planner, source):
+    assert decide(human, teleop, planner).source != source
+    assert decide(human, teleop, planner, **{name: 0.0}).source == source
+
+
+def test_timeout_of_0_does_not_make_a_human_of_one_never_heard():
+    assert decide(None, STEERS, ASKS, human_timeout_s=0.0).source == NO_HUMAN
+
+
+def test_timeouts_of_the_inputs_are_each_their_own():
+    timeouts = {"human_timeout_s": 1.0, "teleop_timeout_s": 2.0, "planner_timeout_s": 3.0}
+    assert decide((True, 0.9), (0.0, 1.9), (5.0, 2.9), **timeouts).source == PLANNER
+    assert decide((True, 1.1), (0.0, 1.9), (5.0, 2.9), **timeouts).reason == "human_in_loop silent for 1.10 s"
+    assert decide((True, 0.9), (0.0, 2.1), (5.0, 2.9), **timeouts).reason == "tele_steer_req silent for 2.10 s"
+    assert decide((True, 0.9), (0.0, 1.9), (5.0, 3.1), **timeouts).reason == "av_turnrad_req silent for 3.10 s"
+
+
+def test_decision_carries_the_age_of_each_input():
+    decision = decide((True, 0.25), None, (5.0, 7.5))
+    assert decision.human_age_s == pytest.approx(0.25)
+    assert decision.teleop_age_s == math.inf
+    assert decision.planner_age_s == pytest.approx(7.5)
+
+
+def test_decision_differs_only_in_source_duty_or_cause():
+    driving = decide(HELD, STEERS)
+    assert driving.differs_from(None)
+    assert not driving.differs_from(decide((True, 0.4), (0.5, 0.3)))
+    assert driving.differs_from(decide(HELD, (0.6, 0.1)))
+    silent = decide((True, 0.6), STEERS)
+    assert silent.differs_from(driving)
+    assert not silent.differs_from(decide((True, 0.7), STEERS))
+    assert silent.differs_from(decide(LET_GO, STEERS))
+
+
+@pytest.mark.parametrize("steering, duty", [
+    pytest.param(1.0, 3800, id="full_left"),
+    pytest.param(-1.0, 6700, id="full_right"),
+    pytest.param(0.5, 4450, id="half_left_by_the_left_scale"),
+    pytest.param(-0.5, 5900, id="half_right_by_the_right_scale"),
+    pytest.param(0.0, 5100, id="straight_ahead"),
+    pytest.param(0.001, 5099, id="slightly_left"),
+    pytest.param(1.5, 3800, id="beyond_the_left_is_clamped"),
+    pytest.param(-1.5, 6700, id="beyond_the_right_is_clamped"),
+    pytest.param(1e300, 3800, id="far_beyond_is_clamped"),
+    pytest.param(1.0 / 2600, 5100, id="a_half_goes_away_from_zero_on_the_left"),
+    pytest.param(-1.0 / 3200, 5101, id="a_half_goes_away_from_zero_on_the_right"),
+])
+def test_teleop_request_makes_duty(steering, duty):
+    assert SteeringArbiter(config()).teleop_duty(steering) == duty
+
+
+def test_servo_mounted_the_other_way_round_is_steered_the_other_way_round():
+    arbiter = SteeringArbiter(config(servo_left=6700, servo_right=3800))
+    assert [arbiter.teleop_duty(steering) for steering in (1.0, 0.5, 0.0, -0.5, -1.0)] == [6700, 5900, 5100, 4450, 3800]
+
+
+def test_servo_that_turns_to_one_side_only_is_accepted():
+    arbiter = SteeringArbiter(config(servo_left=5100))
+    assert [arbiter.teleop_duty(steering) for steering in (1.0, 0.0, -1.0)] == [5100, 5100, 6700]
+
+
+@given(st.floats(-1, 1))
+def test_teleop_duty_of_any_request_is_the_rounded_line_to_its_side(steering):
+    exact = CENTER - steering * (CENTER - 3800 if steering > 0 else 6700 - CENTER)
+    assert abs(SteeringArbiter(config()).teleop_duty(steering) - exact) <= 0.5
+
+
+@pytest.mark.parametrize("neutral, deadband, request_, source", [
+    pytest.param(0.0, 0.001, 0.0, NEUTRAL, id="zero_rests"),
+    pytest.param(0.0, 0.001, 0.001, NEUTRAL, id="the_edge_of_the_deadband_rests"),
+    pytest.param(0.0, 0.001, 0.0010000000474974513, NEUTRAL, id="the_edge_as_a_float32_has_it_rests"),
+    pytest.param(0.0, 0.001, -0.001, NEUTRAL, id="the_other_edge_rests"),
+    pytest.param(0.0, 0.001, 0.0011, TELEOP, id="beyond_the_deadband_steers_left"),
+    pytest.param(0.0, 0.001, -0.0011, TELEOP, id="beyond_the_deadband_steers_right"),
+    pytest.param(0.5, 0.001, 0.5, NEUTRAL, id="an_old_stack_rests_at_a_half"),
+    pytest.param(0.5, 0.001, 0.4995, NEUTRAL, id="an_old_stack_rests_near_a_half"),
+    pytest.param(0.5, 0.001, 0.0, TELEOP, id="zero_of_an_old_stack_is_an_active_command"),
+    pytest.param(0.0, 0.2, 0.15, NEUTRAL, id="a_wide_deadband_rests_far_out"),
+    pytest.param(0.0, 0.0, 0.0, NEUTRAL, id="without_a_deadband_only_zero_rests"),
+    pytest.param(0.0, 0.0, 1e-9, TELEOP, id="without_a_deadband_anything_else_steers"),
+])
+def test_teleop_request_near_its_neutral_rests(neutral, deadband, request_, source):
+    decision = decide(HELD, (request_, 0.1), tele_steer_neutral=neutral, tele_steer_deadband=deadband)
+    assert SOURCE_NAMES[decision.source] == SOURCE_NAMES[source]
+
+
+@pytest.mark.parametrize("radius_m, duty", [
+    pytest.param(1.0, 3800, id="tightest_left"),
+    pytest.param(-1.0, 6700, id="tightest_right"),
+    pytest.param(1.25, 3808, id="between_1_and_2_m_to_the_left"),  # 3807.5: the original divided by 0 here
+    pytest.param(-1.5, 6675, id="between_1_and_2_m_to_the_right"),
+    pytest.param(8.0, 3883, id="left_between_breakpoints_is_rounded_down"),  # 3883.33
+    pytest.param(-8.0, 6317, id="right_between_breakpoints_is_rounded_up"),  # 6316.67
+    pytest.param(50.0, 4150, id="wide_left"),
+    pytest.param(-50.0, 5925, id="wide_right"),
+    pytest.param(300.0, 5100, id="widest_left"),
+    pytest.param(-300.0, 5100, id="widest_right"),
+    pytest.param(0.3, 3800, id="tighter_than_the_axis_saturates_left"),
+    pytest.param(-0.3, 6700, id="tighter_than_the_axis_saturates_right"),
+    pytest.param(0.0011, 3800, id="just_more_than_no_radius_is_full_left"),
+    pytest.param(-0.0011, 6700, id="just_more_than_no_radius_is_full_right"),
+    pytest.param(1e30, 5100, id="beyond_the_axis_saturates_left"),
+    pytest.param(-1e30, 5100, id="beyond_the_axis_saturates_right"),
+])
+def test_planner_radius_makes_duty(radius_m, duty):
+    decision = decide(HELD, None, (radius_m, 0.1))
+    assert (SOURCE_NAMES[decision.source], decision.duty) == ("PLANNER", duty)
+
+
+@pytest.mark.parametrize("side, table", [(1, "k_pwmcmd_left_table_servo"), (-1, "k_pwmcmd_right_table_servo")],
+                         ids=["left", "right"])
+def test_planner_radius_at_each_breakpoint_makes_the_table_s_duty(side, table):
+    arbiter = SteeringArbiter(config())
+    for radius_m, duty in zip(SLASH_4X4["m_turnrad_axis_servo"], SLASH_4X4[table]):
+        assert arbiter.planner_duty(side * radius_m) == duty
+
+
+@pytest.mark.parametrize("duty, radius_m", (
+    (5100, math.inf), (3800, 1.0), (3700, 1.0), (3835, 2.5), (5000, 200.0),
+    (6700, -1.0), (6800, -1.0), (6675, -1.5), (5200, -200.0)))
+def test_turn_radius_of_a_duty_is_the_one_that_the_tables_have_for_it(duty, radius_m):
+    assert SteeringArbiter(config()).turn_radius_m(duty) == pytest.approx(radius_m)
+
+
+@given(st.floats(1, 299), st.sampled_from((-1, 1)))
+def test_turn_radius_of_a_planner_s_duty_is_what_the_planner_asked_for(radius_m, side):
+    arbiter = SteeringArbiter(config())
+    duty = arbiter.planner_duty(side * radius_m)
+    assert arbiter.planner_duty(arbiter.turn_radius_m(duty)) == duty
+
+
+def test_turn_radius_where_the_servo_turns_the_other_way_and_tables_repeat():
+    arbiter = SteeringArbiter(config(
+        servo_left=6700, servo_right=3800, radius_axis_m=(1, 2, 4), left_duties=(6700, 6700, 6000),
+        right_duties=(3800, 4000, 4000)))
+    assert arbiter.turn_radius_m(6700) == 1.0
+    assert arbiter.turn_radius_m(6350) == pytest.approx(3.0)
+    assert arbiter.turn_radius_m(5500) == math.inf  # straighter than the widest turn of the table
+    assert arbiter.turn_radius_m(4000) == pytest.approx(-2.0)
+
+
+@pytest.mark.parametrize("radius_m", [0.0, -0.0, 0.001, -0.001, 0.0005])
+def test_planner_radius_within_a_millimetre_of_0_is_no_request(radius_m):
+    decision = decide(HELD, None, (radius_m, 0.1))
+    assert (SOURCE_NAMES[decision.source], decision.duty) == ("NEUTRAL", CENTER)
+
+
+def test_tables_with_fractions_are_interpolated_before_they_are_rounded():
+    arbiter = SteeringArbiter(config(radius_axis_m=[0.4, 0.9], left_duties=[3800.2, 3800.9],
+                                     right_duties=[6700.0, 6699.0]))
+    assert arbiter.planner_duty(0.4) == 3800
+    assert arbiter.planner_duty(0.65) == 3801  # 3800.55
+    assert arbiter.planner_duty(-0.65) == 6700  # 6699.5
+
+
+FINITE_OR_NOT = st.floats(allow_nan=True, allow_infinity=True)
+AGES_S = st.sampled_from([0.0, 0.3, 0.5, 0.51, 100.0])
+
+
+@given(human=st.none() | st.tuples(st.booleans(), AGES_S), teleop=st.none() | st.tuples(FINITE_OR_NOT, AGES_S),
+       planner=st.none() | st.tuples(FINITE_OR_NOT, AGES_S))
+def test_decision_on_anything_heard_stays_between_left_and_right_and_needs_a_fresh_human(human, teleop, planner):
+    decision = decide(human, teleop, planner)
+    assert 3800 <= decision.duty <= 6700
+    assert decision.reason
+    if decision.source in (TELEOP, PLANNER):
+        assert human is not None and human[0] and human[1] <= 0.5
+    else:
+        assert decision.duty == CENTER
+
+
+@pytest.mark.parametrize("changes, message", [
+    pytest.param({"servo_center": 3799}, "servo_center is 3799; accepted: a duty between servo_left 3800 and "
+                                         "servo_right 6700", id="center_left_of_left"),
+    pytest.param({"servo_center": 6701}, "servo_center is 6701; accepted: a duty between servo_left 3800",
+                 id="center_right_of_right"),
+    pytest.param({"servo_left": 5100, "servo_right": 5100}, "servo_right is 5100; accepted: a duty other than "
+                                                            "servo_left's", id="left_and_right_the_same"),
+    pytest.param({"radius_axis_m": [0, 1], "left_duties": [1, 2], "right_duties": [1, 2]},
+                 r"m_turnrad_axis_servo\[0\] is 0; accepted: a radius above 0 m", id="radius_of_0"),
+    pytest.param({"radius_axis_m": [-5, 1], "left_duties": [1, 2], "right_duties": [1, 2]},
+                 r"m_turnrad_axis_servo\[0\] is -5; accepted: a radius above 0 m", id="negative_radius"),
+    pytest.param({"radius_axis_m": []}, r"m_turnrad_axis_servo is \[\]; accepted: at least two", id="no_radii"),
+    pytest.param({"radius_axis_m": [2, 1]}, r"m_turnrad_axis_servo\[1\] is 1; accepted: more than",
+                 id="radii_that_fall"),
+    pytest.param({"left_duties": [3800]}, "k_pwmcmd_left_table_servo is .3800.; accepted: 15 numbers",
+                 id="left_table_too_short"),
+    pytest.param({"right_duties": [6700] * 16}, "k_pwmcmd_right_table_servo is .*; accepted: 15 numbers",
+                 id="right_table_too_long"),
+])
+def test_calibration_with_a_fault_is_refused_naming_the_parameter(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        SteeringArbiter(config(**changes))
+
+
+def test_one_channel_sets_one_channel_of_sixteen_and_leaves_the_others_alone():
+    assert one_channel(0, 5100) == [5100] + [-1] * 15
+    assert one_channel(15, 0) == [-1] * 15 + [0]
+
+
+def test_source_names_are_in_the_order_of_the_message_s_constants():
+    assert SOURCE_NAMES == ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
+    assert (LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER) == (0, 1, 2, 3, 4)
+
+
+def test_shipped_config_holds_the_slash_4x4_calibration():
+    text = CONFIG_FILE.read_text(encoding="utf-8")
+    shipped = {name: ast.literal_eval(value) for name, value in re.findall(r"(?m)^(\w+): *(\[[^]]*\]|[\d.]+)", text)}
+    assert {name: shipped.get(name) for name in SLASH_4X4} == SLASH_4X4
+    assert (shipped["tele_steer_neutral"], shipped["tele_steer_deadband"]) == (0.0, 0.001)
+    assert shipped["input_timeout"] == 0.5
+
+
+def arbiter_with_a_human(**changes):
+    arbiter = SteeringArbiter(config(**changes))
+    arbiter.hear_human(True, NOW)
+    return arbiter
+
+
+def test_lock_stands_above_everything():
+    arbiter = arbiter_with_a_human()
+    arbiter.hear_teleop(1.0, NOW)
+    arbiter.hear_planner(5.0, NOW)
+    assert arbiter.decide(NOW).source == TELEOP
+    arbiter.hear_e_stop(True, NOW)
+    decision = arbiter.decide(NOW)
+    assert (decision.source, decision.duty, decision.reason) == (LOCKED, CENTER, "e_stop is true")
+
+
+def test_decision_carries_the_age_of_the_lock():
+    arbiter = arbiter_with_a_human()
+    assert arbiter.decide(NOW).e_stop_age_s == math.inf
+    arbiter.hear_e_stop(False, NOW)
+    assert arbiter.decide(NOW + S // 4).e_stop_age_s == pytest.approx(0.25)
+
+
+def test_slew_limit_moves_the_servo_no_faster():
+    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+    arbiter.decide(NOW)
+    arbiter.hear_teleop(1.0, NOW)
+    duties = [arbiter.decide(NOW + tenth * S // 10).duty for tenth in range(5)]
+    assert duties == [5100, 5000, 4900, 4800, 4700]
+    arbiter.hear_teleop(-1.0, NOW + 4 * S // 10)
+    assert arbiter.decide(NOW + 5 * S // 10).duty == 4800
+
+
+def test_slew_limit_holds_at_the_request_and_for_the_planner_too():
+    arbiter = arbiter_with_a_human(slew_limit=1000.0, planner_timeout_s=0.0,
+                                   permission=PermissionConfig(human_timeout_s=0.0))
+    arbiter.decide(NOW)
+    arbiter.hear_planner(1.0, NOW)  # 3800
+    assert [arbiter.decide(NOW + s * S).duty for s in (1, 2, 3)] == [4100, 3800, 3800]
+
+
+@pytest.mark.parametrize("stop", [
+    pytest.param(lambda arbiter, now_ns: arbiter.hear_human(False, now_ns), id="no_human"),
+    pytest.param(lambda arbiter, now_ns: arbiter.hear_e_stop(True, now_ns), id="locked"),
+    pytest.param(lambda arbiter, now_ns: arbiter.hear_teleop(0.0, now_ns), id="nobody_steers"),
+    pytest.param(lambda arbiter, now_ns: arbiter.hear_teleop(math.nan, now_ns), id="nonsense"),
+])
+def test_slew_limit_never_slows_the_way_back_to_neutral(stop):
+    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+    arbiter.decide(NOW)
+    arbiter.hear_teleop(1.0, NOW)
+    assert arbiter.decide(NOW + S // 2).duty == 4600
+    stop(arbiter, NOW + S // 2)
+    assert arbiter.decide(NOW + S // 2).duty == CENTER
+
+
+def test_slew_begins_anew_at_neutral_however_long_that_lasted():
+    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+    arbiter.decide(NOW)
+    arbiter.decide(NOW + S // 4)
+    arbiter.hear_teleop(1.0, NOW + S // 4)
+    assert arbiter.decide(NOW + S // 4).duty == CENTER
+
+
+def test_times_out_of_order_do_not_disturb_the_slew():
+    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+    arbiter.decide(NOW + S // 10)
+    arbiter.hear_teleop(1.0, NOW)
+    assert arbiter.decide(NOW).duty == CENTER
+    assert arbiter.decide(NOW + S // 5).duty == 5000
+
+
+@pytest.mark.parametrize("again, source, reason", [
+    pytest.param(["human"], NEUTRAL, "tele_steer_req was not heard since messages were dropped", id="gamepad_lost"),
+    pytest.param(["human", "teleop"], NEUTRAL, "av_turnrad_req was not heard since messages were dropped",
+                 id="planner_lost"),
+    pytest.param(["human", "teleop", "planner"], PLANNER, "av_turnrad_req is 5.000 m", id="all_heard_again"),
+])
+def test_dropped_messages_make_every_input_stale(again, source, reason):
+    arbiter = SteeringArbiter(config(permission=PermissionConfig(e_stop_timeout_s=0.0), planner_timeout_s=0.0,
+                                     teleop_timeout_s=0.0))
+    inputs = {"human": lambda: (arbiter.hear_human(False, NOW), arbiter.hear_human(True, NOW)),
+              "teleop": lambda: arbiter.hear_teleop(0.0, NOW), "planner": lambda: arbiter.hear_planner(5.0, NOW)}
+    for hear in inputs.values():
+        hear()
+    assert arbiter.decide(NOW).source == PLANNER
+    arbiter.mark_stale(NOW)
+    assert arbiter.decide(NOW)[:2] == (NO_HUMAN, CENTER)
+    for name in again:
+        inputs[name]()
+    decision = arbiter.decide(NOW)
+    assert (SOURCE_NAMES[decision.source], decision.reason) == (SOURCE_NAMES[source], reason)

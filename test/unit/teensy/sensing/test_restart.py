@@ -1,0 +1,173 @@
+"""What a reboot in mid-drive costs: the heading stays to a pulse or two, and the covariance says what isn't known.
+
+test/accuracy/reboot.py measures it over many drives on the virtual Teensy; a few of them are here, with the rules.
+"""
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from car_interface.teensy.sensing.restart import LEFT, RIGHT, CarState, RestartBridge, WheelState
+
+sys.path.append(str(Path(__file__).resolve().parents[3]))
+reboot_accuracy = importlib.import_module("accuracy.reboot")
+
+TRACK_M = 0.296
+BEFORE_MS = 10_000.0
+REBOOTS = 200 if os.environ.get("CAR_INTERFACE_ALL") else 24
+
+
+@pytest.fixture(scope="module")
+def outcomes():
+    return [reboot_accuracy.run(40_000 + index) for index in range(REBOOTS)]
+
+
+def test_heading_stays_within_its_three_sigma_whatever_the_car_does_meanwhile(outcomes):
+    assert [outcome for outcome in outcomes if outcome.heading_sigmas > 3] == []
+
+
+def test_heading_on_straights_and_constant_curves_is_off_by_two_pulses_at_most(outcomes):
+    steady = [outcome for outcome in outcomes if outcome.plan.kind in reboot_accuracy.STEADY]
+    assert len(steady) > REBOOTS / 4
+    assert sum(abs(outcome.heading_deg) > 6 for outcome in steady) <= 0.01 * len(steady)
+
+
+def test_odometry_is_silent_for_less_than_a_second(outcomes):
+    assert max(outcome.gap_s for outcome in outcomes) < 1.0
+
+
+# --- the rules ---
+
+
+def bridge(speed=0.066, curvature=0.0, counts=(100, 100)):
+    """A car that rolled at so many pulses a ms, 0.066 is 1 m/s, each wheel half-way between two magnets."""
+    speeds = [speed * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
+    wheels = tuple(WheelState(count, count + 0.5, one) for count, one in zip(counts, speeds))
+    return RestartBridge(CarState(BEFORE_MS, wheels, curvature, 0.01), TRACK_M)
+
+
+def roll(some, from_ms, speeds, positions, until_ms, forward=True):
+    """The pulses of wheels that are at ``positions`` at ``from_ms``: the first two of each are unproven."""
+    times = []
+    for side in (LEFT, RIGHT):
+        magnet = int(positions[side]) + (1 if forward else 0)
+        step = 1 if forward else -1
+        number = 0
+        while True:
+            at_ms = from_ms + (magnet - positions[side]) / speeds[side]
+            if at_ms > until_ms:
+                break
+            times.append((at_ms, side, number))
+            magnet, number = magnet + step, number + 1
+    for at_ms, side, number in sorted(times):
+        proven = number >= 2
+        some.report(at_ms)
+        some.add(side, 0 if proven else 1, (1 if forward else -1) if proven else 0, round(at_ms))
+        if some.is_ready(at_ms):
+            return some.solve(at_ms)
+    raise AssertionError("never ready")
+
+
+@pytest.mark.parametrize("forward", (True, False), ids=("forward", "backward"))
+def test_pulses_that_nobody_counted_are_made_up_for_to_the_magnet(forward):
+    speed = 0.066 if forward else -0.066
+    after = 100.5 + speed * 310
+    some = bridge(speed)
+    some.report(BEFORE_MS + 310)
+    outcome = roll(some, BEFORE_MS + 310, (speed, speed), (after, after), BEFORE_MS + 600, forward)
+    first = int(after) + (1 if forward else 0)
+    assert [wheel.place for wheel in outcome.wheels] == [first, first]
+    assert outcome.was_rolling and outcome.wheels[LEFT].forward == forward
+    assert 1 / 9 <= outcome.difference_variance < 1
+
+
+def test_wheels_in_a_curve_are_placed_each_by_its_own_distance():
+    curvature = 0.8
+    speeds = [0.066 * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
+    positions = [100.5 + speed * 310 for speed in speeds]
+    some = bridge(curvature=curvature)
+    some.report(BEFORE_MS + 310)
+    outcome = roll(some, BEFORE_MS + 310, speeds, positions, BEFORE_MS + 600)
+    assert [wheel.place for wheel in outcome.wheels] == [int(position) + 1 for position in positions]
+
+
+def test_car_that_stood_goes_on_from_where_it_stood_once_a_direction_is_proven():
+    some = bridge(speed=0.0)
+    some.report(BEFORE_MS + 310)
+    some.add(LEFT, 1, 0, BEFORE_MS + 5000)
+    some.add(RIGHT, 1, 0, BEFORE_MS + 5050)
+    assert not some.is_ready(BEFORE_MS + 5050)
+    some.add(LEFT, 1, 0, BEFORE_MS + 5090)
+    some.add(RIGHT, 1, 0, BEFORE_MS + 5130)
+    assert not some.is_ready(BEFORE_MS + 5130) and some.pending(LEFT) == 2
+    some.add(LEFT, 0, -1, BEFORE_MS + 5160)
+    some.add(RIGHT, 0, -1, BEFORE_MS + 5190)
+    assert some.is_ready(BEFORE_MS + 5190)
+    outcome = some.solve(BEFORE_MS + 5190)
+    assert [(wheel.place, wheel.forward) for wheel in outcome.wheels] == [(100, False), (100, False)]
+    assert not outcome.was_rolling
+
+
+def test_direction_that_one_wheel_proves_holds_for_both():
+    some = bridge(speed=0.0)
+    some.report(BEFORE_MS + 310)
+    some.add(RIGHT, 2, 0, BEFORE_MS + 5000)
+    some.add(LEFT, 2, 1, BEFORE_MS + 5100)
+    assert not some.is_ready(BEFORE_MS + 5100), "the other wheel may still prove its own"
+    assert some.is_ready(BEFORE_MS + 5260)
+    assert [wheel.forward for wheel in some.solve(BEFORE_MS + 5260).wheels] == [True, True]
+
+
+def test_direction_that_comes_long_after_the_first_pulses_leaves_them_in_doubt():
+    some = bridge(speed=0.0)
+    some.report(BEFORE_MS + 310)
+    for side in (LEFT, RIGHT):
+        some.add(side, 2, 0, BEFORE_MS + 5000)
+        some.add(side, 0, 1, BEFORE_MS + 60_000)
+    assert some.solve(BEFORE_MS + 60_000).mean_variance >= 4.0
+
+
+def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
+    some = bridge()
+    assert not some.report(BEFORE_MS + 310)
+    assert not some.report(BEFORE_MS + 400)
+    assert some.report(BEFORE_MS + 411), "that is said"
+    assert not some.report(BEFORE_MS + 611), "once"
+    assert some.positions == (pytest.approx(100.5 + 0.066 * 310 / 2), pytest.approx(100.5 + 0.066 * 310 / 2))
+    for side in (LEFT, RIGHT):
+        some.add(side, 2, 1, BEFORE_MS + 5000)
+    assert some.solve(BEFORE_MS + 5000).mean_variance > 4.0, "where on the way nobody knows"
+
+
+def test_longer_outage_is_known_less_well():
+    variances = []
+    for blind_ms in (310, 1500, 5000):
+        some = bridge()
+        some.report(BEFORE_MS + blind_ms)
+        after = 100.5 + 0.066 * blind_ms
+        variances.append(roll(some, BEFORE_MS + blind_ms, (0.066, 0.066), (after, after),
+                              BEFORE_MS + blind_ms + 300).mean_variance)
+    assert variances == sorted(variances) and variances[-1] > 10 * variances[0]
+
+
+def test_reset_shows_with_its_first_pulse_for_the_firmware_knows_its_direction():
+    some = bridge()
+    assert some.is_reset((1, 0), (0, 0), BEFORE_MS + 15)
+    assert not some.is_reset((0, 0), (1, 0), BEFORE_MS + 15), "a reboot"
+    assert not some.is_reset((1, 0), (0, 0), BEFORE_MS + 600), "much was lost"
+
+
+def test_second_restart_before_anything_was_known_goes_on_from_the_first():
+    some = bridge()
+    some.report(BEFORE_MS + 310)
+    some.add(LEFT, 1, 0, BEFORE_MS + 320)
+    some.restart()
+    assert some.pending(LEFT) == 0
+    some.report(BEFORE_MS + 700)
+    after = 100.5 + 0.066 * 700
+    outcome = roll(some, BEFORE_MS + 700, (0.066, 0.066), (after, after), BEFORE_MS + 1000)
+    assert outcome.wheels[LEFT].place == pytest.approx(int(after) + 1, abs=1)
