@@ -19,7 +19,7 @@ import tracemalloc
 from collections import Counter
 from pathlib import Path
 
-from car_interface.teensy.link.framing import LONGEST_ON_LINE, FrameDecoder
+from car_interface.teensy.link.framing import MAX_ON_LINE, FrameDecoder
 from car_interface.teensy.link.protocol import Malformed, Pong, SonarStatus, WheelStatus, decode
 from car_interface.teensy.sensing.plausibility import Gates
 
@@ -28,7 +28,7 @@ SPECIAL = (0x7E, 0x7D, 0x5E, 0x5D, 0x00, 0xFF, 0x20)
 # From the capture: a sonar's report, and what its body says.
 MARKER = bytes.fromhex("7e 01020600 006b11057b0000 f9 7e")
 MARKER_BODY = MARKER[1:-2]
-MOST_GROWTH = 50_000  # bytes over a run of any length; a leak of a byte per case shows in the long one
+MAX_GROWTH = 50_000  # bytes over a run of any length; a leak of a byte per case shows in the long one
 
 
 def piece(choose: random.Random) -> bytearray:
@@ -84,7 +84,7 @@ class Fuzz:
         size = choose.choice((1, 3, 7, 64, 4096))
         for start in range(0, len(data), size):
             self._judge(decoder.feed(data[start:start + size]))
-        assert decoder.pending <= LONGEST_ON_LINE
+        assert decoder.pending <= MAX_ON_LINE
         tally = decoder.tally
         assert tally.bytes_in == tally.frame_bytes + tally.flags + tally.noise_bytes + decoder.pending
         if choose.random() < 0.02:
@@ -137,7 +137,7 @@ def main() -> int:
         return 1
     records = ", ".join(f"{count:,} {name}" for name, count in fuzz.records.most_common())
     print(f"{fuzz.cases:,} cases in {time.monotonic() - begun_s:.0f} s; {records}; memory grew by {growth:,} bytes")
-    return growth > MOST_GROWTH
+    return growth > MAX_GROWTH
 
 
 if __name__ == "__main__":

@@ -291,7 +291,7 @@ class Bench:
         if verdict.restarted:
             self._clock.restart()
             self._one_way.restart()
-            self._pinger.hurry()
+            self._pinger.retry_now()
 
     def _on_tick(self, tick, truth_ns, now_ns, byte_count):
         self._one_way.hear(self._clock.unwrap(tick), now_ns - round(byte_count * BYTE_NS))

@@ -49,13 +49,13 @@ class Drive:
     name: str
     order: Callable  # Vehicle, seconds → Order or None when done
     gain_per_s: float = 4.0
-    most_mps2: float = 2.0
+    max_mps2: float = 2.0
     resets_s: tuple = ()  # when somebody sets the odometers to zero
 
 
 @dataclass
 class Score:
-    way_m: float = 0.0
+    distance_m: float = 0.0
     position_m: float = 0.0  # final error
     yaw_deg: float = 0.0
     speed: list = field(default_factory=list)  # relative errors at speed
@@ -67,9 +67,9 @@ class Score:
     spent_s: float = 0.0
 
 
-def straight(way_m, speed_mps, curvature_per_m=0.0):
+def straight(distance_m, speed_mps, curvature_per_m=0.0):
     def order(car, now_s):
-        left = way_m - car.travel_m
+        left = distance_m - car.travel_m
         if now_s < 0.7:
             return Order(0.0, curvature_per_m)
         if left <= 0.03 and car.speed_mps < 0.02:
@@ -122,11 +122,11 @@ def reversing(times, leg_m, speed_mps, curvatures=(0.0,)):
     return order
 
 
-def wandering(way_m, speed_mps, sharpest_per_m):
+def wandering(distance_m, speed_mps, sharpest_per_m):
     def order(car, now_s):
         if now_s < 0.7:
             return Order(0.0)
-        left = way_m - car.travel_m
+        left = distance_m - car.travel_m
         if left <= 0.03 and car.speed_mps < 0.05:
             return None
         bend = sharpest_per_m * math.sin(car.travel_m / 5.0)
@@ -162,7 +162,7 @@ class Driver:
     def duties(self, order):
         car = self._car
         wanted = self._drive.gain_per_s * (order.speed_mps - car.speed_mps)
-        wanted = max(-self._drive.most_mps2, min(self._drive.most_mps2, wanted))
+        wanted = max(-self._drive.max_mps2, min(self._drive.max_mps2, wanted))
         if order.speed_mps == 0.0 and abs(car.speed_mps) < 1e-6:
             return self._steering(order.curvature_per_m), 4915
         low, high = 3277, 6554
@@ -223,7 +223,7 @@ class Bench:
         before_m = car.travel_m
         for pulse in car.step(STEP_NS, *duties):
             teensy.wheel_pulse(pulse.side, pulse.direction, pulse.at_ns)
-        self.score.way_m += abs(car.travel_m - before_m)
+        self.score.distance_m += abs(car.travel_m - before_m)
         now_ns = car.time_ns
         self._note(now_ns)
         if self._resets_s and self._resets_s[0] <= now_ns / NS_PER_S:
@@ -313,14 +313,14 @@ def main():
 
 def row(name, scores):
     """A line of the table."""
-    position = [100 * score.position_m / score.way_m for score in scores]
+    position = [100 * score.position_m / score.distance_m for score in scores]
     heading = [score.yaw_deg for score in scores]
     speed = [100 * percentile(score.crawl if "crawl" in name else score.speed, 0.95) for score in scores]
     sigmas = [statistics.mean(ratios[index] for score in scores for ratios in score.ratios) for index in range(3)]
     sigmas.append(statistics.mean(ratio for score in scores for ratio in score.speed_ratios))
     columns = " | ".join(f"{statistics.median(values):6.2f} {max(values):5.2f}"
                          for values in (position, heading, speed))
-    return (f"{name:20} | {scores[0].way_m:5.1f} | {columns} | {min(s.inside / s.reports for s in scores):6.1%} | "
+    return (f"{name:20} | {scores[0].distance_m:5.1f} | {columns} | {min(s.inside / s.reports for s in scores):6.1%} | "
             + " ".join(f"{sigma:4.2f}" for sigma in sigmas)
             + f" | {1e6 * sum(s.spent_s for s in scores) / sum(s.reports for s in scores):4.0f}")
 

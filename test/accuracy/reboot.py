@@ -127,7 +127,7 @@ def run(seed: int) -> Outcome:
         if reboot_ns is not None and now_ns >= reboot_ns:
             drive.teensy.reboot(now_ns, off_ns)
             before, reboot_ns = (found[-1] if found else None), None
-            pinger.hurry()
+            pinger.retry_now()
         if now_ns >= pinger.next_event_ns():
             pinger.expire(now_ns)
             if now_ns >= pinger.due_ns:

@@ -4,8 +4,9 @@
     PYTHONPATH=src:test python3 -m accuracy.value_map_calibration [--cars N] [--first SEED] [--missing fast|right|third]
                                                               [--prior] [--imu]
 
-For each car a person drives (virtual_drive: sensor noise, uneven magnets, play, a servo's lag, a slope of 2 %, a battery that sags by 10 %), the command reads the bag, and the map's numbers are compared with the true acceleration
-on level ground at mean battery, over those that the command says the drive supports. Beside it the yardstick: per-cell
+For each car a person drives (virtual_drive: sensor noise, uneven magnets, play, a servo's lag, a slope of 2 %, a
+battery that sags by 10 %), the command reads the bag, and the map's numbers are compared with the true acceleration on
+level ground at mean battery, over those that the command says the drive supports. Beside it the yardstick: per-cell
 recursive least squares as Autoware describes it (forgetting 0.999, covariance 0.05, nearest cell), on the same bag with
 the same axes and over the same numbers, started from config/value_map.csv; once as published (speeds differenced over
 0.2 s, a delay of 0.3 s), once favoured with what the command has measured (its windows and its delay); of this one also

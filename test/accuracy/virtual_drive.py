@@ -71,7 +71,7 @@ def random_car(seed: int) -> VehicleConfig:
     like_slash = seed % 4 == 3
     curve, center = _slash_curve(rng) if like_slash else _smooth_curve(rng)
     steering = SteeringConfig(curve=curve, center_duty=center + rng.uniform(-60, 60), lag_s=0.15,
-                              play_duty=rng.uniform(2, 6) if like_slash else rng.uniform(8, 32))
+                              backlash_duty=rng.uniform(2, 6) if like_slash else rng.uniform(8, 32))
     neutral = 4915 + rng.uniform(-15, 15)
     drive = DriveConfig(
         neutral_duty=neutral, neutral_band_duty=rng.uniform(20, 45),
@@ -140,7 +140,7 @@ class View:
 
     def __init__(self, rng):
         self.random = rng
-        self.now_s = self.speed_mps = self.yaw_rad = self.way_m = 0.0
+        self.now_s = self.speed_mps = self.yaw_rad = self.distance_m = 0.0
         self.stick_duty = self.straight_duty = 5100.0
         self.push = 0.4  # the value that keeps a slow speed
         self.seen = {}  # duty of the steering → curvature
@@ -148,7 +148,7 @@ class View:
     def look(self, now_s, motion):
         self.now_s = now_s
         if motion is not None:
-            self.speed_mps, self.yaw_rad, self.way_m = motion.speed_mps, motion.yaw_rad, motion.distance_m
+            self.speed_mps, self.yaw_rad, self.distance_m = motion.speed_mps, motion.yaw_rad, motion.distance_m
 
 
 def mixed_drive(see: View, missing: str = MIXED) -> Iterator[Command]:
@@ -200,13 +200,13 @@ def circle(see, duty):
 
 
 def _hold_circle(see, duty, pace, curvatures, seconds=HELD_S):
-    begun_s, yaw_rad, way_m = see.now_s, None, None
+    begun_s, yaw_rad, distance_m = see.now_s, None, None
     curvature = curvatures[-1] if curvatures else 0.3
     while see.now_s < begun_s + seconds:
         if yaw_rad is None and see.now_s > begun_s + 0.5:
-            yaw_rad, way_m = see.yaw_rad, see.way_m
-        if yaw_rad is not None and see.way_m > way_m + 0.3:
-            curvature = (see.yaw_rad - yaw_rad) / (see.way_m - way_m)
+            yaw_rad, distance_m = see.yaw_rad, see.distance_m
+        if yaw_rad is not None and see.distance_m > distance_m + 0.3:
+            curvature = (see.yaw_rad - yaw_rad) / (see.distance_m - distance_m)
         speed_mps = min(2.2, math.sqrt(SIDEWAYS_MPS2 / 2 / max(0.05, abs(curvature))))
         yield Command(duty, pace(speed_mps))
     curvatures.append(curvature)
@@ -253,9 +253,9 @@ def back_off(see):
     yield from rest(see, 1.5)
 
 
-def _hold(see, value, is_over, longest_s):
+def _hold(see, value, is_over, max_s):
     steer, begun_s = _straight(see), see.now_s
-    while see.now_s < begun_s + longest_s:
+    while see.now_s < begun_s + max_s:
         yield Command(steer(), value)
         if see.now_s > begun_s + 0.4 and is_over():
             return
@@ -338,7 +338,7 @@ def _straight(see):
 class Facts(NamedTuple):
     """About a recording."""
 
-    way_m: float
+    distance_m: float
     duration_s: float
 
 
@@ -362,7 +362,7 @@ def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing:
         drive = _Recorder(car, bag, rng, imu, servo_topic)
         commands = script(drive.see, missing)
         drive.run(commands, duration_s)
-    return Facts(drive.way_m, duration_s)
+    return Facts(drive.distance_m, duration_s)
 
 
 class _Bag:
@@ -429,7 +429,7 @@ class _Recorder:
         self.see = View(random.Random(rng.randrange(1 << 30)))
 
     @property
-    def way_m(self):
+    def distance_m(self):
         return self._motion.distance_m if self._motion else 0.0
 
     def run(self, commands, duration_s):
@@ -604,7 +604,7 @@ def main():
     arguments = parser.parse_args()
     facts = record(random_car(arguments.seed), arguments.path, arguments.seed, missing=arguments.missing,
                    duration_s=arguments.seconds, imu=arguments.imu)
-    print(f"{arguments.path}: {facts.duration_s:.0f} s, {facts.way_m:.0f} m")
+    print(f"{arguments.path}: {facts.duration_s:.0f} s, {facts.distance_m:.0f} m")
     return 0
 
 

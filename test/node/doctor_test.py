@@ -86,16 +86,16 @@ class DoctorTest(unittest.TestCase):
         self.links.wait_for(lambda link: link.state == "fine", max(0, self.links.mark() - 1))
         self.states.wait_for_count(2, self.states.mark())
 
-    def check(self, examination, subject, level, words="", cure=""):
+    def check(self, examination, subject, level, words="", remedy=""):
         """A finding with this level and these words is there; the whole is in order."""
         shown = "\n".join([*examination.lines, examination.errors])
         self.assertIn(level, [found for found, _ in examination.of(subject)], shown)
         texts = [text for found, text in examination.of(subject) if found == level]
-        self.assertTrue(any(words in text and cure in text.partition(" | cure: ")[2] for text in texts), shown)
+        self.assertTrue(any(words in text and remedy in text.partition(" | remedy: ")[2] for text in texts), shown)
         self.check_order(examination)
 
     def check_order(self, examination):
-        """Every line has its level, its cure where one is due; the last one sums up; the exit code is the worst."""
+        """Every line has its level, its remedy where one is due; the last one sums up; the exit code is the worst."""
         shown = "\n".join([*examination.lines, examination.errors])
         self.assertNotIn("Traceback", shown)
         self.assertEqual(examination.errors, "")
@@ -103,7 +103,7 @@ class DoctorTest(unittest.TestCase):
         for line in examination.lines[:-1]:
             self.assertRegex(line, r"^(ok  |warn|bad )  \S+ +\S", shown)
             levels.append(line[:4].strip())
-            self.assertEqual(" | cure: " in line, levels[-1] != OK, line)
+            self.assertEqual(" | remedy: " in line, levels[-1] != OK, line)
         counts = ", ".join(f"{levels.count(level)} {level}" for level in (BAD, WARN, OK) if level in levels)
         self.assertTrue(examination.lines[-1].startswith(f"{counts}: "), shown)
         self.assertEqual(examination.code, max(CODES[level] for level in levels), shown)
@@ -306,8 +306,8 @@ class BrokenSetUps(DoctorTest):
         self.addCleanup(os.close, near)
         self.addCleanup(os.close, far)
         examination = examine("--port", os.ttyname(far), PYTHONPATH=path)
-        for name, cure in (("serial", "python3-serial"), ("smbus2", "python3-smbus2"), ("rospy", "rospy")):
-            self.check(examination, "versions", BAD, f"{name} can't be imported", cure)
+        for name, remedy in (("serial", "python3-serial"), ("smbus2", "python3-smbus2"), ("rospy", "rospy")):
+            self.check(examination, "versions", BAD, f"{name} can't be imported", remedy)
         self.check(examination, "parameters", BAD, "can't be imported")
         self.check(examination, "port", BAD, "the doctor couldn't look at it")
         self.check(examination, "master", OK)
@@ -339,7 +339,7 @@ class OnATerminal(DoctorTest):
         for columns in (80, 120):
             shown = self.show(columns)
             self.assertIn("\033[1;31mbad \033[0m  port", shown)
-            self.assertRegex(shown, "\n {18}cure: ")
+            self.assertRegex(shown, "\n {18}remedy: ")
             plain = re.sub("\033\\[[0-9;]*m", "", shown)
             self.assertNotIn("\033", plain)
             self.assertLessEqual(max(map(len, plain.split("\n"))), columns)

@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
-from car_interface.interlock.motion_interlock import read_permission
+from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.nodes import (
     car_display,
     car_sim,
@@ -48,7 +48,7 @@ settings.load_profile("fuzz")
 
 MESSAGES = 1500  # to each topic, beside the warm-up
 WARM_UP = 500
-MOST_GROWTH = 50_000  # bytes over MESSAGES: a leak of 34 bytes a message shows
+MAX_GROWTH = 50_000  # bytes over MESSAGES: a leak of 34 bytes a message shows
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "config")
 PORT = f"/tmp/car_interface_fuzz_{os.getpid()}"
 
@@ -101,7 +101,7 @@ READERS = {
     "measurements": (read_measurements, lambda: {
         name: value for name, value in {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml")}.items()
         if name not in MEASURED_ELSEWHERE}),
-    "permission": (read_permission,
+    "permission": (read_interlock,
                    lambda: {"human_timeout": 0.5, "e_stop_timeout": 1.0, "e_stop_required": False,
                             "grant_at_start": False}),
     "car_sim": (car_sim.read_config, lambda: {
@@ -262,7 +262,7 @@ class FuzzTest(unittest.TestCase):
             gc.collect()
             growth = tracemalloc.get_traced_memory()[0] - before
             print(f"{name}: {MESSAGES} messages to each of {len(built.topics)} topics, memory grew by {growth} bytes")
-            self.assertLess(growth, MOST_GROWTH)
+            self.assertLess(growth, MAX_GROWTH)
         finally:
             tracemalloc.stop()
             built.end()
@@ -297,7 +297,7 @@ class FuzzTest(unittest.TestCase):
             gc.collect()
             growth = tracemalloc.get_traced_memory()[0] - before
             print(f"teensy_sensor_hub: 1000 reads of noise, memory grew by {growth} bytes")
-            self.assertLess(growth, MOST_GROWTH)
+            self.assertLess(growth, MAX_GROWTH)
         finally:
             tracemalloc.stop()
             built.end()

@@ -46,7 +46,7 @@ class AnInbox(unittest.TestCase):
 
     def take(self):
         """What a node's thread does."""
-        for handler, item, arrival_ns in self.inbox.take():
+        for handler, item, arrival_ns in self.inbox.drain():
             handler(item, arrival_ns)
         return self.taken
 

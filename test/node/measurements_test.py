@@ -62,13 +62,13 @@ class MeasurementsTest(unittest.TestCase):
         self.hold(CENTER, NEUTRAL)
         self.truth.wait_for(lambda truth: truth.twist.twist.linear.x == 0.0, self.truth.mark())
 
-    def drive(self, steering, esc, way_m):
+    def drive(self, steering, esc, distance_m):
         """Go so far, then stand still; how far that was in all."""
         mark = self.truth.mark()
         start = self.truth.wait_for(lambda _: True, mark).what.pose.pose.position
         self.hold(steering, esc)
         self.truth.wait_for(lambda truth: math.hypot(
-            truth.pose.pose.position.x - start.x, truth.pose.pose.position.y - start.y) > way_m, mark)
+            truth.pose.pose.position.x - start.x, truth.pose.pose.position.y - start.y) > distance_m, mark)
         self.stop()
         positions = [truth.pose.pose.position for truth in self.truth.since(mark)]
         return sum(math.hypot(b.x - a.x, b.y - a.y) for a, b in zip(positions, positions[1:]))
@@ -86,17 +86,17 @@ class MeasurementsTest(unittest.TestCase):
         return self.odom.since(-1)[-1], self.truth.since(-1)[-1]
 
     def test_odometry_is_where_the_car_is(self):
-        way_m = self.drive(CENTER, FORWARD, 1.5)
-        way_m += self.drive(LEFT, FORWARD, 3.0)
-        way_m += self.drive(LEFT, REVERSE, 1.0)
+        distance_m = self.drive(CENTER, FORWARD, 1.5)
+        distance_m += self.drive(LEFT, FORWARD, 3.0)
+        distance_m += self.drive(LEFT, REVERSE, 1.0)
         odom, truth = self.at_rest()
         self.assertEqual((odom.header.frame_id, odom.child_frame_id), ("odom", "base_link"))
         seen, real = odom.pose.pose.position, truth.pose.pose.position
-        self.assertLess(math.hypot(seen.x - real.x, seen.y - real.y), 0.01 * way_m + 0.02)
+        self.assertLess(math.hypot(seen.x - real.x, seen.y - real.y), 0.01 * distance_m + 0.02)
         self.assertLess(abs(math.remainder(yaw_of(odom.pose.pose) - yaw_of(truth.pose.pose), 2 * math.pi)), 0.035)
         sigma_m = math.sqrt(odom.pose.covariance[0] + odom.pose.covariance[7])
         self.assertGreater(sigma_m, 0)
-        self.assertLess(sigma_m, 0.1 * way_m)
+        self.assertLess(sigma_m, 0.1 * distance_m)
 
     def test_pose_belongs_to_its_stamp(self):
         mark = self.odom.mark()

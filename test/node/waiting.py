@@ -32,7 +32,7 @@ PATIENCE_S = 15.0  # a machine with other work to do; a test that passes waits f
 POLL_S = 0.005
 
 
-class Heard(NamedTuple):
+class Received(NamedTuple):
     """One message, or one line of a process, and when it arrived on the monotonic clock."""
 
     at_s: float
@@ -44,13 +44,13 @@ class Record:
 
     def __init__(self, name: str):
         self.name = name
-        self._heard: list[Heard] = []
+        self._heard: list[Received] = []
         self._grown = threading.Condition()
 
     def add(self, what) -> None:
         """Take one more."""
         with self._grown:
-            self._heard.append(Heard(time.monotonic(), what))
+            self._heard.append(Received(time.monotonic(), what))
             self._grown.notify_all()
 
     def mark(self) -> int:
@@ -61,11 +61,11 @@ class Record:
         """What arrived from ``mark`` on."""
         return [heard.what for heard in self._heard[mark:]]
 
-    def heard_since(self, mark: int = 0) -> list[Heard]:
+    def heard_since(self, mark: int = 0) -> list[Received]:
         """The same, with the times."""
         return self._heard[mark:]
 
-    def wait_for(self, wanted: Callable[[Any], bool], since: int = 0, within_s: float = PATIENCE_S) -> Heard:
+    def wait_for(self, wanted: Callable[[Any], bool], since: int = 0, within_s: float = PATIENCE_S) -> Received:
         """The first from ``since`` on that is ``wanted``.
 
         Raises:

@@ -67,7 +67,7 @@ def keys_of_imports(paths: list[Path]) -> set[str]:
                 found.update(alias.name.split(".")[0] for alias in node.names)
             elif isinstance(node, ast.ImportFrom) and node.level == 0:
                 found.add((node.module or "").split(".")[0])
-    ours = {"car_interface"} | {path.stem for path in paths}
+    ours = {"car_interface"} | {path.stem for path in paths} | {path.parent.name for path in paths}
     return {KEYS.get(name, name) for name in found - ours if not is_standard(name)}
 
 

@@ -13,7 +13,7 @@ import numpy as np
 STEP_S = 0.02  # of the scale on which delays are tried
 BINS = 60
 COARSE_S, FINE_S = 0.04, 0.01
-LEAST_SAMPLES = 200
+MIN_SAMPLES = 200
 
 
 class Delay(NamedTuple):
@@ -53,20 +53,20 @@ def lagged(value: np.ndarray, step_s: float, lag_s: float) -> np.ndarray:
 
 
 def estimate(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effect: np.ndarray, weight: np.ndarray,
-             longest_delay_s: float = 0.4, longest_lag_s: float = 0.4) -> Delay | None:
+             max_delay_s: float = 0.4, max_lag_s: float = 0.4) -> Delay | None:
     """Find delay and lag.
 
     Args:
         cause_s, cause: held until the next sample.
         effect_s, effect: samples at rising times, as noisy as they are; gaps don't matter.
         weight: of each sample of the effect; 0 = don't look.
-        longest_delay_s, longest_lag_s: what is tried.
+        max_delay_s, max_lag_s: what is tried.
 
     Returns:
         ``None`` where there are too few samples, or where the cause explains next to nothing.
     """
     used = (weight > 0) & np.isfinite(effect) & (effect_s >= cause_s[0]) if len(cause_s) else np.zeros(0, bool)
-    if used.sum() < LEAST_SAMPLES or np.ptp(cause) == 0:
+    if used.sum() < MIN_SAMPLES or np.ptp(cause) == 0:
         return None
     at_s, y, w = effect_s[used], effect[used], weight[used]
     grid_s = np.arange(cause_s[0], at_s[-1] + STEP_S, STEP_S)
@@ -82,7 +82,7 @@ def estimate(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effec
         return _scatter(np.interp(at_s - delay_s, grid_s, lagged_by[lag_s]), y, w)
 
     tried = [(left_over(delay_s, lag_s), delay_s, lag_s)
-             for delay_s in _steps(0.0, longest_delay_s, COARSE_S) for lag_s in _steps(0.0, longest_lag_s, COARSE_S)]
+             for delay_s in _steps(0.0, max_delay_s, COARSE_S) for lag_s in _steps(0.0, max_lag_s, COARSE_S)]
     _, delay_s, lag_s = min(tried)
     tried = [(left_over(d, lag), d, lag)
              for d in _steps(max(0.0, delay_s - COARSE_S), delay_s + COARSE_S, FINE_S)

@@ -45,13 +45,13 @@ from car_interface.steering.params import load_steering
 
 BASE = "config/turn_arb.yaml"
 AXIS, LEFT_TABLE, RIGHT_TABLE = "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo"
-LEAST_PULSE, LONGEST_PULSE = 1638, 8192  # duties that a servo takes for a command: 0.5 and 2.5 ms of 20
-STRETCH_S, STRETCH_LEAST_M, STRETCH_GAP_S = 1.0, 0.4, 0.3
+MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that a servo takes for a command: 0.5 and 2.5 ms of 20
+BIN_S, MIN_BIN_M, MAX_BIN_GAP_S = 1.0, 0.4, 0.3
 IMU_GAP_S = 0.1
-IMU_LEAST_SHARE = 0.95  # of a drive that an IMU must have covered to be used
+MIN_IMU_RATIO = 0.95  # of a drive that an IMU must have covered to be used
 STRAIGHT_PER_M = 0.02
 AGREES = 0.03  # so much odometry and IMU may turn apart without a word
-MOST_BREAKPOINTS = 200
+MAX_BREAKPOINTS = 200
 KEY = re.compile(r"^([A-Za-z_]\w*)\s*:")
 
 
@@ -76,7 +76,7 @@ class Calibrated(NamedTuple):
     center: float
     ends: dict  # duty, by side
     points: dict  # Breakpoints, by side
-    complaints: list[str]  # what is missing; empty = the drives support the table
+    problems: list[str]  # what is missing; empty = the drives support the table
     report: list[str]
 
 
@@ -107,9 +107,9 @@ def run(options: argparse.Namespace) -> int:
     base = load_steering(base_path)
     base_text = Path(base_path).read_text(encoding="utf-8-sig")
     done = calibrate(options, base)
-    if done.complaints and not options.force:
+    if done.problems and not options.force:
         print("\n".join(done.report))
-        raise Refused("no calibration is written: " + "; ".join(done.complaints)
+        raise Refused("no calibration is written: " + "; ".join(done.problems)
                       + ". Give that recording as well, or keep the old duties there by --force")
     text = yaml_text(done, base_text)
     try:
@@ -142,7 +142,7 @@ def calibrate(options: argparse.Namespace, base: SteeringConfig) -> Calibrated:
     _check_axis_was_driven(options.axis, curve)
     radii = widened(options.axis, WIDE_M) if options.axis else axis(curve)
     points = {side: breakpoints(curve, radii, side, config) for side in (LEFT, RIGHT)}
-    complaints = list(_complaints(curve, points))
+    problems = list(_warnings(curve, points))
     center = base.servo_center if math.isnan(curve.center) else curve.center
     ends = {LEFT: curve.left.duty, RIGHT: curve.right.duty}
     old_tables = {LEFT: base.left_duties, RIGHT: base.right_duties}
@@ -153,10 +153,10 @@ def calibrate(options: argparse.Namespace, base: SteeringConfig) -> Calibrated:
         if points[side][0].source == OLD:
             ends[side] = _outer(points[side][0].duty, old_ends[side], center)
     added = [radius for radius in radii if options.axis and radius > options.axis[-1]]
-    report = list(_report(options, loaded, curve, points, complaints, added))
+    report = list(_report(options, loaded, curve, points, problems, added))
     if disagreement:
         report.append(f"  {disagreement}?")
-    return Calibrated(curve, center, ends, points, complaints, report)
+    return Calibrated(curve, center, ends, points, problems, report)
 
 
 def load(path: str, options: argparse.Namespace, channel: int) -> Loaded:
@@ -183,14 +183,14 @@ def load(path: str, options: argparse.Namespace, channel: int) -> Loaded:
                 notes.append(f"odometry turns {abs(turned.ratio - 1):.0%} {more} than the IMU: measure track and "
                              "wheel_diameter")
     duty = found.output.duties[:, channel].astype(float)
-    is_pulse = (duty >= LEAST_PULSE) & (duty <= LONGEST_PULSE)
+    is_pulse = (duty >= MIN_PULSE) & (duty <= MAX_PULSE)
     if not is_pulse.any():
         raise Refused(f"{path}: channel {channel} of the servo board never had a servo's pulse")
-    return Loaded(Drive(odom.t_s, way_m(odom), yaw_rad, found.output.t_s, np.where(is_pulse, duty, np.nan)),
+    return Loaded(Drive(odom.t_s, distance_m(odom), yaw_rad, found.output.t_s, np.where(is_pulse, duty, np.nan)),
                   tuple(notes), found.duration_s, uses_imu, signals.trail(found))
 
 
-def way_m(odom: signals.Odom) -> np.ndarray:
+def distance_m(odom: signals.Odom) -> np.ndarray:
     """The signed way at each row of odometry: its speed's, made as long altogether as that between its places.
 
     A speed tells small steps better, and which way they go; places tell long ones better.
@@ -206,12 +206,12 @@ def way_m(odom: signals.Odom) -> np.ndarray:
 
 def _stretch(odom, way):
     """How much longer the way between places is, over every second in which the car drove."""
-    at_s = np.arange(odom.t_s[0], odom.t_s[-1], STRETCH_S)
+    at_s = np.arange(odom.t_s[0], odom.t_s[-1], BIN_S)
     x_m, y_m, yaw_rad, by_speed = (np.diff(np.interp(at_s, odom.t_s, column))
                                    for column in (odom.x_m, odom.y_m, odom.yaw_rad, way))
     half_rad = np.clip(np.abs(yaw_rad) / 2, 1e-6, 1.5)
     by_places = np.hypot(x_m, y_m) * half_rad / np.sin(half_rad)  # an arc, not its chord
-    drove = (np.abs(by_speed) > STRETCH_LEAST_M) & (np.abs(yaw_rad) < 2.0) & ~_has_gap(odom.t_s, at_s)
+    drove = (np.abs(by_speed) > MIN_BIN_M) & (np.abs(yaw_rad) < 2.0) & ~_has_gap(odom.t_s, at_s)
     if drove.sum() < 5:
         return 1.0
     ratio = by_places[drove] / np.abs(by_speed[drove])
@@ -223,7 +223,7 @@ def _stretch(odom, way):
 
 def _has_gap(t_s, at_s):
     """Which of the stretches from each moment to the next have a gap in odometry: nobody knows the way in there."""
-    before = np.flatnonzero(np.diff(t_s) > STRETCH_GAP_S)
+    before = np.flatnonzero(np.diff(t_s) > MAX_BIN_GAP_S)
     begun = np.searchsorted(t_s[before], at_s[1:])  # gaps that began before a stretch's end
     ended = np.searchsorted(t_s[before + 1], at_s[:-1], side="right")  # and those that were over at its begin
     return begun > ended
@@ -240,7 +240,7 @@ def _imu_heading(found):
     inside = (odom.t_s >= imu.t_s[0]) & (odom.t_s <= imu.t_s[-1])
     gaps = np.diff(imu.t_s) > IMU_GAP_S
     covered = np.mean(inside) - np.sum(np.diff(imu.t_s)[gaps]) / max(odom.t_s[-1] - odom.t_s[0], 1e-9)
-    if len(imu.t_s) < 100 or covered < IMU_LEAST_SHARE:
+    if len(imu.t_s) < 100 or covered < MIN_IMU_RATIO:
         return None
     steps = np.diff(imu.t_s) * (imu.yaw_rate_radps[1:] + imu.yaw_rate_radps[:-1]) / 2
     turned = np.interp(odom.t_s, imu.t_s, np.concatenate([[0.0], np.cumsum(steps)]))
@@ -273,8 +273,8 @@ def _radii(text):
     except ValueError as error:
         like = "in m, with commas between them, like 0.7,1,2,5,20,100,300"
         raise argparse.ArgumentTypeError(f"{error} ({like})") from error
-    if radii[0] <= 0 or len(radii) > MOST_BREAKPOINTS:
-        raise argparse.ArgumentTypeError(f"accepted: at most {MOST_BREAKPOINTS} radii above 0 m")
+    if radii[0] <= 0 or len(radii) > MAX_BREAKPOINTS:
+        raise argparse.ArgumentTypeError(f"accepted: at most {MAX_BREAKPOINTS} radii above 0 m")
     return radii
 
 
@@ -293,7 +293,7 @@ def _outer(duty, other, center):
 # --- in words ---
 
 
-def _complaints(curve: Curve, points) -> Iterator[str]:
+def _warnings(curve: Curve, points) -> Iterator[str]:
     if math.isnan(curve.center):
         yield "the car never went straight, nor to both sides: drive straight on for some seconds, three times"
     elif fitting.BAND * float(np.interp(curve.center, curve.duties, curve.sigmas)) > FitConfig().known_per_m:
@@ -352,10 +352,10 @@ def _gap(curve, side, table, first, last):
             f"duties from {duties[0]:.0f} to {duties[1]:.0f}, come to from both sides")
 
 
-def _report(options, loaded: Sequence[Loaded], curve: Curve, points, complaints,
+def _report(options, loaded: Sequence[Loaded], curve: Curve, points, problems,
             added: Sequence[float]) -> Iterator[str]:
     kept = curve.kept
-    way = curve.pieces.way_m[kept].sum()
+    way = curve.pieces.distance_m[kept].sum()
     band = fitting.BAND
     yield (f"steering by {', '.join(Path(bag).name for bag in options.bags)}: "
            f"{sum(one.duration_s for one in loaded):.0f} s, {kept.sum()} pieces of steady steering, {way:.0f} m in them"
@@ -366,7 +366,7 @@ def _report(options, loaded: Sequence[Loaded], curve: Curve, points, complaints,
     left_out = ", ".join(f"{count} {reason}" for reason, count in curve.counts.items() if count)
     yield f"  left out (stretches): {left_out or 'none'}"
     yield (f"  the servo follows after {curve.delay.delay_s:.2f} s, with a lag of {curve.delay.lag_s:.2f} s; play in "
-           f"the steering: {curve.play_duty:.0f} ± {band * curve.play_sigma:.0f} duty")
+           f"the steering: {curve.backlash_duty:.0f} ± {band * curve.backlash_sigma:.0f} duty")
     off = np.abs(curve.pieces.curvature_per_m - curve.pieces.weights @ _at_knots(curve))[kept]
     yield f"  pieces lie off the curve by {np.median(off):.4f} 1/m (median), {np.percentile(off, 95):.4f} (95 %)"
     if not math.isnan(curve.center):
@@ -383,8 +383,8 @@ def _report(options, loaded: Sequence[Loaded], curve: Curve, points, complaints,
         yield f"  {left.radius_m:6g} m  {_cells(left)}   {_cells(right)}"
     yield "  (±: two standard errors; pieces: driven about as tight; e: the end, no tighter turn can be had;"
     yield "  *: nothing was driven)"
-    for complaint in complaints:
-        yield f"  missing: {complaint}"
+    for problem in problems:
+        yield f"  missing: {problem}"
 
 
 def _at_knots(curve):
@@ -404,7 +404,7 @@ def _cells(point: Breakpoint):
     mark = " " if point.source == DRIVEN else "e"
     share = min(9.99, fitting.BAND * point.radius_sigma_m / point.radius_m)
     return (f"{point.duty:8.0f}{mark} {min(9999, fitting.BAND * point.duty_sigma):5.0f} {share:8.1%} {point.pieces:7d} "
-            f"{point.way_m:6.0f}")
+            f"{point.distance_m:6.0f}")
 
 
 # --- the file ---

@@ -34,7 +34,7 @@ VALUE_TOPIC = "generic/output/value"
 ESC_CHANNEL, ESC_NEUTRAL = 1, 4915  # as config/throttle.yaml has them
 DUTY = "duty:"
 PULSES, ODOM, IMU = "pulses", "odom", "imu"
-SHORTEST_DUTY, LONGEST_DUTY = 1638, 8192  # 0.5 and 2.5 ms: an ESC takes anything beyond for no pulse
+SHORTEST_DUTY, MAX_PULSE_DUTY = 1638, 8192  # 0.5 and 2.5 ms: an ESC takes anything beyond for no pulse
 VALUE_SILENT_S, DUTY_SILENT_S = 0.5, 1.2  # a duty is repeated only now and then
 COUNT = 16  # of duty: what the servo board can tell apart
 THROTTLE = "config/throttle.yaml"
@@ -42,7 +42,7 @@ SETTLED_S = 0.15  # from a value to its duty on the board
 CALIBRATED_PULSES = 200  # so many tell how long one is
 GAP_S = 0.3  # odometry comes at least every 0.2 s
 WORST_HELD_OUT_MPS2 = 0.5
-LEAST_SHARE = 0.25  # of a map that the drives themselves state
+MIN_RATIO = 0.25  # of a map that the drives themselves state
 SYMBOLS = {tables.DRIVEN: "#", tables.BETWEEN: "+", tables.OLD: "o", tables.MOVED: "m"}
 
 
@@ -77,7 +77,7 @@ class Calibrated(NamedTuple):
 
     table: tables.Table
     fit: fitting.Fit
-    complaints: list[str]  # why it should not be written; empty = it may be
+    problems: list[str]  # why it should not be written; empty = it may be
     text: str  # the report
 
 
@@ -126,9 +126,9 @@ def run(options: argparse.Namespace) -> int:
     for path in beside:
         output.check(path, options.bags)
     done = calibrate(options)
-    if done.complaints and not options.force:
+    if done.problems and not options.force:
         print(done.text)
-        raise Refused("no map is written: " + "; ".join(done.complaints) + ". Drive what is missing, or --force it")
+        raise Refused("no map is written: " + "; ".join(done.problems) + ". Drive what is missing, or --force it")
     text = csv_text(done.table)
     output.check_content(options.output, text, load_value_map)
     written = {options.output: output.write(options.output, text, keeps_old=True)}
@@ -163,8 +163,8 @@ def calibrate(options: argparse.Namespace) -> Calibrated:
     signals.check_apart([one.trail for one in loaded])
     drives = [one.drive for one in loaded]
     config = fitting.FitConfig(
-        window=WindowConfig(slowest_mps=options.min_speed, most_curvature_per_m=options.max_curvature,
-                            most_lateral_mps2=options.max_lateral),
+        window=WindowConfig(slowest_mps=options.min_speed, max_curvature_per_m=options.max_curvature,
+                            max_lateral_mps2=options.max_lateral),
         neutral=neutral, value_silent_s=DUTY_SILENT_S if _is_duty(options) else VALUE_SILENT_S,
         delay_s=options.delay, from_imu=options.acceleration == IMU)
     try:
@@ -176,8 +176,8 @@ def calibrate(options: argparse.Namespace) -> Calibrated:
         print(_coverage(fit, None))
         raise Refused(f"no map is written: {', '.join(options.bags)} support no two values at the same two velocities; "
                       "drive longer, with throttle and brake of several strengths")
-    complaints = list(_complaints(fit, table))
-    return Calibrated(table, fit, complaints, "\n".join(_report(options, loaded, esc, fit, table, complaints)))
+    problems = list(_warnings(fit, table))
+    return Calibrated(table, fit, problems, "\n".join(_report(options, loaded, esc, fit, table, problems)))
 
 
 def load(path: str, options: argparse.Namespace, esc: Values | None = None) -> Loaded:
@@ -196,14 +196,14 @@ def load(path: str, options: argparse.Namespace, esc: Values | None = None) -> L
     found = signals.load(path, wanted, optional=optional, namespace=options.namespace, odom=options.odom,
                          imu=options.imu, value=options.value, progress=len(options.bags) == 1 or options.jobs == 1)
     speed, notes = Series(found.odom.t_s, found.odom.speed_mps), found.notes
-    wheels = wheel_ways(found.pulses or (), speed)
+    wheels = wheel_distances(found.pulses or (), speed)
     if options.acceleration == PULSES and not wheels:
         raise NoRecording(f"{path} has too few pulses of the wheels on {signals.WHEEL_TOPIC}: "
                           f"try --acceleration {ODOM}")
     driven = None
     if esc:
         duty = found.output.duties[:, _channel(options)]
-        is_pulse = (duty >= SHORTEST_DUTY) & (duty <= LONGEST_DUTY)
+        is_pulse = (duty >= SHORTEST_DUTY) & (duty <= MAX_PULSE_DUTY)
         value = Series(found.output.t_s, np.where(is_pulse, esc(duty), np.nan))
         notes += _beyond(value, is_pulse, esc)
     else:
@@ -242,7 +242,7 @@ def load_values(path: str) -> Values:
     return Values(of_duty, of_duty(neutral), path)
 
 
-def wheel_ways(pulses: Sequence, speed: Series) -> tuple[Series, ...]:
+def wheel_distances(pulses: Sequence, speed: Series) -> tuple[Series, ...]:
     """The wheels' ways out of their pulses; how long a pulse is, is what odometry makes of it.
 
     Returns:
@@ -251,7 +251,7 @@ def wheel_ways(pulses: Sequence, speed: Series) -> tuple[Series, ...]:
     if len(pulses) != 2 or speed.t_s.size < 2:
         return ()
     steps_s = np.diff(speed.t_s)
-    way_m = np.concatenate(([0.0], np.cumsum(steps_s * (speed.y[1:] + speed.y[:-1]) / 2)))
+    distance_m = np.concatenate(([0.0], np.cumsum(steps_s * (speed.y[1:] + speed.y[:-1]) / 2)))
     unknown_s = np.concatenate(([0.0], np.cumsum(np.where(steps_s > GAP_S, steps_s, 0.0))))
     ways = []
     for wheel in pulses:
@@ -266,7 +266,7 @@ def wheel_ways(pulses: Sequence, speed: Series) -> tuple[Series, ...]:
     for way in ways:
         # How far it rolled while nothing was recorded of its speed nobody knows; its pulses count on meanwhile.
         known = np.diff(np.interp(way.t_s, speed.t_s, unknown_s)) == 0
-        rolled_m += np.abs(np.diff(np.interp(way.t_s, speed.t_s, way_m)))[known].sum()
+        rolled_m += np.abs(np.diff(np.interp(way.t_s, speed.t_s, distance_m)))[known].sum()
         counted += np.abs(np.diff(way.y))[known].sum()
     if rolled_m <= 0 or counted < CALIBRATED_PULSES:
         return ()
@@ -295,7 +295,7 @@ def csv_text(table: tables.Table) -> str:
 
 # --- words ---
 
-def _report(options, loaded, esc, fit, table, complaints):
+def _report(options, loaded, esc, fit, table, problems):
     """The report's lines."""
     drives = [one.drive for one in loaded]
     yield f"A value map from {', '.join(drive.name for drive in drives)}"
@@ -346,9 +346,9 @@ def _report(options, loaded, esc, fit, table, complaints):
     yield ""
     yield "seconds of driving"
     yield from _grid(fit.values, fit.velocities, fit.seconds, "{:.1f}")
-    if complaints:
+    if problems:
         yield ""
-        yield from (f"not good enough: {complaint}" for complaint in complaints)
+        yield from (f"not good enough: {problem}" for problem in problems)
 
 
 def _beyond(value, is_pulse, esc):
@@ -407,12 +407,12 @@ def _missing(fit):
                 _number(run[0]) + (f" to {_number(run[-1])}" if run.size > 1 else "") for run in runs) + " m/s"
 
 
-def _complaints(fit, table):
+def _warnings(fit, table):
     """Why the map should not be written."""
-    if min(table.accelerations.shape) < tables.LEAST_NODES:
+    if min(table.accelerations.shape) < tables.MIN_NODES:
         yield (f"the drives support only {table.values.size} values at {table.velocities.size} velocities, "
-               f"less than {tables.LEAST_NODES} each")
-    if table.share() < LEAST_SHARE:
+               f"less than {tables.MIN_NODES} each")
+    if table.share() < MIN_RATIO:
         yield f"the drives tell only {100 * table.share():.0f} % of the map, the rest is the prior's"
     if fit.held_out_mps2 > WORST_HELD_OUT_MPS2:
         yield (f"it misses what was held out by {fit.held_out_mps2:.2f} m/s² RMS: something else than value and "
@@ -422,7 +422,7 @@ def _complaints(fit, table):
 def _level_rows(table):
     """The values around neutral between which acceleration rises no more than it must."""
     steps = np.median(np.diff(table.accelerations, axis=0), axis=1)
-    level = np.flatnonzero(steps <= 2 * fitting.LEAST_STEP_MPS2)
+    level = np.flatnonzero(steps <= 2 * fitting.MIN_STEP_MPS2)
     return (table.values[level[0]], table.values[level[-1] + 1]) if level.size else None
 
 

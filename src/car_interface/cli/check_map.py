@@ -22,7 +22,7 @@ STEERING_SUFFIXES = (".yaml", ".yml")
 PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
 COUNT = 16  # of duty: what the servo board can tell apart
 BAR = 24  # characters to each side
-MOST_COLUMNS, MOST_ROWS = 11, 21
+MAX_COLUMNS, MAX_ROWS = 11, 21
 LIMITS = ConversionConfig()  # of a generic_value_converter that isn't told otherwise
 LEVEL_MPS2 = 0.005  # a rise by less may be none at all in a CSV with two decimals
 PLAIN = "\033[0m"
@@ -119,7 +119,7 @@ def steering_notes(config: SteeringConfig) -> Iterator[str]:
 
 def map_picture(table: ValueMap, colour: bool = False) -> list[str]:
     """Its accelerations as lines of text: value upwards, velocity to the right; of a large map every so many."""
-    rows, columns = _some(table.values, MOST_ROWS), _some(table.velocities, MOST_COLUMNS)
+    rows, columns = _some(table.values, MAX_ROWS), _some(table.velocities, MAX_COLUMNS)
     cells = [[table.acceleration_at(value, velocity) for velocity in columns] for value in rows]
     largest = max(max(map(abs, row)) for row in cells) or 1.0
     values, velocities = table.values, table.velocities

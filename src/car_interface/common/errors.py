@@ -40,14 +40,14 @@ class DeviceError(CarInterfaceError):
     Args:
         what: the device, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
         cause: what went wrong, in words.
-        cure: what its owner can do or type next.
+        remedy: what its owner can do or type next.
     """
 
-    def __init__(self, what, cause, cure):
+    def __init__(self, what, cause, remedy):
         self.what = what
         self.cause = cause
-        self.cure = cure
-        super().__init__(f"{what}: {cause}. {cure}")
+        self.remedy = remedy
+        super().__init__(f"{what}: {cause}. {remedy}")
 
 
 def _shorten(value, limit=80):

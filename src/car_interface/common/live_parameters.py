@@ -12,7 +12,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.servo_channels import MAX_DUTY
 
 NS_PER_S = 1_000_000_000
-LONGEST_STEP_NS = 50_000_000  # a node that was held up must not make up for it by a jump
+MAX_STEP_NS = 50_000_000  # a node that was held up must not make up for it by a jump
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Answer(NamedTuple):
     """What became of a request."""
 
     values: Mapping[str, int]  # what is accepted by now
-    complaint: str = ""  # what of the request wasn't, and why
+    problem: str = ""  # what of the request wasn't, and why
 
 
 class Tuning:
@@ -79,7 +79,7 @@ class Tuning:
 
         Names that aren't tuned are ignored, and so are those that are missing.
         """
-        complaints = []
+        problems = []
         values = dict(self.accepted)
         for name in values:
             value = wanted.get(name, values[name])
@@ -87,7 +87,7 @@ class Tuning:
                 return Answer(self.accepted, f"{name} {value!r} is no duty: refused")
             values[name] = max(self.low[name], min(self.high[name], value))
             if values[name] != value:
-                complaints.append(f"{name} {value} is beyond {self.low[name]} to {self.high[name]}: clamped to "
+                problems.append(f"{name} {value} is beyond {self.low[name]} to {self.high[name]}: clamped to "
                                   f"{values[name]}")
         try:
             self._check(values)
@@ -96,13 +96,13 @@ class Tuning:
         if values != self.accepted:
             self.accepted, self._from = values, self.in_force
             self._gone_ns, self._stepped_ns = 0, now_ns
-        return Answer(self.accepted, "; ".join(complaints))
+        return Answer(self.accepted, "; ".join(problems))
 
     def advance(self, now_ns: int) -> bool:
         """Go on towards what was accepted; whether the values in force are others now."""
         if not self.moving:
             return False
-        self._gone_ns += max(0, min(now_ns - self._stepped_ns, LONGEST_STEP_NS))
+        self._gone_ns += max(0, min(now_ns - self._stepped_ns, MAX_STEP_NS))
         self._stepped_ns = max(now_ns, self._stepped_ns)
         longest = max(abs(value - self._from[name]) for name, value in self.accepted.items())
         whole_ns = round(longest * NS_PER_S / self._rate)

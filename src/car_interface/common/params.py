@@ -24,27 +24,29 @@ class Params:
 
     Args:
         private: what the namespace holds, as rospy returns it: nested dicts for names with a slash.
-        outward: looks up a name that the private namespace lacks in the namespaces around it; None when there is none.
+        search_parents: looks up a name that the private namespace lacks in the namespaces around it; None when there is
+            none.
     """
 
-    def __init__(self, private: dict[str, Any] | None, outward: Callable[[str], Any] = lambda name: None):
+    def __init__(self, private: dict[str, Any] | None, search_parents: Callable[[str], Any] = lambda name: None):
         self._values = _flatten(private or {})
-        self._outward = outward
+        self._outward = search_parents
         self._asked: set = set()
 
-    def number(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, above=None, outward=False) -> float:
+    def number(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, above=None,
+               search_parents=False) -> float:
         """A finite number from ``low`` to ``high``, or greater than ``above``."""
         accepted = "a number" + _range_text(low, high, above)
-        return self._scalar(name, default, outward, lambda value: _number(value, low, high, above), accepted)
+        return self._scalar(name, default, search_parents, lambda value: _number(value, low, high, above), accepted)
 
-    def integer(self, name: str, default=REQUIRED, low=-2 ** 31, high=2 ** 31 - 1, outward=False) -> int:
+    def integer(self, name: str, default=REQUIRED, low=-2 ** 31, high=2 ** 31 - 1, search_parents=False) -> int:
         """An integer from ``low`` to ``high``, or the default, which may be ``None``."""
         accepted = "an integer" + _range_text(low, high)
-        return self._scalar(name, default, outward, lambda value: _integer(value, low, high), accepted)
+        return self._scalar(name, default, search_parents, lambda value: _integer(value, low, high), accepted)
 
-    def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, outward=False) -> list[float]:
+    def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, search_parents=False) -> list[float]:
         """A list of finite numbers from ``low`` to ``high``."""
-        return self._list(name, default, outward, lambda value: _number(value, low, high, None),
+        return self._list(name, default, search_parents, lambda value: _number(value, low, high, None),
                           "a number" + _range_text(low, high))
 
     def integers(self, name: str, length: int, default: int, low: int, high: int) -> list[int]:
@@ -104,21 +106,21 @@ class Params:
             raise ConfigError(f"unknown parameter {unknown[0]}", self._values[unknown[0]],
                               "only " + ", ".join(sorted(self._asked)))
 
-    def _scalar(self, name, default, outward, read, accepted):
-        value = self._get(name, default, outward, accepted)
+    def _scalar(self, name, default, search_parents, read, accepted):
+        value = self._get(name, default, search_parents, accepted)
         return None if value is None else self._checked(name, value, read, accepted)
 
-    def _list(self, name, default, outward, read, element):
+    def _list(self, name, default, search_parents, read, element):
         accepted = f"a list, each {element}"
-        value = self._get(name, default, outward, accepted)
+        value = self._get(name, default, search_parents, accepted)
         if not isinstance(value, (list, tuple)):
             raise ConfigError(name, value, accepted)
         return [self._checked(f"{name}[{index}]", x, read, element) for index, x in enumerate(value)]
 
-    def _get(self, name, default, outward, accepted=""):
+    def _get(self, name, default, search_parents, accepted=""):
         self._asked.add(name)
         value = self._values.get(name)
-        if value is None and outward:
+        if value is None and search_parents:
             value = self._outward(name)
         if value is None:
             value = default

@@ -10,7 +10,7 @@ NS_PER_S = 1_000_000_000
 DROPPED = "messages were dropped"  # before a node took them: one of them may have said what counts
 
 
-class Heard:
+class TimedInput:
     """The newest value of one input and its age.
 
     Args:
@@ -25,7 +25,7 @@ class Heard:
         self._at_ns = None
         self.is_marked_stale = False
 
-    def hear(self, value, now_ns: int) -> None:
+    def update(self, value, now_ns: int) -> None:
         """Take ``value`` as the newest, arrived at ``now_ns``."""
         self.value = value
         self._at_ns = now_ns
@@ -33,14 +33,14 @@ class Heard:
 
     def mark_stale(self) -> None:
         """Messages were dropped, and its newest may be one of them: it is silent, whatever its timeout, until heard."""
-        self.is_marked_stale = self.was_heard
+        self.is_marked_stale = self.was_received
 
     @property
-    def was_heard(self) -> bool:
+    def was_received(self) -> bool:
         """Whether anything ever arrived."""
         return self._at_ns is not None
 
-    def is_silent(self, now_ns: int) -> bool:
+    def is_stale(self, now_ns: int) -> bool:
         """Whether it was never heard, not for longer than its timeout, or not since it was marked stale."""
         return self._at_ns is None or self.is_marked_stale or now_ns - self._at_ns > self._timeout_ns
 
@@ -48,9 +48,9 @@ class Heard:
         """Seconds since it was heard; inf = never."""
         return math.inf if self._at_ns is None else max(0, now_ns - self._at_ns) / NS_PER_S
 
-    def silence(self, now_ns: int) -> str:
+    def stale_reason(self, now_ns: int) -> str:
         """Its silence in words, for a reason: ``human_in_loop silent for 0.52 s``."""
-        if not self.was_heard:
+        if not self.was_received:
             return f"{self.name} was never heard"
         if self.is_marked_stale:
             return f"{self.name} was not heard since {DROPPED}"

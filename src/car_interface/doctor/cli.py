@@ -1,6 +1,6 @@
 """rosrun car_interface doctor: what is wrong with this car, and what to do about it.
 
-It looks at this computer, the devices, the master and the nodes; each line is ok, warn or bad, with the cure, and the
+It looks at this computer, the devices, the master and the nodes; each line is ok, warn or bad, with the remedy, and the
 exit code is the worst of them: 0, 1 or 2. It changes nothing, needs neither a master nor hardware, and leaves devices
 alone that a node or another program uses.
 
@@ -25,8 +25,8 @@ from car_interface.doctor.checks.board import ADDRESSES
 from car_interface.doctor.checks.car import Node, check_diagnostics, check_nodes, check_parameters, check_steering
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding, render, summarise, worst
 from car_interface.doctor.checks.port import check_link
-from car_interface.doctor.probes.computer import look_at_clock, look_at_groups, look_at_network, look_at_versions
-from car_interface.doctor.probes.devices import is_pseudo_terminal, look_at_board, look_at_port
+from car_interface.doctor.probes.computer import probe_clock, probe_groups, probe_network, probe_versions
+from car_interface.doctor.probes.devices import is_pseudo_terminal, probe_board, probe_port
 from car_interface.doctor.probes.master import NODES, Master, read_parameters
 from car_interface.pca9685.registers import prescale_for
 from car_interface.teensy.link.health import LINK_REPORT
@@ -172,20 +172,20 @@ def examine(options: argparse.Namespace) -> Iterator[Finding]:
     """All findings, in the order in which they're best cured."""
     uri = os.environ.get("ROS_MASTER_URI", "")
     master = Master(uri)
-    versions = Task("versions", look_at_versions)
-    network = Task("master", look_at_network, uri, master.trouble)
+    versions = Task("versions", probe_versions)
+    network = Task("master", probe_network, uri, master.trouble)
     (of_master, of_address, is_there), trouble = _or(network.wait(time.monotonic() + NETWORK_S), ([], [], False))
     car, survey_trouble = Task("nodes", survey, master if is_there else None, options).wait(time.monotonic() + SURVEY_S)
     if car is None:
         is_there, car = False, survey(None, options)
     deadline_s = time.monotonic() + LOOK_S
     virtual_port, virtual_bus = is_pseudo_terminal(car.port), car.bus == VIRTUAL
-    groups = Task("groups", look_at_groups, car.port, car.bus, virtual_port, virtual_bus)
-    clock = Task("clock", look_at_clock, car.uses_sim_time)
+    groups = Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus)
+    clock = Task("clock", probe_clock, car.uses_sim_time)
     parameters = Task("parameters", _read_all, master, car) if is_there else None
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
-    port = None if hub else Task("port", look_at_port, car.port, car.baud)
-    board = None if virtual_bus else Task("bus", look_at_board, car.bus, car.address, car.prescale,
+    port = None if hub else Task("port", probe_port, car.port, car.baud)
+    board = None if virtual_bus else Task("bus", probe_board, car.bus, car.address, car.prescale,
                                           car.runs("pca9685") is not None, car.oscillator_hz)
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
     topics = Task("topics", _listen, car, hub, reporting) if reporting else None

@@ -1,7 +1,7 @@
 """Whether the car may move at all: the lock and the human.
 
 Consumes the emergency stop and the deadman, each with its arrival on the monotonic clock, and answers with a
-``Refusal`` or none. Steering and throttle each ask one of these, so that they stop together and neither relies on the
+``Inhibit`` or none. Steering and throttle each ask one of these, so that they stop together and neither relies on the
 other.
 
 Control is granted by positive, fresh evidence only. What has been lost comes back by a deliberate act: after the
@@ -14,15 +14,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common.staleness import DROPPED, NS_PER_S, Heard
+from car_interface.common.staleness import DROPPED, NS_PER_S, TimedInput
 
 HUMAN_TIMEOUT_S = 0.5
 STARTED = "this node has just started"
-REARM = "let go once: publish false, then true"  # what brings back what was lost; in state message, log and diagnostics
+# How to re-arm, in the state message, the log and /diagnostics.
+REARM_REASON = "let go once: publish false, then true"
 
 
 @dataclass(frozen=True)
-class PermissionConfig:
+class InterlockConfig:
     """How long lock and deadman may be silent, named as the ROS parameters.
 
     Attributes:
@@ -40,15 +41,15 @@ class PermissionConfig:
     grant_at_start: bool = True
 
 
-def read_permission(params, human_timeout_s: float = HUMAN_TIMEOUT_S) -> PermissionConfig:
+def read_interlock(params, human_timeout_s: float = HUMAN_TIMEOUT_S) -> InterlockConfig:
     """The rules from ~human_timeout (with this default), ~e_stop_timeout, ~e_stop_required and ~grant_at_start."""
-    return PermissionConfig(human_timeout_s=params.timeout("human_timeout", human_timeout_s),
+    return InterlockConfig(human_timeout_s=params.timeout("human_timeout", human_timeout_s),
                             e_stop_timeout_s=params.timeout("e_stop_timeout", 1.0),
                             e_stop_required=params.flag("e_stop_required", False),
                             grant_at_start=params.flag("grant_at_start", True))
 
 
-class Refusal(NamedTuple):
+class Inhibit(NamedTuple):
     """Why the car may not move."""
 
     locked: bool  # by the emergency stop; else for want of a human
@@ -56,7 +57,7 @@ class Refusal(NamedTuple):
     reason: str
 
 
-class Permission:
+class MotionInterlock:
     """Grants or refuses, from the newest of lock and deadman.
 
     After a loss (deadman silent, the lock on, messages dropped, or the start unless ``grant_at_start``) it takes a
@@ -64,26 +65,26 @@ class Permission:
     passed in.
     """
 
-    def __init__(self, config: PermissionConfig):
+    def __init__(self, config: InterlockConfig):
         self._config = config
-        self._human = Heard("human_in_loop", config.human_timeout_s)
-        self._e_stop = Heard("e_stop", config.e_stop_timeout_s)
+        self._human = TimedInput("human_in_loop", config.human_timeout_s)
+        self._e_stop = TimedInput("e_stop", config.e_stop_timeout_s)
         self._lost = "" if config.grant_at_start else STARTED  # what was lost since the deadman was last let go
         # Why an emergency stop that is on may be unheard, and since when: its first message takes a while to come.
         self._unknown = "" if config.grant_at_start else STARTED
         self._unknown_since_ns: int | None = None
 
-    def hear_human(self, present: bool, now_ns: int) -> None:
+    def update_human(self, present: bool, now_ns: int) -> None:
         """The deadman: true while a human holds it."""
         self._note_losses(now_ns)
-        self._human.hear(bool(present), now_ns)
+        self._human.update(bool(present), now_ns)
         if not present and self._lock(now_ns) is None and not self._waits_for_e_stop(now_ns):
             self._lost = ""
 
-    def hear_e_stop(self, locked: bool, now_ns: int) -> None:
+    def update_e_stop(self, locked: bool, now_ns: int) -> None:
         """The emergency stop: true = stop, false = not now."""
         self._note_losses(now_ns)
-        self._e_stop.hear(bool(locked), now_ns)
+        self._e_stop.update(bool(locked), now_ns)
         self._note_losses(now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
@@ -93,22 +94,22 @@ class Permission:
         self._lost = self._unknown = DROPPED
         self._unknown_since_ns = now_ns
 
-    def refusal(self, now_ns: int) -> Refusal | None:
+    def inhibit(self, now_ns: int) -> Inhibit | None:
         """Why the car may not move at ``now_ns``; ``None`` when it may."""
         self._note_losses(now_ns)
         lock = self._lock(now_ns)
         if lock is not None:
             return lock
         if self._waits_for_e_stop(now_ns):
-            return Refusal(False, "starting",
+            return Inhibit(False, "starting",
                            f"{self._unknown}: it waits up to {self._config.e_stop_timeout_s:g} s for e_stop")
-        if self._human.is_silent(now_ns):
-            return Refusal(False, "human silent" if self._human.was_heard else "human never heard",
-                           self._human.silence(now_ns))
+        if self._human.is_stale(now_ns):
+            return Inhibit(False, "human silent" if self._human.was_received else "human never heard",
+                           self._human.stale_reason(now_ns))
         if not self._human.value:
-            return Refusal(False, "human absent", "human_in_loop is false")
+            return Inhibit(False, "human absent", "human_in_loop is false")
         if self._lost:
-            return Refusal(False, "not re-armed", f"{self._lost}; {REARM}")
+            return Inhibit(False, "not re-armed", f"{self._lost}; {REARM_REASON}")
         return None
 
     def human_age_s(self, now_ns: int) -> float:
@@ -120,16 +121,16 @@ class Permission:
         return self._e_stop.age_s(now_ns)
 
     def _lock(self, now_ns):
-        if not self._e_stop.was_heard:
+        if not self._e_stop.was_received:
             if self._config.e_stop_required:
-                return Refusal(True, "e_stop never heard", "e_stop was never heard, and e_stop_required is true")
+                return Inhibit(True, "e_stop never heard", "e_stop was never heard, and e_stop_required is true")
             return None
-        if self._e_stop.is_silent(now_ns):
-            return Refusal(True, "e_stop silent", self._e_stop.silence(now_ns))
-        return Refusal(True, "e_stop", "e_stop is true") if self._e_stop.value else None
+        if self._e_stop.is_stale(now_ns):
+            return Inhibit(True, "e_stop silent", self._e_stop.stale_reason(now_ns))
+        return Inhibit(True, "e_stop", "e_stop is true") if self._e_stop.value else None
 
     def _waits_for_e_stop(self, now_ns):
-        if not self._unknown or self._e_stop.was_heard:
+        if not self._unknown or self._e_stop.was_received:
             return False
         return now_ns - self._unknown_since_ns < round(self._config.e_stop_timeout_s * NS_PER_S)
 
@@ -138,5 +139,5 @@ class Permission:
             self._unknown_since_ns = now_ns
         if self._lock(now_ns) is not None:
             self._lost = DROPPED if self._e_stop.is_marked_stale else "the lock was on"
-        elif self._human.was_heard and self._human.is_silent(now_ns):
+        elif self._human.was_received and self._human.is_stale(now_ns):
             self._lost = DROPPED if self._human.is_marked_stale else "human_in_loop was silent"

@@ -25,13 +25,13 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from car_interface.common.staleness import Heard
+from car_interface.common.staleness import TimedInput
 from car_interface.msg import SteeringState
-from car_interface.ros.runtime import Heartbeat, run, subscribe
+from car_interface.ros.runtime import RateTimer, run, subscribe
 from car_interface.steering.arbiter import source_name
 
 RATE_HZ = 10
-BEATS_PER_TRAIL = 10  # a trail that didn't grow is sent once a second, for an rviz that comes late
+TICKS_PER_TRAIL = 10  # a trail that didn't grow is sent once a second, for an rviz that comes late
 COMMAND_TIMEOUT_S = 0.5
 SPACING_M = 0.05
 TRAIL_POINTS = 2000
@@ -108,10 +108,10 @@ class CarDisplay:
         self._wheel_m = config.wheel_diameter_m
         self._odom_frame, self._base_frame = config.odom_frame, config.base_frame
         self._inbox = inbox
-        self._state = Heard("turn_arb/state", COMMAND_TIMEOUT_S)
+        self._state = TimedInput("turn_arb/state", COMMAND_TIMEOUT_S)
         self._trail = Trail()
-        self._beats = 0
-        self._heartbeat = Heartbeat(RATE_HZ, time.monotonic_ns())
+        self._ticks = 0
+        self._timer = RateTimer(RATE_HZ, time.monotonic_ns())
         self._markers = rospy.Publisher("~markers", MarkerArray, queue_size=1, latch=True)
         subscribe("turn_arb/state", SteeringState, inbox, self._on_state)
         subscribe("odom", Odometry, inbox, self._on_odometry, queue_size=100)
@@ -120,30 +120,30 @@ class CarDisplay:
         """Take what arrived; draw when it's time."""
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
-        if self._heartbeat.is_due(now_ns):
+        if self._timer.is_due(now_ns):
             self._draw(now_ns)
-        return self._heartbeat.due_ns
+        return self._timer.due_ns
 
     def shut_down(self):
         """Nothing to undo."""
 
     def _on_state(self, message, now_ns):
-        self._state.hear(message, now_ns)
+        self._state.update(message, now_ns)
 
     def _on_odometry(self, message, now_ns):
         position = message.pose.pose.position
         self._trail.add(position.x, position.y)
 
     def _draw(self, now_ns):
-        state = None if self._state.is_silent(now_ns) else self._state.value
+        state = None if self._state.is_stale(now_ns) else self._state.value
         known = state is not None and abs(state.turn_radius) > 0  # nor is it NaN
         curvature_per_m = 1 / state.turn_radius if known else 0.0
         markers = [*self._body(), *self._wheels(curvature_per_m)]
         markers += self._arrow(curvature_per_m, state) if known else self._no_arrow()
-        if self._trail.grew or self._beats % BEATS_PER_TRAIL == 0:
+        if self._trail.grew or self._ticks % TICKS_PER_TRAIL == 0:
             markers.append(self._trail_marker())
             self._trail.grew = False
-        self._beats += 1
+        self._ticks += 1
         self._markers.publish(MarkerArray(markers))
 
     def _body(self):
@@ -211,11 +211,11 @@ def _lying(heading_rad):
                       lie * math.cos(half_rad))
 
 
-def _nose(way_m, curvature_per_m, nose_m):
+def _nose(distance_m, curvature_per_m, nose_m):
     """Where the nose is, and looks, when the middle of the rear axle has gone so far along its arc: x, y, heading."""
-    turned_rad = curvature_per_m * way_m
+    turned_rad = curvature_per_m * distance_m
     if abs(turned_rad) < 1e-6:
-        return way_m + nose_m, 0.0, 0.0
+        return distance_m + nose_m, 0.0, 0.0
     x_m = math.sin(turned_rad) / curvature_per_m + nose_m * math.cos(turned_rad)
     y_m = (1 - math.cos(turned_rad)) / curvature_per_m + nose_m * math.sin(turned_rad)
     return x_m, y_m, turned_rad

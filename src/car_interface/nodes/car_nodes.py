@@ -27,7 +27,7 @@ from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.turn_arb import TurnArb
-from car_interface.ros.runtime import NS_PER_S, Inbox, in_words, live, run
+from car_interface.ros.runtime import NS_PER_S, Inbox, describe_error, live, run
 
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
          "generic_value_converter": GenericValueConverter}
@@ -62,7 +62,7 @@ class Part:
 
     def _begin(self):
         self._inbox = Inbox(f"{rospy.get_namespace()}{self.name}")
-        self._thread = threading.Thread(target=self._live, name=self.name, daemon=True)
+        self._thread = threading.Thread(target=self._reconfigure, name=self.name, daemon=True)
         self._thread.start()
 
     def end(self) -> None:
@@ -78,13 +78,13 @@ class Part:
                 return
             time.sleep(POLL_S)
 
-    def _live(self):
+    def _reconfigure(self):
         fault = "it ended"
         try:
             live(self._build, self._inbox)
             fault = "" if self._is_final else fault
         except Exception as error:
-            fault = in_words(error)
+            fault = describe_error(error)
             self.was_refused = isinstance(error, CarInterfaceError) and not self._ever_lived
         finally:
             if not self._is_final:  # what isn't taken off the graph now, rospy takes with the process

@@ -38,19 +38,19 @@ from std_msgs.msg import Int32MultiArray
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.servo_channels import CHANNELS, UNCHANGED
-from car_interface.ros.runtime import NS_PER_S, Complaints, Heartbeat, run, subscribe
+from car_interface.ros.runtime import NS_PER_S, RateTimer, ThrottledWarnings, run, subscribe
 from car_interface.ros.virtual_line import VirtualLine
 from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
 STEP_NS = 2_000_000  # the car's longest step, and how often bytes leave
-LONGEST_UPTIME_MS = 3_600_000
-MOST_DRIFT_PPM = 50.0
+MAX_UPTIME_MS = 3_600_000
+MAX_DRIFT_PPM = 50.0
 SEEDS = 1 << 31
 HALL_STATES = 4  # after so many pulses a wheel's hall pins have the same levels again
 TRUTH_RATE_HZ = 50
-LONGEST_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes on from now
+MAX_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes on from now
 
 
 def read_vehicle(params, rng) -> VehicleConfig:
@@ -83,8 +83,8 @@ def read_vehicle(params, rng) -> VehicleConfig:
 
 def read_firmware(params, rng, seed, wheel_pulses) -> FirmwareConfig:
     """The Teensy's configuration from the node's parameters, and by chance where they leave it open."""
-    uptime_ms = rng.randrange(BOOT_MS, LONGEST_UPTIME_MS)
-    drift_ppm = rng.uniform(-MOST_DRIFT_PPM, MOST_DRIFT_PPM)
+    uptime_ms = rng.randrange(BOOT_MS, MAX_UPTIME_MS)
+    drift_ppm = rng.uniform(-MAX_DRIFT_PPM, MAX_DRIFT_PPM)
     return FirmwareConfig(
         clock_start_ms=int(params.number("clock_start_ms", uptime_ms, low=0, high=2 ** 32 - 1)),
         clock_drift_ppm=params.number("clock_drift_ppm", drift_ppm, low=-10_000, high=10_000),
@@ -148,10 +148,10 @@ class CarSim:
             config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [UNCHANGED] * CHANNELS
         self._inbox = inbox
-        self._complaints = Complaints()
+        self._warnings = ThrottledWarnings()
         self._line = VirtualLine(config.port, self._firmware, config.firmware.seed, inbox)
         self._line.serve(time.monotonic_ns)
-        self._heartbeat = Heartbeat(TRUTH_RATE_HZ, now_ns)
+        self._timer = RateTimer(TRUTH_RATE_HZ, now_ns)
         self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
         rospy.loginfo("a virtual Teensy is on %s (seed %d)", config.port, config.firmware.seed)
@@ -162,7 +162,7 @@ class CarSim:
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
         self._line.step(now_ns)
-        if self._heartbeat.is_due(now_ns):
+        if self._timer.is_due(now_ns):
             self._publish_truth()
         return now_ns + STEP_NS
 
@@ -172,14 +172,14 @@ class CarSim:
 
     def _on_output(self, message, now_ns):
         if len(message.data) != CHANNELS:
-            self._complaints.warn("length", f"/servo/output has {len(message.data)} values, not {CHANNELS}: ignored")
+            self._warnings.warn("length", f"/servo/output has {len(message.data)} values, not {CHANNELS}: ignored")
             return
         self._outputs = message.data
 
     def _move(self, now_ns):
         steering, throttle = self._outputs[self._steering_channel], self._outputs[self._throttle_channel]
         vehicle = self._vehicle
-        if now_ns - vehicle.time_ns > LONGEST_CATCH_UP_NS:
+        if now_ns - vehicle.time_ns > MAX_CATCH_UP_NS:
             vehicle.time_ns = now_ns - STEP_NS
         while vehicle.time_ns < now_ns:
             for pulse in vehicle.step(min(STEP_NS, now_ns - vehicle.time_ns), steering, throttle):

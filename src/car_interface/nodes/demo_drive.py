@@ -38,7 +38,7 @@ from car_interface.msg import (
     TeensyClock,
     Wheel,
 )
-from car_interface.ros.runtime import NS_PER_S, Heartbeat, run, subscribe
+from car_interface.ros.runtime import NS_PER_S, RateTimer, run, subscribe
 from car_interface.sim.demo_script import (
     DONE,
     LEFT_CIRCLE,
@@ -63,7 +63,7 @@ AXES, BUTTONS = 8, 11
 STEERS, DRIVES = 0, 1  # channels, as config/turn_arb.yaml and config/throttle.yaml have them
 SETTLING_NS = NS_PER_S // 10  # after a change of stage: who steers then is still the old or a passing one
 # What odometry may be off by at the end: a share of the way, and degrees over some 34 m.
-ODOMETRY_SHARE, ODOMETRY_DEG = 0.01, 2.0
+ODOMETRY_RATIO, ODOMETRY_DEG = 0.01, 2.0
 
 
 class Watch:
@@ -85,9 +85,9 @@ class Watch:
         """Where the car is."""
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
         if self.pose is not None:
-            way_m = math.hypot(position.x - self.pose[0], position.y - self.pose[1])
-            self.distance_m += way_m
-            self.stage_distance_m[self.stage] += way_m
+            distance_m = math.hypot(position.x - self.pose[0], position.y - self.pose[1])
+            self.distance_m += distance_m
+            self.stage_distance_m[self.stage] += distance_m
         self.pose = (position.x, position.y)
         self.yaw_rad = 2 * math.atan2(orientation.z, orientation.w)
         self.speed_mps = message.twist.twist.linear.x
@@ -167,8 +167,8 @@ class DemoDrive:
         self._turned_rad = 0.0
         now_ns = time.monotonic_ns()
         self._started_ns = now_ns
-        self._heartbeat = Heartbeat(RATE_HZ, now_ns)
-        self._line_beat = Heartbeat(1 / LINE_PERIOD_S, now_ns)
+        self._timer = RateTimer(RATE_HZ, now_ns)
+        self._line_timer = RateTimer(1 / LINE_PERIOD_S, now_ns)
         self._joy = rospy.Publisher("joy", Joy, queue_size=10)
         self._radius = rospy.Publisher("av_turnrad_req", Float32, queue_size=10)
         self._control = rospy.Publisher("control/command/control_cmd", Control, queue_size=10)
@@ -203,11 +203,11 @@ class DemoDrive:
             handler(message, arrival_ns)
         if self._drive is None:
             self._wait_until_ready(now_ns)
-        elif self._heartbeat.is_due(now_ns):
+        elif self._timer.is_due(now_ns):
             self._order(now_ns)
-        if self._drive is not None and self._line_beat.is_due(now_ns):
+        if self._drive is not None and self._line_timer.is_due(now_ns):
             self._show(now_ns)
-        return self._heartbeat.due_ns if self._drive is not None else now_ns + NS_PER_S // 10
+        return self._timer.due_ns if self._drive is not None else now_ns + NS_PER_S // 10
 
     def shut_down(self):
         """Close the bag; a drive that didn't reach its end didn't go as planned."""
@@ -299,8 +299,8 @@ class DemoDrive:
     def _checks(self):
         """What was planned, and whether it came about."""
         watch, link = self._watch, self._watch.link
-        turned, sources, way_m = watch.stage_turned_rad, watch.stage_sources, watch.stage_distance_m
-        yield "the car moved though nobody was there", way_m[NOBODY] < 0.01
+        turned, sources, distance_m = watch.stage_turned_rad, watch.stage_sources, watch.stage_distance_m
+        yield "the car moved though nobody was there", distance_m[NOBODY] < 0.01
         yield "somebody steered though nobody was there", sources[NOBODY] == {NO_HUMAN}
         yield "the human didn't steer all the time", sources[TELEOP] == {TELEOP_STEERS}
         yield "the human's circle wasn't closed", turned[TELEOP] > 0.95 * TURN_RAD
@@ -311,7 +311,7 @@ class DemoDrive:
             watch.neutral_ns is not None and self._neutral_after_s() < 0.1)
         yield "the car rolled on after the human let go", abs(watch.speed_mps) < 0.05
         off_m, off_deg = watch.odometry_error()
-        yield "odometry lost its way", off_m < ODOMETRY_SHARE * watch.distance_m and off_deg < ODOMETRY_DEG
+        yield "odometry lost its way", off_m < ODOMETRY_RATIO * watch.distance_m and off_deg < ODOMETRY_DEG
         yield "not every sonar was heard", len(watch.sonar_m) == len(SONARS)
         yield "pings went unanswered", link.pongs >= link.pings - 1
         yield "there were bad frames", link.bad_frames + link.malformed_frames == 0

@@ -35,12 +35,12 @@ from car_interface.cfg import EscNeutralConfig
 from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, one_channel
-from car_interface.interlock.motion_interlock import read_permission
+from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.msg import Control, Float64Stamped, SteeringState
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.ros.interlock_topics import subscribe_permission
-from car_interface.ros.reconfigure import Live
-from car_interface.ros.runtime import Complaints, Heartbeat, advertise, run, subscribe
+from car_interface.ros.interlock_topics import subscribe_interlock
+from car_interface.ros.reconfigure import ReconfigureServer
+from car_interface.ros.runtime import RateTimer, ThrottledWarnings, advertise, run, subscribe
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_channel import Throttle, ThrottleConfig, duty_of_value, trimmed
@@ -113,7 +113,7 @@ def _read_throttle(params):
         "value_axis": params.numbers("servo/value_axis", **missing),
         "duty_table": params.numbers("servo/duty_table", low=0, high=MAX_DUTY, **missing),
         "neutral": params.integer("servo/neutral", low=0, high=MAX_DUTY, **({"default": 0} if missing else {})),
-        "permission": read_permission(params),
+        "interlock": read_interlock(params),
         "steering_timeout_s": params.timeout("steering_timeout", 0.25),
         "command_timeout_s": params.timeout("command_timeout", 0.5),
     }
@@ -133,24 +133,25 @@ class GenericValueConverter:
         self._throttle = None if config.throttle is None else Throttle(config.throttle, self._converter)
         _warn_of_clamped_values(config)
         self._inbox = inbox
-        self._complaints = Complaints()
+        self._warnings = ThrottledWarnings()
         self._decision = None
         self._conversion = None
         self._counts: Counter = Counter()
         now_ns = time.monotonic_ns()
-        self._heartbeat = Heartbeat(RATE_HZ, now_ns)
-        self._beats = 0
+        self._timer = RateTimer(RATE_HZ, now_ns)
+        self._ticks = 0
         self._diagnostics = Diagnostics(inbox, "none", {"converter": self._report}, now_ns)
         self._values = advertise("~output/value", Float64Stamped, inbox)
         if self._throttle is not None:
             self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
-            subscribe_permission(inbox, self._throttle)
+            subscribe_interlock(inbox, self._throttle)
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
             self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
-            self._live = self._offer_tuning(config.tuning)
+            self._reconfigure = self._offer_tuning(config.tuning)
         inbox.on_overflow(self._on_overflow)
         rospy.loginfo("waiting for odometry on %s and commands on %s",
-                      *(rospy.resolve_name(inbox.own(name)) for name in ("~input/odometry", "~input/control_cmd")))
+                      *(rospy.resolve_name(inbox.resolve_name(name))
+                        for name in ("~input/odometry", "~input/control_cmd")))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
         subscribe("~input/control_cmd", Control, inbox, self._on_command)
 
@@ -169,8 +170,8 @@ class GenericValueConverter:
             return {"servo/neutral": values["neutral"],
                     "servo/duty_table": list(trimmed(config, **values).duty_table)}
 
-        return Live(self._inbox, self._complaints, tuning, apply, parameters, EscNeutralConfig, settings.save_to,
-                    namespace="servo")
+        return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, EscNeutralConfig,
+                                 settings.save_to, namespace="servo")
 
     def step(self, now_ns):
         """Take each message with its consequence; then beat if it is time."""
@@ -180,18 +181,18 @@ class GenericValueConverter:
         self._diagnostics.step(now_ns)
         if self._throttle is None:
             return self._diagnostics.due_ns
-        if self._heartbeat.is_due(now_ns):
-            self._live.step(now_ns)
+        if self._timer.is_due(now_ns):
+            self._reconfigure.step(now_ns)
             self._publish_throttle(self._throttle.decide(now_ns))
-            self._beats += 1
-            if self._beats % RATE_HZ == 0:  # a topic latches one message in a process, also for two nodes in it
+            self._ticks += 1
+            if self._ticks % RATE_HZ == 0:  # a topic latches one message in a process, also for two nodes in it
                 self._neutrals.publish(self._neutral)
-        return min(self._heartbeat.due_ns, self._diagnostics.due_ns)
+        return min(self._timer.due_ns, self._diagnostics.due_ns)
 
     def shut_down(self):
         """Neutral, if there is an ESC; the servo board's timeout does the rest."""
         if self._throttle is not None:
-            self._throttle.hear_human(False, time.monotonic_ns())
+            self._throttle.update_human(False, time.monotonic_ns())
             self._publish_throttle(self._throttle.decide(time.monotonic_ns()))
             time.sleep(0.02)  # it leaves by a thread of rospy's
 
@@ -203,31 +204,31 @@ class GenericValueConverter:
     def _on_odometry(self, message, now_ns):
         self._note_odd_stamp("odometry", message.header.stamp)
         velocity = message.twist.twist.linear.x
-        self._converter.hear_odometry(velocity, now_ns)
+        self._converter.update_odometry(velocity, now_ns)
         if not math.isfinite(velocity):
-            self._complaints.warn("odometry not finite", f"the velocity in the odometry is {velocity}: no output")
+            self._warnings.warn("odometry not finite", f"the velocity in the odometry is {velocity}: no output")
 
     def _on_command(self, message, now_ns):
         self._note_odd_stamp("control_cmd", message.stamp)
         conversion = self._conversion = self._converter.convert(message.longitudinal.acceleration, now_ns)
         self._counts["commands"] += 1
         if self._throttle is not None:
-            self._throttle.hear_conversion(conversion, now_ns)
+            self._throttle.update_conversion(conversion, now_ns)
         if conversion.value is None:
-            self._complaints.warn(conversion.cause, f"no output: {conversion.reason}")
+            self._warnings.warn(conversion.cause, f"no output: {conversion.reason}")
             return
         self._counts["values"] += 1
         self._values.publish(Float64Stamped(stamp=rospy.Time.now(), data=conversion.value))
 
     def _on_steering(self, message, now_ns):
-        self._throttle.hear_steering(message.source, now_ns)
+        self._throttle.update_steering(message.source, now_ns)
 
     def _note_odd_stamp(self, name, stamp):
         """Freshness goes by arrival: an odd stamp is counted and obeyed."""
         off_s = (stamp - rospy.Time.now()).to_sec()
         if abs(off_s) > ODD_STAMP_S:
             text = "is zero" if stamp.is_zero() else f"is {abs(off_s):.0f} s in the {'future' if off_s > 0 else 'past'}"
-            self._complaints.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
+            self._warnings.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
 
     def _stop_at_once(self, now_ns):
         """When what arrived means neutral, the ESC need not wait for the next beat."""
@@ -252,10 +253,10 @@ class GenericValueConverter:
         status.add("values sent", self._counts["values"])
         if self._decision is not None:
             status.add("duty of the ESC", self._decision.duty)
-            status.add("tuned live", self._live.changes)
+            status.add("tuned live", self._reconfigure.changes)
             for name, age_s in self._throttle.ages_s(now_ns).items():
                 status.add(f"age of {name}", age_text(age_s))
-        for kind, count in sorted(self._complaints.counts.items()):
+        for kind, count in sorted(self._warnings.counts.items()):
             status.add(kind, count)
         return status
 

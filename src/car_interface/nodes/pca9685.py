@@ -38,16 +38,16 @@ from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.pca9685.board import Board, BoardMismatch
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
-from car_interface.pca9685.supervisor import LOST, MISMATCH, RETRIED, RUNNING, BoardKeeper
+from car_interface.pca9685.supervisor import LOST, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
-from car_interface.ros.runtime import NS_PER_S, Complaints, Heartbeat, advertise, run, subscribe
+from car_interface.ros.runtime import NS_PER_S, RateTimer, ThrottledWarnings, advertise, run, subscribe
 from car_interface.ros.save_service import File, serve_saving
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.virtual_board import VirtualBoardBus
 
 OUTPUT_RATE_HZ = 1
 INSIST_NS = NS_PER_S  # how long a node that ends goes on trying to reach a chip that pulses
-LONGEST_TIMEOUT_MS = 3_600_000
+MAX_TIMEOUT_MS = 3_600_000
 VIRTUAL = "virtual"
 LIVE_RANGE, THROTTLE_LIVE_RANGE = 500, 100  # duty, as those of turn_arb and generic_value_converter
 NO_CHANNEL = -1
@@ -112,7 +112,7 @@ def read_config(params) -> Pca9685Config:
 
 def _read_channels(params):
     """Limits and failsafe of each of the sixteen."""
-    timeouts_ms = params.integers("timeout", CHANNELS, 250, 0, LONGEST_TIMEOUT_MS)
+    timeouts_ms = params.integers("timeout", CHANNELS, 250, 0, MAX_TIMEOUT_MS)
     timeout_values = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
     live_ranges = [params.integer("live_range", LIVE_RANGE, 0, MAX_DUTY)] * CHANNELS
     throttle_live_range = params.integer("throttle_live_range", THROTTLE_LIVE_RANGE, 0, MAX_DUTY)
@@ -180,12 +180,12 @@ class Pca9685:
         bus = (VirtualBoardBus(self._address, config.virtual_log) if self._device == VIRTUAL
                else SmbusBus(self._device, self._address))
         self._inbox = inbox
-        self._complaints = Complaints()
-        self._keeper = BoardKeeper(bus.open, bus.close, self._make_board, self._on_board_event)
-        self._trouble = None  # why the board isn't there, as (cause, cure)
+        self._warnings = ThrottledWarnings()
+        self._supervisor = BoardSupervisor(bus.open, bus.close, self._make_board, self._on_board_event)
+        self._trouble = None  # why the board isn't there, as (cause, remedy)
         self._dropped = 0  # commands that came while it wasn't
         self._timeouts: Counter = Counter()  # by channel
-        self._heartbeat = Heartbeat(OUTPUT_RATE_HZ, now_ns)
+        self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
         self._published = [UNCHANGED] * CHANNELS
         self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, self._name(), {"servo board": self._report}, now_ns)
@@ -206,34 +206,34 @@ class Pca9685:
         self._keep()
         if expired:
             self._timeouts.update(expired)
-            self._complaints.warn(f"timeout of {expired}", f"no command for {_listed(expired)}: now at timeout value")
-        self._publish(self._heartbeat.is_due(now_ns))
+            self._warnings.warn(f"timeout of {expired}", f"no command for {_listed(expired)}: now at timeout value")
+        self._publish(self._timer.is_due(now_ns))
         self._diagnostics.step(now_ns)
-        return min(self._heartbeat.due_ns, self._diagnostics.due_ns, self._channels.next_deadline_ns(),
-                   self._keeper.next_due_ns())
+        return min(self._timer.due_ns, self._diagnostics.due_ns, self._channels.next_deadline_ns(),
+                   self._supervisor.next_due_ns())
 
     def shut_down(self):
         """Timeout values for a whole period, then every output off: an ESC sees neutral before it sees nothing."""
-        if not self._keeper.ever_ran:
+        if not self._supervisor.ever_ran:
             return
         try:
             self._switch_off()
         finally:
-            self._keeper.close()
+            self._supervisor.close()
         time.sleep(0.02)  # the last output leaves by a thread of rospy's
 
     def _switch_off(self):
         self._channels.make_safe()
         self._insist(self._keep_now)
         time.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
-        self._insist(lambda: self._keep_now() and self._keeper.all_off(time.monotonic_ns()))
+        self._insist(lambda: self._keep_now() and self._supervisor.all_off(time.monotonic_ns()))
         self._publish()
 
     def _keep_now(self):
         """Give the chip its targets without waiting for the next attempt; whether it holds them."""
-        self._keeper.hurry()
+        self._supervisor.retry_now()
         self._keep()
-        return self._keeper.running
+        return self._supervisor.running
 
     def _insist(self, action):
         """Repeat what returns whether it worked, for a while."""
@@ -248,34 +248,34 @@ class Pca9685:
         try:
             accepted = self._channels.command(message.data, now_ns)
         except ValueError as error:
-            self._complaints.warn("length", f"{error}: refused")
+            self._warnings.warn("length", f"{error}: refused")
             return
-        self._dropped += not self._keeper.running
+        self._dropped += not self._supervisor.running
         if accepted.refused:
             first = accepted.refused[0]
-            self._complaints.warn("refused", f"{_listed(accepted.refused)} refused: {message.data[first]} of channel "
+            self._warnings.warn("refused", f"{_listed(accepted.refused)} refused: {message.data[first]} of channel "
                                              f"{first} is no duty; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
         if accepted.clamped:
-            self._complaints.warn("clamped", f"{_listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
+            self._warnings.warn("clamped", f"{_listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
 
     def _on_neutral(self, message, now_ns):
         """Who commands a channel also says where it is at rest: the two must not disagree."""
         try:
             followed = self._channels.follow(message.data)
         except ValueError as error:
-            self._complaints.warn("length of neutrals", f"{error}: refused")
+            self._warnings.warn("length of neutrals", f"{error}: refused")
             return
         for channel in followed.refused:
-            self._complaints.warn("neutral", f"channel {channel} rests at {message.data[channel]} by servo/neutral, "
+            self._warnings.warn("neutral", f"channel {channel} rests at {message.data[channel]} by servo/neutral, "
                                              f"its timeout value is {self._channels.timeout_values[channel]}: too far "
                                              "to follow. Make the two agree in the YAML files")
         if followed.changed:
-            self._complaints.warn("followed", f"the timeout value of {_listed(sorted(followed.changed))} follows "
+            self._warnings.warn("followed", f"the timeout value of {_listed(sorted(followed.changed))} follows "
                                               f"servo/neutral, away from the YAML file's. To save it: rosservice call "
                                               f"{rospy.resolve_name(self._inbox.own('~save'))}")
 
     def _keep(self):
-        self._keeper.keep(self._channels.targets, time.monotonic_ns())
+        self._supervisor.keep(self._channels.targets, time.monotonic_ns())
         self._publish()
 
     def _make_board(self, bus):
@@ -283,7 +283,7 @@ class Pca9685:
 
     def _open_or_end(self, now_ns):
         try:
-            self._keeper.open(self._channels.targets, now_ns)
+            self._supervisor.open(self._channels.targets, now_ns)
         except OSError as error:
             raise DeviceError(self._name(), *_explain(self._device, self._address, error)) from error
 
@@ -294,19 +294,19 @@ class Pca9685:
             rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
                           frequency_for(self._prescale, self._oscillator_hz), self._prescale)
         elif event == RETRIED:
-            self._complaints.warn(event, f"{self._name()}: {error}; tried again")
+            self._warnings.warn(event, f"{self._name()}: {error}; tried again")
         elif event == MISMATCH:
-            self._complaints.warn(event, f"{self._name()} has forgotten what it was told ({error}): it lost its power, "
+            self._warnings.warn(event, f"{self._name()} has forgotten what it was told ({error}): it lost its power, "
                                          "or another program writes to it. Initialising it anew")
         else:
             self._trouble = _explain(self._device, self._address, error)
             was = " was lost" if event == LOST else ""
-            self._complaints.warn(event, f"{self._name()}{was}: {'. '.join(self._trouble)}. Trying again")
+            self._warnings.warn(event, f"{self._name()}{was}: {'. '.join(self._trouble)}. Trying again")
 
     def _report(self, status):
         """The board's line on /diagnostics."""
-        tally = self._keeper.tally
-        if self._keeper.running:
+        tally = self._supervisor.tally
+        if self._supervisor.running:
             status.summary(OK, f"running at {frequency_for(self._prescale, self._oscillator_hz):.2f} Hz")
         else:
             status.summary(ERROR, ". ".join(self._trouble or ("not opened yet", "")))
@@ -322,13 +322,13 @@ class Pca9685:
         for channel, count in sorted(self._timeouts.items()):
             status.add(f"timeouts of channel {channel}", count)
         for kind in ("length", "refused", "clamped"):
-            status.add(f"commands {kind}", self._complaints.counts[kind])
+            status.add(f"commands {kind}", self._warnings.counts[kind])
         return status
 
     def _publish(self, always=False):
         duties = self._published  # of a chip that was lost: what it held last, for it goes on pulsing
-        if self._keeper.running:
-            duties = [UNCHANGED if counts is None else duty_of_counts(counts) for counts in self._keeper.held]
+        if self._supervisor.running:
+            duties = [UNCHANGED if counts is None else duty_of_counts(counts) for counts in self._supervisor.held]
         if always or duties != self._published:
             self._published = duties
             self._outputs.publish(duty_vector(duties))
@@ -342,7 +342,7 @@ def _listed(channels):
 
 
 def _explain(device, address, error):
-    """Cause and cure of a failed transfer or open."""
+    """Cause and remedy of a failed transfer or open."""
     bus = device.rsplit("-", 1)[-1]
     if isinstance(error, BoardMismatch):
         return (f"it answers, but does not keep what it is told ({error})",

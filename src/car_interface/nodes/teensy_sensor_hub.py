@@ -50,7 +50,7 @@ from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
 from car_interface.ros.diagnostics import Diagnostics
 from car_interface.ros.keyboard import Keys
 from car_interface.ros.measurement_publisher import MeasurementPublisher, Settings, read_settings
-from car_interface.ros.runtime import NS_PER_S, Complaints, Heartbeat, advertise, is_heard, run, serve
+from car_interface.ros.runtime import NS_PER_S, RateTimer, ThrottledWarnings, advertise, has_subscribers, run, serve
 from car_interface.srv import SetSonarSequence, SetSonarWait
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED, FrameDecoder, encode
@@ -75,7 +75,7 @@ QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
 LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So much at once that is no frames is a flood
 SHORTEST_REST_NS = NS_PER_S // 250
-MOST_COUNTERS = 64  # the firmware has 27; noise that passes for a counter must not make them more and more
+MAX_COUNTERS = 64  # the firmware has 27; noise that passes for a counter must not make them more and more
 COUNTERS_PERIOD_NS = NS_PER_S  # asked more often, the answers starve the Teensy's buffers
 NOT_OPEN = (False, "the Teensy's port is not open")
 KEY_HELP = "keys: P ping, S sonar start, N sonar stop, R wheel reset, C counters, X sonars 0 1 5, Y all sonars, Q quit"
@@ -142,7 +142,7 @@ class TeensySensorHub:
         self._decoder = FrameDecoder()
         self._pinger = Pinger(round(settings.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
         self._inbox = inbox
-        self._complaints = Complaints()
+        self._warnings = ThrottledWarnings()
         self._retry_ns = FIRST_RETRY_NS
         self._next_try_ns = now_ns
         self._next_counters_ns = now_ns
@@ -155,7 +155,7 @@ class TeensySensorHub:
         self._unknown_commands = 0
         self._counters = {}  # the Teensy's, by name, as it last sent them
         self._round_trip_ns = math.nan
-        self._link_beat = Heartbeat(1, now_ns)
+        self._link_timer = RateTimer(1, now_ns)
         self._link_status = advertise("~link", LinkStatus, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, f"Teensy on {port}", {
             LINK_REPORT: self._report, **(self._measurements.reports if self._measurements else {})}, now_ns)
@@ -198,7 +198,7 @@ class TeensySensorHub:
                 measurements.pong(record, answer, received_ns)
 
         def on_wheels(record, received_ns):
-            if is_heard(wheel):
+            if has_subscribers(wheel):
                 left.speed, left.direction, left.when, left.dist, left.dist_abs = record.left
                 right.speed, right.direction, right.when, right.dist, right.dist_abs = record.right
                 wheel.publish(turned)
@@ -206,7 +206,7 @@ class TeensySensorHub:
                 measurements.wheels(record, received_ns)
 
         def on_sonar(record, received_ns):
-            if is_heard(distance):
+            if has_subscribers(distance):
                 echo.sensor, echo.distance, echo.when = record
                 distance.publish(echo)
             self._on_tick(record.when, received_ns)
@@ -243,12 +243,12 @@ class TeensySensorHub:
         port_ns = self._attend_port(now_ns)
         if self._measurements:
             self._measurements.step(now_ns)
-        if self._link_beat.is_due(now_ns):
+        if self._link_timer.is_due(now_ns):
             self._judge()
             self._judge_sonars()
             self._publish_link_status()
         self._diagnostics.step(now_ns)
-        return min(self._link_beat.due_ns, self._diagnostics.due_ns, port_ns,
+        return min(self._link_timer.due_ns, self._diagnostics.due_ns, port_ns,
                    self._measurements.due_ns if self._measurements else math.inf)
 
     def _attend_port(self, now_ns):
@@ -282,7 +282,7 @@ class TeensySensorHub:
         try:
             self._open()
         except DeviceError as error:
-            self._complaints.warn(error.state, f"{error}. Trying again")
+            self._warnings.warn(error.state, f"{error}. Trying again")
             self._note_failure(error)
             self._plan_retry()
 
@@ -320,7 +320,7 @@ class TeensySensorHub:
         self._watch_port(False)
         self._link.close()
         for timestamp1 in list(self._waiting):
-            self._tell_waiting(timestamp1, (False, reason))
+            self._report_pending(timestamp1, (False, reason))
 
     def _read(self, began_ns):
         try:
@@ -348,7 +348,7 @@ class TeensySensorHub:
         corrupt = self._decoder.tally.bad_frames - self._corrupt
         if corrupt:
             self._corrupt += corrupt
-            self._complaints.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
+            self._warnings.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
         if read_bytes >= LONG_READ and 2 * noise_bytes > read_bytes:
             self._rest(began_ns)
 
@@ -359,7 +359,7 @@ class TeensySensorHub:
         self._watch_port(False)
 
     def _lose(self, error):
-        self._complaints.warn(error.state, f"{error}")
+        self._warnings.warn(error.state, f"{error}")
         self._close(str(error))
         self._note_failure(error)
         self._plan_retry()
@@ -367,7 +367,7 @@ class TeensySensorHub:
     def _note_failure(self, error):
         """Say at once that the port is gone; that it still is can wait for the next second."""
         before = self._health.verdict.state
-        self._health.port_fails(error.state, error.cause, error.cure)
+        self._health.port_fails(error.state, error.cause, error.remedy)
         if error.state != before:
             self._publish_link_status()
 
@@ -387,10 +387,10 @@ class TeensySensorHub:
         records = self._counts().records
         for timestamp1 in self._pinger.expire(now_ns, heard=records > self._records_at_expiry):
             self._records_at_expiry = records
-            self._tell_waiting(timestamp1, (False, "no pong came back"))
-            self._complaints.warn("ping", "a ping went unanswered")
+            self._report_pending(timestamp1, (False, "no pong came back"))
+            self._warnings.warn("ping", "a ping went unanswered")
         if self._pinger.checksum != before:
-            self._complaints.warn("checksum",
+            self._warnings.warn("checksum",
                                   f"no ping is answered: trying the checksum of a {self._pinger.checksum} firmware")
         if now_ns >= self._pinger.due_ns:
             self._ping()
@@ -406,7 +406,7 @@ class TeensySensorHub:
         answer = self._pinger.pong(record.timestamp1, received_ns)
         if answer is not None:
             self._round_trip_ns = answer.round_trip_ns
-            self._tell_waiting(record.timestamp1, (True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms"))
+            self._report_pending(record.timestamp1, (True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms"))
         return answer
 
     def _on_tick(self, tick, received_ns):
@@ -414,20 +414,20 @@ class TeensySensorHub:
         if reboot is not None:
             self._health.rebooted(reboot, received_ns)
             self._sonars.rebooted(received_ns)
-            self._pinger.hurry()
-            self._complaints.warn("rebooted", f"the Teensy rebooted: {reboot}")
+            self._pinger.retry_now()
+            self._warnings.warn("rebooted", f"the Teensy rebooted: {reboot}")
 
     def _on_counter(self, record):
-        if record.name in self._counters or len(self._counters) < MOST_COUNTERS:
+        if record.name in self._counters or len(self._counters) < MAX_COUNTERS:
             self._counters[record.name] = record.count
 
     def _on_malformed(self, record, received_ns):
         self._unknown_commands += record.reason.startswith("unknown command")
-        self._complaints.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
+        self._warnings.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
 
     def _counts(self):
         tally = self._decoder.tally
-        return Counts(bytes_in=tally.bytes_in, records=tally.frames - self._complaints.counts["malformed"],
+        return Counts(bytes_in=tally.bytes_in, records=tally.frames - self._warnings.counts["malformed"],
                       bad_frames=tally.bad_frames, bad_checksums=tally.bad_checksum,
                       pings_in_vain=self._pinger.unanswered_in_a_row)
 
@@ -439,7 +439,7 @@ class TeensySensorHub:
         verdict = self._health.judge(self._counts(), time.monotonic_ns())
         is_news = verdict.state != before.state
         if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was told as it was noticed
-            self._complaints.warn(verdict.state, f"Teensy on {self._port}: {verdict.words}. {verdict.next_step}",
+            self._warnings.warn(verdict.state, f"Teensy on {self._port}: {verdict.words}. {verdict.next_step}",
                                   int(is_news))
         elif verdict.state == FINE and is_news:
             rospy.loginfo("Teensy on %s: %s", self._port, verdict.words)
@@ -451,12 +451,12 @@ class TeensySensorHub:
         if command == SEND_SEQUENCE:
             self._send(protocol.set_sonar_sequence(self._sonars.sequence))
         elif command:
-            self._complaints.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
+            self._warnings.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
             self._send(protocol.sonar_start())
         faults = self._sonars.faults(now_ns)
         if faults:
             words, next_step = describe(faults)
-            self._complaints.warn(f"sonars {sorted(str(fault.sensor) for fault in faults)}", f"{words}. {next_step}")
+            self._warnings.warn(f"sonars {sorted(str(fault.sensor) for fault in faults)}", f"{words}. {next_step}")
 
     def _verdict(self):
         """Of the link, and where it is fine, of the sonars behind it."""
@@ -472,7 +472,7 @@ class TeensySensorHub:
         return LinkStatus(
             stamp=rospy.Time.now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
             words=verdict.words, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
-            malformed_frames=self._complaints.counts["malformed"], unknown_commands=self._unknown_commands,
+            malformed_frames=self._warnings.counts["malformed"], unknown_commands=self._unknown_commands,
             noise_bytes=tally.noise_bytes, resyncs=self._openings + self._pinger.resyncs,
             reconnects=max(0, self._openings - 1), reboots=self._clock.reboots, pings=self._pinger.sent,
             pongs=self._pinger.answered, round_trip=self._round_trip_ns / NS_PER_S,
@@ -495,7 +495,7 @@ class TeensySensorHub:
             report.add(f"Teensy's {counter.name}", counter.count)
         return report
 
-    def _tell_waiting(self, timestamp1, result):
+    def _report_pending(self, timestamp1, result):
         for future in self._waiting.pop(timestamp1, ()):
             future.set_result(result)
 
@@ -571,8 +571,8 @@ class TeensySensorHub:
 def _sonar_sequence(params):
     """The order of the sonars that the parameters ask for; ``None`` = the firmware's own."""
     sequence = params.numbers("sonar_sequence", [], low=0, high=len(protocol.SONARS) - 1)
-    if len(sequence) > protocol.LONGEST_SEQUENCE or any(sensor % 1 for sensor in sequence):
-        raise ConfigError("sonar_sequence", sequence, f"up to {protocol.LONGEST_SEQUENCE} whole numbers from 0 to 5")
+    if len(sequence) > protocol.MAX_SEQUENCE or any(sensor % 1 for sensor in sequence):
+        raise ConfigError("sonar_sequence", sequence, f"up to {protocol.MAX_SEQUENCE} whole numbers from 0 to 5")
     return [int(sensor) for sensor in sequence] or None
 
 

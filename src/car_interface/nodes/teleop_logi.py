@@ -23,20 +23,20 @@ import rospy
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
-from car_interface.ros.runtime import Heartbeat, run, subscribe
+from car_interface.ros.runtime import RateTimer, run, subscribe
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig
 
 RATE_HZ = 50
-MOST_AXES = 64
+MAX_AXES = 64
 
 
 def read_config(params) -> GamepadConfig:
     """The node's configuration from its parameters."""
     config = GamepadConfig(
-        steer_axis=params.integer("steer_axis", low=0, high=MOST_AXES - 1),
-        throttle_axis=params.integer("throttle_axis", low=0, high=MOST_AXES - 1),
-        manual_button=params.integer("manual_button", low=0, high=MOST_AXES - 1),
-        autonomous_button=params.integer("autonomous_button", low=0, high=MOST_AXES - 1),
+        steer_axis=params.integer("steer_axis", low=0, high=MAX_AXES - 1),
+        throttle_axis=params.integer("throttle_axis", low=0, high=MAX_AXES - 1),
+        manual_button=params.integer("manual_button", low=0, high=MAX_AXES - 1),
+        autonomous_button=params.integer("autonomous_button", low=0, high=MAX_AXES - 1),
         steer_scale=params.number("steer_scale", 1.0, low=-1, high=1),
         throttle_scale=params.number("throttle_scale", 1.0, low=-1, high=1),
         steer_neutral=params.number("steer_neutral", 0.0, low=-1, high=1),
@@ -54,7 +54,7 @@ class TeleopLogi:
         self._gamepad = Gamepad(read_config(params))
         self._inbox = inbox
         self._published = None
-        self._heartbeat = Heartbeat(RATE_HZ, time.monotonic_ns())
+        self._timer = RateTimer(RATE_HZ, time.monotonic_ns())
         self._human = rospy.Publisher("/teleop_logi/human_in_loop", Bool, queue_size=10)
         self._steering = rospy.Publisher("/teleop_logi/tele_steer_req", Float32, queue_size=10)
         self._throttle = rospy.Publisher("/teleop_logi/tele_throt_req", Float32, queue_size=10)
@@ -66,9 +66,9 @@ class TeleopLogi:
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
             self._publish_if_deadman_changed(arrival_ns)
-        if self._heartbeat.is_due(now_ns):
+        if self._timer.is_due(now_ns):
             self._publish(self._gamepad.requests(now_ns))
-        return self._heartbeat.due_ns
+        return self._timer.due_ns
 
     def shut_down(self):
         """Let go."""
@@ -76,7 +76,7 @@ class TeleopLogi:
         time.sleep(0.02)  # it leaves by a thread of rospy's
 
     def _on_joy(self, message, now_ns):
-        self._gamepad.hear(message.axes, message.buttons, now_ns)
+        self._gamepad.update(message.axes, message.buttons, now_ns)
 
     def _publish_if_deadman_changed(self, now_ns):
         requests = self._gamepad.requests(now_ns)

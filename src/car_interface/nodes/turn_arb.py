@@ -38,24 +38,24 @@ from car_interface.common.live_parameters import Tuning, TuningSettings, read_tu
 from car_interface.common.servo_channels import one_channel
 from car_interface.msg import SteeringState
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.ros.interlock_topics import subscribe_permission
+from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.master_watch import MasterWatch
-from car_interface.ros.reconfigure import Live
-from car_interface.ros.runtime import Complaints, Heartbeat, advertise, run, subscribe_changes
+from car_interface.ros.reconfigure import ReconfigureServer
+from car_interface.ros.runtime import RateTimer, ThrottledWarnings, advertise, run, subscribe_changes
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, SteeringArbiter
 from car_interface.steering.calibration import SteeringConfig, trimmed
 from car_interface.steering.params import read_config as read_steering
 
 RATE_HZ = 100
-BEATS_PER_STATE, BEATS_PER_NEUTRAL = 10, 100
+TICKS_PER_STATE, TICKS_PER_NEUTRAL = 10, 100
 LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of the way between a servo's ends
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
 # What an owner wants to be warned of: something was there and failed.
 ALARMING = ("human silent", "not re-armed", "teleop silent", "teleop not finite", "planner silent",
             "planner not finite")
 # rospy sends by a thread of its own, which needs the interpreter: state and log wait until the command has left.
-TELL_AFTER_NS = 500_000
+REPORT_AFTER_NS = 500_000
 
 
 @dataclass(frozen=True)
@@ -90,13 +90,13 @@ class TurnArb:
         self._arbiter = SteeringArbiter(config.steering)
         self._channel = config.steering.servo_channel
         self._inbox = inbox
-        self._complaints = Complaints()
-        self._heartbeat = Heartbeat(RATE_HZ, now_ns)
-        self._beats = 0
+        self._warnings = ThrottledWarnings()
+        self._timer = RateTimer(RATE_HZ, now_ns)
+        self._ticks = 0
         self._decision = None
         self._command = self._commanded_duty = None  # the message that goes out, and the duty in it
-        self._untold = []  # decisions whose command is out, and whose state and log line are not
-        self._tell_ns = 0
+        self._pending = []  # decisions whose command is out, and whose state and log line are not
+        self._report_ns = 0
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
         self._states = advertise("~state", SteeringState, inbox, latch=True)
@@ -104,21 +104,21 @@ class TurnArb:
         self._master_trouble = ""
         MasterWatch(inbox, self._on_master)
         inbox.on_overflow(self._on_overflow)
-        subscribe_permission(inbox, self._arbiter, self._decide)
+        subscribe_interlock(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
-        self._live = self._offer_tuning(config.steering, config.tuning)
+        self._reconfigure = self._offer_tuning(config.steering, config.tuning)
 
     def step(self, now_ns):
         """Take what arrived, news with its consequence; then beat if it is time."""
         for handler, message, arrival_ns in self._inbox.take():
             handler(message, arrival_ns)
-        if self._heartbeat.is_due(now_ns):
-            self._beat(now_ns)
-        elif self._untold and now_ns >= self._tell_ns:
+        if self._timer.is_due(now_ns):
+            self._tick(now_ns)
+        elif self._pending and now_ns >= self._report_ns:
             self._tell()
         self._diagnostics.step(now_ns)
-        return min(self._heartbeat.due_ns, self._tell_ns) if self._untold else self._heartbeat.due_ns
+        return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
 
     def shut_down(self):
         """Nothing to undo: the servo board's own timeout takes over from here."""
@@ -126,32 +126,32 @@ class TurnArb:
     def _on_master(self, trouble, now_ns):
         self._master_trouble = trouble
         if trouble:
-            self._complaints.warn("master", trouble)
+            self._warnings.warn("master", trouble)
 
     def _on_overflow(self, now_ns):
         self._arbiter.mark_stale(now_ns)
         self._decide(now_ns)
 
     def _on_teleop(self, message, now_ns):
-        self._arbiter.hear_teleop(message.data, now_ns)
+        self._arbiter.update_teleop(message.data, now_ns)
         if not math.isfinite(message.data):
-            self._complaints.warn("teleop not finite",
+            self._warnings.warn("teleop not finite",
                                   f"tele_steer_req is {message.data}: the steering is neutral while it lasts")
         elif abs(message.data) > 1:
-            self._complaints.warn("teleop clamped", f"tele_steer_req is {message.data:.3f}: clamped to -1..1")
+            self._warnings.warn("teleop clamped", f"tele_steer_req is {message.data:.3f}: clamped to -1..1")
 
     def _on_planner(self, message, now_ns):
-        self._arbiter.hear_planner(message.data, now_ns)
+        self._arbiter.update_planner(message.data, now_ns)
         if not math.isfinite(message.data):
-            self._complaints.warn("planner not finite", f"av_turnrad_req is {message.data}: taken for no request")
+            self._warnings.warn("planner not finite", f"av_turnrad_req is {message.data}: taken for no request")
 
     def _decide(self, now_ns):
         """Publish at once when the decision is another; whether it was."""
         decision = self._arbiter.decide(now_ns)
         if not decision.differs_from(self._decision):
             return False
-        self._untold.append((self._decision, decision))
-        self._tell_ns = now_ns + TELL_AFTER_NS
+        self._pending.append((self._decision, decision))
+        self._report_ns = now_ns + REPORT_AFTER_NS
         self._decision = decision
         self._publish_command(decision)
         return True
@@ -172,27 +172,28 @@ class TurnArb:
             return {**values, "k_pwmcmd_left_table_servo": list(moved.left_duties),
                     "k_pwmcmd_right_table_servo": list(moved.right_duties)}
 
-        return Live(self._inbox, self._complaints, tuning, apply, parameters, SteeringTrimConfig, settings.save_to)
+        return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, SteeringTrimConfig,
+                                 settings.save_to)
 
-    def _beat(self, now_ns):
-        self._beats += 1
-        self._live.step(now_ns)
+    def _tick(self, now_ns):
+        self._ticks += 1
+        self._reconfigure.step(now_ns)
         if not self._decide(now_ns):
             self._publish_command(self._decision)
-        if self._beats % BEATS_PER_STATE == 0:
+        if self._ticks % TICKS_PER_STATE == 0:
             self._tell()
             self._publish_state(self._arbiter.decide(now_ns))
-        if self._beats % BEATS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
+        if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
             self._neutrals.publish(self._neutral)
 
     def _tell(self):
         """Publish and log what was decided, now that the commands are on their way."""
-        for before, decision in self._untold:
+        for before, decision in self._pending:
             self._publish_state(decision)
             if before is None or (before.source, before.cause) != (decision.source, decision.cause):
                 log = rospy.logwarn if decision.cause in ALARMING or decision.source == LOCKED else rospy.loginfo
                 log("%s: %s", SOURCE_NAMES[decision.source], decision.reason)
-        self._untold.clear()
+        self._pending.clear()
 
     def _report(self, status):
         """Who drives and why, on /diagnostics."""
@@ -205,8 +206,8 @@ class TurnArb:
             status.add(f"age of {name}", age_text(age_s))
         status.add("locked", decision.source == LOCKED)
         status.add("ROS master", self._master_trouble or "there")
-        status.add("tuned live", self._live.changes)
-        for kind, count in sorted(self._complaints.counts.items()):
+        status.add("tuned live", self._reconfigure.changes)
+        for kind, count in sorted(self._warnings.counts.items()):
             status.add(f"warnings of {kind}", count)
         return status
 

@@ -32,7 +32,7 @@ class BoardTally:
     reinitialisations: int = 0  # times that a chip which answered had forgotten what it was told
 
 
-class BoardKeeper:
+class BoardSupervisor:
     """Opens, writes, checks and reopens.
 
     Args:
@@ -125,7 +125,7 @@ class BoardKeeper:
         """Let go of the bus; the chip goes on with what it was told."""
         self._close()
 
-    def hurry(self) -> None:
+    def retry_now(self) -> None:
         """Let the next ``keep`` try at once to open what was lost."""
         self._next_try_ns = 0
 

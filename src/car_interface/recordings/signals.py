@@ -40,7 +40,7 @@ ODD_STAMP_S = 2.0  # farther from its recording no message is that came from thi
 STEP_BACK_S = 1.0  # the recorder's own time goes back so far only when the clock was set
 BREAK_S = 10.0  # between what was before that and what is after it
 REPEATED_S = 0.5  # an unchanged output is kept so often
-SAME_S, SAME_LEAST = 1e-5, 50  # odometry within this at the same place is the same; so many of it are no chance
+SAME_S, MIN_SAME = 1e-5, 50  # odometry within this at the same place is the same; so many of it are no chance
 STAMP_BACK, ODD_STAMP, NOT_FINITE, WRONG_LENGTH, REFUSED = (
     "with a stamp that doesn't rise: left out",
     "with a stamp seconds away from when it was recorded: recording time taken",
@@ -162,7 +162,7 @@ def check_apart(trails: Sequence[Trail]) -> None:
             nearest = np.clip(np.searchsorted(other.t_s, one.t_s - SAME_S), 0, other.t_s.size - 1)
             same = ((np.abs(other.t_s[nearest] - one.t_s) <= SAME_S) & (other.x_m[nearest] == one.x_m)
                     & (other.y_m[nearest] == one.y_m))
-            if same.sum() >= SAME_LEAST:
+            if same.sum() >= MIN_SAME:
                 raise NoRecording(f"{other.path} and {one.path} have the same driving in them, at {same.sum()} moments "
                                   "of odometry: it would count twice")
 
@@ -414,7 +414,7 @@ class _PulseColumns:
         self._gates, self._clock = Gates(), Clock()
         self._to_monotonic_ns = None  # from ROS time; known with the first pong
         self._waiting = []
-        self._has_heard_a_tick = False
+        self._has_tick = False
         self._times, self._counts = (array("d"), array("d")), (array("q"), array("q"))
         self._unproven = [0, 0]
         self._refused = 0
@@ -455,7 +455,7 @@ class _PulseColumns:
     def _take_pong(self, message):
         verdict = self._gates.pong(Pong(0, message.tick), True)
         if verdict.accepted:
-            self._hear_tick(verdict)
+            self._update_tick(verdict)
             self._clock.pong(message.tick, message.sent, message.sent_bytes, message.received, PONG_BYTES)
 
     def _take_wheels(self, recorded: Recorded, now_s, time):
@@ -484,10 +484,10 @@ class _PulseColumns:
             times.append(at_s)
             counts.append((counts[-1] if counts else 0) + made)
 
-    def _hear_tick(self, verdict):
-        if verdict.restarted and self._has_heard_a_tick:
+    def _update_tick(self, verdict):
+        if verdict.restarted and self._has_tick:
             self._clock.restart()
-        self._has_heard_a_tick = True
+        self._has_tick = True
 
 
 def _pitch_rad(message):

@@ -27,7 +27,7 @@ class Trace:
                                        for _ in range(2))
         self.count = 0
         self.least, self.greatest = math.inf, -math.inf
-        self.least_s = self.greatest_s = math.nan
+        self.min_s = self.greatest_s = math.nan
 
     def add(self, time_s: float, value: float) -> None:
         """Take a sample; one that is not finite is left out."""
@@ -42,7 +42,7 @@ class Trace:
         if not values[slot] >= value:
             times[slot], values[slot] = time_s, value
         if value < self.least:
-            self.least, self.least_s = value, time_s
+            self.least, self.min_s = value, time_s
         if value > self.greatest:
             self.greatest, self.greatest_s = value, time_s
 

@@ -10,7 +10,7 @@ from car_interface.report.plots import DRIVER_COLOURS, DRIVER_NAMES, Plot
 from car_interface.report.summary import ERROR, NS_PER_S, SONARS, UNKNOWN_DRIVER, WARN, Drive
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 
-OPEN_ROWS, MOST_ROWS = 25, 500  # of a table: shown at once, and at all
+OPEN_ROWS, MAX_ROWS = 25, 500  # of a table: shown at once, and at all
 FEWEST_RATIOS = 30  # samples, before a ratio is told
 STYLE = """
 :root { color-scheme: light; --ink: #16202b; --faint: #5c6773; --line: #dfe4e9; --bad: #c0392b; --warn: #b9671a;
@@ -78,7 +78,7 @@ def _head(drive, name):
         cards += [(f"{drive.distance_m:.1f} m", "driven"), (f"{_top(drive):.2f} m/s", "top speed")]
     if drive.episodes:
         cards.append((_span(_driven(drive)), "somebody drove"))
-    cards.append((str(sum(fault.times for fault in drive.faults) + drive.untold), "faults and timeouts"))
+    cards.append((str(sum(fault.times for fault in drive.faults) + drive.pending), "faults and timeouts"))
     figures = "".join(f"<div><b>{escape(value)}</b><span>{escape(what)}</span></div>" for value, what in cards)
     rows = "".join(f"<tr><th>{escape(what)}</th><td>{value}</td></tr>\n" for what, value in _summary(drive))
     return (f'<header id="summary">\n<h1>{escape(name)}</h1>\n<div class="faint">{began}{place}</div>\n'
@@ -184,7 +184,7 @@ def _faults(drive):
         often = f' <span class="faint">({_times(fault.times)})</span>' if fault.times > 1 else ""
         rows.append((_moment(drive, fault.start_s), lasted, kind, escape(fault.where), escape(fault.what) + often))
     body = _table(("at", "for", "", "who says so", "what"), rows, numbers=2) if rows else "<p>None.</p>\n"
-    more = f'<p class="faint">{drive.untold} more are not kept.</p>\n' if drive.untold else ""
+    more = f'<p class="faint">{drive.pending} more are not kept.</p>\n' if drive.pending else ""
     return _section("faults", "Timeouts and faults", words, body, more,
                     _missing(drive, "/diagnostics", "turn_arb/state", "teensy_sensor_hub/link"))
 
@@ -254,8 +254,8 @@ def _table(names, rows, numbers, numbers_from=None):
         return ' class="number"' if is_number else ""
     head = "".join(f"<th{kind(index)}>{escape(name)}</th>" for index, name in enumerate(names))
     body = "\n".join("<tr>" + "".join(f"<td{kind(index)}>{cell}</td>" for index, cell in enumerate(row)) + "</tr>"
-                     for row in rows[:MOST_ROWS])
-    more = f'<p class="faint">And {len(rows) - MOST_ROWS} more.</p>\n' if len(rows) > MOST_ROWS else ""
+                     for row in rows[:MAX_ROWS])
+    more = f'<p class="faint">And {len(rows) - MAX_ROWS} more.</p>\n' if len(rows) > MAX_ROWS else ""
     table = f'<div class="scroll"><table>\n<tr>{head}</tr>\n{body}\n</table></div>\n{more}'
     return f"<details><summary>{len(rows)} lines</summary>\n{table}</details>\n" if len(rows) > OPEN_ROWS else table
 

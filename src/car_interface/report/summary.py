@@ -6,7 +6,7 @@ import re
 from collections import Counter, deque
 from typing import Any, NamedTuple
 
-from car_interface.interlock.motion_interlock import REARM
+from car_interface.interlock.motion_interlock import REARM_REASON
 from car_interface.recordings.recording import NoRecording, Recorded, absolute_names, contents, other_version, read
 from car_interface.report.downsample import Path, Spots, Trace
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN
@@ -40,16 +40,17 @@ NEEDED = ("odom", "turn_arb/state", "/servo/output")  # one of them at least
 LOG_LEVELS = {"rosgraph_msgs": (4, 8), "rcl_interfaces": (30, 40)}  # warning and error
 
 WINDOW_S = 0.3  # over which accelerations and curvatures are taken: a dozen reports of the wheels
-LEAST_WAY_M = 0.05  # in it, for a curvature
+MIN_DISTANCE_M = 0.05  # in it, for a curvature
 MOVING_MPS = 0.05
 STEP_M = 1.0  # from one odometry to the next: more is a new beginning, not a way
 ODOMETRY_SILENT_S = 0.5  # the hub reports at least every 0.2 s
 CLOCK_SET_S = 0.05  # of a change between ROS time and the monotonic clock from one pong to the next
 # For how the car turns against what the tables say: at speed, in a real bend, a while after the servo was last moved.
-STEADY_S, LEAST_CURVATURE, LEAST_SPEED_MPS = 0.7, 0.1, 0.3
+STEADY_S, MIN_CURVATURE, MIN_SPEED_MPS = 0.7, 0.1, 0.3
 RATIO_BINS, BINS_PER_UNIT = 300, 100
-MOST_TOLD = 2000  # entries of a list; the rest are counted
-LOSS_SIGNS = (" silent for ", "no number to act on", REARM, "let go of the deadman")  # the last: of older recordings
+MAX_REPORTED = 2000  # entries of a list; the rest are counted
+# The last one is that of older recordings.
+LOSS_SIGNS = (" silent for ", "no number to act on", REARM_REASON, "let go of the deadman")
 
 
 class Episode(NamedTuple):
@@ -79,7 +80,7 @@ class Drive:
         path, namespace, start_ns, duration_s: of the recording; ``topics`` what it has.
         present: which of the topics that a report is made from were recorded.
         episodes: who drove, and why. ``source_s``: seconds by source.
-        faults: in order of time; ``untold`` counts those beyond what is kept, and episodes.
+        faults: in order of time; ``pending`` counts those beyond what is kept, and episodes.
         Traces (a ``Trace`` each): see ``_traces``.
         way: where odometry saw the car; ``hits``: where the sonars saw something.
         turned: (left, right) how tightly the car turned against what was sent: median of the ratio, and samples.
@@ -95,7 +96,7 @@ class Drive:
         self.episodes: list = []
         self.source_s: Counter = Counter()
         self.faults: list = []
-        self.untold = 0
+        self.pending = 0
         self.traces = {name: Trace(0.0, self.duration_s) for name in (
             "asked curvature", "sent curvature", "turned curvature", "gamepad", "speed", "acceleration",
             "asked acceleration", "value", "frames", "bad frames", "round trip", "skew", "uncertainty")}
@@ -175,7 +176,7 @@ class _Watch:
         self._sent_since_s = 0.0
         self._matches: Counter = Counter()  # by channel: how often the board held turn_arb's duty
         self._recent: deque = deque()  # of odometry, a window long: time, speed, yaw, way
-        self._yaw = self._way_m = 0.0
+        self._yaw = self._distance_m = 0.0
         self._poses: deque = deque(maxlen=60)  # stamp, x, y, yaw
         self._odometry = None  # time, pose of the newest
         self._ratios = ([0] * RATIO_BINS, [0] * RATIO_BINS)
@@ -220,10 +221,10 @@ class _Watch:
         self._keep(Fault(time_s, math.nan, level, where, what))
 
     def _keep(self, fault):
-        if len(self._drive.faults) < MOST_TOLD:
+        if len(self._drive.faults) < MAX_REPORTED:
             self._drive.faults.append(fault)
         else:
-            self._drive.untold += 1
+            self._drive.pending += 1
 
     def _lasting(self, time_s, key, level, where, what):
         """A fault that goes on for as long as it's told; level OK ends it, words of another kind begin another."""
@@ -254,10 +255,10 @@ class _Watch:
         start_s, source, _, reason = self._episode
         drive = self._drive
         drive.source_s[source] += time_s - start_s
-        if len(drive.episodes) < MOST_TOLD:
+        if len(drive.episodes) < MAX_REPORTED:
             drive.episodes.append(Episode(start_s, time_s, source, reason))
         else:
-            drive.untold += 1
+            drive.pending += 1
         if source == LOCKED or source in (NO_HUMAN, NEUTRAL) and is_loss(reason):
             self._keep(Fault(start_s, time_s, ERROR if source == LOCKED else WARN, "turn_arb", reason))
 
@@ -305,7 +306,7 @@ class _Watch:
                 drive.way.interrupt()
             else:
                 drive.distance_m += way
-                self._way_m += math.copysign(way, speed)
+                self._distance_m += math.copysign(way, speed)
             self._yaw += math.remainder(yaw - yaw_before, 2 * math.pi)
             if abs(speed) > MOVING_MPS and 0 < time_s - before_s < ODOMETRY_SILENT_S:
                 drive.moving_s += time_s - before_s
@@ -320,7 +321,7 @@ class _Watch:
         recent = self._recent
         if recent and not 0 <= stamp_s - recent[-1][0] < ODOMETRY_SILENT_S:
             recent.clear()  # the clock was set, or something is missing
-        recent.append((stamp_s, speed, self._yaw, self._way_m))
+        recent.append((stamp_s, speed, self._yaw, self._distance_m))
         while stamp_s - recent[0][0] > WINDOW_S:
             recent.popleft()
         span_s = stamp_s - recent[0][0]
@@ -328,13 +329,13 @@ class _Watch:
             return
         middle_s = time_s - span_s / 2
         self._trace["acceleration"].add(middle_s, _slope(recent))
-        way_m = self._way_m - recent[0][3]
-        if abs(way_m) < LEAST_WAY_M:
+        distance_m = self._distance_m - recent[0][3]
+        if abs(distance_m) < MIN_DISTANCE_M:
             return
-        curvature = (self._yaw - recent[0][2]) / way_m
+        curvature = (self._yaw - recent[0][2]) / distance_m
         self._trace["turned curvature"].add(middle_s, curvature)
         sent = self._sent
-        if (sent is not None and abs(sent) > LEAST_CURVATURE and abs(speed) > LEAST_SPEED_MPS
+        if (sent is not None and abs(sent) > MIN_CURVATURE and abs(speed) > MIN_SPEED_MPS
                 and time_s - self._sent_since_s > STEADY_S):
             bins = self._ratios[0 if sent > 0 else 1]
             bins[min(max(int(curvature / sent * BINS_PER_UNIT), 0), RATIO_BINS - 1)] += 1
@@ -424,11 +425,11 @@ class _Watch:
         if index is not None:
             faults = self._drive.faults
             faults[index] = faults[index]._replace(times=faults[index].times + 1)
-        elif len(self._drive.faults) < MOST_TOLD:
+        elif len(self._drive.faults) < MAX_REPORTED:
             self._logged[key] = len(self._drive.faults)
             self._keep(Fault(time_s, math.nan, ERROR if message.level >= error else WARN, name, message.msg))
         else:
-            self._drive.untold += 1
+            self._drive.pending += 1
 
 
 def is_loss(reason: str) -> bool:

@@ -12,7 +12,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from diagnostic_updater import DiagnosticStatusWrapper, Updater
 
-from car_interface.ros.runtime import Heartbeat, Inbox
+from car_interface.ros.runtime import Inbox, RateTimer
 
 RATE_HZ = 1
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -48,12 +48,12 @@ class Diagnostics:
 
     def __init__(self, inbox: Inbox, hardware_id: str, reports: dict[str, Report], now_ns: int):
         self._updater = _Updater(inbox.node_name)
-        inbox.made(self._updater.publisher.unregister)
+        inbox.on_close(self._updater.publisher.unregister)
         self._updater.setHardwareID(hardware_id)
         self._inbox = inbox
         for name, report in reports.items():
             self._updater.add(name, self._with_inbox(report))
-        self._heartbeat = Heartbeat(RATE_HZ, now_ns + 1_000_000_000 // RATE_HZ)
+        self._timer = RateTimer(RATE_HZ, now_ns + 1_000_000_000 // RATE_HZ)
 
     def _with_inbox(self, report):
         """That a node lost messages belongs to whatever it says of itself."""
@@ -69,11 +69,11 @@ class Diagnostics:
     @property
     def due_ns(self) -> int:
         """When the next report is due."""
-        return self._heartbeat.due_ns
+        return self._timer.due_ns
 
     def step(self, now_ns: int) -> None:
         """Report, if it's time."""
-        if self._heartbeat.is_due(now_ns):
+        if self._timer.is_due(now_ns):
             self._updater.force_update()
 
 

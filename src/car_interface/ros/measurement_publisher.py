@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 from car_interface.common.errors import ConfigError
 from car_interface.msg import SteeringState, TeensyClock
 from car_interface.ros.diagnostics import OK, WARN
-from car_interface.ros.runtime import Complaints, Heartbeat, advertise, is_heard, subscribe
+from car_interface.ros.runtime import RateTimer, ThrottledWarnings, advertise, has_subscribers, subscribe
 from car_interface.steering.monitor import SteeringCheck
 from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.clock import ClockConfig
@@ -34,8 +34,8 @@ WHEEL_JOINTS = ("rear_left_wheel", "rear_right_wheel")
 # Of the virtual car: x and y from the middle of the rear axle, in m, and where it looks, in rad.
 MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0], "front_left": [0.40, 0.10, 0.524],
           "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
-MOST_WAITING = 10  # reports of the wheels: what is passed on as it is shall not wait for long behind them
-REFUSED_SHARE = 0.01  # of a second's records, from which on it's worth a warning
+MAX_PENDING = 10  # reports of the wheels: what is passed on as it is shall not wait for long behind them
+MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's worth a warning
 SLOWEST_ODOM_HZ = 0.1
 SAME_OFFSET_NS = 200_000  # the system's clock is slewed by 0.5 ms a second at most
 SET_BACK_NS = NS_PER_S // 2  # a clock that goes back by more was set on purpose
@@ -93,12 +93,12 @@ class MeasurementPublisher:
         self._measurements = Measurements(config)
         self._ros_clock = RosClock()
         self._steering_check = SteeringCheck()
-        self._complaints = Complaints()
+        self._warnings = ThrottledWarnings()
         self._sync = None
         self._counted = (0, 0)
         self._reports: list[tuple] = []  # of the wheels, with their times: they came too soon after the last odometry
-        self._untold = None  # the newest motion, if nobody was told yet
-        self._turn = Heartbeat(settings.odom_rate_hz, 0)  # of the next motion
+        self._pending = None  # the newest motion, if nobody was told yet
+        self._turn = RateTimer(settings.odom_rate_hz, 0)  # of the next motion
         self._prepare_messages()
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
         self._joints = advertise("joint_states", JointState, inbox, QUEUE_SIZE)
@@ -140,7 +140,7 @@ class MeasurementPublisher:
         """Take a sonar's report; publish its range, if it is one."""
         self._catch_up()
         measured = self._measurements.sonar(record, received_ns, is_trusted)
-        if measured is None or not is_heard(self._ranges[measured.sensor]):
+        if measured is None or not has_subscribers(self._ranges[measured.sensor]):
             return
         message = self._heard
         message.range = measured.range_m
@@ -152,25 +152,25 @@ class MeasurementPublisher:
         """Take a report of the wheels. It may wait for others: several in a row cost less than one by one."""
         self._reports.append((record, received_ns))
         if self._turn.is_due(received_ns):
-            self._tell_motion()
-        elif len(self._reports) == MOST_WAITING:
+            self._report_motion()
+        elif len(self._reports) == MAX_PENDING:
             self._catch_up()
 
     @property
     def due_ns(self) -> float:
         """When the next step is due: reports that came too soon wait for another one, but not for long."""
-        return self._turn.due_ns + self._turn.period_ns if self._reports or self._untold else math.inf
+        return self._turn.due_ns + self._turn.period_ns if self._reports or self._pending else math.inf
 
     def step(self, now_ns: int) -> None:
         """Publish the motion that came too soon, if none came after it."""
         if now_ns >= self.due_ns and self._turn.is_due(now_ns):
-            self._tell_motion()
+            self._report_motion()
 
-    def _tell_motion(self):
+    def _report_motion(self):
         self._catch_up()
-        if self._untold is not None:
-            self._publish_motion(self._untold)
-            self._untold = None
+        if self._pending is not None:
+            self._publish_motion(self._pending)
+            self._pending = None
 
     def _catch_up(self):
         """Take the reports that waited, before anything that came after them."""
@@ -178,23 +178,23 @@ class MeasurementPublisher:
             measured = self._measurements.wheels(record, received_ns)
             if measured is not None:
                 motion = measured.motion
-                self._steering_check.hear_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
-                self._untold = measured
+                self._steering_check.update_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
+                self._pending = measured
         self._reports.clear()
 
     def _publish_motion(self, measured):
         """Odometry, its transform, and the wheels' joints."""
         motion = measured.motion
         stamp = self._ros_clock.stamp("motion", measured.stamp.time_ns)  # one for all: they are looked up by it
-        if is_heard(self._odometry):
+        if has_subscribers(self._odometry):
             self._odometry.publish(self._odometry_message(motion, stamp))
-        if self._tf is not None and is_heard(self._tf):
+        if self._tf is not None and has_subscribers(self._tf):
             moved = self._moved_frame
             moved.header.stamp = stamp
             moved.transform.translation.x, moved.transform.translation.y = motion.x_m, motion.y_m
             _turn(moved.transform.rotation, motion.yaw_rad)
             self._tf.publish([moved])
-        if is_heard(self._joints):
+        if has_subscribers(self._joints):
             joints = self._turned
             joints.header.stamp = stamp
             joints.position, joints.velocity = motion.wheel_angles_rad, motion.wheel_speeds_radps
@@ -224,7 +224,7 @@ class MeasurementPublisher:
         gates = self._measurements.gates
         accepted, refused = (now - before for now, before in zip((gates.accepted, gates.refused), self._counted))
         self._counted = (gates.accepted, gates.refused)
-        bad = refused > REFUSED_SHARE * (accepted + refused)
+        bad = refused > MAX_REFUSED_RATIO * (accepted + refused)
         status.summary(WARN if bad else OK, f"{refused} of the last second's records made no sense" if bad else
                        "wheels, sonars and pongs make sense")
         status.add("accepted", gates.accepted)
@@ -251,11 +251,11 @@ class MeasurementPublisher:
         try:
             self._measurements.ranging.temperature_c = message.temperature
         except ConfigError as error:
-            self._complaints.warn("temperature", f"{error}: the one before it counts on")
+            self._warnings.warn("temperature", f"{error}: the one before it counts on")
 
     def _on_steering(self, message, now_ns):
         self._catch_up()
-        self._steering_check.hear_command(message.turn_radius, now_ns)
+        self._steering_check.update_command(message.turn_radius, now_ns)
         self._measurements.steer(1 / message.turn_radius if message.turn_radius else math.nan)
 
     def _odometry_message(self, motion, stamp):
@@ -311,16 +311,16 @@ def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) ->
     pulses = params.integer("pulses_per_revolution", 20, low=1, high=10_000)
     diameter_m = params.number("wheel_diameter", 0.095, low=SHORTEST_M, high=10)
     # Whatever the sonars do, pongs come with the pings, of which one may be lost.
-    longest_gap_ms = max(GateConfig.longest_gap_ms, math.ceil(2000 * ping_period_s))
+    max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * ping_period_s))
     return MeasurementConfig(
         gates=GateConfig(top_speed_mps=params.number("top_speed", 20.0, above=0.0, high=1000),
-                         pulse_m=math.pi * diameter_m / pulses, longest_gap_ms=longest_gap_ms),
+                         pulse_m=math.pi * diameter_m / pulses, max_gap_ms=max_gap_ms),
         clock=ClockConfig(baud=baud),
         odometry=OdometryConfig(
             pulses_per_revolution=pulses, wheel_diameter_m=diameter_m,
             track_m=params.number("track", 0.296, low=SHORTEST_M, high=10),
             wheelbase_m=params.number("wheelbase", 0.324, low=SHORTEST_M, high=10), use_steering=uses_steering,
-            way_sigma=params.number("way_sigma", 0.02, low=0.0, high=1),
+            distance_sigma=params.number("distance_sigma", 0.02, low=0.0, high=1),
             heading_sigma=params.number("heading_sigma", 0.01, low=0.0, high=1)),
         ranging=RangingConfig(
             temperature_c=params.number("temperature", 20.0, low=-50, high=60),

@@ -20,7 +20,7 @@ from dynamic_reconfigure.server import Server
 
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.yaml_edit import Values
-from car_interface.ros.runtime import TOO_BUSY, Complaints, Inbox
+from car_interface.ros.runtime import TOO_BUSY, Inbox, ThrottledWarnings
 from car_interface.ros.save_service import File, serve_saving
 
 ANSWER_WITHIN_S = 2.0
@@ -55,12 +55,12 @@ class _Request:
         self.answered.set()
 
 
-class Live:
+class ReconfigureServer:
     """A node's tunable values.
 
     Args:
         inbox: the node's.
-        complaints: the node's; what of a request isn't accepted is counted there.
+        warnings: the node's; what of a request isn't accepted is counted there.
         tuning: the values, their limits, and how fast they move.
         apply: puts values in force; called in the node's thread.
         parameters: all parameters that belong to such values, with the names that they have in the node's namespace and
@@ -70,10 +70,11 @@ class Live:
         namespace: below the node's, where dynamic_reconfigure keeps the parameters.
     """
 
-    def __init__(self, inbox: Inbox, complaints: Complaints, tuning: Tuning, apply: Callable[[Mapping[str, int]], None],
-                 parameters: Callable[[Mapping[str, int]], Values], offered, save_to: str | None, namespace: str = ""):
+    def __init__(self, inbox: Inbox, warnings: ThrottledWarnings, tuning: Tuning,
+                 apply: Callable[[Mapping[str, int]], None], parameters: Callable[[Mapping[str, int]], Values],
+                 offered, save_to: str | None, namespace: str = ""):
         self._inbox = inbox
-        self._complaints = complaints
+        self._warnings = warnings
         self._tuning = tuning
         self._apply = apply
         self._parameters = parameters
@@ -85,7 +86,7 @@ class Live:
         self._server = _Server(_limited(offered, tuning), self._on_reconfigure, own)
         for take_back in (self._server.set_service.shutdown, self._server.descr_topic.unregister,
                           self._server.update_topic.unregister):
-            inbox.made(take_back)
+            inbox.on_close(take_back)
         self._serving = True
         serve_saving(inbox, self._files, FOLLOWER)
 
@@ -130,7 +131,7 @@ class Live:
         answer = self._tuning.request(request.wanted, now_ns)
         request.answered.set()
         if answer.complaint:
-            self._complaints.warn("live tuning", answer.complaint)
+            self._warnings.warn("live tuning", answer.complaint)
 
     def _files(self):
         """What ~save shall save: what was accepted, once it is in force."""

@@ -30,13 +30,13 @@ from car_interface.common.staleness import DROPPED
 from car_interface.ros.logs import LogsAside, LogStream
 
 NS_PER_S = 1_000_000_000
-LONGEST_WAIT_NS = NS_PER_S
+MAX_WAIT_NS = NS_PER_S
 INBOX_LIMIT = 10_000  # more than any node is sent while its thread waits for a device
 OVERFLOW_SHOWN_NS = 10_000_000_000  # for so long /diagnostics says that an inbox has overflowed
 SHUT_DOWN_S = 2.0
 LAST_WORDS_S = 0.5  # for what was logged at the end
 SWITCH_INTERVAL_S = 0.0005  # how long one thread may keep the others from a message; Python's own 5 ms show
-COMPLAINT_PERIOD_NS = 10 * NS_PER_S
+WARNING_PERIOD_NS = 10 * NS_PER_S
 # To who waits for a service's answer.
 ENDED, TOO_BUSY = "the node has ended", f"the node was held up for too long: {DROPPED}, and this request with them"
 
@@ -65,7 +65,7 @@ class Inbox:
         self.dropped = 0  # how much was put in and never taken
         self._dropped_ns = -OVERFLOW_SHOWN_NS  # when that was last said to the node
         self._overflow_handlers: list[Callable[[int], None]] = []
-        self._overflow_warnings = Complaints(rospy.logerr)
+        self._overflow_warnings = ThrottledWarnings(rospy.logerr)
         self._limit = limit
         self._items: list[tuple] = []  # (handler, item, arrival_ns), and what to call if that is dropped
         self._lock = threading.Lock()  # of the items
@@ -81,11 +81,11 @@ class Inbox:
         """The node's name, with its namespace."""
         return self._node_name or rospy.get_name()
 
-    def own(self, name: str) -> str:
+    def resolve_name(self, name: str) -> str:
         """A name of a topic or service for rospy, which takes ``~state`` for the process's."""
         return f"{self._node_name}/{name[1:]}" if self._node_name and name.startswith("~") else name
 
-    def made(self, take_back: Callable[[], None]) -> None:
+    def on_close(self, take_back: Callable[[], None]) -> None:
         """Have ``close`` take back what was made on the ROS graph."""
         self._made.append(take_back)
 
@@ -181,12 +181,12 @@ class Inbox:
 
     def wait_until(self, deadline_ns: float) -> None:
         """Sleep until something arrives, a watched fd can be read, or the monotonic clock reaches the deadline."""
-        left_ns = max(0, min(deadline_ns - time.monotonic_ns(), LONGEST_WAIT_NS))
+        left_ns = max(0, min(deadline_ns - time.monotonic_ns(), MAX_WAIT_NS))
         ready, _, _ = select.select(self._watched, [], [], left_ns / NS_PER_S)
         if self._wake_read in ready:
             os.read(self._wake_read, 4096)
 
-    def take(self) -> list[tuple]:
+    def drain(self) -> list[tuple]:
         """What has arrived, oldest first, as (handler, item, arrival_ns)."""
         with self._lock:
             taken = [event for event, _ in self._items]
@@ -194,7 +194,7 @@ class Inbox:
         return taken
 
 
-class Heartbeat:
+class RateTimer:
     """A fixed grid of times. After a stall it goes on from now; it doesn't catch up."""
 
     def __init__(self, rate_hz: float, now_ns: int):
@@ -211,7 +211,7 @@ class Heartbeat:
         return True
 
 
-class Complaints:
+class ThrottledWarnings:
     """Counts what goes wrong by kind, and logs each kind at once and then at most every 10 s.
 
     Args:
@@ -228,7 +228,7 @@ class Complaints:
         self.counts[kind] += count
         now_ns = time.monotonic_ns()
         if now_ns >= self._silent_until_ns.get(kind, 0):
-            self._silent_until_ns[kind] = now_ns + COMPLAINT_PERIOD_NS
+            self._silent_until_ns[kind] = now_ns + WARNING_PERIOD_NS
             times = self.counts[kind]
             self._log("%s%s", text, f" ({times} so far)" if times > 1 else "")
 
@@ -256,9 +256,9 @@ def run(name: str, node_class) -> None:
     rospy.core.add_shutdown_hook(lambda reason: unregistered.set())  # comes after rospy's own
     failed = False
     try:
-        live(node_class, inbox)
+        spin(node_class, inbox)
     except Exception as error:
-        rospy.logfatal("%s", in_words(error))
+        rospy.logfatal("%s", describe_error(error))
         failed = True
     ended.set()
     rospy.signal_shutdown("ended")  # returns at once while another thread is doing that already
@@ -268,10 +268,10 @@ def run(name: str, node_class) -> None:
     sys.exit(1 if failed else 0)
 
 
-def live(node_class, inbox: Inbox) -> None:
+def spin(node_class, inbox: Inbox) -> None:
     """A node's life in this thread: read its parameters, build it, step it until it shall end, shut it down."""
     name = inbox.node_name
-    node = node_class(Params(rospy.get_param(name, {}), lambda wanted: _search_outward(name, wanted)), inbox)
+    node = node_class(Params(rospy.get_param(name, {}), lambda wanted: _search_parents(name, wanted)), inbox)
     try:
         while not inbox.ending:
             inbox.wait_until(node.step(time.monotonic_ns()))
@@ -279,7 +279,7 @@ def live(node_class, inbox: Inbox) -> None:
         node.shut_down()
 
 
-def in_words(error: Exception) -> str:
+def describe_error(error: Exception) -> str:
     """One line about what ended a node; where that is a fault of its own, the log file gets the traceback."""
     if isinstance(error, CarInterfaceError):
         return str(error)
@@ -294,7 +294,7 @@ def _end_and_wait(inbox, ended):
         ended.wait(SHUT_DOWN_S)
 
 
-def _search_outward(node_name, name):
+def _search_parents(node_name, name):
     """A parameter's value from the nearest namespace around a node; None if none has it."""
     namespace = node_name
     while namespace:
@@ -307,8 +307,8 @@ def _search_outward(node_name, name):
 
 def advertise(topic: str, message_type, inbox: Inbox, queue_size=10, latch=False) -> rospy.Publisher:
     """A publisher, for the life of the inbox's node."""
-    publisher = rospy.Publisher(inbox.own(topic), message_type, queue_size=queue_size, latch=latch)
-    inbox.made(publisher.unregister)
+    publisher = rospy.Publisher(inbox.resolve_name(topic), message_type, queue_size=queue_size, latch=latch)
+    inbox.on_close(publisher.unregister)
     return publisher
 
 
@@ -316,7 +316,7 @@ def serve(name: str, service_type, inbox: Inbox, handler: Callable[[Any, Future]
     """Offer a service: ``handler(request, done)`` runs in the node's thread; the Future gets the response's fields."""
     def handle(request):
         return service_type._response_class(*inbox.ask(handler, request))
-    inbox.made(rospy.Service(inbox.own(name), service_type, handle).shutdown)
+    inbox.on_close(rospy.Service(inbox.resolve_name(name), service_type, handle).shutdown)
 
 
 def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10) -> None:
@@ -338,19 +338,20 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[
         handler(message, arrival_ns)
         then(arrival_ns)
 
-    def hear(message):
+    def receive(message):
         nonlocal last
         is_news = message.data != last  # as NaN always is
         last = message.data
         inbox.put(act if then and is_news else handler, message, wakes=is_news)
-    _subscribe(topic, message_type, inbox, hear)
+    _subscribe(topic, message_type, inbox, receive)
 
 
-def _subscribe(topic, message_type, inbox, hear, queue_size=10):
-    subscriber = rospy.Subscriber(inbox.own(topic), message_type, hear, queue_size=queue_size, tcp_nodelay=True)
-    inbox.made(subscriber.unregister)
+def _subscribe(topic, message_type, inbox, receive, queue_size=10):
+    subscriber = rospy.Subscriber(inbox.resolve_name(topic), message_type, receive, queue_size=queue_size,
+                                  tcp_nodelay=True)
+    inbox.on_close(subscriber.unregister)
 
 
-def is_heard(publisher) -> bool:
+def has_subscribers(publisher) -> bool:
     """Whether anybody subscribes: rospy makes a message before it finds that nobody does."""
     return publisher.get_num_connections() > 0

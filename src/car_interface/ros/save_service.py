@@ -49,7 +49,7 @@ def serve_saving(inbox: Inbox, files: Callable[[], list[File]], follower: str | 
         (rospy.loginfo if response.success else rospy.logwarn)("save: %s", response.message)
         return response
 
-    inbox.made(rospy.Service(inbox.own("~save"), Trigger, answer).shutdown)
+    inbox.on_close(rospy.Service(inbox.resolve_name("~save"), Trigger, answer).shutdown)
 
 
 def _save(file):

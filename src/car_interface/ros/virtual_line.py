@@ -17,12 +17,12 @@ import tty
 
 from car_interface.common.errors import ConfigError
 from car_interface.ros.faults import serve_faults
-from car_interface.sim.line import LONGEST_S, NS_PER_S, BadLine
+from car_interface.sim.line import MAX_S, NS_PER_S, BadLine
 from car_interface.sim.teensy_firmware import SONAR_CONDITIONS
 
 READ_SIZE = 4096
 ODD_FLAG = b"\x7e"
-LONGEST_BACKLOG = 4096  # bytes on their way to the Teensy: beyond it the writer waits, as behind a real UART
+MAX_BACKLOG = 4096  # bytes on their way to the Teensy: beyond it the writer waits, as behind a real UART
 NEVER_NS = 1 << 63
 
 
@@ -70,7 +70,7 @@ class VirtualLine:
         """Carry what both sides have sent until now."""
         if self._terminal is None and now_ns >= self._plug_ns:
             self._plug()
-        self._watch(self._terminal is not None and self._firmware.receive_backlog(now_ns) < LONGEST_BACKLOG)
+        self._watch(self._terminal is not None and self._firmware.receive_backlog(now_ns) < MAX_BACKLOG)
         if self._watched_fd is not None:
             written = self._bad.to_teensy(self._terminal.read(), now_ns)
             if written:
@@ -96,8 +96,8 @@ class VirtualLine:
             self._watched_fd = None
 
     def _unplug(self, duration_s, now_ns):
-        if not 0 <= duration_s <= LONGEST_S:
-            raise ConfigError("unplug", duration_s, f"0 (until plug) to {LONGEST_S} s")
+        if not 0 <= duration_s <= MAX_S:
+            raise ConfigError("unplug", duration_s, f"0 (until plug) to {MAX_S} s")
         self._plug_ns = now_ns + round(duration_s * NS_PER_S) if duration_s else NEVER_NS
         if self._terminal is not None:
             self._unplugged_from = self._terminal.name

@@ -21,12 +21,12 @@ class DriveConfig(NamedTuple):
     nobody_s: float = 5.0
     picked_up_s: float = 2.0  # so long before it is used the gamepad is there, with no deadman held
     let_go_s: float = 6.0
-    longest_turn_s: float = 20.0  # a circle that takes longer is given up
+    max_turn_s: float = 20.0  # a circle that takes longer is given up
     speed_mps: float = 1.2
     teleop_steering: float = 0.98
     radius_m: float = 1.6
     gain_per_s: float = 1.5  # from missing speed to acceleration
-    most_acceleration_mps2: float = 2.0
+    max_acceleration_mps2: float = 2.0
 
 
 class Orders(NamedTuple):
@@ -74,7 +74,7 @@ class Drive:
             autonomous=self.stage in (LEFT_CIRCLE, RIGHT_CIRCLE),
             steering=config.teleop_steering,
             radius_m=-config.radius_m if self.stage == RIGHT_CIRCLE else config.radius_m,
-            acceleration_mps2=max(-config.most_acceleration_mps2, min(config.most_acceleration_mps2, wanted)),
+            acceleration_mps2=max(-config.max_acceleration_mps2, min(config.max_acceleration_mps2, wanted)),
             gamepad_on=(elapsed_s >= config.nobody_s - config.picked_up_s if self.stage == NOBODY
                         else self.stage != DONE))
 
@@ -87,4 +87,4 @@ class Drive:
         if self.stage == DONE:
             return False
         turn = -self._turned_rad if self.stage == RIGHT_CIRCLE else self._turned_rad
-        return turn >= TURN_RAD or elapsed_s >= config.longest_turn_s
+        return turn >= TURN_RAD or elapsed_s >= config.max_turn_s

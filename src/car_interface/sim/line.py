@@ -11,10 +11,10 @@ from typing import Iterator
 from car_interface.sim.checks import require
 
 NS_PER_S = 1_000_000_000
-LONGEST_S = 3600
-MOST_LOST = 1_000_000
+MAX_S = 3600
+MAX_LOST = 1_000_000
 FLOOD_PER_S = 1_000_000  # bytes
-LONGEST_FLOOD = 8192  # at once, after a pause of the simulator's
+MAX_FLOOD = 8192  # at once, after a pause of the simulator's
 TO_HOST, TO_TEENSY = 0, 1
 
 
@@ -51,7 +51,7 @@ class BadLine:
 
     def cut(self, count: float) -> None:
         """The next so many bytes to the host are lost."""
-        require(0 <= count <= MOST_LOST and count % 1 == 0, "cut", count, f"a whole number from 0 to {MOST_LOST}")
+        require(0 <= count <= MAX_LOST and count % 1 == 0, "cut", count, f"a whole number from 0 to {MAX_LOST}")
         self._to_lose = int(count)
 
     def bit_errors(self, rate: float) -> None:
@@ -81,7 +81,7 @@ class BadLine:
         if count <= 0:
             return b""
         self._flooded_ns = until_ns
-        count = min(count, LONGEST_FLOOD)
+        count = min(count, MAX_FLOOD)
         return self._random.getrandbits(8 * count).to_bytes(count, "little")
 
 
@@ -155,5 +155,5 @@ def _bits_of(data) -> Iterator[str]:
 
 
 def _duration_ns(name, duration_s):
-    require(0 <= duration_s <= LONGEST_S, name, duration_s, f"0 to {LONGEST_S} s")
+    require(0 <= duration_s <= MAX_S, name, duration_s, f"0 to {MAX_S} s")
     return round(duration_s * NS_PER_S)

@@ -22,7 +22,7 @@ from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, LEFT, RIGHT
 NS_PER_S = 1_000_000_000
 GRAVITY_MPS2 = 9.81
 # 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.
-SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192
+SHORTEST_PULSE, MAX_PULSE = 1638, 8192
 ARRIVED_DUTY = 0.01  # a creeping servo never quite arrives; from here on it has
 
 
@@ -56,8 +56,8 @@ class SteeringConfig:
         center_duty: where the servo stands at power-up. It steers 1.3e-3 1/m to the right: this car has to be trimmed.
         rate_duty_per_s: the fastest that the servo turns: 60° (2185 duty, 90° being 1 ms) in 0.17 s.
         lag_s: time constant with which it creeps up to a near target.
-        play_duty: how far the servo turns, after it has turned round, before the wheels follow; the curve is that of
-            the middle between both ways to come there.
+        backlash_duty: how far the servo turns, after it has turned round, before the wheels follow; the curve is that
+            of the middle between both ways to come there.
     """
 
     curve: tuple[tuple[float, float], ...] = (
@@ -71,7 +71,7 @@ class SteeringConfig:
     center_duty: float = 5100.0
     rate_duty_per_s: float = 12850.0
     lag_s: float = 0.015
-    play_duty: float = 0.0
+    backlash_duty: float = 0.0
 
     def __post_init__(self):
         duties, curvatures = zip(*self.curve)
@@ -80,7 +80,7 @@ class SteeringConfig:
         require(len(self.curve) > 1 and rising and falling, "steering curve", self.curve, "rising duty, falling 1/m")
         require(self.rate_duty_per_s > 0, "rate_duty_per_s", self.rate_duty_per_s, "more than 0")
         require(self.lag_s > 0, "lag_s", self.lag_s, "more than 0")
-        require(self.play_duty >= 0, "play_duty", self.play_duty, "0 or more")
+        require(self.backlash_duty >= 0, "backlash_duty", self.backlash_duty, "0 or more")
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ class Vehicle:
         self.servo_duty = config.steering.center_duty
         self._start_ns = start_ns
         self._linkage_duty = self.servo_duty  # where the wheels are, in the servo's duty without play
-        self._half_play_duty = config.steering.play_duty / 2
+        self._half_backlash_duty = config.steering.backlash_duty / 2
         self._slope_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))  # when it looks uphill
         self._duties, self._curvatures = (tuple(column) for column in zip(*config.steering.curve))
         self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
@@ -239,8 +239,8 @@ class Vehicle:
         """
         dt_s = dt_ns / NS_PER_S
         curvature_per_m = self._turn_servo(dt_s, steering_duty)
-        speed_mps, way_m, moving_s = self._accelerate(dt_s, esc_duty)
-        pulses = self._roll(way_m, moving_s, speed_mps, curvature_per_m) if way_m else []
+        speed_mps, distance_m, moving_s = self._accelerate(dt_s, esc_duty)
+        pulses = self._roll(distance_m, moving_s, speed_mps, curvature_per_m) if distance_m else []
         self.time_ns += dt_ns
         self.speed_mps = speed_mps
         return pulses
@@ -258,8 +258,9 @@ class Vehicle:
             wanted = error * -math.expm1(-dt_s / steering.lag_s)
             self.servo_duty += max(-farthest, min(farthest, wanted))
         before_per_m = self.curvature_per_m
-        half_play = self._half_play_duty
-        self._linkage_duty = max(self.servo_duty - half_play, min(self.servo_duty + half_play, self._linkage_duty))
+        half_backlash = self._half_backlash_duty
+        low, high = self.servo_duty - half_backlash, self.servo_duty + half_backlash
+        self._linkage_duty = max(low, min(high, self._linkage_duty))
         self.curvature_per_m = self.true_curvature_per_m(self._linkage_duty)
         return (before_per_m + self.curvature_per_m) / 2
 
@@ -282,30 +283,30 @@ class Vehicle:
         self.acceleration_mps2 = (after_mps - before_mps) / dt_s
         return after_mps, (before_mps + after_mps) / 2 * moving_s, moving_s
 
-    def _roll(self, way_m: float, moving_s: float, speed_mps: float, curvature_per_m: float) -> list[Pulse]:
+    def _roll(self, distance_m: float, moving_s: float, speed_mps: float, curvature_per_m: float) -> list[Pulse]:
         """Moves along an arc and returns the pulses on it."""
         x_m, y_m, yaw_rad = self.pose
-        turn_rad = way_m * curvature_per_m
+        turn_rad = distance_m * curvature_per_m
         # The chord of an arc: its length is way · sin(h)/h, its direction the mean of both headings (h: half the turn).
         half_rad = turn_rad / 2
-        chord_m = way_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
+        chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
         direction_rad = yaw_rad + half_rad
         self.pose = Pose(
             x_m + chord_m * math.cos(direction_rad), y_m + chord_m * math.sin(direction_rad), yaw_rad + turn_rad
         )
-        self.travel_m += way_m
+        self.travel_m += distance_m
         widening = self._half_track_m * curvature_per_m
         acceleration_mps2 = (speed_mps - self.speed_mps) / moving_s
-        left = self._wheel(LEFT, way_m, 1.0 - widening, acceleration_mps2)
-        right = self._wheel(RIGHT, way_m, 1.0 + widening, acceleration_mps2)
+        left = self._wheel(LEFT, distance_m, 1.0 - widening, acceleration_mps2)
+        right = self._wheel(RIGHT, distance_m, 1.0 + widening, acceleration_mps2)
         if left and right:
             return sorted(left + right)
         return left or right
 
-    def _wheel(self, side: int, way_m: float, share: float, acceleration_mps2: float) -> list[Pulse]:
+    def _wheel(self, side: int, distance_m: float, share: float, acceleration_mps2: float) -> list[Pulse]:
         """Turns one wheel, whose way is ``share`` of the axle's, and returns its pulses."""
         before = self._wheel_pulses[side]
-        after = before + way_m * share / self._pulse_m
+        after = before + distance_m * share / self._pulse_m
         self._wheel_pulses[side] = after
         # A magnet sits at each whole number. Rolling back over it gives a pulse as well.
         first, last = math.floor(before), math.floor(after)
@@ -320,16 +321,16 @@ class Vehicle:
             for magnet in magnets
         ]
 
-    def _time_to_ns(self, way_m: float, acceleration_mps2: float) -> int:
-        """When the axle has gone ``way_m``: of v·t + a·t²/2 = s the first root, in the form that also takes a = 0."""
+    def _time_to_ns(self, distance_m: float, acceleration_mps2: float) -> int:
+        """When the axle has gone ``distance_m``: the first root of v·t + a·t²/2 = s, in a form that takes a = 0."""
         speed_mps = self.speed_mps
-        root_mps = math.sqrt(max(0.0, speed_mps * speed_mps + 2.0 * acceleration_mps2 * way_m))
-        return int(2.0 * way_m / (speed_mps + math.copysign(root_mps, way_m)) * NS_PER_S)
+        root_mps = math.sqrt(max(0.0, speed_mps * speed_mps + 2.0 * acceleration_mps2 * distance_m))
+        return int(2.0 * distance_m / (speed_mps + math.copysign(root_mps, distance_m)) * NS_PER_S)
 
 
 def is_pulse(duty: int) -> bool:
     """Whether a servo or an ESC takes ``duty`` for a command; neither 0 (off) nor -1 (never set) nor 65535 (on) is."""
-    return SHORTEST_PULSE <= duty <= LONGEST_PULSE
+    return SHORTEST_PULSE <= duty <= MAX_PULSE
 
 
 def throttle(duty: int, drive: DriveConfig) -> float | None:

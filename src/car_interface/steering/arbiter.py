@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple
 
 from car_interface.common.lookup_table import LookupTable, round_half_away
-from car_interface.common.staleness import Heard
-from car_interface.interlock.motion_interlock import Permission
+from car_interface.common.staleness import TimedInput
+from car_interface.interlock.motion_interlock import MotionInterlock
 from car_interface.steering.calibration import SteeringConfig
 
 NS_PER_S = 1_000_000_000
@@ -57,14 +57,14 @@ class SteeringArbiter:
 
     def __init__(self, config: SteeringConfig):
         self.calibrate(config)
-        self._permission = Permission(config.permission)
-        self._teleop = Heard("tele_steer_req", config.teleop_timeout_s)
-        self._planner = Heard("av_turnrad_req", config.planner_timeout_s)
+        self._interlock = MotionInterlock(config.interlock)
+        self._teleop = TimedInput("tele_steer_req", config.teleop_timeout_s)
+        self._planner = TimedInput("av_turnrad_req", config.planner_timeout_s)
         self._slewed_duty: float = config.servo_center
         self._slewed_ns = 0
 
     def calibrate(self, config: SteeringConfig) -> None:
-        """Go by another calibration from now on; timeouts and permission stay as they were at start.
+        """Go by another calibration from now on; timeouts and interlock stay as they were at start.
 
         Raises:
             ConfigError: naming the parameter; then the one before stays.
@@ -75,25 +75,25 @@ class SteeringArbiter:
                             "m_turnrad_axis_servo", "k_pwmcmd_right_table_servo")
         self._config, self._left, self._right = config, left, right
 
-    def hear_e_stop(self, locked: bool, now_ns: int) -> None:
+    def update_e_stop(self, locked: bool, now_ns: int) -> None:
         """The emergency stop: true = neutral, whoever asks for what."""
-        self._permission.hear_e_stop(locked, now_ns)
+        self._interlock.update_e_stop(locked, now_ns)
 
-    def hear_human(self, present: bool, now_ns: int) -> None:
+    def update_human(self, present: bool, now_ns: int) -> None:
         """The deadman: true while a human holds it."""
-        self._permission.hear_human(present, now_ns)
+        self._interlock.update_human(present, now_ns)
 
-    def hear_teleop(self, steering: float, now_ns: int) -> None:
+    def update_teleop(self, steering: float, now_ns: int) -> None:
         """The gamepad's steering, −1 right to +1 left."""
-        self._teleop.hear(steering, now_ns)
+        self._teleop.update(steering, now_ns)
 
-    def hear_planner(self, radius_m: float, now_ns: int) -> None:
+    def update_planner(self, radius_m: float, now_ns: int) -> None:
         """The planner's turn radius in metres, right negative; 0 = no request."""
-        self._planner.hear(radius_m, now_ns)
+        self._planner.update(radius_m, now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all that was heard is lost."""
-        self._permission.mark_stale(now_ns)
+        self._interlock.mark_stale(now_ns)
         self._teleop.mark_stale()
         self._planner.mark_stale()
 
@@ -101,7 +101,7 @@ class SteeringArbiter:
         """Who steers at ``now_ns``, with what duty, and why. With a slew limit the duty depends on the calls before."""
         source, duty, cause, reason = self._rule(now_ns)
         return Decision(source, self._slewed(source, duty, now_ns), cause, reason,
-                        self._permission.e_stop_age_s(now_ns), self._permission.human_age_s(now_ns),
+                        self._interlock.e_stop_age_s(now_ns), self._interlock.human_age_s(now_ns),
                         self._teleop.age_s(now_ns), self._planner.age_s(now_ns))
 
     def _slewed(self, source, duty, now_ns):
@@ -115,12 +115,12 @@ class SteeringArbiter:
 
     def _rule(self, now_ns):
         center = self._config.servo_center
-        refusal = self._permission.refusal(now_ns)
-        if refusal is not None:
-            return LOCKED if refusal.locked else NO_HUMAN, center, refusal.cause, refusal.reason
-        if self._teleop.was_heard:
-            if self._teleop.is_silent(now_ns):
-                return NEUTRAL, center, "teleop silent", self._teleop.silence(now_ns)
+        inhibit = self._interlock.inhibit(now_ns)
+        if inhibit is not None:
+            return LOCKED if inhibit.locked else NO_HUMAN, center, inhibit.cause, inhibit.reason
+        if self._teleop.was_received:
+            if self._teleop.is_stale(now_ns):
+                return NEUTRAL, center, "teleop silent", self._teleop.stale_reason(now_ns)
             steering = self._teleop.value
             if not math.isfinite(steering):
                 return NEUTRAL, center, "teleop not finite", f"tele_steer_req is {steering}, no number to act on"
@@ -130,10 +130,10 @@ class SteeringArbiter:
 
     def _planner_rule(self, now_ns):
         center = self._config.servo_center
-        if not self._planner.was_heard:
+        if not self._planner.was_received:
             return NEUTRAL, center, "no request", "neither tele_steer_req nor av_turnrad_req asks for anything"
-        if self._planner.is_silent(now_ns):
-            return NEUTRAL, center, "planner silent", self._planner.silence(now_ns)
+        if self._planner.is_stale(now_ns):
+            return NEUTRAL, center, "planner silent", self._planner.stale_reason(now_ns)
         radius_m = self._planner.value
         if not math.isfinite(radius_m):
             return NEUTRAL, center, "planner not finite", f"av_turnrad_req is {radius_m}, no number to act on"

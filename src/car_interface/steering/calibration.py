@@ -9,7 +9,7 @@ from typing import Sequence
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.servo_channels import MAX_DUTY
-from car_interface.interlock.motion_interlock import PermissionConfig
+from car_interface.interlock.motion_interlock import InterlockConfig
 
 WIDE_M = 100.0  # a table that ends before it has no duty for almost straight on
 TABLE_DIGITS = 1  # of a duty in a table that was moved: finer than anything that a servo follows
@@ -28,7 +28,7 @@ class SteeringConfig:
         tele_steer_neutral: the request that means "not steering" (0.5 for an old 0..1 stack).
         tele_steer_deadband: requests this near to it mean the same.
         slew_limit: how fast gamepad and planner may move the servo, in duty per second; 0 = as fast as it can.
-        permission: the rules of lock and deadman.
+        interlock: the rules of lock and deadman.
         teleop_timeout_s, planner_timeout_s: silence longer than this is a loss; 0 = never.
 
     Raises:
@@ -45,7 +45,7 @@ class SteeringConfig:
     tele_steer_neutral: float = 0.0
     tele_steer_deadband: float = 0.001
     slew_limit: float = 0.0
-    permission: PermissionConfig = field(default_factory=PermissionConfig)
+    interlock: InterlockConfig = field(default_factory=InterlockConfig)
     teleop_timeout_s: float = 0.5
     planner_timeout_s: float = 0.5
 
@@ -83,8 +83,9 @@ def trimmed(config: SteeringConfig, servo_left: int, servo_center: int, servo_ri
 
     def moved(duty):
         end = 0 if (duty - before[1]) * (before[0] - before[1]) > 0 else 2
-        old_way, new_way = before[end] - before[1], after[end] - after[1]
-        return max(0.0, min(float(MAX_DUTY), round(after[1] + (duty - before[1]) * new_way / old_way, TABLE_DIGITS)))
+        old_travel, new_travel = before[end] - before[1], after[end] - after[1]
+        wanted = after[1] + (duty - before[1]) * new_travel / old_travel
+        return max(0.0, min(float(MAX_DUTY), round(wanted, TABLE_DIGITS)))
 
     return replace(config, servo_left=servo_left, servo_center=servo_center, servo_right=servo_right,
                    left_duties=[moved(duty) for duty in config.left_duties],

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.staleness import Heard
+from car_interface.common.staleness import TimedInput
 
 NS_PER_S = 1_000_000_000
 SLICE_NS = NS_PER_S // 10  # of the history; what is asked of it is asked in multiples of this
@@ -33,7 +33,7 @@ class SteeringCheckConfig:
 
     Attributes:
         min_speed_mps: slower than this nothing is judged.
-        off_share: the driven radius may differ from the commanded one by this share of it.
+        off_ratio: the driven radius may differ from the commanded one by this share of it.
         off_for_s: for so long it must be off, at speed, to be worth a warning.
         wrong_way_for_s: for so long a car must turn to the other side.
         straight_m: a wider turn than this counts as straight on.
@@ -46,7 +46,7 @@ class SteeringCheckConfig:
     """
 
     min_speed_mps: float = 0.5
-    off_share: float = 0.5
+    off_ratio: float = 0.5
     off_for_s: float = 2.0
     wrong_way_for_s: float = 0.5
     straight_m: float = 20.0
@@ -58,8 +58,8 @@ class SteeringCheckConfig:
         for name, value in vars(self).items():
             if not 0 < value < math.inf:
                 raise ConfigError(name, value, "a number above 0")
-        if self.off_share >= 1:
-            raise ConfigError("off_share", self.off_share, "a share below 1")
+        if self.off_ratio >= 1:
+            raise ConfigError("off_ratio", self.off_ratio, "a share below 1")
 
 
 class Judgement(NamedTuple):
@@ -74,7 +74,7 @@ class _Slice(NamedTuple):
     """A tenth of a second at speed."""
 
     duration_ns: int
-    way_m: float  # negative in reverse
+    distance_m: float  # negative in reverse
     turned_rad: float
     lowest_per_m: float  # of the curvatures that were commanded in it
     highest_per_m: float
@@ -97,38 +97,38 @@ class SteeringCheck:
         self._off_for_ns = round(config.off_for_s * NS_PER_S)
         self._wrong_way_for_ns = round(config.wrong_way_for_s * NS_PER_S)
         self._settling_ns = round(config.settling_s * NS_PER_S)
-        self._command = Heard("command", config.timeout_s)
-        self._motion = Heard("motion", config.timeout_s)
-        longest_ns = max(self._off_for_ns, self._wrong_way_for_ns) + self._settling_ns
-        self._slices: deque = deque(maxlen=math.ceil(longest_ns / SLICE_NS) + 1)
+        self._command = TimedInput("command", config.timeout_s)
+        self._motion = TimedInput("motion", config.timeout_s)
+        max_ns = max(self._off_for_ns, self._wrong_way_for_ns) + self._settling_ns
+        self._slices: deque = deque(maxlen=math.ceil(max_ns / SLICE_NS) + 1)
         self._since_ns: int | None = None  # of the slice under way; None: not at speed
         self._warnings: dict[str, str] = {}
         self._begin_slice(None)
 
-    def hear_command(self, radius_m: float, now_ns: int) -> None:
+    def update_command(self, radius_m: float, now_ns: int) -> None:
         """What the steering is commanded to: the calibration's radius, inf = straight on, NaN = unknown."""
-        self._command.hear(1 / radius_m if radius_m else math.nan, now_ns)
+        self._command.update(1 / radius_m if radius_m else math.nan, now_ns)
         self._take_command(now_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here: the command is lost."""
         self._command.mark_stale()
 
-    def hear_motion(self, speed_mps: float, yaw_rate_radps: float, now_ns: int) -> None:
+    def update_motion(self, speed_mps: float, yaw_rate_radps: float, now_ns: int) -> None:
         """What the wheels make, backward and to the right negative. What it said before held until now."""
-        before, was_silent = self._motion.value, self._motion.is_silent(now_ns)
-        passed_ns = 0 if was_silent else round(self._motion.age_s(now_ns) * NS_PER_S)
-        self._motion.hear((speed_mps, yaw_rate_radps), now_ns)
-        least_mps = self._config.min_speed_mps * (1.0 if self._since_ns is None else SLOWER)
+        before, was_stale = self._motion.value, self._motion.is_stale(now_ns)
+        passed_ns = 0 if was_stale else round(self._motion.age_s(now_ns) * NS_PER_S)
+        self._motion.update((speed_mps, yaw_rate_radps), now_ns)
+        min_mps = self._config.min_speed_mps * (1.0 if self._since_ns is None else SLOWER)
         reversed_ = before is not None and before[0] * speed_mps < 0
-        if was_silent or reversed_ or not (abs(speed_mps) >= least_mps and math.isfinite(speed_mps * yaw_rate_radps)):
+        if was_stale or reversed_ or not (abs(speed_mps) >= min_mps and math.isfinite(speed_mps * yaw_rate_radps)):
             self._slices.clear()
             self._begin_slice(None)
             return
         if self._since_ns is None:
             self._begin_slice(now_ns)
             return
-        self._way_m += before[0] * passed_ns / NS_PER_S
+        self._distance_m += before[0] * passed_ns / NS_PER_S
         self._turned_rad += before[1] * passed_ns / NS_PER_S
         self._take_command(now_ns)
         if now_ns - self._since_ns >= SLICE_NS:
@@ -136,16 +136,16 @@ class SteeringCheck:
 
     def judge(self, now_ns: int) -> Judgement:
         """What is known now."""
-        commanded_per_m = math.nan if self._command.is_silent(now_ns) else self._command.value
+        commanded_per_m = math.nan if self._command.is_stale(now_ns) else self._command.value
         estimated_per_m = math.nan
-        if not self._motion.is_silent(now_ns):
+        if not self._motion.is_stale(now_ns):
             driven = self._driven(round(ESTIMATE_S * NS_PER_S))
-            estimated_per_m = driven.turned_rad / driven.way_m if driven is not None else math.nan
+            estimated_per_m = driven.turned_rad / driven.distance_m if driven is not None else math.nan
         return Judgement(_radius_m(commanded_per_m), _radius_m(estimated_per_m), "; ".join(self._warnings.values()))
 
     def _begin_slice(self, now_ns):
         self._since_ns = now_ns
-        self._way_m = self._turned_rad = 0.0
+        self._distance_m = self._turned_rad = 0.0
         self._lowest_per_m, self._highest_per_m = math.inf, -math.inf
         if now_ns is not None:
             self._take_command(now_ns)
@@ -153,23 +153,23 @@ class SteeringCheck:
     def _take_command(self, now_ns):
         """Count what is commanded among the slice's; where it says nothing about the way, it could be anything."""
         low_per_m = high_per_m = self._command.value
-        if self._command.is_silent(now_ns) or math.isnan(low_per_m) or self._may_slide(low_per_m):
+        if self._command.is_stale(now_ns) or math.isnan(low_per_m) or self._may_slide(low_per_m):
             low_per_m, high_per_m = -math.inf, math.inf
         self._lowest_per_m = min(self._lowest_per_m, low_per_m)
         self._highest_per_m = max(self._highest_per_m, high_per_m)
 
     def _may_slide(self, curvature_per_m):
-        speed_mps = self._motion.value[0] if self._motion.was_heard else 0.0
+        speed_mps = self._motion.value[0] if self._motion.was_received else 0.0
         return abs(curvature_per_m) * speed_mps * speed_mps > self._config.grip_mps2
 
     def _end_slice(self, now_ns):
-        self._slices.append(_Slice(now_ns - self._since_ns, self._way_m, self._turned_rad,
+        self._slices.append(_Slice(now_ns - self._since_ns, self._distance_m, self._turned_rad,
                                    self._lowest_per_m, self._highest_per_m))
         self._begin_slice(now_ns)
         lately = self._driven(self._wrong_way_for_ns, self._settling_ns)
         driven = self._driven(self._off_for_ns, self._settling_ns)
         side = self._side(driven)
-        if self._goes_the_wrong_way(lately):
+        if self._turns_the_wrong_way(lately):
             self._warn(self._side(lately), lately)
         elif side and not self._is_within(driven, 1.0):
             self._warn(side, driven)
@@ -178,17 +178,17 @@ class SteeringCheck:
 
     def _driven(self, window_ns, settling_ns=0):
         """The newest slices of a window as one, with what was commanded since before it; ``None``: not that many."""
-        duration_ns, way_m, turned_rad = 0, 0.0, 0.0
+        duration_ns, distance_m, turned_rad = 0, 0.0, 0.0
         lowest_per_m, highest_per_m = math.inf, -math.inf
         for piece in reversed(self._slices):
             if duration_ns < window_ns:
-                way_m += piece.way_m
+                distance_m += piece.distance_m
                 turned_rad += piece.turned_rad
             lowest_per_m = min(lowest_per_m, piece.lowest_per_m)
             highest_per_m = max(highest_per_m, piece.highest_per_m)
             duration_ns += piece.duration_ns
             if duration_ns >= window_ns + settling_ns:
-                return _Slice(duration_ns, way_m, turned_rad, lowest_per_m, highest_per_m)
+                return _Slice(duration_ns, distance_m, turned_rad, lowest_per_m, highest_per_m)
         return None
 
     def _side(self, driven):
@@ -202,19 +202,19 @@ class SteeringCheck:
         straight = max(-driven.lowest_per_m, driven.highest_per_m) <= self._straight_per_m
         return STRAIGHT if straight else None
 
-    def _goes_the_wrong_way(self, driven):
+    def _turns_the_wrong_way(self, driven):
         side = self._side(driven)
         if side not in (LEFT, RIGHT):
             return False
         other_way = -1 if side == LEFT else 1
-        return other_way * driven.turned_rad / driven.way_m > self._straight_per_m + _doubt_per_m(driven)
+        return other_way * driven.turned_rad / driven.distance_m > self._straight_per_m + _doubt_per_m(driven)
 
     def _is_within(self, driven, strictness):
         """Whether the driven curvature is near enough to something that was commanded."""
-        low, high, turned = driven.lowest_per_m, driven.highest_per_m, driven.turned_rad / driven.way_m
+        low, high, turned = driven.lowest_per_m, driven.highest_per_m, driven.turned_rad / driven.distance_m
         if high < -self._straight_per_m:
             low, high, turned = -high, -low, -turned
-        share, doubt_per_m = self._config.off_share * strictness, _doubt_per_m(driven)
+        share, doubt_per_m = self._config.off_ratio * strictness, _doubt_per_m(driven)
         margin_per_m = (self._straight_per_m + doubt_per_m) * strictness
         least, most = min(low, 0.0) - margin_per_m, max(high, 0.0) + margin_per_m
         if low > self._straight_per_m:
@@ -226,15 +226,16 @@ class SteeringCheck:
 
     def _warn(self, side, driven):
         commanded = _turn((driven.lowest_per_m + driven.highest_per_m) / 2)
-        text = f"commanded {commanded}, the car went {_turn(driven.turned_rad / driven.way_m)}: steering calibration? "
+        went = _turn(driven.turned_rad / driven.distance_m)
+        text = f"commanded {commanded}, the car went {went}: steering calibration? "
         self._warnings[side] = text + (
-            "See whether the servo, or the wheels' sensors, are the wrong way round" if self._goes_the_wrong_way(driven)
-            else f"Measure which duty drives {commanded}")
+            "See whether the servo, or the wheels' sensors, are the wrong way round"
+            if self._turns_the_wrong_way(driven) else f"Measure which duty drives {commanded}")
 
 
 def _doubt_per_m(driven):
     """What the wheels can't tell of a curvature; the longer the way, the less."""
-    return HEADING_RAD / abs(driven.way_m)
+    return HEADING_RAD / abs(driven.distance_m)
 
 
 def _radius_m(curvature_per_m):

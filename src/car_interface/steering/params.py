@@ -7,7 +7,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import read_tuning
 from car_interface.common.params import Params
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
-from car_interface.interlock.motion_interlock import read_permission
+from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.steering.arbiter import SteeringArbiter
 from car_interface.steering.calibration import SteeringConfig
 
@@ -22,17 +22,17 @@ def read_config(params) -> SteeringConfig:
     """
     timeout_s = params.timeout("input_timeout", 0.5)
     config = SteeringConfig(
-        servo_left=params.integer("servo_left", low=0, high=MAX_DUTY, outward=True),
-        servo_center=params.integer("servo_center", low=0, high=MAX_DUTY, outward=True),
-        servo_right=params.integer("servo_right", low=0, high=MAX_DUTY, outward=True),
-        servo_channel=params.integer("servo_channel", low=0, high=CHANNELS - 1, outward=True),
-        radius_axis_m=params.numbers("m_turnrad_axis_servo", outward=True),
-        left_duties=params.numbers("k_pwmcmd_left_table_servo", low=0, high=MAX_DUTY, outward=True),
-        right_duties=params.numbers("k_pwmcmd_right_table_servo", low=0, high=MAX_DUTY, outward=True),
+        servo_left=params.integer("servo_left", low=0, high=MAX_DUTY, search_parents=True),
+        servo_center=params.integer("servo_center", low=0, high=MAX_DUTY, search_parents=True),
+        servo_right=params.integer("servo_right", low=0, high=MAX_DUTY, search_parents=True),
+        servo_channel=params.integer("servo_channel", low=0, high=CHANNELS - 1, search_parents=True),
+        radius_axis_m=params.numbers("m_turnrad_axis_servo", search_parents=True),
+        left_duties=params.numbers("k_pwmcmd_left_table_servo", low=0, high=MAX_DUTY, search_parents=True),
+        right_duties=params.numbers("k_pwmcmd_right_table_servo", low=0, high=MAX_DUTY, search_parents=True),
         tele_steer_neutral=params.number("tele_steer_neutral", 0.0, low=-1, high=1),
         tele_steer_deadband=params.number("tele_steer_deadband", 0.001, low=0, high=1),
         slew_limit=params.number("slew_limit", 0.0, low=0, high=FASTEST_SLEW),
-        permission=read_permission(params, timeout_s),
+        interlock=read_interlock(params, timeout_s),
         teleop_timeout_s=params.timeout("teleop_timeout", timeout_s),
         planner_timeout_s=params.timeout("planner_timeout", timeout_s),
     )

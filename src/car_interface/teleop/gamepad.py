@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.staleness import DROPPED, Heard
+from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.interlock.motion_interlock import STARTED
 
 LET_GO = "let go of the deadman, then hold it again"  # what brings back what was lost
@@ -70,14 +70,14 @@ class Gamepad:
 
     def __init__(self, config: GamepadConfig):
         self._config = config
-        self._joy = Heard("joy", config.joy_timeout_s)
+        self._joy = TimedInput("joy", config.joy_timeout_s)
         self._lost = STARTED  # what was lost since the deadmen were last let go
 
-    def hear(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
+    def update(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """A message: axes −1..1, buttons 0 or 1."""
-        if self._joy.was_heard and self._joy.is_silent(now_ns):
+        if self._joy.was_received and self._joy.is_stale(now_ns):
             self._lost = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
-        self._joy.hear(self._read(axes, buttons), now_ns)
+        self._joy.update(self._read(axes, buttons), now_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here: nothing is held until all deadmen were let go."""
@@ -85,8 +85,8 @@ class Gamepad:
 
     def requests(self, now_ns: int) -> Requests:
         """What the gamepad asks for at ``now_ns``."""
-        if self._joy.is_silent(now_ns):
-            return self._released(self._joy.silence(now_ns))
+        if self._joy.is_stale(now_ns):
+            return self._released(self._joy.stale_reason(now_ns))
         return self._joy.value
 
     def _released(self, reason):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.staleness import Heard
+from car_interface.common.staleness import TimedInput
 from car_interface.throttle.value_map import ValueMap
 
 
@@ -62,11 +62,11 @@ class Converter:
                               f"has values from {value_map.values[0]} to {value_map.values[-1]}")
         self._config = config
         self._map = value_map
-        self._odometry = Heard("odometry", config.odometry_timeout_s)
+        self._odometry = TimedInput("odometry", config.odometry_timeout_s)
 
-    def hear_odometry(self, velocity: float, now_ns: int) -> None:
+    def update_odometry(self, velocity: float, now_ns: int) -> None:
         """The car's forward velocity in m/s."""
-        self._odometry.hear(velocity, now_ns)
+        self._odometry.update(velocity, now_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here: the velocity is lost."""
@@ -85,8 +85,8 @@ class Converter:
 
     def odometry_trouble(self, now_ns: int) -> Conversion | None:
         """Why the velocity can't be used at ``now_ns``; ``None`` when it can."""
-        if self._odometry.is_silent(now_ns):
-            return Conversion(None, "odometry silent", self._odometry.silence(now_ns))
+        if self._odometry.is_stale(now_ns):
+            return Conversion(None, "odometry silent", self._odometry.stale_reason(now_ns))
         if not math.isfinite(self._odometry.value):
             return Conversion(None, "odometry not finite", f"the velocity in the odometry is {self._odometry.value}")
         return None

@@ -11,8 +11,8 @@ from typing import NamedTuple, Sequence
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.servo_channels import MAX_DUTY
-from car_interface.common.staleness import Heard
-from car_interface.interlock.motion_interlock import Permission, PermissionConfig
+from car_interface.common.staleness import TimedInput
+from car_interface.interlock.motion_interlock import InterlockConfig, MotionInterlock
 from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP, source_name
 from car_interface.throttle.converter import Conversion, Converter
 
@@ -25,7 +25,7 @@ class ThrottleConfig:
         channel: 0..15.
         value_axis, duty_table: the duty for each value, linear between, saturated beyond.
         neutral: the duty that neither drives nor brakes.
-        permission: the rules of lock and deadman.
+        interlock: the rules of lock and deadman.
         steering_timeout_s, command_timeout_s: silence longer than this is a loss; 0 = never.
 
     Raises:
@@ -36,7 +36,7 @@ class ThrottleConfig:
     value_axis: Sequence[float]
     duty_table: Sequence[float]
     neutral: int
-    permission: PermissionConfig = field(default_factory=PermissionConfig)
+    interlock: InterlockConfig = field(default_factory=InterlockConfig)
     steering_timeout_s: float = 0.25
     command_timeout_s: float = 0.5
 
@@ -81,12 +81,12 @@ class Throttle:
     def __init__(self, config: ThrottleConfig, converter: Converter):
         self.calibrate(config)
         self._converter = converter
-        self._permission = Permission(config.permission)
-        self._steering = Heard("turn_arb's state", config.steering_timeout_s)
-        self._command = Heard("control_cmd", config.command_timeout_s)
+        self._interlock = MotionInterlock(config.interlock)
+        self._steering = TimedInput("turn_arb's state", config.steering_timeout_s)
+        self._command = TimedInput("control_cmd", config.command_timeout_s)
 
     def calibrate(self, config: ThrottleConfig) -> None:
-        """Go by another calibration from now on; timeouts and permission stay as they were at start.
+        """Go by another calibration from now on; timeouts and interlock stay as they were at start.
 
         Raises:
             ConfigError: naming the parameter; then the one before stays.
@@ -94,25 +94,25 @@ class Throttle:
         duty = duty_of_value(config)
         self.config, self._duty = config, duty
 
-    def hear_e_stop(self, locked: bool, now_ns: int) -> None:
+    def update_e_stop(self, locked: bool, now_ns: int) -> None:
         """The emergency stop: true = neutral."""
-        self._permission.hear_e_stop(locked, now_ns)
+        self._interlock.update_e_stop(locked, now_ns)
 
-    def hear_human(self, present: bool, now_ns: int) -> None:
+    def update_human(self, present: bool, now_ns: int) -> None:
         """The deadman: true while a human holds it."""
-        self._permission.hear_human(present, now_ns)
+        self._interlock.update_human(present, now_ns)
 
-    def hear_steering(self, source: int, now_ns: int) -> None:
+    def update_steering(self, source: int, now_ns: int) -> None:
         """Who steers, as in SteeringState.source."""
-        self._steering.hear(source, now_ns)
+        self._steering.update(source, now_ns)
 
-    def hear_conversion(self, conversion: Conversion, now_ns: int) -> None:
+    def update_conversion(self, conversion: Conversion, now_ns: int) -> None:
         """What became of the newest command."""
-        self._command.hear(conversion, now_ns)
+        self._command.update(conversion, now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all that was heard is lost."""
-        self._permission.mark_stale(now_ns)
+        self._interlock.mark_stale(now_ns)
         self._steering.mark_stale()
         self._command.mark_stale()
 
@@ -127,18 +127,18 @@ class Throttle:
 
     def ages_s(self, now_ns: int) -> dict[str, float]:
         """Seconds since each input was heard, by its name; inf = never."""
-        return {"e_stop": self._permission.e_stop_age_s(now_ns), "human_in_loop": self._permission.human_age_s(now_ns),
+        return {"e_stop": self._interlock.e_stop_age_s(now_ns), "human_in_loop": self._interlock.human_age_s(now_ns),
                 self._steering.name: self._steering.age_s(now_ns), self._command.name: self._command.age_s(now_ns)}
 
     def _hindrance(self, now_ns) -> Sequence[str] | None:
-        refusal = self._permission.refusal(now_ns)
-        if refusal is not None:
-            return refusal.cause, refusal.reason
-        if self._steering.is_silent(now_ns):
-            return "steering silent", self._steering.silence(now_ns)
+        inhibit = self._interlock.inhibit(now_ns)
+        if inhibit is not None:
+            return inhibit.cause, inhibit.reason
+        if self._steering.is_stale(now_ns):
+            return "steering silent", self._steering.stale_reason(now_ns)
         if self._steering.value not in (NEUTRAL, TELEOP, PLANNER):
             return "steering stopped", f"turn_arb says {source_name(self._steering.value)}"
-        if self._command.is_silent(now_ns):
-            return "command silent", self._command.silence(now_ns)
+        if self._command.is_stale(now_ns):
+            return "command silent", self._command.stale_reason(now_ns)
         trouble = self._command.value if self._command.value.value is None else self._converter.odometry_trouble(now_ns)
         return None if trouble is None else (trouble.cause, trouble.reason)

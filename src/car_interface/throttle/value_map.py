@@ -17,7 +17,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import check_axis
 
 # Python finds a tuple's numbers fastest while they all fit into the processor's caches, and side by side if not.
-MOST_IN_TUPLES = 100_000
+MAX_IN_TUPLES = 100_000
 
 
 class ValueMap:
@@ -46,7 +46,7 @@ class ValueMap:
         self.values = tuple(map(float, values))
         self.velocities = tuple(map(float, velocities))
         self._bulk = None  # prepared when it's first asked for
-        is_large = len(values) * len(velocities) > MOST_IN_TUPLES
+        is_large = len(values) * len(velocities) > MAX_IN_TUPLES
         keep = (lambda column: array("d", column)) if is_large else (lambda column: tuple(map(float, column)))
         self._columns = [keep(column) for column in zip(*accelerations)]
         for velocity, column in zip(velocities, self._columns):
@@ -91,7 +91,7 @@ class ValueMap:
         below = above - 1
         a0 = low[below] + part * (high[below] - low[below])
         if acceleration <= a0:  # below it only by the blend's rounding
-            return self._least_on_plateau(acceleration, low, high, part, below)
+            return self._min_on_plateau(acceleration, low, high, part, below)
         if above == len(values):
             return values[-1]
         a1 = low[above] + part * (high[above] - low[above])
@@ -121,7 +121,7 @@ class ValueMap:
         a1 = low[above] + part * (high[above] - low[above])
         return a0 + (value - values[below]) / (values[above] - values[below]) * (a1 - a0)
 
-    def _least_on_plateau(self, acceleration, low, high, part, last):
+    def _min_on_plateau(self, acceleration, low, high, part, last):
         """Of the rows up to ``last`` that make exactly this acceleration, the least value in magnitude."""
         first = last
         while first and low[first - 1] + part * (high[first - 1] - low[first - 1]) == acceleration:

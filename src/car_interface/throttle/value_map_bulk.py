@@ -28,7 +28,7 @@ class BulkLookup:
         table = np.array(columns, dtype=float)
         self._rows = len(values)
         self._low, self._step = _and_step(table)
-        self._least, self._least_step = _and_step(table[:, 0])
+        self._least, self._min_step = _and_step(table[:, 0])
         self._span, self._span_step = _and_step(table[:, -1] - table[:, 0])
         self._bins = _Bins(self._velocities)
         self._bins_per_column = GUESSES_PER_ROW * self._rows
@@ -48,7 +48,7 @@ class BulkLookup:
         velocities = np.clip(velocities, self._velocities[0], self._velocities[-1])
         column = self._bins.find(velocities)
         part = (velocities - self._velocities.take(column)) * self._per_velocity.take(column)
-        least = self._least.take(column) + part * self._least_step.take(column)
+        least = self._least.take(column) + part * self._min_step.take(column)
         span = self._span.take(column) + part * self._span_step.take(column)
         wanted = np.clip(accelerations - least, 0.0, span)
         bins = (_share(wanted, span) * self._bins_per_column).astype(np.intp)

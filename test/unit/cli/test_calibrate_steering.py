@@ -224,7 +224,7 @@ def test_way_is_as_long_whether_the_recording_has_gaps_or_not():
     heard = t_s % 10 < 7  # by speed it's 2 % longer than between places, which across a gap tell nothing
     gappy = signals.Odom(*(column[heard] for column in circle))
     for odom in (circle, gappy):
-        way = calibrate_steering.way_m(odom)
+        way = calibrate_steering.distance_m(odom)
         assert np.median(np.diff(way) / np.diff(odom.t_s)) == pytest.approx(1.0, abs=2e-4)
 
 

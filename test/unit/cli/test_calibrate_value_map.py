@@ -274,9 +274,9 @@ def test_channel_that_nobody_drives_tells_nothing():
 def test_pulses_are_as_long_as_odometry_makes_them():
     t_s = np.arange(0.0, 20.0, 0.01)
     wheel = Pulses(t_s[::2], np.floor(t_s[::2] * 2.0 / 0.0149))
-    ways = command.wheel_ways((wheel, wheel), Series(t_s, np.full(t_s.size, 2.0)))
+    ways = command.wheel_distances((wheel, wheel), Series(t_s, np.full(t_s.size, 2.0)))
     assert (ways[0].y[-1] - ways[0].y[0]) / (ways[0].t_s[-1] - ways[0].t_s[0]) == pytest.approx(2.0, rel=0.002)
-    assert command.wheel_ways((wheel,), Series(t_s, t_s)) == ()
+    assert command.wheel_distances((wheel,), Series(t_s, t_s)) == ()
 
 
 def test_pulses_counted_while_nothing_was_recorded_do_not_change_their_length():
@@ -285,7 +285,7 @@ def test_pulses_counted_while_nothing_was_recorded_do_not_change_their_length():
     count = np.floor(np.cumsum(speed) * 0.01 / 0.0149)
     recorded = (t_s < 10.0) | (t_s > 14.0)
     wheel = Pulses(t_s[recorded], count[recorded])
-    ways = command.wheel_ways((wheel, wheel), Series(t_s[recorded], speed[recorded]))
+    ways = command.wheel_distances((wheel, wheel), Series(t_s[recorded], speed[recorded]))
     assert (ways[0].y[-1] - ways[0].y[0]) / (count[-1] - count[0]) == pytest.approx(0.0149, rel=0.003)
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from car_interface.cli import jobs, output
+from car_interface.cli import main as command_line
 from car_interface.cli.main import MODULES, main
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
@@ -32,7 +33,7 @@ def command(monkeypatch):
     module.add_arguments = lambda parser: parser.add_argument("--number", type=int, default=0)
     module.run = lambda options: options.number
     monkeypatch.setitem(sys.modules, "tried", module)
-    monkeypatch.setattr(main, "MODULES", {"try": "tried"})
+    monkeypatch.setattr(command_line, "MODULES", {"try": "tried"})
     return module
 
 
@@ -183,7 +184,7 @@ def test_files_of_the_package_are_found_in_the_checkout():
 @pytest.mark.parametrize("modules", ["lib/python3/dist-packages", "lib/python3.11/site-packages", "."],
                          ids=["catkin_install", "venv", "pip_target"])
 def test_files_of_the_package_are_found_where_it_is_installed(modules, tmp_path):
-    for name in ("__init__.py", "errors.py", "bags/__init__.py", "common/package_files.py"):
+    for name in ("__init__.py", "common/__init__.py", "common/errors.py", "common/package_files.py"):
         target = tmp_path / modules / "car_interface" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(str(ROOT / "src/car_interface" / name), str(target))

@@ -58,7 +58,7 @@ def settle(tuned, now_ns):
 # --- what is accepted ---
 
 
-@pytest.mark.parametrize("wanted, accepted, complaint", [
+@pytest.mark.parametrize("wanted, accepted, problem", [
     pytest.param({"servo_center": 5150}, values(center=5150), "", id="center_alone"),
     pytest.param(values(3850, 5150, 6750), values(3850, 5150, 6750), "", id="all_three"),
     pytest.param({}, values(), "", id="nothing"),
@@ -76,15 +76,15 @@ def settle(tuned, now_ns):
     pytest.param({"servo_center": True}, values(), "servo_center True is no duty: refused", id="true_is_no_number"),
     pytest.param({"servo_center": None}, values(), "servo_center None is no duty: refused", id="none"),
 ])
-def test_request_is_accepted_clamped_or_refused(wanted, accepted, complaint):
-    assert tuning().request(wanted, 0) == (accepted, complaint)
+def test_request_is_accepted_clamped_or_refused(wanted, accepted, problem):
+    assert tuning().request(wanted, 0) == (accepted, problem)
 
 
 def test_center_beyond_an_end_is_refused_in_whole_and_changes_nothing():
     narrow = replace(SLASH, servo_left=5000)
     tuned = tuning(config=narrow)
     answer = tuned.request({"servo_center": 4900, "servo_right": 6800}, 0)
-    assert answer.complaint == ("servo_center is 4900; accepted: a duty between servo_left 5000 and servo_right 6800: "
+    assert answer.problem == ("servo_center is 4900; accepted: a duty between servo_left 5000 and servo_right 6800: "
                                 "refused")
     assert answer.values == values(left=5000)
     assert not tuned.moving and tuned.changes == ""
@@ -260,8 +260,8 @@ def test_trimmed_tables_keep_their_order_and_stay_duties(wanted):
 
 def test_arbiter_calibrated_anew_keeps_what_it_heard():
     arbiter = SteeringArbiter(SLASH)
-    arbiter.hear_human(True, S)
-    arbiter.hear_teleop(1.0, S)
+    arbiter.update_human(True, S)
+    arbiter.update_teleop(1.0, S)
     arbiter.calibrate(calibration.trimmed(SLASH, 3700, 5100, 6700))
     assert arbiter.decide(S)[:3] == (steering.TELEOP, 3700, "teleop")
     with pytest.raises(ConfigError, match="k_pwmcmd_left_table_servo"):

@@ -210,9 +210,9 @@ def test_name_that_nobody_asked_for_is_refused_at_the_end(private, message):
 def test_name_that_the_namespace_lacks_is_looked_up_outwards_where_that_was_asked_for():
     around = {"servo_left": 3800, "m_turnrad_axis_servo": [1, 2], "input_timeout": 9.0, "k": 1.5}
     params = Params({}, around.get)
-    assert params.integer("servo_left", outward=True) == 3800
-    assert params.numbers("m_turnrad_axis_servo", outward=True) == [1.0, 2.0]
-    assert params.number("k", outward=True) == 1.5
+    assert params.integer("servo_left", search_parents=True) == 3800
+    assert params.numbers("m_turnrad_axis_servo", search_parents=True) == [1.0, 2.0]
+    assert params.number("k", search_parents=True) == 1.5
     assert params.timeout("input_timeout", 0.5) == 0.5
     params.finish()
 
@@ -235,20 +235,20 @@ def test_reader_does_not_look_outwards_unasked(reader, args):
 
 def test_name_in_the_namespace_wins_over_one_outwards_even_as_0():
     params = Params({"servo_channel": 0}, {"servo_channel": 5}.get)
-    assert params.integer("servo_channel", outward=True) == 0
+    assert params.integer("servo_channel", search_parents=True) == 0
 
 
 def test_name_found_nowhere_is_missing_or_its_default():
     params = Params({}, lambda name: None)
     with pytest.raises(ConfigError, match=r"^servo_left is missing; accepted: an integer from 0 to 65535$"):
-        params.integer("servo_left", low=0, high=65535, outward=True)
-    assert params.integer("servo_left", 3800, outward=True) == 3800
+        params.integer("servo_left", low=0, high=65535, search_parents=True)
+    assert params.integer("servo_left", 3800, search_parents=True) == 3800
 
 
 def test_name_found_outwards_is_checked_like_any_other():
     params = Params({}, {"servo_channel": 20}.get)
     with pytest.raises(ConfigError, match=r"^servo_channel is 20; accepted: an integer from 0 to 15$"):
-        params.integer("servo_channel", outward=True, **CHANNEL)
+        params.integer("servo_channel", search_parents=True, **CHANNEL)
 
 
 # --- the errors themselves
@@ -272,7 +272,7 @@ def test_config_error_keeps_what_it_was_made_of():
 def test_device_error_says_what_why_and_what_to_do():
     error = DeviceError("PCA9685 at 0x40", "nothing answers", "Check its power")
     assert str(error) == "PCA9685 at 0x40: nothing answers. Check its power"
-    assert (error.what, error.cause, error.cure) == ("PCA9685 at 0x40", "nothing answers", "Check its power")
+    assert (error.what, error.cause, error.remedy) == ("PCA9685 at 0x40", "nothing answers", "Check its power")
 
 
 def test_errors_are_all_of_the_package_s_own_kind():

@@ -5,15 +5,15 @@ import math
 
 import pytest
 
-from car_interface.common.staleness import Heard
+from car_interface.common.staleness import TimedInput
 
 S = 1_000_000_000
 AT = 1000 * S
 
 
 def heard_once(timeout_s, value="something"):
-    heard = Heard("human_in_loop", timeout_s)
-    heard.hear(value, AT)
+    heard = TimedInput("human_in_loop", timeout_s)
+    heard.update(value, AT)
     return heard
 
 
@@ -27,45 +27,45 @@ def heard_once(timeout_s, value="something"):
     pytest.param(1e-10, 1, True, id="a_timeout_of_next_to_nothing_is_not_taken_for_never"),
 ])
 def test_input_of_an_age_is_silent_or_not(timeout_s, age_ns, silent):
-    assert heard_once(timeout_s).is_silent(AT + age_ns) is silent
+    assert heard_once(timeout_s).is_stale(AT + age_ns) is silent
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, 0.5])
 def test_input_never_heard_is_silent_whatever_its_timeout(timeout_s):
-    heard = Heard("human_in_loop", timeout_s)
-    assert heard.is_silent(AT)
-    assert not heard.was_heard
+    heard = TimedInput("human_in_loop", timeout_s)
+    assert heard.is_stale(AT)
+    assert not heard.was_received
     assert heard.age_s(AT) == math.inf
-    assert heard.silence(AT) == "human_in_loop was never heard"
+    assert heard.stale_reason(AT) == "human_in_loop was never heard"
 
 
 def test_input_heard_again_is_fresh_with_the_newest_value():
     heard = heard_once(0.5, "old")
-    assert heard.is_silent(AT + S)
-    heard.hear("new", AT + S)
-    assert not heard.is_silent(AT + S + 1)
-    assert heard.value == "new" and heard.was_heard
+    assert heard.is_stale(AT + S)
+    heard.update("new", AT + S)
+    assert not heard.is_stale(AT + S + 1)
+    assert heard.value == "new" and heard.was_received
 
 
 def test_input_silent_for_a_while_says_so_in_words_and_seconds():
     heard = heard_once(0.5)
     assert heard.age_s(AT + 520_000_000) == pytest.approx(0.52)
-    assert heard.silence(AT + 520_000_000) == "human_in_loop silent for 0.52 s"
+    assert heard.stale_reason(AT + 520_000_000) == "human_in_loop silent for 0.52 s"
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, 0.5])
 def test_input_marked_stale_is_silent_until_it_is_heard_again_whatever_its_timeout(timeout_s):
     heard = heard_once(timeout_s)
     heard.mark_stale()
-    assert heard.is_silent(AT) and heard.was_heard
-    assert heard.silence(AT) == "human_in_loop was not heard since messages were dropped"
-    heard.hear("new", AT)
-    assert not heard.is_silent(AT)
+    assert heard.is_stale(AT) and heard.was_received
+    assert heard.stale_reason(AT) == "human_in_loop was not heard since messages were dropped"
+    heard.update("new", AT)
+    assert not heard.is_stale(AT)
 
 
 def test_input_never_heard_stays_so_when_it_is_marked_stale():
-    heard = Heard("human_in_loop", 0.5)
+    heard = TimedInput("human_in_loop", 0.5)
     heard.mark_stale()
-    assert heard.silence(AT) == "human_in_loop was never heard"
-    heard.hear("new", AT)
-    assert not heard.is_silent(AT)
+    assert heard.stale_reason(AT) == "human_in_loop was never heard"
+    heard.update("new", AT)
+    assert not heard.is_stale(AT)

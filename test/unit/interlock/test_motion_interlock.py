@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.params import Params
-from car_interface.interlock.motion_interlock import Permission, PermissionConfig, read_permission
+from car_interface.interlock.motion_interlock import InterlockConfig, MotionInterlock, read_interlock
 
 CONFIG_FILES = Path(__file__).resolve().parents[3] / "config"
 S = 1_000_000_000
@@ -25,20 +25,20 @@ NOTHING_GRANTED = {"grant_at_start": False}
 
 
 def after(*events, **changes):
-    """The refusal after a row of events, each 10 ms after the one before; ``None`` = the car may move."""
-    permission = Permission(PermissionConfig(**changes))
+    """The inhibit after a row of events, each 10 ms after the one before; ``None`` = the car may move."""
+    interlock = MotionInterlock(InterlockConfig(**changes))
     now_ns = NOW
-    permission.refusal(now_ns)  # the start
+    interlock.inhibit(now_ns)  # the start
     for kind, value in events:
         if kind == "silence":
             now_ns += value
         else:
             now_ns += 10 * MS
         if kind == "dropped":
-            permission.mark_stale(now_ns)
+            interlock.mark_stale(now_ns)
         elif kind != "silence":
-            (permission.hear_human if kind == "human" else permission.hear_e_stop)(value, now_ns)
-    return permission.refusal(now_ns)
+            (interlock.update_human if kind == "human" else interlock.update_e_stop)(value, now_ns)
+    return interlock.inhibit(now_ns)
 
 
 @pytest.mark.parametrize("events", [
@@ -83,19 +83,19 @@ def test_control_is_refused_with_the_reason(events, locked, cause, reason):
 
 
 def test_lock_exactly_as_old_as_its_timeout_is_still_off():
-    permission = Permission(PermissionConfig(human_timeout_s=0.0))
-    permission.hear_e_stop(False, NOW)
-    permission.hear_human(True, NOW)
-    assert permission.refusal(NOW + S) is None
-    assert permission.refusal(NOW + S + 1).locked
+    interlock = MotionInterlock(InterlockConfig(human_timeout_s=0.0))
+    interlock.update_e_stop(False, NOW)
+    interlock.update_human(True, NOW)
+    assert interlock.inhibit(NOW + S) is None
+    assert interlock.inhibit(NOW + S + 1).locked
 
 
 def test_loss_that_nobody_asked_about_while_it_lasted_is_a_loss_all_the_same():
-    permission = Permission(PermissionConfig(human_timeout_s=0.0))
-    permission.hear_human(True, NOW)
-    permission.hear_e_stop(False, NOW)
-    permission.hear_e_stop(False, NOW + 3 * S)
-    assert permission.refusal(NOW + 3 * S).cause == "not re-armed"
+    interlock = MotionInterlock(InterlockConfig(human_timeout_s=0.0))
+    interlock.update_human(True, NOW)
+    interlock.update_e_stop(False, NOW)
+    interlock.update_e_stop(False, NOW + 3 * S)
+    assert interlock.inhibit(NOW + 3 * S).cause == "not re-armed"
 
 
 def test_lock_never_heard_is_off_unless_it_is_required():
@@ -125,7 +125,7 @@ WAITS = (False, "starting", "this node has just started: it waits up to 1 s for 
 TO_REARM = (False, "not re-armed", "this node has just started; let go once: publish false, then true")
 
 
-@pytest.mark.parametrize("events, refusal", [
+@pytest.mark.parametrize("events, inhibit", [
     pytest.param([], WAITS, id="at_once"),
     pytest.param([HOLD], WAITS, id="held"),
     pytest.param([LET_GO, HOLD], WAITS, id="let_go_and_held_before_e_stop_could_be_heard"),
@@ -144,8 +144,8 @@ TO_REARM = (False, "not re-armed", "this node has just started; let go once: pub
                                                "the lock was on; let go once: publish false, then true"),
                  id="let_go_while_e_stop_was_on"),
 ])
-def test_start_that_grants_nothing_refuses_with_the_reason(events, refusal):
-    assert after(*events, **NOTHING_GRANTED) == refusal
+def test_start_that_grants_nothing_refuses_with_the_reason(events, inhibit):
+    assert after(*events, **NOTHING_GRANTED) == inhibit
 
 
 def test_start_without_an_e_stop_timeout_has_nothing_to_wait_for():
@@ -163,19 +163,19 @@ def test_start_with_a_required_e_stop_waits_for_it_however_long_that_takes(e_sto
 
 
 def test_start_is_the_first_time_that_anything_is_passed_in():
-    permission = Permission(PermissionConfig(human_timeout_s=0.0, **NOTHING_GRANTED))
-    permission.hear_human(True, NOW)
-    assert permission.refusal(NOW + S - 1) == WAITS
-    permission.hear_human(True, NOW + S)
-    assert permission.refusal(NOW + S) == TO_REARM
-    permission.hear_human(False, NOW + S)
-    permission.hear_human(True, NOW + S)
-    assert permission.refusal(NOW + S) is None
+    interlock = MotionInterlock(InterlockConfig(human_timeout_s=0.0, **NOTHING_GRANTED))
+    interlock.update_human(True, NOW)
+    assert interlock.inhibit(NOW + S - 1) == WAITS
+    interlock.update_human(True, NOW + S)
+    assert interlock.inhibit(NOW + S) == TO_REARM
+    interlock.update_human(False, NOW + S)
+    interlock.update_human(True, NOW + S)
+    assert interlock.inhibit(NOW + S) is None
 
 
 def test_parameter_grant_at_start_is_true_unless_given():
-    assert read_permission(Params({})).grant_at_start
-    assert not read_permission(Params({"grant_at_start": False})).grant_at_start
+    assert read_interlock(Params({})).grant_at_start
+    assert not read_interlock(Params({"grant_at_start": False})).grant_at_start
 
 
 @pytest.mark.parametrize("name", ["turn_arb.yaml", "throttle.yaml"])
@@ -186,7 +186,7 @@ def test_shipped_configuration_grants_nothing_at_start(name):
 E_STOP_UNKNOWN = (True, "e_stop silent", "e_stop was not heard since messages were dropped")
 
 
-@pytest.mark.parametrize("events, refusal", [
+@pytest.mark.parametrize("events, inhibit", [
     pytest.param([RUN, HOLD, DROPPED], E_STOP_UNKNOWN, id="nothing_heard_since"),
     pytest.param([RUN, HOLD, DROPPED, LET_GO, HOLD], E_STOP_UNKNOWN, id="e_stop_not_heard_since"),
     pytest.param([RUN, HOLD, DROPPED, RUN], (False, "human silent",
@@ -202,10 +202,10 @@ E_STOP_UNKNOWN = (True, "e_stop silent", "e_stop was not heard since messages we
                  id="deadman_held_on_without_an_e_stop"),
 ])
 @pytest.mark.parametrize("grant_at_start", [True, False])
-def test_dropped_messages_are_a_loss_of_everything(events, refusal, grant_at_start):
+def test_dropped_messages_are_a_loss_of_everything(events, inhibit, grant_at_start):
     armed = [RUN, LET_GO] if events[0] == RUN else [LONG_SILENCE, LET_GO]
     assert after(*armed, *events[:2 if events[0] == RUN else 1], grant_at_start=grant_at_start) is None
-    assert after(*armed, *events, grant_at_start=grant_at_start) == refusal
+    assert after(*armed, *events, grant_at_start=grant_at_start) == inhibit
 
 
 def test_after_dropped_messages_letting_go_and_holding_grants_again():
@@ -215,11 +215,11 @@ def test_after_dropped_messages_letting_go_and_holding_grants_again():
 
 
 def test_ages_are_told():
-    permission = Permission(PermissionConfig())
-    assert (permission.human_age_s(NOW), permission.e_stop_age_s(NOW)) == (math.inf, math.inf)
-    permission.hear_human(True, NOW)
-    permission.hear_e_stop(False, NOW + S // 4)
-    assert (permission.human_age_s(NOW + S), permission.e_stop_age_s(NOW + S)) == (1.0, 0.75)
+    interlock = MotionInterlock(InterlockConfig())
+    assert (interlock.human_age_s(NOW), interlock.e_stop_age_s(NOW)) == (math.inf, math.inf)
+    interlock.update_human(True, NOW)
+    interlock.update_e_stop(False, NOW + S // 4)
+    assert (interlock.human_age_s(NOW + S), interlock.e_stop_age_s(NOW + S)) == (1.0, 0.75)
 
 
 @given(st.lists(st.sampled_from([E_STOP, RUN, HOLD, LET_GO, SILENCE, LONG_SILENCE]), max_size=12))

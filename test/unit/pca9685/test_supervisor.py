@@ -4,7 +4,7 @@ from __future__ import annotations
 import pytest
 
 from car_interface.pca9685.board import Board, BoardMismatch
-from car_interface.pca9685.supervisor import ABSENT, LOST, MISMATCH, RETRIED, RUNNING, BoardKeeper
+from car_interface.pca9685.supervisor import ABSENT, LOST, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 MS = 1_000_000
@@ -24,7 +24,8 @@ class Bench:
         self.events = []
         self.opened = self.closed = 0
         self.open_error = None
-        self.keeper = BoardKeeper(self._open, self._close, self._board, lambda event, error: self.events.append(event))
+        self.keeper = BoardSupervisor(self._open, self._close, self._board,
+                                      lambda event, error: self.events.append(event))
         self.now_ns = NOW
 
     def _open(self):
@@ -192,7 +193,7 @@ def test_all_off_is_repeated_once_and_tells_whether_it_worked(running):
 def test_hurry_makes_the_next_attempt_at_once(running):
     running.bus.nacks_left = 2
     running.keep(LEFT, 1)
-    running.keeper.hurry()
+    running.keeper.retry_now()
     running.keep(NEUTRAL)
     assert running.pulses() == NEUTRAL
 

@@ -7,7 +7,7 @@ from car_interface.sim.demo_script import DONE, LET_GO, NOBODY, TELEOP, Drive, D
 
 S = 1_000_000_000
 NOW = 1000 * S
-CONFIG = DriveConfig(nobody_s=5.0, picked_up_s=2.0, let_go_s=6.0, longest_turn_s=20.0)
+CONFIG = DriveConfig(nobody_s=5.0, picked_up_s=2.0, let_go_s=6.0, max_turn_s=20.0)
 
 
 @pytest.mark.parametrize("at_s, stage, gamepad_on, held", [

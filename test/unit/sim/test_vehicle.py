@@ -417,9 +417,9 @@ def test_step_costs_less_than_its_share_of_a_millisecond():
 # --- what the default car has none of ---
 
 
-def with_play(play_duty):
+def with_play(backlash_duty):
     return VehicleConfig(steering=SteeringConfig(curve=((4000, 1.0), (6000, -1.0)), center_duty=5000,
-                                                 play_duty=play_duty))
+                                                 backlash_duty=backlash_duty))
 
 
 def test_play_in_the_steering_leaves_the_wheels_half_of_it_behind_on_either_way():
@@ -464,7 +464,7 @@ def test_battery_loses_its_sag_evenly_around_the_stated_thrust_and_brakes_stay()
 
 
 @pytest.mark.parametrize("make, name", (
-    (lambda: SteeringConfig(play_duty=-1.0), "play_duty"), (lambda: DriveConfig(sag=1.0), "sag"),
+    (lambda: SteeringConfig(backlash_duty=-1.0), "backlash_duty"), (lambda: DriveConfig(sag=1.0), "sag"),
     (lambda: DriveConfig(sag_over_s=0.0), "sag_over_s"),
 ))
 def test_hardship_that_no_car_has_is_refused_by_name(make, name):

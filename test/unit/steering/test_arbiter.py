@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.servo_channels import one_channel
-from car_interface.interlock.motion_interlock import PermissionConfig
+from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SOURCE_NAMES, TELEOP, SteeringArbiter
 from car_interface.steering.calibration import SteeringConfig
 
@@ -46,7 +46,7 @@ def config(**changes):
         "right_duties": SLASH_4X4["k_pwmcmd_right_table_servo"],
     }
     if "human_timeout_s" in changes:
-        changes["permission"] = PermissionConfig(human_timeout_s=changes.pop("human_timeout_s"))
+        changes["interlock"] = InterlockConfig(human_timeout_s=changes.pop("human_timeout_s"))
     settings.update(changes)
     return SteeringConfig(**settings)
 
@@ -54,7 +54,8 @@ def config(**changes):
 def decide(human=None, teleop=None, planner=None, **changes):
     """The decision at NOW after each input was heard once: (value, its age in seconds), or None = never."""
     arbiter = SteeringArbiter(config(**changes))
-    for hear, heard in ((arbiter.hear_human, human), (arbiter.hear_teleop, teleop), (arbiter.hear_planner, planner)):
+    for hear, heard in ((arbiter.update_human, human), (arbiter.update_teleop, teleop),
+                        (arbiter.update_planner, planner)):
         if heard is not None:
             value, age_s = heard
             hear(value, NOW - round(age_s * S))
@@ -133,33 +134,33 @@ def test_arbiter_through_a_drive_hands_the_wheel_on_and_back():
         return SOURCE_NAMES[arbiter.decide(now).source]
 
     assert after(0) == "NO_HUMAN"
-    arbiter.hear_planner(5.0, now)
+    arbiter.update_planner(5.0, now)
     assert after(1) == "NO_HUMAN"
-    arbiter.hear_human(True, now)
+    arbiter.update_human(True, now)
     assert after(1) == "PLANNER"
-    arbiter.hear_teleop(0.3, now)
+    arbiter.update_teleop(0.3, now)
     assert after(1) == "TELEOP"
-    arbiter.hear_teleop(0.0, now)
+    arbiter.update_teleop(0.0, now)
     assert after(1) == "PLANNER"
-    arbiter.hear_human(True, now)
-    arbiter.hear_planner(5.0, now)
+    arbiter.update_human(True, now)
+    arbiter.update_planner(5.0, now)
     assert after(499) == "PLANNER"
-    arbiter.hear_human(True, now)
-    arbiter.hear_planner(5.0, now)
+    arbiter.update_human(True, now)
+    arbiter.update_planner(5.0, now)
     assert after(2) == "NEUTRAL"  # the gamepad is 501 ms old
-    arbiter.hear_teleop(0.0, now)
+    arbiter.update_teleop(0.0, now)
     assert after(1) == "PLANNER"
-    arbiter.hear_human(False, now)
+    arbiter.update_human(False, now)
     assert after(1) == "NO_HUMAN"
-    arbiter.hear_human(True, now)
+    arbiter.update_human(True, now)
     assert after(1) == "PLANNER"
     assert after(500) == "NO_HUMAN"
 
 
 def test_first_true_of_the_human_after_start_grants_control():
     arbiter = SteeringArbiter(config())
-    arbiter.hear_human(True, NOW)
-    arbiter.hear_teleop(1.0, NOW)
+    arbiter.update_human(True, NOW)
+    arbiter.update_teleop(1.0, NOW)
     assert arbiter.decide(NOW).source == TELEOP
 
 
@@ -384,16 +385,16 @@ def test_shipped_config_holds_the_slash_4x4_calibration():
 
 def arbiter_with_a_human(**changes):
     arbiter = SteeringArbiter(config(**changes))
-    arbiter.hear_human(True, NOW)
+    arbiter.update_human(True, NOW)
     return arbiter
 
 
 def test_lock_stands_above_everything():
     arbiter = arbiter_with_a_human()
-    arbiter.hear_teleop(1.0, NOW)
-    arbiter.hear_planner(5.0, NOW)
+    arbiter.update_teleop(1.0, NOW)
+    arbiter.update_planner(5.0, NOW)
     assert arbiter.decide(NOW).source == TELEOP
-    arbiter.hear_e_stop(True, NOW)
+    arbiter.update_e_stop(True, NOW)
     decision = arbiter.decide(NOW)
     assert (decision.source, decision.duty, decision.reason) == (LOCKED, CENTER, "e_stop is true")
 
@@ -401,38 +402,38 @@ def test_lock_stands_above_everything():
 def test_decision_carries_the_age_of_the_lock():
     arbiter = arbiter_with_a_human()
     assert arbiter.decide(NOW).e_stop_age_s == math.inf
-    arbiter.hear_e_stop(False, NOW)
+    arbiter.update_e_stop(False, NOW)
     assert arbiter.decide(NOW + S // 4).e_stop_age_s == pytest.approx(0.25)
 
 
 def test_slew_limit_moves_the_servo_no_faster():
     arbiter = arbiter_with_a_human(slew_limit=1000.0)
     arbiter.decide(NOW)
-    arbiter.hear_teleop(1.0, NOW)
+    arbiter.update_teleop(1.0, NOW)
     duties = [arbiter.decide(NOW + tenth * S // 10).duty for tenth in range(5)]
     assert duties == [5100, 5000, 4900, 4800, 4700]
-    arbiter.hear_teleop(-1.0, NOW + 4 * S // 10)
+    arbiter.update_teleop(-1.0, NOW + 4 * S // 10)
     assert arbiter.decide(NOW + 5 * S // 10).duty == 4800
 
 
 def test_slew_limit_holds_at_the_request_and_for_the_planner_too():
     arbiter = arbiter_with_a_human(slew_limit=1000.0, planner_timeout_s=0.0,
-                                   permission=PermissionConfig(human_timeout_s=0.0))
+                                   interlock=InterlockConfig(human_timeout_s=0.0))
     arbiter.decide(NOW)
-    arbiter.hear_planner(1.0, NOW)  # 3800
+    arbiter.update_planner(1.0, NOW)  # 3800
     assert [arbiter.decide(NOW + s * S).duty for s in (1, 2, 3)] == [4100, 3800, 3800]
 
 
 @pytest.mark.parametrize("stop", [
-    pytest.param(lambda arbiter, now_ns: arbiter.hear_human(False, now_ns), id="no_human"),
-    pytest.param(lambda arbiter, now_ns: arbiter.hear_e_stop(True, now_ns), id="locked"),
-    pytest.param(lambda arbiter, now_ns: arbiter.hear_teleop(0.0, now_ns), id="nobody_steers"),
-    pytest.param(lambda arbiter, now_ns: arbiter.hear_teleop(math.nan, now_ns), id="nonsense"),
+    pytest.param(lambda arbiter, now_ns: arbiter.update_human(False, now_ns), id="no_human"),
+    pytest.param(lambda arbiter, now_ns: arbiter.update_e_stop(True, now_ns), id="locked"),
+    pytest.param(lambda arbiter, now_ns: arbiter.update_teleop(0.0, now_ns), id="nobody_steers"),
+    pytest.param(lambda arbiter, now_ns: arbiter.update_teleop(math.nan, now_ns), id="nonsense"),
 ])
 def test_slew_limit_never_slows_the_way_back_to_neutral(stop):
     arbiter = arbiter_with_a_human(slew_limit=1000.0)
     arbiter.decide(NOW)
-    arbiter.hear_teleop(1.0, NOW)
+    arbiter.update_teleop(1.0, NOW)
     assert arbiter.decide(NOW + S // 2).duty == 4600
     stop(arbiter, NOW + S // 2)
     assert arbiter.decide(NOW + S // 2).duty == CENTER
@@ -442,14 +443,14 @@ def test_slew_begins_anew_at_neutral_however_long_that_lasted():
     arbiter = arbiter_with_a_human(slew_limit=1000.0)
     arbiter.decide(NOW)
     arbiter.decide(NOW + S // 4)
-    arbiter.hear_teleop(1.0, NOW + S // 4)
+    arbiter.update_teleop(1.0, NOW + S // 4)
     assert arbiter.decide(NOW + S // 4).duty == CENTER
 
 
 def test_times_out_of_order_do_not_disturb_the_slew():
     arbiter = arbiter_with_a_human(slew_limit=1000.0)
     arbiter.decide(NOW + S // 10)
-    arbiter.hear_teleop(1.0, NOW)
+    arbiter.update_teleop(1.0, NOW)
     assert arbiter.decide(NOW).duty == CENTER
     assert arbiter.decide(NOW + S // 5).duty == 5000
 
@@ -461,10 +462,10 @@ def test_times_out_of_order_do_not_disturb_the_slew():
     pytest.param(["human", "teleop", "planner"], PLANNER, "av_turnrad_req is 5.000 m", id="all_heard_again"),
 ])
 def test_dropped_messages_make_every_input_stale(again, source, reason):
-    arbiter = SteeringArbiter(config(permission=PermissionConfig(e_stop_timeout_s=0.0), planner_timeout_s=0.0,
+    arbiter = SteeringArbiter(config(interlock=InterlockConfig(e_stop_timeout_s=0.0), planner_timeout_s=0.0,
                                      teleop_timeout_s=0.0))
-    inputs = {"human": lambda: (arbiter.hear_human(False, NOW), arbiter.hear_human(True, NOW)),
-              "teleop": lambda: arbiter.hear_teleop(0.0, NOW), "planner": lambda: arbiter.hear_planner(5.0, NOW)}
+    inputs = {"human": lambda: (arbiter.update_human(False, NOW), arbiter.update_human(True, NOW)),
+              "teleop": lambda: arbiter.update_teleop(0.0, NOW), "planner": lambda: arbiter.update_planner(5.0, NOW)}
     for hear in inputs.values():
         hear()
     assert arbiter.decide(NOW).source == PLANNER

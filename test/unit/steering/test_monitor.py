@@ -29,8 +29,8 @@ class Car:
         end_ns = self.now_ns + round(seconds * S)
         while self.now_ns < end_ns:
             if commanded_m is not None:
-                self.check.hear_command(commanded_m, self.now_ns)
-            self.check.hear_motion(speed_mps, speed_mps / driven_m, self.now_ns)
+                self.check.update_command(commanded_m, self.now_ns)
+            self.check.update_motion(speed_mps, speed_mps / driven_m, self.now_ns)
             self.now_ns += step_ns
             warnings.append(self.check.judge(self.now_ns).warning)
         return warnings
@@ -271,7 +271,7 @@ def test_warnings_of_both_sides_are_told_together(car):
     pytest.param({"min_speed_mps": 0.0}, "min_speed_mps is 0.0; accepted: a number above 0", id="no_speed"),
     pytest.param({"off_for_s": NAN}, "off_for_s is nan", id="nan"),
     pytest.param({"straight_m": INF}, "straight_m is inf", id="infinite"),
-    pytest.param({"off_share": 1.0}, "off_share is 1.0; accepted: a share below 1", id="all_of_it"),
+    pytest.param({"off_ratio": 1.0}, "off_ratio is 1.0; accepted: a share below 1", id="all_of_it"),
 ])
 def test_impossible_configuration_is_named(wrong, message):
     with pytest.raises(ConfigError, match=message):

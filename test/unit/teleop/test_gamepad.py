@@ -24,14 +24,14 @@ def config(**changes):
 def gamepad_at_rest(now_ns=NOW, **changes):
     """One whose deadmen were seen let go, as they are before anybody drives."""
     gamepad = Gamepad(config(**changes))
-    gamepad.hear([0.0] * 8, [0] * 8, now_ns)
+    gamepad.update([0.0] * 8, [0] * 8, now_ns)
     return gamepad
 
 
 def requests(axes, buttons, age_s=0.1, **changes):
     heard_ns = NOW - round(age_s * S)
     gamepad = gamepad_at_rest(heard_ns, **changes)
-    gamepad.hear(axes, buttons, heard_ns)
+    gamepad.update(axes, buttons, heard_ns)
     return gamepad.requests(NOW)
 
 
@@ -93,7 +93,7 @@ def test_deadman_is_a_held_level_and_never_a_toggle():
     gamepad = Gamepad(config())
     held = []
     for step, buttons in enumerate((NONE, MANUAL, MANUAL, NONE, NONE, AUTONOMOUS, NONE)):
-        gamepad.hear([0.0, 0.0], buttons, NOW + step)
+        gamepad.update([0.0, 0.0], buttons, NOW + step)
         held.append(gamepad.requests(NOW + step).human_in_loop)
     assert held == [False, True, True, False, False, True, False]
 
@@ -132,17 +132,17 @@ def test_message_of_anything_is_in_range_and_without_a_held_button_nobody_is_the
 ])
 def test_after_a_loss_nothing_is_held_until_all_deadmen_were_let_go(axes, buttons, gap_s):
     gamepad, now_ns = gamepad_at_rest(), NOW
-    gamepad.hear([0.0, 0.0], MANUAL, now_ns)
+    gamepad.update([0.0, 0.0], MANUAL, now_ns)
     assert gamepad.requests(now_ns).human_in_loop
     now_ns += round(gap_s * S)
-    gamepad.hear(axes, buttons, now_ns)
+    gamepad.update(axes, buttons, now_ns)
     assert not gamepad.requests(now_ns).human_in_loop
     for still_held in (MANUAL, BOTH, AUTONOMOUS):
-        gamepad.hear([0.0, 0.0], still_held, now_ns)
+        gamepad.update([0.0, 0.0], still_held, now_ns)
         assert not gamepad.requests(now_ns).human_in_loop
     assert gamepad.requests(now_ns).reason.endswith("let go of the deadman, then hold it again")
-    gamepad.hear([0.0, 0.0], NONE, now_ns)
-    gamepad.hear([0.0, 0.0], MANUAL, now_ns)
+    gamepad.update([0.0, 0.0], NONE, now_ns)
+    gamepad.update([0.0, 0.0], MANUAL, now_ns)
     assert gamepad.requests(now_ns).human_in_loop
 
 
@@ -151,20 +151,20 @@ def test_deadman_that_is_held_at_the_start_counts_once_it_was_let_go(held):
     """The node may be the successor of one that died while the car was driving."""
     gamepad = Gamepad(config())
     for _ in range(3):
-        gamepad.hear([0.5, 0.5], held, NOW)
+        gamepad.update([0.5, 0.5], held, NOW)
         assert gamepad.requests(NOW) == (
             False, 0.0, 0.0, "this node has just started; let go of the deadman, then hold it again")
         assert gamepad.requests(NOW).must_let_go
-    gamepad.hear([0.5, 0.5], NONE, NOW)
+    gamepad.update([0.5, 0.5], NONE, NOW)
     assert not gamepad.requests(NOW).must_let_go
-    gamepad.hear([0.5, 0.5], held, NOW)
+    gamepad.update([0.5, 0.5], held, NOW)
     assert gamepad.requests(NOW).human_in_loop
 
 
 def test_gamepad_that_was_silent_since_the_start_holds_nothing_when_it_is_heard():
     gamepad = Gamepad(config())
     assert gamepad.requests(NOW + 60 * S).reason == "joy was never heard"
-    gamepad.hear([0.0, 0.0], MANUAL, NOW + 60 * S)
+    gamepad.update([0.0, 0.0], MANUAL, NOW + 60 * S)
     assert not gamepad.requests(NOW + 60 * S).human_in_loop
 
 
@@ -176,11 +176,11 @@ def test_one_button_for_both_deadmen_is_refused():
 def test_after_dropped_messages_nothing_is_held_until_all_deadmen_were_let_go():
     """The hand may have let go in one of them."""
     gamepad = gamepad_at_rest()
-    gamepad.hear([0.5, 0.5], MANUAL, NOW)
+    gamepad.update([0.5, 0.5], MANUAL, NOW)
     gamepad.mark_stale()
     assert gamepad.requests(NOW) == (False, 0.0, 0.0, "joy was not heard since messages were dropped")
-    gamepad.hear([0.5, 0.5], MANUAL, NOW)
+    gamepad.update([0.5, 0.5], MANUAL, NOW)
     assert gamepad.requests(NOW).reason == "messages were dropped; let go of the deadman, then hold it again"
-    gamepad.hear([0.5, 0.5], NONE, NOW)
-    gamepad.hear([0.5, 0.5], MANUAL, NOW)
+    gamepad.update([0.5, 0.5], NONE, NOW)
+    gamepad.update([0.5, 0.5], MANUAL, NOW)
     assert gamepad.requests(NOW).human_in_loop

@@ -19,7 +19,7 @@ def convert(acceleration, velocity=0.0, age_s=0.1, value_map=MAP, **config):
     """The conversion at NOW with odometry of an age; velocity None = never heard."""
     converter = Converter(ConversionConfig(**config), value_map)
     if velocity is not None:
-        converter.hear_odometry(velocity, NOW - round(age_s * S))
+        converter.update_odometry(velocity, NOW - round(age_s * S))
     return converter.convert(acceleration, NOW)
 
 
@@ -89,8 +89,8 @@ def test_odometry_timeout_of_0_takes_a_velocity_of_any_age_but_not_none():
 
 def test_odometry_heard_last_is_what_counts():
     converter = Converter(ConversionConfig(), MAP)
-    converter.hear_odometry(math.nan, NOW)
-    converter.hear_odometry(10.0, NOW)
+    converter.update_odometry(math.nan, NOW)
+    converter.update_odometry(10.0, NOW)
     assert converter.convert(2.0, NOW).value == pytest.approx(1.5)
 
 
@@ -98,7 +98,7 @@ def test_odometry_heard_last_is_what_counts():
 def test_trouble_with_the_odometry_is_told_with_a_map_and_without(value_map):
     converter = Converter(ConversionConfig(), value_map)
     assert converter.odometry_trouble(NOW).cause == "odometry silent"
-    converter.hear_odometry(1.0, NOW)
+    converter.update_odometry(1.0, NOW)
     assert converter.odometry_trouble(NOW) is None
     assert converter.odometry_trouble(NOW + S).cause == "odometry silent"
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.interlock.motion_interlock import PermissionConfig
+from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.throttle.converter import Conversion, ConversionConfig, Converter
 from car_interface.throttle.esc_channel import Throttle, ThrottleConfig
@@ -25,7 +25,7 @@ def config(**changes):
     settings = {"channel": 1, "value_axis": [-5.0, 0.0, 3.0], "duty_table": [3277, 4915, 6554],
                 "neutral": NEUTRAL_DUTY}
     if "human_timeout_s" in changes:
-        changes["permission"] = PermissionConfig(human_timeout_s=changes.pop("human_timeout_s"))
+        changes["interlock"] = InterlockConfig(human_timeout_s=changes.pop("human_timeout_s"))
     settings.update(changes)
     return ThrottleConfig(**settings)
 
@@ -35,8 +35,8 @@ def decide(human=(True, 0.1), steering=(TELEOP, 0.1), command=(HALF_THROTTLE, 0.
     """The decision at NOW after each was heard once: (value, its age in seconds), or None = never."""
     converter = Converter(ConversionConfig(), value_map)
     throttle = Throttle(config(**changes), converter)
-    for hear, heard in ((throttle.hear_human, human), (throttle.hear_steering, steering),
-                        (throttle.hear_conversion, command), (converter.hear_odometry, odometry)):
+    for hear, heard in ((throttle.update_human, human), (throttle.update_steering, steering),
+                        (throttle.update_conversion, command), (converter.update_odometry, odometry)):
         if heard is not None:
             value, age_s = heard
             hear(value, NOW - round(age_s * S))
@@ -108,14 +108,14 @@ def test_timeout_of_0_never_makes_an_input_silent(name, hindrance):
 def test_esc_released_and_held_again_drives_again():
     converter = Converter(ConversionConfig(), None)
     throttle = Throttle(config(), converter)
-    converter.hear_odometry(0.0, NOW)
-    throttle.hear_steering(PLANNER, NOW)
-    throttle.hear_conversion(Conversion(3.0), NOW)
-    throttle.hear_human(True, NOW)
+    converter.update_odometry(0.0, NOW)
+    throttle.update_steering(PLANNER, NOW)
+    throttle.update_conversion(Conversion(3.0), NOW)
+    throttle.update_human(True, NOW)
     assert throttle.decide(NOW).duty == 6554
-    throttle.hear_human(False, NOW + 1)
+    throttle.update_human(False, NOW + 1)
     assert throttle.decide(NOW + 1).duty == NEUTRAL_DUTY
-    throttle.hear_human(True, NOW + 2)
+    throttle.update_human(True, NOW + 2)
     assert throttle.decide(NOW + 2).duty == 6554
 
 
@@ -174,12 +174,12 @@ def test_config_names_the_channel():
 def test_lock_stops_the_esc_above_everything():
     converter = Converter(ConversionConfig(), None)
     throttle = Throttle(config(), converter)
-    converter.hear_odometry(0.0, NOW)
-    throttle.hear_steering(PLANNER, NOW)
-    throttle.hear_conversion(Conversion(3.0), NOW)
-    throttle.hear_human(True, NOW)
+    converter.update_odometry(0.0, NOW)
+    throttle.update_steering(PLANNER, NOW)
+    throttle.update_conversion(Conversion(3.0), NOW)
+    throttle.update_human(True, NOW)
     assert throttle.decide(NOW).driving
-    throttle.hear_e_stop(True, NOW)
+    throttle.update_e_stop(True, NOW)
     assert throttle.decide(NOW) == (NEUTRAL_DUTY, False, "e_stop", "e_stop is true")
 
 
@@ -193,11 +193,11 @@ def test_lock_stops_the_esc_above_everything():
 ])
 def test_dropped_messages_make_every_input_stale(again, reason):
     converter = Converter(ConversionConfig(), None)
-    throttle = Throttle(config(permission=PermissionConfig(e_stop_timeout_s=0.0)), converter)
-    inputs = {"human": lambda: (throttle.hear_human(False, NOW), throttle.hear_human(True, NOW)),
-              "steering": lambda: throttle.hear_steering(PLANNER, NOW),
-              "command": lambda: throttle.hear_conversion(Conversion(3.0), NOW),
-              "odometry": lambda: converter.hear_odometry(0.0, NOW)}
+    throttle = Throttle(config(interlock=InterlockConfig(e_stop_timeout_s=0.0)), converter)
+    inputs = {"human": lambda: (throttle.update_human(False, NOW), throttle.update_human(True, NOW)),
+              "steering": lambda: throttle.update_steering(PLANNER, NOW),
+              "command": lambda: throttle.update_conversion(Conversion(3.0), NOW),
+              "odometry": lambda: converter.update_odometry(0.0, NOW)}
     for hear in inputs.values():
         hear()
     assert throttle.decide(NOW).driving

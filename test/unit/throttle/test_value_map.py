@@ -427,8 +427,8 @@ def test_file_cut_at_any_byte_is_loaded_or_refused_and_nothing_else(tmp_path, co
         path = written(tmp_path, content[:length])
         try:
             value_map = load_value_map(path)
-        except ConfigError as refusal:
-            assert "value_map" in refusal.name
+        except ConfigError as inhibit:
+            assert "value_map" in inhibit.name
         else:
             loaded += 1
             assert len(value_map.values) >= 2

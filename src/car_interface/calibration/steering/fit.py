@@ -45,12 +45,12 @@ from car_interface.calibration.steering.smooth import Smooth, rising
 # recording has gaps: see test/accuracy/steering_calibration.py.
 BAND = 1.96
 CONTRADICTIONS = 6.0  # so much more than with the best play is chance
-LEAST_PLAY_SIGMA = 1.0
-PLAY_SCALE_DUTY = 20.0  # before any data a play is so large, exponentially distributed
-BEND_SHARE = 1 / math.sqrt(12)  # of how far the curve may bend away is a standard error, if any of it is as likely
+MIN_BACKLASH_SIGMA = 1.0
+BACKLASH_SCALE_DUTY = 20.0  # before any data a play is so large, exponentially distributed
+BEND_RATIO = 1 / math.sqrt(12)  # of how far the curve may bend away is a standard error, if any of it is as likely
 DISAGREES, DISAGREES_DUTY = 6.0, 2 * COUNT  # standard errors, and duty: less than this tyres and floors may do
-DISAGREES_PLACES, DISAGREES_SHARE = 5, 0.25  # at so many counts, and of all where both drove
-PLAY_DOUBT = 4.0  # pieces of one position err alike: likelihoods count for so much less
+DISAGREES_PLACES, DISAGREES_RATIO = 5, 0.25  # at so many counts, and of all where both drove
+BACKLASH_DOUBT = 4.0  # pieces of one position err alike: likelihoods count for so much less
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class Curve:
         sigmas: their standard errors.
         first_knot: which of the pieces' weights belongs to the first of them.
         delay: of the servo.
-        play_duty: of its linkage.
-        play_sigma: its standard error.
+        backlash_duty: of its linkage.
+        backlash_sigma: its standard error.
         pieces: what it rests on.
         kept: which pieces do.
         counts: how many pieces were left out, by reason.
@@ -79,8 +79,8 @@ class Curve:
     sigmas: np.ndarray
     first_knot: int
     delay: Delay
-    play_duty: float
-    play_sigma: float
+    backlash_duty: float
+    backlash_sigma: float
     pieces: Pieces
     kept: np.ndarray
     counts: dict
@@ -133,8 +133,9 @@ def fit(drives: Sequence[Drive], config: FitConfig = DEFAULTS) -> Curve:
         raise NothingToFit("there is no odometry while the servo had a duty")
     delay = config.delay or servo_delay(drives, config)
     cuts = [cut_up(drive, delay, config) for drive in drives]
-    play_duty, play_sigma = (config.play_duty, 0.0) if config.play_duty is not None else _play(cuts, config)
-    return _attempt(cuts, play_duty).curve(delay, play_sigma, config)
+    given = config.backlash_duty is not None
+    backlash_duty, backlash_sigma = (config.backlash_duty, 0.0) if given else _play(cuts, config)
+    return _attempt(cuts, backlash_duty).curve(delay, backlash_sigma, config)
 
 
 class Disagreement(NamedTuple):
@@ -160,7 +161,7 @@ def disagreement(one: Curve, other: Curve) -> Disagreement | None:
     off = np.abs(curvatures - other.curvature(duties)) / np.maximum(sigmas, 1e-9)
     apart = np.abs(other.duty(curvatures) - duties)
     bad = (off > DISAGREES) & (apart >= DISAGREES_DUTY)
-    if bad.sum() < max(DISAGREES_PLACES, DISAGREES_SHARE * len(duties)):
+    if bad.sum() < max(DISAGREES_PLACES, DISAGREES_RATIO * len(duties)):
         return None
     return Disagreement(float(np.median(apart[bad])), float(curvatures[np.argmax(np.where(bad, off, 0.0))]))
 
@@ -173,25 +174,25 @@ def _play(cuts, config):
     with one of them: first that of a curve that is as smooth everywhere, for one that may be sharp in places says where
     these are; and then, near the truth, of one that may, for the smooth one is too flat where the car's is steep.
     """
-    plays = np.arange(0.0, config.most_play_duty + 1.0, 2.0)
+    plays = np.arange(0.0, config.max_backlash_duty + 1.0, 2.0)
     contradictions = np.array([_contradictions(cuts, play) for play in plays])
     plays = plays[contradictions <= contradictions.min() + CONTRADICTIONS]
-    play_duty = float(np.median(plays))
+    backlash_duty = float(np.median(plays))
     for adapts in (False, True):
-        like = Smooth(_attempt(cuts, play_duty).pieces, adapts)
-        costs = np.array([like.cost(*observations(cuts, play)) for play in plays]) + 2 * plays / PLAY_SCALE_DUTY
+        like = Smooth(_attempt(cuts, backlash_duty).pieces, adapts)
+        costs = np.array([like.cost(*observations(cuts, play)) for play in plays]) + 2 * plays / BACKLASH_SCALE_DUTY
         if not np.isfinite(costs).any():
             raise NothingToFit("no play of the steering fits the places where it was held: drive more of them")
         costs = np.where(np.isfinite(costs), costs, np.inf)
-        likely = np.exp(-(costs - costs.min()) / 2 / PLAY_DOUBT)
+        likely = np.exp(-(costs - costs.min()) / 2 / BACKLASH_DOUBT)
         likely /= likely.sum()
-        play_duty = float(likely @ plays)
-    return play_duty, math.hypot(math.sqrt(float(likely @ (plays - play_duty) ** 2)), LEAST_PLAY_SIGMA)
+        backlash_duty = float(likely @ plays)
+    return backlash_duty, math.hypot(math.sqrt(float(likely @ (plays - backlash_duty) ** 2)), MIN_BACKLASH_SIGMA)
 
 
-def _contradictions(cuts, play_duty):
+def _contradictions(cuts, backlash_duty):
     """How far pieces lie off the nearest monotone curve, in squares of their standard errors, each within a bound."""
-    _, duties = observations(cuts, play_duty)
+    _, duties = observations(cuts, backlash_duty)
     spans = [span for cut in cuts for span in cut.spans]
     curvature = np.array([span.curvature for span in spans])
     sigma = np.hypot([span.sigma for span in spans], 3 * cuts[0].config.slack_per_m)
@@ -206,19 +207,19 @@ def _contradictions(cuts, play_duty):
 class _Attempt:
     """The observations for one play, and the smooth curve through them."""
 
-    def __init__(self, play_duty, knots, pieces, counts):
-        self.play_duty, self.knots, self.pieces, self.counts = play_duty, knots, pieces, counts
+    def __init__(self, backlash_duty, knots, pieces, counts):
+        self.backlash_duty, self.knots, self.pieces, self.counts = backlash_duty, knots, pieces, counts
         self.smooth = Smooth(pieces)
 
-    def curve(self, delay, play_sigma, config):
+    def curve(self, delay, backlash_sigma, config):
         """With bounds, errors and ends."""
         smooth, pieces = self.smooth, self.pieces
         near = smooth.weight > 0.05
         sigmas = smooth.standard_errors()
         curvatures = smooth.monotone(sigmas)
         # Where all came from the same side half of the play is as unknown as the play itself.
-        sigmas = np.hypot(sigmas, np.abs(np.gradient(curvatures, KNOT)) * play_sigma / 2)
-        sigmas = np.hypot(sigmas, BEND_SHARE * _bends(self.knots, pieces, near))
+        sigmas = np.hypot(sigmas, np.abs(np.gradient(curvatures, KNOT)) * backlash_sigma / 2)
+        sigmas = np.hypot(sigmas, BEND_RATIO * _bends(self.knots, pieces, near))
         sigmas = _bounded(curvatures, sigmas)
         low, high = pieces.duty[near].min(), pieces.duty[near].max()
         inside = (self.knots >= low - KNOT) & (self.knots <= high + KNOT)
@@ -228,13 +229,13 @@ class _Attempt:
         left, right = ends[::-1] if rising else ends
         center, center_sigma = _center(knots, curvatures, sigmas)
         counts = {**self.counts, "apart from all others": int(np.sum(~near))}
-        return Curve(knots, curvatures, sigmas, int(np.argmax(inside)), delay, self.play_duty, play_sigma, pieces, near,
-                     counts, smooth.scatter, center, center_sigma, left, right)
+        return Curve(knots, curvatures, sigmas, int(np.argmax(inside)), delay, self.backlash_duty, backlash_sigma,
+                     pieces, near, counts, smooth.scatter, center, center_sigma, left, right)
 
 
-def _attempt(cuts, play_duty):
-    found, counts = pieces(cuts, play_duty)
-    return _Attempt(play_duty, knots_of(cuts), found, counts)
+def _attempt(cuts, backlash_duty):
+    found, counts = pieces(cuts, backlash_duty)
+    return _Attempt(backlash_duty, knots_of(cuts), found, counts)
 
 
 def _bends(knots, pieces, kept):
@@ -294,14 +295,14 @@ def _side(knots, curvatures, sigmas, towards, low, high, config):
     curvature, duty, sigma = curvature[inside] * np.sign(curvature[inside][-1]), duty[inside], sigma[inside]
     tightest = float(curvature[-1])
     # The tightest is as uncertain as what lies beside it.
-    is_level = curvature >= tightest * (1 - config.stop_share) - min(2 * sigma[-1], 2 * config.stop_share * tightest)
+    is_level = curvature >= tightest * (1 - config.stop_ratio) - min(2 * sigma[-1], 2 * config.stop_ratio * tightest)
     begin = len(is_level) - int(np.argmin(is_level[::-1])) if not is_level.all() else 0
     begin_duty = _corner(duty, curvature, tightest, begin)
     is_stop = (farthest - duty[begin]) * towards >= config.stop_duty and tightest > 5 * sigma[-1]
     is_end = is_stop or any((farthest - limit) * towards >= -COUNT for limit in config.limits
                             if (limit - np.mean(knots)) * towards > 0)
     if is_stop:
-        begin_duty = _held_stop(duty, curvature, tightest, begin_duty, config.stop_share)
+        begin_duty = _held_stop(duty, curvature, tightest, begin_duty, config.stop_ratio)
     return Side(begin_duty if is_stop else farthest, tightest, float(sigma[begin if is_stop else -1]),
                 bool(is_stop), bool(is_end), farthest)
 

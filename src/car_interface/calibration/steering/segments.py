@@ -27,7 +27,7 @@ CROSSED_DUTY = 40.0  # a servo that moved so far has crossed any usual play
 DUTY_SIGMA = 1.0  # how well it's known where the wheels were, in duty, when the linkage lies at one side of its play
 LAG_SIGMA_S = 0.015  # of the servo's: when the linkage floats in its play it's the lag that says where
 FORGOTTEN_LAGS = 5.0  # after so many it's known where the servo is, wherever it came from
-MOST_PLAY_DUTY = 80.0
+MAX_BACKLASH_DUTY = 80.0
 
 
 @dataclass(frozen=True)
@@ -36,42 +36,42 @@ class FitConfig:
 
     Attributes:
         slowest_mps: slower, heading changes are too few to tell.
-        most_sideways_mps2: where tyres may begin to slide.
+        max_sideways_mps2: where tyres may begin to slide.
         settled_duty: the servo has arrived when it is so near to what was commanded, by delay and lag.
         wander_duty: the wheels may move by so much in a piece.
-        shortest_m, longest_m, shortest_s: of a piece.
+        shortest_m, max_m, shortest_s: of a piece.
         gap_s: between samples of odometry, from which on they don't belong together.
         jump_rad: of the heading between two samples that no car makes.
         heading_sigma_rad: of odometry's heading.
         slack_per_m: what no piece is more exact than: floors and tyres.
         delay: of the servo; ``None`` = estimated.
-        play_duty: of the linkage; ``None`` = estimated.
-        most_play_duty: what is tried.
-        known_share, known_per_m: a breakpoint is supported when the band around its curvature is at most so wide to
+        backlash_duty: of the linkage; ``None`` = estimated.
+        max_backlash_duty: what is tried.
+        known_ratio, known_per_m: a breakpoint is supported when the band around its curvature is at most so wide to
             each side, as a share of it or absolutely, beyond half of what the board's next count would change.
         stop_duty: a stop is one when the curve stays level for so long.
-        stop_share: level is what is so near to the tightest.
+        stop_ratio: level is what is so near to the tightest.
         limits: duties beyond which nobody means to steer.
     """
 
     slowest_mps: float = 0.25
-    most_sideways_mps2: float = 4.0
+    max_sideways_mps2: float = 4.0
     settled_duty: float = 6.0
     wander_duty: float = 24.0
     shortest_m: float = 0.5
-    longest_m: float = 8.0
+    max_m: float = 8.0
     shortest_s: float = 0.3
     gap_s: float = 0.3
     jump_rad: float = 0.5
     heading_sigma_rad: float = 0.008
     slack_per_m: float = 0.001
     delay: Delay | None = None
-    play_duty: float | None = None
-    most_play_duty: float = MOST_PLAY_DUTY
-    known_share: float = 0.08
+    backlash_duty: float | None = None
+    max_backlash_duty: float = MAX_BACKLASH_DUTY
+    known_ratio: float = 0.08
     known_per_m: float = 0.01
     stop_duty: float = 40.0
-    stop_share: float = 0.007
+    stop_ratio: float = 0.007
     limits: tuple = ()
 
 
@@ -82,7 +82,7 @@ class Drive(NamedTuple):
     """One recording; the drives of a calibration are all of one car with nothing changed in between."""
 
     t_s: np.ndarray  # rising
-    way_m: np.ndarray  # signed, backward negative, from anywhere
+    distance_m: np.ndarray  # signed, backward negative, from anywhere
     yaw_rad: np.ndarray  # unwrapped
     duty_t_s: np.ndarray
     duty: np.ndarray  # of the steering channel, each until the next one; what is no pulse is NaN
@@ -96,7 +96,7 @@ class Pieces(NamedTuple):
     sigma_per_m: np.ndarray
     duty: np.ndarray  # where the wheels were, on average
     duty_sigma: np.ndarray
-    way_m: np.ndarray
+    distance_m: np.ndarray
     weights: sparse.csr_matrix  # of the knots: the curvature is weights @ curve
 
 
@@ -111,11 +111,11 @@ def servo_delay(drives, config):
     for drive in drives:
         shift_s = begin_s - drive.t_s[0]
         t_s = np.arange(drive.t_s[0], drive.t_s[-1], delays.STEP_S)
-        way_m, yaw_rad = np.interp(t_s, drive.t_s, drive.way_m), np.interp(t_s, drive.t_s, drive.yaw_rad)
+        distance_m, yaw_rad = np.interp(t_s, drive.t_s, drive.distance_m), np.interp(t_s, drive.t_s, drive.yaw_rad)
         half = 3
         if len(t_s) <= 2 * half:
             continue
-        step_m, turned = way_m[2 * half:] - way_m[:-2 * half], yaw_rad[2 * half:] - yaw_rad[:-2 * half]
+        step_m, turned = distance_m[2 * half:] - distance_m[:-2 * half], yaw_rad[2 * half:] - yaw_rad[:-2 * half]
         at_s = t_s[half:-half]
         is_fine = np.abs(step_m) > config.slowest_mps * 2 * half * delays.STEP_S
         is_fine &= _since_gap(drive.t_s, at_s, config.gap_s) > AFTER_GAP_S
@@ -146,9 +146,9 @@ class Wheels:
 
     def __init__(self, drive, delay, gap_s):
         self.t_s = np.arange(drive.t_s[0], drive.t_s[-1], self.STEP_S)
-        self.way_m = np.interp(self.t_s, drive.t_s, drive.way_m)
+        self.distance_m = np.interp(self.t_s, drive.t_s, drive.distance_m)
         self.yaw_rad = np.interp(self.t_s, drive.t_s, drive.yaw_rad)
-        self.speed_mps = np.gradient(self.way_m, self.STEP_S)
+        self.speed_mps = np.gradient(self.distance_m, self.STEP_S)
         commanded = delays.held(drive.duty_t_s, drive.duty, self.t_s - delay.delay_s)
         self.is_known = np.isfinite(commanded) & (self.t_s - delay.delay_s >= drive.duty_t_s[0])
         # Without a pulse a servo stays where it is.
@@ -181,11 +181,11 @@ class Wheels:
             moved = np.maximum.accumulate(servo) - np.minimum.accumulate(servo)
             self.is_known[settled:end] &= moved >= CROSSED_DUTY
 
-    def linkage(self, play_duty):
+    def linkage(self, backlash_duty):
         """Where the wheels are, with play: they follow when the servo has crossed it."""
-        if play_duty <= 0:
+        if backlash_duty <= 0:
             return self.servo
-        half, now, out = play_duty / 2, float(self.servo[0]), np.empty(len(self.servo))
+        half, now, out = backlash_duty / 2, float(self.servo[0]), np.empty(len(self.servo))
         begins = set(self._begins.tolist())
         for index, servo in enumerate(self.servo.tolist()):
             if index in begins:
@@ -216,7 +216,7 @@ class Span(NamedTuple):
     """A piece of way before it's known where the wheels were on it."""
 
     samples: np.ndarray  # indices, in the order of the way
-    way_m: np.ndarray  # there, rising
+    distance_m: np.ndarray  # there, rising
     middles_m: np.ndarray  # where the duty counts
     middle_s: float
     curvature: float
@@ -247,7 +247,7 @@ def _otherwise(drive, delay, config):
 def _cut(wheels, otherwise, config):
     is_slow = np.abs(wheels.speed_mps) < config.slowest_mps
     turning = np.convolve(np.gradient(wheels.yaw_rad, wheels.STEP_S), np.full(9, 1 / 9), "same")
-    slides = np.abs(wheels.speed_mps * turning) > config.most_sideways_mps2
+    slides = np.abs(wheels.speed_mps * turning) > config.max_sideways_mps2
     unknown = ~wheels.is_known | (wheels.gap_s > config.gap_s) | (wheels.jump_rad > config.jump_rad)
     usable, counts = np.ones(len(is_slow), bool), {}
     for reason, flags in (("slow or standing", is_slow), ("gaps in odometry or duty", unknown),
@@ -264,11 +264,11 @@ def _cut(wheels, otherwise, config):
 
 def _split(wheels, begin, end, config):
     """Where the servo wanders, the way gets long, or the car turns round."""
-    servo, way, speed = (column[begin:end].tolist() for column in (wheels.servo, wheels.way_m, wheels.speed_mps))
+    servo, way, speed = (column[begin:end].tolist() for column in (wheels.servo, wheels.distance_m, wheels.speed_mps))
     first, low, high = 0, servo[0], servo[0]
     for index, duty in enumerate(servo):
         low, high = min(low, duty), max(high, duty)
-        too_long = abs(way[index] - way[first]) > config.longest_m
+        too_long = abs(way[index] - way[first]) > config.max_m
         if high - low > config.wander_duty or too_long or speed[index] * speed[first] < 0:
             yield begin + first, begin + index
             first, low, high = index, duty, duty
@@ -280,12 +280,12 @@ def _span(wheels, first, last, config):
     if last - first < max(3, config.shortest_s / wheels.STEP_S):
         return None
     samples = np.arange(first, last)
-    length = wheels.way_m[last - 1] - wheels.way_m[first]
+    length = wheels.distance_m[last - 1] - wheels.distance_m[first]
     if abs(length) < config.shortest_m:
         return None
     if length < 0:
         samples = samples[::-1]
-    way = wheels.way_m[samples]
+    way = wheels.distance_m[samples]
     # Evenly by way, so that where the car was slow doesn't count for more.
     at = np.linspace(way[0], way[-1], SLOPE_POINTS)
     off = at - at.mean()
@@ -297,22 +297,23 @@ def _span(wheels, first, last, config):
                  length)
 
 
-def pieces(cuts: Sequence[Cut], play_duty: float) -> tuple[Pieces, dict]:
+def pieces(cuts: Sequence[Cut], backlash_duty: float) -> tuple[Pieces, dict]:
     """All drives' pieces, the wheels being where a linkage of this play has them; what was left out, by reason."""
     spans = [span for cut in cuts for span in cut.spans]
-    weights, duties = observations(cuts, play_duty)
+    weights, duties = observations(cuts, backlash_duty)
     middle_s, curvature, sigma, length = (np.array([getattr(span, name) for span in spans])
                                           for name in ("middle_s", "curvature", "sigma", "length_m"))
     counts: dict = {}
     for cut in cuts:
         for reason, count in cut.counts.items():
             counts[reason] = counts.get(reason, 0) + count
-    return Pieces(middle_s, curvature, sigma, duties, _duty_sigmas(cuts, play_duty, duties), length, weights), counts
+    sigmas = _duty_sigmas(cuts, backlash_duty, duties)
+    return Pieces(middle_s, curvature, sigma, duties, sigmas, length, weights), counts
 
 
-def _duty_sigmas(cuts, play_duty, duties):
+def _duty_sigmas(cuts, backlash_duty, duties):
     """How well it's known where the wheels were on each piece: elsewhere, had the servo another lag."""
-    others = [np.concatenate([_wheel_duties(cut, cut.otherwise[index].linkage(play_duty)) for cut in cuts])
+    others = [np.concatenate([_wheel_duties(cut, cut.otherwise[index].linkage(backlash_duty)) for cut in cuts])
               for index in range(len(cuts[0].otherwise))]
     off = np.max([np.abs(other @ SHARES - duties) for other in others], axis=0) if others else 0.0
     return np.hypot(DUTY_SIGMA, off)
@@ -320,7 +321,7 @@ def _duty_sigmas(cuts, play_duty, duties):
 
 def _wheel_duties(cut, linkage):
     """A row for each piece of a drive, along its way."""
-    rows = [np.interp(span.middles_m, span.way_m, linkage[span.samples]) for span in cut.spans]
+    rows = [np.interp(span.middles_m, span.distance_m, linkage[span.samples]) for span in cut.spans]
     return np.array(rows).reshape(-1, SLOPE_POINTS - 1)
 
 
@@ -333,13 +334,14 @@ def knots_of(cuts):
     high = max(servo[span.samples].max() for span, servo in spans)
     if len(spans) < 4 or high - low < 4 * COUNT:
         raise NothingToFit("the steering was held in fewer than four places")
-    return np.arange(math.floor((low - MOST_PLAY_DUTY) / KNOT), math.ceil((high + MOST_PLAY_DUTY) / KNOT) + 1) * KNOT
+    first, last = math.floor((low - MAX_BACKLASH_DUTY) / KNOT), math.ceil((high + MAX_BACKLASH_DUTY) / KNOT)
+    return np.arange(first, last + 1) * KNOT
 
 
-def observations(cuts, play_duty):
+def observations(cuts, backlash_duty):
     """(how much of each knot is in each piece's curvature, where the wheels were on it on average)."""
     knots = knots_of(cuts)
-    duties = np.concatenate([_wheel_duties(cut, cut.wheels.linkage(play_duty)) for cut in cuts])
+    duties = np.concatenate([_wheel_duties(cut, cut.wheels.linkage(backlash_duty)) for cut in cuts])
     place = np.clip((duties - knots[0]) / KNOT, 0, len(knots) - 1.001)
     index = place.astype(int)
     share = place - index

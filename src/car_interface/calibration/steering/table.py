@@ -13,7 +13,7 @@ LEFT, RIGHT = "left", "right"
 # What a breakpoint's duty rests on.
 DRIVEN, END, OLD, UNKNOWN = "driven", "end", "old", "unknown"
 WIDE_RADII_M = (5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 50.0, 100.0, 300.0)
-NEAR_SHARE = 0.25  # pieces count for a radius when their curvature is so near to its
+NEAR_RATIO = 0.25  # pieces count for a radius when their curvature is so near to its
 
 
 class Breakpoint(NamedTuple):
@@ -24,7 +24,7 @@ class Breakpoint(NamedTuple):
     duty_sigma: float
     radius_sigma_m: float
     pieces: int  # that were driven about as tight
-    way_m: float  # in these
+    distance_m: float  # in these
     source: str  # DRIVEN, END: no tighter turn can be had, OLD or UNKNOWN
 
 
@@ -53,7 +53,7 @@ def breakpoints(curve: Curve, radii_m: Sequence[float], side: str, config: FitCo
     sign = 1.0 if side == LEFT else -1.0
     end = curve.left if side == LEFT else curve.right
     outwards = 1.0 if (end.duty - curve.duties.mean()) > 0 else -1.0
-    driven, ways = sign * curve.pieces.curvature_per_m[curve.kept], curve.pieces.way_m[curve.kept]
+    driven, ways = sign * curve.pieces.curvature_per_m[curve.kept], curve.pieces.distance_m[curve.kept]
     found = []
     for radius in radii_m:
         k = 1.0 / radius
@@ -63,10 +63,10 @@ def breakpoints(curve: Curve, radii_m: Sequence[float], side: str, config: FitCo
         count = round(duty / COUNT) * COUNT
         sigma = float(np.interp(count, curve.duties, curve.sigmas))
         before, behind = curve.curvature(np.array([count - COUNT, count + COUNT]))
-        near = np.abs(driven - k) <= max(NEAR_SHARE * k, config.known_per_m)
+        near = np.abs(driven - k) <= max(NEAR_RATIO * k, config.known_per_m)
         half_count = abs(behind - before) / 4
-        is_known = BAND * sigma <= max(config.known_share * k, config.known_per_m) + half_count
-        if k >= end.curvature_per_m * (1 - config.stop_share):
+        is_known = BAND * sigma <= max(config.known_ratio * k, config.known_per_m) + half_count
+        if k >= end.curvature_per_m * (1 - config.stop_ratio):
             duty, source = end.duty, END if end.is_end and is_known else UNKNOWN
         else:
             source = DRIVEN if is_known and driven.size and driven.min() <= k <= driven.max() else UNKNOWN

@@ -18,7 +18,7 @@ TICK_SIGMA_S = 1e-3 / 12**0.5  # a pulse's time is cut to the millisecond
 GRID_S = 0.01  # of φ; as fine as what commands an ESC, whose pulse comes every 20 ms
 GOLDEN = 0.6180339887498949  # multiples of it lie evenly between whole numbers
 SPEED_SPAN_S = 0.1  # a speed is the way over this time
-MOST_WINDOWS = 20_000  # of a drive: more than an hour; they lie farther apart in longer ones
+MAX_WINDOWS = 20_000  # of a drive: more than an hour; they lie farther apart in longer ones
 ENOUGH_PULSES, ENOUGH_SPEEDS = 6, 5
 SPEEDS = 8  # in a window, at the least: with slow odometry windows are longer
 COVERED = 0.7  # of a window, by its samples
@@ -35,19 +35,19 @@ class WindowConfig:
         window_s, hop_s: a window's length, and the time from one to the next.
         slowest_mps: what is slower somewhere in a window is a stop. There an ESC holds, reverses or waits.
         turned_round_s: so long after rolling backward the ESC may still be changing its gear.
-        most_curvature_per_m, most_lateral_mps2: tyres in a turn brake.
-        most_mps2: tyres don't hold more: the wheels slip.
-        most_apart_mps2: nor can the accelerations of the two wheels, or those of wheels and IMU, differ by more.
+        max_curvature_per_m, max_lateral_mps2: tyres in a turn brake.
+        max_mps2: tyres don't hold more: the wheels slip.
+        max_difference_mps2: nor can the accelerations of the two wheels, or those of wheels and IMU, differ by more.
     """
 
     window_s: float = 0.4
     hop_s: float = 0.2
     slowest_mps: float = 0.3
     turned_round_s: float = 0.5
-    most_curvature_per_m: float = 0.6
-    most_lateral_mps2: float = 2.5
-    most_mps2: float = 10.0
-    most_apart_mps2: float = 3.0
+    max_curvature_per_m: float = 0.6
+    max_lateral_mps2: float = 2.5
+    max_mps2: float = 10.0
+    max_difference_mps2: float = 3.0
 
 
 class Series(NamedTuple):
@@ -119,7 +119,7 @@ def windows(drive: Drive, config: WindowConfig = WindowConfig()) -> Windows:
     if not drive.wheels and drive.speed.t_s.size > 1:
         period_s = float(np.median(np.diff(drive.speed.t_s)))
         config = replace(config, window_s=max(config.window_s, SPEEDS * period_s))
-    hop_s = max(config.hop_s, (ends - begins) / MOST_WINDOWS)
+    hop_s = max(config.hop_s, (ends - begins) / MAX_WINDOWS)
     middles = np.arange(begins + config.window_s / 2, ends - config.window_s / 2, hop_s)
     # Not in step with the grid of φ, nor with commands in step with that: else a delay would show in whole steps.
     middles = middles + (np.arange(middles.size) * GOLDEN % 1.0 - 0.5) * GRID_S
@@ -223,15 +223,15 @@ def _judge(cut, yaw, apart, speed, config):
         turned = (last >= 0) & (since_s < config.turned_round_s)
     else:
         turned = np.zeros(state.size, bool)
-    way_m = np.maximum((cut.speed_mps * GRID_S).sum(axis=1), 1e-3)
-    curvature_per_m = np.abs(yaw[:, -1] - yaw[:, 0]) / way_m
+    distance_m = np.maximum((cut.speed_mps * GRID_S).sum(axis=1), 1e-3)
+    curvature_per_m = np.abs(yaw[:, -1] - yaw[:, 0]) / distance_m
     lateral_mps2 = curvature_per_m * fastest**2
     force_apart = np.nan_to_num(np.abs(cut.force_mps2 - cut.acceleration_mps2))
-    slipping = ((np.abs(cut.acceleration_mps2) > config.most_mps2) | (apart > config.most_apart_mps2)
-                | (force_apart > config.most_apart_mps2))
+    slipping = ((np.abs(cut.acceleration_mps2) > config.max_mps2) | (apart > config.max_difference_mps2)
+                | (force_apart > config.max_difference_mps2))
     for reason, holds in (
         (SLIPPING, slipping),
-        (STEERING, (curvature_per_m > config.most_curvature_per_m) | (lateral_mps2 > config.most_lateral_mps2)),
+        (STEERING, (curvature_per_m > config.max_curvature_per_m) | (lateral_mps2 > config.max_lateral_mps2)),
         (NOTHING_MEASURED, ~np.isfinite(cut.acceleration_mps2 + cut.sigma_mps2) | ~np.isfinite(slowest + fastest)),
         (TURNED_ROUND, turned),
         (STANDING, slowest < config.slowest_mps),

@@ -42,7 +42,7 @@ from car_interface.calibration.value_map.windows import (
 DECIMALS = 3  # of a map's CSV, as Autoware's calibrators write it
 RESOLUTION_MPS2 = 10.0**-DECIMALS
 # A step of two roundings' width is still one when both of its ends have been rounded towards each other.
-LEAST_STEP_MPS2 = 2 * RESOLUTION_MPS2
+MIN_STEP_MPS2 = 2 * RESOLUTION_MPS2
 # A throttle curve's (6·u^1.5 has 9 on the average, over a value axis taken as 1); and, per (m/s)², a motor's that has
 # half its thrust at 9 m/s.
 ROUGHNESS = Roughness(8.0, 0.15)
@@ -51,7 +51,7 @@ HUBER = 2.0  # residuals beyond so many sigmas count less
 OUTLIER = 5.0  # and beyond so many don't count
 PASSES = 6
 HELD_OUT = 5
-LEAST_S = 0.03  # of driving around a node, for a manoeuvre to count there
+MIN_S = 0.03  # of driving around a node, for a manoeuvre to count there
 NEAR = 0.25  # of the step between rows: so far from neutral there are two more
 BENDS = 0.05  # so near to neutral, as a share of the values, the map may bend as it likes
 DELAYS_S = np.array([0.0, 0.6])  # the least and the most that is looked at
@@ -197,7 +197,7 @@ def fit(drives: Sequence[Drive], values: np.ndarray | None, velocities: np.ndarr
 
 
 def rounded(accelerations: np.ndarray) -> np.ndarray:
-    """To the CSV's decimals, as numbers that rise along every column: rows that rise by LEAST_STEP_MPS2 still rise."""
+    """To the CSV's decimals, as numbers that rise along every column: rows that rise by MIN_STEP_MPS2 still rise."""
     counts = np.round(accelerations / RESOLUTION_MPS2).astype(np.int64)
     for row in range(1, counts.shape[0]):
         counts[row] = np.maximum(counts[row], counts[row - 1] + 1)
@@ -262,7 +262,7 @@ def _solve(rows, state, config, rising=True, passes=PASSES):
     drives = data.sees_slope.size
     sag = np.zeros((drives, 2))
     # A step below the CSV's decimals is none; where the map hardly rises it rises by that.
-    least = np.full(grid.rows.size - 1, LEAST_STEP_MPS2)
+    least = np.full(grid.rows.size - 1, MIN_STEP_MPS2)
     weight = np.where(used, 1.0 / data.sigma**2, 0.0)
     nodes, spread, outlying = None, 1.0, np.zeros(used.size, bool)
     prior = np.zeros((grid.size + 4 * drives,) * 2)
@@ -356,7 +356,7 @@ def _coverage(rows, state, manoeuvre):
     member = sparse.csr_matrix((np.ones(used.size), (manoeuvre[used], np.arange(used.size))),
                                shape=(manoeuvre.max() + 1, used.size))
     around = (member @ shares).toarray()
-    return seconds, (around >= LEAST_S).sum(axis=0)
+    return seconds, (around >= MIN_S).sum(axis=0)
 
 
 def _standard_errors(rows, solved, state, manoeuvre):

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from car_interface.calibration.value_map.fit import LEAST_STEP_MPS2, RESOLUTION_MPS2, Fit, rounded
+from car_interface.calibration.value_map.fit import MIN_STEP_MPS2, RESOLUTION_MPS2, Fit, rounded
 from car_interface.calibration.value_map.surface import rising_column
 
-LEAST_NODES = 3  # values, and velocities, that make a map worth driving with
+MIN_NODES = 3  # values, and velocities, that make a map worth driving with
 BRACKET = 2  # nodes: so near on both sides must be others that are supported
 
 class Table(NamedTuple):
@@ -64,7 +64,7 @@ def table(found: Fit, neutral: float, prior: np.ndarray | None = None) -> Table 
     wanted = found.accelerations[part]
     if old.any():
         wanted = np.where(old, prior[part], wanted)
-        least = np.full(wanted.shape[0] - 1, LEAST_STEP_MPS2)
+        least = np.full(wanted.shape[0] - 1, MIN_STEP_MPS2)
         weight = np.where(old, 1.0, 1e9)  # what was measured doesn't give way
         risen = np.stack([rising_column(wanted[:, k], weight[:, k], least) for k in range(wanted.shape[1])], axis=1)
         origin[old & (np.abs(risen - wanted) > RESOLUTION_MPS2)] = MOVED
@@ -97,7 +97,7 @@ def _largest_part(stated, values, velocities, neutral):
 
     Its velocities follow one another. Of its values some may be left out, if no more than BRACKET side by side: the map
     is linear over them. How large it is goes by how far it reaches; a part that both drives and brakes is preferred,
-    and one with less than LEAST_NODES of either is the last choice.
+    and one with less than MIN_NODES of either is the last choice.
     """
     best, largest = None, 0.0
     for first in range(velocities.size - 1):
@@ -108,7 +108,7 @@ def _largest_part(stated, values, velocities, neutral):
                     continue
                 low, high = values[rows[0]], values[rows[-1]]
                 sides = 4.0 if low < neutral < high else 2.0 if low <= neutral <= high else 1.0
-                few = 0.01 if min(rows.size, last - first + 1) < LEAST_NODES else 1.0
+                few = 0.01 if min(rows.size, last - first + 1) < MIN_NODES else 1.0
                 size = few * sides * (high - low) * (velocities[last] - velocities[first])
                 if size > largest:
                     best, largest = np.ix_(rows, np.arange(first, last + 1)), size

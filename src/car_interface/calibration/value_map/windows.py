@@ -16,7 +16,7 @@ from car_interface.calibration.value_map.acceleration import Windows, windows
 
 GRAVITY_MPS2 = 9.81
 SPREAD = 0.1  # of headings: what cos and sin of yaw leave unexplained of a constant; 1 all round, and there and back
-LEAST_TURN = 5  # windows in a row
+MIN_TURN = 5  # windows in a row
 
 # Why a window doesn't count, in the order in which it is asked.
 RULES = {
@@ -70,7 +70,7 @@ def gather(drives, config) -> Data:
         counted = state == cut.MEASURED
         cos, sin = one.cos_yaw, one.sin_yaw
         turning = ((state == cut.STEERING) & np.isfinite(one.acceleration_mps2 + one.sigma_mps2)
-                   & (np.abs(one.acceleration_mps2) < config.window.most_mps2))
+                   & (np.abs(one.acceleration_mps2) < config.window.max_mps2))
         spreads = _spread(cos, sin, counted, turning) >= SPREAD
         acceleration, sigma, offset = one.acceleration_mps2, one.sigma_mps2, float("nan")
         if config.from_imu:
@@ -98,7 +98,7 @@ def gather(drives, config) -> Data:
         state[(state == cut.MEASURED) & ~np.isfinite(acceleration)] = cut.NOTHING_MEASURED
         states.append(state)
         numbers.append(np.full(cos.size, index))
-        hops.append(np.full(cos.size, max(config.window.hop_s, (ends - begins) / cut.MOST_WINDOWS)))
+        hops.append(np.full(cos.size, max(config.window.hop_s, (ends - begins) / cut.MAX_WINDOWS)))
     join = np.concatenate
     return Data(found, join(numbers), join(accelerations), join(sigmas), join(slopes), np.array(sees), join(parts),
                  join(hops), join(states), offsets)
@@ -123,7 +123,7 @@ def within_turns(turning, drive):
     turns = np.split(index, np.flatnonzero((np.diff(index) > 1) | (np.diff(drive[index]) > 0)) + 1)
     number = np.full(windows, -1)
     for turn, members in enumerate(turns):
-        number[members] = turn if members.size >= LEAST_TURN else -1
+        number[members] = turn if members.size >= MIN_TURN else -1
     long = np.flatnonzero(number >= 0)
     member = sparse.csr_matrix((np.ones(long.size), (number[long], long)), shape=(max(1, len(turns)), windows))
     size = np.maximum(1.0, np.asarray(member.sum(axis=1)).ravel())

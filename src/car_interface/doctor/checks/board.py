@@ -43,9 +43,9 @@ def check_bus(bus: Bus) -> list[Finding]:
     """Whether it's there, an I²C bus, and open to this user."""
     others = f"; there are {', '.join(bus.others)}" if bus.others else ""
     if not bus.exists:
-        cure = (f"Use one of these: --i2c {bus.others[0]}" if bus.others else
+        remedy = (f"Use one of these: --i2c {bus.others[0]}" if bus.others else
                 "Switch I2C on: sudo raspi-config, interfaces (on a Jetson: sudo modprobe i2c-dev); then ls /dev/i2c-*")
-        return [Finding(BAD, "bus", f"{bus.path}: there is no such bus{others}", cure)]
+        return [Finding(BAD, "bus", f"{bus.path}: there is no such bus{others}", remedy)]
     if not bus.is_i2c:
         return [Finding(BAD, "bus", f"{bus.path} is not an I2C bus{others}", "See which there are: ls /dev/i2c-*")]
     if not bus.usable:

@@ -6,7 +6,7 @@ from typing import NamedTuple, Sequence
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
 
 # The nodes of every car, and what is missing without each.
-DUTIES = {
+NODE_ROLES = {
     "turn_arb": "nobody steers",
     "pca9685": "no servo moves",
     "teensy_sensor_hub": "no wheel and no sonar is heard",
@@ -42,7 +42,8 @@ def check_nodes(nodes: Sequence[Node], namespace: str) -> list[Finding]:
             found.append(Finding(BAD, "nodes", f"{node.path} is registered, but doesn't answer: it hangs, was killed, "
                                                "or its ROS_IP can't be reached from here",
                                  "Start the launch file again; if it was killed: rosnode cleanup"))
-    missing = [f"{node.name} ({DUTIES[node.name]})" for node in nodes if not node.registered and node.name in DUTIES]
+    missing = [f"{node.name} ({NODE_ROLES[node.name]})" for node in nodes
+               if not node.registered and node.name in NODE_ROLES]
     if missing:
         found.append(Finding(WARN, "nodes", f"not running in {namespace}: {', '.join(missing)}",
                              "Those that this car needs: roslaunch car_interface car.launch, or each by its own file"))

@@ -66,7 +66,7 @@ def _outside(who, need):
 # --- clock ---
 
 PLAUSIBLE_YEARS = range(2024, 2100)
-MOST_DRIFT_S = 0.05  # between wall clock and monotonic clock while the doctor looks; NTP slews 0.5 ms a second
+MAX_DRIFT_S = 0.05  # between wall clock and monotonic clock while the doctor looks; NTP slews 0.5 ms a second
 
 
 class ClockReading(NamedTuple):
@@ -98,7 +98,7 @@ def check_clock(clock: ClockReading) -> list[Finding]:
                                             "off; driving doesn't depend on it",
                              "sudo timedatectl set-ntp true, and a network; see timedatectl"))
     jumped_s = clock.wall_s - clock.monotonic_s
-    if abs(jumped_s) > MOST_DRIFT_S:
+    if abs(jumped_s) > MAX_DRIFT_S:
         found.append(Finding(WARN, "clock", f"it jumped by {jumped_s:+.2f} s while the doctor looked: two programs may "
                                             "be setting it", "See who sets it: timedatectl. One program is enough"))
     if clock.uses_sim_time:
@@ -122,13 +122,13 @@ class Library(NamedTuple):
         name: as it's imported.
         version: as a text; ``None`` when it can't be imported, empty when it doesn't tell.
         oldest: the oldest version that will do, as numbers; empty = any.
-        cure: what installs it.
+        remedy: what installs it.
     """
 
     name: str
     version: str | None
     oldest: tuple
-    cure: str
+    remedy: str
 
 
 def check_versions(python: Sequence[int], libraries: Iterable[Library]) -> list[Finding]:
@@ -141,10 +141,10 @@ def check_versions(python: Sequence[int], libraries: Iterable[Library]) -> list[
         good.append(f"Python {_dotted(python)}")
     for library in libraries:
         if library.version is None:
-            found.append(Finding(BAD, "versions", f"{library.name} can't be imported", library.cure))
+            found.append(Finding(BAD, "versions", f"{library.name} can't be imported", library.remedy))
         elif library.version and _numbers(library.version) < library.oldest:
             found.append(Finding(BAD, "versions", f"{library.name} is {library.version}; it takes "
-                                                  f"{_dotted(library.oldest)} or newer", library.cure))
+                                                  f"{_dotted(library.oldest)} or newer", library.remedy))
         else:
             good.append(f"{library.name} {library.version}".strip())
     return ([Finding(OK, "versions", ", ".join(good))] if good else []) + found

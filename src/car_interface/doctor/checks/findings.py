@@ -22,13 +22,13 @@ class Finding(NamedTuple):
         level: OK, WARN (the car may drive) or BAD (it can't, or shouldn't).
         subject: what was looked at, in a word.
         what: what was found.
-        cure: what to do or type next; empty only when it's OK.
+        remedy: what to do or type next; empty only when it's OK.
     """
 
     level: int
     subject: str
     what: str
-    cure: str = ""
+    remedy: str = ""
 
 
 def worst(findings: Sequence[Finding]) -> int:
@@ -41,20 +41,20 @@ def render(finding: Finding, width: int | None = None, colour: bool = False) -> 
 
     Args:
         finding: what to show.
-        width: columns of the terminal; the text is wrapped and the cure begins a line of its own. ``None`` = one long
+        width: columns of the terminal; the text is wrapped and the remedy begins a line of its own. ``None`` = one long
             line, for a pipe.
         colour: show the level in colour.
     """
     name = f"{_NAMES[finding.level]:4}"
-    what, cure = _one_line(finding.what), f"cure: {_one_line(finding.cure)}" if finding.cure else ""
+    what, remedy = _one_line(finding.what), f"remedy: {_one_line(finding.remedy)}" if finding.remedy else ""
     head = f"{name}  {finding.subject:{SUBJECT_WIDTH}}  "
     if width is None:
-        text = head + " | ".join(filter(None, (what, cure)))
+        text = head + " | ".join(filter(None, (what, remedy)))
     else:
         blank = " " * INDENT
         text = _wrap(what, head, blank, width)
-        if cure:
-            text += "\n" + _wrap(cure, blank, blank + " " * len("cure: "), width)
+        if remedy:
+            text += "\n" + _wrap(remedy, blank, blank + " " * len("remedy: "), width)
     return _COLOURS[finding.level] + name + _PLAIN + text[len(name):] if colour else text
 
 

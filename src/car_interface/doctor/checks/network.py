@@ -112,7 +112,7 @@ def _address(hexadecimal):
     return str(mapped or address)
 
 
-class OwnAddress(NamedTuple):
+class LocalAddress(NamedTuple):
     """Under which name or address the nodes that are started here tell others to call them.
 
     Attributes:
@@ -128,27 +128,27 @@ class OwnAddress(NamedTuple):
     is_loopback: bool
 
 
-def own_name(environment: Mapping[str, str], host_name: str) -> str:
+def local_name(environment: Mapping[str, str], host_name: str) -> str:
     """The name that ROS would take: ROS_HOSTNAME, else ROS_IP, else the host's."""
     return environment.get("ROS_HOSTNAME") or environment.get("ROS_IP") or host_name
 
 
-def check_own_address(environment: Mapping[str, str], own: OwnAddress, master_is_here: bool) -> list[Finding]:
+def check_local_address(environment: Mapping[str, str], own: LocalAddress, master_is_here: bool) -> list[Finding]:
     """Whether other nodes can reach what is started here."""
     both = [name for name in ("ROS_HOSTNAME", "ROS_IP") if environment.get(name)]
     source = both[0] if both else "this host's name"
-    cure = ("export ROS_IP=127.0.0.1" if master_is_here else
+    remedy = ("export ROS_IP=127.0.0.1" if master_is_here else
             "export ROS_IP to this computer's address in the network that it shares with the master: ip -br address")
     if own.name == "":
-        return [Finding(BAD, "address", "this host has no name, and ROS_IP is not set", cure)]
+        return [Finding(BAD, "address", "this host has no name, and ROS_IP is not set", remedy)]
     if not own.resolves:
-        return [Finding(BAD, "address", f"{source}, {own.name}, can't be looked up: no node can reach another", cure)]
+        return [Finding(BAD, "address", f"{source}, {own.name}, can't be looked up: no node can reach another", remedy)]
     if not own.is_here:
         return [Finding(BAD, "address", f"{source}, {own.name}, isn't this computer's: no node here can be reached",
-                        cure)]
+                        remedy)]
     if own.is_loopback and not master_is_here:
         return [Finding(BAD, "address", f"{source} is {own.name}, but the master is on another host: nodes there "
-                                        "can't reach those here", cure)]
+                                        "can't reach those here", remedy)]
     if len(both) == 2:
         return [Finding(WARN, "address", f"ROS_HOSTNAME ({own.name}) and ROS_IP ({environment['ROS_IP']}) are both "
                                          "set; the first one counts", "unset ROS_IP, or the other one")]

@@ -12,13 +12,13 @@ from car_interface.teensy.link.health import FINE, WAITING, Counts, LinkHealth, 
 from car_interface.teensy.link.pinging import AUTO, Pinger
 
 HUB = "teensy_sensor_hub"
-MOST_NAMES = 3
+MAX_NAMES = 3
 NS_PER_MS = 1_000_000
 PING_PERIOD_NS = 300 * NS_PER_MS
 SONARS_WITHIN_NS = 2500 * NS_PER_MS  # a round of all six takes 0.6 s at most, unless their wait was set longer
 SONARS_REMEDY = ("Check their plugs, wires and supply; were they stopped, or left out of the sequence? The hub starts "
                  "them, and says more: roslaunch car_interface teensy_sensor_hub.launch")
-LONGEST_NS = 3600 * NS_PER_MS  # five pings in vain at 0.5 s each, and one with the other checksum
+MAX_TRANSMIT_NS = 3600 * NS_PER_MS  # five pings in vain at 0.5 s each, and one with the other checksum
 
 
 def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding]:
@@ -32,13 +32,15 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
                                       "this master and namespace",
                         "See the nodes above; or run the doctor with that node's ROS_MASTER_URI, and --ns")]
     if "ModemManager" in programs:
-        cure = "It tries every new port. Keep it off: rosrun car_interface setup_hardware, then plug the Teensy in anew"
+        remedy = ("It tries every new port. Keep it off: rosrun car_interface setup_hardware, "
+                  "then plug the Teensy in anew")
     elif set(programs) & set(PROGRAMS):
-        cure = f"That is a log-in console: {take_off(path)}"
+        remedy = f"That is a log-in console: {take_off(path)}"
     else:
-        cure = f"End it; more about it: fuser -v {path}"
-    others = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return [Finding(BAD, "port", f"{path}: another program has it open: {', '.join(names[:MOST_NAMES])}{others}", cure)]
+        remedy = f"End it; more about it: fuser -v {path}"
+    others = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    open_in = f"{', '.join(names[:MAX_NAMES])}{others}"
+    return [Finding(BAD, "port", f"{path}: another program has it open: {open_in}", remedy)]
 
 
 def is_terminal(major: int, minor: int, drivers: str) -> bool:
@@ -97,7 +99,7 @@ class TeensyProbe:
         self._pinger = Pinger(PING_PERIOD_NS, AUTO, now_ns)
         self._clock = TeensyClock()
         self._health = LinkHealth(baud)
-        self._end_ns = now_ns + LONGEST_NS
+        self._end_ns = now_ns + MAX_TRANSMIT_NS
         self._malformed = 0
         self._round_trip_ns = math.nan
         self._records_at_expiry = 0
@@ -105,7 +107,7 @@ class TeensyProbe:
         self._sonars_ns = now_ns + SONARS_WITHIN_NS
         self._health.opened(self._counts(), now_ns)
 
-    def hear(self, data: bytes, now_ns: int) -> None:
+    def update(self, data: bytes, now_ns: int) -> None:
         """Take what came from the port."""
         for body in self._decoder.feed(data):
             record = protocol.decode(body)
@@ -138,8 +140,8 @@ class TeensyProbe:
 
     def is_done(self, now_ns: int) -> bool:
         """Whether nothing more is to be learned, or it took too long."""
-        has_heard_sonars = len(self._sonars) == len(protocol.SONARS) or now_ns >= self._sonars_ns
-        is_fine = self._health.verdict.state == FINE and self._pinger.answered > 1 and has_heard_sonars
+        has_sonar_reports = len(self._sonars) == len(protocol.SONARS) or now_ns >= self._sonars_ns
+        is_fine = self._health.verdict.state == FINE and self._pinger.answered > 1 and has_sonar_reports
         return now_ns >= self._end_ns or is_fine and not self._decoder.tally.bad_frames
 
     def finding(self) -> Finding:

@@ -24,13 +24,13 @@ from car_interface.doctor.checks.computer import (
 )
 from car_interface.doctor.checks.findings import BAD, WARN
 from car_interface.doctor.checks.network import (
+    LocalAddress,
     Master,
-    OwnAddress,
+    check_local_address,
     check_master,
-    check_own_address,
     host_and_port,
     listeners,
-    own_name,
+    local_name,
 )
 from car_interface.teensy.link.console import is_consoles
 
@@ -49,7 +49,7 @@ LIBRARIES = (
 )
 
 
-def look_at_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool):
+def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool):
     """Whether this process is in the groups of the devices that the car uses."""
     needs = []
     if not virtual_port:
@@ -85,7 +85,7 @@ def _membership():
         existing=frozenset(group.gr_name for group in groups))
 
 
-def look_at_clock(uses_sim_time: bool):
+def probe_clock(uses_sim_time: bool):
     """How the wall clock does beside the monotonic one, for a second."""
     wall_s, monotonic_s = time.time(), time.monotonic()
     time.sleep(CLOCK_WATCHED_S)
@@ -103,11 +103,11 @@ def _is_synchronised():
     return None if state < 0 else state != TIME_ERROR
 
 
-def look_at_versions():
+def probe_versions():
     """Python and what nodes import."""
     return check_versions(sys.version_info[:3],
-                          [Library(name, _version(name, distribution), oldest, cure)
-                           for name, distribution, oldest, cure in LIBRARIES])
+                          [Library(name, _version(name, distribution), oldest, remedy)
+                           for name, distribution, oldest, remedy in LIBRARIES])
 
 
 def _version(name, distribution):
@@ -121,7 +121,7 @@ def _version(name, distribution):
         return str(getattr(module, "__version__", ""))
 
 
-def look_at_network(uri: str, ask_master: Callable[[], str]):
+def probe_network(uri: str, ask_master: Callable[[], str]):
     """The master and this computer's own address.
 
     Args:
@@ -137,10 +137,10 @@ def look_at_network(uri: str, ask_master: Callable[[], str]):
     here = _leads_here(place[0])
     trouble = ask_master() if here is not None else "its host can't be found"
     master = Master(uri, trouble, here, listeners(_tcp_tables(), place[1]) if here else ())
-    name = own_name(os.environ, socket.gethostname())
+    name = local_name(os.environ, socket.gethostname())
     leads_here = _leads_here(name)
-    own = OwnAddress(name, leads_here is not None, bool(leads_here), _is_loopback(name))
-    return check_master(master), check_own_address(os.environ, own, here is not False), not trouble
+    own = LocalAddress(name, leads_here is not None, bool(leads_here), _is_loopback(name))
+    return check_master(master), check_local_address(os.environ, own, here is not False), not trouble
 
 
 def _addresses(host):
@@ -153,10 +153,10 @@ def _addresses(host):
 def _leads_here(host):
     """Whether a name leads to this computer; ``None`` when it leads nowhere."""
     addresses = _addresses(host)
-    return any(map(_is_own, addresses)) if addresses else None
+    return any(map(_is_local, addresses)) if addresses else None
 
 
-def _is_own(address):
+def _is_local(address):
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         try:

@@ -25,7 +25,7 @@ def is_pseudo_terminal(port: str) -> bool:
     return os.path.realpath(port).startswith(PSEUDO_TERMINALS)
 
 
-def look_at_port(port: str, baud: int):
+def probe_port(port: str, baud: int):
     """Open the port, unless somebody else has it, and listen to what is behind it."""
     if _subsystem(port) not in (None, "tty"):
         return [Finding(BAD, "port", f"{port}: this is not a serial port", LIST_PORTS)]
@@ -41,7 +41,7 @@ def look_at_port(port: str, baud: int):
         teensy = _probe(link, baud)
     except DeviceError as error:
         hubs = [holder for holder in openers(port) if holder[1] == HUB]
-        return check_holders(port, hubs) or [Finding(BAD, "port", f"{port}: {error.cause}", error.cure)]
+        return check_holders(port, hubs) or [Finding(BAD, "port", f"{port}: {error.cause}", error.remedy)]
     finally:
         link.close()
     kind = "a pseudo-terminal: a virtual Teensy" if is_pseudo_terminal(port) else "a serial port, and nobody has it"
@@ -77,12 +77,12 @@ def _probe(link, baud):
             link.write(to_send)
         left_ns = max(0, min(probe.next_event_ns() - time.monotonic_ns(), NS_PER_S // 10))
         if select.select([link.fileno()], [], [], left_ns / NS_PER_S)[0]:
-            probe.hear(link.read(), time.monotonic_ns())
+            probe.update(link.read(), time.monotonic_ns())
         now_ns = time.monotonic_ns()
     return probe.finding()
 
 
-def look_at_board(device: str, address: int, prescale: int | None, driven: bool, oscillator_hz: float):
+def probe_board(device: str, address: int, prescale: int | None, driven: bool, oscillator_hz: float):
     """Read two registers of the chip; look for others where it doesn't answer."""
     name = f"0x{address:02x} on {device}"
     found = check_bus(_bus(device))

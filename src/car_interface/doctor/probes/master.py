@@ -76,7 +76,7 @@ class Master:
         except LookupError:
             return None
 
-    def outward(self, path: str, name: str) -> Any:
+    def search_parents(self, path: str, name: str) -> Any:
         """A parameter from the nearest of the namespaces around a node; ``None`` when none has it."""
         try:
             return self.parameter(self.ask("searchParam", name, caller=path))
@@ -106,7 +106,7 @@ def read_parameters(master: Master, node: Node) -> Reading | None:
         private = {}
     try:
         module = importlib.import_module(f"car_interface.nodes.{node.name}")
-        module.read_config(Params(private, lambda name: master.outward(node.path, name)))
+        module.read_config(Params(private, lambda name: master.search_parents(node.path, name)))
     except CarInterfaceError as error:
         return Reading(node.path, str(error), node.registered)
     except ImportError as error:

@@ -18,7 +18,7 @@ LISTEN_S = 3.0  # for what comes once a second, behind a connection that may tak
 POLL_S = 0.02
 
 
-class Heard(NamedTuple):
+class TopicReports(NamedTuple):
     """The newest of each topic; ``None`` where nothing came."""
 
     link: Link | None
@@ -49,7 +49,7 @@ def _level(level):
     return level[0] if isinstance(level, bytes) else level
 
 
-def listen(hub: str | None, turn_arb: str | None, reporting) -> Heard:
+def listen(hub: str | None, turn_arb: str | None, reporting) -> TopicReports:
     """Listen until everything was heard that is expected, at most for ``LISTEN_S``.
 
     Args:
@@ -72,7 +72,7 @@ def listen(hub: str | None, turn_arb: str | None, reporting) -> Heard:
         if (ear.links or not hub) and (len(ear.states) > 1 or not turn_arb) and wanted <= ear.reporters():
             break
         time.sleep(POLL_S)
-    return Heard(_link(ear.links), _steering(ear.states), list(ear.reports.values()))
+    return TopicReports(_link(ear.links), _steering(ear.states), list(ear.reports.values()))
 
 
 def leave() -> None:

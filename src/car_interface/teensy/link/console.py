@@ -42,7 +42,7 @@ def consoles(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
 
 
 def take_off(path: str) -> str:
-    """The cure for a console on this port."""
+    """The remedy for a console on this port."""
     return (f"sudo systemctl disable --now serial-getty@{os.path.basename(os.path.realpath(path))} (on a Jetson: "
             "nvgetty), take console= out of the kernel's command line, and reboot. Raspberry Pi: raspi-config does it")
 

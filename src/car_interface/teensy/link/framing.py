@@ -13,8 +13,8 @@ FLAG, ESCAPE = b"\x7e", b"\x7d"
 _ESCAPED_FLAG, _ESCAPED_ESCAPE = b"\x7d\x5e", b"\x7d\x5d"
 _FLIP = 0x20  # what an escaped byte is xored with
 HEADER_SIZE = 4  # dst, src, cmd, reserved
-LONGEST_BODY = 36  # header + two wheels of 16 bytes; also the most that the Teensy's receiver takes
-LONGEST_ON_LINE = 2 * (LONGEST_BODY + 1)  # each byte of it, and of the checksum, escaped
+MAX_BODY = 36  # header + two wheels of 16 bytes; also the most that the Teensy's receiver takes
+MAX_ON_LINE = 2 * (MAX_BODY + 1)  # each byte of it, and of the checksum, escaped
 
 SHIPPED = "shipped"  # the checksum that the Teensy's receiver really computes
 CORRECTED = "corrected"  # the one that it was meant to compute, and that its transmitter does
@@ -44,7 +44,7 @@ class LineTally:
 
 
 class FrameDecoder:
-    """Finds frames in a stream. Holds at most ``LONGEST_ON_LINE`` bytes between two calls, whatever arrives."""
+    """Finds frames in a stream. Holds at most ``MAX_ON_LINE`` bytes between two calls, whatever arrives."""
 
     def __init__(self):
         self.tally = LineTally()
@@ -67,7 +67,7 @@ class FrameDecoder:
         if segments and (self._overlong or not self._begun):
             tail = segments.pop(0)
             tally.noise_bytes += len(tail)
-            tally.too_long += not self._overlong and len(tail) > LONGEST_ON_LINE
+            tally.too_long += not self._overlong and len(tail) > MAX_ON_LINE
             self._begun, self._overlong = True, False
         bodies = []
         frame_bytes = 0
@@ -76,14 +76,14 @@ class FrameDecoder:
                 continue
             frame = _unescape(segment) if ESCAPE in segment else segment
             number = int.from_bytes(frame, "little")
-            if not number % 255 and number and HEADER_SIZE < len(frame) <= LONGEST_BODY + 1:
+            if not number % 255 and number and HEADER_SIZE < len(frame) <= MAX_BODY + 1:
                 bodies.append(frame[:-1])
                 frame_bytes += len(segment)
             else:
                 self._reject(segment, frame)
         tally.frames += len(bodies)
         tally.frame_bytes += frame_bytes
-        if self._overlong or len(self._pending) > LONGEST_ON_LINE:
+        if self._overlong or len(self._pending) > MAX_ON_LINE:
             tally.too_long += not self._overlong
             self._overlong = True
             self._discard_pending()
@@ -102,7 +102,7 @@ class FrameDecoder:
     def _reject(self, segment, frame):
         tally = self.tally
         tally.noise_bytes += len(segment)
-        if len(segment) > LONGEST_ON_LINE or len(frame) > LONGEST_BODY + 1:
+        if len(segment) > MAX_ON_LINE or len(frame) > MAX_BODY + 1:
             tally.too_long += 1
         elif not frame:
             tally.bad_escape += 1

@@ -24,11 +24,11 @@ SONAR_FAULT = "sonar fault"  # of a link that is fine
 
 SHORTEST_SPAN_NS = 800 * NS_PER_MS  # counters that stand closer together say too little: 5 frames a second may be all
 WINDOW = 10  # spans, over which the share of bad frames is taken
-TELL_REBOOT_NS = 10 * NS_PER_S
+REPORT_REBOOT_NS = 10 * NS_PER_S
 BITS_PER_BYTE = 10  # 8N1
-FEWEST_BAD, BAD_SHARE, MOST_BAD = 3, 0.01, 0.5  # a good line has none; from a hundredth on it's worth a word
+FEWEST_BAD, MAX_BAD_RATIO, MAX_BAD = 3, 0.01, 0.5  # a good line has none; from a hundredth on it's worth a word
 # Whatever the checksum sees, 1 in 255 wrong frames gets past: so few good ones are no proof of a Teensy.
-GOOD_SHARE = 0.05
+GOOD_RATIO = 0.05
 # A Teensy's frames have 12 to 74 bytes. Noise has a flag every 256, and one in eight pieces between them is as short.
 BYTES_PER_FRAME = 100
 PINGS_IN_VAIN = 3
@@ -84,10 +84,10 @@ class LinkHealth:
         self._reboot_ns = 0
         self.verdict = Verdict(ABSENT, ERROR, "the port was not opened yet", "")
 
-    def port_fails(self, state: str, cause: str, cure: str) -> None:
+    def port_fails(self, state: str, cause: str, remedy: str) -> None:
         """It couldn't be opened, or was lost: what the link says about that is the verdict."""
         self._samples.clear()
-        self.verdict = Verdict(state, ERROR, cause, cure)
+        self.verdict = Verdict(state, ERROR, cause, remedy)
 
     def opened(self, counts: Counts, now_ns: int) -> None:
         """The port is open; everything is judged anew."""
@@ -130,22 +130,22 @@ class LinkHealth:
         span_s = (newest.at_ns - before.at_ns) / NS_PER_S
         heard, records, bad, bad_checksums = (
             new - old for new, old in zip(newest.counts[:4], before.counts[:4]))
-        if not records or records < GOOD_SHARE * (records + bad):
+        if not records or records < GOOD_RATIO * (records + bad):
             self._forget_the_past()
             return self._no_frames(heard, heard / span_s, bad_checksums)
-        share, bad = self._bad_share()
-        corrupt = bad >= FEWEST_BAD and share >= BAD_SHARE
+        share, bad = self._bad_ratio()
+        corrupt = bad >= FEWEST_BAD and share >= MAX_BAD_RATIO
         in_vain = newest.counts.pings_in_vain
-        if in_vain >= PINGS_IN_VAIN and not (corrupt and share >= MOST_BAD):
+        if in_vain >= PINGS_IN_VAIN and not (corrupt and share >= MAX_BAD):
             return Verdict(NO_PONGS, WARN, f"frames come, but none of the last {in_vain} pings was answered",
                            "Check the wire from this port's TX to the Teensy's RX, and ~firmware_checksum: auto tries "
                            "both of them")
         if corrupt:
-            return Verdict(BAD_CHECKSUMS, ERROR if share >= MOST_BAD else WARN,
+            return Verdict(BAD_CHECKSUMS, ERROR if share >= MAX_BAD else WARN,
                            f"frames come, but {100 * share:.0f} % of them are corrupt",
                            "Check ground, length and plugs of the serial cable, and that no other program reads the "
                            "port: fuser -v on it")
-        if self._reboot is not None and now_ns - self._reboot_ns < TELL_REBOOT_NS:
+        if self._reboot is not None and now_ns - self._reboot_ns < REPORT_REBOOT_NS:
             return self._reboot_verdict()
         return Verdict(FINE, OK, f"fine: {records / span_s:.0f} frames a second", "")
 
@@ -160,7 +160,7 @@ class LinkHealth:
         return Verdict(NO_FRAMES, ERROR, f"{per_s:.0f} bytes a second come, but no frames{too_many}",
                        f"Is the Teensy's rate another one than ~baud {self._baud}? Is it a Teensy at all?")
 
-    def _bad_share(self):
+    def _bad_ratio(self):
         """The share of bad frames over the window, and how many that is."""
         oldest, newest = self._samples[0].counts, self._samples[-1].counts
         bad = newest.bad_frames - oldest.bad_frames
@@ -180,7 +180,7 @@ def _kind(verdict):
 # Sonar reports wait behind pongs in the Teensy's queues, so ticks come a little out of order: 0.2 s at most.
 LATEST_TICK_MS = 500
 # The Teensy's crystal and the host's differ by 1e-4 at most.
-DRIFT_SHARE = 0.001
+DRIFT_RATIO = 0.001
 DAY_MS = 86_400_000
 
 
@@ -220,4 +220,4 @@ def _forward_ms(tick_before, tick):
 def _fits(before, tick, now_ns):
     """Whether a clock that was at ``before`` can be at ``tick`` now. It may be less far: bytes can wait to be read."""
     elapsed_ms = (now_ns - before[1]) / NS_PER_MS
-    return -LATEST_TICK_MS <= _forward_ms(before[0], tick) <= elapsed_ms * (1 + DRIFT_SHARE) + LATEST_TICK_MS
+    return -LATEST_TICK_MS <= _forward_ms(before[0], tick) <= elapsed_ms * (1 + DRIFT_RATIO) + LATEST_TICK_MS

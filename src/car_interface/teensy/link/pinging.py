@@ -18,7 +18,7 @@ UNANSWERED_BEFORE_SWITCH = 5
 # Each ping leaves its place in the period by up to so much: pings that kept to a period of whole ms would meet the
 # Teensy's ticks at the same phase for ever, and what they tell of its clock would be off by that.
 DITHER_NS = 10_000_000
-DITHER_SHARE = 10  # of the period, at most one in so many
+DITHER_RATIO = 10  # of the period, at most one in so many
 # Multiples of the golden section, modulo 1, fill an interval more evenly than chance would, however many there are.
 GOLDEN_SECTION = (5 ** 0.5 - 1) / 2
 # Once a Teensy answers, some pings come faster, so that its clock is known within a second.
@@ -51,27 +51,27 @@ class Pinger:
     def __init__(self, period_ns: int, checksum: str, now_ns: int):
         self._period_ns = period_ns
         self._quick_period_ns = max(period_ns // QUICKER, min(period_ns, QUICK_PERIOD_NS))
-        self._dither_ns = min(DITHER_NS, period_ns // DITHER_SHARE)
+        self._dither_ns = min(DITHER_NS, period_ns // DITHER_RATIO)
         self._auto = checksum == AUTO
         self.checksum = SHIPPED if self._auto else checksum
         self._waiting: OrderedDict = OrderedDict()  # timestamp1 → (when it was sent, bytes written)
         self.unanswered_in_a_row = 0
-        self._unanswered_though_heard = 0
+        self._missed_pings_of_live_link = 0
         self.sent = 0
         self.answered = 0
         self.resyncs = 0  # pings behind the filler
         self._dithered = 0  # how many were
         self._plan(now_ns)
-        self.hurry()
+        self.retry_now()
 
     def restart(self, now_ns: int) -> None:
         """The line was opened: what waited won't be answered; ping now."""
         self._waiting.clear()
-        self.unanswered_in_a_row = self._unanswered_though_heard = 0
+        self.unanswered_in_a_row = self._missed_pings_of_live_link = 0
         self._plan(now_ns)
-        self.hurry()
+        self.retry_now()
 
-    def hurry(self) -> None:
+    def retry_now(self) -> None:
         """Ping faster for a while, as long as pings are answered: nothing is known of the Teensy's clock."""
         self._quick = QUICK_PINGS
 
@@ -91,9 +91,9 @@ class Pinger:
         for token in expired:
             del self._waiting[token]
             self.unanswered_in_a_row += 1
-            self._unanswered_though_heard += heard
-            if self._auto and self._unanswered_though_heard == UNANSWERED_BEFORE_SWITCH:
-                self._unanswered_though_heard = 0
+            self._missed_pings_of_live_link += heard
+            if self._auto and self._missed_pings_of_live_link == UNANSWERED_BEFORE_SWITCH:
+                self._missed_pings_of_live_link = 0
                 self.checksum = CORRECTED if self.checksum == SHIPPED else SHIPPED
         if expired:
             self._plan(now_ns)  # don't wait out the period: the receiver may be out of step
@@ -119,7 +119,7 @@ class Pinger:
         sent_ns, sent_bytes = self._waiting.pop(timestamp1, (None, 0))
         if sent_ns is None:
             return None
-        self.unanswered_in_a_row = self._unanswered_though_heard = 0
+        self.unanswered_in_a_row = self._missed_pings_of_live_link = 0
         self.answered += 1
         if self._quick:
             self._quick -= 1

@@ -31,12 +31,12 @@ class PortError(DeviceError):
         path: of the port.
         state: which fault it is, one of ``health``'s.
         cause: what went wrong, in words.
-        cure: what its owner can do or type next.
+        remedy: what its owner can do or type next.
     """
 
-    def __init__(self, path: str, state: str, cause: str, cure: str):
+    def __init__(self, path: str, state: str, cause: str, remedy: str):
         self.state = state
-        super().__init__(f"Teensy on {path}", cause, cure)
+        super().__init__(f"Teensy on {path}", cause, remedy)
 
 
 class SerialLink:
@@ -79,7 +79,7 @@ class SerialLink:
         try:
             self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
             self._fd = self._serial.fileno()
-            _tell_silence_from_hangup(self._fd)
+            _distinguish_silence_from_hangup(self._fd)
         except (OSError, ValueError, termios.error) as error:
             self.close()
             raise PortError(self._path, *self._explain(error)) from error
@@ -145,7 +145,7 @@ class SerialLink:
             pass  # it was pulled out; nothing waits any more
 
     def _explain(self, error):
-        """State, cause and cure of a failed open, from the path itself and from the error's number."""
+        """State, cause and remedy of a failed open, from the path itself and from the error's number."""
         path, number = self._path, getattr(error, "errno", None)
         if os.path.isdir(path):
             return NO_PORT, "this is a directory, not a serial port", ("Set ~port to the port's own path: "
@@ -172,7 +172,7 @@ class SerialLink:
         return cause, f"See which one, and end it: fuser -v {self._path}"
 
 
-def _tell_silence_from_hangup(fd):
+def _distinguish_silence_from_hangup(fd):
     """With VMIN 0, as pyserial leaves it, a read of nothing means either; with VMIN 1 it means that the device left."""
     attributes = termios.tcgetattr(fd)
     attributes[6][termios.VMIN] = 1
@@ -180,7 +180,7 @@ def _tell_silence_from_hangup(fd):
 
 
 def _explain_permission(path):
-    """Cause and cure, by the port's group and whether this user is in it."""
+    """Cause and remedy, by the port's group and whether this user is in it."""
     if is_consoles(path):
         return "no permission to open it: a log-in console has it", take_off(path)
     status = os.stat(path)

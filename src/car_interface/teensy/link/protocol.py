@@ -17,10 +17,10 @@ HOST, TEENSY = 1, 2  # addresses
 
 SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")  # by sensor id
 FORWARD, BACKWARD, NO_DIRECTION, DIRECTION_ERROR = range(4)
-LONGEST_SEQUENCE = 24
-LONGEST_COUNTER_NAME = 23
+MAX_SEQUENCE = 24
+MAX_COUNTER_NAME = 23
 UINT32 = 2 ** 32
-LONGEST_SONAR_WAIT_MS = UINT32 // 2 - 1  # beyond, the firmware's comparison of times takes it for no wait at all
+MAX_SONAR_WAIT_MS = UINT32 // 2 - 1  # beyond, the firmware's comparison of times takes it for no wait at all
 
 
 class Pong(NamedTuple):
@@ -102,7 +102,7 @@ def _wheels(body):
 
 def _error_count(body):
     name, end, rest = body[_COUNT.size:].partition(b"\0")
-    if not name or not end or rest or len(name) > LONGEST_COUNTER_NAME or not name.isascii():
+    if not name or not end or rest or len(name) > MAX_COUNTER_NAME or not name.isascii():
         return Malformed("a counter's name isn't 1 to 23 ASCII characters and a NUL", body)
     return ErrorCount(_COUNT.unpack_from(body)[0], name.decode("ascii"))
 
@@ -159,8 +159,8 @@ def set_sonar_sequence(sensors: Sequence[int]) -> bytes:
     Raises:
         ProtocolError: for anything else; the Teensy would skip a bad id and keep the old entry in its place.
     """
-    if not 1 <= len(sensors) <= LONGEST_SEQUENCE:
-        raise ProtocolError(f"a sonar sequence has 1 to {LONGEST_SEQUENCE} entries, not {len(sensors)}")
+    if not 1 <= len(sensors) <= MAX_SEQUENCE:
+        raise ProtocolError(f"a sonar sequence has 1 to {MAX_SEQUENCE} entries, not {len(sensors)}")
     for sensor in sensors:
         if not 0 <= sensor < len(SONARS):
             raise ProtocolError(f"there is no sonar {sensor}: ids go from 0 to {len(SONARS) - 1}")
@@ -193,6 +193,6 @@ def sonar_wait(wait_ms: int) -> bytes:
     Raises:
         ProtocolError: for anything else.
     """
-    if not 0 <= wait_ms <= LONGEST_SONAR_WAIT_MS:
-        raise ProtocolError(f"a sonar wait is 0 to {LONGEST_SONAR_WAIT_MS} ms, not {wait_ms}")
+    if not 0 <= wait_ms <= MAX_SONAR_WAIT_MS:
+        raise ProtocolError(f"a sonar wait is 0 to {MAX_SONAR_WAIT_MS} ms, not {wait_ms}")
     return _command(SONAR_WAIT, _WAIT.pack(wait_ms))

@@ -357,8 +357,8 @@ class _Lines:
         self._tick, self._ns = pong.latest
         self._bend = BEND_PER_PPM_PER_H * config.wander_ppm_per_h
         most = config.max_skew_ppm
-        least_ns = pong.earliest.ns - self._ns - 2 * NS_PER_MS  # lower than the pong's own bound at any skew
-        self._corners = [(least_ns, -most), (0.0, -most), (0.0, most), (least_ns, most)]
+        min_ns = pong.earliest.ns - self._ns - 2 * NS_PER_MS  # lower than the pong's own bound at any skew
+        self._corners = [(min_ns, -most), (0.0, -most), (0.0, most), (min_ns, most)]
         self._middle = 0.0
         self._gap_ns = 0.0
         self._chosen = None

@@ -62,7 +62,7 @@ class Measurements:
         self.clock = Clock(config.clock)
         self.ranging = Ranging(config.ranging)
         self._odometry = Odometry(config.odometry)
-        self._has_heard_a_tick = False
+        self._has_tick = False
         self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never begins anew
         self._newest_ms = -math.inf  # of the wheels' pulses and repeats, on the odometry's clock
         # Of the newest of each kind: stamps rise even where the clocks' relation is found anew.
@@ -74,7 +74,7 @@ class Measurements:
         verdict = self.gates.pong(record, answer is not None)
         if not verdict.accepted:
             return None
-        self._hear_tick(verdict, record.timestamp2, received_ns)
+        self._update_tick(verdict, record.timestamp2, received_ns)
         return self.clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, received_ns, PONG_BYTES)
 
     def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True) -> RangeMeasurement | None:
@@ -82,7 +82,7 @@ class Measurements:
         verdict = self.gates.sonar(record)
         if not verdict.accepted:
             return None
-        self._hear_tick(verdict, record.when, received_ns)
+        self._update_tick(verdict, record.when, received_ns)
         self.clock.heard(record.when, received_ns, SONAR_BYTES)
         range_m = self.ranging.range(record.sensor, record.echo_us, record.when, is_trusted)
         if range_m is None:
@@ -97,10 +97,10 @@ class Measurements:
         if not verdict.accepted:
             return None
         newest = _newest_when(record)
-        if not self._has_heard_a_tick:
+        if not self._has_tick:
             if newest is None:
                 return None
-            self._hear_tick(verdict, newest, received_ns)
+            self._update_tick(verdict, newest, received_ns)
             self.clock.heard(newest, received_ns, WHEEL_BYTES)
         if verdict.boot_tick is not None:
             self._restart_clock(verdict.boot_tick, received_ns)
@@ -128,11 +128,11 @@ class Measurements:
         time_ns = self._motion_ns = max(min(time_ns, received_ns), self._motion_ns + 1)
         return Stamp(time_ns, uncertainty_ns)
 
-    def _hear_tick(self, verdict, tick, received_ns):
+    def _update_tick(self, verdict, tick, received_ns):
         """The odometry's time goes on when the Teensy's clock begins anew; the first tick begins both."""
-        if verdict.restarted and self._has_heard_a_tick:
+        if verdict.restarted and self._has_tick:
             self._restart_clock(tick, received_ns)
-        self._has_heard_a_tick = True
+        self._has_tick = True
 
     def _restart_clock(self, tick, received_ns):
         """The Teensy rebooted, and this is a tick of its new clock."""

@@ -45,7 +45,7 @@ MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
 PASSED_BY, PASSED_VARIANCE = 0.02, 0.003  # where a wheel is that should have made its next pulse, pulses
 STANDING_SPEED_VARIANCE = 1e-10
 PENDING_SPEED_SIGMA = 0.03  # pulses/ms: a car that stood may go half a metre a second when its pulses can be placed
-SPEED_SHARE = 0.15  # by which a slow wheel's speed may be off
+SPEED_RATIO = 0.15  # by which a slow wheel's speed may be off
 ALIGNING_PULSES, LAST_ALIGNING_PULSES = 6, 24
 ALIGNED_PULSES = 0.12  # what the wheels' magnets may differ by, after that, as a standard deviation
 UNALIGNED_PULSES = 0.41  # the same before: the difference of two places that are anywhere within a pulse
@@ -54,7 +54,7 @@ CURVATURE_WANDER = 3.0  # (1/m)²/s: a servo goes from end to end in a fifth of 
 CURVATURE_VARIANCE = 0.5  # of a curvature that nothing is known of, (1/m)²
 HEADING_VARIANCE = 1e-6  # rad²: what a covariance claims at the least; 1 mm² for places
 # The commanded curvature counts like one measurement every half second that is off by this share of it, and this much.
-STEERING_S, STEERING_SHARE, STEERING_PER_M = 0.5, 0.3, 0.05
+STEERING_S, STEERING_RATIO, STEERING_PER_M = 0.5, 0.3, 0.05
 SHORTEST_M = 0.001  # of a car's dimensions: divided by what is far less, numbers leave the range of floats
 
 
@@ -68,7 +68,7 @@ class OdometryConfig:
         track_m: between the middles of the rear wheels.
         wheelbase_m: between the axles.
         use_steering: the commanded curvature helps the heading between pulses.
-        way_sigma: how much the way may be off after a metre, in m; it grows with the root of the way.
+        distance_sigma: how much the way may be off after a metre, in m; it grows with the root of the way.
         heading_sigma: the same of the heading, in rad.
 
     Raises:
@@ -80,7 +80,7 @@ class OdometryConfig:
     track_m: float = 0.296
     wheelbase_m: float = 0.324
     use_steering: bool = False
-    way_sigma: float = 0.02
+    distance_sigma: float = 0.02
     heading_sigma: float = 0.01
 
     def __post_init__(self):
@@ -88,7 +88,7 @@ class OdometryConfig:
                             ("wheelbase_m", SHORTEST_M)):
             if not least <= getattr(self, name) < math.inf:
                 raise ConfigError(name, getattr(self, name), f"a number of at least {least}")
-        for name in ("way_sigma", "heading_sigma"):
+        for name in ("distance_sigma", "heading_sigma"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(name, getattr(self, name), "a number of at least 0")
 
@@ -124,7 +124,7 @@ class Odometry:
         self._wheels = (_WheelFilter(), _WheelFilter())
         self._alignment = _Alignment()
         self._heading = _HeadingFilter()
-        self._pose = _Pose(config.way_sigma, config.heading_sigma)
+        self._pose = _Pose(config.distance_sigma, config.heading_sigma)
         self._last: WheelStatus | None = None
         self._time_ms = -math.inf
         self._mean = (self._wheels[0].position + self._wheels[1].position) / 2  # pulses
@@ -222,7 +222,7 @@ class Odometry:
         scale = self._pulse_m / self._config.track_m
         elapsed_s = max(0.0, now_ms - self._time_ms) / 1000 if self._time_ms > -math.inf else 0.0
         mean = (left.position + right.position) / 2
-        way_m = (mean - self._mean) * self._pulse_m
+        distance_m = (mean - self._mean) * self._pulse_m
         self._time_ms, self._mean = now_ms, mean
         if outcome is not None:
             self._pose.doubt(outcome.mean_variance * self._pulse_m ** 2, outcome.difference_variance * scale ** 2)
@@ -233,7 +233,7 @@ class Odometry:
                 self._pose.turn_to(yaw_rad, (ALIGNED_PULSES * scale) ** 2)
                 self._yaw_rad = yaw_rad
         else:
-            self._heading.roll(way_m, elapsed_s)
+            self._heading.roll(distance_m, elapsed_s)
             if self._steering_per_m is not None:
                 self._heading.see_steering(self._steering_per_m, elapsed_s)
             measured_rad = (right.position - left.position - self._alignment.difference) * scale
@@ -248,7 +248,7 @@ class Odometry:
                 self._heading.see(measured_rad, variance + HEADING_VARIANCE)
         turned_rad = self._heading.yaw_rad - self._yaw_rad
         self._yaw_rad = self._heading.yaw_rad
-        self._pose.move(way_m, turned_rad)
+        self._pose.move(distance_m, turned_rad)
         return self._motion(record, now_ms, scale)
 
     def _motion(self, record, now_ms, scale):
@@ -371,7 +371,7 @@ class _WheelFilter:
         self._time_ms = min(self._time_ms, first_ms)
         if was_rolling:
             self.position, self.speed, self._acceleration = float(start.place), start.speed, 0.0
-            self._variances = (MAGNET_VARIANCE, 0.0, 0.0, (SPEED_SHARE * start.speed) ** 2, 0.0,
+            self._variances = (MAGNET_VARIANCE, 0.0, 0.0, (SPEED_RATIO * start.speed) ** 2, 0.0,
                                STARTING_ACCELERATION ** 2)
             self._since_stop = STARTING_PULSES
             self._pulse_ms = -math.inf
@@ -414,7 +414,7 @@ class _WheelFilter:
     def _take_interval(self, place, speed, interval_ms, variance):
         """From a slow wheel's pulses comes its mean speed; a filter that made an acceleration of it would ring."""
         self.position, self.speed, self._acceleration = float(place), speed, 0.0
-        of_speed = (SPEED_SHARE * speed) ** 2
+        of_speed = (SPEED_RATIO * speed) ** 2
         of_acceleration = min(STARTING_ACCELERATION ** 2, of_speed / interval_ms ** 2)
         self._variances = (variance, 0.0, 0.0, of_speed, 0.0, of_acceleration)
 
@@ -543,13 +543,13 @@ class _HeadingFilter:
         self.yaw_rad = yaw_rad
         self._variances = (variance, 0.0, CURVATURE_VARIANCE)
 
-    def roll(self, way_m, elapsed_s):
+    def roll(self, distance_m, elapsed_s):
         """Go so far, within this time."""
-        self.yaw_rad += self.curvature_per_m * way_m
+        self.yaw_rad += self.curvature_per_m * distance_m
         yy, yc, cc = self._variances
-        yy += way_m * (2 * yc + way_m * cc)
-        yc += way_m * cc
-        if way_m:
+        yy += distance_m * (2 * yc + distance_m * cc)
+        yc += distance_m * cc
+        if distance_m:
             cc = min(cc + CURVATURE_WANDER * elapsed_s, 2 * CURVATURE_VARIANCE)
         self._variances = (yy, yc, cc)
 
@@ -572,7 +572,7 @@ class _HeadingFilter:
         if elapsed_s <= 0:
             return
         yy, yc, cc = self._variances
-        variance = (STEERING_SHARE * abs(curvature_per_m) + STEERING_PER_M) ** 2 * max(1.0, STEERING_S / elapsed_s)
+        variance = (STEERING_RATIO * abs(curvature_per_m) + STEERING_PER_M) ** 2 * max(1.0, STEERING_S / elapsed_s)
         total = cc + variance
         innovation = (curvature_per_m - self.curvature_per_m) / total
         self.yaw_rad += yc * innovation
@@ -583,8 +583,8 @@ class _HeadingFilter:
 class _Pose:
     """Place and heading, with their covariance."""
 
-    def __init__(self, way_sigma, heading_sigma):
-        self._way_variance, self._heading_variance = way_sigma ** 2, heading_sigma ** 2  # per metre
+    def __init__(self, distance_sigma, heading_sigma):
+        self._distance_variance, self._heading_variance = distance_sigma ** 2, heading_sigma ** 2  # per metre
         self.x_m = self.y_m = self.yaw_rad = self.distance_m = 0.0
         self._variances = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # xx, xy, xa, yy, ya, aa
 
@@ -600,19 +600,19 @@ class _Pose:
         self._variances = (xx + along_variance * cos * cos, xy + along_variance * cos * sin, xa,
                            yy + along_variance * sin * sin, ya, aa + heading_variance)
 
-    def move(self, way_m, turned_rad):
+    def move(self, distance_m, turned_rad):
         """Along an arc: its chord is way · sin(h) / h long and points to the mean heading (h: half the turn)."""
         half_rad = turned_rad / 2
-        chord_m = way_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
+        chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
         cos, sin = math.cos(self.yaw_rad + half_rad), math.sin(self.yaw_rad + half_rad)
         dx_m, dy_m = chord_m * cos, chord_m * sin
         self.x_m += dx_m
         self.y_m += dy_m
         self.yaw_rad += turned_rad
-        self.distance_m += abs(way_m)
+        self.distance_m += abs(distance_m)
         xx, xy, xa, yy, ya, aa = self._variances
         xa_, ya_ = xa - dy_m * aa, ya + dx_m * aa
-        along, turn = self._way_variance * abs(way_m), self._heading_variance * abs(way_m)
+        along, turn = self._distance_variance * abs(distance_m), self._heading_variance * abs(distance_m)
         self._variances = (
             xx - dy_m * (xa + xa_) + along * cos * cos, xy + dx_m * xa - dy_m * ya_ + along * cos * sin, xa_,
             yy + dx_m * (ya + ya_) + along * sin * sin, ya_, aa + turn)

@@ -93,7 +93,7 @@ class GateConfig:
     Args:
         top_speed_mps: of a wheel, its spinning included.
         pulse_m: a wheel's way from pulse to pulse; 20 on the circumference of a 9.5 cm wheel.
-        longest_gap_ms: between ticks of a line that is whole; at least two periods of the pings, of which one may be
+        max_gap_ms: between ticks of a line that is whole; at least two periods of the pings, of which one may be
             lost.
 
     Raises:
@@ -102,7 +102,7 @@ class GateConfig:
 
     top_speed_mps: float = 20.0
     pulse_m: float = math.pi * 0.095 / 20
-    longest_gap_ms: int = 2_000
+    max_gap_ms: int = 2_000
 
     def __post_init__(self):
         for name, value in vars(self).items():
@@ -141,7 +141,7 @@ class Gates:
         self.counts: Counter = Counter()
         self.accepted = 0
         self.refused = 0
-        self._ticks = _TickGate(config.longest_gap_ms)
+        self._ticks = _TickGate(config.max_gap_ms)
         self._wheels = _WheelGate(config)
 
     def pong(self, record: Pong, is_ours: bool) -> Verdict:
@@ -205,8 +205,8 @@ def ahead(later: int, earlier: int) -> int:
 class _TickGate:
     """Ticks of the Teensy's clock as pongs and sonars carry them; nearly in order."""
 
-    def __init__(self, longest_gap_ms):
-        self._longest_gap_ms = longest_gap_ms
+    def __init__(self, max_gap_ms):
+        self._max_gap_ms = max_gap_ms
         self.newest = None
         self.restarts = 0  # how often the clock was found to have begun anew
         self._before = None  # the newest before that
@@ -245,7 +245,7 @@ class _TickGate:
         gap_ms = ahead(tick, before)
         if gap_ms < -OVERTAKEN_MS:
             return TICK_BACK
-        return TICK_AHEAD if gap_ms > self._longest_gap_ms else ""
+        return TICK_AHEAD if gap_ms > self._max_gap_ms else ""
 
     def _take_up(self):
         rebooted = ahead(self._candidates[0], self.newest) < 0
@@ -260,7 +260,7 @@ class _WheelGate:
 
     def __init__(self, config):
         self._pulse_m = config.pulse_m
-        self._longest_gap_ms = config.longest_gap_ms
+        self._max_gap_ms = config.max_gap_ms
         self._top_per_ms = config.top_speed_mps / config.pulse_m / 1000
         self._top_speed = 2000 * self._top_per_ms + SPEED_OF_ONE_TICK  # as a report may give it
         self._last = None
@@ -419,7 +419,7 @@ class _WheelGate:
             moved_ms = ahead(now.when, before.when) if has_pulsed(before) else 0
             if pulses > SURPRISE_PULSES + per_ms * min(moved_ms, TRUSTED_MS):
                 return SURPRISING
-            if newest_tick is not None and min(moved_ms, ahead(now.when, newest_tick)) > self._longest_gap_ms:
+            if newest_tick is not None and min(moved_ms, ahead(now.when, newest_tick)) > self._max_gap_ms:
                 return PULSE_AHEAD
         return ""
 

@@ -37,7 +37,7 @@ CURVATURE_SIGMA = 0.05  # 1/m: what the curvature between is claimed to be known
 UNEVEN_START_RATIO = 0.3  # of the distance that a car has made which started while nobody counted, one sigma
 PLACE_SIGMA, DIFFERENCE_SIGMA = 0.3, 0.2  # pulses: of where the wheels were before
 STANDING_DIFFERENCE_VARIANCE = 0.4  # pulses²: of wheels that stood, each anywhere between two magnets
-LEAST_DIFFERENCE_VARIANCE = 1 / 9  # pulses²: a whole one within three sigma
+MIN_DIFFERENCE_VARIANCE = 1 / 9  # pulses²: a whole one within three sigma
 
 
 class WheelState(NamedTuple):
@@ -180,7 +180,7 @@ class RestartBridge:
             difference_variance += STANDING_DIFFERENCE_VARIANCE
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
-            doubt = max(doubt, LEAST_DIFFERENCE_VARIANCE)
+            doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
         # After a rest a car may have turned round, and nobody knows which way its first pulses were.
         unknown = UNPROVEN_VARIANCE if not was_rolling and now_ms - self._first_ms() > REST_MS else 0.0
         return Outcome(

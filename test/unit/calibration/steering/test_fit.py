@@ -44,13 +44,13 @@ def drive(duties, curve=true_curvature, speed_mps=1.5, hold_s=3.0, lag_s=0.15, d
 
 def with_gaps(whole, every_s, missed_s, first_s=3.0):
     """As if the recorder had stopped now and then."""
-    def is_heard(t_s):
+    def has_subscribers(t_s):
         return (t_s - whole.t_s[0] - first_s) % every_s >= missed_s
     # A duty that is held is said again ten times a second.
     t_s = np.arange(whole.duty_t_s[0], whole.t_s[-1], 0.1)
     duty = held(whole.duty_t_s, whole.duty, t_s + 1e-9)
-    odom, output = is_heard(whole.t_s), is_heard(t_s)
-    return Drive(whole.t_s[odom], whole.way_m[odom], whole.yaw_rad[odom], t_s[output], duty[output])
+    odom, output = has_subscribers(whole.t_s), has_subscribers(t_s)
+    return Drive(whole.t_s[odom], whole.distance_m[odom], whole.yaw_rad[odom], t_s[output], duty[output])
 
 
 def mixed(low=3700, high=6600, count=40, seed=3):
@@ -81,7 +81,7 @@ def test_delay_and_lag_of_the_servo_are_found(lag_s, delay_s):
 def test_play_is_found_and_the_curve_is_that_of_its_middle(play):
     duties = np.concatenate([mixed(), mixed(seed=4)])
     found = fit.fit([drive(duties, play=play)])
-    assert found.play_duty == pytest.approx(play, abs=6)
+    assert found.backlash_duty == pytest.approx(play, abs=6)
     inside = (found.duties > LEFT_STOP + 100) & (found.duties < RIGHT_STOP - 100)
     assert np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.01
 
@@ -119,8 +119,8 @@ def test_pieces_that_do_not_belong_are_left_out_and_counted():
 
 
 @pytest.mark.parametrize("change, reason", (
-    (lambda d: d._replace(way_m=d.way_m * 0.1), "slow or standing"),
-    (lambda d: d._replace(way_m=d.way_m * 4, yaw_rad=d.yaw_rad * 4), "fast in a bend: tyres may slide"),
+    (lambda d: d._replace(distance_m=d.distance_m * 0.1), "slow or standing"),
+    (lambda d: d._replace(distance_m=d.distance_m * 4, yaw_rad=d.yaw_rad * 4), "fast in a bend: tyres may slide"),
 ), ids=("too slow", "too fast"))
 def test_stretches_that_tell_nothing_are_counted_by_reason(change, reason):
     good = drive(mixed())
@@ -138,7 +138,7 @@ def test_breakpoints_have_the_duty_that_turns_so_tight_with_a_band_that_holds_th
         assert true_curvature(point.duty) == pytest.approx(1 / point.radius_m, abs=0.01)
         truth = CENTER - 1300 / point.radius_m
         assert abs(point.duty - truth) < 4 * point.duty_sigma + 3
-    assert points[0].pieces > 0 and points[0].way_m > 1
+    assert points[0].pieces > 0 and points[0].distance_m > 1
 
 
 def test_tighter_than_the_stop_has_the_duty_of_the_stop():
@@ -178,7 +178,7 @@ def test_what_the_servo_did_in_a_gap_of_the_recording_is_not_taken_for_known():
     for index in range(3, len(whole.duty), 3):
         missed |= np.abs(whole.t_s - whole.duty_t_s[index]) < 0.5
         kept_duty[index] = False
-    gappy = whole._replace(t_s=whole.t_s[~missed], way_m=whole.way_m[~missed], yaw_rad=whole.yaw_rad[~missed],
+    gappy = whole._replace(t_s=whole.t_s[~missed], distance_m=whole.distance_m[~missed], yaw_rad=whole.yaw_rad[~missed],
                            duty_t_s=whole.duty_t_s[kept_duty], duty=whole.duty[kept_duty])
     assert missed.any()
     found = fit.fit([gappy])
@@ -211,7 +211,7 @@ def test_bands_hold_the_truth_where_a_steering_is_steep_and_where_it_is_nearly_l
     found = fit.fit([steep_drive()])
     off = np.abs(found.curvatures - steep_ends(found.duties))
     assert np.mean(off <= fit.BAND * found.sigmas) > 0.95
-    assert found.play_duty == pytest.approx(6.0, abs=0.3)
+    assert found.backlash_duty == pytest.approx(6.0, abs=0.3)
 
 
 def test_smooth_curve_may_bend_a_little_where_it_was_straight_beside_a_sharp_corner():
@@ -304,7 +304,7 @@ def test_what_a_table_says_was_driven_is_known_as_well_as_it_is_promised():
 
 @pytest.mark.parametrize("drives", (
     [], [drive([5200])], [drive([5200, 5216, 5200])], [drive(mixed())._replace(yaw_rad=np.zeros(6000))],
-    [drive(mixed())._replace(way_m=np.zeros(6000))], [drive(mixed())._replace(duty=np.full(40, math.nan))],
+    [drive(mixed())._replace(distance_m=np.zeros(6000))], [drive(mixed())._replace(duty=np.full(40, math.nan))],
 ), ids=("none", "one position", "nearly one", "no heading", "standing", "no pulses"))
 def test_drives_that_tell_nothing_are_refused_in_words(drives):
     with pytest.raises(NothingToFit, match=r"the|recordings"):
@@ -319,7 +319,7 @@ def test_curve_and_table_are_monotone_whatever_the_data(places, seed):
     one = drive(duties, curve=lambda at: curvatures[np.argmin(np.abs(at[:, None] - known), axis=1)], seed=seed,
                 lag_s=0.0)
     try:
-        found = fit.fit([one], FitConfig(delay=Delay(0.0, 0.0, 1.0), play_duty=0.0))
+        found = fit.fit([one], FitConfig(delay=Delay(0.0, 0.0, 1.0), backlash_duty=0.0))
     except NothingToFit:
         return
     steps = np.diff(found.curvatures)

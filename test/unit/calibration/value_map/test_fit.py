@@ -57,11 +57,11 @@ def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pi
         heading = np.pi * (t_s[index] // 20 % 2) if there_and_back else heading + turn * STEP_S
         speed[index], yaw[index] = v, heading
     commanded_s, t_s = t_s, t_s + STEP_S  # what follows from a command is there a step later
-    way_m = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * STEP_S)))
+    distance_m = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * STEP_S)))
     wheels = []
     for phase in (0.3, 0.8):
-        places = (np.arange(int(way_m[-1] / PULSE_M) - 1) + phase) * PULSE_M
-        ticks = np.floor(np.interp(places, way_m, t_s) * 1000) / 1000 + 0.0005
+        places = (np.arange(int(distance_m[-1] / PULSE_M) - 1) + phase) * PULSE_M
+        ticks = np.floor(np.interp(places, distance_m, t_s) * 1000) / 1000 + 0.0005
         fresh = np.concatenate(([True], np.diff(ticks) > 0))
         wheels.append(Series(ticks[fresh], places[fresh]))
     pitch = -(uphill[0] * np.cos(yaw) + uphill[1] * np.sin(yaw)) + mounting_rad  # nose down is positive
@@ -378,7 +378,7 @@ def test_window_over_a_step_of_the_value_is_exactly_its_mean_under_phi():
     places = np.arange(0.0, s[-1], PULSE_M)
     wheel = Series(np.interp(places, s, t_s), places)
     one = Drive("a", NOTHING, Series(t_s[::100], v[::100]), Series(t_s[::100], 0 * t_s[::100]), (wheel, wheel))
-    found = windows(one, WindowConfig(most_mps2=99.0))
+    found = windows(one, WindowConfig(max_mps2=99.0))
     counts = found.state == cut.MEASURED
     expected = (np.where(found.t_s < 2.1, 1.0, -3.0) * found.weight).sum(axis=1)
     assert found.acceleration_mps2[counts] == pytest.approx(expected[counts], abs=0.06)  # φ's grid is 10 ms

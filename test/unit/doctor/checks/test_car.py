@@ -4,7 +4,7 @@ from __future__ import annotations
 import pytest
 
 from car_interface.doctor.checks.car import (
-    DUTIES,
+    NODE_ROLES,
     Node,
     Reading,
     Report,
@@ -21,7 +21,7 @@ from car_interface.doctor.checks.findings import BAD, OK, WARN
 
 def nodes(silent=(), missing=(), namespace=""):
     return [Node(name, f"{namespace}/{name}", name not in missing, name not in (*silent, *missing))
-            for name in (*DUTIES, "car_sim")]
+            for name in (*NODE_ROLES, "car_sim")]
 
 
 def test_nodes_that_all_answer_are_ok():
@@ -30,7 +30,7 @@ def test_nodes_that_all_answer_are_ok():
 
 
 def test_no_node_at_all_is_how_it_is_before_the_launch():
-    found, = check_nodes(nodes(missing=(*DUTIES, "car_sim")), "/car1")
+    found, = check_nodes(nodes(missing=(*NODE_ROLES, "car_sim")), "/car1")
     assert (found.level, found.what) == (OK, "none of this package's runs in /car1")
 
 
@@ -50,7 +50,7 @@ def test_registered_node_that_does_not_answer_is_bad():
 
 
 def test_nodes_of_which_none_answers_are_told_one_by_one():
-    assert [found.level for found in check_nodes(nodes(silent=(*DUTIES, "car_sim")), "/")] == [BAD] * 6
+    assert [found.level for found in check_nodes(nodes(silent=(*NODE_ROLES, "car_sim")), "/")] == [BAD] * 6
 
 
 # --- steering ---
@@ -65,7 +65,7 @@ def test_who_drives_and_why_is_told():
                          ids=["silent", "latched_by_a_node_that_hangs_now"])
 def test_turn_arb_that_says_nothing_is_bad(steering):
     found, = check_steering(steering, "/turn_arb")
-    assert found.level == BAD and "/turn_arb" in found.what and found.cure
+    assert found.level == BAD and "/turn_arb" in found.what and found.remedy
 
 
 # --- reports ---
@@ -99,7 +99,7 @@ def test_reports(reports, namespace, reporting, told, levels):
 
 def test_complaint_is_told_in_the_nodes_own_words():
     found, = check_diagnostics([BOARD], "/", ["/pca9685"])
-    assert found.what == "pca9685: servo board: nothing answers. Check power" and "rostopic echo" in found.cure
+    assert found.what == "pca9685: servo board: nothing answers. Check power" and "rostopic echo" in found.remedy
 
 
 # --- parameters ---

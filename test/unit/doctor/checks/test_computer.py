@@ -41,18 +41,18 @@ def test_virtual_devices_need_no_group():
 def test_group_that_counts_from_the_next_log_in_is_told_apart():
     fine, late = check_groups(member(["i2c"], ["dialout", "i2c"]), [PORT, BUS])
     assert (fine.level, late.level) == (OK, BAD)
-    assert "after this log-in" in late.what and "Log in anew" in late.cure
+    assert "after this log-in" in late.what and "Log in anew" in late.remedy
 
 
 def test_user_outside_a_group_is_sent_to_the_set_up():
     found, = check_groups(member(), [PORT])
     assert (found.level, found.what) == (BAD, "ann is not in dialout (the port)")
-    assert "setup_hardware" in found.cure
+    assert "setup_hardware" in found.remedy
 
 
 def test_group_that_does_not_exist_is_told_apart():
     found, = check_groups(member(existing=["dialout"]), [BUS])
-    assert found.level == BAD and "there is no group i2c" in found.what and "setup_hardware" in found.cure
+    assert found.level == BAD and "there is no group i2c" in found.what and "setup_hardware" in found.remedy
 
 
 def test_being_outside_is_as_bad_as_the_need_says():
@@ -85,7 +85,7 @@ def clock(year=2026, synchronised=True, wall_s=1.0, monotonic_s=1.0, uses_sim_ti
 )
 def test_clock(reading, level, words):
     found, = check_clock(reading)
-    assert (found.level, bool(found.cure)) == (level, level != OK)
+    assert (found.level, bool(found.remedy)) == (level, level != OK)
     assert words in found.what
 
 
@@ -111,9 +111,9 @@ def test_version_is_compared_number_by_number(version, good):
 def test_missing_library_is_bad_and_its_cure_is_what_installs_it():
     fine, missing = check_versions((3, 11, 2), [library(None)])
     assert (fine.level, fine.what) == (OK, "Python 3.11.2")
-    assert (missing.level, missing.what, missing.cure) == (BAD, "serial can't be imported", "install it")
+    assert (missing.level, missing.what, missing.remedy) == (BAD, "serial can't be imported", "install it")
 
 
 def test_old_python_is_bad():
     found, = check_versions((3, 7, 16), [])
-    assert found.level == BAD and "Python 3.7.16" in found.what and "3.8" in found.cure
+    assert found.level == BAD and "Python 3.7.16" in found.what and "3.8" in found.remedy

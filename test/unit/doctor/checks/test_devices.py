@@ -58,7 +58,7 @@ def test_this_process_is_not_among_the_openers(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("holders", "level", "words", "cure"),
+    ("holders", "level", "words", "remedy"),
     [
         ([(5, "minicom")], BAD, "minicom (process 5)", "fuser -v /dev/tty0"),
         ([(5, "ModemManager")], BAD, "ModemManager (process 5)", "setup_hardware"),
@@ -69,9 +69,9 @@ def test_this_process_is_not_among_the_openers(tmp_path):
     ],
     ids=["any", "modem_manager", "console", "console_that_the_kernel_asks_for", "hub_elsewhere", "many"],
 )
-def test_port_that_another_program_has_is_told(holders, level, words, cure):
+def test_port_that_another_program_has_is_told(holders, level, words, remedy):
     found, = check_holders("/dev/tty0", holders)
-    assert found.level == level and words in found.what and cure in found.cure
+    assert found.level == level and words in found.what and remedy in found.remedy
 
 
 @pytest.fixture
@@ -104,9 +104,9 @@ def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch
     monkeypatch.setattr(devices, "_is_character_device", lambda path: True)
     monkeypatch.setattr(devices, "_subsystem", lambda path: "tty")
     monkeypatch.setattr(devices, "consoles", lambda path: [(612, "agetty")])
-    found, = devices.look_at_port("/dev/ttyAMA7", 115200)
+    found, = devices.probe_port("/dev/ttyAMA7", 115200)
     assert (found.level, found.what) == (BAD, "/dev/ttyAMA7: another program has it open: agetty (process 612)")
-    assert "log-in console" in found.cure and "serial-getty@ttyAMA7" in found.cure
+    assert "log-in console" in found.remedy and "serial-getty@ttyAMA7" in found.remedy
 
 
 def test_port_that_a_console_has_is_its_console_s_and_asks_for_no_group_tty(consoles_port):
@@ -152,7 +152,7 @@ def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open_in_a_chroot_w
         raise FileNotFoundError(path)
     monkeypatch.setattr(os, "readlink", readlink)
     monkeypatch.setattr(devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
-    found, = devices.look_at_port("/dev/null", 115200)
+    found, = devices.probe_port("/dev/null", 115200)
     assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
 
 
@@ -170,7 +170,7 @@ def probed(firmware=None, change=lambda data: data, baud=115200, begin_ns=50_000
     probe = TeensyProbe(baud, now_ns)
     while not probe.is_done(now_ns):
         firmware.receive(probe.step(now_ns), now_ns)
-        probe.hear(change(firmware.transmit(now_ns)), now_ns)
+        probe.update(change(firmware.transmit(now_ns)), now_ns)
         now_ns += 2 * MS
     return probe.finding(), (now_ns - begin_ns) // MS
 
@@ -203,7 +203,7 @@ def test_teensy_that_answers_is_fine_within_a_second():
 
 
 @pytest.mark.parametrize(
-    ("change", "level", "words", "cure"),
+    ("change", "level", "words", "remedy"),
     [
         (lambda data: b"", BAD, "nothing comes", "TX"),
         (lambda data: bytes(byte | 0x80 for byte in data), BAD, "but no frames", "baud"),
@@ -214,10 +214,10 @@ def test_teensy_that_answers_is_fine_within_a_second():
     ],
     ids=["silent", "no_frames", "a_few_corrupt", "some_corrupt", "nearly_all_corrupt", "no_pongs"],
 )
-def test_what_is_wrong_with_the_line_is_told(change, level, words, cure):
+def test_what_is_wrong_with_the_line_is_told(change, level, words, remedy):
     found, took_ms = probed(change=change)
     assert (found.subject, found.level) == ("Teensy", level)
-    assert words in found.what and cure in found.cure
+    assert words in found.what and remedy in found.remedy
     assert took_ms < 4000
 
 
@@ -242,7 +242,7 @@ def test_healthy_teensy_is_never_blamed_for_its_wire_whichever_checksum_its_rece
 def test_sonars_that_do_not_report_are_named_with_the_remedy(missing, words):
     firmware = TeensyFirmware(FirmwareConfig(seed=1, sonars_missing=missing), lambda sensor, at_ns: 4000, 50_000 * MS)
     found, took_ms = probed(firmware)
-    assert found.level == WARN and words in found.what and "Check their plugs" in found.cure
+    assert found.level == WARN and words in found.what and "Check their plugs" in found.remedy
     assert took_ms < 4000
 
 
@@ -258,7 +258,7 @@ def link(level=OK, words="fine: 22 frames a second", next_step="", round_trip_s=
 
 
 @pytest.mark.parametrize(
-    ("status", "level", "words", "cure"),
+    ("status", "level", "words", "remedy"),
     [
         (link(), OK, "fine: 22 frames a second; pong after 4.0 ms (shipped checksum)", ""),
         (link(round_trip_s=float("nan")), OK, "no pong yet", ""),
@@ -269,9 +269,9 @@ def link(level=OK, words="fine: 22 frames a second", next_step="", round_trip_s=
     ],
     ids=["fine", "no_pong", "warning", "error", "no_next_step", "silent_hub"],
 )
-def test_link_is_told_as_the_hub_sees_it(status, level, words, cure):
+def test_link_is_told_as_the_hub_sees_it(status, level, words, remedy):
     found, = check_link(status, "/hub")
-    assert found.level == level and words in found.what and cure in found.cure
+    assert found.level == level and words in found.what and remedy in found.remedy
 
 
 # --- the bus ---
@@ -282,7 +282,7 @@ def bus(exists=True, is_i2c=True, usable=True, others=()):
 
 
 @pytest.mark.parametrize(
-    ("facts", "level", "words", "cure"),
+    ("facts", "level", "words", "remedy"),
     [
         (bus(), OK, "/dev/i2c-1", ""),
         (bus(exists=False, is_i2c=False), BAD, "there is no such bus", "raspi-config"),
@@ -293,9 +293,9 @@ def bus(exists=True, is_i2c=True, usable=True, others=()):
     ],
     ids=["fine", "absent", "absent_on_a_jetson", "absent_among_others", "no_bus", "no_permission"],
 )
-def test_bus(facts, level, words, cure):
+def test_bus(facts, level, words, remedy):
     found, = board.check_bus(facts)
-    assert (found.subject, found.level) == ("bus", level) and words in found.what and cure in found.cure
+    assert (found.subject, found.level) == ("bus", level) and words in found.what and remedy in found.remedy
 
 
 # --- the chip ---
@@ -334,7 +334,7 @@ def test_virtual_chip_reads_as_fresh_and_then_as_driven():
 )
 def test_chip_is_judged_by_its_registers(registers, prescale, driven, level, words):
     found, = board.check_chip("0x40 on /dev/i2c-1", registers, prescale, driven)
-    assert found.level == level and words in found.what and bool(found.cure) == (level != OK)
+    assert found.level == level and words in found.what and bool(found.remedy) == (level != OK)
 
 
 def test_chip_at_another_address_is_found_and_nothing_is_written():
@@ -345,7 +345,7 @@ def test_chip_at_another_address_is_found_and_nothing_is_written():
     others = board.find_others(virtual, 0x40)
     assert others == [(0x41, FRESH)]
     found, = board.check_no_answer("0x40 on /dev/i2c-1", caught.value, others)
-    assert found.level == BAD and "something like it at 0x41" in found.what and "0x41" in found.cure
+    assert found.level == BAD and "something like it at 0x41" in found.what and "0x41" in found.remedy
     assert written == []
 
 
@@ -376,7 +376,7 @@ def test_search_for_other_chips_ends_when_the_bus_fails():
 
 
 @pytest.mark.parametrize(
-    ("number", "words", "cure"),
+    ("number", "words", "remedy"),
     [
         (errno.EREMOTEIO, "nothing answers at 0x40", "i2cdetect -y 1"),
         (errno.EREMOTEIO, "nothing answers at 0x40", "at 0x40 to 0x47 only"),
@@ -386,9 +386,9 @@ def test_search_for_other_chips_ends_when_the_bus_fails():
         (errno.EAGAIN, "the bus failed", "power"),
     ],
 )
-def test_chip_that_can_not_be_read_is_told(number, words, cure):
+def test_chip_that_can_not_be_read_is_told(number, words, remedy):
     found, = board.check_no_answer("0x40 on /dev/i2c-1", OSError(number, os.strerror(number)), [])
-    assert (found.subject, found.level) == ("chip", BAD) and words in found.what and cure in found.cure
+    assert (found.subject, found.level) == ("chip", BAD) and words in found.what and remedy in found.remedy
 
 
 # --- bus and chip together, as the doctor looks at them ---
@@ -418,7 +418,7 @@ def smbus2(monkeypatch):
 
 
 def levels_and_words(address=0x40, driven=False):
-    found = devices.look_at_board("/dev/i2c-1", address, 121, driven, 25e6)
+    found = devices.probe_board("/dev/i2c-1", address, 121, driven, 25e6)
     return [(finding.subject, finding.level) for finding in found], found[-1].what
 
 

@@ -27,14 +27,14 @@ def test_sum_and_exit_code_are_those_of_the_worst(findings, level, words):
 
 def test_in_a_pipe_each_finding_is_one_line_with_its_cure():
     assert render(GOOD) == "ok    bus         /dev/i2c-1"
-    assert render(POOR) == ("bad   port        /dev/ttyAMA0: there is no such port | cure: Plug the Teensy in: "
+    assert render(POOR) == ("bad   port        /dev/ttyAMA0: there is no such port | remedy: Plug the Teensy in: "
                             "ls /dev/serial/by-id")
     assert render(Finding(OK, "bus", "two\nlines")).count("\n") == 0
 
 
 def test_in_a_terminal_the_cure_has_lines_of_its_own():
     assert render(POOR, width=80) == ("bad   port        /dev/ttyAMA0: there is no such port\n"
-                                      "                  cure: Plug the Teensy in: ls /dev/serial/by-id")
+                                      "                  remedy: Plug the Teensy in: ls /dev/serial/by-id")
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
@@ -42,7 +42,7 @@ def test_in_a_terminal_no_line_is_too_long_and_words_stay_whole(width):
     words = ["word" * (index % 5 + 1) for index in range(60)]
     text = render(Finding(BAD, "port", " ".join(words), " ".join(words)), width)
     assert max(map(len, text.split("\n"))) <= width
-    assert text.split() == ["bad", "port", *words, "cure:", *words]
+    assert text.split() == ["bad", "port", *words, "remedy:", *words]
 
 
 def test_a_command_is_never_broken_at_a_hyphen():

@@ -5,13 +5,13 @@ import pytest
 
 from car_interface.doctor.checks.findings import BAD, OK, WARN
 from car_interface.doctor.checks.network import (
+    LocalAddress,
     Master,
-    OwnAddress,
+    check_local_address,
     check_master,
-    check_own_address,
     host_and_port,
     listeners,
-    own_name,
+    local_name,
 )
 
 URI = "http://127.0.0.1:11311"
@@ -58,7 +58,7 @@ def test_host_and_port_of_a_uri(uri, place):
 
 
 @pytest.mark.parametrize(
-    ("master", "level", "words", "cure"),
+    ("master", "level", "words", "remedy"),
     [
         (Master(URI, "", True, ("127.0.0.1",)), OK, "on the loopback only", ""),
         (Master(URI, "", True, ("::1", "127.0.0.2")), OK, "on the loopback only", ""),
@@ -76,21 +76,21 @@ def test_host_and_port_of_a_uri(uri, place):
     ids=["loopback", "loopback_twice", "tables_unreadable", "everywhere", "one_interface", "elsewhere", "none", "other",
          "elsewhere_silent", "unknown_host", "unset", "nonsense"],
 )
-def test_master(master, level, words, cure):
+def test_master(master, level, words, remedy):
     found, = check_master(master)
     assert found.level == level
-    assert words in found.what and cure in found.cure and bool(found.cure) == (level != OK)
+    assert words in found.what and remedy in found.remedy and bool(found.remedy) == (level != OK)
 
 
 def test_own_name_is_found_as_ros_finds_it():
     both = {"ROS_HOSTNAME": "car", "ROS_IP": "10.0.0.1"}
-    assert own_name(both, "host") == "car"
-    assert own_name({"ROS_IP": "10.0.0.1"}, "host") == "10.0.0.1"
-    assert own_name({"ROS_HOSTNAME": "", "ROS_IP": ""}, "host") == "host"
+    assert local_name(both, "host") == "car"
+    assert local_name({"ROS_IP": "10.0.0.1"}, "host") == "10.0.0.1"
+    assert local_name({"ROS_HOSTNAME": "", "ROS_IP": ""}, "host") == "host"
 
 
 def address(name="10.0.0.1", resolves=True, is_here=True, is_loopback=False):
-    return OwnAddress(name, resolves, is_here, is_loopback)
+    return LocalAddress(name, resolves, is_here, is_loopback)
 
 
 @pytest.mark.parametrize(
@@ -108,5 +108,5 @@ def address(name="10.0.0.1", resolves=True, is_here=True, is_loopback=False):
     ids=["loopback", "lan", "host_name", "unknown_name", "no_name", "foreign", "loopback_but_master_elsewhere", "both"],
 )
 def test_own_address(environment, own, master_is_here, level, words):
-    found, = check_own_address(environment, own, master_is_here)
-    assert found.level == level and words in found.what and bool(found.cure) == (level != OK)
+    found, = check_local_address(environment, own, master_is_here)
+    assert found.level == level and words in found.what and bool(found.remedy) == (level != OK)

@@ -82,7 +82,7 @@ def test_pings_that_nobody_answers_do_not_come_faster():
 def test_hurry_makes_pings_come_faster_again_after_the_next_answer():
     pings = pinger()
     keep_pinging(pings, 20)
-    pings.hurry()
+    pings.retry_now()
     sent_ns = keep_pinging(pings, QUICK_PINGS + 2)
     assert sent_ns[1] - sent_ns[0] == pytest.approx(QUICK, abs=2 * DITHER_NS)
     assert sent_ns[-1] - sent_ns[-2] == pytest.approx(S, abs=2 * DITHER_NS)

@@ -166,13 +166,13 @@ def refusal(path, baud=115200):
 def test_port_that_is_a_directory_is_refused(tmp_path):
     error = refusal(str(tmp_path))
     assert error.cause == "this is a directory, not a serial port"
-    assert "ls /dev/serial/by-id" in error.cure
+    assert "ls /dev/serial/by-id" in error.remedy
 
 
 def test_port_that_does_not_exist_is_refused(tmp_path):
     error = refusal(str(tmp_path / "ttyACM7"))
     assert error.cause == "there is no such port"
-    assert "ls /dev/serial/by-id" in error.cure
+    assert "ls /dev/serial/by-id" in error.remedy
 
 
 def test_port_that_is_a_dangling_link_is_refused(tmp_path):
@@ -191,10 +191,10 @@ def test_port_that_is_a_file_is_refused(tmp_path):
 def test_port_that_is_dev_null_is_refused():
     error = refusal(os.devnull)
     assert error.cause == "this is not a serial port"
-    assert "ls /dev/serial/by-id" in error.cure
+    assert "ls /dev/serial/by-id" in error.remedy
 
 
-@pytest.mark.parametrize("number, state, cause, cure", [
+@pytest.mark.parametrize("number, state, cause, remedy", [
     pytest.param(errno.EBUSY, BUSY, "another program has it open", "fuser -v ", id="device_busy"),
     pytest.param(errno.EAGAIN, BUSY, "another program has it open", "fuser -v ", id="locked"),
     pytest.param(errno.ENOENT, ABSENT, "there is no such port", "ls /dev/serial/by-id", id="gone_in_between"),
@@ -203,11 +203,11 @@ def test_port_that_is_dev_null_is_refused():
                  id="anything_else"),
 ])
 def test_port_that_the_system_refuses_is_explained_by_the_error_s_number(terminal, monkeypatch, number, state, cause,
-                                                                         cure):
+                                                                         remedy):
     refuse_with(number, monkeypatch)
     error = refusal(terminal.path)
     assert (error.state, error.cause.replace(f"[Errno {number}] ", "")) == (state, cause)
-    assert cure in error.cure
+    assert remedy in error.remedy
 
 
 def refuse_with(number, monkeypatch):
@@ -222,7 +222,7 @@ OPEN_TO_ITS_GROUP = 0o660
 
 
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM])
-@pytest.mark.parametrize("mode, own_groups, group_s_members, cause, cure", [
+@pytest.mark.parametrize("mode, own_groups, group_s_members, cause, remedy", [
     pytest.param(OPEN_TO_ITS_GROUP, [], [], f": {USER} is not in its group, dialout",
                  f"Join it and log in anew: sudo usermod -aG dialout {USER}", id="not_in_the_group"),
     pytest.param(OPEN_TO_ITS_GROUP, [], [USER], f": {USER} joined its group, dialout, after logging in", "Log in anew",
@@ -231,7 +231,7 @@ OPEN_TO_ITS_GROUP = 0o660
     pytest.param(0o600, [], [], ", nor has its group, dialout", "setup_hardware", id="not_open_to_any_group"),
 ])
 def test_port_without_permission_names_the_group(terminal, monkeypatch, number, mode, own_groups, group_s_members,
-                                                 cause, cure):
+                                                 cause, remedy):
     refuse_with(number, monkeypatch)
     dialout = grp.struct_group(("dialout", "x", 20, group_s_members))
     status = os.stat_result((0o20000 | mode, 3, 26, 1, 0, 20, 0, 0, 0, 0))
@@ -241,7 +241,7 @@ def test_port_without_permission_names_the_group(terminal, monkeypatch, number, 
     monkeypatch.setattr(grp, "getgrall", lambda: [dialout])
     error = refusal(terminal.path)
     assert (error.state, error.cause) == (NO_PERMISSION, "no permission to open it" + cause)
-    assert cure in error.cure
+    assert remedy in error.remedy
 
 
 def test_port_that_a_log_in_console_has_is_told_as_such_and_its_group_is_not_to_be_joined(monkeypatch):
@@ -250,8 +250,8 @@ def test_port_that_a_log_in_console_has_is_told_as_such_and_its_group_is_not_to_
     monkeypatch.setattr(grp, "getgrgid", lambda number: grp.struct_group(("tty", "x", number, [])))
     error = refusal("/dev/ttyAMA7")
     assert (error.state, error.cause) == (NO_PERMISSION, "no permission to open it: a log-in console has it")
-    assert error.cure.startswith("sudo systemctl disable --now serial-getty@ttyAMA7 (on a Jetson: nvgetty), ")
-    assert "console= out of the kernel's command line, and reboot" in error.cure and "usermod" not in error.cure
+    assert error.remedy.startswith("sudo systemctl disable --now serial-getty@ttyAMA7 (on a Jetson: nvgetty), ")
+    assert "console= out of the kernel's command line, and reboot" in error.remedy and "usermod" not in error.remedy
 
 
 def test_port_of_a_group_without_a_name_is_named_by_its_number(terminal, monkeypatch):
@@ -296,7 +296,7 @@ def test_port_busy_names_the_process_that_has_locked_it(terminal, other_program)
     error = refusal(terminal.path)
     assert error.state == BUSY
     assert error.cause == f"another program has it open: terminal_program (process {program.process.pid})"
-    assert error.cure == f"See which one, and end it: fuser -v {terminal.path}"
+    assert error.remedy == f"See which one, and end it: fuser -v {terminal.path}"
     program.end()
     link = SerialLink(terminal.path, 115200)
     link.open()
@@ -343,7 +343,7 @@ def test_port_that_stays_busy_is_not_searched_for_at_each_attempt(terminal, othe
 def test_port_held_by_modem_manager_names_the_cure(terminal, other_program, monkeypatch):
     other_program(locks=True)
     monkeypatch.setattr("car_interface.teensy.link.port.process_name", lambda pid: "ModemManager")
-    assert "rosrun car_interface setup_hardware" in refusal(terminal.path).cure
+    assert "rosrun car_interface setup_hardware" in refusal(terminal.path).remedy
 
 
 def test_port_that_fails_while_it_is_set_up_is_left_to_others(terminal, monkeypatch):
@@ -365,7 +365,7 @@ def test_port_that_fails_while_it_is_set_up_is_left_to_others(terminal, monkeypa
 def test_baud_that_no_port_takes_is_refused_with_what_pyserial_says(terminal):
     error = refusal(terminal.path, baud=-1)
     assert error.cause.startswith("it can't be opened (")
-    assert error.cure == "Check ~port and ~baud"
+    assert error.remedy == "Check ~port and ~baud"
 
 
 def test_port_unplugged_is_noticed_by_read_and_closed(link, terminal):

@@ -49,9 +49,9 @@ class Host:
             if self.now_ns >= self.pinger.due_ns:
                 self.firmware.receive(self.pinger.ping(self.now_ns // MS % 2 ** 32, self.now_ns), self.now_ns)
             for body in self.decoder.feed(self.firmware.transmit(self.now_ns)):
-                self.hear(decode(body))
+                self.update(decode(body))
 
-    def hear(self, record):
+    def update(self, record):
         measured = self.measured
         if isinstance(record, Pong):
             result = measured.pong(record, self.pinger.pong(record.timestamp1, self.now_ns), self.now_ns)
@@ -122,7 +122,7 @@ def test_temperature_may_change_while_it_runs(host):
 def test_bad_record_is_named_and_changes_nothing(host, record, reason):
     host.until(START_NS + 10 * S)
     before = len(host.results), host.measured.clock.translate(9_000)
-    host.hear(record)
+    host.update(record)
     assert host.measured.gates.counts[reason] == 1
     assert (len(host.results), host.measured.clock.translate(9_000)) == before
 
@@ -197,7 +197,7 @@ def test_car_too_small_to_reckon_with_is_refused_by_name(name):
 
 
 def test_pongs_alone_are_heard_however_far_apart_the_gates_let_them_be():
-    measured = Measurements(MeasurementConfig(gates=GateConfig(longest_gap_ms=20_000)))
+    measured = Measurements(MeasurementConfig(gates=GateConfig(max_gap_ms=20_000)))
     for index in range(9):
         at_ns = START_NS + 10 * S * index
         assert measured.pong(Pong(index, 10_000 * index), Answer(at_ns, 4 * MS, 15), at_ns + 4 * MS).used

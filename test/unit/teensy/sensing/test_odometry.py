@@ -70,7 +70,7 @@ class Axle:
 def test_virtual_car_is_where_odometry_says(name, worst_percent, worst_deg, worst_speed_percent):
     drive = next(make for make in odometry_accuracy.drives() if make().name == name)
     score = odometry_accuracy.run(drive, (0.3, 0.9), 1)
-    assert 100 * score.position_m / score.way_m <= worst_percent
+    assert 100 * score.position_m / score.distance_m <= worst_percent
     assert score.yaw_deg <= worst_deg
     speeds = score.crawl if "crawl" in name else score.speed
     assert 100 * odometry_accuracy.percentile(speeds, 0.95) <= worst_speed_percent
@@ -81,7 +81,7 @@ def test_virtual_car_is_where_odometry_says(name, worst_percent, worst_deg, wors
 def test_fast_way_leads_to_no_side_wherever_the_pulses_are_in_their_ticks(phases):
     drive = next(make for make in odometry_accuracy.drives() if make().name == "8 m/s")
     score = odometry_accuracy.run(drive, phases, 1)
-    assert 100 * score.position_m / score.way_m <= 0.5
+    assert 100 * score.position_m / score.distance_m <= 0.5
 
 
 def test_nothing_has_happened_at_the_start():
@@ -266,7 +266,7 @@ def test_steering_that_is_unknown_is_no_steering():
 
 @pytest.mark.parametrize("changes", (
     {"track_m": 0}, {"wheel_diameter_m": -1}, {"pulses_per_revolution": 0}, {"wheelbase_m": math.nan},
-    {"way_sigma": -1}, {"heading_sigma": math.inf}))
+    {"distance_sigma": -1}, {"heading_sigma": math.inf}))
 def test_car_that_cannot_be_is_refused_by_name(changes):
     with pytest.raises(ConfigError, match=next(iter(changes))):
         OdometryConfig(**changes)

@@ -442,7 +442,7 @@ def test_clock_that_jumped_is_taken_up_with_the_third_consistent_tick(start_ms, 
     assert (verdicts[3].reason, verdicts[3].restarted) == ("", False)
 
 
-@pytest.mark.parametrize("name", ["top_speed_mps", "pulse_m", "longest_gap_ms"])
+@pytest.mark.parametrize("name", ["top_speed_mps", "pulse_m", "max_gap_ms"])
 @pytest.mark.parametrize("value", [0, -1.0, math.inf, math.nan])
 def test_config_out_of_range_is_refused(name, value):
     with pytest.raises(ConfigError, match=f"^{name} is {value}; accepted: a number above 0$"):
