@@ -175,7 +175,7 @@ class GenericValueConverter:
 
     def step(self, now_ns):
         """Take each message with its consequence; then beat if it is time."""
-        for handler, message, arrival_ns in self._inbox.take():
+        for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
             self._stop_at_once(arrival_ns)
         self._diagnostics.step(now_ns)

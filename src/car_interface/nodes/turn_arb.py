@@ -111,7 +111,7 @@ class TurnArb:
 
     def step(self, now_ns):
         """Take what arrived, news with its consequence; then beat if it is time."""
-        for handler, message, arrival_ns in self._inbox.take():
+        for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
         if self._timer.is_due(now_ns):
             self._tick(now_ns)

@@ -123,7 +123,7 @@ class ReconfigureServer:
         if self._kept:
             try:
                 for name, value in self._parameters(self._tuning.accepted).items():
-                    rospy.set_param(self._inbox.own(f"~{name}"), value)
+                    rospy.set_param(self._inbox.resolve_name(f"~{name}"), value)
             except OSError:
                 pass  # without a master nothing is started again either
 
