@@ -130,8 +130,8 @@ class ReconfigureServer:
     def _on_request(self, request, now_ns):
         answer = self._tuning.request(request.wanted, now_ns)
         request.answered.set()
-        if answer.complaint:
-            self._warnings.warn("live tuning", answer.complaint)
+        if answer.problem:
+            self._warnings.warn("live tuning", answer.problem)
 
     def _files(self):
         """What ~save shall save: what was accepted, once it is in force."""
