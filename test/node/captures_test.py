@@ -29,6 +29,7 @@ from tf2_msgs.msg import TFMessage
 sys.path.append(os.path.join(rospkg.RosPack().get_path("car_interface"), "test", "unit"))
 from captures import load
 from waiting import Topic, eventually, start_node
+from witness import LATE_S
 
 QUICK = {"stop_go": None, "reboot_rolling": None, "far_young": None, "wrap": None, "drive_reverse": 25.0}
 WHOLE = dict.fromkeys((*QUICK, "far", "missing_sonars", "stuck_sonar", "stuck_old", "sonar_start", "line_busy",
@@ -224,7 +225,9 @@ class CapturesTest(unittest.TestCase):
         def check(player, outputs):
             status = outputs.link.since()[-1]
             self.assertGreater(player.pongs, player.end_us / 1e6 / 3)
-            self.assertGreaterEqual(status.pongs, player.pongs - 2)
+            # A machine that is busy with other things answers some pings later than a hub waits for a pong.
+            late = player.pongs // 4 if player.latest_s > LATE_S else 0
+            self.assertGreaterEqual(status.pongs, player.pongs - 2 - late)
             self.assertLessEqual(status.bad_frames, len(player.reboots_us))
         self.for_each(check)
 

