@@ -93,7 +93,7 @@ def interrupt(process: subprocess.Popen, within_s: float) -> None:
 
 def end_descendants() -> None:
     """End all processes below this one."""
-    for number, within_s in ((signal.SIGINT, 5), (signal.SIGTERM, 3), (signal.SIGKILL, 3)):
+    for number, within_s in ((signal.SIGINT, 3), (signal.SIGTERM, 2), (signal.SIGKILL, 2)):
         for pid in descendants():
             try:
                 os.kill(pid, number)
