@@ -1,39 +1,46 @@
-"""Sums up test runs: prints each failure by name and, as the last line, `N passed, N failed, N skipped`.
+"""Counts the results of a step of the tests (test/run.py) by what is in its folder.
 
-Each argument is the directory of one run, which holds
-
-- junit files, anywhere below it. Those that rostest writes beside a test's own (rostest-*.xml) say only whether the
-  test ran, so that of them the failures count and the passes do not;
-- skipped, when tests were that rosunit counts as passed: a line each;
-- exit_code, what the run's command ended with. Not 0 without a failed test is a failure: something crashed;
-- left_behind, when processes outlived the run: how many. A failure too;
-- not_run, instead of all these, when the run could not be made: the reason. It counts as one skipped test.
-
-Exit code 1 when anything failed.
+- junit files, anywhere below it. Those that rostest writes beside a test's own (rostest-*.xml) report only whether the
+  test ran: their failures count and their passes do not.
+- skipped: a line for each skipped test that rosunit counts as passed.
+- exit_code: of the step's command. Not 0 without a failed test is a failure: something crashed.
+- left_behind: how many processes outlived the command, if any did. A failure too.
 """
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import Iterator, NamedTuple
+from typing import Iterable, Iterator, NamedTuple
 from xml.etree import ElementTree
 
-TIMEOUT_EXIT_CODE = 124
+from processes import TIMEOUT_EXIT_CODE
 
 
 class Tally(NamedTuple):
-    """How many tests of a run passed and were skipped, and what failed, a line each."""
+    """How many tests passed and were skipped, and what failed: name and message of each."""
 
-    passed: int
-    failures: list[str]
-    skipped: int
+    passed: int = 0
+    failures: tuple[str, ...] = ()
+    skipped: int = 0
+
+    @staticmethod
+    def sum(tallies: Iterable[Tally]) -> Tally:
+        """Return the sum of several."""
+        passed, failures, skipped = zip(Tally(), *tallies)
+        return Tally(sum(passed), sum(failures, ()), sum(skipped))
+
+    def lines(self) -> list[str]:
+        """Return a line for each failure."""
+        return [f"FAILED {failure}" for failure in self.failures]
+
+    def __str__(self) -> str:
+        return f"{self.passed} passed, {len(self.failures)} failed, {self.skipped} skipped"
 
 
 def cases(path: Path) -> Iterator[tuple[str, str, str]]:
-    """Yields name, outcome (passed, failed, skipped) and message of each test in a junit file.
+    """Yield name, outcome (passed, failed, skipped) and message of each test in a junit file.
 
     Raises:
-        ElementTree.ParseError: the file is cut or no XML.
+        ElementTree.ParseError: the file is incomplete or no XML.
     """
     for case in ElementTree.parse(str(path)).iter("testcase"):
         name = "{}.{}".format(case.get("classname", ""), case.get("name", "")).lstrip(".")
@@ -45,60 +52,44 @@ def cases(path: Path) -> Iterator[tuple[str, str, str]]:
             yield name, "skipped" if case.find("skipped") is not None else "passed", ""
 
 
-def crash(directory: Path) -> str | None:
-    """Says how the run's command ended when that was not well, or returns None."""
-    path = directory / "exit_code"
+def crash(folder: Path) -> str | None:
+    """Return how the step's command ended, or None when its exit code was 0."""
+    path = folder / "exit_code"
     code = int(path.read_text()) if path.exists() else 0
     if code == TIMEOUT_EXIT_CODE:
         return "took too long and was ended"
     return f"ended with exit code {code} without a failed test" if code else None
 
 
-def tally(directory: Path) -> Tally:
-    """Sums up one run."""
-    if (directory / "not_run").exists():
-        return Tally(0, [], 1)
+def tally(folder: Path) -> Tally:
+    """Count one step's results."""
     outcomes = {"passed": 0, "failed": 0, "skipped": 0}
     failures, unreadable = [], []
-    for path in sorted(directory.rglob("*.xml")):
+    for path in sorted(folder.rglob("*.xml")):
         try:
             found = list(cases(path))
         except ElementTree.ParseError as error:
-            unreadable.append(f"{directory.name}: its result file {path.name} is no XML: {error}")
+            unreadable.append(f"its result file {path.name} is no XML: {error}")
             continue
         for name, outcome, message in found:
             if path.name.startswith("rostest-") and outcome != "failed":
                 continue
             outcomes[outcome] += 1
             if outcome == "failed":
-                failures.append(f"{directory.name}: {name}: {message}")
-    skipped = directory / "skipped"
+                failures.append(f"{name}: {message}")
+    skipped = folder / "skipped"
     if skipped.exists():
         count = len(skipped.read_text(encoding="utf-8").splitlines())
         outcomes["passed"] -= count
         outcomes["skipped"] += count
-    # A test that was ended leaves an empty file behind: one failure, not two.
+    # A test that was ended leaves an empty file: one failure, not two.
     failures = failures or unreadable
-    how = crash(directory)
+    how = crash(folder)
     if how and not failures:
-        failures.append(f"{directory.name}: {how}")
+        failures.append(how)
     if not failures and not sum(outcomes.values()):
-        failures.append(f"{directory.name}: no test ran")
-    left = directory / "left_behind"
+        failures.append("no test ran")
+    left = folder / "left_behind"
     if left.exists():
-        failures.append(f"{directory.name}: left {left.read_text().strip()} processes behind")
-    return Tally(outcomes["passed"], failures, outcomes["skipped"])
-
-
-def main() -> int:
-    runs = [tally(Path(argument)) for argument in sys.argv[1:]]
-    failures = [line for run in runs for line in run.failures]
-    for line in failures:
-        print(f"FAILED {line}")
-    passed, skipped = sum(run.passed for run in runs), sum(run.skipped for run in runs)
-    print(f"{passed} passed, {len(failures)} failed, {skipped} skipped")
-    return 1 if failures else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        failures.append(f"left {left.read_text().strip()} processes behind")
+    return Tally(outcomes["passed"], tuple(f"{folder.name}: {failure}" for failure in failures), outcomes["skipped"])

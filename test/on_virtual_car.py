@@ -1,0 +1,62 @@
+"""Runs a command while the car without hardware is up, on a ROS master of its own.
+
+    python3 test/on_virtual_car.py LOG_FOLDER [ARGUMENT:=VALUE...] -- COMMAND...
+
+The arguments are demo.launch's. The exit code is the command's, or 1 when the car did not start or ended before it.
+"""
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+from processes import adopt_descendants, end_descendants, end_of_log, free_port, interrupt, start, wait_until
+
+START_S = 30.0
+# An interrupted roslaunch ends its nodes in order, then the master. While it starts it may swallow the signal.
+LAUNCH = ("roslaunch", "--sigint-timeout=4", "--sigterm-timeout=2", "car_interface", "demo.launch", "drive:=false")
+
+
+def answers(port: int) -> bool:
+    """Return whether anybody listens on a port of this machine."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def run(log: Path, arguments: list[str], command: list[str]) -> int:
+    """Launch the car, run the command, end both."""
+    port, processes = free_port(), []
+    os.environ.update(ROS_LOG_DIR=str(log.parent), ROS_MASTER_URI=f"http://127.0.0.1:{port}")
+    try:
+        with open(str(log), "wb") as file:
+            car = start(*LAUNCH, "-p", str(port), *arguments, stdin=subprocess.DEVNULL, stdout=file, stderr=file)
+        processes += [(car, 4.0), (car, 8.0)]
+        wait_until(lambda: answers(port) or car.poll() is not None, START_S)
+        if not answers(port):
+            return fail("roslaunch did not start", log)
+        drive = start(*command)
+        processes.append((drive, 5.0))
+        code = drive.wait()
+        if car.poll() is not None:
+            return fail("roslaunch ended before the drive did", log)
+        if code:
+            print(f"The nodes' logs: {log.parent}", file=sys.stderr)
+        return code if code >= 0 else 128 - code
+    finally:
+        for process, within_s in reversed(processes):  # the drive first: it closes its bag while the master lives
+            interrupt(process, within_s)
+        end_descendants()
+
+
+def fail(reason: str, log: Path) -> int:
+    """Show the end of roslaunch's log; return the exit code."""
+    print(end_of_log(log, 40), f"./dev: {reason}", sep="\n", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    split = sys.argv.index("--")
+    adopt_descendants()
+    sys.exit(run(Path(sys.argv[1]) / "roslaunch.log", sys.argv[2:split], sys.argv[split + 1:]))

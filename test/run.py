@@ -1,0 +1,329 @@
+"""Runs the tests, as ``./dev test`` does once the workspace is built and sourced.
+
+A *step* is one command with results of its own: the unit tests on one Python, or one node test with its own ROS
+master. Unit tests keep every CPU busy and node tests mostly wait, so that both run side by side.
+"""
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Callable, Iterable, NamedTuple
+
+from processes import (
+    adopt_descendants,
+    descendants,
+    end_descendants,
+    end_of_log,
+    free_port,
+    interrupt,
+    start,
+    wait_until,
+)
+from tally import Tally, tally
+
+TEST = Path(__file__).resolve().parent
+ROOT = TEST.parent
+MESSAGES = TEST / "node" / "messages_test.py"
+# Node tests that measure times down to milliseconds: at most two of them run at a time, and no other node test.
+TIMED = ("captures", "chain", "demo", "serial_faults", "teleop_logi", "turn_arb")
+MAX_TIMED = 2
+LONG = ("chain", "one_process", "fuzz", "live")  # the longest begin first
+STEP_LIMIT_S = 3600  # far longer than any step takes: a hanging one ends
+END_S = 15.0  # for an interrupted step to end its processes
+POLL_S = 0.2
+# On a second Python only those that could differ there. test/unit/conftest.py explains the marks.
+SECOND_PYTHON = ("-m", "not once and not browser")
+
+
+class Selection(NamedTuple):
+    """The test files to run; ``shared`` and ``timed`` are node tests, of which the latter measure times."""
+
+    unit: list[Path]
+    messages: list[Path]
+    shared: list[Path]
+    timed: list[Path]
+
+
+class Step(NamedTuple):
+    """One command of the tests; its name is also that of its folder of results."""
+
+    name: str
+    title: str
+    command: tuple[str, ...]
+    environment: dict[str, str]
+    is_unit: bool = False
+
+
+def select(names: Iterable[str]) -> Selection:
+    """Return the test files whose name contains one of the names, all of them without names.
+
+    Raises:
+        ValueError: no test file's name contains one of the names.
+    """
+    unit = sorted((TEST / "unit").rglob("test_*.py"))
+    node = sorted((TEST / "node").glob("*.test"), key=start_order)
+    for name in names:
+        if not any(name in path.name for path in (*unit, *node, MESSAGES)):
+            raise ValueError(f"no test file has {name} in its name: see test/unit and test/node/*.test")
+
+    def chosen(paths):
+        return [path for path in paths if not names or any(name in path.name for name in names)]
+    return Selection(chosen(unit), chosen([MESSAGES]), chosen(path for path in node if path.stem not in TIMED),
+                     chosen(path for path in node if path.stem in TIMED))
+
+
+def start_order(path: Path) -> tuple[int, str]:
+    """Return the key that sorts node tests: the longest first, then by name."""
+    return LONG.index(path.stem) if path.stem in LONG else len(LONG), path.name
+
+
+def free_share(before: list[int], after: list[int]) -> float:
+    """Return the ratio of CPU time that was idle, or used at a low priority, between two readings of /proc/stat.
+
+    The readings are user, nice, system, idle, iowait, irq, softirq and steal: proc(5). Unit tests run at a low
+    priority, so that their time is free for node tests.
+    """
+    used = [now - then for now, then in zip(after, before)]
+    return (used[1] + used[3] + used[4]) / max(1, sum(used))
+
+
+def cpu_count() -> int:
+    """Return how many CPUs this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def cpu_times() -> list[int]:
+    """Return the first eight figures of /proc/stat."""
+    with open("/proc/stat", encoding="ascii") as file:
+        return [int(field) for field in file.readline().split()[1:9]]
+
+
+def cpus_have_time() -> bool:
+    """Return whether a third of the CPUs' time is free during the next second."""
+    before = cpu_times()
+    time.sleep(1.0)
+    return 3 * free_share(before, cpu_times()) > 1
+
+
+def can_leave_idle_policy() -> bool:
+    """Return whether a process may go back from SCHED_IDLE (sched(7)): else it would starve on a busy machine."""
+    leave = "import os; os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))"
+    return not subprocess.call(["chrt", "--idle", "0", sys.executable, "-c", leave], stderr=subprocess.DEVNULL)
+
+
+class Running(NamedTuple):
+    """A step at work."""
+
+    step: Step
+    process: subprocess.Popen
+    begun_s: float
+
+
+class Runner:
+    """Runs steps side by side, and prints a line for each that ends.
+
+    Args:
+        output: folder; the results are in ``results/STEP``, the nodes' logs in ``log/test/STEP``.
+        unit_steps: run one after the other, beside the node tests.
+    """
+
+    def __init__(self, output: Path, unit_steps: Iterable[Step]):
+        self.tallies: list[Tally] = []
+        self._results, self._logs = output / "results", output / "log" / "test"
+        self._unit_steps = list(unit_steps)
+        self._running: list[Running] = []
+        self._unit_policy = os.SCHED_OTHER
+        self.poll()
+
+    def begin(self, step: Step) -> None:
+        """Start a step in the background."""
+        folder = self._results / step.name
+        folder.mkdir(parents=True, exist_ok=True)
+        environment = {**os.environ, "ROS_LOG_DIR": str(self._logs / step.name),
+                       "CAR_INTERFACE_SKIPPED": str(folder / "skipped"), **step.environment}
+        with open(str(folder / "log"), "wb") as log:
+            process = start(sys.executable, str(TEST / "processes.py"), "--limit", str(STEP_LIMIT_S), "--left-behind",
+                            str(folder / "left_behind"), *step.command, env=environment, stdin=subprocess.DEVNULL,
+                            stdout=log, stderr=log)
+        self._running.append(Running(step, process, time.monotonic()))
+
+    def poll(self) -> None:
+        """Report the steps that have ended, and start the next unit tests when there is room for them."""
+        for each in [each for each in self._running if each.process.poll() is not None]:
+            self._running.remove(each)
+            self._report(each.step, each.process.returncode, time.monotonic() - each.begun_s)
+        if self._unit_steps and not self.unit_tests_run():
+            self.begin(self._unit_steps.pop(0))
+            self.set_unit_policy(self._unit_policy)
+
+    def _report(self, step, code, took_s):
+        folder, logs = self._results / step.name, self._logs / step.name
+        (folder / "exit_code").write_text(str(code), encoding="ascii")
+        result = tally(folder)
+        self.tallies.append(result)
+        print_line(step.title, took_s, str(result))
+        if result.failures:
+            print(*result.lines(), end_of_log(folder / "log", 60), sep="\n")
+            if logs.exists():
+                print(f"  (the nodes' logs: {logs})", flush=True)
+
+    def unit_tests_run(self) -> bool:
+        """Return whether unit tests are at work."""
+        return any(each.step.is_unit for each in self._running)
+
+    def node_tests(self) -> int:
+        """Return how many node tests are at work."""
+        return sum(not each.step.is_unit for each in self._running)
+
+    def wait_until(self, condition: Callable[[], bool]) -> None:
+        """Wait, and report what ends meanwhile."""
+        self.poll()
+        while not condition():
+            time.sleep(POLL_S)
+            self.poll()
+
+    def wait_for_node_tests(self, count: int) -> None:
+        """Wait until no more than so many node tests are at work."""
+        self.wait_until(lambda: self.node_tests() <= count)
+
+    def wait_for_unit_tests(self) -> None:
+        """Wait until all unit tests have ended."""
+        self.wait_until(lambda: not self.unit_tests_run() and not self._unit_steps)
+
+    def wait_for_room(self) -> None:
+        """Wait until another node test can begin: one on each CPU and one more, and one at a time on a busy machine."""
+        self.wait_for_node_tests(cpu_count())
+        while self.node_tests() and not cpus_have_time():
+            self.wait_for_node_tests(cpu_count())
+
+    def set_unit_policy(self, policy: int) -> None:
+        """Have the unit tests run by SCHED_OTHER, or by SCHED_IDLE: then only while nothing else needs a CPU."""
+        self._unit_policy = policy
+        supervisors = [each.process.pid for each in self._running if each.step.is_unit]
+        for pid in [*supervisors, *(pid for each in supervisors for pid in descendants(each))]:
+            try:
+                for thread in os.listdir(f"/proc/{pid}/task"):
+                    os.sched_setscheduler(int(thread), policy, os.sched_param(0))
+            except OSError:
+                pass  # it has just ended
+
+    def end(self) -> None:
+        """End the steps that are still at work, all at once."""
+        for each in self._running:
+            interrupt(each.process, 0)
+        wait_until(lambda: all(each.process.poll() is not None for each in self._running), END_S)
+        end_descendants()
+
+
+def print_line(title: str, took_s: float, result: str = "") -> None:
+    """Print how long something took, and with which result."""
+    print(f"{title:<44} {took_s:7.1f} s   {result}", flush=True)
+
+
+def pytest_command(python: str, results: Path, *arguments: str) -> tuple[str, ...]:
+    """Return a command that runs pytest at a lower priority than node tests have."""
+    return ("nice", "-n", "5", python, "-m", "pytest", "-q", "--tb=short", "-p", "no:cacheprovider",
+            f"--junitxml={results / 'junit.xml'}", *arguments)
+
+
+# pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of
+# numerical libraries only compete with each other here.
+PYTEST_ENVIRONMENT = {"PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def unit_step(results: Path, python: str, files: list[Path], is_second: bool, everything: bool) -> Step:
+    """Return the step of the unit tests on one Python."""
+    version = subprocess.check_output([python, "-c", "import platform; print(platform.python_version())"], text=True)
+    version = version.strip()
+    name = "unit-" + version if is_second else "unit"
+    marks = SECOND_PYTHON if is_second and not everything else ()
+    command = pytest_command(python, results / name, "-n", str(cpu_count()), "--dist", "loadfile", *marks,
+                             *map(str, files))
+    return Step(name, f"unit tests, Python {version}", command,
+                {**PYTEST_ENVIRONMENT, "PYTHONPATH": str(ROOT / "src")}, is_unit=True)
+
+
+def messages_step(results: Path, path: Path) -> Step:
+    """Return the step of the test that imports the generated messages."""
+    return Step("messages", "messages", pytest_command(sys.executable, results / "messages", str(path)),
+                PYTEST_ENVIRONMENT)
+
+
+def node_step(results: Path, path: Path) -> Step:
+    """Return the step of one node test."""
+    folder = results / path.name
+    command = ("rostest", f"--pkgdir={ROOT}", "--package=car_interface", f"--results-base-dir={folder}", str(path))
+    return Step(path.name, path.name, command, {"CAR_INTERFACE_TABLE": str(folder / "table")})
+
+
+def run_node_tests(runner: Runner, results: Path, selected: Selection, everything: bool) -> None:
+    """Run the node tests beside the unit tests, those that measure times last."""
+    for path in selected.messages:
+        runner.begin(messages_step(results, path))
+    for path in selected.shared:
+        runner.wait_for_room()
+        runner.begin(node_step(results, path))
+    runner.wait_for_node_tests(0)
+    if not selected.timed:
+        return
+    # The bounds of --all are those of a machine that does nothing else.
+    if everything or not can_leave_idle_policy():
+        runner.wait_for_unit_tests()
+    else:
+        runner.set_unit_policy(os.SCHED_IDLE)
+    for path in selected.timed:
+        runner.wait_for_node_tests(0 if everything else MAX_TIMED - 1)
+        runner.begin(node_step(results, path))
+    runner.wait_for_node_tests(0)
+    runner.set_unit_policy(os.SCHED_OTHER)
+
+
+def run(output: Path, pythons: list[str], selected: Selection, everything: bool) -> int:
+    """Run the selected tests, print the results and their sum; return the exit code."""
+    results, begun_s = output / "results", time.monotonic()
+    runnable = [python for python in pythons if os.access(python, os.X_OK)]
+    os.chdir(str(results))
+    runner = Runner(output, [unit_step(results, python, selected.unit, python != pythons[0], everything)
+                             for python in runnable if selected.unit])
+    try:
+        run_node_tests(runner, results, selected, everything)
+        runner.wait_for_unit_tests()
+    finally:
+        runner.end()
+    print_line("all", time.monotonic() - begun_s)
+    tables = "".join(path.read_text(encoding="utf-8") for path in sorted(results.glob("*/table")))
+    if tables:
+        print(f"\nfault | at | trials | median ms | p99 ms | worst ms\n{tables}", end="")
+    # A Python that could not be prepared counts as a skipped test.
+    total = Tally.sum([*runner.tallies, Tally(skipped=len(pythons) - len(runnable))])
+    print("", *total.lines(), total, sep="\n")
+    return 1 if total.failures else 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="./dev test", usage="%(prog)s [--all] [NAME...]", add_help=False)
+    parser.add_argument("--all", action="store_true")
+    parser.add_argument("--check", action="store_true")
+    parser.add_argument("--output", type=Path)
+    parser.add_argument("--python", action="append", default=[])
+    parser.add_argument("names", nargs="*")
+    arguments = parser.parse_args()
+    try:
+        selected = select(arguments.names)
+    except ValueError as error:
+        parser.exit(1, f"./dev test: {error}\n")
+    if arguments.check:
+        return 0
+    if arguments.all:
+        os.environ.update(CAR_INTERFACE_ALL="1", CAR_INTERFACE_TRIALS="50")
+    os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}"
+    adopt_descendants()
+    return run(arguments.output, arguments.python, selected, arguments.all)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

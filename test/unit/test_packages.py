@@ -1,0 +1,58 @@
+"""test/packages.py: which packages a system needs by package.xml."""
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+packages = importlib.import_module("packages")
+
+
+@pytest.mark.parametrize("key, debian, noetic", [
+    ("rospy", ("python3-rospy",), ("ros-noetic-rospy",)),
+    ("nav_msgs", ("libnav-msgs-dev", "python3-nav-msgs"), ("ros-noetic-nav-msgs",)),
+    ("std_srvs", ("libstd-srvs-dev", "python3-std-srvs"), ("ros-noetic-std-srvs",)),
+    ("message_generation", ("ros-message-generation",), ("ros-noetic-message-generation",)),
+    ("python3-yaml", ("python3-yaml",), ("python3-yaml",)),
+    ("g++", ("g++",), ("g++",)),
+])
+def test_key_has_packages_of_each_distribution(key, debian, noetic):
+    assert (packages.apt_names(key, "debian"), packages.apt_names(key, "noetic")) == (debian, noetic)
+
+
+@pytest.mark.parametrize("key, name", [
+    ("python3-rosbags-pip", "rosbags"), ("python3-serial", "pyserial"), ("python3-pytest-xdist", "pytest-xdist")])
+def test_key_has_a_name_of_pip(key, name):
+    assert packages.pip_name(key) == name
+
+
+@pytest.mark.parametrize("condition, debian, noetic", [
+    (None, True, True), ("$ROS_DISTRO == noetic", False, True), ("$ROS_DISTRO != noetic", True, False)])
+def test_condition_holds_where_it_says(condition, debian, noetic):
+    assert (packages.holds(condition, "debian"), packages.holds(condition, "noetic")) == (debian, noetic)
+
+
+def test_condition_of_another_kind_is_refused():
+    with pytest.raises(ValueError, match=r"not understood: \$ROS_VERSION == 1"):
+        packages.holds("$ROS_VERSION == 1", "debian")
+
+
+def test_package_without_a_distribution_s_comes_from_pip_and_only_from_there():
+    assert packages.packages("debian", "pip") == ["rosbags"]
+    assert packages.packages("noetic", "pip") == ["rosbags", "smbus2"]
+    assert [name for name in packages.packages("noetic", "apt") if "smbus2" in name or "rosbags" in name] == []
+
+
+def test_list_has_what_commands_and_tests_call_and_no_rviz():
+    found = packages.packages("debian", "apt")
+    assert {"catkin", "rosbash", "rosout", "python3-pytest-xdist", "python3-smbus2", "libfaketime"} <= set(found)
+    assert not any("rviz" in name for name in found)
+
+
+def test_other_python_gets_every_python_package():
+    found = packages.packages("debian", "python3.8")
+    assert {"numpy", "pyserial", "pytest", "pytest-xdist", "PyYAML", "rosbags", "rospkg", "smbus2"} <= set(found)
+    assert "venv" not in found

@@ -1,0 +1,64 @@
+"""test/tally.py: what the results in a step's folder count as."""
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+Tally, tally = (getattr(importlib.import_module("tally"), name) for name in ("Tally", "tally"))
+
+PASSED = '<testcase classname="a.B" name="passes"/>'
+FAILED = '<testcase classname="a.B" name="fails"><failure message="1 is not 2&#10;more">text</failure></testcase>'
+ERROR = '<testcase name="crashes"><error>no message\nbut text</error></testcase>'
+SKIPPED = '<testcase name="skips"><skipped/></testcase>'
+
+
+@pytest.fixture
+def step(tmp_path):
+    folder = tmp_path / "turn_arb.test"
+    folder.mkdir()
+
+    def write(**files):
+        for name, text in files.items():
+            path = folder / name.replace("_xml", ".xml").replace("rostest_", "rostest-")
+            path.write_text(f"<testsuite>{''.join(text)}</testsuite>" if path.suffix else text, encoding="utf-8")
+        return tally(folder)
+    return write
+
+
+def test_each_outcome_counts_once(step):
+    assert step(junit_xml=[PASSED, FAILED, ERROR, SKIPPED], exit_code="1") == Tally(
+        1, ("turn_arb.test: a.B.fails: 1 is not 2", "turn_arb.test: crashes: no message"), 1)
+
+
+def test_several_files_are_added_and_passes_of_rostest_itself_are_not(step):
+    assert step(one_xml=[PASSED], two_xml=[PASSED], rostest_two_xml=[PASSED], exit_code="0") == Tally(2, (), 0)
+
+
+def test_failure_that_rostest_itself_reports_counts(step):
+    assert len(step(rostest_two_xml=[FAILED], exit_code="1").failures) == 1
+
+
+def test_skipped_tests_that_rosunit_counts_as_passed_are_skipped(step):
+    assert step(one_xml=[PASSED, PASSED], skipped="a: why\n", exit_code="0") == Tally(1, (), 1)
+
+
+@pytest.mark.parametrize("files, failure", [
+    ({"exit_code": "0"}, "no test ran"),
+    ({"exit_code": "139", "one_xml": [PASSED]}, "ended with exit code 139 without a failed test"),
+    ({"exit_code": "124", "one_xml": [PASSED]}, "took too long and was ended"),
+    ({"exit_code": "0", "one_xml": [PASSED], "left_behind": "2"}, "left 2 processes behind"),
+    ({"exit_code": "1", "one_xml": ["<cut"]}, "its result file one.xml is no XML"),
+], ids=["no_test", "crash", "time_limit", "left_behind", "incomplete_file"])
+def test_what_went_wrong_without_a_failed_test_is_a_failure(step, files, failure):
+    (found,) = step(**files).failures
+    assert found.startswith(f"turn_arb.test: {failure}")
+
+
+def test_sum_adds_everything_and_is_the_last_line():
+    total = Tally.sum([Tally(2, ("a: b",), 1), Tally(3), Tally(skipped=1)])
+    assert (str(total), total.lines()) == ("5 passed, 1 failed, 2 skipped", ["FAILED a: b"])
+    assert Tally.sum([]) == Tally()
