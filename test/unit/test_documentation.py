@@ -17,9 +17,7 @@ LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 # Folders of a repository path, or a launch file, in a word of the text.
 PATH = re.compile(rf"(?<![\w./~$:-])((?:{'|'.join(FOLDERS)})/[\w./-]*\w|\w+\.launch)(?![\w/])")
 PARAMETER = re.compile(r"params\.\w+\(\s*f?\"([\w/]+)")
-# What reads a node's parameters.
-READERS = [path for folder in ("nodes", "ros", "steering", "interlock", "throttle", "teleop", "pca9685", "common")
-           for path in sorted((ROOT / "src/car_interface" / folder).glob("*.py"))]
+MODULES = sorted((ROOT / "src/car_interface").rglob("*.py"))
 
 
 def text_of(path: Path) -> str:
@@ -89,7 +87,7 @@ def test_readme_has_the_line_that_a_node_test_types():
 
 
 def test_node_reference_names_every_parameter():
-    read = {name for path in READERS for name in PARAMETER.findall(text_of(path))}
+    read = {name for path in MODULES for name in PARAMETER.findall(text_of(path))}
     assert {"servo_left", "baud", "servo/channel", "seed", "joy_timeout"} <= read
     documented = set(re.findall(r"`([\w/]+)`", text_of(NODE_REFERENCE)))
     # The names of a family end with a slash here: sonars/ and no_echo_timeouts/, one for each sonar.
