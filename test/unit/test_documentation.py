@@ -1,0 +1,95 @@
+"""README and docs: links, paths, parameters and commands that they name exist."""
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+README = ROOT / "README.md"
+PAGES = [README, ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+NODE_REFERENCE = ROOT / "docs/nodes.md"
+FOLDERS = ("cfg", "config", "docs", "launch", "msg", "scripts", "src", "srv", "test", "udev")
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+# Folders of a repository path, or a launch file, in a word of the text.
+PATH = re.compile(rf"(?<![\w./~$:-])((?:{'|'.join(FOLDERS)})/[\w./-]*\w|\w+\.launch)(?![\w/])")
+PARAMETER = re.compile(r"params\.\w+\(\s*f?\"([\w/]+)")
+MODULES = sorted((ROOT / "src/car_interface").rglob("*.py"))
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def anchors(path: Path) -> set[str]:
+    """Returns the anchors that GitHub makes of a page's headings."""
+    headings = re.findall(r"^#+ +(.+?) *$", re.sub(r"^```.*?^```", "", text_of(path), flags=re.M | re.S), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_of_a_page_lead_to_files_and_headings_that_exist(page):
+    broken = []
+    for link in LINK.findall(text_of(page)):
+        if re.match(r"https?://", link):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            broken.append(link)
+    assert broken == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_paths_that_a_page_names_exist(page):
+    # `turn_arb/state` and the like are topics; only what begins with a folder of the repository is a path.
+    named = set(PATH.findall(LINK.sub("", text_of(page))))
+    missing = [path for path in sorted(named)
+               if not (ROOT / path).exists() and not (ROOT / "launch" / path).exists()]
+    assert missing == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_measuring_programs_that_a_page_names_exist(page):
+    named = re.findall(r"python3 -m accuracy\.(\w+)", text_of(page))
+    assert [name for name in named if not (ROOT / "test/accuracy" / f"{name}.py").exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_that_a_page_names_are_scripts(page):
+    named = re.findall(r"rosrun car_interface (\w+)", text_of(page))
+    assert [name for name in named if not (ROOT / "scripts" / name).exists() and name != "COMMAND"] == []
+
+
+def test_readme_links_every_page():
+    linked = {link.partition("#")[0] for link in LINK.findall(text_of(README))}
+    assert {name_of(page) for page in PAGES if page != README} - linked == set()
+
+
+def test_readme_lists_every_argument_of_car_launch():
+    declared = {arg.get("name") for arg in ElementTree.parse(str(ROOT / "launch/car.launch")).getroot().findall("arg")}
+    (table,) = re.findall(r"\| argument of car\.launch .*?\n\n", text_of(README), re.S)
+    assert declared - set(re.findall(r"`(\w+)`", table)) == set()
+
+
+def test_readme_has_the_line_that_a_node_test_types():
+    tree = ast.parse(text_of(ROOT / "test/node/pca9685_test.py"))
+    (line,) = [ast.literal_eval(node.value) for node in tree.body
+               if isinstance(node, ast.Assign) and node.targets[0].id == "README_LINE"]
+    assert f"\n    {line}\n" in text_of(README)
+
+
+def test_node_reference_names_every_parameter():
+    read = {name for path in MODULES for name in PARAMETER.findall(text_of(path))}
+    assert {"servo_left", "baud", "servo/channel", "seed", "joy_timeout"} <= read
+    documented = set(re.findall(r"`([\w/]+)`", text_of(NODE_REFERENCE)))
+    # The names of a family end with a slash here: sonars/ and no_echo_timeouts/, one for each sonar.
+    families = {name.rpartition("/")[0] + "/" for name in documented if "/" in name}
+    assert [name for name in sorted(read) if name not in documented and name not in families] == []

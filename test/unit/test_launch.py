@@ -1,0 +1,70 @@
+"""Each argument of a launch file says what it is, and none is required that has a default."""
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
+REQUIRED: set[tuple[str, str]] = set()  # (file, argument): those that a user must give
+MAX_DOC = 100  # characters: a line of `roslaunch --ros-args`
+
+
+class Argument(NamedTuple):
+    """An <arg> as it is declared at the top of a launch file."""
+
+    file: str
+    name: str
+    default: str | None
+    doc: str
+
+
+def arguments(path: Path) -> list[Argument]:
+    """Returns the arguments that a launch file declares."""
+    root = ElementTree.parse(str(path)).getroot()
+    return [Argument(path.name, arg.get("name"), arg.get("default"), arg.get("doc", "")) for arg in root.findall("arg")]
+
+
+ARGUMENTS = [argument for path in LAUNCH_FILES for argument in arguments(path)]
+
+
+def name_of(argument: Argument) -> str:
+    return f"{argument.file}:{argument.name}"
+
+
+@pytest.mark.parametrize("argument", ARGUMENTS, ids=name_of)
+def test_argument_has_a_short_doc(argument):
+    assert 0 < len(argument.doc) <= MAX_DOC
+    assert argument.doc == argument.doc.strip() and not argument.doc.endswith(".")
+
+
+@pytest.mark.parametrize("argument", ARGUMENTS, ids=name_of)
+def test_argument_has_a_default_unless_it_is_required(argument):
+    if (argument.file, argument.name) in REQUIRED:
+        assert argument.default is None
+    else:
+        # `roslaunch --ros-args` lists an argument as required whose default is empty, or becomes so when evaluated.
+        assert argument.default and not argument.default.startswith("$(eval")
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_included_file_declares_the_arguments_that_it_is_given(path):
+    root = ElementTree.parse(str(path)).getroot()
+    for include in root.iter("include"):
+        (name,) = re.findall(r"\$\(find car_interface\)/launch/([\w.]+)$", include.get("file"))
+        declared = {argument.name for argument in ARGUMENTS if argument.file == name}
+        assert {arg.get("name") for arg in include.findall("arg")} <= declared
+
+
+def test_an_argument_of_one_name_has_the_same_default_in_every_file():
+    # `config` and `throttle_config` are other files; the demo's port is the virtual Teensy's; car.launch expects a gamepad.
+    differ = {"config", "throttle_config", "port", "gamepad"}
+    defaults = {}
+    for argument in ARGUMENTS:
+        if argument.name not in differ:
+            defaults.setdefault(argument.name, set()).add(argument.default)
+    assert {name: found for name, found in defaults.items() if len(found) > 1} == {}
