@@ -118,7 +118,7 @@ class CarDisplay:
 
     def step(self, now_ns):
         """Take what arrived; draw when it's time."""
-        for handler, message, arrival_ns in self._inbox.take():
+        for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
         if self._timer.is_due(now_ns):
             self._draw(now_ns)

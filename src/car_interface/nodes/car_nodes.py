@@ -27,7 +27,7 @@ from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.turn_arb import TurnArb
-from car_interface.ros.runtime import NS_PER_S, Inbox, describe_error, live, run
+from car_interface.ros.runtime import NS_PER_S, Inbox, describe_error, run, spin
 
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
          "generic_value_converter": GenericValueConverter}
@@ -41,7 +41,7 @@ class Part:
 
     Args:
         name: the node's, without its namespace.
-        node_class: as ``node.live`` takes it.
+        node_class: as ``runtime.spin`` takes it.
         on_end: called in the part's thread when a life is over.
     """
 
@@ -62,7 +62,7 @@ class Part:
 
     def _begin(self):
         self._inbox = Inbox(f"{rospy.get_namespace()}{self.name}")
-        self._thread = threading.Thread(target=self._reconfigure, name=self.name, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
 
     def end(self) -> None:
@@ -78,10 +78,10 @@ class Part:
                 return
             time.sleep(POLL_S)
 
-    def _reconfigure(self):
+    def _run(self):
         fault = "it ended"
         try:
-            live(self._build, self._inbox)
+            spin(self._build, self._inbox)
             fault = "" if self._is_final else fault
         except Exception as error:
             fault = describe_error(error)
@@ -111,7 +111,7 @@ class CarNodes:
 
     def step(self, now_ns):
         """Start what is due."""
-        for handler, item, arrival_ns in self._inbox.take():
+        for handler, item, arrival_ns in self._inbox.drain():
             handler(item, arrival_ns)
         for part in [part for part, due_ns in self._due_ns.items() if now_ns >= due_ns]:
             del self._due_ns[part]

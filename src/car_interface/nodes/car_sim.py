@@ -159,7 +159,7 @@ class CarSim:
     def step(self, now_ns):
         """Live on until now: first the car, then the Teensy, then the line."""
         self._move(now_ns)
-        for handler, message, arrival_ns in self._inbox.take():
+        for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
         self._line.step(now_ns)
         if self._timer.is_due(now_ns):

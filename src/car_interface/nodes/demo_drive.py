@@ -199,7 +199,7 @@ class DemoDrive:
 
     def step(self, now_ns):
         """Watch, drive, show."""
-        for handler, message, arrival_ns in self._inbox.take():
+        for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
         if self._drive is None:
             self._wait_until_ready(now_ns)

@@ -32,6 +32,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32MultiArray
 
 from car_interface.cfg import EscNeutralConfig
+from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, one_channel
@@ -175,7 +176,7 @@ class GenericValueConverter:
 
     def step(self, now_ns):
         """Take each message with its consequence; then beat if it is time."""
-        for handler, message, arrival_ns in self._inbox.take():
+        for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
             self._stop_at_once(arrival_ns)
         self._diagnostics.step(now_ns)
@@ -206,7 +207,7 @@ class GenericValueConverter:
         velocity = message.twist.twist.linear.x
         self._converter.update_odometry(velocity, now_ns)
         if not math.isfinite(velocity):
-            self._warnings.warn("odometry not finite", f"the velocity in the odometry is {velocity}: no output")
+            self._warnings.warn(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {velocity}: no output")
 
     def _on_command(self, message, now_ns):
         self._note_odd_stamp("control_cmd", message.stamp)
@@ -243,12 +244,13 @@ class GenericValueConverter:
         if conversion is not None and conversion.value is None:
             status.summary(WARN, f"no output: {conversion.reason}")
         elif self._decision is not None:
-            level = WARN if self._decision.cause.endswith("silent") and conversion is not None else OK
+            level = WARN if self._decision.cause in causes.STALE and conversion is not None else OK
             status.summary(level, f"ESC {'driven' if self._decision.driving else 'neutral'}: {self._decision.reason}")
         else:
             status.summary(OK, "waiting for the first command" if conversion is None else "converting")
         now_ns = time.monotonic_ns()
         status.add("age of odometry", age_text(self._converter.odometry_age_s(now_ns)))
+        status.add("cause", self._cause())
         status.add("commands", self._counts["commands"])
         status.add("values sent", self._counts["values"])
         if self._decision is not None:
@@ -259,6 +261,12 @@ class GenericValueConverter:
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(kind, count)
         return status
+
+    def _cause(self):
+        """Why there is no value, or what the ESC gets; empty: neither is known yet."""
+        if self._conversion is not None and self._conversion.value is None:
+            return self._conversion.cause
+        return "" if self._decision is None else self._decision.cause
 
     def _publish_throttle(self, decision):
         self._commands.publish(duty_vector(one_channel(self._throttle.config.channel, decision.duty)))

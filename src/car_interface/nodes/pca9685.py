@@ -200,7 +200,7 @@ class Pca9685:
 
     def step(self, now_ns):
         """Take all that arrived, expire the old, and only then write: a slow bus must not replay what is stale."""
-        for handler, message, arrival_ns in self._inbox.take():
+        for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
         expired = self._channels.expire(time.monotonic_ns())
         self._keep()
@@ -272,7 +272,7 @@ class Pca9685:
         if followed.changed:
             self._warnings.warn("followed", f"the timeout value of {_listed(sorted(followed.changed))} follows "
                                               f"servo/neutral, away from the YAML file's. To save it: rosservice call "
-                                              f"{rospy.resolve_name(self._inbox.own('~save'))}")
+                                              f"{rospy.resolve_name(self._inbox.resolve_name('~save'))}")
 
     def _keep(self):
         self._supervisor.keep(self._channels.targets, time.monotonic_ns())

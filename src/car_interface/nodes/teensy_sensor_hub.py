@@ -236,7 +236,7 @@ class TeensySensorHub:
 
     def step(self, now_ns):
         """Do what was asked, read what came, ping when it's time."""
-        for handler, item, arrival_ns in self._inbox.take():
+        for handler, item, arrival_ns in self._inbox.drain():
             handler(item, arrival_ns)
         if self._has_keys:
             self._read_keys()
@@ -275,7 +275,7 @@ class TeensySensorHub:
         self._keys.restore()
         self._close("the node ends")
         self._inbox.ending = True
-        for handler, item, arrival_ns in self._inbox.take():
+        for handler, item, arrival_ns in self._inbox.drain():
             handler(item, arrival_ns)
 
     def _try_open(self):

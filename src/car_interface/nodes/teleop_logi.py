@@ -63,7 +63,7 @@ class TeleopLogi:
 
     def step(self, now_ns):
         """Take each message with its consequence; then publish if it is time."""
-        for handler, message, arrival_ns in self._inbox.take():
+        for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
             self._publish_if_deadman_changed(arrival_ns)
         if self._timer.is_due(now_ns):

@@ -34,6 +34,7 @@ import rospy
 from std_msgs.msg import Float32, Int32MultiArray
 
 from car_interface.cfg import SteeringTrimConfig
+from car_interface.common import causes
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
 from car_interface.common.servo_channels import one_channel
 from car_interface.msg import SteeringState
@@ -51,9 +52,6 @@ RATE_HZ = 100
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 10, 100
 LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of the way between a servo's ends
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
-# What an owner wants to be warned of: something was there and failed.
-ALARMING = ("human silent", "not re-armed", "teleop silent", "teleop not finite", "planner silent",
-            "planner not finite")
 # rospy sends by a thread of its own, which needs the interpreter: state and log wait until the command has left.
 REPORT_AFTER_NS = 500_000
 
@@ -111,7 +109,7 @@ class TurnArb:
 
     def step(self, now_ns):
         """Take what arrived, news with its consequence; then beat if it is time."""
-        for handler, message, arrival_ns in self._inbox.take():
+        for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
@@ -135,7 +133,7 @@ class TurnArb:
     def _on_teleop(self, message, now_ns):
         self._arbiter.update_teleop(message.data, now_ns)
         if not math.isfinite(message.data):
-            self._warnings.warn("teleop not finite",
+            self._warnings.warn(causes.TELEOP_NOT_FINITE,
                                   f"tele_steer_req is {message.data}: the steering is neutral while it lasts")
         elif abs(message.data) > 1:
             self._warnings.warn("teleop clamped", f"tele_steer_req is {message.data:.3f}: clamped to -1..1")
@@ -143,7 +141,7 @@ class TurnArb:
     def _on_planner(self, message, now_ns):
         self._arbiter.update_planner(message.data, now_ns)
         if not math.isfinite(message.data):
-            self._warnings.warn("planner not finite", f"av_turnrad_req is {message.data}: taken for no request")
+            self._warnings.warn(causes.PLANNER_NOT_FINITE, f"av_turnrad_req is {message.data}: taken for no request")
 
     def _decide(self, now_ns):
         """Publish at once when the decision is another; whether it was."""
@@ -191,15 +189,16 @@ class TurnArb:
         for before, decision in self._pending:
             self._publish_state(decision)
             if before is None or (before.source, before.cause) != (decision.source, decision.cause):
-                log = rospy.logwarn if decision.cause in ALARMING or decision.source == LOCKED else rospy.loginfo
+                log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
                 log("%s: %s", SOURCE_NAMES[decision.source], decision.reason)
         self._pending.clear()
 
     def _report(self, status):
         """Who drives and why, on /diagnostics."""
         decision = self._arbiter.decide(time.monotonic_ns())  # for its ages
-        alarming = decision.source == LOCKED or decision.cause in ALARMING
+        alarming = _is_alarming(decision)
         status.summary(WARN if alarming else OK, f"{SOURCE_NAMES[decision.source]}: {decision.reason}")
+        status.add("cause", decision.cause)
         status.add("duty", decision.duty)
         for name, age_s in (("e_stop", decision.e_stop_age_s), ("human_in_loop", decision.human_age_s),
                             ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s)):
@@ -219,10 +218,15 @@ class TurnArb:
 
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
-            stamp=rospy.Time.now(), source=decision.source, reason=decision.reason, duty=decision.duty,
-            turn_radius=self._arbiter.turn_radius_m(decision.duty),
+            stamp=rospy.Time.now(), source=decision.source, cause=decision.cause, reason=decision.reason,
+            duty=decision.duty, turn_radius=self._arbiter.turn_radius_m(decision.duty),
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,
             planner_age=decision.planner_age_s))
+
+
+def _is_alarming(decision):
+    """Whether somebody has to act: the car is locked, or an input failed."""
+    return decision.source == LOCKED or decision.cause in causes.LOSSES
 
 
 def main():

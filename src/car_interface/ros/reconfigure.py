@@ -123,15 +123,15 @@ class ReconfigureServer:
         if self._kept:
             try:
                 for name, value in self._parameters(self._tuning.accepted).items():
-                    rospy.set_param(self._inbox.own(f"~{name}"), value)
+                    rospy.set_param(self._inbox.resolve_name(f"~{name}"), value)
             except OSError:
                 pass  # without a master nothing is started again either
 
     def _on_request(self, request, now_ns):
         answer = self._tuning.request(request.wanted, now_ns)
         request.answered.set()
-        if answer.complaint:
-            self._warnings.warn("live tuning", answer.complaint)
+        if answer.problem:
+            self._warnings.warn("live tuning", answer.problem)
 
     def _files(self):
         """What ~save shall save: what was accepted, once it is in force."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from car_interface.common import causes
 from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.staleness import TimedInput
 from car_interface.interlock.motion_interlock import MotionInterlock
@@ -22,7 +23,7 @@ NS_PER_S = 1_000_000_000
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
 SOURCE_NAMES = ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
 
-NO_RADIUS_M = 0.001  # a requested radius this close to 0 means "no request", as in the original
+NO_RADIUS_M = 0.001  # a requested radius this close to 0 means causes.NO_REQUEST, as in the original
 FLOAT32_SLACK = 1 + 2 ** -23  # 0.001 arrives from a Float32 as 0.001000000047
 
 
@@ -36,7 +37,7 @@ class Decision(NamedTuple):
 
     source: int
     duty: int
-    cause: str  # the kind of reason: stays the same while the reason's numbers count on
+    cause: str  # one of car_interface.common.causes
     reason: str
     e_stop_age_s: float  # inf = never heard
     human_age_s: float
@@ -120,26 +121,26 @@ class SteeringArbiter:
             return LOCKED if inhibit.locked else NO_HUMAN, center, inhibit.cause, inhibit.reason
         if self._teleop.was_received:
             if self._teleop.is_stale(now_ns):
-                return NEUTRAL, center, "teleop silent", self._teleop.stale_reason(now_ns)
+                return NEUTRAL, center, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns)
             steering = self._teleop.value
             if not math.isfinite(steering):
-                return NEUTRAL, center, "teleop not finite", f"tele_steer_req is {steering}, no number to act on"
+                return NEUTRAL, center, causes.TELEOP_NOT_FINITE, f"tele_steer_req is {steering}, no number to act on"
             if abs(steering - self._config.tele_steer_neutral) > self._config.tele_steer_deadband * FLOAT32_SLACK:
-                return TELEOP, self.teleop_duty(steering), "teleop", f"tele_steer_req is {steering:.3f}"
+                return TELEOP, self.teleop_duty(steering), causes.TELEOP, f"tele_steer_req is {steering:.3f}"
         return self._planner_rule(now_ns)
 
     def _planner_rule(self, now_ns):
         center = self._config.servo_center
         if not self._planner.was_received:
-            return NEUTRAL, center, "no request", "neither tele_steer_req nor av_turnrad_req asks for anything"
+            return NEUTRAL, center, causes.NO_REQUEST, "neither tele_steer_req nor av_turnrad_req asks for anything"
         if self._planner.is_stale(now_ns):
-            return NEUTRAL, center, "planner silent", self._planner.stale_reason(now_ns)
+            return NEUTRAL, center, causes.PLANNER_STALE, self._planner.stale_reason(now_ns)
         radius_m = self._planner.value
         if not math.isfinite(radius_m):
-            return NEUTRAL, center, "planner not finite", f"av_turnrad_req is {radius_m}, no number to act on"
+            return NEUTRAL, center, causes.PLANNER_NOT_FINITE, f"av_turnrad_req is {radius_m}, no number to act on"
         if abs(radius_m) <= NO_RADIUS_M * FLOAT32_SLACK:
-            return NEUTRAL, center, "no radius", "av_turnrad_req is 0, which asks for nothing"
-        return PLANNER, self.planner_duty(radius_m), "planner", f"av_turnrad_req is {radius_m:.3f} m"
+            return NEUTRAL, center, causes.NO_RADIUS, "av_turnrad_req is 0, which asks for nothing"
+        return PLANNER, self.planner_duty(radius_m), causes.PLANNER, f"av_turnrad_req is {radius_m:.3f} m"
 
     def teleop_duty(self, steering: float) -> int:
         """The duty for a gamepad request, clamped to −1..1: linear to each side, and each side by its own scale."""
