@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from car_interface.common import causes
-from car_interface.common.staleness import DROPPED, NS_PER_S, TimedInput
+from car_interface.common.staleness import DROPPED, TimedInput
+from car_interface.common.units import NS_PER_S
 
 HUMAN_TIMEOUT_S = 0.5
 STARTED = "this node has just started"

@@ -23,11 +23,13 @@ from typing import Callable
 import rospy
 
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.units import NS_PER_S
 from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.turn_arb import TurnArb
-from car_interface.ros.runtime import NS_PER_S, Inbox, describe_error, run, spin
+from car_interface.ros.inbox import Inbox
+from car_interface.ros.runtime import describe_error, run, spin
 
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
          "generic_value_converter": GenericValueConverter}
@@ -111,8 +113,7 @@ class CarNodes:
 
     def step(self, now_ns):
         """Start what is due."""
-        for handler, item, arrival_ns in self._inbox.drain():
-            handler(item, arrival_ns)
+        self._inbox.dispatch()
         for part in [part for part, due_ns in self._due_ns.items() if now_ns >= due_ns]:
             del self._due_ns[part]
             part.begin_anew()

@@ -18,7 +18,7 @@ Parameters:
     ~command_timeout 0.5, ~human_timeout 0.5, ~steering_timeout 0.25 (s, 0 = never): for the ESC.
     ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's, for the ESC.
     ~live_range 100 (duty): how far servo/neutral may be tuned while it runs.  ~save_to: the file to save it to.
-Services, with servo/channel set: see ``live``; set_parameters is below ~servo.
+Services, with servo/channel set: see ``ros.reconfigure``; set_parameters is below ~servo.
 """
 from __future__ import annotations
 
@@ -35,14 +35,17 @@ from car_interface.cfg import EscNeutralConfig
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, one_channel
 from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.msg import Control, Float64Stamped, SteeringState
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.reconfigure import ReconfigureServer
-from car_interface.ros.runtime import RateTimer, ThrottledWarnings, advertise, run, subscribe
+from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.topics import advertise, subscribe
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_channel import Throttle, ThrottleConfig, duty_of_value, trimmed
 from car_interface.throttle.value_map import ValueMap, load_value_map

@@ -22,7 +22,7 @@ Parameters (those of the original are also looked up in the namespaces around th
         let go, while e_stop is off or ~e_stop_timeout has passed without it.
     ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
     ~live_range 500 (duty): how far ends and center may be tuned while it runs.  ~save_to: the file to save them to.
-Services: see ``live``.
+Services: see ``ros.reconfigure``.
 """
 from __future__ import annotations
 
@@ -36,14 +36,17 @@ from std_msgs.msg import Float32, Int32MultiArray
 from car_interface.cfg import SteeringTrimConfig
 from car_interface.common import causes
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import one_channel
 from car_interface.msg import SteeringState
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.master_watch import MasterWatch
 from car_interface.ros.reconfigure import ReconfigureServer
-from car_interface.ros.runtime import RateTimer, ThrottledWarnings, advertise, run, subscribe_changes
+from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.topics import advertise, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, SteeringArbiter
 from car_interface.steering.calibration import SteeringConfig, trimmed
 from car_interface.steering.params import read_config as read_steering
@@ -109,8 +112,7 @@ class TurnArb:
 
     def step(self, now_ns):
         """Take what arrived, news with its consequence; then beat if it is time."""
-        for handler, message, arrival_ns in self._inbox.drain():
-            handler(message, arrival_ns)
+        self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
         elif self._pending and now_ns >= self._report_ns:
