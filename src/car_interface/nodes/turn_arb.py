@@ -47,9 +47,9 @@ from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe_changes
-from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, SteeringArbiter
-from car_interface.steering.calibration import SteeringConfig, trimmed
-from car_interface.steering.params import read_config as read_steering
+from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
+from car_interface.steering.calibration import SteeringCalibration, trimmed
+from car_interface.steering.params import read_arbiter, read_calibration
 
 RATE_HZ = 100
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 10, 100
@@ -64,11 +64,13 @@ class TurnArbConfig:
     """What the node's parameters say.
 
     Attributes:
-        steering: the calibration, and the rules of who steers.
-        tuning: how far it may be tuned while the car drives, and where that is saved.
+        calibration: servo ends, center and tables.
+        arbiter: the rules of who steers.
+        tuning: how far the calibration may be tuned while the car drives, and where it is saved.
     """
 
-    steering: SteeringConfig
+    calibration: SteeringCalibration
+    arbiter: ArbiterConfig
     tuning: TuningSettings
 
 
@@ -78,8 +80,10 @@ def read_config(params) -> TurnArbConfig:
     Raises:
         ConfigError: naming the parameter.
     """
-    tuning = read_tuning(params, LIVE_RANGE)
-    return TurnArbConfig(steering=read_steering(params), tuning=tuning)
+    config = TurnArbConfig(tuning=read_tuning(params, LIVE_RANGE), calibration=read_calibration(params),
+                           arbiter=read_arbiter(params))
+    params.finish()
+    return config
 
 
 class TurnArb:
@@ -88,8 +92,8 @@ class TurnArb:
     def __init__(self, params, inbox):
         config = read_config(params)
         now_ns = time.monotonic_ns()
-        self._arbiter = SteeringArbiter(config.steering)
-        self._channel = config.steering.servo_channel
+        self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
+        self._channel = config.calibration.servo_channel
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
         self._timer = RateTimer(RATE_HZ, now_ns)
@@ -108,7 +112,7 @@ class TurnArb:
         subscribe_interlock(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
-        self._reconfigure = self._offer_tuning(config.steering, config.tuning)
+        self._reconfigure = self._offer_tuning(config)
 
     def step(self, now_ns):
         """Take what arrived, news with its consequence; then beat if it is time."""
@@ -156,21 +160,22 @@ class TurnArb:
         self._publish_command(decision)
         return True
 
-    def _offer_tuning(self, config, settings):
-        """Have ends and center tuned while the car drives. All is worked out from the calibration at start."""
-        start = {name: getattr(config, name) for name in ("servo_left", "servo_center", "servo_right")}
-        rate = min(config.slew_limit or LIVE_RATE, LIVE_RATE)
-        tuning = Tuning(start, settings.reach, rate, lambda values: trimmed(config, **values))
+    def _offer_tuning(self, config):
+        """Have ends and center tuned while the car drives, relative to the calibration at start."""
+        calibration, settings = config.calibration, config.tuning
+        start = {name: getattr(calibration, name) for name in ("servo_left", "servo_center", "servo_right")}
+        rate = min(config.arbiter.slew_limit or LIVE_RATE, LIVE_RATE)
+        tuning = Tuning(start, settings.reach, rate, lambda values: trimmed(calibration, **values))
 
         def apply(values):
-            self._arbiter.calibrate(trimmed(config, **values))
+            self._arbiter.calibrate(trimmed(calibration, **values))
             self._neutral = duty_vector(one_channel(self._channel, values["servo_center"]))
             self._neutrals.publish(self._neutral)
 
         def parameters(values):
-            moved = trimmed(config, **values)
-            return {**values, "k_pwmcmd_left_table_servo": list(moved.left_duties),
-                    "k_pwmcmd_right_table_servo": list(moved.right_duties)}
+            scaled = trimmed(calibration, **values)
+            return {**values, "k_pwmcmd_left_table_servo": list(scaled.left_duties),
+                    "k_pwmcmd_right_table_servo": list(scaled.right_duties)}
 
         return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, SteeringTrimConfig,
                                  settings.save_to)
@@ -221,7 +226,7 @@ class TurnArb:
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
             stamp=rospy.Time.now(), source=decision.source, cause=decision.cause, reason=decision.reason,
-            duty=decision.duty, turn_radius=self._arbiter.turn_radius_m(decision.duty),
+            duty=decision.duty, turn_radius=self._arbiter.calibration.turn_radius_m(decision.duty),
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,
             planner_age=decision.planner_age_s))
 
