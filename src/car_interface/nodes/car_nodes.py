@@ -1,15 +1,14 @@
-"""turn_arb, pca9685, teensy_sensor_hub and generic_value_converter as one process: for a computer with little memory.
+"""The car_nodes process: turn_arb, pca9685, teensy_sensor_hub and generic_value_converter in one, to save memory.
 
-Each is the same node class as in a process of its own, with the same topics, services, parameters and reports under its
-own name, and with a thread that decides and publishes. What they share is one interpreter, and one name on the ROS
-graph.
+Each is the same node class as in a process of its own, with the same topics, services, parameters and diagnostics under
+its own name, and with a thread that decides and publishes. They share one interpreter and one name on the ROS graph.
 
-A part that ends by a fault is shut down, taken off the graph and started anew after a second, as roslaunch's respawn
-does; the others go on. A parameter that a part refuses as it starts for the first time ends the process, likewise a
-device that is required and missing.
+A node that ends by an error is shut down, taken off the graph and started again after a second, as roslaunch's respawn
+does; the others go on. A parameter that a node refuses at its first start ends the process, likewise a device that is
+required and missing.
 
 Parameters:
-    None of its own: each part has those below its own name.
+    None of its own: each node has those below its own name.
 """
 from __future__ import annotations
 
