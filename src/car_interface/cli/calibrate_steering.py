@@ -40,7 +40,7 @@ from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import LookupTable, check_axis
 from car_interface.common.package_files import package_file
 from car_interface.recordings import signals
-from car_interface.steering.calibration import WIDE_M, SteeringConfig
+from car_interface.steering.calibration import WIDE_M, SteeringCalibration
 from car_interface.steering.params import load_steering
 
 BASE = "config/turn_arb.yaml"
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def calibrate(options: argparse.Namespace, base: SteeringConfig) -> Calibrated:
+def calibrate(options: argparse.Namespace, base: SteeringCalibration) -> Calibrated:
     """The calibration that recordings support.
 
     Raises:
