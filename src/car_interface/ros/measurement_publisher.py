@@ -23,7 +23,7 @@ from car_interface.steering.monitor import SteeringCheck
 from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.clock import ClockConfig
 from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
-from car_interface.teensy.sensing.odometry import SHORTEST_M, OdometryConfig
+from car_interface.teensy.sensing.odometry import MIN_LENGTH_M, OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig
 from car_interface.teensy.sensing.ranging import INF, MAX_RANGE, MAX_TIMEOUT_MS, USUAL_TIMEOUT_MS, RangingConfig
 
@@ -297,7 +297,7 @@ class RosClock:
 def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) -> MeasurementConfig:
     """The sensors' configuration from the node's parameters."""
     pulses = params.integer("pulses_per_revolution", 20, low=1, high=10_000)
-    diameter_m = params.number("wheel_diameter", 0.095, low=SHORTEST_M, high=10)
+    diameter_m = params.number("wheel_diameter", 0.095, low=MIN_LENGTH_M, high=10)
     # Whatever the sonars do, pongs come with the pings, of which one may be lost.
     max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * ping_period_s))
     return MeasurementConfig(
@@ -306,8 +306,8 @@ def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) ->
         clock=ClockConfig(baud=baud),
         odometry=OdometryConfig(
             pulses_per_revolution=pulses, wheel_diameter_m=diameter_m,
-            track_m=params.number("track", 0.296, low=SHORTEST_M, high=10),
-            wheelbase_m=params.number("wheelbase", 0.324, low=SHORTEST_M, high=10), use_steering=uses_steering,
+            track_m=params.number("track", 0.296, low=MIN_LENGTH_M, high=10),
+            wheelbase_m=params.number("wheelbase", 0.324, low=MIN_LENGTH_M, high=10), use_steering=uses_steering,
             distance_sigma=params.number("distance_sigma", 0.02, low=0.0, high=1),
             heading_sigma=params.number("heading_sigma", 0.01, low=0.0, high=1)),
         ranging=RangingConfig(
