@@ -40,7 +40,8 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.servo_channels import CHANNELS, UNCHANGED
 from car_interface.ros.runtime import NS_PER_S, RateTimer, ThrottledWarnings, run, subscribe
 from car_interface.ros.virtual_line import VirtualLine
-from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 

@@ -7,7 +7,9 @@ import struct
 import pytest
 
 import captures
-from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware, frame_body
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_transmitter import frame_body
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED
 from car_interface.teensy.link.health import ABSENT, BAD_CHECKSUMS, FINE, NO_PONGS, REBOOTED, SILENT, WAITING
 from car_interface.teensy.link.pinging import AUTO, Answer

@@ -7,8 +7,10 @@ import pytest
 
 from captures import NS_PER_US, load
 from car_interface.common.errors import ConfigError
-from car_interface.sim.teensy_firmware import FORWARD as ROLLS_FORWARD
-from car_interface.sim.teensy_firmware import LEFT, RIGHT, FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_wheels import FORWARD as ROLLS_FORWARD
+from car_interface.sim.teensy_wheels import LEFT, RIGHT
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.pinging import Answer, Pinger
 from car_interface.teensy.link.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus, decode
