@@ -3,29 +3,10 @@ from __future__ import annotations
 
 from typing import Iterable, NamedTuple, Sequence
 
+from car_interface.common.device_access import SETUP_REMEDY, Membership
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
 
-SET_UP = "rosrun car_interface setup_hardware, then log in anew"
-
 # --- groups ---
-
-
-class Membership(NamedTuple):
-    """Who runs this, and in which groups.
-
-    Attributes:
-        user: the name.
-        is_root: root may open everything.
-        of_process: the groups of this process: those of the log-in.
-        of_user: the groups that /etc/group gives the user: those of the next log-in.
-        existing: all groups that there are.
-    """
-
-    user: str
-    is_root: bool
-    of_process: frozenset
-    of_user: frozenset
-    existing: frozenset
 
 
 class Need(NamedTuple):
@@ -59,8 +40,8 @@ def _outside(who, need):
         return Finding(need.level, "groups", f"{who.user} joined {need.group} ({need.purpose}) after this log-in",
                        f"Log in anew; for this terminal alone: newgrp {need.group}")
     if need.group not in who.existing:
-        return Finding(need.level, "groups", f"there is no group {need.group} ({need.purpose})", SET_UP)
-    return Finding(need.level, "groups", f"{who.user} is not in {need.group} ({need.purpose})", SET_UP)
+        return Finding(need.level, "groups", f"there is no group {need.group} ({need.purpose})", SETUP_REMEDY)
+    return Finding(need.level, "groups", f"{who.user} is not in {need.group} ({need.purpose})", SETUP_REMEDY)
 
 
 # --- clock ---

@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Sequence
 
+from car_interface.common.device_access import SETUP_COMMAND
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.console import PROGRAMS, take_off
@@ -32,8 +33,7 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
                                       "this master and namespace",
                         "See the nodes above; or run the doctor with that node's ROS_MASTER_URI, and --ns")]
     if "ModemManager" in programs:
-        remedy = ("It tries every new port. Keep it off: rosrun car_interface setup_hardware, "
-                  "then plug the Teensy in anew")
+        remedy = f"It tries every new port. Keep it off: {SETUP_COMMAND}, then plug the Teensy in anew"
     elif set(programs) & set(PROGRAMS):
         remedy = f"That is a log-in console: {take_off(path)}"
     else:

@@ -7,16 +7,15 @@ import grp
 import importlib
 import importlib.metadata
 import os
-import pwd
 import socket
 import sys
 import time
 from typing import Callable
 
+from car_interface.common.device_access import read_membership
 from car_interface.doctor.checks.computer import (
     ClockReading,
     Library,
-    Membership,
     Need,
     check_clock,
     check_groups,
@@ -58,7 +57,7 @@ def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool):
         needs.append(Need(group_of(bus, "i2c"), "the servo board's bus", BAD))
     if any(not os.access(path, os.R_OK) for path in glob.glob("/dev/input/js*")):
         needs.append(Need("input", "the gamepad", WARN))
-    return check_groups(_membership(), list(dict.fromkeys(needs)))
+    return check_groups(read_membership(), list(dict.fromkeys(needs)))
 
 
 def group_of(path: str, usual: str) -> str:
@@ -68,21 +67,6 @@ def group_of(path: str, usual: str) -> str:
         return grp.getgrgid(gid).gr_name if gid and not is_consoles(path) else usual
     except (OSError, KeyError):
         return usual
-
-
-def _membership():
-    groups = grp.getgrall()
-    try:
-        entry = pwd.getpwuid(os.geteuid())
-        user, primary = entry.pw_name, entry.pw_gid
-    except KeyError:
-        user, primary = str(os.geteuid()), os.getegid()
-    of_process = {os.getegid(), *os.getgroups()}
-    return Membership(
-        user=user, is_root=os.geteuid() == 0,
-        of_process=frozenset(group.gr_name for group in groups if group.gr_gid in of_process),
-        of_user=frozenset(group.gr_name for group in groups if user in group.gr_mem or group.gr_gid == primary),
-        existing=frozenset(group.gr_name for group in groups))
 
 
 def probe_clock(uses_sim_time: bool):

@@ -3,10 +3,10 @@ from __future__ import annotations
 
 import pytest
 
+from car_interface.common.device_access import Membership
 from car_interface.doctor.checks.computer import (
     ClockReading,
     Library,
-    Membership,
     Need,
     check_clock,
     check_groups,
