@@ -36,7 +36,7 @@ def computer(monkeypatch):
     ({"mode": OWNERS_ONLY}, "nor has its group, dialout", SETUP_COMMAND),
     ({"gid": 0}, "open to root only", SETUP_COMMAND),
     ({"gid": 987}, "ann is not in its group, 987", "sudo usermod -aG 987 ann"),
-], ids=["not_in_the_group", "joined_after_the_log_in", "in_the_group", "open_to_no_group", "root_s", "nameless_group_s"])
+], ids=["not_in_the_group", "joined_after_the_log_in", "in_the_group", "open_to_no_group", "root_s", "nameless"])
 def test_denial_is_explained_with_its_remedy(computer, facts, cause, remedy):
     computer(**facts)
     explained = explain_denial("/dev/x")
