@@ -29,7 +29,10 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from car_interface.sim.line import BitErrors
-from car_interface.sim.teensy_firmware import BACKWARD, ECHO_RISE_US, FORWARD, FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_sonars import ECHO_RISE_US
+from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.link.framing import RESYNC_FILLER, SHIPPED, FrameDecoder, encode
 from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import (

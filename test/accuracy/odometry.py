@@ -22,7 +22,8 @@ from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import Callable
 
-from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import Vehicle, VehicleConfig, true_acceleration_mps2
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder, encode
 from car_interface.teensy.link.protocol import SonarStatus, WheelStatus, decode, wheel_reset

@@ -16,7 +16,9 @@ import random
 import sys
 from typing import NamedTuple
 
-from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode

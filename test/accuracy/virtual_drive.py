@@ -22,7 +22,9 @@ import numpy as np
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from car_interface.sim.teensy_firmware import BACKWARD, FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_wheels import BACKWARD
 from car_interface.sim.vehicle import (
     GRAVITY_MPS2,
     DriveConfig,

@@ -20,8 +20,8 @@ import shutil
 import subprocess
 import sys
 
-import rospkg
-
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.package_files import package_file
 from car_interface.host_setup.plan import RULES_FOLDER, RULES_NAME, Computer, plan, remarks
 
 # A user's PATH often lacks these, where the commands are.
@@ -77,10 +77,10 @@ def main():
     options = parser.parse_args([argument for argument in sys.argv[1:] if ":=" not in argument])
     user = options.user or os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
     try:
-        rules = os.path.join(rospkg.RosPack().get_path("car_interface"), "udev", RULES_NAME)
+        rules = str(package_file(f"udev/{RULES_NAME}"))
         computer = look(user, rules)
-    except rospkg.ResourceNotFound:
-        sys.exit("the package car_interface isn't found: source the workspace (sudo forgets it: run this without)")
+    except CarInterfaceError as error:
+        sys.exit(str(error))
     except KeyError:
         sys.exit(f"there is no user {user}")
     steps = plan(computer, rules)

@@ -44,7 +44,8 @@ from car_interface.ros.runtime import run
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import subscribe
 from car_interface.ros.virtual_line import VirtualLine
-from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 

@@ -33,6 +33,7 @@ import rospy
 import smbus2
 from std_msgs.msg import Int32MultiArray
 
+from car_interface.common.device_access import explain_denial
 from car_interface.common.errors import DeviceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
@@ -356,7 +357,7 @@ def _explain(device, address, error):
     if error.errno == errno.EAGAIN:
         return "another pca9685 node has this board", "See which: rosnode list"
     if error.errno in (errno.EACCES, errno.EPERM):
-        return "no permission to use the bus", "Once: rosrun car_interface setup_hardware, then log in anew"
+        return explain_denial(device)
     if error.errno in (errno.ENOTTY, errno.EISDIR, errno.EINVAL):
         return "this is not an I2C bus", "Set ~device to one of: ls /dev/i2c-*"
     if error.errno in (errno.EREMOTEIO, errno.ENXIO, errno.EIO, errno.ETIMEDOUT):

@@ -48,38 +48,27 @@ from std_srvs.srv import Trigger
 from car_interface.common.errors import ConfigError, DeviceError, ProtocolError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
-from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
+from car_interface.msg import Distance, Error, OneWheel, Pong, Wheel
 from car_interface.ros.diagnostics import Diagnostics
 from car_interface.ros.keyboard import Keys
+from car_interface.ros.link_status import LinkStatusPublisher
 from car_interface.ros.measurement_publisher import MeasurementPublisher, Settings, read_settings
 from car_interface.ros.runtime import run
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, has_subscribers, serve
 from car_interface.srv import SetSonarSequence, SetSonarWait
 from car_interface.teensy.link import protocol
-from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED, FrameDecoder, encode
-from car_interface.teensy.link.health import (
-    FINE,
-    LINK_REPORT,
-    OK,
-    REBOOTED,
-    SONAR_FAULT,
-    WAITING,
-    WARN,
-    Counts,
-    LinkHealth,
-    TeensyClock,
-    Verdict,
-)
-from car_interface.teensy.link.pinging import AUTO, Pinger
+from car_interface.teensy.link.framing import CORRECTED, SHIPPED
+from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING
+from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.port import SerialLink
+from car_interface.teensy.link.session import ChecksumChanged, PongReceived, Rebooted, Session
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
 
 QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
 LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So much at once that is no frames is a flood
 SHORTEST_REST_NS = NS_PER_S // 250
-MAX_COUNTERS = 64  # the firmware has 27; noise that passes for a counter must not make them more and more
 COUNTERS_PERIOD_NS = NS_PER_S  # asked more often, the answers starve the Teensy's buffers
 NOT_OPEN = (False, "the Teensy's port is not open")
 KEY_HELP = "keys: P ping, S sonar start, N sonar stop, R wheel reset, C counters, X sonars 0 1 5, Y all sonars, Q quit"
@@ -136,15 +125,12 @@ class TeensySensorHub:
     def __init__(self, params, inbox):
         now_ns = time.monotonic_ns()
         config = read_config(params)
-        port, baud, settings = config.port, config.baud, config.settings
+        settings = config.settings
         self._measurements = None if config.raw_only else MeasurementPublisher(settings, inbox)
-        self._port = port
-        self._link = SerialLink(port, baud)
-        self._health = LinkHealth(baud)
-        self._clock = TeensyClock()
+        self._port = config.port
+        self._link = SerialLink(config.port, config.baud)
+        self._session = Session(config.baud, round(settings.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
         self._sonars = SonarMonitor(config.sonar_restart_s, config.sonar_sequence)
-        self._decoder = FrameDecoder()
-        self._pinger = Pinger(round(settings.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
         self._retry_ns = FIRST_RETRY_NS
@@ -154,16 +140,12 @@ class TeensySensorHub:
         self._watched_fd = None
         self._rest_until_ns = 0
         self._corrupt = 0
-        self._openings = 0
-        self._records_at_expiry = 0
-        self._unknown_commands = 0
-        self._counters = {}  # the Teensy's, by name, as it last sent them
-        self._round_trip_ns = math.nan
         self._link_timer = RateTimer(1, now_ns)
-        self._link_status = advertise("~link", LinkStatus, inbox, latch=True)
-        self._diagnostics = Diagnostics(inbox, f"Teensy on {port}", {
-            LINK_REPORT: self._report, **(self._measurements.reports if self._measurements else {})}, now_ns)
-        self._publish = self._publishers()
+        self._link_status = LinkStatusPublisher(config.port, self._link, self._session, self._sonars, inbox)
+        self._diagnostics = Diagnostics(inbox, f"Teensy on {config.port}", {
+            LINK_REPORT: self._link_status.report, **(self._measurements.reports if self._measurements else {})},
+            now_ns)
+        self._handlers = self._event_handlers()
         if config.required:
             self._open()
         self._services()
@@ -182,8 +164,8 @@ class TeensySensorHub:
         if self._has_keys:
             rospy.loginfo(KEY_HELP)
 
-    def _publishers(self):
-        """What to do with each kind of record, and when it was read: first pass it on as it is."""
+    def _event_handlers(self):
+        """What to do with each kind of event, and when it was read; records are first passed on as they are."""
         pong = advertise("teensy_pong", Pong, self._inbox, QUEUE_SIZE).publish
         wheel = advertise("teensy_wheel", Wheel, self._inbox, QUEUE_SIZE)
         distance = advertise("teensy_distance", Distance, self._inbox, QUEUE_SIZE)
@@ -193,11 +175,12 @@ class TeensySensorHub:
         turned, echo = Wheel(OneWheel(), OneWheel()), Distance()
         left, right = turned.left, turned.right
 
-        def on_pong(record, received_ns):
+        def on_pong(event, received_ns):
+            record, answer = event
             pong(*record)
-            self._on_tick(record.timestamp2, received_ns)
             self._sonars.tick(record.timestamp2, received_ns)
-            answer = self._answered(record, received_ns)
+            if answer is not None:
+                self._answer_ping(record.timestamp1, True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms")
             if measurements:
                 measurements.pong(record, answer, received_ns)
 
@@ -213,17 +196,13 @@ class TeensySensorHub:
             if has_subscribers(distance):
                 echo.sensor, echo.distance, echo.when = record
                 distance.publish(echo)
-            self._on_tick(record.when, received_ns)
             is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
             if measurements:
                 measurements.sonar(record, received_ns, is_trusted)
 
-        def on_counter(record, received_ns):
-            error(*record)
-            self._on_counter(record)
-
-        return {protocol.Pong: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
-                protocol.ErrorCount: on_counter, protocol.Malformed: self._on_malformed}
+        return {PongReceived: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
+                protocol.ErrorCount: lambda record, received_ns: error(*record),
+                protocol.Malformed: self._on_malformed, Rebooted: self._on_reboot}
 
     def _services(self):
         for name, action in (("sonar_start", self._start_sonars), ("sonar_stop", self._stop_sonars),
@@ -250,7 +229,7 @@ class TeensySensorHub:
         if self._link_timer.is_due(now_ns):
             self._judge()
             self._judge_sonars()
-            self._publish_link_status()
+            self._link_status.publish()
         self._diagnostics.step(now_ns)
         return min(self._link_timer.due_ns, self._diagnostics.due_ns, port_ns,
                    self._measurements.due_ns if self._measurements else math.inf)
@@ -271,7 +250,7 @@ class TeensySensorHub:
     def _next_port_event_ns(self):
         if not self._link.is_open:
             return self._next_try_ns
-        ping_ns = self._pinger.next_event_ns()
+        ping_ns = self._session.next_event_ns()
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
@@ -293,18 +272,14 @@ class TeensySensorHub:
     def _open(self):
         """Open the port, bring the Teensy's receiver in step, and ping it."""
         self._link.open()
-        self._openings += 1
-        self._decoder.reset()
         self._rest_until_ns = 0
         self._watch_port(True)
         rospy.loginfo("the Teensy's port is open")
         now_ns = time.monotonic_ns()
-        self._health.opened(self._counts(), now_ns)
+        self._session.opened(now_ns)
         self._sonars.opened(now_ns)
-        self._publish_link_status()
-        self._pinger.restart(now_ns)
-        if self._write(RESYNC_FILLER):
-            self._ping()
+        self._link_status.publish()
+        self._ping()
 
     def _plan_retry(self):
         self._next_try_ns = time.monotonic_ns() + self._retry_ns
@@ -324,7 +299,7 @@ class TeensySensorHub:
         self._watch_port(False)
         self._link.close()
         for timestamp1 in list(self._waiting):
-            self._report_pending(timestamp1, (False, reason))
+            self._answer_ping(timestamp1, False, reason)
 
     def _read(self, began_ns):
         try:
@@ -338,18 +313,18 @@ class TeensySensorHub:
         if not data:
             return
         self._retry_ns = FIRST_RETRY_NS
-        noise_bytes = self._decoder.tally.noise_bytes
-        for body in self._decoder.feed(data):
-            record = protocol.decode(body)
+        tally = self._session.tally
+        noise_bytes = tally.noise_bytes
+        for event in self._session.receive(data, received_ns):
             self._sonars.frame(received_ns)
-            self._publish[type(record)](record, received_ns)
-        noise_bytes = self._decoder.tally.noise_bytes - noise_bytes
+            self._handlers[type(event)](event, received_ns)
+        noise_bytes = tally.noise_bytes - noise_bytes
         if noise_bytes:
             self._note_noise(noise_bytes, len(data), began_ns)
 
     def _note_noise(self, noise_bytes, read_bytes, began_ns):
         """Corrupt frames are told; what is mostly noise gets a rest."""
-        corrupt = self._decoder.tally.bad_frames - self._corrupt
+        corrupt = self._session.tally.bad_frames - self._corrupt
         if corrupt:
             self._corrupt += corrupt
             self._warnings.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
@@ -370,10 +345,10 @@ class TeensySensorHub:
 
     def _note_failure(self, error):
         """Say at once that the port is gone; that it still is can wait for the next second."""
-        before = self._health.verdict.state
-        self._health.port_fails(error.state, error.cause, error.remedy)
+        before = self._session.verdict.state
+        self._session.port_failed(error.state, error.cause, error.remedy)
         if error.state != before:
-            self._publish_link_status()
+            self._link_status.publish()
 
     def _write(self, data):
         """Send; whether the port took it."""
@@ -385,66 +360,41 @@ class TeensySensorHub:
         return True
 
     def _ping_when_due(self, now_ns):
-        if now_ns < self._pinger.next_event_ns():
+        if now_ns < self._session.next_event_ns():
             return
-        before = self._pinger.checksum
-        records = self._counts().records
-        for timestamp1 in self._pinger.expire(now_ns, heard=records > self._records_at_expiry):
-            self._records_at_expiry = records
-            self._report_pending(timestamp1, (False, "no pong came back"))
-            self._warnings.warn("ping", "a ping went unanswered")
-        if self._pinger.checksum != before:
-            self._warnings.warn("checksum",
-                                  f"no ping is answered: trying the checksum of a {self._pinger.checksum} firmware")
-        if now_ns >= self._pinger.due_ns:
+        for event in self._session.expire(now_ns):
+            if isinstance(event, ChecksumChanged):
+                self._warnings.warn("checksum",
+                                    f"no ping is answered: trying the checksum of a {event.checksum} firmware")
+            else:
+                self._answer_ping(event.timestamp1, False, "no pong came back")
+                self._warnings.warn("ping", "a ping went unanswered")
+        if now_ns >= self._session.ping_due_ns:
             self._ping()
 
     def _ping(self):
-        """Send a ping stamped with ROS time in ms, which is all that fits; the pinger keeps when that really was."""
+        """Send a ping stamped with ROS time in ms, which is all that fits; the session keeps when that really was."""
         timestamp1 = rospy.Time.now().to_nsec() // 1_000_000 % protocol.UINT32
-        self._write(self._pinger.ping(timestamp1, time.monotonic_ns()))
+        self._write(self._session.ping(timestamp1, time.monotonic_ns()))
         return timestamp1
 
-    def _answered(self, record, received_ns):
-        """The ping that a pong answers, ``None`` when there is none; whoever waits for it is told."""
-        answer = self._pinger.pong(record.timestamp1, received_ns)
-        if answer is not None:
-            self._round_trip_ns = answer.round_trip_ns
-            self._report_pending(record.timestamp1, (True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms"))
-        return answer
-
-    def _on_tick(self, tick, received_ns):
-        reboot = self._clock.tick(tick, received_ns)
-        if reboot is not None:
-            self._health.rebooted(reboot, received_ns)
-            self._sonars.rebooted(received_ns)
-            self._pinger.retry_now()
-            self._warnings.warn("rebooted", f"the Teensy rebooted: {reboot}")
-
-    def _on_counter(self, record):
-        if record.name in self._counters or len(self._counters) < MAX_COUNTERS:
-            self._counters[record.name] = record.count
+    def _on_reboot(self, event, received_ns):
+        self._sonars.rebooted(received_ns)
+        self._warnings.warn("rebooted", f"the Teensy rebooted: {event.description}")
 
     def _on_malformed(self, record, received_ns):
-        self._unknown_commands += record.reason.startswith("unknown command")
         self._warnings.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
-
-    def _counts(self):
-        tally = self._decoder.tally
-        return Counts(bytes_in=tally.bytes_in, records=tally.frames - self._warnings.counts["malformed"],
-                      bad_frames=tally.bad_frames, bad_checksums=tally.bad_checksum,
-                      pings_in_vain=self._pinger.unanswered_in_a_row)
 
     def _judge(self):
         """Find out how the link does, and say so when that is news, or still bad; a failing port says so by itself."""
         if not self._link.is_open:
             return
-        before = self._health.verdict
-        verdict = self._health.judge(self._counts(), time.monotonic_ns())
+        before = self._session.verdict
+        verdict = self._session.judge(time.monotonic_ns())
         is_news = verdict.state != before.state
         if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was told as it was noticed
             self._warnings.warn(verdict.state, f"Teensy on {self._port}: {verdict.words}. {verdict.next_step}",
-                                  int(is_news))
+                                int(is_news))
         elif verdict.state == FINE and is_news:
             rospy.loginfo("Teensy on %s: %s", self._port, verdict.words)
 
@@ -462,46 +412,10 @@ class TeensySensorHub:
             words, next_step = describe(faults)
             self._warnings.warn(f"sonars {sorted(str(fault.sensor) for fault in faults)}", f"{words}. {next_step}")
 
-    def _verdict(self):
-        """Of the link, and where it is fine, of the sonars behind it."""
-        verdict = self._health.verdict
-        faults = self._sonars.faults(time.monotonic_ns()) if verdict.level == OK and self._link.is_open else ()
-        return Verdict(SONAR_FAULT, WARN, *describe(faults)) if faults else verdict
-
-    def _publish_link_status(self):
-        self._link_status.publish(self._status())
-
-    def _status(self):
-        tally, verdict = self._decoder.tally, self._verdict()
-        return LinkStatus(
-            stamp=rospy.Time.now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
-            words=verdict.words, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
-            malformed_frames=self._warnings.counts["malformed"], unknown_commands=self._unknown_commands,
-            noise_bytes=tally.noise_bytes, resyncs=self._openings + self._pinger.resyncs,
-            reconnects=max(0, self._openings - 1), reboots=self._clock.reboots, pings=self._pinger.sent,
-            pongs=self._pinger.answered, round_trip=self._round_trip_ns / NS_PER_S,
-            firmware_checksum=self._pinger.checksum, sonar_starts=self._sonars.starts,
-            dropped_sonars=list(self._sonars.dropped),
-            counters=[Error(count, name) for name, count in sorted(self._counters.items())])
-
-    def _report(self, report):
-        """The link's line on /diagnostics."""
-        status = self._status()
-        report.summary(status.level, f"{status.words}. {status.next_step}" if status.next_step else status.words)
-        report.add("state", status.state)
-        report.add("port", self._port)
-        report.add("round trip", "never measured" if math.isnan(status.round_trip) else
-                   f"{status.round_trip * 1e3:.1f} ms")
-        for name in ("frames", "bad_frames", "malformed_frames", "unknown_commands", "noise_bytes", "resyncs",
-                     "reconnects", "reboots", "pings", "pongs", "firmware_checksum", "sonar_starts"):
-            report.add(name.replace("_", " "), getattr(status, name))
-        for counter in status.counters:
-            report.add(f"Teensy's {counter.name}", counter.count)
-        return report
-
-    def _report_pending(self, timestamp1, result):
+    def _answer_ping(self, timestamp1, success, message):
+        """Answer the ~ping calls that wait for this ping's pong."""
         for future in self._waiting.pop(timestamp1, ()):
-            future.set_result(result)
+            future.set_result((success, message))
 
     def _ping_and_wait(self):
         if not self._link.is_open:
@@ -514,7 +428,7 @@ class TeensySensorHub:
 
     def _send(self, body):
         """Send a command; (success, message) for a service."""
-        if self._link.is_open and self._write(encode(body, self._pinger.checksum)):
+        if self._link.is_open and self._write(self._session.encode(body)):
             return True, "sent"
         return NOT_OPEN
 

@@ -25,7 +25,7 @@ from car_interface.steering.monitor import SteeringCheck
 from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.clock import ClockConfig
 from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
-from car_interface.teensy.sensing.odometry import SHORTEST_M, OdometryConfig
+from car_interface.teensy.sensing.odometry import MIN_LENGTH_M, OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig
 from car_interface.teensy.sensing.ranging import INF, MAX_RANGE, MAX_TIMEOUT_MS, USUAL_TIMEOUT_MS, RangingConfig
 
@@ -36,7 +36,6 @@ WHEEL_JOINTS = ("rear_left_wheel", "rear_right_wheel")
 # Of the virtual car: x and y from the middle of the rear axle, in m, and where it looks, in rad.
 MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0], "front_left": [0.40, 0.10, 0.524],
           "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
-MAX_PENDING = 10  # reports of the wheels: what is passed on as it is shall not wait for long behind them
 MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's worth a warning
 SLOWEST_ODOM_HZ = 0.1
 SAME_OFFSET_NS = 200_000  # the system's clock is slewed by 0.5 ms a second at most
@@ -92,15 +91,14 @@ class MeasurementPublisher:
         config = settings.config
         self._settings = settings
         self._ranging = config.ranging
-        self._measurements = Measurements(config)
+        self._measurements = Measurements(config, self._on_motion)
         self._ros_clock = RosClock()
         self._steering_check = SteeringCheck()
         self._warnings = ThrottledWarnings()
         self._sync = None
         self._counted = (0, 0)
-        self._reports: list[tuple] = []  # of the wheels, with their times: they came too soon after the last odometry
-        self._pending = None  # the newest motion, if nobody was told yet
-        self._turn = RateTimer(settings.odom_rate_hz, 0)  # of the next motion
+        self._pending = None  # the newest motion, while it isn't published
+        self._motion_timer = RateTimer(settings.odom_rate_hz, 0)
         self._prepare_messages()
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
         self._joints = advertise("joint_states", JointState, inbox, QUEUE_SIZE)
@@ -126,7 +124,6 @@ class MeasurementPublisher:
 
     def pong(self, record, answer, received_ns: int) -> None:
         """Take a pong, with the ping that it answers or ``None``; publish how the clocks relate."""
-        self._catch_up()
         sync = self._measurements.pong(record, answer, received_ns)
         if sync is None:
             return
@@ -140,7 +137,6 @@ class MeasurementPublisher:
 
     def sonar(self, record, received_ns: int, is_trusted: bool) -> None:
         """Take a sonar's report; publish its range, if it is one."""
-        self._catch_up()
         measured = self._measurements.sonar(record, received_ns, is_trusted)
         if measured is None or not has_subscribers(self._ranges[measured.sensor]):
             return
@@ -151,38 +147,32 @@ class MeasurementPublisher:
         self._ranges[measured.sensor].publish(message)
 
     def wheels(self, record, received_ns: int) -> None:
-        """Take a report of the wheels. It may wait for others: several in a row cost less than one by one."""
-        self._reports.append((record, received_ns))
-        if self._turn.is_due(received_ns):
+        """Take a report of the wheels; it may wait in the measurements' queue until a motion is due."""
+        self._measurements.queue_wheels(record, received_ns)
+        if self._motion_timer.is_due(received_ns):
             self._report_motion()
-        elif len(self._reports) == MAX_PENDING:
-            self._catch_up()
+
+    def _on_motion(self, measured, received_ns):
+        motion = measured.motion
+        self._steering_check.update_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
+        self._pending = measured
 
     @property
     def due_ns(self) -> float:
         """When the next step is due: reports that came too soon wait for another one, but not for long."""
-        return self._turn.due_ns + self._turn.period_ns if self._reports or self._pending else math.inf
+        timer = self._motion_timer
+        return timer.due_ns + timer.period_ns if self._pending or self._measurements.has_queued else math.inf
 
     def step(self, now_ns: int) -> None:
         """Publish the motion that came too soon, if none came after it."""
-        if now_ns >= self.due_ns and self._turn.is_due(now_ns):
+        if now_ns >= self.due_ns and self._motion_timer.is_due(now_ns):
             self._report_motion()
 
     def _report_motion(self):
-        self._catch_up()
+        self._measurements.process_queue()
         if self._pending is not None:
             self._publish_motion(self._pending)
             self._pending = None
-
-    def _catch_up(self):
-        """Take the reports that waited, before anything that came after them."""
-        for record, received_ns in self._reports:
-            measured = self._measurements.wheels(record, received_ns)
-            if measured is not None:
-                motion = measured.motion
-                self._steering_check.update_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
-                self._pending = measured
-        self._reports.clear()
 
     def _publish_motion(self, measured):
         """Odometry, its transform, and the wheels' joints."""
@@ -245,9 +235,8 @@ class MeasurementPublisher:
         return status
 
     def _on_overflow(self, now_ns):
-        self._catch_up()
-        self._steering_check.mark_stale()
         self._measurements.steer(math.nan)
+        self._steering_check.mark_stale()
 
     def _on_temperature(self, message, now_ns):
         try:
@@ -256,9 +245,8 @@ class MeasurementPublisher:
             self._warnings.warn("temperature", f"{error}: the one before it counts on")
 
     def _on_steering(self, message, now_ns):
-        self._catch_up()
-        self._steering_check.update_command(message.turn_radius, now_ns)
         self._measurements.steer(1 / message.turn_radius if message.turn_radius else math.nan)
+        self._steering_check.update_command(message.turn_radius, now_ns)
 
     def _odometry_message(self, motion, stamp):
         message = self._moved
@@ -311,7 +299,7 @@ class RosClock:
 def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) -> MeasurementConfig:
     """The sensors' configuration from the node's parameters."""
     pulses = params.integer("pulses_per_revolution", 20, low=1, high=10_000)
-    diameter_m = params.number("wheel_diameter", 0.095, low=SHORTEST_M, high=10)
+    diameter_m = params.number("wheel_diameter", 0.095, low=MIN_LENGTH_M, high=10)
     # Whatever the sonars do, pongs come with the pings, of which one may be lost.
     max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * ping_period_s))
     return MeasurementConfig(
@@ -320,8 +308,8 @@ def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) ->
         clock=ClockConfig(baud=baud),
         odometry=OdometryConfig(
             pulses_per_revolution=pulses, wheel_diameter_m=diameter_m,
-            track_m=params.number("track", 0.296, low=SHORTEST_M, high=10),
-            wheelbase_m=params.number("wheelbase", 0.324, low=SHORTEST_M, high=10), use_steering=uses_steering,
+            track_m=params.number("track", 0.296, low=MIN_LENGTH_M, high=10),
+            wheelbase_m=params.number("wheelbase", 0.324, low=MIN_LENGTH_M, high=10), use_steering=uses_steering,
             distance_sigma=params.number("distance_sigma", 0.02, low=0.0, high=1),
             heading_sigma=params.number("heading_sigma", 0.01, low=0.0, high=1)),
         ranging=RangingConfig(

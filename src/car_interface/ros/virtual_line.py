@@ -18,7 +18,7 @@ import tty
 from car_interface.common.errors import ConfigError
 from car_interface.ros.faults import serve_faults
 from car_interface.sim.line import MAX_S, NS_PER_S, BadLine
-from car_interface.sim.teensy_firmware import SONAR_CONDITIONS
+from car_interface.sim.teensy_sonars import SONAR_CONDITIONS
 
 READ_SIZE = 4096
 ODD_FLAG = b"\x7e"

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from car_interface.sim.checks import require
-from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 
 NS_PER_S = 1_000_000_000
 GRAVITY_MPS2 = 9.81

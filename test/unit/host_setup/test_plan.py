@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from car_interface.host_setup import cli
 from car_interface.host_setup.plan import GROUPS, RULES_NAME, Computer, plan, remarks
 
 RULES = Path(__file__).resolve().parents[3] / "udev" / RULES_NAME
@@ -79,9 +80,6 @@ def test_only_what_udev_does_by_itself_later_may_fail():
 @pytest.fixture
 def run(monkeypatch, capsys):
     """Runs setup_hardware where some programs fail: its exit code, the programs that it ran, and all that it said."""
-    pytest.importorskip("rospkg")
-    from car_interface.host_setup import cli
-
     def run(*failing):
         ran = []
 
@@ -91,7 +89,7 @@ def run(monkeypatch, capsys):
         monkeypatch.setattr(subprocess, "run", execute)
         monkeypatch.setattr(cli, "look", lambda user, rules: computer())
         monkeypatch.setattr(cli, "as_root", list)
-        monkeypatch.setattr(cli.rospkg.RosPack, "get_path", lambda self, name: "/share")
+        monkeypatch.setattr(cli, "package_file", lambda name: f"/share/{name}")
         monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann"])
         last_words = ""
         try:

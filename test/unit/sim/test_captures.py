@@ -30,15 +30,10 @@ from dataclasses import dataclass
 import pytest
 
 from captures import load
-from car_interface.sim.teensy_firmware import (
-    BACKWARD,
-    FORWARD,
-    LEFT,
-    RIGHT,
-    SONAR_STUCK,
-    FirmwareConfig,
-    TeensyFirmware,
-)
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_sonars import SONAR_STUCK
+from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 
 MS, US = 1_000_000, 1_000
 BYTE_NS = 10 * 1_000_000_000 / 115200

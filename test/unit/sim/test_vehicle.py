@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.sim.teensy_firmware import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from car_interface.sim.vehicle import (
     DriveConfig,
     Pose,

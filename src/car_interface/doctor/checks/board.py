@@ -4,7 +4,7 @@ from __future__ import annotations
 import errno
 from typing import NamedTuple, Sequence
 
-from car_interface.doctor.checks.computer import SET_UP
+from car_interface.common.device_access import SETUP_REMEDY
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
 from car_interface.pca9685.board import AUTO_INCREMENT, EXTCLK, MODE1, PRE_SCALE, SLEEP
 from car_interface.pca9685.registers import PRESCALE_MIN, frequency_for
@@ -49,7 +49,7 @@ def check_bus(bus: Bus) -> list[Finding]:
     if not bus.is_i2c:
         return [Finding(BAD, "bus", f"{bus.path} is not an I2C bus{others}", "See which there are: ls /dev/i2c-*")]
     if not bus.usable:
-        return [Finding(BAD, "bus", f"{bus.path}: no permission to use it; its group is {bus.group}", SET_UP)]
+        return [Finding(BAD, "bus", f"{bus.path}: no permission to use it; its group is {bus.group}", SETUP_REMEDY)]
     return [Finding(OK, "bus", bus.path)]
 
 

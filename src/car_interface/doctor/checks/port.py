@@ -4,12 +4,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Sequence
 
+from car_interface.common.device_access import SETUP_COMMAND
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.console import PROGRAMS, take_off
-from car_interface.teensy.link.framing import RESYNC_FILLER, FrameDecoder
-from car_interface.teensy.link.health import FINE, WAITING, Counts, LinkHealth, TeensyClock
-from car_interface.teensy.link.pinging import AUTO, Pinger
+from car_interface.teensy.link.health import FINE, WAITING
+from car_interface.teensy.link.pinging import AUTO
+from car_interface.teensy.link.session import Session
 
 HUB = "teensy_sensor_hub"
 MAX_NAMES = 3
@@ -32,8 +33,7 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
                                       "this master and namespace",
                         "See the nodes above; or run the doctor with that node's ROS_MASTER_URI, and --ns")]
     if "ModemManager" in programs:
-        remedy = ("It tries every new port. Keep it off: rosrun car_interface setup_hardware, "
-                  "then plug the Teensy in anew")
+        remedy = f"It tries every new port. Keep it off: {SETUP_COMMAND}, then plug the Teensy in anew"
     elif set(programs) & set(PROGRAMS):
         remedy = f"That is a log-in console: {take_off(path)}"
     else:
@@ -95,59 +95,39 @@ class TeensyProbe:
     """
 
     def __init__(self, baud: int, now_ns: int):
-        self._decoder = FrameDecoder()
-        self._pinger = Pinger(PING_PERIOD_NS, AUTO, now_ns)
-        self._clock = TeensyClock()
-        self._health = LinkHealth(baud)
+        self._session = Session(baud, PING_PERIOD_NS, AUTO, now_ns)
+        self._session.opened(now_ns)
         self._end_ns = now_ns + MAX_TRANSMIT_NS
-        self._malformed = 0
-        self._round_trip_ns = math.nan
-        self._records_at_expiry = 0
         self._sonars: set = set()  # that have reported
         self._sonars_ns = now_ns + SONARS_WITHIN_NS
-        self._health.opened(self._counts(), now_ns)
 
     def update(self, data: bytes, now_ns: int) -> None:
         """Take what came from the port."""
-        for body in self._decoder.feed(data):
-            record = protocol.decode(body)
-            self._malformed += isinstance(record, protocol.Malformed)
-            tick = (record.timestamp2 if isinstance(record, protocol.Pong)
-                    else record.when if isinstance(record, protocol.SonarStatus) else None)
-            if isinstance(record, protocol.SonarStatus):
-                self._sonars.add(record.sensor)
-            reboot = None if tick is None else self._clock.tick(tick, now_ns)
-            if reboot is not None:
-                self._health.rebooted(reboot, now_ns)
-            if isinstance(record, protocol.Pong):
-                answer = self._pinger.pong(record.timestamp1, now_ns)
-                self._round_trip_ns = self._round_trip_ns if answer is None else answer.round_trip_ns
+        self._sonars.update(event.sensor for event in self._session.receive(data, now_ns)
+                            if isinstance(event, protocol.SonarStatus))
 
     def step(self, now_ns: int) -> bytes:
-        """Judge, and say what to send now; often nothing."""
-        records = self._counts().records
-        if self._pinger.expire(now_ns, heard=records > self._records_at_expiry):
-            self._records_at_expiry = records
-        self._health.judge(self._counts(), now_ns)
-        if now_ns < self._pinger.due_ns:
+        """Judge, and return what to send now; often nothing."""
+        self._session.expire(now_ns)
+        self._session.judge(now_ns)
+        if now_ns < self._session.ping_due_ns:
             return b""
-        filler = b"" if self._pinger.sent else RESYNC_FILLER  # the pinger sends it itself after a ping in vain
-        return filler + self._pinger.ping(now_ns // NS_PER_MS % protocol.UINT32, now_ns)
+        return self._session.ping(now_ns // NS_PER_MS % protocol.UINT32, now_ns)
 
     def next_event_ns(self) -> int:
         """When ``step`` has something to do."""
-        return min(self._pinger.next_event_ns(), self._end_ns)
+        return min(self._session.next_event_ns(), self._end_ns)
 
     def is_done(self, now_ns: int) -> bool:
         """Whether nothing more is to be learned, or it took too long."""
         has_sonar_reports = len(self._sonars) == len(protocol.SONARS) or now_ns >= self._sonars_ns
-        is_fine = self._health.verdict.state == FINE and self._pinger.answered > 1 and has_sonar_reports
-        return now_ns >= self._end_ns or is_fine and not self._decoder.tally.bad_frames
+        is_fine = self._session.verdict.state == FINE and self._session.pongs > 1 and has_sonar_reports
+        return now_ns >= self._end_ns or is_fine and not self._session.tally.bad_frames
 
     def finding(self) -> Finding:
         """How the Teensy does."""
-        verdict = self._health.verdict
-        if verdict.state == FINE and not self._pinger.answered:
+        verdict = self._session.verdict
+        if verdict.state == FINE and not self._session.pongs:
             return Finding(WARN, "Teensy", f"{verdict.words}, but no ping was answered",
                            "Check the wire from this port's TX to the Teensy's RX")
         if verdict.state == WAITING:
@@ -158,13 +138,8 @@ class TeensyProbe:
         if missing:
             return Finding(WARN, "Teensy", f"{verdict.words}, but nothing came from {_describe_sonars(missing)} in "
                                            f"{SONARS_WITHIN_NS / 1e9:g} s", SONARS_REMEDY)
-        pong = _pong_words(self._round_trip_ns / 1e9, self._pinger.checksum)
+        pong = _pong_words(self._session.round_trip_ns / 1e9, self._session.answered_checksum)
         return Finding(OK, "Teensy", f"{verdict.words}; {pong}")
-
-    def _counts(self):
-        tally = self._decoder.tally
-        return Counts(bytes_in=tally.bytes_in, records=tally.frames - self._malformed, bad_frames=tally.bad_frames,
-                      bad_checksums=tally.bad_checksum, pings_in_vain=self._pinger.unanswered_in_a_row)
 
 
 def _describe_sonars(names):

@@ -7,16 +7,15 @@ import grp
 import importlib
 import importlib.metadata
 import os
-import pwd
 import socket
 import sys
 import time
 from typing import Callable
 
+from car_interface.common.device_access import read_membership
 from car_interface.doctor.checks.computer import (
     ClockReading,
     Library,
-    Membership,
     Need,
     check_clock,
     check_groups,
@@ -34,18 +33,17 @@ from car_interface.doctor.checks.network import (
 )
 from car_interface.teensy.link.console import is_consoles
 
-CLOCK_WATCHED_S = 1.0
 TIME_ERROR = 5  # what adjtimex returns while the clock is not synchronised: adjtimex(2)
 TIMEX_SIZE = 512  # more than struct timex on any computer
 
-# What nodes import: how it's distributed, the oldest version with what they use, and what installs it.
+# What nodes import: how it's distributed, and what installs it.
 LIBRARIES = (
-    ("rospy", "rospy", (), "Source the workspace; or sudo apt install ros-noetic-rospy (Debian: python3-rospy)"),
-    ("car_interface.msg", "", (), "Build the workspace and source it: catkin_make && source devel/setup.bash"),
-    ("diagnostic_updater", "diagnostic_updater", (),
+    ("rospy", "rospy", "Source the workspace; or sudo apt install ros-noetic-rospy (Debian: python3-rospy)"),
+    ("car_interface.msg", "", "Build the workspace and source it: catkin_make && source devel/setup.bash"),
+    ("diagnostic_updater", "diagnostic_updater",
      "sudo apt install ros-noetic-diagnostic-updater (Debian: python3-diagnostic-updater)"),
-    ("serial", "pyserial", (3, 3), "sudo apt install python3-serial"),
-    ("smbus2", "smbus2", (), "sudo apt install python3-smbus2 (Ubuntu 20.04: pip3 install smbus2)"),
+    ("serial", "pyserial", "sudo apt install python3-serial"),
+    ("smbus2", "smbus2", "sudo apt install python3-smbus2 (Ubuntu 20.04: pip3 install smbus2)"),
 )
 
 
@@ -58,7 +56,7 @@ def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool):
         needs.append(Need(group_of(bus, "i2c"), "the servo board's bus", BAD))
     if any(not os.access(path, os.R_OK) for path in glob.glob("/dev/input/js*")):
         needs.append(Need("input", "the gamepad", WARN))
-    return check_groups(_membership(), list(dict.fromkeys(needs)))
+    return check_groups(read_membership(), list(dict.fromkeys(needs)))
 
 
 def group_of(path: str, usual: str) -> str:
@@ -70,27 +68,9 @@ def group_of(path: str, usual: str) -> str:
         return usual
 
 
-def _membership():
-    groups = grp.getgrall()
-    try:
-        entry = pwd.getpwuid(os.geteuid())
-        user, primary = entry.pw_name, entry.pw_gid
-    except KeyError:
-        user, primary = str(os.geteuid()), os.getegid()
-    of_process = {os.getegid(), *os.getgroups()}
-    return Membership(
-        user=user, is_root=os.geteuid() == 0,
-        of_process=frozenset(group.gr_name for group in groups if group.gr_gid in of_process),
-        of_user=frozenset(group.gr_name for group in groups if user in group.gr_mem or group.gr_gid == primary),
-        existing=frozenset(group.gr_name for group in groups))
-
-
 def probe_clock(uses_sim_time: bool):
-    """How the wall clock does beside the monotonic one, for a second."""
-    wall_s, monotonic_s = time.time(), time.monotonic()
-    time.sleep(CLOCK_WATCHED_S)
+    """Whether the wall clock is set, and what nodes take for the time."""
     return check_clock(ClockReading(year=time.gmtime().tm_year, synchronised=_is_synchronised(),
-                                    wall_s=time.time() - wall_s, monotonic_s=time.monotonic() - monotonic_s,
                                     uses_sim_time=uses_sim_time))
 
 
@@ -105,9 +85,9 @@ def _is_synchronised():
 
 def probe_versions():
     """Python and what nodes import."""
-    return check_versions(sys.version_info[:3],
-                          [Library(name, _version(name, distribution), oldest, remedy)
-                           for name, distribution, oldest, remedy in LIBRARIES])
+    return check_versions(".".join(map(str, sys.version_info[:3])),
+                          [Library(name, _version(name, distribution), remedy)
+                           for name, distribution, remedy in LIBRARIES])
 
 
 def _version(name, distribution):

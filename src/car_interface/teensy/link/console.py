@@ -6,9 +6,10 @@ group lets anybody read it; and it can't be ended for good but with its service 
 from __future__ import annotations
 
 import glob
-import grp
 import os
 import stat
+
+from car_interface.common.device_access import group_name
 
 CONSOLES_GROUP = "tty"
 PROGRAMS = ("agetty", "getty")
@@ -22,7 +23,7 @@ def is_consoles(path: str) -> bool:
         OSError: when there is no such port.
     """
     status = os.stat(path)
-    return (not status.st_mode & stat.S_IRGRP and _group(status.st_gid) == CONSOLES_GROUP
+    return (not status.st_mode & stat.S_IRGRP and group_name(status.st_gid) == CONSOLES_GROUP
             and not os.path.realpath(path).startswith(PSEUDO_TERMINALS))
 
 
@@ -55,10 +56,3 @@ def _command(path):
     except OSError:
         return [""]
     return [os.path.basename(program), *filter(None, arguments)]
-
-
-def _group(number):
-    try:
-        return grp.getgrgid(number).gr_name
-    except KeyError:
-        return ""

@@ -1,8 +1,7 @@
 """What is wrong with the link to the Teensy, in words and with what to do next.
 
-``LinkHealth`` is told how the port does and, about once a second, how the counters stand; it answers with a
-``Verdict``. ``TeensyClock`` tells a reboot from the Teensy's own clock. Both are pure: ``now_ns`` in, and nothing is
-kept that grows.
+``LinkHealth`` takes the state of the port and, about once a second, the link's counters; it returns a ``Verdict``.
+Pure: ``now_ns`` in, and nothing is kept that grows.
 """
 from __future__ import annotations
 
@@ -175,49 +174,3 @@ class LinkHealth:
 def _kind(verdict):
     """Its state; a link over which a reboot was noticed is a good one."""
     return FINE if verdict.state == REBOOTED else verdict.state
-
-
-# Sonar reports wait behind pongs in the Teensy's queues, so ticks come a little out of order: 0.2 s at most.
-LATEST_TICK_MS = 500
-# The Teensy's crystal and the host's differ by 1e-4 at most.
-DRIFT_RATIO = 0.001
-DAY_MS = 86_400_000
-
-
-class TeensyClock:
-    """The Teensy's clock as told by pongs and sonars: does it go on, or did it begin anew?
-
-    A wheel's ``when`` doesn't serve: it is the time of the last pulse, however long ago. A tick that doesn't fit must
-    be followed by one that fits *it*: the checksum lets 1 in 255 corrupt frames past. A wrap of the 32 bits fits.
-    """
-
-    def __init__(self):
-        self._last: tuple | None = None  # (tick, when it was heard)
-        self._doubtful: tuple | None = None
-        self.reboots = 0
-
-    def tick(self, tick: int, now_ns: int) -> str | None:
-        """Take the next tick, ms modulo 2**32; the words about a reboot that it reveals, or ``None``."""
-        last = self._last
-        if last is None or _fits(last, tick, now_ns):
-            self._last, self._doubtful = (tick, now_ns), None
-            return None
-        if self._doubtful is None or not _fits(self._doubtful, tick, now_ns):
-            self._doubtful = (tick, now_ns)
-            return None
-        self._last, self._doubtful = (tick, now_ns), None
-        if tick >= last[0] or 0 < _forward_ms(last[0], tick) <= DAY_MS:
-            return None  # it's ahead: this computer was suspended or kept from reading, and perhaps over a wrap
-        self.reboots += 1
-        return f"its clock went from {last[0] / 1000:.1f} s back to {tick / 1000:.1f} s"
-
-
-def _forward_ms(tick_before, tick):
-    """How far it is from one tick to another, modulo 2**32: −2**31 to 2**31 − 1."""
-    return (tick - tick_before + 2 ** 31) % 2 ** 32 - 2 ** 31
-
-
-def _fits(before, tick, now_ns):
-    """Whether a clock that was at ``before`` can be at ``tick`` now. It may be less far: bytes can wait to be read."""
-    elapsed_ms = (now_ns - before[1]) / NS_PER_MS
-    return -LATEST_TICK_MS <= _forward_ms(before[0], tick) <= elapsed_ms * (1 + DRIFT_RATIO) + LATEST_TICK_MS

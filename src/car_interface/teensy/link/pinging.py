@@ -46,6 +46,8 @@ class Pinger:
 
     Attributes:
         due_ns: when to send the next.
+        checksum: the one that is sent.
+        answered_checksum: that of the newest ping that was answered; ``None`` before the first.
     """
 
     def __init__(self, period_ns: int, checksum: str, now_ns: int):
@@ -54,7 +56,8 @@ class Pinger:
         self._dither_ns = min(DITHER_NS, period_ns // DITHER_RATIO)
         self._auto = checksum == AUTO
         self.checksum = SHIPPED if self._auto else checksum
-        self._waiting: OrderedDict = OrderedDict()  # timestamp1 → (when it was sent, bytes written)
+        self.answered_checksum: str | None = None
+        self._waiting: OrderedDict = OrderedDict()  # timestamp1 → (when it was sent, bytes written, checksum)
         self.unanswered_in_a_row = 0
         self._missed_pings_of_live_link = 0
         self.sent = 0
@@ -77,7 +80,7 @@ class Pinger:
 
     def next_event_ns(self) -> int:
         """When the next ping is due, or the oldest one has waited too long."""
-        oldest_ns, _ = next(iter(self._waiting.values()), (None, 0))
+        oldest_ns, _, _ = next(iter(self._waiting.values()), (None, 0, ""))
         return self.due_ns if oldest_ns is None else min(self.due_ns, oldest_ns + ANSWER_WITHIN_NS)
 
     def expire(self, now_ns: int, heard: bool = True) -> list[int]:
@@ -87,7 +90,7 @@ class Pinger:
             heard: whether other frames came from the Teensy meanwhile. When nothing gets through, or it's unplugged,
                 an unanswered ping says nothing about the checksum.
         """
-        expired = [token for token, (sent_ns, _) in self._waiting.items() if now_ns - sent_ns >= ANSWER_WITHIN_NS]
+        expired = [token for token, (sent_ns, _, _) in self._waiting.items() if now_ns - sent_ns >= ANSWER_WITHIN_NS]
         for token in expired:
             del self._waiting[token]
             self.unanswered_in_a_row += 1
@@ -111,14 +114,15 @@ class Pinger:
         filler = RESYNC_FILLER if self.unanswered_in_a_row else b""
         self.resyncs += bool(filler)
         data = filler + encode(ping(timestamp1), self.checksum)
-        self._waiting.setdefault(timestamp1, (now_ns, len(data)))
+        self._waiting.setdefault(timestamp1, (now_ns, len(data), self.checksum))
         return data
 
     def pong(self, timestamp1: int, now_ns: int) -> Answer | None:
         """Take a pong; ``None`` when nobody waits for it."""
-        sent_ns, sent_bytes = self._waiting.pop(timestamp1, (None, 0))
+        sent_ns, sent_bytes, checksum = self._waiting.pop(timestamp1, (None, 0, ""))
         if sent_ns is None:
             return None
+        self.answered_checksum = checksum
         self.unanswered_in_a_row = self._missed_pings_of_live_link = 0
         self.answered += 1
         if self._quick:

@@ -5,15 +5,13 @@ Reading never blocks: a node waits on ``fileno()`` together with whatever else i
 from __future__ import annotations
 
 import errno
-import grp
 import os
-import pwd
 import select
-import stat
 import termios
 
 import serial
 
+from car_interface.common.device_access import SETUP_COMMAND, explain_denial
 from car_interface.common.errors import DeviceError
 from car_interface.common.processes import openers, process_name
 from car_interface.teensy.link.console import is_consoles, take_off
@@ -168,7 +166,7 @@ class SerialLink:
         names = ", ".join(f"{name} (process {pid})" for pid, name in self._holders)
         cause = "another program has it open" + (f": {names}" if names else "")
         if "ModemManager" in names:
-            return cause, "It tries every new port; this keeps it off: rosrun car_interface setup_hardware"
+            return cause, f"It tries every new port; this keeps it off: {SETUP_COMMAND}"
         return cause, f"See which one, and end it: fuser -v {self._path}"
 
 
@@ -180,33 +178,10 @@ def _distinguish_silence_from_hangup(fd):
 
 
 def _explain_permission(path):
-    """Cause and remedy, by the port's group and whether this user is in it."""
+    """Cause and remedy: a log-in console's port is open to no group."""
     if is_consoles(path):
         return "no permission to open it: a log-in console has it", take_off(path)
-    status = os.stat(path)
-    group, user = _name(grp.getgrgid, status.st_gid), _name(pwd.getpwuid, os.geteuid())
-    if not status.st_mode & stat.S_IRGRP or not status.st_mode & stat.S_IWGRP:
-        return (f"no permission to open it, nor has its group, {group}",
-                f"See whom it is open to: ls -lL {path}; for a Teensy on USB: rosrun car_interface setup_hardware")
-    if status.st_gid in os.getgroups():
-        return f"no permission to open it, in spite of its group, {group}", f"See whom it is open to: ls -lL {path}"
-    if group in _groups_of(user):
-        return f"no permission to open it: {user} joined its group, {group}, after logging in", "Log in anew"
-    return (f"no permission to open it: {user} is not in its group, {group}",
-            f"Join it and log in anew: sudo usermod -aG {group} {user}")
-
-
-def _name(look_up, number):
-    """A user's or a group's name, or its number when it has none."""
-    try:
-        return look_up(number)[0]
-    except KeyError:
-        return str(number)
-
-
-def _groups_of(user):
-    """The groups of the next log-in; those of the running process may be older."""
-    return [group.gr_name for group in grp.getgrall() if user in group.gr_mem]
+    return explain_denial(path)
 
 
 def _holders(path):

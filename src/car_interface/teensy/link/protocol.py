@@ -67,6 +67,7 @@ class Malformed(NamedTuple):
 
     reason: str
     body: bytes
+    is_unknown_command: bool = False
 
 
 Record = Union[Pong, SonarStatus, WheelStatus, ErrorCount, Malformed]
@@ -132,7 +133,7 @@ def _unknown(body):
         return Malformed("not from the Teensy to the host", body)
     if body[3:4] != b"\0":
         return Malformed("the header's reserved byte isn't 0", body)
-    return Malformed(f"unknown command {body[2]}", body)
+    return Malformed(f"unknown command {body[2]}", body, is_unknown_command=True)
 
 
 _NO_DECODER = (None, _unknown)

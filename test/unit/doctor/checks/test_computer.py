@@ -3,10 +3,10 @@ from __future__ import annotations
 
 import pytest
 
+from car_interface.common.device_access import Membership
 from car_interface.doctor.checks.computer import (
     ClockReading,
     Library,
-    Membership,
     Need,
     check_clock,
     check_groups,
@@ -63,25 +63,21 @@ def test_being_outside_is_as_bad_as_the_need_says():
 # --- clock ---
 
 
-def clock(year=2026, synchronised=True, wall_s=1.0, monotonic_s=1.0, uses_sim_time=False):
-    return ClockReading(year, synchronised, wall_s, monotonic_s, uses_sim_time)
+def clock(year=2026, synchronised=True, uses_sim_time=False):
+    return ClockReading(year, synchronised, uses_sim_time)
 
 
 @pytest.mark.parametrize(
     ("reading", "level", "words"),
     [
-        (clock(), OK, "synchronised, and goes as"),
+        (clock(), OK, "synchronised"),
         (clock(synchronised=None), OK, "doesn't say"),
         (clock(synchronised=False), WARN, "not synchronised"),
         (clock(year=1970), BAD, "the year 1970"),
         (clock(year=2150, synchronised=False), BAD, "the year 2150"),
-        (clock(wall_s=1.04), OK, "synchronised"),
-        (clock(wall_s=3601.0), WARN, "jumped by +3600.00 s"),
-        (clock(wall_s=-3599.0), WARN, "jumped by -3600.00 s"),
         (clock(uses_sim_time=True), WARN, "/use_sim_time"),
     ],
-    ids=["fine", "unknown", "unsynchronised", "epoch", "far_future", "slewed", "stepped_on", "stepped_back",
-         "simulated"],
+    ids=["fine", "unknown", "unsynchronised", "epoch", "far_future", "simulated"],
 )
 def test_clock(reading, level, words):
     found, = check_clock(reading)
@@ -90,30 +86,18 @@ def test_clock(reading, level, words):
 
 
 def test_each_trouble_of_the_clock_is_told():
-    assert len(check_clock(clock(synchronised=False, wall_s=9.0, uses_sim_time=True))) == 3
+    assert len(check_clock(clock(synchronised=False, uses_sim_time=True))) == 2
 
 
 # --- versions ---
 
 
-def library(version, oldest=(3, 3)):
-    return Library("serial", version, oldest, "install it")
+def test_versions_of_python_and_of_all_libraries_are_one_line():
+    found, = check_versions("3.8.10", [Library("serial", "3.5", "install it"), Library("smbus2", "", "install it")])
+    assert (found.level, found.what) == (OK, "Python 3.8.10, serial 3.5, smbus2")
 
 
-@pytest.mark.parametrize(
-    ("version", "good"),
-    [("3.5", True), ("3.3", True), ("3.10b1", True), ("4", True), ("", True), ("3.2.9", False), ("2", False)])
-def test_version_is_compared_number_by_number(version, good):
-    findings = check_versions((3, 8, 10), [library(version)])
-    assert [finding.level for finding in findings] == ([OK] if good else [OK, BAD])
-
-
-def test_missing_library_is_bad_and_its_cure_is_what_installs_it():
-    fine, missing = check_versions((3, 11, 2), [library(None)])
+def test_missing_library_is_bad_and_its_remedy_is_what_installs_it():
+    fine, missing = check_versions("3.11.2", [Library("serial", None, "install it")])
     assert (fine.level, fine.what) == (OK, "Python 3.11.2")
     assert (missing.level, missing.what, missing.remedy) == (BAD, "serial can't be imported", "install it")
-
-
-def test_old_python_is_bad():
-    found, = check_versions((3, 7, 16), [])
-    assert found.level == BAD and "Python 3.7.16" in found.what and "3.8" in found.remedy

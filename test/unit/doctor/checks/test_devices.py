@@ -17,7 +17,8 @@ from car_interface.doctor.checks.port import Link, TeensyProbe, check_holders, c
 from car_interface.doctor.probes import computer, devices
 from car_interface.pca9685.board import Board
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
-from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.teensy.link.console import consoles, is_consoles, take_off
 
 MS = 1_000_000

@@ -20,7 +20,6 @@ from car_interface.teensy.link.health import (
     WARN,
     Counts,
     LinkHealth,
-    TeensyClock,
 )
 
 MS, S = 1_000_000, 1_000_000_000
@@ -234,71 +233,3 @@ def test_verdict_on_any_counters_has_words_and_a_next_step_unless_it_is_fine(sec
         verdict = link.second(second)
         assert verdict.words
         assert bool(verdict.next_step) == (verdict.state not in (FINE, WAITING))
-
-
-# The Teensy's clock: 60 ms between two sonar reports
-
-WRAP = 2 ** 32
-
-
-def run(clock, ticks, now_ns=NOW, step_ms=60):
-    """Feed ticks, so far apart on the host's clock; what was said of reboots."""
-    said = []
-    for tick in ticks:
-        said.append(clock.tick(tick % WRAP, now_ns))
-        now_ns += step_ms * MS
-    return [words for words in said if words]
-
-
-def sonars(first, count=5):
-    return [first + 60 * index for index in range(count)]
-
-
-@pytest.mark.parametrize("ticks", [
-    pytest.param(sonars(0), id="going_on"),
-    pytest.param(sonars(WRAP - 150), id="wrapping"),
-    pytest.param([*sonars(10_000), 10_000, 10_310, 10_200, 10_370], id="a_pong_that_overtook_sonars"),
-    pytest.param([*sonars(WRAP - 200), WRAP - 100, WRAP + 110, WRAP - 5, WRAP + 170], id="overtaking_at_the_wrap"),
-    pytest.param([*sonars(10_000), 3, 10_360, 10_420], id="one_tick_of_noise"),
-    pytest.param([*sonars(10_000), 3, 10_360, 7_000, 10_480], id="noise_that_disagrees_with_itself"),
-    pytest.param([*sonars(10_000), 3, 10_360, 123, 10_480], id="noise_that_agrees_with_noise_before_a_good_tick"),
-    pytest.param([*sonars(10_000), 3, 4_000_000_000, 10_420], id="noise_in_a_row"),
-    pytest.param([10_000, *sonars(60_000)], id="ahead_after_this_computer_was_suspended"),
-    pytest.param([10_000, *sonars(300_000_000)], id="days_ahead"),
-    pytest.param([WRAP - 10_000, *sonars(WRAP + 60_000)], id="ahead_over_a_wrap"),
-])
-def test_clock_that_goes_on_is_no_reboot(ticks):
-    clock = TeensyClock()
-    assert run(clock, ticks) == []
-    assert clock.reboots == 0
-
-
-def test_clock_read_late_is_no_reboot():
-    assert run(TeensyClock(), sonars(10_000, 50), step_ms=2000) == []
-
-
-def test_clock_heard_again_after_days_is_no_reboot():
-    clock = TeensyClock()
-    run(clock, sonars(1000))
-    assert run(clock, sonars(1000 + 3 * 86_400_000), NOW + 3 * 86_400 * S) == []
-
-
-@pytest.mark.parametrize("before", [2_000, 123_456, 2 ** 31 + 5, WRAP - 100_000_000],
-                         ids=["soon", "minutes", "weeks", "near_the_wrap"])
-def test_clock_that_begins_anew_is_a_reboot_told_once(before):
-    clock = TeensyClock()
-    assert run(clock, [*sonars(before), *sonars(12)]) == [
-        f"its clock went from {(before + 240) / 1000:.1f} s back to 0.1 s"]
-    assert clock.reboots == 1
-
-
-def test_clock_that_begins_anew_twice_is_two_reboots():
-    clock = TeensyClock()
-    assert len(run(clock, [*sonars(50_000), *sonars(12, 60), *sonars(12)])) == 2
-    assert clock.reboots == 2
-
-
-def test_reboot_while_the_port_was_away_is_noticed():
-    clock = TeensyClock()
-    run(clock, sonars(1_000_000))
-    assert len(run(clock, sonars(2_000), NOW + 30 * S)) == 1

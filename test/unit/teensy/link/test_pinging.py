@@ -3,7 +3,8 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.teensy.link.framing import CORRECTED, SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import AUTO, DITHER_NS, QUICK_PINGS, Answer, Pinger
 from car_interface.teensy.link.protocol import Pong, decode

@@ -5,14 +5,18 @@ import math
 
 import pytest
 
+from captures import NS_PER_US, load
 from car_interface.common.errors import ConfigError
-from car_interface.sim.teensy_firmware import FORWARD as ROLLS_FORWARD
-from car_interface.sim.teensy_firmware import LEFT, RIGHT, FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_wheels import FORWARD as ROLLS_FORWARD
+from car_interface.sim.teensy_wheels import LEFT, RIGHT
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.pinging import Answer, Pinger
 from car_interface.teensy.link.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus, decode
 from car_interface.teensy.sensing import plausibility
 from car_interface.teensy.sensing.measurements import (
+    MAX_QUEUED,
     MeasurementConfig,
     Measurements,
     MotionMeasurement,
@@ -206,3 +210,79 @@ def test_pongs_alone_are_heard_however_far_apart_the_gates_let_them_be():
 
 def test_direction_names_agree_with_the_wire():
     assert ROLLS_FORWARD == FORWARD
+
+
+# The queue of the wheels' reports
+
+def measure_drive(queued):
+    """Everything that a capture makes, in order, with a steering command now and then; and the measurements."""
+    results = []
+    measured = Measurements(MeasurementConfig(odometry=OdometryConfig(use_steering=True)),
+                            lambda result, received_ns: results.append((received_ns, result)))
+    capture = load("stop_go")
+    pings = {ping.timestamp1: ping for ping in capture.pings}
+    decoder = FrameDecoder()
+    for number, (t_us, data) in enumerate(capture.chunks()):
+        received_ns = t_us * NS_PER_US
+        for record in map(decode, decoder.feed(data)):
+            result = None
+            if isinstance(record, Pong):
+                sent_us = pings[record.timestamp1].sent_us
+                measured.pong(record, Answer(sent_us * NS_PER_US, (t_us - sent_us) * NS_PER_US, 15), received_ns)
+            elif isinstance(record, SonarStatus):
+                result = measured.sonar(record, received_ns)
+            elif isinstance(record, WheelStatus) and queued:
+                measured.queue_wheels(record, received_ns)
+            elif isinstance(record, WheelStatus):
+                result = measured.wheels(record, received_ns)
+            if result is not None:
+                results.append((received_ns, result))
+        if number % 50 == 0:
+            measured.steer(0.1 * (number // 50 % 9 - 4))
+    measured.process_queue()
+    return results, measured
+
+
+def test_queued_reports_make_what_they_make_one_by_one_in_the_same_order():
+    one_by_one, _ = measure_drive(queued=False)
+    queued, measured = measure_drive(queued=True)
+    assert queued == one_by_one and len(queued) > 1000
+    assert not measured.has_queued
+
+
+def report_of(count):
+    return WheelStatus(*2 * (Wheel(10, FORWARD, 1000 + 100 * count, 1, 1 + count),))
+
+
+@pytest.mark.parametrize("end", [
+    lambda measured: measured.process_queue(),
+    lambda measured: measured.steer(0.0),
+    lambda measured: measured.sonar(SonarStatus(0, ECHO_US, 1400), START_NS + S),
+    lambda measured: measured.pong(Pong(0, 1400), None, START_NS + S),
+    lambda measured: measured.wheels(report_of(4), START_NS + S),
+], ids=["process_queue", "steer", "sonar", "pong", "wheels"])
+def test_queued_reports_are_processed_before_what_comes_after_them(end):
+    results = []
+    measured = Measurements(on_motion=lambda result, received_ns: results.append(received_ns))
+    for count in range(3):
+        measured.queue_wheels(report_of(count), START_NS + 100 * count * MS)
+    assert measured.has_queued and results == []
+    end(measured)
+    assert not measured.has_queued and results == [START_NS + 100 * count * MS for count in range(3)]
+
+
+def test_queue_is_bounded():
+    results = []
+    measured = Measurements(on_motion=lambda result, received_ns: results.append(received_ns))
+    for count in range(MAX_QUEUED):
+        assert results == []
+        measured.queue_wheels(report_of(count), START_NS + 100 * count * MS)
+    assert len(results) == MAX_QUEUED and not measured.has_queued
+
+
+def test_refused_report_in_the_queue_makes_nothing():
+    results = []
+    measured = Measurements(on_motion=lambda result, received_ns: results.append(received_ns))
+    measured.queue_wheels(WheelStatus(*2 * (Wheel(65535, FORWARD, 1000, 1, 1),)), START_NS)
+    measured.process_queue()
+    assert results == [] and not measured.has_queued and measured.gates.refused == 1

@@ -4,7 +4,8 @@ from __future__ import annotations
 import pytest
 
 from captures import NAMES, NS_PER_US, load
-from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder, encode
 from car_interface.teensy.link.protocol import Pong, SonarStatus, decode, set_sonar_sequence, sonar_start
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe

@@ -1,0 +1,82 @@
+"""Who may open a device in /dev, and what gives a user access: the one place for groups, log-ins and their remedies."""
+from __future__ import annotations
+
+import grp
+import os
+import pwd
+import stat
+from typing import NamedTuple
+
+SETUP_COMMAND = "rosrun car_interface setup_hardware"
+SETUP_REMEDY = f"{SETUP_COMMAND}, then log in anew"
+
+
+class Membership(NamedTuple):
+    """Who runs this process, and in which groups.
+
+    Attributes:
+        user: the name.
+        is_root: root may open everything.
+        of_process: the groups of this process: those of the log-in.
+        of_user: the groups that /etc/group gives the user: those of the next log-in.
+        existing: all groups that there are.
+    """
+
+    user: str
+    is_root: bool
+    of_process: frozenset
+    of_user: frozenset
+    existing: frozenset
+
+
+def read_membership() -> Membership:
+    """That of this process."""
+    groups = grp.getgrall()
+    try:
+        entry = pwd.getpwuid(os.geteuid())
+        user, primary = entry.pw_name, entry.pw_gid
+    except KeyError:
+        user, primary = str(os.geteuid()), os.getegid()
+    of_process = {os.getegid(), *os.getgroups()}
+    return Membership(
+        user=user, is_root=os.geteuid() == 0,
+        of_process=frozenset(group.gr_name for group in groups if group.gr_gid in of_process),
+        of_user=frozenset(group.gr_name for group in groups if user in group.gr_mem or group.gr_gid == primary),
+        existing=frozenset(group.gr_name for group in groups))
+
+
+def group_name(number: int) -> str:
+    """A group's name, or its number when it has none."""
+    return _name(grp.getgrgid, number)
+
+
+def explain_denial(path: str) -> tuple[str, str]:
+    """Cause and remedy of a refused access, from the device's group and mode and from this user's groups."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return "no permission to open it", SETUP_REMEDY
+    group, user = group_name(status.st_gid), _name(pwd.getpwuid, os.geteuid())
+    if status.st_gid == 0:  # as a device is before the udev rules are installed
+        return "no permission to open it: it is open to root only", SETUP_REMEDY
+    if not status.st_mode & stat.S_IRGRP or not status.st_mode & stat.S_IWGRP:
+        return (f"no permission to open it, nor has its group, {group}",
+                f"See whom it is open to: ls -lL {path}; for a Teensy on USB and the I2C bus: {SETUP_COMMAND}")
+    if status.st_gid in os.getgroups():
+        return f"no permission to open it, in spite of its group, {group}", f"See whom it is open to: ls -lL {path}"
+    if group in _next_groups(user):
+        return f"no permission to open it: {user} joined its group, {group}, after logging in", "Log in anew"
+    return (f"no permission to open it: {user} is not in its group, {group}",
+            f"Join it and log in anew: sudo usermod -aG {group} {user}")
+
+
+def _name(look_up, number):
+    try:
+        return look_up(number)[0]
+    except KeyError:
+        return str(number)
+
+
+def _next_groups(user):
+    """The user's groups of the next log-in; those of the running process may be older."""
+    return [group.gr_name for group in grp.getgrall() if user in group.gr_mem]

@@ -1,0 +1,187 @@
+"""What the doctor looks at, in which order, and for how long.
+
+All probes run at the same time, each in a ``Task``; their findings come in the order in which they're best remedied.
+"""
+from __future__ import annotations
+
+import os
+import time
+from typing import Iterator, NamedTuple
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
+from car_interface.doctor.checks.car import Node, check_diagnostics, check_nodes, check_parameters, check_steering
+from car_interface.doctor.checks.findings import OK, WARN, Finding
+from car_interface.doctor.checks.port import check_link
+from car_interface.doctor.probes.computer import probe_clock, probe_groups, probe_network, probe_versions
+from car_interface.doctor.probes.devices import is_pseudo_terminal, probe_board, probe_port
+from car_interface.doctor.probes.master import NODES, Master, read_parameters
+from car_interface.doctor.task import Task
+from car_interface.pca9685.registers import prescale_for
+from car_interface.teensy.link.health import LINK_REPORT
+
+VIRTUAL = "virtual"
+STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/dev/ttyAMA0", "/dev/i2c-1", 0x40
+USUAL_BAUD = 115200
+# Names and addresses, then the nodes, then all the rest at the same time: 9 s at most.
+NETWORK_S, SURVEY_S, PROBES_S = 2.0, 2.0, 4.5
+REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
+
+
+class Options(NamedTuple):
+    """What the command line says; ``None`` = not given.
+
+    Attributes:
+        port: the Teensy's serial port.
+        bus: the servo board's: a path, a number, or ``VIRTUAL``.
+        address: the servo board's on it.
+        namespace: the car's, from the root.
+    """
+
+    port: str | None
+    bus: str | None
+    address: int | None
+    namespace: str
+
+
+class Car(NamedTuple):
+    """What the master knows of the car, and the devices that it goes by."""
+
+    nodes: list
+    uses_sim_time: bool
+    port: str
+    baud: int
+    bus: str
+    address: int
+    prescale: int | None
+    oscillator_hz: float
+    port_is_the_nodes: bool  # whether the port is the one that the hub uses
+
+    def runs(self, name: str) -> Node | None:
+        """A node that is there and answers."""
+        return next((node for node in self.nodes if node.name == name and node.answers), None)
+
+
+def survey(master: Master | None, options: Options) -> Car:
+    """Ask the master for nodes and for the devices' parameters; without one, the usual ones."""
+    tasks = [Task("nodes", master.node, name, options.namespace) for name in NODES] if master else []
+    hub = _parameters(master, options.namespace, "teensy_sensor_hub")
+    board = _parameters(master, options.namespace, "pca9685")
+    of_hub = _text(hub, "port")
+    port = options.port or of_hub or (STABLE_PORT if os.path.exists(STABLE_PORT) else USUAL_PORT)
+    prescale, oscillator_hz = _prescale(board)
+    answers = [task.wait(time.monotonic() + SURVEY_S)[0] for task in tasks]
+    return Car(
+        nodes=[node for node in answers if node is not None],
+        uses_sim_time=bool(master and master.parameter("/use_sim_time")),
+        port=port, baud=_number(hub, "baud", USUAL_BAUD),
+        bus=_bus(options.bus or _text(board, "device") or _number(board, "device", USUAL_BUS)),
+        address=options.address or _number(board, "address", USUAL_ADDRESS),
+        prescale=prescale, oscillator_hz=oscillator_hz,
+        port_is_the_nodes=bool(of_hub) and os.path.realpath(port) == os.path.realpath(of_hub))
+
+
+def _parameters(master, namespace, node):
+    values = master.parameter(f"{namespace.rstrip('/')}/{node}") if master else None
+    return Params(values if isinstance(values, dict) else {})
+
+
+def _text(params, name):
+    """A text among the parameters; ``None`` when there is none, or nonsense: that is told as a bad parameter."""
+    try:
+        return params.text(name, None)
+    except ConfigError:
+        return None
+
+
+def _number(params, name, default):
+    try:
+        return params.integer(name, None) or default
+    except ConfigError:
+        return default
+
+
+def _bus(device):
+    return f"/dev/i2c-{device}" if str(device).isdigit() else device
+
+
+def _prescale(board):
+    """The PRE_SCALE and the oscillator that the pca9685 node's parameters ask for; ``None`` = nobody asks."""
+    try:
+        oscillator_hz = board.number("oscillator_hz", 25e6, low=1e6, high=50e6)
+        prescale = board.integer("prescale", None)
+        if prescale is None:
+            prescale = prescale_for(board.number("frequency", 50.0, above=0.0), oscillator_hz)
+        return prescale, oscillator_hz
+    except ConfigError:
+        return None, 25e6
+
+
+def examine(options: Options) -> Iterator[Finding]:
+    """All findings, in the order in which they're best cured."""
+    uri = os.environ.get("ROS_MASTER_URI", "")
+    master = Master(uri)
+    versions = Task("versions", probe_versions)
+    network = Task("master", probe_network, uri, master.trouble)
+    (of_master, of_address, is_there), trouble = _or(network.wait(time.monotonic() + NETWORK_S), ([], [], False))
+    car, survey_trouble = Task("nodes", survey, master if is_there else None, options).wait(time.monotonic() + SURVEY_S)
+    if car is None:
+        is_there, car = False, survey(None, options)
+    deadline_s = time.monotonic() + PROBES_S
+    virtual_port, virtual_bus = is_pseudo_terminal(car.port), car.bus == VIRTUAL
+    groups = Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus)
+    clock = Task("clock", probe_clock, car.uses_sim_time)
+    parameters = Task("parameters", _read_all, master, car) if is_there else None
+    hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
+    port = None if hub else Task("port", probe_port, car.port, car.baud)
+    board = None if virtual_bus else Task("bus", probe_board, car.bus, car.address, car.prescale,
+                                          car.runs("pca9685") is not None, car.oscillator_hz)
+    reporting = [node.path for node in map(car.runs, REPORTING) if node]
+    topics = Task("topics", _listen, car, hub, reporting) if reporting else None
+
+    yield from versions.findings(deadline_s)
+    yield from groups.findings(deadline_s)
+    yield from clock.findings(deadline_s)
+    yield from trouble + of_master + of_address + survey_trouble
+    if is_there:
+        yield from check_nodes(car.nodes, options.namespace)
+    if parameters:
+        yield from parameters.findings(deadline_s)
+    if hub:
+        yield Finding(OK, "port", f"{car.port} is {hub.path}'s")
+    else:
+        yield from port.findings(deadline_s)
+    heard, topics_trouble = topics.wait(deadline_s) if topics else (None, [])
+    if heard and hub:
+        yield from check_link(heard.link, hub.path)
+    yield from board.findings(deadline_s) if board else [_virtual_board(car)]
+    yield from topics_trouble
+    if heard:
+        if car.runs("turn_arb"):
+            yield from check_steering(heard.steering, car.runs("turn_arb").path)
+        yield from check_diagnostics(heard.reports, options.namespace, reporting,
+                                     told=[f"{hub.path.strip('/')}: {LINK_REPORT}"] if hub and heard.link else [])
+
+
+def _or(result_and_trouble, default):
+    result, trouble = result_and_trouble
+    return (default if result is None else result), trouble
+
+
+def _read_all(master, car):
+    readings = (read_parameters(master, node) for node in car.nodes)
+    return check_parameters([reading for reading in readings if reading is not None])
+
+
+def _listen(car, hub, reporting):
+    from car_interface.doctor.probes.topics import listen  # it needs rospy, which may be what is missing
+    turn_arb = car.runs("turn_arb")
+    return listen(hub and hub.path, turn_arb and turn_arb.path, reporting)
+
+
+def _virtual_board(car):
+    node = car.runs("pca9685")
+    if node:
+        return Finding(OK, "bus", f"virtual: the chip is a piece of software in {node.path}")
+    return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node that it's part of "
+                                "doesn't run", "roslaunch car_interface demo.launch; or give the real bus by --i2c")

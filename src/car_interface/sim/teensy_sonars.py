@@ -1,0 +1,260 @@
+"""The simulated Teensy's sonars: six sensors, and the array that pings them one after the other."""
+from __future__ import annotations
+
+from typing import Callable, Generator
+
+from car_interface.sim.checks import require
+from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS, NS_PER_US, UINT32, Clock, Deadline
+from car_interface.sim.teensy_packets import PacketPool, PoolEmpty
+
+SONARS = 6
+SEQUENCE_MAX = 4 * SONARS
+
+# In µs of the Teensy's clock
+TRIGGER_US = 15  # a ping's trigger pulse
+LISTEN_US = 11_428  # 200 cm; the library means to give up after it
+PING_START_US = 18_000  # the library gives a sensor so long on top of LISTEN_US to raise its echo pin
+PING_OVERHEAD_US = 13  # what the library takes off an echo
+TIMER_MAX_US = 178_956_970  # of the interval timer: 2**32 periods of 24 MHz; beyond it, it is not armed
+SONAR_RETRY_MS = 1000  # between attempts at a first ping that failed at power-up
+# In µs of true time
+ECHO_RISE_US = 449  # from the trigger to the echo pin's rise
+ECHO_MIN_US = 116  # 2 cm, the nearest that an HC-SR04 measures
+
+SONAR_CONDITIONS = SONAR_FINE, SONAR_MISSING, SONAR_STUCK = "fine", "missing", "stuck"
+
+# A part of the loop that may be held up: it yields when it will go on (ns), is sent the time then, and returns the time
+# at which it has ended.
+Held = Generator[int, int, int]
+
+
+class SonarSensor:
+    """One sensor: raises its echo pin after a trigger and lowers it with the echo, or by itself.
+
+    Args:
+        pulse_end_us: after so long it does so by itself.
+        echo_us: ``at_ns -> µs``: what a ping then would hear; 0 for nothing.
+    """
+
+    def __init__(self, pulse_end_us: int, echo_us: Callable[[int], float]):
+        self._pulse_end_us = pulse_end_us
+        self._echo_us = echo_us
+        self._condition = SONAR_FINE
+        self.rise_ns = self.fall_ns = AT_ONCE_NS  # of its last pulse
+
+    def set_condition(self, condition: str, now_ns: int):
+        """SONAR_FINE, SONAR_MISSING or SONAR_STUCK.
+
+        Raises:
+            ConfigError: another one.
+        """
+        require(condition in SONAR_CONDITIONS, "sonar condition", condition, "fine, missing or stuck")
+        self._condition = condition
+        is_unplugged = condition == SONAR_MISSING and now_ns < self.fall_ns
+        is_released = condition == SONAR_FINE and self.fall_ns == NEVER_NS
+        if is_unplugged or is_released:
+            self.rise_ns = min(self.rise_ns, now_ns)
+            self.fall_ns = now_ns
+
+    def is_high(self, now_ns: int) -> bool:
+        """Whether its echo pin is."""
+        return self.rise_ns <= now_ns < self.fall_ns
+
+    def trigger(self, now_ns: int):
+        """Begins a pulse, unless one is still under way."""
+        if self._condition == SONAR_MISSING or now_ns < self.fall_ns:
+            return
+        self.rise_ns = now_ns + ECHO_RISE_US * NS_PER_US
+        self.fall_ns = NEVER_NS
+        if self._condition == SONAR_FINE:
+            echo_us = self._echo_us(now_ns) or self._pulse_end_us
+            pulse_us = min(max(ECHO_MIN_US, echo_us), self._pulse_end_us)
+            self.fall_ns = self.rise_ns + round(pulse_us * NS_PER_US)
+
+
+class SonarArray:
+    """Six sonars of which one at a time pings, listens and reports; then comes a wait, then the next in the sequence.
+
+    A ping holds the loop up until the sensor has raised its echo pin, 0.46 ms; 29.4 ms when it doesn't, and that one is
+    left out. The pin's fall interrupts, and so does a timer that is meant for the end of a listening time and set to
+    the absolute time of that end: it comes after about the uptime. Beyond 178.9 s it can't be set, and never comes.
+
+    There is one start time, one "present sensor" and one timer for all of them. So a ping while another sensor still
+    listens (SONAR_START) takes that one's echo for its own.
+
+    Attributes:
+        running: False after SONAR_STOP: the sonar that listens still reports, none follows it.
+        wait_ms: from a report to the next ping. 2**31 and more: none.
+        interrupt_ns: when the next interrupt comes.
+        is_retrying: two sensors in a row have failed: the loop goes on with the second one in its next pass.
+    """
+
+    def __init__(
+        self, sequence: tuple[int, ...], wait_ms: int, sensors: list[SonarSensor], clock: Clock, pool: PacketPool,
+        counters: dict[str, int],
+    ):  # fmt: skip
+        self._sequence = list(sequence) + [0] * (SEQUENCE_MAX - len(sequence))
+        self._length = len(sequence)
+        self._index = 0
+        self._sensors = sensors
+        self._clock = clock
+        self._pool = pool
+        self._counters = counters
+        self._attached: set[int] = set()  # sensors whose pin's fall interrupts
+        self._is_listening = False
+        self._start_us = 0
+        self._timer_ns = NEVER_NS
+        self._echo: tuple[int, int, int] | None = None  # sensor, µs, millis
+        self._wait: Deadline | None = None  # of the wait for the next ping
+        self._attempt: Deadline | None = None  # of the next attempt at a first ping that failed
+        self._retry: bytearray | None = None  # the packet by which the firmware reminds itself
+        self.wait_ms = wait_ms
+        self.running = True
+        self.interrupt_ns = NEVER_NS
+
+    @property
+    def due_ns(self) -> int:
+        """When the loop has something to do here."""
+        if self._echo is not None or self._retry is not None:
+            return AT_ONCE_NS
+        if not self.running:
+            return NEVER_NS
+        return min(deadline.due_ns if deadline else NEVER_NS for deadline in (self._wait, self._attempt))
+
+    @property
+    def is_retrying(self) -> bool:
+        return self._retry is not None
+
+    # Pings, which hold the loop up
+
+    def begin(self, now_ns: int) -> Held:
+        """The first ping, before the loop begins. When it fails, it alone is tried again and again."""
+        now_ns, has_begun = yield from self._ping(now_ns)
+        if not has_begun:
+            self._attempt = Deadline(self._clock, -1, now_ns)
+        return now_ns
+
+    def start(self, now_ns: int) -> Held:
+        """SONAR_START: pings with the present sensor, and at once with the next one as well."""
+        self.running = True
+        self._attempt = self._wait = None
+        now_ns, _ = yield from self._ping(now_ns)
+        return (yield from self._ping_next(now_ns))
+
+    def retry(self, now_ns: int) -> Held:
+        """Goes on after two that failed."""
+        self._pool.give(self._retry)
+        self._retry = None
+        if self.running:
+            now_ns = yield from self._ping_one_of_two(now_ns)
+        return now_ns
+
+    def ping_when_due(self, now_ns: int) -> Held:
+        if not self.running:
+            return now_ns
+        if self._attempt is not None and self._attempt.has_passed(now_ns):
+            self._attempt = Deadline(self._clock, SONAR_RETRY_MS, now_ns)
+            now_ns, has_begun = yield from self._ping(now_ns)
+            if has_begun:
+                self._attempt = None
+        elif self._wait is not None and self._wait.has_passed(now_ns):
+            self._wait = None
+            now_ns = yield from self._ping_next(now_ns)
+        return now_ns
+
+    def _ping_next(self, now_ns: int) -> Held:
+        self._step()
+        return (yield from self._ping_one_of_two(now_ns))
+
+    def _ping_one_of_two(self, now_ns: int) -> Held:
+        now_ns, has_begun = yield from self._ping(now_ns)
+        if not has_begun:
+            self._step()
+            now_ns, has_begun = yield from self._ping(now_ns)
+        if not has_begun:
+            self._retry = self._pool.take()
+            if self._retry is None:
+                raise PoolEmpty
+        return now_ns
+
+    def _step(self):
+        self._index = self._index + 1 if self._index + 1 < self._length else 0
+
+    def _ping(self, now_ns: int) -> Generator[int, int, tuple[int, bool]]:
+        """Returns (time, whether the present sensor has raised its pin, or had it still high)."""
+        number = self._sequence[self._index]
+        sensor, clock = self._sensors[number], self._clock
+        now_ns = yield clock.after_ns(TRIGGER_US * NS_PER_US, now_ns)
+        sensor.trigger(now_ns)
+        # One variable is first the deadline of the wait for the pin and then the end of the listening time. Until the
+        # pin rises the start, which is worked out from it, lies ahead: an echo that ends meanwhile is below zero.
+        now_us = clock.micros(now_ns)
+        self._start_us = now_us + PING_START_US
+        deadline_us = now_us + PING_START_US + LISTEN_US & UINT32
+        # Beyond the wrap of micros() the deadline seems to have passed already.
+        give_up_ns = now_ns
+        if deadline_us >= now_us:
+            give_up_ns = clock.after_ns((deadline_us + 1 - now_us) * NS_PER_US, now_ns)
+        if sensor.is_high(now_ns):
+            now_ns = yield min(sensor.fall_ns, give_up_ns)
+        if not sensor.is_high(now_ns):
+            rise_ns = sensor.rise_ns if sensor.rise_ns > now_ns else NEVER_NS
+            now_ns = yield min(rise_ns, give_up_ns)
+        if not sensor.is_high(now_ns):
+            self._counters["pingFail"] += 1
+            self._counters[f"errPing{number}"] += 1
+            return now_ns, False
+        self._start_us = clock.micros(now_ns)
+        self._attached.add(number)
+        self._is_listening = True
+        timer_us = self._start_us + LISTEN_US & UINT32
+        self._timer_ns = clock.after_ns(timer_us * NS_PER_US, now_ns) if 0 < timer_us <= TIMER_MAX_US else NEVER_NS
+        self.schedule()
+        return now_ns, True
+
+    # Interrupts
+
+    def schedule(self):
+        """Works out when the next interrupt comes."""
+        self.interrupt_ns = min([self._timer_ns, *(self._sensors[number].fall_ns for number in self._attached)])
+
+    def interrupt(self, now_ns: int):
+        """A pin falls, or the timer ends."""
+        present = self._sequence[self._index]
+        if now_ns >= self._timer_ns:
+            self._echo = present, 0, self._clock.millis(now_ns)
+        else:
+            self._attached = {number for number in self._attached if self._sensors[number].fall_ns > now_ns}
+            if self._is_listening:
+                echo_us = self._clock.micros(now_ns) - self._start_us - PING_OVERHEAD_US & 0xFFFF
+                self._echo = present, echo_us, self._clock.millis(now_ns)
+        self._attached.discard(present)
+        self._is_listening = False
+        self._timer_ns = NEVER_NS
+        self.schedule()
+
+    # Echoes
+
+    def take_echo(self) -> tuple[int, int, int] | None:
+        """Returns (sensor, echo µs, millis) once."""
+        echo, self._echo = self._echo, None
+        return echo
+
+    def wait(self, now_ns: int):
+        """Begins the wait for the next ping."""
+        self._wait = Deadline(self._clock, self.wait_ms if self.wait_ms < 1 << 31 else -1, now_ns)
+
+    def set_sequence(self, length: int, sensors: bytes):
+        """Takes a new sequence; of an entry that is no sensor the old one stays."""
+        if length > SEQUENCE_MAX:
+            self._counters["badSeqCommand"] += 1
+            return
+        if length == 0:
+            self._counters["badSeqLen"] += 1
+            return
+        self._length = length
+        for index, sensor in enumerate(sensors[:length]):
+            if sensor < SONARS:
+                self._sequence[index] = sensor
+            else:
+                self._counters["badSonarIdx"] += 1

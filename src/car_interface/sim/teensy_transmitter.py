@@ -1,0 +1,183 @@
+"""The simulated Teensy's transmitter: packets become frames, which leave the UART at the pace of the line."""
+from __future__ import annotations
+
+from collections import deque
+
+from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS
+from car_interface.sim.teensy_packets import (
+    BITS_PER_BYTE_S,
+    ERROR_COUNT,
+    FLAG,
+    MESSAGE_MAX,
+    RPI,
+    TEENSY,
+    WHEEL_STATUS,
+    PacketPool,
+)
+from car_interface.sim.teensy_sonars import SONARS
+
+
+class Transmitter:
+    """Queues and frames: what goes out next, and how it looks on the wire.
+
+    Answers go first. The newest wheel report and the newest report of each sonar wait for the rest of the line; a
+    newer one takes the place of one that still waits, and is counted. Two frames share a flag when the second one
+    waits already while the first is being closed; otherwise each has its own two.
+
+    The first thing that it sends is the frame that the firmware makes of a packet that isn't there.
+    """
+
+    def __init__(self, line: OutgoingLine, pool: PacketPool, counters: dict[str, int], boot_byte: int):
+        self._line = line
+        self._pool = pool
+        self._counters = counters
+        self._first: deque[bytearray] = deque()
+        self._reports: list[bytearray | None] = [None] * (1 + SONARS)  # wheels, then each sonar
+        self._turn = 0
+        self._sending: bytearray | None = None
+        self._unsent = bytes([FLAG]) + stuff(bytes([boot_byte, boot_byte ^ 0xFF])) + bytes([FLAG])
+        self.due_ns = AT_ONCE_NS  # when what is to be sent finds room; NEVER_NS when there is nothing
+
+    def queue_first(self, packet: bytearray):
+        self._first.append(packet)
+        self._look_up()
+
+    def queue_wheels(self, report: bytes):
+        packet = self._reports[0]
+        if packet is not None:
+            self._counters["txInfoWheelDrop"] += 1
+        else:
+            packet = self._pool.take()
+            if packet is None:
+                self._counters["txErrorNoBuf"] += 1
+                return
+        packet[:4] = bytes((RPI, TEENSY, WHEEL_STATUS, 0))
+        packet[4 : 4 + len(report)] = report
+        self._reports[0] = packet
+        self._look_up()
+
+    def queue_sonar(self, sensor: int, packet: bytearray):
+        waiting = self._reports[1 + sensor]
+        if waiting is not None:
+            self._counters["txInfoSonarDrop"] += 1
+            self._pool.give(waiting)
+        self._reports[1 + sensor] = packet
+        self._look_up()
+
+    def poll(self, now_ns: int):
+        """Writes what finds room, to the end of the frame under way and on."""
+        is_open = False  # the last frame's closing flag is the last thing written
+        while True:
+            if not self._unsent:
+                packet = self._next()
+                if packet is None:
+                    self.due_ns = NEVER_NS
+                    return
+                self._sending = packet
+                body = frame_body(bytes(packet[: message_length(packet)])) + bytes([FLAG])
+                self._unsent = body if is_open else bytes([FLAG]) + body
+            count = min(len(self._unsent), self._line.room(now_ns))
+            self._line.write(self._unsent[:count], now_ns)
+            self._counters["txBytes"] += count
+            self._unsent = self._unsent[count:]
+            if self._unsent:
+                # All of it finds room before the line runs dry: the buffer is longer than a frame.
+                self.due_ns = self._line.room_ns(len(self._unsent), now_ns)
+                return
+            is_open = True
+            if self._sending is not None:
+                self._pool.give(self._sending)
+                self._sending = None
+                self._counters["txPackets"] += 1
+
+    def _look_up(self):
+        if self.due_ns == NEVER_NS:
+            self.due_ns = AT_ONCE_NS
+
+    def _next(self) -> bytearray | None:
+        if self._first:
+            return self._first.popleft()
+        if not any(self._reports):
+            return None
+        for _ in self._reports:
+            packet, self._reports[self._turn] = self._reports[self._turn], None
+            if packet is not None:
+                return packet
+            self._turn = (self._turn + 1) % len(self._reports)
+        return None
+
+
+class OutgoingLine:
+    """The UART's buffer and the wire behind it: bytes leave in order, ten bits each, never sooner.
+
+    Args:
+        baud: bits a second.
+        buffer_size: bytes that wait in front of the wire before a writer has to.
+    """
+
+    def __init__(self, baud: int, buffer_size: int):
+        self._baud = baud
+        self._buffer_size = buffer_size
+        self._chunks: deque[tuple[int, bytes]] = deque()  # when its first bit goes out, its bytes
+        self._collected = 0  # of the first chunk
+        self._saved = b""  # from before a cut
+        self._free_ns = AT_ONCE_NS
+
+    def write(self, data: bytes, now_ns: int):
+        start_ns = max(now_ns, self._free_ns)
+        self._chunks.append((start_ns, data))
+        self._free_ns = start_ns - (-len(data) * BITS_PER_BYTE_S // self._baud)  # rounded up: never too fast
+
+    def room(self, now_ns: int) -> int:
+        """How many bytes the buffer takes now."""
+        waiting = -(-(self._free_ns - now_ns) * self._baud // BITS_PER_BYTE_S)
+        return min(self._buffer_size, self._buffer_size + 1 - waiting)
+
+    def room_ns(self, count: int, now_ns: int) -> int:
+        """When the buffer takes ``count`` bytes, at most its size."""
+        spare = self._buffer_size + 1 - min(count, self._buffer_size)
+        return max(now_ns, self._free_ns - spare * BITS_PER_BYTE_S // self._baud)
+
+    def collect(self, now_ns: int) -> bytes:
+        """Returns the bytes whose last bit is out by ``now_ns`` and that nobody has collected yet."""
+        out, self._saved = self._saved, b""
+        while self._chunks:
+            start_ns, data = self._chunks[0]
+            gone = max(0, (now_ns - start_ns) * self._baud // BITS_PER_BYTE_S)
+            out += data[self._collected : gone]
+            if gone < len(data):
+                self._collected = max(gone, self._collected)
+                break
+            self._collected = 0
+            self._chunks.popleft()
+        return out
+
+    def cut(self, now_ns: int):
+        """Loses what hasn't left the wire yet."""
+        self._saved = self.collect(now_ns)
+        self._chunks.clear()
+        self._collected = 0
+        self._free_ns = now_ns
+
+
+def message_length(packet: bytearray) -> int:
+    """Bytes of a message that the firmware sends, header included, checksum not."""
+    if packet[2] == WHEEL_STATUS:
+        return MESSAGE_MAX
+    if packet[2] == ERROR_COUNT:
+        return packet.index(0, 8) + 1
+    return 12  # a pong or a sonar's report
+
+
+def frame_body(message: bytes) -> bytes:
+    """What stands between a frame's flags: the message and its one's-complement checksum, stuffed.
+
+    The sum adds its carry back in, so it's the sum modulo 255 with 255 in the place of a 0 that isn't all zeros
+    (RFC 1071 has the same sum over 16 bits). Headers are never all zeros.
+    """
+    return stuff(message + bytes([0xFF - ((sum(message) - 1) % 0xFF + 1)]))
+
+
+def stuff(data: bytes) -> bytes:
+    """Hides flags and escapes: the escape goes first, or it would hide its own work."""
+    return data.replace(b"\x7d", b"\x7d\x5d").replace(b"\x7e", b"\x7d\x5e")

@@ -1,0 +1,54 @@
+"""Detects a reboot of the Teensy from its own clock, as pongs and sonar reports carry it.
+
+Pure: ticks and ``now_ns`` in.
+"""
+from __future__ import annotations
+
+NS_PER_MS = 1_000_000
+# Sonar reports wait behind pongs in the Teensy's queues, so ticks come a little out of order: 0.2 s at most.
+LATEST_TICK_MS = 500
+# The Teensy's crystal and the host's differ by 1e-4 at most.
+DRIFT_RATIO = 0.001
+DAY_MS = 86_400_000
+
+
+class RebootDetector:
+    """Follows the Teensy's clock: does it go on, or did it begin anew?
+
+    A wheel's ``when`` doesn't serve: it is the time of the last pulse, however long ago. A tick that doesn't fit must
+    be followed by one that fits *it*: the checksum lets 1 in 255 corrupt frames past. A wrap of the 32 bits fits.
+
+    Attributes:
+        reboots: how many it has found.
+    """
+
+    def __init__(self):
+        self._last: tuple | None = None  # (tick, when it was received)
+        self._doubtful: tuple | None = None
+        self.reboots = 0
+
+    def update(self, tick: int, now_ns: int) -> str | None:
+        """Take the next tick, ms modulo 2**32; a description of the reboot that it reveals, or ``None``."""
+        last = self._last
+        if last is None or _fits(last, tick, now_ns):
+            self._last, self._doubtful = (tick, now_ns), None
+            return None
+        if self._doubtful is None or not _fits(self._doubtful, tick, now_ns):
+            self._doubtful = (tick, now_ns)
+            return None
+        self._last, self._doubtful = (tick, now_ns), None
+        if tick >= last[0] or 0 < _forward_ms(last[0], tick) <= DAY_MS:
+            return None  # it's ahead: this computer was suspended or kept from reading, and perhaps over a wrap
+        self.reboots += 1
+        return f"its clock went from {last[0] / 1000:.1f} s back to {tick / 1000:.1f} s"
+
+
+def _forward_ms(tick_before, tick):
+    """How far it is from one tick to another, modulo 2**32: −2**31 to 2**31 − 1."""
+    return (tick - tick_before + 2 ** 31) % 2 ** 32 - 2 ** 31
+
+
+def _fits(before, tick, now_ns):
+    """Whether a clock that was at ``before`` can be at ``tick`` now. It may be less far: bytes can wait to be read."""
+    elapsed_ms = (now_ns - before[1]) / NS_PER_MS
+    return -LATEST_TICK_MS <= _forward_ms(before[0], tick) <= elapsed_ms * (1 + DRIFT_RATIO) + LATEST_TICK_MS

@@ -1,0 +1,220 @@
+"""One session with a Teensy: bytes and ``now_ns`` in; events, and bytes to send, out.
+
+``Session`` joins what belongs to the link alone: decoder, pinger, health, reboot detector and counters. It opens no
+port and reads no clock. Whoever owns the port reports its state (``opened``, ``port_failed``), passes in what was read
+(``receive``), calls ``expire`` at ``next_event_ns``, and sends a ``ping`` from ``ping_due_ns`` on.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Union
+
+from car_interface.teensy.link.framing import RESYNC_FILLER, FrameDecoder, LineTally, encode
+from car_interface.teensy.link.health import Counts, LinkHealth, Verdict
+from car_interface.teensy.link.pinging import Answer, Pinger
+from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.link.reboot import RebootDetector
+
+MAX_COUNTERS = 64  # the firmware has 27; noise that passes for a counter must not make them more and more
+
+
+class PongReceived(NamedTuple):
+    """A pong came."""
+
+    record: Pong
+    answer: Answer | None  # about the ping that it answers; None = no ping of ours waits for it
+
+
+class Rebooted(NamedTuple):
+    """The Teensy's clock went back; the event after this one is the record that showed it."""
+
+    description: str
+
+
+class PingExpired(NamedTuple):
+    """No pong came back in time."""
+
+    timestamp1: int
+
+
+class ChecksumChanged(NamedTuple):
+    """No ping was answered: from now on they are sent with the other checksum."""
+
+    checksum: str
+
+
+# What ``receive`` returns. Sonar and wheel reports and the Teensy's counters are events as they are.
+Received = Union[PongReceived, SonarStatus, WheelStatus, ErrorCount, Malformed, Rebooted]
+
+
+class Session:
+    """The link to one Teensy, over any number of times that its port is opened.
+
+    Args:
+        baud: of the line.
+        ping_period_ns: from one ping to the next.
+        checksum: which one the Teensy's receiver wants: ``SHIPPED``, ``CORRECTED``, or ``AUTO`` = find out.
+        now_ns: when it begins.
+
+    Attributes:
+        openings: how often the port was opened.
+        malformed: frames with the right checksum whose content makes no sense.
+        unknown_commands: how many of these have a command that the firmware doesn't send.
+        counters: the Teensy's own, by name, as it last sent them.
+        round_trip_ns: of the newest answered ping; NaN = none was answered yet.
+    """
+
+    def __init__(self, baud: int, ping_period_ns: int, checksum: str, now_ns: int):
+        self._decoder = FrameDecoder()
+        self._pinger = Pinger(ping_period_ns, checksum, now_ns)
+        self._health = LinkHealth(baud)
+        self._reboots = RebootDetector()
+        self._records_at_expiry = 0
+        self._must_resync = False
+        self.openings = 0
+        self.malformed = 0
+        self.unknown_commands = 0
+        self.counters: dict[str, int] = {}
+        self.round_trip_ns = math.nan
+        self._handlers = {Pong: self._on_pong, SonarStatus: self._on_sonar, ErrorCount: self._on_counter,
+                          Malformed: self._on_malformed}
+
+    # The port
+
+    def opened(self, now_ns: int) -> None:
+        """The port was opened: its first ping is due now, behind the filler that brings the receiver in step."""
+        self.openings += 1
+        self._must_resync = True
+        self._decoder.reset()
+        self._health.opened(self.counts(), now_ns)
+        self._pinger.restart(now_ns)
+
+    def port_failed(self, state: str, cause: str, remedy: str) -> None:
+        """The port couldn't be opened or was lost; ``state`` is one of ``health``'s."""
+        self._health.port_fails(state, cause, remedy)
+
+    # From the Teensy
+
+    def receive(self, data: bytes, now_ns: int) -> list[Received]:
+        """The events in what was read from the port, in order."""
+        events: list = []
+        for body in self._decoder.feed(data):
+            record = decode(body)
+            handle = self._handlers.get(type(record))
+            if handle is not None:
+                record = handle(record, now_ns, events)
+            events.append(record)
+        return events
+
+    def _on_pong(self, pong, now_ns, events):
+        self._on_tick(pong.timestamp2, now_ns, events)
+        answer = self._pinger.pong(pong.timestamp1, now_ns)
+        if answer is not None:
+            self.round_trip_ns = answer.round_trip_ns
+        return PongReceived(pong, answer)
+
+    def _on_sonar(self, sonar, now_ns, events):
+        self._on_tick(sonar.when, now_ns, events)
+        return sonar
+
+    def _on_tick(self, tick, now_ns, events):
+        description = self._reboots.update(tick, now_ns)
+        if description is not None:
+            self._health.rebooted(description, now_ns)
+            self._pinger.retry_now()
+            events.append(Rebooted(description))
+
+    def _on_counter(self, counter, now_ns, events):
+        if counter.name in self.counters or len(self.counters) < MAX_COUNTERS:
+            self.counters[counter.name] = counter.count
+        return counter
+
+    def _on_malformed(self, frame, now_ns, events):
+        self.malformed += 1
+        self.unknown_commands += frame.is_unknown_command
+        return frame
+
+    # To the Teensy
+
+    def next_event_ns(self) -> int:
+        """When a ping is due, or one has waited too long."""
+        return self._pinger.next_event_ns()
+
+    @property
+    def ping_due_ns(self) -> int:
+        """When to send the next ping."""
+        return self._pinger.due_ns
+
+    def expire(self, now_ns: int) -> list[PingExpired | ChecksumChanged]:
+        """Give up on the pings that have waited too long."""
+        checksum, records = self._pinger.checksum, self.counts().records
+        # An unanswered ping says nothing about the checksum while nothing at all comes from the Teensy.
+        expired = self._pinger.expire(now_ns, heard=records > self._records_at_expiry)
+        if expired:
+            self._records_at_expiry = records
+        events: list = [PingExpired(timestamp1) for timestamp1 in expired]
+        if self._pinger.checksum != checksum:
+            events.append(ChecksumChanged(self._pinger.checksum))
+        return events
+
+    def ping(self, timestamp1: int, now_ns: int) -> bytes:
+        """The bytes of a ping, due or not; ``timestamp1`` comes back in its pong."""
+        filler = RESYNC_FILLER if self._must_resync else b""
+        self._must_resync = False
+        return filler + self._pinger.ping(timestamp1, now_ns)
+
+    def encode(self, body: bytes) -> bytes:
+        """The frame of a command, with the checksum that the Teensy's receiver is taken to want."""
+        return encode(body, self._pinger.checksum)
+
+    # How it does
+
+    def judge(self, now_ns: int) -> Verdict:
+        """The link's verdict as the counters stand now; call it about once a second."""
+        return self._health.judge(self.counts(), now_ns)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The last verdict."""
+        return self._health.verdict
+
+    def counts(self) -> Counts:
+        """What the health of the link is judged by."""
+        tally = self._decoder.tally
+        return Counts(bytes_in=tally.bytes_in, records=tally.frames - self.malformed, bad_frames=tally.bad_frames,
+                      bad_checksums=tally.bad_checksum, pings_in_vain=self._pinger.unanswered_in_a_row)
+
+    @property
+    def tally(self) -> LineTally:
+        """What came on the line: bytes, frames and what is wrong with them."""
+        return self._decoder.tally
+
+    @property
+    def checksum(self) -> str:
+        """The checksum that is sent: ``SHIPPED`` or ``CORRECTED``."""
+        return self._pinger.checksum
+
+    @property
+    def answered_checksum(self) -> str | None:
+        """The checksum of the newest ping that was answered; ``None`` before the first."""
+        return self._pinger.answered_checksum
+
+    @property
+    def pings(self) -> int:
+        """How many were sent."""
+        return self._pinger.sent
+
+    @property
+    def pongs(self) -> int:
+        """How many pings were answered in time."""
+        return self._pinger.answered
+
+    @property
+    def resyncs(self) -> int:
+        """How often the Teensy's receiver was brought back in step: as the port opened, and after unanswered pings."""
+        return self.openings + self._pinger.resyncs
+
+    @property
+    def reboots(self) -> int:
+        """How often the Teensy's clock went back."""
+        return self._reboots.reboots

@@ -1,0 +1,72 @@
+"""The car's heading and curvature from the difference of its wheels' positions.
+
+Heading = (right − left) / track. Over the distance between two pulses the curvature hardly changes, so a Kalman filter
+predicts heading and curvature by the distance, and takes the wheels' difference whenever one of them has made a pulse.
+Pure: metres, radians and seconds.
+"""
+from __future__ import annotations
+
+CURVATURE_WANDER = 3.0  # (1/m)²/s: a servo goes from end to end in a fifth of a second
+CURVATURE_VARIANCE = 0.5  # of a curvature that nothing is known of, (1/m)²
+HEADING_VARIANCE = 1e-6  # rad²: the smallest that is claimed
+# The commanded curvature counts like one measurement every half second that is off by this ratio of it, and this much.
+STEERING_S, STEERING_RATIO, STEERING_PER_M = 0.5, 0.3, 0.05
+
+
+class HeadingFilter:
+    """A Kalman filter of heading and curvature, over the distance that the car rolls.
+
+    Attributes:
+        yaw_rad: not wrapped, left positive.
+        curvature_per_m: 1 / turn radius, left positive.
+    """
+
+    def __init__(self):
+        self.yaw_rad, self.curvature_per_m = 0.0, 0.0
+        self._variances = (HEADING_VARIANCE, 0.0, CURVATURE_VARIANCE)
+
+    @property
+    def curvature_variance(self) -> float:
+        """(1/m)²."""
+        return self._variances[2]
+
+    def begin(self, yaw_rad: float, variance: float) -> None:
+        """Set a heading that the wheels have measured; of the curvature nothing is known."""
+        self.yaw_rad = yaw_rad
+        self._variances = (variance, 0.0, CURVATURE_VARIANCE)
+
+    def predict(self, distance_m: float, elapsed_s: float) -> None:
+        """The car has rolled so far, within this time."""
+        self.yaw_rad += self.curvature_per_m * distance_m
+        yy, yc, cc = self._variances
+        yy += distance_m * (2 * yc + distance_m * cc)
+        yc += distance_m * cc
+        if distance_m:
+            cc = min(cc + CURVATURE_WANDER * elapsed_s, 2 * CURVATURE_VARIANCE)
+        self._variances = (yy, yc, cc)
+
+    def resume(self, yaw_rad: float, variance: float, curvature_per_m: float, curvature_variance: float) -> None:
+        """Set everything anew, after pulses that weren't counted."""
+        self.yaw_rad, self.curvature_per_m = yaw_rad, curvature_per_m
+        self._variances = (variance, 0.0, curvature_variance)
+
+    def update(self, yaw_rad: float, variance: float) -> None:
+        """Take a heading that the wheels have measured."""
+        yy, yc, cc = self._variances
+        total = yy + variance
+        innovation = (yaw_rad - self.yaw_rad) / total
+        self.yaw_rad += yy * innovation
+        self.curvature_per_m += yc * innovation
+        self._variances = (yy - yy * yy / total, yc - yy * yc / total, cc - yc * yc / total)
+
+    def update_curvature(self, curvature_per_m: float, elapsed_s: float) -> None:
+        """Take the commanded curvature, weighted by the time since the last call."""
+        if elapsed_s <= 0:
+            return
+        yy, yc, cc = self._variances
+        variance = (STEERING_RATIO * abs(curvature_per_m) + STEERING_PER_M) ** 2 * max(1.0, STEERING_S / elapsed_s)
+        total = cc + variance
+        innovation = (curvature_per_m - self.curvature_per_m) / total
+        self.yaw_rad += yc * innovation
+        self.curvature_per_m += cc * innovation
+        self._variances = (yy - yc * yc / total, yc - yc * cc / total, cc - cc * cc / total)

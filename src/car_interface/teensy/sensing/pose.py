@@ -1,0 +1,56 @@
+"""Dead reckoning: the car's pose and its covariance, from distances and turns. Pure."""
+from __future__ import annotations
+
+import math
+
+
+class Pose:
+    """The pose of the middle of the rear axle, with its covariance; it begins at 0 (REP-103: x forward, y left).
+
+    Args:
+        distance_sigma: of the distance after a metre, m; it grows with the root of the distance.
+        heading_sigma: of the heading after a metre, rad.
+
+    Attributes:
+        x_m, y_m, yaw_rad: the pose; the yaw isn't wrapped.
+        distance_m: driven, forward and backward.
+    """
+
+    def __init__(self, distance_sigma: float, heading_sigma: float):
+        self._distance_variance, self._heading_variance = distance_sigma ** 2, heading_sigma ** 2  # per metre
+        self.x_m = self.y_m = self.yaw_rad = self.distance_m = 0.0
+        self._variances = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # xx, xy, xa, yy, ya, aa
+
+    def set_yaw(self, yaw_rad: float, variance: float) -> None:
+        """The heading has become known, with this variance."""
+        self.yaw_rad = yaw_rad
+        self._variances = (*self._variances[:5], self._variances[5] + variance)
+
+    def add_variance(self, along_variance: float, heading_variance: float) -> None:
+        """So much more is unknown: m² along the heading, rad² of it."""
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        xx, xy, xa, yy, ya, aa = self._variances
+        self._variances = (xx + along_variance * cos * cos, xy + along_variance * cos * sin, xa,
+                           yy + along_variance * sin * sin, ya, aa + heading_variance)
+
+    def move(self, distance_m: float, turned_rad: float) -> None:
+        """Move along an arc: its chord is distance · sin(h) / h long, in the mean heading (h: half the turn)."""
+        half_rad = turned_rad / 2
+        chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
+        cos, sin = math.cos(self.yaw_rad + half_rad), math.sin(self.yaw_rad + half_rad)
+        dx_m, dy_m = chord_m * cos, chord_m * sin
+        self.x_m += dx_m
+        self.y_m += dy_m
+        self.yaw_rad += turned_rad
+        self.distance_m += abs(distance_m)
+        xx, xy, xa, yy, ya, aa = self._variances
+        xa_, ya_ = xa - dy_m * aa, ya + dx_m * aa
+        along, turn = self._distance_variance * abs(distance_m), self._heading_variance * abs(distance_m)
+        self._variances = (
+            xx - dy_m * (xa + xa_) + along * cos * cos, xy + dx_m * xa - dy_m * ya_ + along * cos * sin, xa_,
+            yy + dx_m * (ya + ya_) + along * sin * sin, ya_, aa + turn)
+
+    def covariance(self, place_variance: float, heading_variance: float) -> tuple:
+        """3×3, of x, y and yaw, with these variances added: what is unknown below a pulse doesn't accumulate."""
+        xx, xy, xa, yy, ya, aa = self._variances
+        return (xx + place_variance, xy, xa), (xy, yy + place_variance, ya), (xa, ya, aa + heading_variance)

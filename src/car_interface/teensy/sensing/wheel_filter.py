@@ -1,0 +1,240 @@
+"""One wheel's position, speed and acceleration from its pulses.
+
+- A wheel's magnets are fixed: with c the sum of its signed pulses, a wheel is within [c, c + 1) pulses, at c when it
+  makes a pulse forward and at c + 1 when it makes one backward, for rolling back over a magnet makes one, too. Errors
+  don't add up, however often it turns round.
+- Between pulses a Kalman filter estimates position, speed and an acceleration that fades (R. Singer, "Estimating
+  optimal tracking filter performance for manned maneuvering targets", IEEE Trans. AES 1970). A pulse's time is known to
+  a tick; where the next one has not come yet, the wheel can't have passed it.
+
+Pure: pulses and milliseconds of the Teensy's clock in, the same out.
+"""
+from __future__ import annotations
+
+import math
+
+from car_interface.teensy.sensing.restart import MAX_BLIND_MS, WheelStart
+
+TICK_MIDDLE_MS = 0.5
+TICK_VARIANCE = 1 / 12  # of a moment within its tick, ms²
+# Without a pulse for longer a wheel stands. A standing car reports every 201 ms: its speed is 0 within a second.
+STANDS_AFTER_MS = 790
+# From pulses farther apart than this the speed is taken directly; what fades is the acceleration, long before.
+FAR_APART_MS = 60
+FADING_MS = 500.0  # of an acceleration
+# Half a wheel's usual acceleration, and what it can do from standstill: pulses/ms², of 1.5 cm: 1 and 3.3 m/s².
+USUAL_ACCELERATION, STARTING_ACCELERATION = 7e-5, 2.2e-4
+SPEED_CHANGE = 0.5  # from pulse to pulse a slow wheel's speed changes by this ratio at most
+STARTING_PULSES = 3
+MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
+PASSED_BY, PASSED_VARIANCE = 0.02, 0.003  # where a wheel is that should have made its next pulse, pulses
+STANDING_SPEED_VARIANCE = 1e-10
+PENDING_SPEED_SIGMA = 0.03  # pulses/ms: a car that stood may go half a metre a second when its pulses can be placed
+SPEED_RATIO = 0.15  # by which a slow wheel's speed may be off
+UNKNOWN_TIME_VARIANCE = 100.0  # of a pulse whose time can't be, ms²
+
+
+class WheelFilter:
+    """One wheel: position in pulses, speed in pulses/ms, acceleration in pulses/ms².
+
+    Attributes:
+        count: signed pulses so far: the wheel is within [count, count + 1).
+        position: the estimate at the time of the last call.
+        speed: likewise.
+        updates: how many times a report had a new pulse of it.
+        first_pulses: as (ms, position), for the alignment; ``None`` once it is done.
+        is_uncounted: it has made pulses that the Teensy didn't count; the next one shows where it is.
+        pending: pulses that were counted but whose positions aren't known yet.
+    """
+
+    def __init__(self):
+        self.count = 0
+        self.updates = 0
+        self.first_pulses: list | None = []
+        self.is_uncounted = False
+        self.pending = 0
+        self.position, self.speed, self._acceleration = 0.5, 0.0, 0.0
+        self._time_ms = 0.0
+        self._pulse_ms = -math.inf  # of the newest
+        self._forward = True
+        self._since_stop = 0
+        self._stand()
+
+    @property
+    def position_variance(self) -> float:
+        """Pulses²."""
+        return self._variances[0] + self.pending ** 2
+
+    @property
+    def speed_variance(self) -> float:
+        """(Pulses/ms)²."""
+        return self._variances[3] + (PENDING_SPEED_SIGMA ** 2 if self.pending else 0.0)
+
+    def begin(self, now_ms: float) -> None:
+        """The first report came: the wheel counts as standing until its first pulse."""
+        self._time_ms = now_ms
+
+    def update(self, pulses: int, forward: bool, at_ms: float, now_ms: float) -> None:
+        """Take the newest pulse.
+
+        Args:
+            pulses: signed, since the last update, this one included.
+            forward: the direction of the newest.
+            at_ms: its time.
+            now_ms: the time of the report.
+        """
+        # A moment that can't be, because the Teensy rebooted and nobody has noticed yet, is some moment until now.
+        is_known = self._pulse_ms < at_ms <= now_ms + TICK_MIDDLE_MS
+        at_ms = min(max(at_ms, self._time_ms), now_ms) if is_known else now_ms
+        self.count += pulses
+        self.updates += 1
+        self._since_stop += 1
+        place = self.count if forward else self.count + 1
+        self._predict(at_ms)
+        variance = self.speed * self.speed * (TICK_VARIANCE if is_known else UNKNOWN_TIME_VARIANCE) + MAGNET_VARIANCE
+        interval_ms = at_ms - self._pulse_ms
+        if (FAR_APART_MS < interval_ms <= STANDS_AFTER_MS and forward == self._forward and self._since_stop > 1
+                and is_known):
+            self._set_by_interval(place, pulses / interval_ms, interval_ms, variance)
+        else:
+            self._correct(place, variance)
+        self._forward, self._pulse_ms = forward, at_ms
+        if self.first_pulses is not None:
+            self.first_pulses.append((at_ms, place))
+
+    def resume(self, pulses: int, forward: bool, at_ms: float, now_ms: float) -> None:
+        """Take the first pulse after some that weren't counted, as ``update``: its magnet is the one that is nearest.
+
+        That is the nearest to where the wheel should be, but not before what was counted since, nor before the next
+        one: a wheel that stood has made none uncounted.
+        """
+        self.is_uncounted = False
+        if now_ms - self._pulse_ms > STANDS_AFTER_MS:
+            self._stand()
+            self._time_ms = now_ms
+        at_ms = at_ms if self._time_ms <= at_ms <= now_ms else now_ms
+        self._predict(at_ms)
+        if forward:
+            count = max(self.count + max(pulses, 1), round(self.position))
+        else:
+            count = min(self.count + min(pulses, -1), round(self.position) - 1)
+        self.update(count - self.count, forward, at_ms, now_ms)
+
+    def stop_at(self, position: float) -> None:
+        """It stopped there while its pulses weren't counted."""
+        self.position = position
+        self._stand()
+
+    def start(self, start: WheelStart, was_rolling: bool, now_ms: float) -> None:
+        """Follow it from its first pulse after a restart."""
+        self.is_uncounted = False
+        first_count, first_ms = start.pulses[0]
+        sign = 1 if start.forward else -1
+        self.count = start.place - first_count if start.forward else start.place - 1 + first_count
+        self._forward = start.forward
+        self._time_ms = min(self._time_ms, first_ms)
+        if was_rolling:
+            self.position, self.speed, self._acceleration = float(start.place), start.speed, 0.0
+            self._variances = (MAGNET_VARIANCE, 0.0, 0.0, (SPEED_RATIO * start.speed) ** 2, 0.0,
+                               STARTING_ACCELERATION ** 2)
+            self._since_stop = STARTING_PULSES
+            self._pulse_ms = -math.inf
+        for count, at_ms in start.pulses:
+            self.update(sign * count, start.forward, at_ms, max(now_ms, at_ms))
+
+    def advance(self, now_ms: float) -> None:
+        """No later pulse has come until now: predict, within the magnets that it can't have passed."""
+        if self.is_uncounted and now_ms - self._time_ms > MAX_BLIND_MS:
+            self._time_ms = now_ms
+            self._stand()
+            return
+        self._predict(now_ms)
+        since_ms = now_ms - self._pulse_ms
+        # The newest pulse was somewhere in its tick, and until then no other had come: half a tick to either side.
+        slack = abs(self.speed) * TICK_MIDDLE_MS if since_ms <= FAR_APART_MS else 0.0
+        low, high = self.count - slack, self.count + 1 + slack
+        if since_ms > STANDS_AFTER_MS:
+            self.position = min(max(self.position, low), high) if not self.is_uncounted else self.position
+            self._stand()
+            return
+        if self.is_uncounted:
+            return  # it may have passed magnets
+        if since_ms <= FAR_APART_MS:
+            if self.position > high:
+                self._correct(high - PASSED_BY, PASSED_VARIANCE)
+            elif self.position < low:
+                self._correct(low + PASSED_BY, PASSED_VARIANCE)
+        self.position = min(max(self.position, low), high)
+        fastest = 1 / max(since_ms, FAR_APART_MS / 3)
+        if abs(self.speed) > fastest and since_ms > FAR_APART_MS / 3:
+            self.speed = math.copysign(fastest, self.speed)
+            self._acceleration = 0.0
+
+    def _stand(self):
+        """The wheel stands, anywhere between two magnets."""
+        self.speed = self._acceleration = 0.0
+        self._since_stop = 0
+        self._variances = (1 / 12, 0.0, 0.0, STANDING_SPEED_VARIANCE, 0.0, STARTING_ACCELERATION ** 2)
+
+    def _set_by_interval(self, place, speed, interval_ms, variance):
+        """A slow wheel's speed is the mean over its last interval; a filter that estimated acceleration would ring."""
+        self.position, self.speed, self._acceleration = float(place), speed, 0.0
+        speed_variance = (SPEED_RATIO * speed) ** 2
+        acceleration_variance = min(STARTING_ACCELERATION ** 2, speed_variance / interval_ms ** 2)
+        self._variances = (variance, 0.0, 0.0, speed_variance, 0.0, acceleration_variance)
+
+    def _predict(self, at_ms):
+        """The Kalman filter's prediction, Singer's model."""
+        elapsed_ms = at_ms - self._time_ms
+        if elapsed_ms <= 0:
+            return
+        self._time_ms = at_ms
+        ratio = elapsed_ms / FADING_MS
+        fade = math.exp(-ratio)
+        to_speed = FADING_MS * (1 - fade)
+        to_position = FADING_MS * (elapsed_ms - to_speed)
+        self.position += self.speed * elapsed_ms + self._acceleration * to_position
+        self.speed += self._acceleration * to_speed
+        self._acceleration *= fade
+        pp, pv, pa, vv, va, aa = self._variances
+        pa_, va_ = pa + elapsed_ms * va + to_position * aa, va + to_speed * aa
+        pv_ = pv + elapsed_ms * vv + to_position * va
+        noise = self._noise(elapsed_ms, ratio, fade)
+        self._variances = (
+            pp + elapsed_ms * (pv + pv_) + to_position * (pa + pa_) + noise[0],
+            pv_ + to_speed * pa_ + noise[1],
+            fade * pa_ + noise[2],
+            vv + to_speed * (va + va_) + noise[3],
+            fade * va_ + noise[4],
+            fade * fade * aa + noise[5])
+
+    def _noise(self, elapsed_ms, ratio, fade):
+        """What unknown changes of the acceleration add to the variances; Singer's, and for a short time its limit."""
+        acceleration = (STARTING_ACCELERATION if self._since_stop < STARTING_PULSES else
+                        min(USUAL_ACCELERATION, SPEED_CHANGE * self.speed * self.speed))
+        variance = acceleration * acceleration
+        if ratio < 0.05:
+            rate, square = 2 * variance / FADING_MS, elapsed_ms * elapsed_ms
+            return (rate * square * square * elapsed_ms / 20, rate * square * square / 8,
+                    rate * square * elapsed_ms / 6, rate * square * elapsed_ms / 3, rate * square / 2,
+                    rate * elapsed_ms)
+        faded = fade * fade
+        return (
+            variance * FADING_MS ** 4 * (
+                1 - faded + 2 * ratio + 2 * ratio ** 3 / 3 - 2 * ratio ** 2 - 4 * ratio * fade),
+            variance * FADING_MS ** 3 * (faded + 1 - 2 * fade + 2 * ratio * fade - 2 * ratio + ratio ** 2),
+            variance * FADING_MS ** 2 * (1 - faded - 2 * ratio * fade),
+            variance * FADING_MS ** 2 * (4 * fade - 3 - faded + 2 * ratio),
+            variance * FADING_MS * (faded + 1 - 2 * fade),
+            variance * (1 - faded))
+
+    def _correct(self, place, variance):
+        """The Kalman filter's update by a measured position."""
+        pp, pv, pa, vv, va, aa = self._variances
+        total = pp + variance
+        innovation = (place - self.position) / total
+        self.position += pp * innovation
+        self.speed += pv * innovation
+        self._acceleration += pa * innovation
+        self._variances = (pp - pp * pp / total, pv - pp * pv / total, pa - pp * pa / total,
+                           vv - pv * pv / total, va - pv * pa / total, aa - pa * pa / total)

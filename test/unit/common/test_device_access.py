@@ -1,0 +1,68 @@
+"""Why a device refuses its user, and what gives access; modes, groups and users are made up."""
+from __future__ import annotations
+
+import grp
+import os
+import pwd
+
+import pytest
+
+from car_interface.common.device_access import SETUP_COMMAND, explain_denial, group_name, read_membership
+
+OPEN_TO_GROUP, OWNERS_ONLY = 0o20660, 0o20600
+
+
+@pytest.fixture
+def computer(monkeypatch):
+    """Sets the device's mode and group, this process's groups and the members of dialout in /etc/group."""
+    def set_up(mode=OPEN_TO_GROUP, gid=20, of_process=(), members=()):
+        groups = [grp.struct_group(("dialout", "x", 20, list(members))), grp.struct_group(("root", "x", 0, [])),
+                  grp.struct_group(("ann", "x", 1000, []))]
+        by_number = {group.gr_gid: group for group in groups}
+        monkeypatch.setattr(os, "stat", lambda path: os.stat_result((mode, 3, 26, 1, 0, gid, 0, 0, 0, 0)))
+        monkeypatch.setattr(os, "getgroups", lambda: list(of_process))
+        monkeypatch.setattr(os, "geteuid", lambda: 1000)
+        monkeypatch.setattr(os, "getegid", lambda: 1000)
+        monkeypatch.setattr(grp, "getgrgid", lambda number: by_number[number])
+        monkeypatch.setattr(grp, "getgrall", lambda: groups)
+        monkeypatch.setattr(pwd, "getpwuid", lambda number: pwd.struct_passwd(("ann", "x", number, 1000, "", "", "")))
+    return set_up
+
+
+@pytest.mark.parametrize("facts, cause, remedy", [
+    ({}, "ann is not in its group, dialout", "sudo usermod -aG dialout ann"),
+    ({"members": ["ann"]}, "ann joined its group, dialout, after logging in", "Log in anew"),
+    ({"of_process": [20]}, "in spite of its group, dialout", "ls -lL /dev/x"),
+    ({"mode": OWNERS_ONLY}, "nor has its group, dialout", SETUP_COMMAND),
+    ({"gid": 0}, "open to root only", SETUP_COMMAND),
+    ({"gid": 987}, "ann is not in its group, 987", "sudo usermod -aG 987 ann"),
+], ids=["not_in_the_group", "joined_after_the_log_in", "in_the_group", "open_to_no_group", "root_s", "nameless"])
+def test_denial_is_explained_with_its_remedy(computer, facts, cause, remedy):
+    computer(**facts)
+    explained = explain_denial("/dev/x")
+    assert explained[0].startswith("no permission to open it") and cause in explained[0] and remedy in explained[1]
+
+
+def test_device_that_has_gone_meanwhile_is_explained_too():
+    assert explain_denial("/nowhere/at/all") == ("no permission to open it", f"{SETUP_COMMAND}, then log in anew")
+
+
+def test_group_is_named_or_numbered(computer):
+    computer()
+    assert (group_name(20), group_name(987)) == ("dialout", "987")
+
+
+def test_membership_tells_the_groups_of_the_process_from_those_of_the_next_log_in(computer):
+    computer(members=["ann"])
+    found = read_membership()
+    assert (found.user, found.is_root, found.of_process) == ("ann", False, {"ann"})
+    assert found.of_user == {"ann", "dialout"} and found.existing == {"ann", "dialout", "root"}
+
+
+def test_user_without_a_name_is_known_by_number(computer, monkeypatch):
+    def getpwuid(number):
+        raise KeyError(number)
+    computer(gid=20)
+    monkeypatch.setattr(pwd, "getpwuid", getpwuid)
+    assert read_membership().user == "1000"
+    assert "1000 is not in its group" in explain_denial("/dev/x")[0]

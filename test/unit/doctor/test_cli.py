@@ -1,0 +1,46 @@
+"""The doctor's command line, and how its findings are shown."""
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
+from car_interface.doctor.cli import read_options, show
+from car_interface.doctor.examination import Options
+
+
+def test_options_by_default_name_nothing_but_the_namespace(monkeypatch):
+    monkeypatch.delenv("ROS_NAMESPACE", raising=False)
+    assert read_options([]) == Options(None, None, None, "/")
+    monkeypatch.setenv("ROS_NAMESPACE", "car1/")
+    assert read_options([]).namespace == "/car1"
+
+
+def test_options_are_read_and_remappings_are_left_out():
+    arguments = ["--port", "/dev/ttyACM0", "__name:=doctor", "--i2c", "7", "--address", "0x41", "--ns", "/a/b/"]
+    assert read_options(arguments) == Options("/dev/ttyACM0", "7", 0x41, "/a/b")
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (["--address", "0x80"], "accepted: 0x40 to 0x7f"), (["--address", "x"], "invalid"), (["--what"], "--what"),
+], ids=["address_out_of_range", "no_number", "unknown"])
+def test_option_that_cannot_be_ends_with_one_line_about_it(arguments, words, capsys):
+    with pytest.raises(SystemExit) as end:
+        read_options(arguments)
+    assert end.value.code == 2 and words in capsys.readouterr().err
+
+
+def test_help_needs_neither_master_nor_device(monkeypatch, capsys):
+    monkeypatch.delenv("ROS_MASTER_URI", raising=False)
+    with pytest.raises(SystemExit) as end:
+        read_options(["--help"])
+    assert end.value.code == 0 and "--port" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("levels, worst", [([], OK), ([OK, WARN, OK], WARN), ([BAD, WARN], BAD)])
+def test_findings_are_shown_a_line_each_and_the_worst_is_the_exit_code(levels, worst, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", io.StringIO())
+    assert show(iter([Finding(level, "bus", "what", "do") for level in levels])) == worst
+    assert len(sys.stdout.getvalue().splitlines()) == len(levels) + 1

@@ -1,0 +1,305 @@
+"""A session with a Teensy: bytes and times in; events, and bytes to send, out. Frames are the simulated firmware's."""
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+
+import captures
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_transmitter import frame_body
+from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED
+from car_interface.teensy.link.health import ABSENT, BAD_CHECKSUMS, FINE, NO_PONGS, REBOOTED, SILENT, WAITING
+from car_interface.teensy.link.pinging import AUTO, Answer
+from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, WheelStatus, wheel_reset
+from car_interface.teensy.link.session import (
+    MAX_COUNTERS,
+    ChecksumChanged,
+    PingExpired,
+    PongReceived,
+    Rebooted,
+    Session,
+)
+
+MS, S = 1_000_000, 1_000_000_000
+NOW = 100 * S
+BEGIN = 50_000 * MS
+GIVE_UP = S // 2
+# A timestamp whose frame carries, so that the two checksums differ.
+CARRIES = 0xffffffff
+SHIPPED_PING = bytes.fromhex("7e 02010100 ffffffff 00000000 ff 7e")
+CORRECTED_PING = bytes.fromhex("7e 02010100 ffffffff 00000000 fb 7e")
+
+
+def from_teensy(command, payload):
+    return b"\x7e" + frame_body(bytes((1, 2, command, 0)) + payload) + b"\x7e"
+
+
+def pong(timestamp1, tick):
+    return from_teensy(2, struct.pack("<II", timestamp1, tick))
+
+
+def sonar(tick, sensor=1):
+    return from_teensy(6, struct.pack("<BBHI", sensor, 0x55, 4000, tick))
+
+
+def counter(name, count=1):
+    return from_teensy(9, struct.pack("<I", count) + name.encode() + b"\0")
+
+
+@pytest.fixture
+def session():
+    """Its port was just opened."""
+    session = Session(115200, S, AUTO, NOW)
+    session.opened(NOW)
+    return session
+
+
+def types(events):
+    return [type(event) for event in events]
+
+
+# Pings and pongs
+
+
+def test_first_ping_is_due_as_the_port_opens_and_goes_behind_the_filler(session):
+    assert session.next_event_ns() == session.ping_due_ns == NOW
+    assert session.ping(CARRIES, NOW) == RESYNC_FILLER + SHIPPED_PING
+    assert session.ping_due_ns > NOW and session.resyncs == 1
+
+
+def test_second_ping_goes_without_filler(session):
+    session.ping(1, NOW)
+    assert session.ping(CARRIES, NOW + S) == SHIPPED_PING
+
+
+def test_port_opened_again_begins_with_filler_again(session):
+    session.ping(1, NOW)
+    session.port_failed(ABSENT, "it is gone", "plug it in")
+    session.opened(NOW + 9 * S)
+    assert session.ping_due_ns == NOW + 9 * S
+    assert session.ping(CARRIES, NOW + 9 * S).startswith(RESYNC_FILLER)
+    assert (session.openings, session.resyncs) == (2, 2)
+
+
+def test_pong_comes_with_the_answer_about_its_ping(session):
+    assert math.isnan(session.round_trip_ns) and session.answered_checksum is None
+    session.ping(7, NOW)
+    assert session.receive(pong(7, 5000), NOW + 4 * MS) == [PongReceived(Pong(7, 5000), Answer(NOW, 4 * MS, 15))]
+    assert (session.pings, session.pongs) == (1, 1)
+    assert session.round_trip_ns == 4 * MS and session.answered_checksum == SHIPPED
+
+
+def test_pong_of_nobodys_ping_comes_without_answer(session):
+    assert session.receive(pong(7, 5000), NOW) == [PongReceived(Pong(7, 5000), None)]
+    assert session.pongs == 0 and math.isnan(session.round_trip_ns)
+
+
+def test_ping_without_pong_expires_once(session):
+    session.ping(7, NOW)
+    assert session.expire(NOW + GIVE_UP - 1) == []
+    assert session.next_event_ns() == NOW + GIVE_UP
+    assert session.expire(NOW + GIVE_UP) == [PingExpired(7)]
+    assert session.expire(NOW + GIVE_UP) == []
+
+
+def let_pings_expire(session, count, data=b""):
+    events, now_ns = [], NOW
+    for number in range(count):
+        session.ping(number, now_ns)
+        session.receive(data, now_ns)
+        now_ns += GIVE_UP
+        events += session.expire(now_ns)
+    return events, now_ns
+
+
+def test_other_checksum_is_tried_when_no_ping_is_answered_though_frames_come(session):
+    events, now_ns = let_pings_expire(session, 5, sonar(5000))
+    assert events == [*map(PingExpired, range(5)), ChecksumChanged(CORRECTED)]
+    assert session.checksum == CORRECTED and session.answered_checksum is None
+    assert session.ping(CARRIES, now_ns).endswith(CORRECTED_PING)
+    session.receive(pong(CARRIES, 9000), now_ns + MS)
+    assert session.answered_checksum == CORRECTED
+
+
+def test_checksum_stays_while_nothing_comes_from_the_teensy(session):
+    events, _ = let_pings_expire(session, 12)
+    assert types(events) == 12 * [PingExpired] and session.checksum == SHIPPED
+
+
+def test_malformed_frames_are_no_proof_that_the_teensy_is_there(session):
+    let_pings_expire(session, 12, from_teensy(99, b""))
+    assert session.checksum == SHIPPED
+
+
+def test_checksum_that_answers_is_that_of_the_ping_not_of_the_next_one(session):
+    """The pong to a ping with the shipped checksum may come after the other one was chosen."""
+    for number in range(6):
+        session.ping(number, NOW + number)
+    session.receive(sonar(5000), NOW)
+    session.expire(NOW + GIVE_UP + 4)
+    assert session.checksum == CORRECTED
+    session.receive(pong(5, 5000), NOW + GIVE_UP + 4)
+    assert session.answered_checksum == SHIPPED
+
+
+def test_command_is_sent_with_the_checksum_of_the_pings():
+    frames = {checksum: Session(115200, S, checksum, NOW).encode(wheel_reset()) for checksum in (SHIPPED, CORRECTED)}
+    assert frames[SHIPPED] == frames[CORRECTED] == bytes.fromhex("7e 02010800 f4 7e")  # it carries nothing
+    assert Session(115200, S, CORRECTED, NOW).ping(CARRIES, NOW) == CORRECTED_PING
+
+
+# Reboots, counters, frames that make no sense
+
+
+def test_reboot_is_an_event_before_the_record_that_shows_it(session):
+    for index in range(3):
+        assert types(session.receive(sonar(90_000 + 60 * index), NOW + 60 * index * MS)) == [SonarStatus]
+    events = session.receive(sonar(100) + sonar(160), NOW + 300 * MS)
+    assert types(events) == [SonarStatus, Rebooted, SonarStatus]
+    assert events[1].description == "its clock went from 90.1 s back to 0.2 s"
+    assert session.reboots == 1
+
+
+def test_pong_shows_a_reboot_too_and_is_followed_by_quick_pings(session):
+    session.receive(sonar(90_000), NOW)
+    session.ping(1, NOW)
+    session.ping(2, NOW + MS)
+    events = session.receive(pong(1, 100) + pong(2, 101), NOW + 2 * MS)
+    assert types(events) == [PongReceived, Rebooted, PongReceived]
+    assert session.ping_due_ns < NOW + S // 2
+
+
+def test_counters_are_kept_by_name_as_last_sent(session):
+    events = session.receive(counter("rxPackets", 5) + counter("pingFail") + counter("rxPackets", 8), NOW)
+    assert events == [ErrorCount(5, "rxPackets"), ErrorCount(1, "pingFail"), ErrorCount(8, "rxPackets")]
+    assert session.counters == {"rxPackets": 8, "pingFail": 1}
+
+
+def test_names_of_counters_that_noise_makes_up_are_bounded(session):
+    for number in range(2 * MAX_COUNTERS):
+        session.receive(counter(f"noise{number}"), NOW)
+    session.receive(counter("noise0", 77), NOW)
+    assert len(session.counters) == MAX_COUNTERS and session.counters["noise0"] == 77
+
+
+def test_malformed_frames_are_counted_and_those_of_an_unknown_command_once_more(session):
+    events = session.receive(from_teensy(99, b"") + from_teensy(6, b"short"), NOW)
+    assert types(events) == [Malformed, Malformed]
+    assert (session.malformed, session.unknown_commands) == (2, 1)
+    assert session.counts().records == 0 and session.tally.frames == 2
+
+
+# The verdict
+
+
+def judge_seconds(session, data, seconds=2, change=lambda data: data):
+    """Feed the same bytes for each second; the state at the end."""
+    for second in range(1, seconds + 1):
+        session.receive(change(data), NOW + second * S)
+        session.judge(NOW + second * S)
+    return session.verdict.state
+
+
+def test_session_waits_for_its_first_second(session):
+    assert session.verdict.state == WAITING
+    assert judge_seconds(session, b"".join(sonar(1000 + n) for n in range(20)), seconds=1) == FINE
+
+
+def test_port_that_fails_is_the_verdict_until_it_is_open_again(session):
+    session.port_failed(ABSENT, "there is no such port", "plug it in")
+    assert (session.verdict.state, session.judge(NOW + 5 * S).state) == (ABSENT, ABSENT)
+    session.opened(NOW + 6 * S)
+    assert session.verdict.state == WAITING
+
+
+def test_nothing_is_a_silent_link(session):
+    assert judge_seconds(session, b"", seconds=3) == SILENT
+
+
+def test_wrong_checksums_are_told(session):
+    wrong = b"".join(sonar(1000 + n) for n in range(20)).replace(b"\x55", b"\x54")
+    assert judge_seconds(session, wrong, seconds=3) == BAD_CHECKSUMS
+
+
+def test_unanswered_pings_over_a_good_line_are_told(session):
+    data = b"".join(sonar(1000 + n) for n in range(20))
+    let_pings_expire(session, 4, data)
+    assert judge_seconds(session, data, seconds=8) == NO_PONGS
+
+
+def test_reboot_is_the_verdict_on_a_fine_link(session):
+    assert judge_seconds(session, b"".join(sonar(90_000 + n) for n in range(20))) == FINE
+    session.receive(sonar(100) + sonar(101), NOW + 3 * S)
+    assert session.verdict.state == REBOOTED
+
+
+# The original firmware's bytes, and the simulated one's
+
+
+def replay(capture, feed):
+    """Give a session the capture's bytes by ``feed(session, data, now_ns)``, and the pings that its host sent."""
+    session = Session(115200, S, SHIPPED, 0)
+    session.opened(0)
+    pings, events = list(capture.pings), []
+    for t_us, data in capture.chunks():
+        while pings and pings[0].sent_us < t_us:
+            ping = pings.pop(0)
+            session.ping(ping.timestamp1, ping.sent_us * 1000)
+        events += feed(session, data, t_us * 1000)
+        session.expire(t_us * 1000)
+    return session, events
+
+
+def whole(session, data, now_ns):
+    return session.receive(data, now_ns)
+
+
+def byte_by_byte(session, data, now_ns):
+    return [event for byte in data for event in session.receive(bytes((byte,)), now_ns)]
+
+
+@pytest.mark.parametrize("name", captures.NAMES)
+def test_captured_link_is_understood_whole(name):
+    capture = captures.load(name)
+    session, events = replay(capture, whole)
+    answered = [event for event in events if isinstance(event, PongReceived) and event.answer is not None]
+    assert len(answered) == session.pongs == sum(ping.received_us is not None for ping in capture.pings)
+    assert {event.record.timestamp1 for event in answered} == {
+        ping.timestamp1 for ping in capture.pings if ping.received_us is not None}
+    assert set(types(events)) <= {PongReceived, SonarStatus, WheelStatus, ErrorCount, Rebooted}
+    cut = sum(frame.get("cut", False) for frame in capture.frames)
+    assert len(events) - session.reboots == len(capture.frames) - cut
+    assert (session.malformed, session.tally.bad_frames) == (0, cut)
+
+
+def test_captured_reboots_are_events():
+    found = {name: replay(captures.load(name), whole)[0].reboots for name in captures.NAMES}
+    happened = {name: sum(event["event"] == "reboot" for event in captures.load(name).events)
+                for name in captures.NAMES}
+    assert found == happened and sum(found.values())
+
+
+def test_captured_bytes_one_by_one_make_the_same_events():
+    capture = captures.load(captures.NAMES[0])
+    assert replay(capture, byte_by_byte)[1] == replay(capture, whole)[1]
+
+
+@pytest.mark.parametrize("corrected", (False, True), ids=("shipped", "corrected"))
+def test_simulated_teensy_is_fine_within_five_seconds_whichever_checksum_its_receiver_wants(corrected):
+    firmware = TeensyFirmware(FirmwareConfig(seed=1, corrected_checksum=corrected), lambda sensor, at_ns: 4000, BEGIN)
+    session = Session(115200, S, AUTO, BEGIN)
+    session.opened(BEGIN)
+    now_ns = BEGIN
+    while now_ns < BEGIN + 8 * S:
+        if now_ns >= session.next_event_ns():
+            session.expire(now_ns)
+        if now_ns >= session.ping_due_ns:
+            firmware.receive(session.ping(CARRIES - now_ns // MS % 1000, now_ns), now_ns)
+        session.receive(firmware.transmit(now_ns), now_ns)
+        session.judge(now_ns)
+        now_ns += 2 * MS
+    assert session.verdict.state == FINE
+    assert session.answered_checksum == session.checksum == (CORRECTED if corrected else SHIPPED)

@@ -1,0 +1,50 @@
+"""Where the wheels' magnets stood at the start: phases are parts of a pulse that each wheel had behind its magnet."""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, ALIGNING_PULSES, LAST_ALIGNING_PULSES, Alignment
+from car_interface.teensy.sensing.wheel_filter import WheelFilter
+
+
+def rolled(phase, speed, duration_ms):
+    """A wheel that began so far behind a magnet and rolled evenly, pulses/ms."""
+    wheel = WheelFilter()
+    wheel.begin(0.0)
+    for number in range(1, math.floor(phase + speed * duration_ms) + 1):
+        at_ms = (number - phase) / speed
+        wheel.update(1, True, at_ms, at_ms)
+    return wheel
+
+
+@pytest.mark.parametrize("ratio", [0.8, 1.0, 1.3], ids=["to_the_right", "straight", "to_the_left"])
+@pytest.mark.parametrize("left, right", [(0.1, 0.9), (0.9, 0.1), (0.5, 0.5), (0.02, 0.4), (0.7, 0.95)])
+def test_difference_is_found_where_the_curvature_stays_the_same(left, right, ratio):
+    alignment = Alignment()
+    assert alignment.solve(rolled(left, 0.05, 400), rolled(right, 0.05 * ratio, 400))
+    # On a straight only the difference of the phases is known; in a turn also where on the line the start was.
+    tolerance = 3 * ALIGNED_PULSES if ratio != 1.0 else 0.02
+    assert alignment.is_done and alignment.difference == pytest.approx(right - left, abs=tolerance)
+
+
+def test_too_few_pulses_tell_nothing_yet():
+    alignment = Alignment()
+    left, right = (rolled(0.5, 0.05, 20 * (ALIGNING_PULSES - 1)) for _ in range(2))
+    assert not alignment.solve(left, right) and not alignment.is_done and alignment.difference == 0.0
+    assert left.first_pulses is not None
+
+
+def test_wheel_that_stands_ends_the_alignment_after_many_pulses_of_the_other():
+    alignment = Alignment()
+    standing = rolled(0.5, 0.05, 0)
+    assert not alignment.solve(rolled(0.5, 0.05, 20 * (LAST_ALIGNING_PULSES - 1)), standing)
+    rolling = rolled(0.5, 0.05, 20 * (LAST_ALIGNING_PULSES + 1))
+    assert alignment.solve(rolling, standing) and alignment.difference == 0.0
+    assert rolling.first_pulses is None and standing.first_pulses is None
+
+
+def test_wheels_whose_speeds_no_turn_makes_tell_no_difference():
+    alignment = Alignment()
+    assert alignment.solve(rolled(0.1, 0.05, 800), rolled(0.9, 0.15, 800)) and alignment.difference == 0.0

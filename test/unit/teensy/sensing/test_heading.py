@@ -1,0 +1,77 @@
+"""Heading and curvature, from the wheels' difference and the commanded steering."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
+
+STEP_M, STEP_S = 0.015, 0.015
+
+
+def drive(heading, curvature_per_m, steps, variance=1e-5):
+    """A circle, measured exactly at each step."""
+    yaw_rad = heading.yaw_rad
+    for _ in range(steps):
+        heading.predict(STEP_M, STEP_S)
+        yaw_rad += curvature_per_m * STEP_M
+        heading.update(yaw_rad, variance)
+    return yaw_rad
+
+
+def test_heading_is_zero_at_the_start():
+    heading = HeadingFilter()
+    assert (heading.yaw_rad, heading.curvature_per_m, heading.curvature_variance) == (0.0, 0.0, CURVATURE_VARIANCE)
+
+
+@pytest.mark.parametrize("curvature_per_m", [-1.0, 0.0, 0.5, 1.2])
+def test_curvature_of_a_circle_is_learned_and_predicts_the_heading(curvature_per_m):
+    heading = HeadingFilter()
+    yaw_rad = drive(heading, curvature_per_m, 60)
+    assert heading.curvature_per_m == pytest.approx(curvature_per_m, abs=0.02)
+    heading.predict(0.1, 0.1)
+    assert heading.yaw_rad == pytest.approx(yaw_rad + 0.1 * curvature_per_m, abs=0.005)
+
+
+def test_car_that_stands_learns_nothing_and_forgets_nothing():
+    heading = HeadingFilter()
+    drive(heading, 0.5, 60)
+    before = (heading.yaw_rad, heading.curvature_per_m, heading.curvature_variance)
+    heading.predict(0.0, 10.0)
+    assert (heading.yaw_rad, heading.curvature_per_m, heading.curvature_variance) == before
+
+
+def test_curvature_gets_uncertain_with_time_while_rolling_up_to_a_bound():
+    heading = HeadingFilter()
+    drive(heading, 0.5, 60)
+    before = heading.curvature_variance
+    heading.predict(STEP_M, 0.1)
+    assert heading.curvature_variance > before
+    heading.predict(STEP_M, 1e6)
+    assert heading.curvature_variance == 2 * CURVATURE_VARIANCE
+
+
+def test_begin_forgets_the_variances_and_keeps_the_curvature():
+    heading = HeadingFilter()
+    drive(heading, 0.5, 60)
+    heading.begin(1.0, HEADING_VARIANCE)
+    assert heading.yaw_rad == 1.0 and heading.curvature_variance == CURVATURE_VARIANCE
+
+
+def test_resume_sets_everything():
+    heading = HeadingFilter()
+    heading.resume(1.0, 0.01, 0.3, 0.04)
+    assert (heading.yaw_rad, heading.curvature_per_m, heading.curvature_variance) == (1.0, 0.3, 0.04)
+
+
+def test_commanded_curvature_counts_the_more_the_longer_it_lasts():
+    once, long = HeadingFilter(), HeadingFilter()
+    once.update_curvature(1.0, 0.005)
+    long.update_curvature(1.0, 0.5)
+    assert 0 < once.curvature_per_m < long.curvature_per_m < 1.0
+    assert once.curvature_variance > long.curvature_variance
+
+
+def test_commanded_curvature_of_no_time_counts_nothing():
+    heading = HeadingFilter()
+    heading.update_curvature(1.0, 0.0)
+    assert heading.curvature_per_m == 0.0

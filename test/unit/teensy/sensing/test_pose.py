@@ -1,0 +1,61 @@
+"""Dead reckoning: where distances and turns lead, and how uncertain that gets."""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from car_interface.teensy.sensing.pose import Pose
+
+
+def test_straight_line():
+    pose = Pose(0.02, 0.01)
+    pose.move(2.0, 0.0)
+    assert (pose.x_m, pose.y_m, pose.yaw_rad, pose.distance_m) == (2.0, 0.0, 0.0, 2.0)
+
+
+def test_quarter_of_a_circle_to_the_left_is_exact_in_one_step():
+    pose = Pose(0.0, 0.0)
+    pose.move(math.pi / 2, math.pi / 2)  # of radius 1 m
+    assert (pose.x_m, pose.y_m) == pytest.approx((1.0, 1.0)) and pose.yaw_rad == math.pi / 2
+
+
+def test_there_and_back_is_twice_the_distance():
+    pose = Pose(0.0, 0.0)
+    pose.move(1.0, 0.4)
+    pose.move(-1.0, -0.4)
+    assert (pose.x_m, pose.y_m, pose.yaw_rad) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    assert pose.distance_m == 2.0
+
+
+@pytest.mark.parametrize("steps", [1, 10, 1000])
+def test_sigma_of_the_distance_grows_with_its_root_however_it_is_divided(steps):
+    pose = Pose(0.02, 0.0)
+    for _ in range(steps):
+        pose.move(4.0 / steps, 0.0)
+    covariance = pose.covariance(0.0, 0.0)
+    assert covariance[0][0] == pytest.approx((0.02 * 2) ** 2) and covariance[1][1] == 0.0
+
+
+def test_uncertain_heading_makes_a_long_straight_uncertain_sideways():
+    pose = Pose(0.0, 0.0)
+    pose.set_yaw(0.0, 0.01 ** 2)
+    pose.move(10.0, 0.0)
+    (xx, xy, xa), (yx, yy, ya), (ax, ay, aa) = pose.covariance(0.0, 0.0)
+    assert (yy, aa, ya) == pytest.approx((0.1 ** 2, 0.01 ** 2, 0.1 * 0.01)) and xx == 0.0
+    assert (xy, xa, ya) == (yx, ax, ay)
+
+
+def test_variance_along_the_heading_turns_with_it():
+    pose = Pose(0.0, 0.0)
+    pose.set_yaw(math.pi / 2, 0.0)
+    pose.add_variance(0.04, 0.01)
+    (xx, _, _), (_, yy, _), (_, _, aa) = pose.covariance(0.0, 0.0)
+    assert (xx, yy, aa) == pytest.approx((0.0, 0.04, 0.01))
+
+
+def test_what_is_unknown_below_a_pulse_does_not_accumulate():
+    pose = Pose(0.0, 0.0)
+    for _ in range(3):
+        covariance = pose.covariance(0.5, 0.25)
+    assert [covariance[i][i] for i in range(3)] == [0.5, 0.5, 0.25]

@@ -1,0 +1,104 @@
+"""One wheel from its pulses: times are the Teensy's, in ms; positions are in pulses."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.teensy.sensing.restart import WheelStart
+from car_interface.teensy.sensing.wheel_filter import STANDS_AFTER_MS, WheelFilter
+
+NOW = 1000.0
+
+
+@pytest.fixture
+def wheel():
+    wheel = WheelFilter()
+    wheel.begin(NOW)
+    return wheel
+
+
+def roll(wheel, count, interval_ms, forward=True, begin_ms=NOW):
+    """Pulses at an even pace; the time of the last."""
+    for _ in range(count):
+        begin_ms += interval_ms
+        wheel.update(1 if forward else -1, forward, begin_ms, begin_ms)
+    return begin_ms
+
+
+def test_wheel_stands_between_two_magnets_at_the_start(wheel):
+    wheel.advance(NOW + 100)
+    assert (wheel.position, wheel.speed, wheel.count) == (0.5, 0.0, 0)
+    assert wheel.position_variance == pytest.approx(1 / 12)
+
+
+@pytest.mark.parametrize("forward, count, position", [(True, 20, 20.0), (False, -20, -19.0)],
+                         ids=["forward", "backward"])
+def test_wheel_is_at_its_magnet_as_it_makes_a_pulse(wheel, forward, count, position):
+    roll(wheel, 20, 20, forward)
+    assert wheel.count == count and wheel.position == pytest.approx(position, abs=0.05)
+
+
+@pytest.mark.parametrize("interval_ms", [5, 20, 50, 100, 400])
+def test_speed_is_that_of_an_even_pace(wheel, interval_ms):
+    at_ms = roll(wheel, 200, interval_ms)
+    assert wheel.speed == pytest.approx(1 / interval_ms, rel=0.02)
+    wheel.advance(at_ms + interval_ms / 2)
+    assert wheel.position == pytest.approx(200.5, abs=0.05)
+
+
+def test_wheel_without_a_pulse_passes_no_magnet_and_stands_in_the_end(wheel):
+    at_ms = roll(wheel, 20, 20)
+    for later_ms in (30, 100, 300, STANDS_AFTER_MS):
+        before = wheel.speed
+        wheel.advance(at_ms + later_ms)
+        assert 20 <= wheel.position <= 21.1 and 0 <= wheel.speed < before
+    wheel.advance(at_ms + STANDS_AFTER_MS + 1)
+    assert wheel.speed == 0.0
+
+
+def test_wheel_that_turns_round_over_a_magnet_adds_no_error(wheel):
+    at_ms = NOW
+    for _ in range(50):
+        at_ms = roll(wheel, 1, 100, True, at_ms)
+        at_ms = roll(wheel, 1, 100, False, at_ms)
+    assert wheel.count == 0 and 0 <= wheel.position <= 1
+
+
+def test_pulse_at_a_time_that_cannot_be_counts_all_the_same(wheel):
+    roll(wheel, 5, 20)
+    wheel.update(1, True, 5 * NOW, NOW + 120)
+    assert wheel.count == 6 and abs(wheel.position - 6) < 0.5
+
+
+def test_first_pulse_after_uncounted_ones_is_that_of_the_nearest_magnet(wheel):
+    at_ms = roll(wheel, 40, 20)
+    wheel.is_uncounted = True
+    wheel.resume(1, True, at_ms + 100, at_ms + 100)
+    assert wheel.count == 45 and not wheel.is_uncounted
+
+
+def test_wheel_that_stood_has_made_no_pulse_uncounted(wheel):
+    at_ms = roll(wheel, 40, 20)
+    wheel.is_uncounted = True
+    wheel.resume(1, True, at_ms + 5000, at_ms + 5000)
+    assert wheel.count == 41
+
+
+def test_wheel_starts_at_the_magnet_that_a_restart_found(wheel):
+    at_ms = roll(wheel, 40, 20)
+    wheel.start(WheelStart(60, 0.05, True, [(1, at_ms + 400), (1, at_ms + 420)]), True, at_ms + 420)
+    assert wheel.count == 61 and wheel.position == pytest.approx(61, abs=0.1)
+    assert wheel.speed == pytest.approx(0.05, rel=0.05)
+
+
+def test_pending_pulses_are_in_the_variance(wheel):
+    before = wheel.position_variance
+    wheel.pending = 3
+    assert wheel.position_variance == before + 9 and wheel.speed_variance > 0
+
+
+def test_first_pulses_are_kept_for_the_alignment_until_nobody_needs_them(wheel):
+    roll(wheel, 3, 20)
+    assert wheel.first_pulses == [(NOW + 20, 1), (NOW + 40, 2), (NOW + 60, 3)]
+    wheel.first_pulses = None
+    roll(wheel, 3, 20, begin_ms=NOW + 60)
+    assert wheel.first_pulses is None and wheel.updates == 6

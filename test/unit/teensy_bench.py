@@ -1,0 +1,181 @@
+"""A simulated Teensy on a bench, for the tests of its parts; parser and encoders for its line.
+
+Those are written from the protocol's description alone and are shared with nothing.
+"""
+import json
+import struct
+from collections import namedtuple
+from pathlib import Path
+
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_packets import COUNTER_NAMES, PacketPool
+from car_interface.sim.teensy_receiver import Receiver
+from car_interface.sim.teensy_wheels import LEFT
+
+MS, S = 1_000_000, 1_000_000_000
+PING, PONG, SET_SEQ, STOP, START, SONAR, WHEELS, RESET, COUNTER, GET_COUNTERS, WAIT = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+CAPTURE = (DATA / "capture_mixed.bin").read_bytes()
+CAPTURED = [json.loads(line) for line in (DATA / "capture_mixed.jsonl").read_text().splitlines()]
+
+Wheel = namedtuple("Wheel", "speed direction reserved when dist dist_abs")
+Sonar = namedtuple("Sonar", "sensor filler echo_us when")
+
+
+# From the wire, by the text
+
+
+def split_frames(data):
+    """Bytes → unescaped frames without their checksums; empty ones and the boot frame left out."""
+    found = []
+    for chunk in data.split(b"\x7e")[1:-1]:
+        plain, escaped = bytearray(), False
+        for byte in chunk:
+            if byte == 0x7D:
+                escaped = True
+            else:
+                plain.append(byte ^ 0x20 if escaped else byte)
+                escaped = False
+        if len(plain) >= 5:
+            total = sum(plain)
+            while total > 0xFF:
+                total = (total & 0xFF) + (total >> 8)
+            assert total == 0xFF, plain.hex()
+            found.append(bytes(plain[:-1]))
+    return found
+
+
+def parse_wheels(frame):
+    return Wheel(*struct.unpack_from("<HBBIII", frame, 4)), Wheel(*struct.unpack_from("<HBBIII", frame, 20))
+
+
+def wheel_bytes(wheel):
+    return struct.pack("<HBBIII", *wheel)
+
+
+def parse_sonar(frame):
+    return Sonar(*struct.unpack_from("<BBHI", frame, 4))
+
+
+def parse_counter(frame):
+    assert frame[-1] == 0 and 0 not in frame[8:-1]
+    return frame[8:-1].decode("ascii"), struct.unpack_from("<I", frame, 4)[0]
+
+
+# To the wire, by the text
+
+
+def stuffed(data):
+    return b"".join(bytes([0x7D, byte ^ 0x20]) if byte in (0x7D, 0x7E) else bytes([byte]) for byte in data)
+
+
+def framed_for_the_receiver(message):
+    """The receiver's own checksum: 7e, stuffed message, checksum, 7e."""
+    for reserved in (stuffed(message[3:4]), b"\x7d\x20"):
+        wire = stuffed(message[:3]) + reserved + stuffed(message[4:])
+        checksum = 0xFF - sum(byte for byte in wire if byte != 0x7D) % 256
+        if checksum not in (0x7D, 0x7E):
+            break
+    return b"\x7e" + wire + bytes([checksum]) + b"\x7e"
+
+
+def framed_by_the_textbook(message):
+    total = sum(message)
+    while total > 0xFF:
+        total = (total & 0xFF) + (total >> 8)
+    return b"\x7e" + stuffed(message + bytes([0xFF - total])) + b"\x7e"
+
+
+def message(command, payload=b"", dst=2):
+    return bytes([dst, 1, command, 0]) + payload
+
+
+def ping(timestamp1):
+    return message(PING, struct.pack("<II", timestamp1, 0))
+
+
+def received(wire, corrected=False):
+    """What a receiver alone makes of ``wire``: the packets that it accepts, and its counters."""
+    counters = dict.fromkeys(COUNTER_NAMES, 0)
+    pool = PacketPool(4, None)
+    receiver = Receiver(pool.take, counters, corrected)
+    accepted = []
+    for byte in wire:
+        packet = receiver.byte(byte)
+        if packet is not None:
+            accepted.append(bytes(packet))
+            pool.give(packet)
+    return accepted, counters
+
+
+GOOD = framed_for_the_receiver(message(GET_COUNTERS))
+
+
+class Bench:
+    """A Teensy on a table: pass time, write to it, read what it sends."""
+
+    def __init__(self, echo_us=None, **config):
+        self.teensy = TeensyFirmware(FirmwareConfig(**config), echo_us)
+        self.now_ns = 0
+        self.sent = b""
+        self.read = 0
+
+    def until(self, at_ns):
+        self.now_ns = max(at_ns, self.now_ns)
+        self.sent += self.teensy.transmit(self.now_ns)
+        return self
+
+    def after(self, span_ns):
+        return self.until(self.now_ns + span_ns)
+
+    def write(self, wire):
+        self.teensy.receive(wire, self.now_ns)
+        return self
+
+    def command(self, command, payload=b""):
+        return self.write(framed_for_the_receiver(message(command, payload)))
+
+    def roll(self, side, direction, pulses, every_ns):
+        for _ in range(pulses):
+            self.until(self.now_ns + every_ns)
+            self.teensy.wheel_pulse(side, direction, self.now_ns)
+        return self
+
+    def frames(self, command):
+        return [frame for frame in split_frames(self.sent) if frame[2] == command]
+
+    def fresh(self, command):
+        """Frames since the last call, whichever command it was for."""
+        start, self.read = self.read, self.sent.rindex(b"\x7e") if b"\x7e" in self.sent else 0
+        frames = split_frames(b"\x7e" + self.sent[start:].lstrip(b"\x7e"))
+        return [frame for frame in frames if frame[2] == command]
+
+    def counters(self):
+        self.command(GET_COUNTERS).after(200 * MS)
+        return dict(parse_counter(frame) for frame in self.fresh(COUNTER))
+
+
+def wheel_reports(bench, side=LEFT):
+    return [parse_wheels(frame)[side] for frame in bench.frames(WHEELS)]
+
+
+def fields(wheel):
+    """As the captures' description writes them: speed, direction, when, dist, dist_abs."""
+    return wheel.speed, wheel.direction, wheel.when, wheel.dist, wheel.dist_abs
+
+
+def sensors_of(frames):
+    return [frame[4] for frame in frames]
+
+
+def sonar_reports(bench):
+    return [parse_sonar(frame) for frame in bench.frames(SONAR)]
+
+
+ECHOES_US = (1456, 4659, 6406, 8153, 9900, 11356)
+
+
+def near(sensor, at_ns):
+    return ECHOES_US[sensor]
