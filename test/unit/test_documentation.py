@@ -79,6 +79,17 @@ def test_readme_lists_every_argument_of_car_launch():
     assert declared - set(re.findall(r"`(\w+)`", table)) == set()
 
 
+def test_readme_and_recordings_name_the_debian_package_of_every_dependency():
+    # Those of ROS's own tools come with ros-core; rosbags, which Debian doesn't package, by pip.
+    other_names = {"message_runtime": "ros-message-runtime", "rviz": "rviz", "python3-rosbags-pip": "rosbags",
+                   **dict.fromkeys(("rosbag", "roslaunch", "rosgraph", "rospy", "python3-rospkg"), "ros-core")}
+    package = ElementTree.parse(str(ROOT / "package.xml")).getroot()
+    keys = [tag.text for tag in package.findall("exec_depend") if "== noetic" not in tag.get("condition", "")]
+    debian = {key: other_names.get(key) or "python3-" + re.sub("^python3-", "", key).replace("_", "-") for key in keys}
+    words = set(re.findall(r"[\w.-]+", text_of(README) + text_of(ROOT / "docs/recordings.md")))
+    assert {key: name for key, name in debian.items() if name not in words} == {}
+
+
 def test_readme_has_the_line_that_a_node_test_types():
     tree = ast.parse(text_of(ROOT / "test/node/pca9685_test.py"))
     (line,) = [ast.literal_eval(node.value) for node in tree.body
