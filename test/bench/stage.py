@@ -16,7 +16,7 @@ from typing import Callable, Iterator
 import rospkg
 import rospy
 import yaml
-from processes import free_port
+from processes import end_descendants, free_port
 
 from waiting import NodeProcess, eventually
 
@@ -39,7 +39,9 @@ class Stage:
     def __enter__(self) -> Stage:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, error, *_) -> None:
+        if error:
+            end_descendants()  # all at once, also the nodes of a roslaunch
         if self._has_master:
             rospy.signal_shutdown("measured")
         self._stack.close()
@@ -108,12 +110,20 @@ class Stage:
             yield processes
         finally:
             self.end(*processes)
-            for name in rospy.get_param_names():
-                if not name.startswith(("/run_id", "/ros")):
-                    try:
-                        rospy.delete_param(name)
-                    except KeyError:
-                        pass  # it was deleted with the one before
+            try:
+                delete_params()
+            except OSError:
+                pass  # an interrupt from the terminal ended the master too
+
+
+def delete_params() -> None:
+    """Delete all parameters but the master's own."""
+    for name in rospy.get_param_names():
+        if not name.startswith(("/run_id", "/ros")):
+            try:
+                rospy.delete_param(name)
+            except KeyError:
+                pass  # it was deleted with the one before
 
 
 class TimedSubscriber:
