@@ -49,6 +49,8 @@ def adopt_descendants(end_with_parent: bool = False) -> None:
 def _exit(number, _):
     for each in ENDS:
         signal.signal(each, signal.SIG_IGN)  # the end itself is not interrupted
+    if number == signal.SIGPIPE:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is still buffered has no reader
     raise SystemExit(128 + number)
 
 

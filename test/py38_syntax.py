@@ -1,4 +1,4 @@
-"""Tells which of the given files Python 3.8 cannot compile. Exit code 1 when there are any.
+"""Prints which of the given files Python 3.8 cannot compile. Exit code 1 when there are any.
 
 Under another interpreter than 3.8 its parser is told to accept 3.8 only, which is nearly as strict.
 """
@@ -9,7 +9,7 @@ import sys
 
 
 def problem(path: str) -> str | None:
-    """Says in one line why Python 3.8 refuses the file, or returns None."""
+    """Return in one line why Python 3.8 refuses the file, or None."""
     with open(path, encoding="utf-8") as file:
         source = file.read()
     try:

@@ -167,7 +167,7 @@ class Runner:
         self.tallies.append(result)
         print_line(step.title, took_s, str(result))
         if result.failures:
-            print(*result.lines(), end_of_log(folder / "log", 60), sep="\n")
+            print(*result.lines(), end_of_log(folder / "log", 60), sep="\n", flush=True)
             if logs.exists():
                 print(f"  (the nodes' logs: {logs})", flush=True)
 

@@ -1,1 +1,1 @@
-"""``./dev bench``: everything that this package exists for, measured on the machine at hand."""
+"""``./dev bench``: latency, CPU and memory, measured on this machine."""

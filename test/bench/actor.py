@@ -1,18 +1,19 @@
 #!/usr/bin/env python3
-"""Whoever else takes part in a measurement, each a process of its own; one line "ready" on standard output.
+"""The other processes of a measurement, each by its role. Each prints "ready" when it is.
 
-    relay IN OUT                passes a Bool on as 16 duties: two hops with whoever sends and listens
-    sink TOPIC FILE             notes in a file when something arrived: as the virtual chip does
-    beat NAME...                hears inputs and publishes 16 duties at 100 Hz, whatever it hears: a bare heartbeat
-    inputs NAME...              publishes human, steering, radius, odometry, acceleration, joy at 50 Hz, never changing
-                                once turn_arb has heard that nobody holds the deadman, and it's held
-    pipe PORT [RATE]            reads a serial port; for each frame a ready-made teensy_wheel or teensy_distance; with a
-                                RATE also odom, tf and joint_states so often, and a range with each teensy_distance
-    line LINK                   a serial line with captured wheel and sonar frames: "go 10" on standard input has it
-                                send at ten times 115200 baud, "stop" has it say what it has sent since
-    count [TOPIC...]            counts teensy_wheel and teensy_distance, and hears the rest; "connected" says when both
-                                are, "report" prints the sum since the last report
-    drive SPEED                 drives a car in circles: gamepad, planner, and whoever listens; says when it "drives"
+    relay IN OUT        publishes 16 duties for each Bool that it receives
+    sink TOPIC FILE     writes the time of each message's arrival to a file, as the virtual chip does
+    timer NAME...       subscribes to inputs and publishes 16 duties at 100 Hz, whatever the inputs are
+    inputs NAME...      publishes human, steering, radius, odometry, acceleration, joy at 50 Hz. The deadman is first
+                        released, until turn_arb has seen that; then nothing changes
+    pipe PORT [RATE]    reads a serial port and publishes a ready-made teensy_wheel or teensy_distance for each frame;
+                        with a RATE also odom, tf and joint_states at that rate, and a range with each teensy_distance
+    line LINK           a serial line with captured wheel and sonar frames. On standard input "go 10" starts sending at
+                        ten times 115200 baud, "stop" ends it and prints what was sent
+    count [TOPIC...]    counts teensy_wheel and teensy_distance, and subscribes to the topics; "connected" prints when
+                        both are connected, "report" prints the count since the last report
+    drive SPEED         drives a car in circles as gamepad and planner, with all its topics subscribed to; prints
+                        "drives" when it does
 """
 from __future__ import annotations
 
@@ -37,11 +38,11 @@ from std_msgs.msg import Bool, Float32, Int32MultiArray, MultiArrayDimension, Mu
 from tf2_msgs.msg import TFMessage
 
 PERIOD_S = 0.02
-BEAT_NS = 10_000_000
+TIMER_NS = 10_000_000
 DUTIES = Int32MultiArray(layout=MultiArrayLayout(dim=[MultiArrayDimension("pwm_channel", 16, 1)]), data=[5100] * 16)
 BYTES_PER_S = 11_520  # 115200 baud, 8N1
 WHEELS, SONAR = 7, 6  # the firmware's commands
-LONGEST_SONAR_FRAME = 26  # bytes, each escaped
+MAX_SONAR_FRAME = 26  # bytes, each escaped
 DATA = Path(__file__).resolve().parents[1] / "data"
 RADIUS_M = 1.6  # as the demo drives
 SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
@@ -56,7 +57,7 @@ def publisher(topic, message_type):
 
 
 def at_50_hz(act) -> None:
-    """For ever, on a grid."""
+    """Call a function until shutdown, without drift."""
     due_s = time.monotonic()
     while not rospy.is_shutdown():
         act()
@@ -64,9 +65,9 @@ def at_50_hz(act) -> None:
         time.sleep(max(0.0, due_s - time.monotonic()))
 
 
-def relay(heard, said):
-    duties = publisher(said, Int32MultiArray)
-    rospy.Subscriber(heard, Bool, lambda message: duties.publish(DUTIES), queue_size=10, tcp_nodelay=True)
+def relay(source, target):
+    duties = publisher(target, Int32MultiArray)
+    rospy.Subscriber(source, Bool, lambda message: duties.publish(DUTIES), queue_size=10, tcp_nodelay=True)
     ready()
     signal.pause()
 
@@ -79,14 +80,14 @@ def sink(topic, path):
         signal.pause()
 
 
-def beat(*names):
+def timer(*names):
     for name in names:
         rospy.Subscriber(*INPUTS[name][:2], lambda message: None, queue_size=10, tcp_nodelay=True)
-    duties = publisher("/bench/beat", Int32MultiArray)
+    duties = publisher("/bench/timer", Int32MultiArray)
     ready()
     due_ns = time.monotonic_ns()
     while not rospy.is_shutdown():
-        due_ns += BEAT_NS
+        due_ns += TIMER_NS
         select.select([], [], [], max(0, due_ns - time.monotonic_ns()) / 1e9)
         duties.publish(DUTIES)
 
@@ -107,23 +108,23 @@ def joy(autonomous=1):
 
 
 class Deadman:
-    """Let go until turn_arb has heard so, and counts it: what is held at its start counts for nothing."""
+    """Released until turn_arb has seen that: it does not accept one that is held at its start."""
 
     def __init__(self):
-        self._heard = 0
+        self._released = 0  # states of turn_arb that report it
 
     @property
     def is_held(self):
-        return self._heard >= 3  # one on the change, and two a tenth of a second apart: others came in between
+        return self._released >= 3  # one on the change, and two a tenth of a second apart: inputs came in between
 
     def wait_for_turn_arb(self):
-        states = rospy.Subscriber("turn_arb/state", SteeringState, self._hear)
+        states = rospy.Subscriber("turn_arb/state", SteeringState, self._on_state)
         while not self.is_held and not rospy.is_shutdown():
             time.sleep(0.01)
-        states.unregister()  # it would cost turn_arb something
+        states.unregister()  # a subscriber costs turn_arb CPU time
 
-    def _hear(self, state):
-        self._heard += state.reason == "human_in_loop is false"
+    def _on_state(self, state):
+        self._released += state.reason == "human_in_loop is false"
 
 
 DEADMAN = Deadman()
@@ -138,40 +139,40 @@ INPUTS = {
 
 
 def inputs(*names):
-    publish = [(publisher(*INPUTS[name][:2]).publish, INPUTS[name][2]) for name in names]
+    senders = [(publisher(*INPUTS[name][:2]).publish, INPUTS[name][2]) for name in names]
     threading.Thread(target=DEADMAN.wait_for_turn_arb, daemon=True).start()
     ready()
-    at_50_hz(lambda: [say(make()) for say, make in publish])
+    at_50_hz(lambda: [publish(make()) for publish, make in senders])
 
 
-class Measured:
-    """What a hub says besides the raw records, ready-made, as often; without what comes once a second."""
+class Measurements:
+    """Publishes what a hub does besides the raw records, ready-made and as often, except what it does once a second."""
 
     def __init__(self, rate_hz):
         self._period_ns = round(1e9 / float(rate_hz))
         self._due_ns = 0
-        self._moved = [(publisher("odom", Odometry), Odometry()), (publisher("/tf", TFMessage), TFMessage(
+        self._odometry = [(publisher("odom", Odometry), Odometry()), (publisher("/tf", TFMessage), TFMessage(
             transforms=[TransformStamped()])), (publisher("joint_states", JointState), JointState(
                 name=["rear_left_wheel", "rear_right_wheel"], position=[0.0, 0.0], velocity=[0.0, 0.0]))]
         self._ranges = itertools.cycle([publisher(f"sonar/{name}", Range) for name in SONARS])
         self._range = Range()
 
-    def wheels(self):
+    def publish_odometry(self):
         now_ns = time.monotonic_ns()
         if now_ns >= self._due_ns:
             self._due_ns = max(self._due_ns + self._period_ns, now_ns)
-            for topic, message in self._moved:
+            for topic, message in self._odometry:
                 topic.publish(message)
 
-    def sonar(self):
+    def publish_range(self):
         next(self._ranges).publish(self._range)
 
 
 def pipe(port, rate_hz=None):
-    """What is long is a report of the wheels."""
+    """The longer frames are the wheels' reports."""
     wheel, distance = publisher("teensy_wheel", Wheel), publisher("teensy_distance", Distance)
     wheels, echo = Wheel(OneWheel(), OneWheel()), Distance(0, 1000, 0)
-    measured = Measured(rate_hz) if rate_hz else None
+    measurements = Measurements(rate_hz) if rate_hz else None
     fd = os.open(port, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(fd, termios.TCSANOW)
     ready()
@@ -181,18 +182,18 @@ def pipe(port, rate_hz=None):
             continue
         *frames, rest = (rest + os.read(fd, 4096)).split(b"\x7e")
         for frame in filter(None, frames):
-            if len(frame) > LONGEST_SONAR_FRAME:
+            if len(frame) > MAX_SONAR_FRAME:
                 wheel.publish(wheels)
-                if measured:
-                    measured.wheels()
+                if measurements:
+                    measurements.publish_odometry()
             else:
                 distance.publish(echo)
-                if measured:
-                    measured.sonar()
+                if measurements:
+                    measurements.publish_range()
 
 
 def captured(*commands):
-    """The golden capture's frames of these kinds, each with both its flags."""
+    """Yield the capture's frames of these commands, each with both its flags."""
     capture = (DATA / "capture_mixed.bin").read_bytes()
     for text in (DATA / "capture_mixed.jsonl").read_text(encoding="utf-8").splitlines():
         frame = json.loads(text)
@@ -201,7 +202,7 @@ def captured(*commands):
 
 
 class Line:
-    """A pseudo-terminal at a link. What a reader is too slow for is lost, as on a real line."""
+    """A pseudo-terminal at a link. When its reader is too slow bytes are lost, as on a real line."""
 
     def __init__(self, link):
         self._near, self._far = os.openpty()
@@ -219,7 +220,7 @@ class Line:
             self.lost_bytes += len(data)
 
     def drain(self) -> None:
-        """Take what the reader wrote, and drop it."""
+        """Discard what the reader wrote."""
         try:
             os.read(self._near, 4096)
         except BlockingIOError:
@@ -231,7 +232,7 @@ def line(link):
     frames = list(captured(WHEELS, SONAR))
     going, order = threading.Event(), {}
 
-    def obey():
+    def read_commands():
         for text in sys.stdin:
             if text.strip() == "stop":
                 going.clear()
@@ -241,7 +242,7 @@ def line(link):
                 terminal.lost_bytes = 0
                 order.update(bytes_per_s=float(text.split()[1]) * BYTES_PER_S, frames=0)
                 going.set()
-    threading.Thread(target=obey, daemon=True).start()
+    threading.Thread(target=read_commands, daemon=True).start()
     ready()
     index = 0
     while not rospy.is_shutdown():
@@ -274,19 +275,19 @@ def count(*topics):
         if text.strip() == "connected":
             while not all(subscriber.get_num_connections() for subscriber in subscribers):
                 time.sleep(0.01)
-            time.sleep(0.2)  # and the publisher's side has it too
+            time.sleep(0.2)  # until the publishers have it too
             print("connected", flush=True)
         else:
-            time.sleep(0.3)  # what is on its way
+            time.sleep(0.3)  # for messages in transit
             print("counted", counts[0], flush=True)
             counts[0] = 0
 
 
 class Driver:
-    """The autonomous deadman held, a circle, a speed that is kept; hears what the demo's drive hears."""
+    """Holds the autonomous deadman and commands a circle at a speed; subscribes to what the demo's drive does."""
 
-    def __init__(self, wanted_mps):
-        self._wanted_mps = wanted_mps
+    def __init__(self, target_mps):
+        self._target_mps = target_mps
         self._speed_mps = 0.0
         self._begun_s = time.monotonic()
         self._drives = False
@@ -302,14 +303,16 @@ class Driver:
     def _on_odometry(self, message):
         self._speed_mps = message.twist.twist.linear.x
 
-    def order(self):
-        """The deadman is held anew every three seconds until the car drives: topics come in any order."""
+    def publish(self):
+        """Publish all inputs. Until the car drives the deadman is released and held every three seconds: topics connect
+        in any order.
+        """
         passed_s = time.monotonic() - self._begun_s
         self._joy.publish(joy(int(self._drives or passed_s % 3 > 0.3)))
         self._radius.publish(RADIUS_M)
-        wanted = max(-2.0, min(2.0, 1.5 * (self._wanted_mps - self._speed_mps)))
-        self._commands.publish(Control(stamp=rospy.Time.now(), longitudinal=Longitudinal(acceleration=wanted)))
-        if not self._drives and self._speed_mps > 0.9 * self._wanted_mps:
+        acceleration = max(-2.0, min(2.0, 1.5 * (self._target_mps - self._speed_mps)))
+        self._commands.publish(Control(stamp=rospy.Time.now(), longitudinal=Longitudinal(acceleration=acceleration)))
+        if not self._drives and self._speed_mps > 0.9 * self._target_mps:
             self._drives = True
             print("drives", flush=True)
 
@@ -317,10 +320,10 @@ class Driver:
 def drive(speed_mps):
     driver = Driver(float(speed_mps))
     ready()
-    at_50_hz(driver.order)
+    at_50_hz(driver.publish)
 
 
-ROLES = {role.__name__: role for role in (relay, sink, beat, inputs, pipe, line, count, drive)}
+ROLES = {role.__name__: role for role in (relay, sink, timer, inputs, pipe, line, count, drive)}
 
 if __name__ == "__main__":
     arguments = rospy.myargv()[1:]
@@ -330,5 +333,5 @@ if __name__ == "__main__":
     try:
         ROLES[arguments[0]](*arguments[1:])
     except (rospy.ROSException, KeyboardInterrupt):
-        pass  # it ends
+        pass  # shutdown
     rospy.signal_shutdown("ended")

@@ -1,4 +1,4 @@
-"""Bytes on the I²C bus, by the log of the virtual chip: what pca9685 writes for a command."""
+"""Bytes that pca9685 writes to the I²C bus for a command, by the log of the virtual chip."""
 from __future__ import annotations
 
 import time
@@ -10,7 +10,7 @@ from waiting import eventually
 
 from .effort import Effort
 from .rows import Row, Summary, Target
-from .stage import Ear, Stage, mouth
+from .stage import Stage, TimedSubscriber, connected_publisher
 
 CHANNELS = 16
 SETTLING_S = 0.05  # of a command that writes nothing
@@ -18,23 +18,23 @@ ADDRESS_AND_REGISTER = 2  # bytes
 
 
 class Log:
-    """The chip's log of writes, as sizes in bytes; chip checks only read, and aren't there."""
+    """The chip's log of writes. Checks of the chip only read, and are not in it."""
 
     def __init__(self, path):
         self._path = path
 
     def sizes(self) -> list[int]:
-        """Of all writes so far: address, register, data."""
+        """Return the size of each write so far, bytes: address, register, data."""
         with open(self._path, encoding="ascii") as file:
             return [ADDRESS_AND_REGISTER + len(line.split()[3]) // 2 for line in file if line.endswith("\n")]
 
 
 def measure_bus(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """A steering change, the same command again, and sixteen changes."""
+    """Measure a steering change, the same command again, and sixteen changes."""
     path = stage.path("bus")
     with stage.running(stage.node("pca9685", "_device:=virtual", f"_virtual_log:={path}", "_timeout:=0")):
-        outputs = Ear("/servo/output", Int32MultiArray, lambda message: tuple(message.data)).connected()
-        commands, log = mouth("/command", Int32MultiArray), Log(path)
+        outputs = TimedSubscriber("/servo/output", Int32MultiArray, lambda message: tuple(message.data)).connected()
+        commands, log = connected_publisher("/command", Int32MultiArray), Log(path)
 
         def written(duties, changes=True):
             before = len(log.sizes())
@@ -48,16 +48,16 @@ def measure_bus(effort: Effort, stage: Stage) -> Iterator[Row]:
         written([1600] * CHANNELS)
         steering, unchanged, all_channels, blocks = [], [], [], []
         for index in range(effort.bus_commands):
-            turn = [3200 + 16 * (index % 2)] + [-1] * (CHANNELS - 1)
-            steering.append(sum(written(turn)))
-            unchanged.append(sum(written(turn, changes=False)))
+            steer = [3200 + 16 * (index % 2)] + [-1] * (CHANNELS - 1)
+            steering.append(sum(written(steer)))
+            unchanged.append(sum(written(steer, changes=False)))
             sizes = written([4800 + 16 * (index % 2)] * CHANNELS)
             all_channels.append(sum(sizes))
             blocks.append(len(sizes))
         outputs.close()
         commands.unregister()
-    for what, unit, figures, wanted in (
-            ("bus: a steering change", "bytes", steering, 6), ("bus: a command that changes nothing", "bytes",
-                                                                unchanged, 0),
-            ("bus: 16 changed channels", "bytes", all_channels, 68), ("bus: 16 changed channels", "writes", blocks, 2)):
+    for what, unit, figures, wanted in (("bus: a steering change", "bytes", steering, 6),
+                                        ("bus: a command that changes nothing", "bytes", unchanged, 0),
+                                        ("bus: 16 changed channels", "bytes", all_channels, 68),
+                                        ("bus: 16 changed channels", "writes", blocks, 2)):
         yield Row("bus", what, unit, Summary.of(figures), (Target("max", low=wanted, high=wanted),))

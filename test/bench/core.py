@@ -1,4 +1,4 @@
-"""Decode, encode, lookup: each in a fresh interpreter, by speed.py."""
+"""Speed of decode, encode and lookup, each in a fresh interpreter by speed.py."""
 from __future__ import annotations
 
 import json
@@ -18,14 +18,14 @@ PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")
 
 
 def samples(python: str, *arguments) -> dict:
-    """What speed.py prints."""
+    """Return what speed.py prints."""
     run = subprocess.run([python, str(ROOT / "test/bench/speed.py"), *map(str, arguments)], check=True,
                          stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
     return json.loads(run.stdout)
 
 
 def measure_decode(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """On this Python, and on 3.8 beside it, if there is one."""
+    """Measure on this Python, and on 3.8 beside it, if there is one."""
     result = samples(sys.executable, "decode", effort.decode_passes)
     yield from decode_rows(result, (Target(MEDIAN, low=25, original="3.1"),),
                            (Target(MEDIAN, high=1.15, original="9.3"), Target(P99)))
@@ -39,21 +39,21 @@ def measure_decode(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def decode_rows(result: dict, rate_targets, cost_targets) -> Iterator[Row]:
-    """Each read of 4 KB is a sample."""
+    """Yield the rows of one Python; each read of 4 KB is a sample."""
     name = f"decode, Python {result['python']}"
     yield Row("decode", f"{name}: 20 MB in 4 KB reads", "MB/s", Summary.of(result["mb_per_s"], True), rate_targets)
     yield Row("decode", f"{name}: a frame", "µs", Summary.of(result["us_per_frame"]), cost_targets)
 
 
 def measure_encode(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """A ping for the Teensy."""
+    """Measure a ping for the Teensy."""
     result = samples(sys.executable, "encode", effort.calls)
     yield Row("encode", "encode: a ping's frame", "µs", Summary.of(result["us"]), (Target(high=4), Target(P99)),
               note="a sample is the mean of 500 calls")
 
 
 def measure_lookup(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """The value for an acceleration and a velocity."""
+    """Measure the lookup of the value for an acceleration and a velocity."""
     for size, (bound_us, original) in LOOKUPS.items():
         result = samples(sys.executable, "lookup", effort.calls, size)
         yield Row("lookup", f"lookup: {size}×{size}", "µs", Summary.of(result["us"]),

@@ -1,4 +1,4 @@
-"""What each node takes: to its first message, and in memory."""
+"""Each node's time from its start to its first message, and its memory."""
 from __future__ import annotations
 
 import time
@@ -7,15 +7,16 @@ from typing import Callable, Iterator, NamedTuple
 import rospy
 
 from .effort import Effort
+from .meters import rss_mb
 from .rows import MEDIAN, WORST, Row, Summary, Target
-from .stage import PACKAGE, Ear, Stage, rss_mb
+from .stage import PACKAGE, Stage, TimedSubscriber
 
 BARE = "test/bench/bare.py"  # rosrun takes a path inside a package, too
 INPUTS = ("human", "steering", "radius", "acceleration", "odometry", "joy")
 
 
 class Subject(NamedTuple):
-    """A node: how to start it, and where its first message comes."""
+    """A node: how it is started, and the topic of its first message."""
 
     name: str
     topic: str
@@ -34,11 +35,11 @@ SUBJECTS = (
         "generic_value_converter/input/odometry:=odom"), ("generic_value_converter.yaml",)),
     Subject("teleop_logi", "/teleop_logi/human_in_loop", config=("teleop_logi.yaml",)),
 )
-FLOOR = Subject(BARE, "/bare/beat")
+FLOOR = Subject(BARE, "/bare/timer")
 
 
-def surroundings(stage: Stage) -> list:
-    """What the nodes hear: everything that they listen to at 50 Hz, and a full line."""
+def start_inputs(stage: Stage) -> list:
+    """Start what the nodes receive: all their inputs at 50 Hz, and a full line."""
     line, inputs = stage.actors(("line", stage.path("teensy")), ("inputs", *INPUTS))
     line.tell("go 1")
     for subject in SUBJECTS:
@@ -46,25 +47,25 @@ def surroundings(stage: Stage) -> list:
     return [line, inputs]
 
 
-def begin(stage: Stage, subject: Subject):
-    """Start a node; it, and the seconds until its first message was heard."""
-    ear = Ear(subject.topic, rospy.AnyMsg, lambda message: message._connection_header["callerid"])
+def start_node(stage: Stage, subject: Subject):
+    """Start a node; return it and the time until its first message arrived, s."""
+    subscriber = TimedSubscriber(subject.topic, rospy.AnyMsg, lambda message: message._connection_header["callerid"])
     time.sleep(0.1)
     begun_ns = time.monotonic_ns()
     process = stage.node(subject.name, *subject.arguments(stage))
-    own = "/" + ("bare" if subject is FLOOR else subject.name)
-    took_s = (ear.first(lambda caller: caller == own) - begun_ns) / 1e9
-    ear.close()
+    name = "/" + ("bare" if subject is FLOOR else subject.name)
+    took_s = (subscriber.first(lambda caller: caller == name) - begun_ns) / 1e9
+    subscriber.close()
     return process, took_s
 
 
 def measure_start(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """From rosrun to the callback of a subscriber that waits for it; the nodes by turns, a bare one among them."""
+    """Measure from rosrun to the callback of a waiting subscriber; the nodes in turns, a bare one among them."""
     times_s: dict = {subject: [] for subject in (FLOOR, *SUBJECTS)}
-    with stage.running(*surroundings(stage)):
+    with stage.running(*start_inputs(stage)):
         for _ in range(effort.starts):
             for subject, times in times_s.items():
-                process, took_s = begin(stage, subject)
+                process, took_s = start_node(stage, subject)
                 times.append(took_s)
                 stage.end(process)
     floor = Summary.of(times_s.pop(FLOOR))
@@ -74,17 +75,17 @@ def measure_start(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def measure_memory(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """All nodes at once with everything that they listen to; then what each has in memory."""
-    with stage.running(*surroundings(stage)):
+    """Measure each node's memory while all of them run with all their inputs."""
+    with stage.running(*start_inputs(stage)):
         processes = {subject: stage.node(subject.name, *subject.arguments(stage)) for subject in (FLOOR, *SUBJECTS)}
         with stage.running(*processes.values()):
-            ears = [Ear(subject.topic, rospy.AnyMsg, lambda message: None) for subject in processes]
-            for ear in ears:
-                ear.first()
+            subscribers = [TimedSubscriber(subject.topic, rospy.AnyMsg, lambda message: None) for subject in processes]
+            for subscriber in subscribers:
+                subscriber.first()
             time.sleep(effort.memory_s)
             used_mb = {subject: rss_mb(process.pid) for subject, process in processes.items()}
-            for ear in ears:
-                ear.close()
+            for subscriber in subscribers:
+                subscriber.close()
     floor_mb = used_mb.pop(FLOOR)
     for subject, mb in used_mb.items():
         yield Row("memory", f"memory: {subject.name} (RSS)", "MB", Summary.of([mb]),

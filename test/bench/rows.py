@@ -1,15 +1,16 @@
-"""What was measured, against what was to be reached: statistics, the table, JSON. Pure.
+"""The figures against their targets: statistics, the table, JSON. Pure.
 
 A ``Row`` is one distribution. It has a line in the table for each of its targets.
 """
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 MEDIAN, P99, WORST = "median", "p99", "max"
-COLUMNS = ("what", "n", "figure", "unit", "target", "ratio", "met", "bare rospy", "ratio to it", "the original")
+COLUMNS = ("what", "figure", "unit", "to reach", "met", "bare rospy beside it", "ratio", "the original")
+WIDTHS = (60, 12, 9, 14, 6, 20, 6, 12)  # on a terminal
 
 
 @dataclass(frozen=True)
@@ -23,18 +24,26 @@ class Summary:
 
     @classmethod
     def of(cls, values: Sequence[float], more_is_better: bool = False) -> Summary:
-        """Of at least one value. With ``more_is_better`` p99 is what 99 % reach, and max is the least."""
+        """Return the summary of at least one value.
+
+        With ``more_is_better`` p99 is what 99 % of the values reach, and max is the smallest.
+        """
         ordered = sorted(values, reverse=more_is_better)
         return cls(len(ordered), percentile(ordered, 50), percentile(ordered, 99), ordered[-1])
 
+    def as_json(self) -> dict:
+        """Return it with six digits."""
+        return {"samples": self.samples, "median": _rounded(self.median), "p99": _rounded(self.p99),
+                "max": _rounded(self.max)}
+
 
 def percentile(ordered: Sequence[float], percent: float) -> float:
-    """Nearest rank: the first of the ordered values that so many percent don't lie beyond."""
+    """Return a percentile by nearest rank."""
     return ordered[max(0, math.ceil(len(ordered) * percent / 100) - 1)]
 
 
 class Target(NamedTuple):
-    """What one statistic of a row must be; without a bound it is only shown."""
+    """The bounds of one statistic of a row; without a bound it is only shown."""
 
     statistic: str = MEDIAN
     low: float | None = None
@@ -43,18 +52,12 @@ class Target(NamedTuple):
 
     @property
     def is_bound(self) -> bool:
-        """Whether there is anything to meet."""
+        """Whether there is a bound."""
         return self.low is not None or self.high is not None
 
     def met_by(self, value: float) -> bool:
-        """Whether it is."""
+        """Return whether a value is within the bounds."""
         return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
-
-    def ratio(self, value: float) -> float | None:
-        """Of the value to the bound, or to the middle of two; ``None`` where there is none, or it is 0."""
-        bounds = [bound for bound in (self.low, self.high) if bound is not None]
-        wanted = sum(bounds) / len(bounds) if bounds else 0
-        return value / wanted if wanted else None
 
     def __str__(self) -> str:
         if self.low is None:
@@ -66,117 +69,89 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """One thing that was measured."""
+    """One distribution that was measured.
+
+    Attributes:
+        summary: None when it could not be measured; the note says why.
+        floor: the same quantity of bare rospy, in the same run.
+        digits: how many digits of a figure are shown.
+        void: why the figure meets no target, however good it is.
+    """
 
     group: str
     what: str
     unit: str
-    summary: Summary | None  # None: it could not be measured, and the note says why
+    summary: Summary | None
     targets: tuple[Target, ...] = (Target(),)
-    floor: Summary | None = None  # the same of bare rospy, in the same run
+    floor: Summary | None = None
     note: str = ""
-    digits: int = 3  # of a figure that count
-    void: str = ""  # why the figure, however good, meets no target
-    missed: tuple[str, ...] = field(init=False, default=())
-
-    def __post_init__(self):
-        object.__setattr__(self, "missed", tuple(
-            target.statistic for target in self.targets if self.meets(target) is False))
-
-    def value(self, target: Target) -> float:
-        """The figure that a target is about."""
-        return getattr(self.summary, target.statistic)
+    digits: int = 3
+    void: str = ""
 
     def meets(self, target: Target) -> bool | None:
-        """Whether a target is met; ``None`` when there is nothing to meet. What wasn't measured, or is void, isn't."""
+        """Return whether a target is met; None without a bound. What was not measured, or is void, meets no bound."""
         if not target.is_bound:
             return None
-        return self.summary is not None and not self.void and target.met_by(self.value(target))
+        return self.summary is not None and not self.void and target.met_by(getattr(self.summary, target.statistic))
 
-    def lost_to_rospy(self) -> tuple[str, ...]:
-        """The statistics whose target is missed, and by bare rospy as well."""
+    def missed(self, by_floor: bool | None = None) -> tuple[str, ...]:
+        """Return the statistics whose target is missed; only those that bare rospy misses too, or does not."""
         return tuple(target.statistic for target in self.targets if self.meets(target) is False
-                     and self.floor is not None and not target.met_by(getattr(self.floor, target.statistic)))
+                     and by_floor in (None, self._floor_misses(target)))
+
+    def _floor_misses(self, target):
+        return self.floor is not None and not target.met_by(getattr(self.floor, target.statistic))
 
     def lines(self) -> list[tuple[str, ...]]:
-        """The table's cells, a line for each target."""
+        """Return the table's cells, a line for each target."""
         return [self._cells(target) for target in self.targets]
 
     def _cells(self, target):
-        single = self.summary is None or self.summary.samples == 1
-        what = self.what if single and len(self.targets) == 1 else f"{self.what}, {target.statistic}"
+        is_single = self.summary is None or self.summary.samples == 1
+        what = self.what if is_single and len(self.targets) == 1 else f"{self.what}, {target.statistic}"
+        met = {True: "yes", False: "no", None: ""}[self.meets(target)]
         if self.summary is None:
-            return (what, "0", "not measured", self.unit, str(target), "", "**no**", "", "", target.original)
-        value, floor = self.value(target), self.floor and getattr(self.floor, target.statistic)
-        met = {True: "yes", False: "**no**", None: ""}[self.meets(target)]
-        return (what, str(self.summary.samples), number(value, self.digits), self.unit, str(target),
-                _times(target.ratio(value)), met, "" if floor is None else number(floor, self.digits),
-                _times(value / floor if floor else None), target.original)
+            return (what, "not measured", self.unit, str(target), met, "", "", target.original)
+        value, floor = getattr(self.summary, target.statistic), self.floor and getattr(self.floor, target.statistic)
+        return (what, number(value, self.digits), self.unit, str(target), met,
+                "" if floor is None else number(floor, self.digits), f"{value / floor:.2f}" if floor else "",
+                target.original)
 
     def as_json(self) -> dict:
-        """For a file: everything, rounded to six digits."""
-        record = {"group": self.group, "what": self.what, "unit": self.unit,
-                  **_summary_as_json(self.summary), "note": self.note, "void": self.void,
-                  "targets": [self._target_as_json(target) for target in self.targets]}
-        if self.floor is not None:
-            record["bare_rospy"] = _summary_as_json(self.floor)
-        return record
-
-    def _target_as_json(self, target):
-        value = None if self.summary is None else self.value(target)
-        floor = self.floor and getattr(self.floor, target.statistic)
-        return {"statistic": target.statistic, "low": target.low, "high": target.high,
-                "ratio": None if value is None else _rounded(target.ratio(value)),
-                "met": self.meets(target),
-                "ratio_to_bare_rospy": _rounded(value / floor) if floor and value is not None else None,
-                "original": target.original}
-
-
-def _summary_as_json(summary):
-    if summary is None:
-        return {"samples": 0, "median": None, "p99": None, "max": None}
-    return {"samples": summary.samples, "median": _rounded(summary.median), "p99": _rounded(summary.p99),
-            "max": _rounded(summary.max)}
+        """Return everything, for a file."""
+        return {"group": self.group, "what": self.what, "unit": self.unit, "note": self.note, "void": self.void,
+                "figure": self.summary and self.summary.as_json(), "bare_rospy": self.floor and self.floor.as_json(),
+                "targets": [{**target._asdict(), "met": self.meets(target)} for target in self.targets]}
 
 
 def _rounded(value):
-    return None if value is None else float(f"{value:.6g}")
+    return float(f"{value:.6g}")
 
 
 def number(value: float, digits: int = 3) -> str:
-    """So many digits that count, or a whole number as it is."""
+    """Return a number with so many significant digits, a whole number as it is."""
     if value == int(value):
         return str(int(value))
     return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
 
 
-def _times(ratio):
-    return "" if ratio is None else f"{ratio:.2f}"
-
-
 def table(lines: Sequence[Sequence[str]]) -> str:
-    """Markdown whose columns also line up on a terminal, without its head; see ``head``."""
+    """Return lines of Markdown whose columns also line up on a terminal."""
     return "\n".join("| " + " | ".join(cell.ljust(width) for cell, width in zip(cells, WIDTHS)) + " |"
                      for cells in lines)
 
 
-WIDTHS = (58, 5, 12, 9, 14, 5, 6, 10, 11, 12)
-
-
 def head() -> str:
-    """The table's first two lines."""
+    """Return the table's first two lines."""
     return table([COLUMNS, ["-" * width for width in WIDTHS]])
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """The last words: how many targets were met, and which were not; those that bare rospy misses too come apart."""
+    """Return how many targets were met, and which were not; those that bare rospy misses too come apart."""
     count = sum(1 for row in rows for target in row.targets if target.is_bound)
-    met = count - sum(len(row.missed) for row in rows)
-    ours = _named((row, [name for name in row.missed if name not in row.lost_to_rospy()]) for row in rows)
-    rospys = _named((row, row.lost_to_rospy()) for row in rows)
-    return (f"{met} of {count} targets met" + (f"; missed: {ours}" if ours else "")
-            + (f"; missed by bare rospy as well: {rospys}" if rospys else ""))
-
-
-def _named(missed):
-    return "; ".join(f"{row.what} ({', '.join(statistics)})" for row, statistics in missed if statistics)
+    text = f"{count - sum(len(row.missed()) for row in rows)} of {count} targets met"
+    for by_floor, reason in ((False, "missed"), (True, "missed by bare rospy as well")):
+        missed = [(row.what, row.missed(by_floor)) for row in rows if row.missed(by_floor)]
+        if missed:
+            text += f"; {reason}: " + "; ".join(f"{what} ({', '.join(statistics)})" for what, statistics in missed)
+    return text

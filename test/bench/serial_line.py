@@ -1,4 +1,4 @@
-"""The Teensy's line: from a frame's last byte to a subscriber, and what a full line costs."""
+"""Latency from a frame's last byte on the serial line to a subscriber, and the CPU that a full line needs."""
 from __future__ import annotations
 
 import os
@@ -13,11 +13,12 @@ from waiting import NodeProcess
 
 from .actor import SONARS, WHEELS, captured
 from .effort import Effort
+from .meters import CpuMeter, IdleMeter
 from .rows import MEDIAN, P99, WORST, Row, Summary, Target
-from .stage import CpuMeter, Ear, IdleMeter, Stage
+from .stage import Stage, TimedSubscriber
 
 PAUSE_S = (0.004, 0.02)
-UNCOUNTED = 3  # the first ones: of connections in the making
+UNCOUNTED = 3  # the first frames, while the connections may not be complete
 EVERYTHING = ("odom", "/tf", "joint_states", "teensy_clock", "teensy_sensor_hub/link", "/diagnostics",
               *(f"sonar/{name}" for name in SONARS))
 WARM_UP_S = 0.3
@@ -31,7 +32,7 @@ CPU_TARGETS = {(1, RAW): Target(high=4.9, original="5.4"), (1, ALL): Target(high
 
 
 def hub(stage: Stage, port: str, namespace: str = "", *arguments: str) -> NodeProcess:
-    """The node on a port, as its launch file starts it, once it has opened it."""
+    """Start the hub on a port, configured as by its launch file, and wait until the port is open."""
     stage.load(f"{namespace}/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
     process = stage.node("teensy_sensor_hub", f"_port:={port}", f"__ns:={namespace}", *arguments)
     process.wait_for_info("the Teensy's port is open")
@@ -39,21 +40,22 @@ def hub(stage: Stage, port: str, namespace: str = "", *arguments: str) -> NodePr
 
 
 def measure_serial(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Captured reports of the wheels, one by one; beside each a node that reads a pty and publishes a ready message."""
+    """Measure captured wheel reports one by one, in turns with a node that publishes a ready message for each."""
     with Terminals(2) as ports, stage.running(
             hub(stage, ports.names[0]), stage.actor("pipe", ports.names[1], "__ns:=bench")):
-        ears = [Ear(topic, Wheel).connected() for topic in ("/teensy_wheel", "/bench/teensy_wheel")]
+        subscribers = [TimedSubscriber(topic, Wheel).connected() for topic in (
+            "/teensy_wheel", "/bench/teensy_wheel")]
         frames = list(captured(WHEELS))
         delays_ms: tuple[list[float], list[float]] = ([], [])
         for index in range(effort.frames + UNCOUNTED):
-            for near, ear, delays in zip(ports.near, ears, delays_ms):
+            for near, subscriber, delays in zip(ports.near, subscribers, delays_ms):
                 time.sleep(stage.random.uniform(*PAUSE_S))
                 sent_ns = time.monotonic_ns()
                 os.write(near, frames[index % len(frames)])
-                delays.append((ear.first(since_ns=sent_ns) - sent_ns) / 1e6)
+                delays.append((subscriber.first(since_ns=sent_ns) - sent_ns) / 1e6)
                 ports.drain()
-        for ear in ears:
-            ear.close()
+        for subscriber in subscribers:
+            subscriber.close()
     yield Row("serial", "serial: last byte on the pty → subscriber's callback", "ms",
               Summary.of(delays_ms[0][UNCOUNTED:]),
               (Target(MEDIAN, high=0.22, original="0.22"), Target(P99, high=0.5, original="0.48"), Target(WORST)),
@@ -61,7 +63,7 @@ def measure_serial(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 class Terminals:
-    """Pseudo-terminals: what is written to the near end of one comes out of the port that its name leads to."""
+    """Pseudo-terminals: what is written to the near end of one can be read from the port of its name."""
 
     def __init__(self, count: int):
         self._pairs = [os.openpty() for _ in range(count)]
@@ -79,7 +81,7 @@ class Terminals:
             os.close(fd)
 
     def drain(self) -> None:
-        """Drop what was written to the ports: pings."""
+        """Discard what was written to the ports: pings."""
         for fd in self.near:
             try:
                 os.read(fd, 4096)
@@ -88,17 +90,17 @@ class Terminals:
 
 
 class Load(NamedTuple):
-    """What a line made of a node for a while."""
+    """What a node did during some time of a full line."""
 
     cpu_percent: float
-    lost: int  # frames that didn't reach their subscriber
-    lost_on_line: int  # bytes of the line that the port's reader was too slow for
+    lost: int  # frames that did not arrive at their subscriber
+    lost_on_line: int  # bytes for which the port's buffer was full
     sent_per_s: float  # frames
     idle_percent: float  # of the machine
 
     @staticmethod
     def of(parts: list[Load]) -> Load:
-        """Several of the same length as one."""
+        """Return several of the same duration as one."""
         def mean(name):
             return sum(getattr(part, name) for part in parts) / len(parts)
         return Load(mean("cpu_percent"), sum(part.lost for part in parts), sum(part.lost_on_line for part in parts),
@@ -110,7 +112,7 @@ class Load(NamedTuple):
 
 
 class Reader(NamedTuple):
-    """A node, the line that it reads, and who hears it."""
+    """A node, the line that it reads, and its subscriber."""
 
     node: NodeProcess
     line: NodeProcess
@@ -118,11 +120,11 @@ class Reader(NamedTuple):
 
 
 def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """The reports of wheels and sonars in the capture, over and over: 368 a second at 115200 baud, and ten times.
+    """Measure with the capture's reports of wheels and sonars, repeated: 368 a second at 115200 baud, and ten times.
 
-    By turns: the hub with ``raw_only``, and with subscribers of everything, and for each a bare node that publishes the
-    same messages ready-made, but for those that come once a second; the others wait meanwhile. The subscribers are a
-    process of their own, and so is the line; neither is counted.
+    In turns: the hub with ``raw_only``, the hub with subscribers to all of its topics, and for each a bare node that
+    publishes the same messages ready-made, except those that are published once a second. The others wait meanwhile.
+    The line and the subscribers are processes of their own, whose CPU time is not counted.
     """
     with readers(stage) as by_kind:
         for factor in FACTORS:
@@ -133,7 +135,7 @@ def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
-    """Of a line of one speed."""
+    """Yield the rows of one speed of the line."""
     rate = "full line" if factor == 1 else f"{factor} × the line rate"
     for kind, what in ((RAW, "raw topics only"), (ALL, "everything on")):
         measured, floor = loads[kind], loads[FLOORS[kind]]
@@ -146,7 +148,7 @@ def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
 
 @contextmanager
 def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
-    """Each with a line and listeners, all of them idle."""
+    """Start the nodes, each with a line and subscribers; nothing is sent yet."""
     ports = {kind: stage.path(f"line_{kind}") for kind in KINDS}
     everything = {ALL: EVERYTHING, FLOORS[ALL]: EVERYTHING}
     actors = stage.actors(*(("line", port) for port in ports.values()),
@@ -164,7 +166,7 @@ def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
 
 
 def load(lasts_s: float, reader: Reader, factor: int) -> Load:
-    """What a line of one speed makes of a node."""
+    """Measure a node on a line of one speed."""
     node, line, count = reader
     sent_mark, counted_mark = line.stdout.mark(), count.stdout.mark()
     begun_s = time.monotonic()
@@ -182,4 +184,4 @@ def load(lasts_s: float, reader: Reader, factor: int) -> Load:
 
 
 def _numbers(text):
-    return [int(word) for word in text.split()[1:]]
+    return [int(field) for field in text.split()[1:]]

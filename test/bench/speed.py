@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The core's speed in an interpreter of its own, so that nothing else is in its way: prints samples as JSON.
+"""Measures the core's speed in an interpreter of its own and prints the samples as JSON.
 
     PYTHONPATH=src python3 test/bench/speed.py decode PASSES
     PYTHONPATH=src python3 test/bench/speed.py encode CALLS
@@ -21,11 +21,11 @@ from car_interface.throttle.value_map import ValueMap
 CAPTURE = Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin"
 FRAMES = 795  # in the capture
 TOTAL_BYTES, READ_BYTES = 20_000_000, 4096
-BATCH = 500  # calls between two looks at the clock
+BATCH = 500  # calls between two readings of the clock
 
 
 def decode(passes: int) -> dict:
-    """For each read of 4 KB its MB/s and µs a frame; every frame becomes a typed record."""
+    """Decode every frame to a typed record; return MB/s and µs per frame of each read of 4 KB."""
     capture = CAPTURE.read_bytes()
     copies = -(-TOTAL_BYTES // len(capture))
     data = capture * copies
@@ -46,7 +46,7 @@ def decode(passes: int) -> dict:
 
 
 def per_call(call, arguments) -> list[float]:
-    """µs a call, for each batch of calls."""
+    """Return µs per call of each batch of calls."""
     costs = []
     for start in range(0, len(arguments), BATCH):
         batch = arguments[start:start + BATCH]
@@ -58,14 +58,14 @@ def per_call(call, arguments) -> list[float]:
 
 
 def encode(calls: int) -> dict:
-    """A ping's frame, whole: its body, checksum and escapes."""
+    """Encode whole ping frames: body, checksum and escapes."""
     numbers = random.Random(1)
     stamps = [(numbers.randrange(protocol.UINT32),) for _ in range(calls)]
     return {"us": per_call(lambda stamp: framing.encode(protocol.ping(stamp)), stamps)}
 
 
 def value_map(size: int) -> ValueMap:
-    """Values −5 to 3, velocities 0 to 20 m/s; a rise that isn't the same anywhere."""
+    """Return a map with values −5 to 3 and velocities 0 to 20 m/s, whose slope differs everywhere."""
     numbers = random.Random(size)
     columns = []
     for _ in range(size):
@@ -80,7 +80,7 @@ def value_map(size: int) -> ValueMap:
 
 
 def lookup(calls: int, size: int) -> dict:
-    """Random accelerations and velocities all over the map."""
+    """Look up random accelerations and velocities all over the map."""
     numbers = random.Random(1)
     wanted = [(numbers.uniform(-9, 4), numbers.uniform(0, 20)) for _ in range(calls)]
     return {"us": per_call(value_map(size).value_at, wanted)}

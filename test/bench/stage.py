@@ -1,4 +1,4 @@
-"""A master of its own, nodes started as users start them, and what /proc says of a process."""
+"""A ROS master of its own, nodes started as users start them, and topics with the times of their messages."""
 from __future__ import annotations
 
 import os
@@ -16,18 +16,18 @@ from typing import Callable, Iterator
 import rospkg
 import rospy
 import yaml
+from processes import end_descendants, free_port
 
 from waiting import NodeProcess, eventually
 
 PACKAGE = rospkg.RosPack().get_path("car_interface")
 ACTOR = os.path.join(PACKAGE, "test", "bench", "actor.py")
-TICKS_PER_S = os.sysconf("SC_CLK_TCK")
-SWITCH_INTERVAL_S = 0.0005  # as the package's nodes: it's their time that is measured
+SWITCH_INTERVAL_S = 0.0005  # as the package's nodes: it is their time that is measured
 PATIENCE_S = 20.0
 
 
 class Stage:
-    """The master and what runs on it. Everything that was started ends with it."""
+    """The master and the processes on it. Everything that was started ends with it."""
 
     def __init__(self):
         self._stack = ExitStack()
@@ -39,18 +39,18 @@ class Stage:
     def __enter__(self) -> Stage:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, error, *_) -> None:
+        if error:
+            end_descendants()  # all at once, also the nodes of a roslaunch
         if self._has_master:
             rospy.signal_shutdown("measured")
         self._stack.close()
 
     def open(self) -> None:
-        """Start the master and become a node, if that's still to do."""
+        """Start the master and become a node, once."""
         if self._has_master:
             return
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
+        port = free_port()
         os.environ.update(ROS_MASTER_URI=f"http://127.0.0.1:{port}", ROS_IP="127.0.0.1", ROS_LOG_DIR=self.folder)
         self._stack.callback(self.end, self.start(shutil.which("roscore"), "-p", str(port)))
         eventually(lambda: _answers(port), "a master", PATIENCE_S)
@@ -65,7 +65,7 @@ class Stage:
         return process
 
     def node(self, node: str, *arguments: str) -> NodeProcess:
-        """Start a node of this package as a user does. rosrun becomes the node, so that this is its process."""
+        """Start a node of this package by rosrun, which becomes the node: this is its process."""
         return self.start("rosrun", "car_interface", node, *arguments)
 
     def actors(self, *roles: tuple[str, ...]) -> list[NodeProcess]:
@@ -76,7 +76,7 @@ class Stage:
         return processes
 
     def actor(self, *role: str) -> NodeProcess:
-        """Start one."""
+        """Start one role."""
         return self.actors(role)[0]
 
     @staticmethod
@@ -88,12 +88,12 @@ class Stage:
                     rospy.set_param(f"{namespace}/{key}", value)
 
     def path(self, name: str) -> str:
-        """A file of the run's own."""
+        """Return the path of a file of this run."""
         return os.path.join(self.folder, name)
 
     @staticmethod
     def end(*processes: NodeProcess) -> None:
-        """End processes, all at once, so that the master forgets them."""
+        """End processes, all at once, in such a way that the master unregisters them."""
         for process in processes:
             if process.runs():
                 process.send(signal.SIGINT)
@@ -105,155 +105,77 @@ class Stage:
 
     @contextmanager
     def running(self, *processes: NodeProcess) -> Iterator[tuple[NodeProcess, ...]]:
-        """End them afterwards, and forget their parameters."""
+        """End the processes afterwards, and delete their parameters."""
         try:
             yield processes
         finally:
             self.end(*processes)
-            for name in rospy.get_param_names():
-                if not name.startswith(("/run_id", "/ros")):
-                    try:
-                        rospy.delete_param(name)
-                    except KeyError:
-                        pass  # it went with the one before
+            try:
+                delete_params()
+            except OSError:
+                pass  # an interrupt from the terminal ended the master too
 
 
-class Ear:
-    """Hears a topic: what arrived, and when, ns."""
+def delete_params() -> None:
+    """Delete all parameters but the master's own."""
+    for name in rospy.get_param_names():
+        if not name.startswith(("/run_id", "/ros")):
+            try:
+                rospy.delete_param(name)
+            except KeyError:
+                pass  # it was deleted with the one before
 
-    def __init__(self, topic: str, message_type, take: Callable = lambda message: message):
-        self._heard: SimpleQueue = SimpleQueue()
-        self._take = take
+
+class TimedSubscriber:
+    """Receives a topic: its messages with their times of arrival, ns.
+
+    Args:
+        convert: applied to each message; what it returns is stored.
+    """
+
+    def __init__(self, topic: str, message_type, convert: Callable = lambda message: message):
+        self._received: SimpleQueue = SimpleQueue()
+        self._convert = convert
         self._topic = topic
-        self._subscriber = rospy.Subscriber(topic, message_type, self._hear, tcp_nodelay=True)
+        self._subscriber = rospy.Subscriber(topic, message_type, self._store, tcp_nodelay=True)
 
-    def _hear(self, message):
+    def _store(self, message):
         now_ns = time.monotonic_ns()
-        self._heard.put((now_ns, self._take(message)))
+        self._received.put((now_ns, self._convert(message)))
 
-    def connected(self) -> Ear:
-        """Wait for a publisher."""
+    def connected(self) -> TimedSubscriber:
+        """Wait for a publisher; return this object."""
         eventually(lambda: self._subscriber.get_num_connections() > 0, f"a publisher of {self._topic}", PATIENCE_S)
         return self
 
     def first(self, wanted: Callable = lambda value: True, since_ns: int = 0, within_s: float = PATIENCE_S) -> int:
-        """When the first came that is wanted and not older than ``since_ns``; those before it are gone."""
+        """Return when the first wanted value arrived that is not older than ``since_ns``; drop those before it."""
         deadline_ns = time.monotonic_ns() + round(within_s * 1e9)
         while True:
             try:
-                at_ns, value = self._heard.get(timeout=max(0.0, (deadline_ns - time.monotonic_ns()) / 1e9))
+                at_ns, value = self._received.get(timeout=max(0.0, (deadline_ns - time.monotonic_ns()) / 1e9))
             except Empty:
-                raise AssertionError(f"{self._topic}: what was waited for didn't come") from None
+                raise AssertionError(f"{self._topic}: not received within {within_s} s") from None
             if at_ns >= since_ns and wanted(value):
                 return at_ns
 
-    def all(self) -> list[tuple[int, object]]:
-        """What arrived, with the times, and is not yet taken."""
-        taken = []
-        while not self._heard.empty():
-            taken.append(self._heard.get())
-        return taken
+    def drain(self) -> list[tuple[int, object]]:
+        """Return what has arrived since the last call, with the times."""
+        drained = []
+        while not self._received.empty():
+            drained.append(self._received.get())
+        return drained
 
     def close(self) -> None:
-        """Stop listening."""
+        """Unsubscribe."""
         self._subscriber.unregister()
 
 
-def mouth(topic: str, message_type, listeners: int = 1) -> rospy.Publisher:
-    """A publisher that somebody listens to."""
+def connected_publisher(topic: str, message_type) -> rospy.Publisher:
+    """Return a publisher that has a subscriber."""
     publisher = rospy.Publisher(topic, message_type, queue_size=10, tcp_nodelay=True)
-    eventually(lambda: publisher.get_num_connections() >= listeners, f"a subscriber of {topic}", PATIENCE_S)
+    eventually(lambda: publisher.get_num_connections() >= 1, f"a subscriber of {topic}", PATIENCE_S)
     return publisher
-
-
-class CpuMeter:
-    """What a process has used since this was made."""
-
-    def __init__(self, pid: int):
-        self._pid = pid
-        self._begun_s, self._used_s = time.monotonic(), cpu_s(pid)
-
-    def percent(self) -> float:
-        """Of one core."""
-        return 100 * (cpu_s(self._pid) - self._used_s) / (time.monotonic() - self._begun_s)
-
-
-def cpu_s(pid: int) -> float:
-    """User and system time of all threads of a process, s; in steps of 10 ms."""
-    return sum(_times(pid)[1:3]) / TICKS_PER_S
-
-
-def descendants_s() -> float:
-    """The same of all living processes that this one has started, or they, and of those of theirs that have ended."""
-    times = {}
-    for name in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            times[int(name)] = _times(int(name))
-        except OSError:
-            pass  # it has just ended
-    found, parents = set(), {os.getpid()}
-    while parents:
-        parents = {pid for pid, (parent, *_) in times.items() if parent in parents}
-        found |= parents
-    return sum(sum(times[pid][1:]) for pid in found) / TICKS_PER_S
-
-
-def _times(pid):
-    """Its parent; ticks of its own in user and system mode, and of its ended children in both."""
-    with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
-        fields = file.read().rpartition(")")[2].split()  # after the name, which may hold anything
-    return [int(fields[index]) for index in (1, 11, 12, 13, 14)]
-
-
-def rss_mb(pid: int) -> float:
-    """What a process has in memory, MB."""
-    return _kb(f"/proc/{pid}/status", "VmRSS:") / 1000
-
-
-def pss_mb(pid: int) -> float:
-    """The same, of what it has together with other processes only its share, MB."""
-    return _kb(f"/proc/{pid}/smaps_rollup", "Pss:") / 1000
-
-
-def _kb(path, key):
-    with open(path, encoding="utf-8", errors="replace") as file:
-        return next(int(line.split()[1]) for line in file if line.startswith(key))
-
-
-class IdleMeter:
-    """How much of the machine nobody used since this was made."""
-
-    def __init__(self):
-        self._before = _machine()
-
-    def percent(self) -> float:
-        """Of all cores together; 0 = saturated."""
-        idle, total = (now - before for now, before in zip(_machine(), self._before))
-        return 100 * idle / max(1, total)
-
-
-class OthersMeter:
-    """What programs that have nothing to do with this run have used since this was made: they disturb it."""
-
-    def __init__(self):
-        self._begun_s, self._before_s = time.monotonic(), self._others_s()
-
-    @staticmethod
-    def _others_s():
-        idle, total = _machine()
-        times = os.times()
-        ours_s = times.user + times.system + times.children_user + times.children_system + descendants_s()
-        return (total - idle) / TICKS_PER_S - ours_s
-
-    def percent(self) -> float:
-        """Of one core."""
-        return max(0.0, 100 * (self._others_s() - self._before_s) / (time.monotonic() - self._begun_s))
-
-
-def _machine():
-    with open("/proc/stat", encoding="ascii") as file:
-        times = [int(field) for field in file.readline().split()[1:9]]
-    return times[3] + times[4], sum(times)
 
 
 def _answers(port):

@@ -1,4 +1,4 @@
-"""Whole cars by demo.launch, one, two and four on one master: the CPU of their nodes, without simulators."""
+"""CPU of the nodes of whole cars by demo.launch, one, two and four on one master, without the simulators."""
 from __future__ import annotations
 
 import time
@@ -11,27 +11,27 @@ import rospy
 from waiting import NodeProcess, eventually
 
 from .effort import Effort
+from .meters import CpuMeter, IdleMeter
 from .rows import Row, Summary, Target
-from .stage import CpuMeter, Ear, IdleMeter, Stage
+from .stage import Stage, TimedSubscriber
 
 FOUR = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
 OTHERS = ("teleop_logi", "car_sim")
 PATIENCE_S = 60
 SETTLED_S = 1.0
-SPEED_MPS = 3.0  # at which the wheels' pulses make the most reports, one in 5 ms
+SPEED_MPS = 3.0  # at which the wheels' pulses cause the highest rate of reports, one in 5 ms
 LINEAR = 1.05  # 4 cars ≤ 4.2 × one
-FULL_RATE_HZ = 180  # from here on it's the full rate
-SATURATED_PERCENT = 10  # idle, below which the machine itself is what is measured
-LAUNCH = '''<launch>{}</launch>'''
+FULL_RATE_HZ = 180  # above it, it is the full rate
+SATURATED_PERCENT = 10  # idle; below it the machine itself is measured
 CAR = '''<include file="$(find car_interface)/launch/demo.launch">
   <arg name="ns" value="{ns}"/><arg name="port" value="{port}"/><arg name="drive" value="false"/>{more}</include>'''
 
 
 class Drive(NamedTuple):
-    """What so many cars took."""
+    """The CPU time of several cars."""
 
     percents: list[float]  # of a core, for each car its four nodes
-    by_node: str  # in words
+    by_node: str  # for the note
     reports_hz: float  # of the wheels, of the car with the fewest
     idle_percent: float  # of the machine
 
@@ -44,9 +44,9 @@ class Drive(NamedTuple):
 
 
 def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Every car in a circle by its planner, so fast that its wheels report as often as the Teensy does at all.
+    """Measure cars that drive circles, at a speed at which the wheels report at the Teensy's highest rate.
 
-    Cars join those that drive already.
+    One drives, then more are launched beside it.
     """
     namespaces: list[str] = []
     processes: list[NodeProcess] = []
@@ -55,8 +55,8 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
         for count in effort.cars:
             new = [f"/bench{index + 1}" for index in range(len(namespaces), count)]
             namespaces += new
-            processes += join(stage, new)
-            drive = watch(effort.drive_s, namespaces)
+            processes += launch_cars(stage, new)
+            drive = measure_drive(effort.drive_s, namespaces)
             name = "1 car" if count == 1 else f"{count} cars"
             yield Row("car", f"{name}: CPU of the four nodes, of each car", "% of core", Summary.of(drive.percents),
                       (Target("max", high=25),), note=str(drive))
@@ -70,14 +70,14 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
         stage.end(*processes)
 
 
-def join(stage: Stage, namespaces: list[str], nodes=(*FOUR, *OTHERS), arguments: dict | None = None
-         ) -> list[NodeProcess]:
-    """Launch cars, with these arguments besides, and have them drive."""
+def launch_cars(stage: Stage, namespaces: list[str], nodes=(*FOUR, *OTHERS), arguments: dict | None = None
+                ) -> list[NodeProcess]:
+    """Launch cars, with these arguments of demo.launch, and wait until they drive."""
     more = "".join(f'<arg name="{name}" value="{value}"/>' for name, value in (arguments or {}).items())
     path = stage.path(f"{namespaces[0][1:]}.launch")
     with open(path, "w", encoding="utf-8") as file:
-        file.write(LAUNCH.format("".join(CAR.format(ns=ns, port=stage.path(f"teensy{ns[1:]}"), more=more)
-                                         for ns in namespaces)))
+        cars = [CAR.format(ns=ns, port=stage.path(f"teensy{ns[1:]}"), more=more) for ns in namespaces]
+        file.write(f"<launch>{''.join(cars)}</launch>")
     launch = stage.start("roslaunch", path)
     eventually(lambda: all(pid_of(f"{ns}/{node}") for ns in namespaces for node in nodes), "the cars",
                PATIENCE_S)
@@ -88,25 +88,26 @@ def join(stage: Stage, namespaces: list[str], nodes=(*FOUR, *OTHERS), arguments:
     return [*drivers, launch]
 
 
-def watch(drive_s: float, namespaces: list[str]) -> Drive:
+def measure_drive(drive_s: float, namespaces: list[str]) -> Drive:
     """Measure cars that drive."""
-    reports = [Ear(f"{ns}/teensy_wheel", rospy.AnyMsg, lambda message: None).connected() for ns in namespaces]
+    reports = [TimedSubscriber(f"{ns}/teensy_wheel", rospy.AnyMsg, lambda message: None).connected()
+               for ns in namespaces]
     meters = {(ns, node): CpuMeter(pid_of(f"{ns}/{node}")) for ns in namespaces for node in (*FOUR, *OTHERS)}
     idle = IdleMeter()
-    for ear in reports:
-        ear.all()
+    for report in reports:
+        report.drain()
     time.sleep(drive_s)
     used = {key: meter.percent() for key, meter in meters.items()}
-    idle_percent, reports_hz = idle.percent(), min(len(ear.all()) for ear in reports) / drive_s
-    for ear in reports:
-        ear.close()
+    idle_percent, reports_hz = idle.percent(), min(len(report.drain()) for report in reports) / drive_s
+    for report in reports:
+        report.close()
     means = {node: sum(used[ns, node] for ns in namespaces) / len(namespaces) for node in (*FOUR, *OTHERS)}
     return Drive([sum(used[ns, node] for node in FOUR) for ns in namespaces],
                  ", ".join(f"{node} {percent:.1f}" for node, percent in means.items()), reports_hz, idle_percent)
 
 
 def pid_of(node: str) -> int | None:
-    """A node's process, by asking the node; None while it isn't there."""
+    """Return the id of a node's process, or None while it is not registered or does not answer."""
     try:
         uri = rosgraph.Master("/bench").lookupNode(node)
         return xmlrpc.client.ServerProxy(uri).getPid("/bench")[2]

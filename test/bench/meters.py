@@ -1,0 +1,84 @@
+"""CPU time and memory of processes, and of the whole machine, by /proc (proc(5))."""
+from __future__ import annotations
+
+import os
+import time
+
+from processes import descendants
+
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+class CpuMeter:
+    """The CPU time of a process since this was made."""
+
+    def __init__(self, pid: int):
+        self._pid = pid
+        self._begun_s, self._used_s = time.monotonic(), cpu_s(pid)
+
+    def percent(self) -> float:
+        """Return the CPU time in percent of one core."""
+        return 100 * (cpu_s(self._pid) - self._used_s) / (time.monotonic() - self._begun_s)
+
+
+def cpu_s(pid: int, with_children: bool = False) -> float:
+    """Return user and system time of a process, s, in steps of 10 ms; also that of its ended children, if asked for."""
+    with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
+        fields = file.read().rpartition(")")[2].split()  # after the name, which may hold anything
+    return sum(map(int, fields[11:15 if with_children else 13])) / TICKS_PER_S
+
+
+def rss_mb(pid: int) -> float:
+    """Return the resident memory of a process, MB."""
+    return _kb(f"/proc/{pid}/status", "VmRSS:") / 1000
+
+
+def pss_mb(pid: int) -> float:
+    """Return the same, with its ratio of the pages that it shares with other processes, MB."""
+    return _kb(f"/proc/{pid}/smaps_rollup", "Pss:") / 1000
+
+
+def _kb(path, key):
+    with open(path, encoding="utf-8", errors="replace") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith(key))
+
+
+class IdleMeter:
+    """The idle time of the machine since this was made."""
+
+    def __init__(self):
+        self._before = machine_ticks()
+
+    def percent(self) -> float:
+        """Return the idle time in percent of all cores; 0 = saturated."""
+        idle, total = (now - before for now, before in zip(machine_ticks(), self._before))
+        return 100 * idle / max(1, total)
+
+
+class OthersMeter:
+    """The CPU time that programs outside this run have used since this was made: they disturb it."""
+
+    def __init__(self):
+        self._begun_s, self._before_s = time.monotonic(), self._others_s()
+
+    @staticmethod
+    def _others_s():
+        idle, total = machine_ticks()
+        ours_s = 0.0
+        for pid in (os.getpid(), *descendants()):
+            try:
+                ours_s += cpu_s(pid, with_children=True)
+            except OSError:
+                pass  # it has just ended
+        return (total - idle) / TICKS_PER_S - ours_s
+
+    def percent(self) -> float:
+        """Return the CPU time in percent of one core."""
+        return max(0.0, 100 * (self._others_s() - self._before_s) / (time.monotonic() - self._begun_s))
+
+
+def machine_ticks() -> tuple[int, int]:
+    """Return idle and total time of all cores, in ticks."""
+    with open("/proc/stat", encoding="ascii") as file:
+        times = [int(field) for field in file.readline().split()[1:9]]
+    return times[3] + times[4], sum(times)
