@@ -162,7 +162,7 @@ class GenericValueConverter:
     def _offer_tuning(self, settings):
         """Have the ESC's neutral tuned while the car drives."""
         config = self._throttle.config
-        tuning = Tuning({"neutral": config.neutral}, settings.reach, LIVE_RATE,
+        tuning = Tuning({"neutral": config.neutral}, settings.max_offset, LIVE_RATE,
                         lambda values: trimmed(config, **values))
 
         def apply(values):

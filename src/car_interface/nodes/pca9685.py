@@ -40,7 +40,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.pca9685.board import Board, BoardMismatch
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
-from car_interface.pca9685.supervisor import LOST, MISMATCH, RETRIED, RUNNING, BoardSupervisor
+from car_interface.pca9685.supervisor import DISCONNECTED, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.runtime import run
 from car_interface.ros.save_service import File, serve_saving
@@ -206,7 +206,7 @@ class Pca9685:
         """Take all that arrived, expire the old, and only then write: a slow bus must not replay what is stale."""
         self._inbox.dispatch()
         expired = self._channels.expire(time.monotonic_ns())
-        self._keep()
+        self._update()
         if expired:
             self._timeouts.update(expired)
             self._warnings.warn(f"timeout of {expired}", f"no command for {_listed(expired)}: now at timeout value")
@@ -227,15 +227,15 @@ class Pca9685:
 
     def _switch_off(self):
         self._channels.make_safe()
-        self._insist(self._keep_now)
+        self._insist(self._update_now)
         time.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
-        self._insist(lambda: self._keep_now() and self._supervisor.all_off(time.monotonic_ns()))
+        self._insist(lambda: self._update_now() and self._supervisor.all_off(time.monotonic_ns()))
         self._publish()
 
-    def _keep_now(self):
+    def _update_now(self):
         """Give the chip its targets without waiting for the next attempt; whether it holds them."""
         self._supervisor.retry_now()
-        self._keep()
+        self._update()
         return self._supervisor.running
 
     def _insist(self, action):
@@ -277,8 +277,8 @@ class Pca9685:
                                               f"servo/neutral, away from the YAML file's. To save it: rosservice call "
                                               f"{rospy.resolve_name(self._inbox.resolve_name('~save'))}")
 
-    def _keep(self):
-        self._supervisor.keep(self._channels.targets, time.monotonic_ns())
+    def _update(self):
+        self._supervisor.update(self._channels.targets, time.monotonic_ns())
         self._publish()
 
     def _make_board(self, bus):
@@ -303,7 +303,7 @@ class Pca9685:
                                          "or another program writes to it. Initialising it anew")
         else:
             self._trouble = _explain(self._device, self._address, error)
-            was = " was lost" if event == LOST else ""
+            was = " was lost" if event == DISCONNECTED else ""
             self._warnings.warn(event, f"{self._name()}{was}: {'. '.join(self._trouble)}. Trying again")
 
     def _report(self, status):

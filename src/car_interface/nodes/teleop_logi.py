@@ -94,9 +94,9 @@ class TeleopLogi:
         self._throttle.publish(requests.throttle)
         if requests.human_in_loop:
             self._human.publish(True)
-        if before is None or (before.human_in_loop, before.must_let_go) != (requests.human_in_loop,
-                                                                            requests.must_let_go):
-            log = rospy.logwarn if requests.must_let_go else rospy.loginfo
+        if before is None or (before.human_in_loop, before.must_rearm) != (requests.human_in_loop,
+                                                                            requests.must_rearm):
+            log = rospy.logwarn if requests.must_rearm else rospy.loginfo
             log("human in loop: %s (%s)", requests.human_in_loop, requests.reason)
 
 

@@ -165,7 +165,7 @@ class TurnArb:
         calibration, settings = config.calibration, config.tuning
         start = {name: getattr(calibration, name) for name in ("servo_left", "servo_center", "servo_right")}
         rate = min(config.arbiter.slew_limit or LIVE_RATE, LIVE_RATE)
-        tuning = Tuning(start, settings.reach, rate, lambda values: trimmed(calibration, **values))
+        tuning = Tuning(start, settings.max_offset, rate, lambda values: trimmed(calibration, **values))
 
         def apply(values):
             self._arbiter.calibrate(trimmed(calibration, **values))

@@ -82,7 +82,7 @@ class ReconfigureServer:
         self._save_to = save_to
         self._serving = False
         self._kept = False  # whether the parameter server has tuned values
-        apply(tuning.in_force)
+        apply(tuning.active)
         own = f"{inbox.node_name}/{namespace}" if namespace else inbox.node_name
         self._server = _Server(_limited(offered, tuning), self._on_reconfigure, own)
         for take_back in (self._server.set_service.shutdown, self._server.descr_topic.unregister,
@@ -94,8 +94,8 @@ class ReconfigureServer:
     def step(self, now_ns: int) -> None:
         """Go on towards what was accepted. On every heartbeat, in the node's thread."""
         if self._tuning.advance(now_ns):
-            self._apply(self._tuning.in_force)
-            if not self._tuning.moving:
+            self._apply(self._tuning.active)
+            if not self._tuning.is_changing:
                 rospy.loginfo("tuned live: %s", self.changes)
 
     @property
@@ -137,7 +137,7 @@ class ReconfigureServer:
     def _files(self):
         """What ~save shall save: what was accepted, once it is in force."""
         deadline_s = time.monotonic() + SETTLE_WITHIN_S
-        while self._tuning.moving and time.monotonic() < deadline_s:
+        while self._tuning.is_changing and time.monotonic() < deadline_s:
             time.sleep(0.01)
         return [File("save_to", self._save_to, self._parameters(self._tuning.accepted))]
 
