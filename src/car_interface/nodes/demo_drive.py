@@ -124,9 +124,9 @@ class Watch:
         self.link = message
 
     def odometry_error(self):
-        """How far odometry is from the truth: m, and degrees."""
-        x_m, y_m, by_wheels_rad = self.odometry
-        off_rad = math.remainder(by_wheels_rad - self.yaw_rad, 2 * math.pi)
+        """The error of odometry, in m and degrees."""
+        x_m, y_m, yaw_rad = self.odometry
+        off_rad = math.remainder(yaw_rad - self.yaw_rad, 2 * math.pi)
         return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(off_rad))
 
     def missing(self):
