@@ -126,8 +126,8 @@ class Watch:
     def odometry_error(self):
         """The error of odometry, in m and degrees."""
         x_m, y_m, yaw_rad = self.odometry
-        off_rad = math.remainder(yaw_rad - self.yaw_rad, 2 * math.pi)
-        return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(off_rad))
+        error_rad = math.remainder(yaw_rad - self.yaw_rad, 2 * math.pi)
+        return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(error_rad))
 
     def missing(self):
         """The topics without a message so far; empty when the car is ready."""
