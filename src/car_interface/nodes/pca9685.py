@@ -21,7 +21,6 @@ The virtual chip has another service and parameter: see ``ros.virtual_board``.
 """
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
 import time
@@ -36,7 +35,8 @@ from car_interface.common.errors import DeviceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_S
-from car_interface.pca9685.board import Board, BoardMismatch
+from car_interface.pca9685.board import Board
+from car_interface.pca9685.bus_errors import explain
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
 from car_interface.pca9685.supervisor import DISCONNECTED, MISMATCH, RETRIED, RUNNING, BoardSupervisor
@@ -287,7 +287,10 @@ class Pca9685:
         try:
             self._supervisor.open(self._channels.targets, now_ns)
         except OSError as error:
-            raise DeviceError(self._name(), *_explain(self._device, self._address, error)) from error
+            raise DeviceError(self._name(), *self._explain(error)) from error
+
+    def _explain(self, error):
+        return explain(error, self._device, bus_exists=self._device == VIRTUAL or os.path.exists(self._device))
 
     def _on_board_event(self, event, error):
         """Log an event of bus or chip, with cause and remedy."""
@@ -301,7 +304,7 @@ class Pca9685:
             self._warnings.warn(event, f"{self._name()} has forgotten what it was told ({error}): it lost its power, "
                                          "or another program writes to it. Initialising it anew")
         else:
-            self._fault = _explain(self._device, self._address, error)
+            self._fault = self._explain(error)
             was = " was lost" if event == DISCONNECTED else ""
             self._warnings.warn(event, f"{self._name()}{was}: {'. '.join(self._fault)}. Trying again")
 
@@ -341,29 +344,6 @@ class Pca9685:
 
 def _listed(channels):
     return ("channel " if len(channels) == 1 else "channels ") + ", ".join(map(str, channels))
-
-
-def _explain(device, address, error):
-    """Cause and remedy of a failed transfer or open."""
-    bus = device.rsplit("-", 1)[-1]
-    if isinstance(error, BoardMismatch):
-        return (f"it answers, but does not keep what it is told ({error})",
-                "See whether another chip has this address, and whether its power holds")
-    if not os.path.exists(device) and device != VIRTUAL:
-        return "there is no such bus", ("Switch I2C on (sudo raspi-config; on a Jetson it is on, under another number) "
-                                        "and see which buses there are: ls /dev/i2c-*")
-    if error.errno == errno.EAGAIN:
-        return "another pca9685 node has this board", "See which: rosnode list"
-    if error.errno in (errno.EACCES, errno.EPERM):
-        return "no permission to use the bus", "Once: rosrun car_interface setup_hardware, then log in anew"
-    if error.errno in (errno.ENOTTY, errno.EISDIR, errno.EINVAL):
-        return "this is not an I2C bus", "Set ~device to one of: ls /dev/i2c-*"
-    if error.errno in (errno.EREMOTEIO, errno.ENXIO, errno.EIO, errno.ETIMEDOUT):
-        return (f"nothing answers at this address ({error.strerror})",
-                f"Check power, SDA and SCL, and see what is on the bus: i2cdetect -y {bus}")
-    if error.errno == errno.EBUSY:
-        return "a kernel driver has this address", "Unbind it, or set ~address to the board's own"
-    return f"the bus failed ({error})", f"See what is on the bus: i2cdetect -y {bus}"
 
 
 def main():
