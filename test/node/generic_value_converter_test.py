@@ -14,6 +14,7 @@ import rospkg
 import rospy
 import rostest
 from car_interface.msg import Control, Float64Stamped, SteeringState
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Bool, Int32MultiArray
@@ -197,6 +198,23 @@ class Throttle(ConverterTest):
         self.wait_for_duty(3277)
         self.inputs.hold(self.command, control(1.479))  # 1.2 at 1 m/s: 4915 + 1.2 / 3 · 1639
         self.wait_for_duty(5571)
+
+    def test_diagnostics_carry_the_cause(self):
+        reports = Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(reports.close)
+
+        def status(cause):
+            def is_of_cause(array):
+                return (array.status[0].name == "generic_value_converter: converter"
+                        and {pair.key: pair.value for pair in array.status[0].values}["cause"] == cause)
+            return reports.wait_for(is_of_cause, reports.mark()).what.status[0]
+        self.drive()
+        self.assertEqual(status("driving").level, DiagnosticStatus.OK)
+        self.inputs.hold(self.human, Bool(False))
+        self.assertEqual(status("human absent").level, DiagnosticStatus.OK)
+        self.inputs.drop(self.steering)
+        self.inputs.hold(self.human, Bool(True))
+        self.assertEqual(status("steering silent").level, DiagnosticStatus.WARN)
 
     def test_whatever_is_lost_means_neutral(self):
         stopped = SteeringState(source=SteeringState.NO_HUMAN)

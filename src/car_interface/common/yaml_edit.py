@@ -1,6 +1,6 @@
-"""Saves single values back to a YAML file, and leaves every other character of it alone, comments too.
+"""Changes single values in a YAML file and keeps every other character of it, comments included.
 
-The file is replaced whole, in one step; the old one stays beside it under a name with the time.
+The file is replaced in one step; a backup stays in the same folder, under a name with the time.
 """
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Values = Mapping[str, Value]  # by name; one inside a mapping as ``servo/neutral
 
 
 def save(path: str, values: Values) -> str | None:
-    """Put ``values`` into the file at ``path``.
+    """Write ``values`` into the file at ``path``; a link is followed.
 
     Returns:
-        Where the old file is now; ``None`` when it had these values already: then nothing is written.
+        The backup's path; ``None`` when the file had these values already: then nothing is written.
 
     Raises:
-        ConfigError: naming the file and why it was left as it is.
+        ConfigError: naming the file and why it was not changed.
     """
-    path = os.path.realpath(path)  # a link stays a link
+    path = os.path.realpath(path)
     try:
         with open(path, encoding="utf-8", newline="") as file:
             before = file.read()
@@ -40,26 +40,26 @@ def save(path: str, values: Values) -> str | None:
 
 
 def edited(text: str, values: Values, path: str = "the file") -> str:
-    """The text of a YAML file, with ``values`` in the place of what it has there; names that it lacks at its end.
+    """The text of a YAML file with ``values`` replaced; names that it lacks are appended.
 
     Raises:
-        ConfigError: when that can't be done without touching anything else.
+        ConfigError: when that can't be done without changing anything else.
     """
     root = _compose(text, path)
-    places = {name: _find(root, name.split("/")) for name in values}
-    if not any(places.values()):
+    nodes = {name: _find(root, name.split("/")) for name in values}
+    if not any(nodes.values()):
         raise ConfigError(path, None, "a file with at least one of them", f"has none of {', '.join(values)}")
     values = {name: value for name, value in values.items()
-              if places[name] is None or not _says(places[name], value)}
+              if nodes[name] is None or not _has_value(nodes[name], value)}
     result, added = text, ""
-    cuts = [cut for name, value in values.items() if places[name] is not None for cut in _cuts(places[name], value)]
-    for begin, end, spelled in sorted(cuts, reverse=True):
-        result = result[:begin] + spelled + result[end:]
+    edits = [edit for name, value in values.items() if nodes[name] is not None for edit in _edits(nodes[name], value)]
+    for begin, end, new_text in sorted(edits, reverse=True):
+        result = result[:begin] + new_text + result[end:]
     for name, value in values.items():
-        if places[name] is None:
+        if nodes[name] is None:
             if "/" in name:
                 raise ConfigError(path, None, f"a file with {name}", "lacks it")
-            added += f"{name}: {_spell(value)}\n"
+            added += f"{name}: {_format(value)}\n"
     if added:
         result += ("" if result.endswith("\n") else "\n") + added
     try:
@@ -73,7 +73,7 @@ def edited(text: str, values: Values, path: str = "the file") -> str:
 
 def _compose(text, path):
     """The tree of a YAML text that is a mapping."""
-    import yaml  # ROS brings it along for nodes; nothing else in the parts needs it
+    import yaml  # only here: the other pure modules need the standard library alone
     try:
         root = yaml.compose(text, yaml.SafeLoader)
     except yaml.YAMLError as error:
@@ -95,32 +95,32 @@ def _find(node, names):
     return node
 
 
-def _says(node, value):
-    """Whether it has this value already; one number stands for a list of equal ones."""
+def _has_value(node, value):
+    """Whether a node has this value already; one number stands for a list of equal ones."""
     if _elements(node) is not None:
-        return not _cuts(node, value)
+        return not _edits(node, value)
     numbers = value if isinstance(value, (list, tuple)) else [value]
     return all(number == _number(node) for number in numbers)
 
 
-def _cuts(node, value):
-    """The pieces of text to replace, as (begin, end, text): only of what differs."""
+def _edits(node, value):
+    """The ranges of text to replace, as (begin, end, text), for the elements that differ."""
     elements = _elements(node)
     if elements is not None and isinstance(value, (list, tuple)) and len(elements) == len(value):
-        return [cut for element, number in zip(elements, value) for cut in _cuts(element, number)]
+        return [edit for element, number in zip(elements, value) for edit in _edits(element, number)]
     if elements is None and _number(node) == value:
         return []
-    return [(node.start_mark.index, node.end_mark.index, _spell(value))]
+    return [(node.start_mark.index, node.end_mark.index, _format(value))]
 
 
 def _elements(node):
-    """What a list consists of; None for anything else."""
+    """The elements of a list; None for anything else."""
     is_list = isinstance(node.value, list) and not any(isinstance(element, tuple) for element in node.value)
     return node.value if is_list else None
 
 
 def _number(node):
-    """The number that a scalar spells, as the parameter server would take it; None when it spells none."""
+    """The number that a scalar stands for, as the parameter server reads it, or None."""
     import yaml
     try:
         value = yaml.safe_load(node.value)
@@ -130,14 +130,14 @@ def _number(node):
         return None
 
 
-def _spell(value):
+def _format(value):
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_spell(element) for element in value) + "]"
+        return "[" + ", ".join(_format(element) for element in value) + "]"
     return str(int(value)) if value == int(value) else repr(float(value))
 
 
 def _shape(node, changes=None):
-    """All that a document says, with ``changes`` in their places: what an edited one must say."""
+    """The content of a document as Python values, with ``changes`` applied: the expected content after an edit."""
     changes = dict(changes or {})
     elements = _elements(node)
     if elements is not None:
