@@ -10,8 +10,8 @@ from typing import Any, Callable, Mapping, NamedTuple
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.servo_channels import MAX_DUTY
+from car_interface.common.units import NS_PER_S
 
-NS_PER_S = 1_000_000_000
 MAX_STEP_NS = 50_000_000  # a node that was held up must not make up for it by a jump
 
 

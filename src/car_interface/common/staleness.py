@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import math
 
-NS_PER_S = 1_000_000_000
+from car_interface.common.units import NS_PER_S
+
 DROPPED = "messages were dropped"  # before a node took them: one of them may have said what counts
 
 

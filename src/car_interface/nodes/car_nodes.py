@@ -27,7 +27,7 @@ from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.turn_arb import TurnArb
-from car_interface.ros.runtime import NS_PER_S, Inbox, describe_error, spin, run
+from car_interface.ros.runtime import NS_PER_S, Inbox, describe_error, run, spin
 
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
          "generic_value_converter": GenericValueConverter}

@@ -26,6 +26,7 @@ from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.units import yaw_rad
 from car_interface.msg import (
     Control,
     Distance,
@@ -89,7 +90,7 @@ class Watch:
             self.distance_m += distance_m
             self.stage_distance_m[self.stage] += distance_m
         self.pose = (position.x, position.y)
-        self.yaw_rad = 2 * math.atan2(orientation.z, orientation.w)
+        self.yaw_rad = yaw_rad(orientation)
         self.speed_mps = message.twist.twist.linear.x
 
     def on_state(self, message, now_ns):
@@ -110,7 +111,7 @@ class Watch:
     def on_odometry(self, message, now_ns):
         """Where the wheels say that the car is."""
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
-        self.odometry = (position.x, position.y, 2 * math.atan2(orientation.z, orientation.w))
+        self.odometry = (position.x, position.y, yaw_rad(orientation))
 
     def on_range(self, message, now_ns):
         """A sonar's range; infinite: nothing there."""
@@ -122,8 +123,8 @@ class Watch:
 
     def odometry_error(self):
         """How far odometry is from the truth: m, and degrees."""
-        x_m, y_m, yaw_rad = self.odometry
-        off_rad = math.remainder(yaw_rad - self.yaw_rad, 2 * math.pi)
+        x_m, y_m, by_wheels_rad = self.odometry
+        off_rad = math.remainder(by_wheels_rad - self.yaw_rad, 2 * math.pi)
         return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(off_rad))
 
     def missing(self):

@@ -12,6 +12,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from diagnostic_updater import DiagnosticStatusWrapper, Updater
 
+from car_interface.common.units import NS_PER_S
 from car_interface.ros.runtime import Inbox, RateTimer
 
 RATE_HZ = 1
@@ -53,7 +54,7 @@ class Diagnostics:
         self._inbox = inbox
         for name, report in reports.items():
             self._updater.add(name, self._with_inbox(report))
-        self._timer = RateTimer(RATE_HZ, now_ns + 1_000_000_000 // RATE_HZ)
+        self._timer = RateTimer(RATE_HZ, now_ns + NS_PER_S // RATE_HZ)
 
     def _with_inbox(self, report):
         """That a node lost messages belongs to whatever it says of itself."""

@@ -27,9 +27,9 @@ import rospy
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.common.staleness import DROPPED
+from car_interface.common.units import NS_PER_S
 from car_interface.ros.logs import LogsAside, LogStream
 
-NS_PER_S = 1_000_000_000
 MAX_WAIT_NS = NS_PER_S
 INBOX_LIMIT = 10_000  # more than any node is sent while its thread waits for a device
 OVERFLOW_SHOWN_NS = 10_000_000_000  # for so long /diagnostics says that an inbox has overflowed

@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.staleness import TimedInput
+from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import MotionInterlock
 from car_interface.steering.calibration import SteeringConfig
-
-NS_PER_S = 1_000_000_000
 
 # Values of SteeringState.source, in order of priority.
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)

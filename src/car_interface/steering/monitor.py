@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
+from car_interface.common.units import NS_PER_S
 
-NS_PER_S = 1_000_000_000
 SLICE_NS = NS_PER_S // 10  # of the history; what is asked of it is asked in multiples of this
 ESTIMATE_S = 0.5  # the radius that is shown is over so long
 SLOWER = 0.8  # at speed it stays until it's slower than this share of min_speed
