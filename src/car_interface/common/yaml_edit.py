@@ -1,11 +1,13 @@
-"""Saves single values back to a YAML file, and leaves every other character of it alone, comments too.
+"""Changes single values in a YAML text and leaves every other character of it alone, comments too.
 
-The file is replaced whole, in one step; the old one stays beside it under a name with the time.
+``save`` does so in a file, which is replaced in one step; the old one stays beside it under a name with the time.
+``edited`` does so in a text, ``rewritten`` makes a new text after the pattern of another one.
 """
 from __future__ import annotations
 
 import errno
 import os
+import re
 from typing import Mapping, Sequence, Union
 
 from car_interface.common.atomic_file import is_write_protected, replace
@@ -13,6 +15,7 @@ from car_interface.common.errors import ConfigError
 
 Value = Union[int, float, Sequence[Union[int, float]]]
 Values = Mapping[str, Value]  # by name; one inside a mapping as ``servo/neutral``
+COMMENT_BEHIND = re.compile(r"[ \t]+#[^\r\n]*")
 
 
 def save(path: str, values: Values) -> str | None:
@@ -39,8 +42,14 @@ def save(path: str, values: Values) -> str | None:
                           f"can't be saved ({error.strerror})") from error
 
 
-def edited(text: str, values: Values, path: str = "the file") -> str:
-    """The text of a YAML file, with ``values`` in the place of what it has there; names that it lacks at its end.
+def edited(text: str, values: Values, path: str = "the file", keeps_comments: bool = True) -> str:
+    """The text of a YAML file with other values; names that it lacks are added at its end.
+
+    Args:
+        text: of the file.
+        values: those that already stand there are left alone, however they are spelled.
+        path: of the file, for errors.
+        keeps_comments: otherwise the comment behind a value that changes is removed: it may describe the old value.
 
     Raises:
         ConfigError: when that can't be done without touching anything else.
@@ -50,10 +59,13 @@ def edited(text: str, values: Values, path: str = "the file") -> str:
     if not any(places.values()):
         raise ConfigError(path, None, "a file with at least one of them", f"has none of {', '.join(values)}")
     values = {name: value for name, value in values.items()
-              if places[name] is None or not _says(places[name], value)}
+              if places[name] is None or not _has_value(places[name], value)}
     result, added = text, ""
-    cuts = [cut for name, value in values.items() if places[name] is not None for cut in _cuts(places[name], value)]
-    for begin, end, spelled in sorted(cuts, reverse=True):
+    replaced = [part for name, value in values.items() if places[name] is not None
+                for part in _replacements(places[name], value)]
+    if not keeps_comments:
+        replaced += _comments_behind(text, replaced, [places[name] for name in values if places[name] is not None])
+    for begin, end, spelled in sorted(replaced, reverse=True):
         result = result[:begin] + spelled + result[end:]
     for name, value in values.items():
         if places[name] is None:
@@ -71,9 +83,33 @@ def edited(text: str, values: Values, path: str = "the file") -> str:
     return result
 
 
+def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the file") -> str:
+    """A new YAML text after the pattern of ``text``: its other values, layout and comments stay.
+
+    Comments behind values that change are removed, and the comments before the first name are replaced by ``head``. A
+    text that can't be edited safely is written anew, without its comments.
+
+    Args:
+        text: the pattern, a mapping.
+        values: the new values.
+        head: lines of the comment at the top.
+        path: of the pattern, for errors.
+
+    Raises:
+        ConfigError: the pattern is no mapping in YAML.
+    """
+    import yaml
+    body = text[_compose(text, path).start_mark.index:]
+    try:
+        body = edited(body, values, path, keeps_comments=False)
+    except ConfigError:
+        body = yaml.safe_dump({**yaml.safe_load(text), **values}, sort_keys=False)
+    return "".join(f"# {line}".rstrip() + "\n" for line in head) + "\n" + body
+
+
 def _compose(text, path):
     """The tree of a YAML text that is a mapping."""
-    import yaml  # ROS brings it along for nodes; nothing else in the parts needs it
+    import yaml  # not needed by nodes, which get their parameters from ROS
     try:
         root = yaml.compose(text, yaml.SafeLoader)
     except yaml.YAMLError as error:
@@ -95,26 +131,33 @@ def _find(node, names):
     return node
 
 
-def _says(node, value):
+def _has_value(node, value):
     """Whether it has this value already; one number stands for a list of equal ones."""
     if _elements(node) is not None:
-        return not _cuts(node, value)
+        return not _replacements(node, value)
     numbers = value if isinstance(value, (list, tuple)) else [value]
     return all(number == _number(node) for number in numbers)
 
 
-def _cuts(node, value):
-    """The pieces of text to replace, as (begin, end, text): only of what differs."""
+def _replacements(node, value):
+    """The parts of the text to replace, as (begin, end, text): only what differs."""
     elements = _elements(node)
     if elements is not None and isinstance(value, (list, tuple)) and len(elements) == len(value):
-        return [cut for element, number in zip(elements, value) for cut in _cuts(element, number)]
+        return [part for element, number in zip(elements, value) for part in _replacements(element, number)]
     if elements is None and _number(node) == value:
         return []
     return [(node.start_mark.index, node.end_mark.index, _spell(value))]
 
 
+def _comments_behind(text, replaced, nodes):
+    """The comments on the lines where replaced values end, as (begin, end, "")."""
+    ends = {end for _, end, _ in replaced} | {node.end_mark.index for node in nodes}
+    found = (COMMENT_BEHIND.match(text, end) for end in ends)
+    return [(match.start(), match.end(), "") for match in found if match]
+
+
 def _elements(node):
-    """What a list consists of; None for anything else."""
+    """The nodes of a list; None for anything else."""
     is_list = isinstance(node.value, list) and not any(isinstance(element, tuple) for element in node.value)
     return node.value if is_list else None
 
@@ -137,7 +180,7 @@ def _spell(value):
 
 
 def _shape(node, changes=None):
-    """All that a document says, with ``changes`` in their places: what an edited one must say."""
+    """All values of a document, with ``changes`` in their places: what an edited one must contain."""
     changes = dict(changes or {})
     elements = _elements(node)
     if elements is not None:
