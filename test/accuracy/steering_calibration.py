@@ -26,7 +26,6 @@ import numpy as np
 
 from accuracy.virtual_drive import COUNT, MIXED, NO_FAST, NO_RIGHT, TWO_THIRDS, random_car, record, true_curvature_per_m
 from car_interface.cli.main import main as command
-from car_interface.steering.arbiter import SteeringArbiter
 from car_interface.steering.params import load_steering
 
 STOCK = Path(__file__).resolve().parents[2] / "config" / "turn_arb.yaml"
@@ -90,9 +89,9 @@ def judge(seed, folder, minutes=5.0, missing=MIXED, imu=False, arguments=()) -> 
     asked = np.linspace(curvatures[-1], curvatures[0], CURVATURES)
     asked = asked[np.abs(asked) > 1e-4]
     nothing = Errors(np.full(len(radii), np.nan), np.full(len(asked), np.nan))
-    made = nothing if code else ask(car, radii, asked, SteeringArbiter(load_steering(str(table))).planner_duty)
+    made = nothing if code else ask(car, radii, asked, load_steering(str(table)).planner_duty)
     return Verdict(seed, code, said.getvalue(), seconds, made, floor(car, radii, asked),
-                   ask(car, radii, asked, SteeringArbiter(load_steering(str(STOCK))).planner_duty))
+                   ask(car, radii, asked, load_steering(str(STOCK)).planner_duty))
 
 
 def figures(verdict: Verdict) -> list[float]:

@@ -53,12 +53,8 @@ def measure_encode(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def measure_lookup(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """One by one, and a million at once."""
+    """The value for an acceleration and a velocity."""
     for size, (bound_us, original) in LOOKUPS.items():
         result = samples(sys.executable, "lookup", effort.calls, size)
         yield Row("lookup", f"lookup: {size}×{size}", "µs", Summary.of(result["us"]),
                   (Target(high=bound_us, original=original), Target(P99)), note="a sample is the mean of 500 calls")
-    result = samples(sys.executable, "bulk", effort.bulk_passes, 100)
-    yield Row("lookup", "lookup in bulk: of 10⁶ at 100×100, each", "ns",
-              Summary.of(result["ns"]) if result["ns"] else None, (Target(high=60),),
-              note="" if result["ns"] else "ValueMap has no values_at(accelerations, velocities)")

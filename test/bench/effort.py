@@ -12,7 +12,6 @@ class Effort(NamedTuple):
     heartbeat_s: float
     decode_passes: int
     calls: int  # of encode, and of a lookup
-    bulk_passes: int
     frames: int  # one by one
     line_s: float
     line_rounds: int
@@ -23,8 +22,7 @@ class Effort(NamedTuple):
     cars: tuple[int, ...]
 
 
-FULL = Effort(reactions=300, chip_reactions=300, heartbeat_s=60, decode_passes=5, calls=300_000, bulk_passes=10,
-              frames=1000, line_s=20, line_rounds=4, bus_commands=100, starts=10, memory_s=15, drive_s=25,
-              cars=(1, 2, 4))
-QUICK = Effort(reactions=10, chip_reactions=10, heartbeat_s=1, decode_passes=1, calls=50_000, bulk_passes=3,
-               frames=20, line_s=0.3, line_rounds=1, bus_commands=5, starts=1, memory_s=0.5, drive_s=1, cars=(1,))
+FULL = Effort(reactions=300, chip_reactions=300, heartbeat_s=60, decode_passes=5, calls=300_000, frames=1000, line_s=20,
+              line_rounds=4, bus_commands=100, starts=10, memory_s=15, drive_s=25, cars=(1, 2, 4))
+QUICK = Effort(reactions=10, chip_reactions=10, heartbeat_s=1, decode_passes=1, calls=50_000, frames=20, line_s=0.3,
+               line_rounds=1, bus_commands=5, starts=1, memory_s=0.5, drive_s=1, cars=(1,))

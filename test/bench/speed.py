@@ -4,7 +4,6 @@
     PYTHONPATH=src python3 test/bench/speed.py decode PASSES
     PYTHONPATH=src python3 test/bench/speed.py encode CALLS
     PYTHONPATH=src python3 test/bench/speed.py lookup CALLS SIZE
-    PYTHONPATH=src python3 test/bench/speed.py bulk PASSES SIZE
 """
 from __future__ import annotations
 
@@ -23,7 +22,6 @@ CAPTURE = Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin"
 FRAMES = 795  # in the capture
 TOTAL_BYTES, READ_BYTES = 20_000_000, 4096
 BATCH = 500  # calls between two looks at the clock
-LOOKED_UP = 1_000_000
 
 
 def decode(passes: int) -> dict:
@@ -88,23 +86,7 @@ def lookup(calls: int, size: int) -> dict:
     return {"us": per_call(value_map(size).value_at, wanted)}
 
 
-def bulk(passes: int, size: int) -> dict:
-    """A million queries as arrays; nothing where the map can't take arrays."""
-    table = value_map(size)
-    if not hasattr(table, "values_at"):
-        return {"ns": []}
-    import numpy as np
-    numbers = np.random.default_rng(1)
-    accelerations, velocities = numbers.uniform(-9, 4, LOOKED_UP), numbers.uniform(0, 20, LOOKED_UP)
-    costs = []
-    for _ in range(passes + 1):
-        begun_ns = perf_counter_ns()
-        table.values_at(accelerations, velocities)
-        costs.append((perf_counter_ns() - begun_ns) / LOOKED_UP)
-    return {"ns": costs[1:]}
-
-
 if __name__ == "__main__":
-    kinds = {kind.__name__: kind for kind in (decode, encode, lookup, bulk)}
+    kinds = {kind.__name__: kind for kind in (decode, encode, lookup)}
     samples = kinds[sys.argv[1]](*map(int, sys.argv[2:]))
     print(json.dumps({"python": platform.python_version(), **samples}))

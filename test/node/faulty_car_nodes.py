@@ -7,7 +7,7 @@ import time
 from std_msgs.msg import Empty, Float32
 
 from car_interface.nodes import car_nodes
-from car_interface.ros.runtime import subscribe
+from car_interface.ros.topics import subscribe
 
 
 def faulty(name, node_class):

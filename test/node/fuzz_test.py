@@ -40,7 +40,7 @@ from car_interface.nodes import (
     turn_arb,
 )
 from car_interface.ros import measurement_publisher, runtime
-from car_interface.ros.runtime import Inbox
+from car_interface.ros.inbox import Inbox
 
 settings.register_profile("fuzz", database=None, deadline=None, derandomize=True,
                           suppress_health_check=list(HealthCheck))

@@ -9,6 +9,7 @@ from std_msgs.msg import Float32
 
 from car_interface.nodes import turn_arb
 from car_interface.ros import runtime
+from car_interface.ros.topics import subscribe
 
 LIMIT = 50
 
@@ -16,7 +17,7 @@ LIMIT = 50
 class HangingTurnArb(turn_arb.TurnArb):
     def __init__(self, params, inbox):
         super().__init__(params, inbox)
-        runtime.subscribe("~hang", Float32, inbox, lambda message, now_ns: time.sleep(message.data))
+        subscribe("~hang", Float32, inbox, lambda message, now_ns: time.sleep(message.data))
 
 
 runtime.Inbox = functools.partial(runtime.Inbox, limit=LIMIT)

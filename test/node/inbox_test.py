@@ -25,7 +25,7 @@ from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.teleop_logi import TeleopLogi
 from car_interface.nodes.turn_arb import TurnArb
-from car_interface.ros.runtime import Inbox
+from car_interface.ros.inbox import Inbox
 from waiting import Repeater, Sender, Topic, config, eventually, set_params, start
 
 HANGING = os.path.join(os.path.dirname(os.path.abspath(__file__)), "hanging_node.py")
@@ -54,13 +54,13 @@ class AnInbox(unittest.TestCase):
         self.put(*range(5))
         self.assertEqual(self.take(), [0, 1, 2, 3, 4])
         self.assertEqual(self.inbox.dropped, 0)
-        self.assertFalse(self.inbox.overflowed_lately(time.monotonic_ns()))
+        self.assertFalse(self.inbox.overflowed_recently(time.monotonic_ns()))
 
     def test_that_overflows_drops_all_that_waits_says_so_and_goes_on_with_what_is_newer(self):
         self.put(*range(7))
         self.assertEqual(self.take(), ["overflow", 5, 6])
         self.assertEqual(self.inbox.dropped, 5)
-        self.assertTrue(self.inbox.overflowed_lately(time.monotonic_ns()))
+        self.assertTrue(self.inbox.overflowed_recently(time.monotonic_ns()))
         self.put("more")
         self.assertEqual(self.take()[3:], ["more"])
 

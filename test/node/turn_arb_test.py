@@ -108,7 +108,8 @@ class TurnArbByItsTopics(unittest.TestCase):
         self.inputs.hold(self.teleop, -1.0)
         self.assertEqual(self.wait_for_state(SteeringState.TELEOP, r"tele_steer_req is -1\.000").what.duty, RIGHT)
         self.inputs.hold(self.human, False)
-        self.assertEqual(self.wait_for_state(SteeringState.NO_HUMAN, "human_in_loop is false").what.duty, CENTER)
+        released = self.wait_for_state(SteeringState.NO_HUMAN, "human_in_loop is false").what
+        self.assertEqual((released.duty, released.cause), (CENTER, "human absent"))
         self.inputs.hold(self.human, True)
         self.wait_for_state(SteeringState.TELEOP, r"tele_steer_req is -1\.000")
         self.inputs.hold(self.teleop, 0.0)
@@ -138,6 +139,7 @@ class TurnArbByItsTopics(unittest.TestCase):
         self.assertEqual(status.level, DiagnosticStatus.WARN)
         values = {pair.key: pair.value for pair in status.values}
         self.assertEqual((values["age of e_stop"], values["locked"], values["duty"]), ("never heard", "False", "5100"))
+        self.assertEqual(values["cause"], "human silent")
         self.assertRegex(values["age of human_in_loop"], r"\d\.\d\d s")
 
     def test_releasing_the_deadman_centers_at_once(self):

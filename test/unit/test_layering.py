@@ -51,7 +51,7 @@ ONLY_IN = {
 }
 # Imported alone, a module outside of these pulls in none of the heavy ones.
 NOT_PURE = (*ROS, "doctor/cli.py", "host_setup/cli.py", "recordings/", "report/", "cli/", "calibration/",
-            "teensy/link/port.py", "throttle/value_map_bulk.py")
+            "teensy/link/port.py")
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
 
 

@@ -25,7 +25,7 @@ from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.recordings.signals import IMU_TOPIC
-from car_interface.steering.calibration import SteeringConfig
+from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.params import load_steering
 
 BASE = "config/turn_arb.yaml"
@@ -120,7 +120,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def load_recordings(config: Config, base: SteeringConfig) -> list[RecordedDrive]:
+def load_recordings(config: Config, base: SteeringCalibration) -> list[RecordedDrive]:
     """Read all recordings.
 
     Raises:

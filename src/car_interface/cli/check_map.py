@@ -13,7 +13,7 @@ from typing import Iterator, Sequence
 from car_interface.cli import output
 from car_interface.cli.options import finite
 from car_interface.common.errors import CarInterfaceError, ConfigError
-from car_interface.steering.calibration import WIDE_M, SteeringConfig
+from car_interface.steering.calibration import WIDE_M, SteeringCalibration
 from car_interface.steering.params import load_steering
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.value_map import ValueMap, load_value_map
@@ -78,7 +78,7 @@ def _check_values(limits, table, path):
 # --- steering ---
 
 
-def steering_picture(config: SteeringConfig) -> list[str]:
+def steering_picture(config: SteeringCalibration) -> list[str]:
     """For each turn radius how far the servo goes to each side, as lines of text."""
     reach = max(abs(duty - config.servo_center) for duty in
                 (config.servo_left, config.servo_right, *config.left_duties, *config.right_duties)) or 1
@@ -94,7 +94,7 @@ def steering_picture(config: SteeringConfig) -> list[str]:
     return lines
 
 
-def steering_notes(config: SteeringConfig) -> Iterator[str]:
+def steering_notes(config: SteeringCalibration) -> Iterator[str]:
     """What turn_arb takes and an owner may still want to know."""
     for side, table, end in (("left", config.left_duties, config.servo_left),
                              ("right", config.right_duties, config.servo_right)):

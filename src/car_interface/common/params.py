@@ -1,6 +1,6 @@
 """A node's parameters, read once at start and checked on the way.
 
-Plain values in, plain values out; ``node.run`` fetches them from the parameter server, a tool from a YAML file. Each
+Plain values in, plain values out; ``ros.runtime`` fetches them from the parameter server, a tool from a YAML file. Each
 reader names the parameter, its value and what's accepted when it raises, and ``finish`` refuses names that nobody asked
 for: a typing error in a YAML file must not pass for a default.
 

@@ -14,7 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common.staleness import DROPPED, NS_PER_S, TimedInput
+from car_interface.common import causes
+from car_interface.common.staleness import DROPPED, TimedInput
+from car_interface.common.units import NS_PER_S
 
 HUMAN_TIMEOUT_S = 0.5
 STARTED = "this node has just started"
@@ -53,7 +55,7 @@ class Inhibit(NamedTuple):
     """Why the car may not move."""
 
     locked: bool  # by the emergency stop; else for want of a human
-    cause: str  # the kind of reason, without numbers
+    cause: str  # one of causes.INHIBITS
     reason: str
 
 
@@ -101,15 +103,15 @@ class MotionInterlock:
         if lock is not None:
             return lock
         if self._waits_for_e_stop(now_ns):
-            return Inhibit(False, "starting",
+            return Inhibit(False, causes.STARTING,
                            f"{self._unknown}: it waits up to {self._config.e_stop_timeout_s:g} s for e_stop")
         if self._human.is_stale(now_ns):
-            return Inhibit(False, "human silent" if self._human.was_received else "human never heard",
+            return Inhibit(False, causes.HUMAN_STALE if self._human.was_received else causes.HUMAN_NEVER_RECEIVED,
                            self._human.stale_reason(now_ns))
         if not self._human.value:
-            return Inhibit(False, "human absent", "human_in_loop is false")
+            return Inhibit(False, causes.HUMAN_ABSENT, "human_in_loop is false")
         if self._lost:
-            return Inhibit(False, "not re-armed", f"{self._lost}; {REARM_REASON}")
+            return Inhibit(False, causes.NOT_REARMED, f"{self._lost}; {REARM_REASON}")
         return None
 
     def human_age_s(self, now_ns: int) -> float:
@@ -123,11 +125,12 @@ class MotionInterlock:
     def _lock(self, now_ns):
         if not self._e_stop.was_received:
             if self._config.e_stop_required:
-                return Inhibit(True, "e_stop never heard", "e_stop was never heard, and e_stop_required is true")
+                return Inhibit(True, causes.E_STOP_NEVER_RECEIVED,
+                               "e_stop was never heard, and e_stop_required is true")
             return None
         if self._e_stop.is_stale(now_ns):
-            return Inhibit(True, "e_stop silent", self._e_stop.stale_reason(now_ns))
-        return Inhibit(True, "e_stop", "e_stop is true") if self._e_stop.value else None
+            return Inhibit(True, causes.E_STOP_STALE, self._e_stop.stale_reason(now_ns))
+        return Inhibit(True, causes.E_STOP, "e_stop is true") if self._e_stop.value else None
 
     def _waits_for_e_stop(self, now_ns):
         if not self._unknown or self._e_stop.was_received:

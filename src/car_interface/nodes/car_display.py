@@ -25,9 +25,11 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from car_interface.common.rate_timer import RateTimer
 from car_interface.common.staleness import TimedInput
 from car_interface.msg import SteeringState
-from car_interface.ros.runtime import RateTimer, run, subscribe
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import subscribe
 from car_interface.steering.arbiter import source_name
 
 RATE_HZ = 10
@@ -118,8 +120,7 @@ class CarDisplay:
 
     def step(self, now_ns):
         """Take what arrived; draw when it's time."""
-        for handler, message, arrival_ns in self._inbox.drain():
-            handler(message, arrival_ns)
+        self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._draw(now_ns)
         return self._timer.due_ns

@@ -1,15 +1,14 @@
-"""turn_arb, pca9685, teensy_sensor_hub and generic_value_converter as one process: for a computer with little memory.
+"""The car_nodes process: turn_arb, pca9685, teensy_sensor_hub and generic_value_converter in one, to save memory.
 
-Each is the same node class as in a process of its own, with the same topics, services, parameters and reports under its
-own name, and with a thread that decides and publishes. What they share is one interpreter, and one name on the ROS
-graph.
+Each is the same node class as in a process of its own, with the same topics, services, parameters and diagnostics under
+its own name, and with a thread that decides and publishes. They share one interpreter and one name on the ROS graph.
 
-A part that ends by a fault is shut down, taken off the graph and started anew after a second, as roslaunch's respawn
-does; the others go on. A parameter that a part refuses as it starts for the first time ends the process, likewise a
-device that is required and missing.
+A node that ends by an error is shut down, taken off the graph and started again after a second, as roslaunch's respawn
+does; the others go on. A parameter that a node refuses at its first start ends the process, likewise a device that is
+required and missing.
 
 Parameters:
-    None of its own: each part has those below its own name.
+    None of its own: each node has those below its own name.
 """
 from __future__ import annotations
 
@@ -23,11 +22,13 @@ from typing import Callable
 import rospy
 
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.units import NS_PER_S
 from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.turn_arb import TurnArb
-from car_interface.ros.runtime import NS_PER_S, Inbox, describe_error, run, spin
+from car_interface.ros.inbox import Inbox
+from car_interface.ros.runtime import describe_error, run, spin
 
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
          "generic_value_converter": GenericValueConverter}
@@ -41,7 +42,7 @@ class Part:
 
     Args:
         name: the node's, without its namespace.
-        node_class: as ``node.spin`` takes it.
+        node_class: as ``runtime.spin`` takes it.
         on_end: called in the part's thread when a life is over.
     """
 
@@ -62,7 +63,7 @@ class Part:
 
     def _begin(self):
         self._inbox = Inbox(f"{rospy.get_namespace()}{self.name}")
-        self._thread = threading.Thread(target=self._reconfigure, name=self.name, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
 
     def end(self) -> None:
@@ -78,7 +79,7 @@ class Part:
                 return
             time.sleep(POLL_S)
 
-    def _reconfigure(self):
+    def _run(self):
         fault = "it ended"
         try:
             spin(self._build, self._inbox)
@@ -111,8 +112,7 @@ class CarNodes:
 
     def step(self, now_ns):
         """Start what is due."""
-        for handler, item, arrival_ns in self._inbox.drain():
-            handler(item, arrival_ns)
+        self._inbox.dispatch()
         for part in [part for part, due_ns in self._due_ns.items() if now_ns >= due_ns]:
             del self._due_ns[part]
             part.begin_anew()

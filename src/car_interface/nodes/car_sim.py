@@ -37,8 +37,12 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32MultiArray
 
 from car_interface.common.errors import ConfigError
+from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, UNCHANGED
-from car_interface.ros.runtime import NS_PER_S, RateTimer, ThrottledWarnings, run, subscribe
+from car_interface.common.units import NS_PER_S
+from car_interface.ros.runtime import run
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.topics import subscribe
 from car_interface.ros.virtual_line import VirtualLine
 from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig

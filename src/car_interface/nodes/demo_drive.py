@@ -26,7 +26,8 @@ from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from car_interface.common.errors import CarInterfaceError, ConfigError
-from car_interface.common.units import yaw_rad
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import NS_PER_S, yaw_rad
 from car_interface.msg import (
     Control,
     Distance,
@@ -39,7 +40,8 @@ from car_interface.msg import (
     TeensyClock,
     Wheel,
 )
-from car_interface.ros.runtime import NS_PER_S, RateTimer, run, subscribe
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import subscribe
 from car_interface.sim.demo_script import (
     DONE,
     LEFT_CIRCLE,
@@ -200,8 +202,7 @@ class DemoDrive:
 
     def step(self, now_ns):
         """Watch, drive, show."""
-        for handler, message, arrival_ns in self._inbox.drain():
-            handler(message, arrival_ns)
+        self._inbox.dispatch()
         if self._drive is None:
             self._wait_until_ready(now_ns)
         elif self._timer.is_due(now_ns):

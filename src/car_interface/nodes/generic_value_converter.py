@@ -18,7 +18,7 @@ Parameters:
     ~command_timeout 0.5, ~human_timeout 0.5, ~steering_timeout 0.25 (s, 0 = never): for the ESC.
     ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's, for the ESC.
     ~live_range 100 (duty): how far servo/neutral may be tuned while it runs.  ~save_to: the file to save it to.
-Services, with servo/channel set: see ``live``; set_parameters is below ~servo.
+Services, with servo/channel set: see ``ros.reconfigure``; set_parameters is below ~servo.
 """
 from __future__ import annotations
 
@@ -32,16 +32,20 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32MultiArray
 
 from car_interface.cfg import EscNeutralConfig
+from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, one_channel
 from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.msg import Control, Float64Stamped, SteeringState
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.reconfigure import ReconfigureServer
-from car_interface.ros.runtime import RateTimer, ThrottledWarnings, advertise, run, subscribe
+from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.topics import advertise, subscribe
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_channel import Throttle, ThrottleConfig, duty_of_value, trimmed
 from car_interface.throttle.value_map import ValueMap, load_value_map
@@ -206,7 +210,7 @@ class GenericValueConverter:
         velocity = message.twist.twist.linear.x
         self._converter.update_odometry(velocity, now_ns)
         if not math.isfinite(velocity):
-            self._warnings.warn("odometry not finite", f"the velocity in the odometry is {velocity}: no output")
+            self._warnings.warn(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {velocity}: no output")
 
     def _on_command(self, message, now_ns):
         self._note_odd_stamp("control_cmd", message.stamp)
@@ -243,12 +247,13 @@ class GenericValueConverter:
         if conversion is not None and conversion.value is None:
             status.summary(WARN, f"no output: {conversion.reason}")
         elif self._decision is not None:
-            level = WARN if self._decision.cause.endswith("silent") and conversion is not None else OK
+            level = WARN if self._decision.cause in causes.STALE and conversion is not None else OK
             status.summary(level, f"ESC {'driven' if self._decision.driving else 'neutral'}: {self._decision.reason}")
         else:
             status.summary(OK, "waiting for the first command" if conversion is None else "converting")
         now_ns = time.monotonic_ns()
         status.add("age of odometry", age_text(self._converter.odometry_age_s(now_ns)))
+        status.add("cause", self._cause())
         status.add("commands", self._counts["commands"])
         status.add("values sent", self._counts["values"])
         if self._decision is not None:
@@ -259,6 +264,12 @@ class GenericValueConverter:
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(kind, count)
         return status
+
+    def _cause(self):
+        """Why there is no value, or what the ESC gets; empty: neither is known yet."""
+        if self._conversion is not None and self._conversion.value is None:
+            return self._conversion.cause
+        return "" if self._decision is None else self._decision.cause
 
     def _publish_throttle(self, decision):
         self._commands.publish(duty_vector(one_channel(self._throttle.config.channel, decision.duty)))

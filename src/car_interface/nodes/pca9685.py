@@ -17,8 +17,8 @@ Parameters:
     ~save_to, ~throttle_save_to: the files that ~save puts timeout_value and throttle_neutral back to.
     ~required false: true = end with exit code 1 when the board can't be used at start.
 Service:
-    ~save (std_srvs/Trigger): see ``saving``; turn_arb's and the converter's call it.
-The virtual chip has a service and a parameter more: see ``virtual_board``.
+    ~save (std_srvs/Trigger): see ``ros.save_service``; turn_arb's and the converter's call it.
+The virtual chip has a service and a parameter more: see ``ros.virtual_board``.
 """
 from __future__ import annotations
 
@@ -34,15 +34,19 @@ import smbus2
 from std_msgs.msg import Int32MultiArray
 
 from car_interface.common.errors import DeviceError
+from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
+from car_interface.common.units import NS_PER_S
 from car_interface.pca9685.board import Board, BoardMismatch
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
 from car_interface.pca9685.supervisor import LOST, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
-from car_interface.ros.runtime import NS_PER_S, RateTimer, ThrottledWarnings, advertise, run, subscribe
+from car_interface.ros.runtime import run
 from car_interface.ros.save_service import File, serve_saving
 from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.topics import advertise, subscribe
 from car_interface.ros.virtual_board import VirtualBoardBus
 
 OUTPUT_RATE_HZ = 1
@@ -200,8 +204,7 @@ class Pca9685:
 
     def step(self, now_ns):
         """Take all that arrived, expire the old, and only then write: a slow bus must not replay what is stale."""
-        for handler, message, arrival_ns in self._inbox.drain():
-            handler(message, arrival_ns)
+        self._inbox.dispatch()
         expired = self._channels.expire(time.monotonic_ns())
         self._keep()
         if expired:

@@ -46,11 +46,15 @@ import rospy
 from std_srvs.srv import Trigger
 
 from car_interface.common.errors import ConfigError, DeviceError, ProtocolError
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import NS_PER_S
 from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
 from car_interface.ros.diagnostics import Diagnostics
 from car_interface.ros.keyboard import Keys
 from car_interface.ros.measurement_publisher import MeasurementPublisher, Settings, read_settings
-from car_interface.ros.runtime import NS_PER_S, RateTimer, ThrottledWarnings, advertise, has_subscribers, run, serve
+from car_interface.ros.runtime import run
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.topics import advertise, has_subscribers, serve
 from car_interface.srv import SetSonarSequence, SetSonarWait
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED, FrameDecoder, encode

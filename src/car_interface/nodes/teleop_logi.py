@@ -23,7 +23,9 @@ import rospy
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
-from car_interface.ros.runtime import RateTimer, run, subscribe
+from car_interface.common.rate_timer import RateTimer
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import subscribe
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig
 
 RATE_HZ = 50

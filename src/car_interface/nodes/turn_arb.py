@@ -22,7 +22,7 @@ Parameters (those of the original are also looked up in the namespaces around th
         let go, while e_stop is off or ~e_stop_timeout has passed without it.
     ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
     ~live_range 500 (duty): how far ends and center may be tuned while it runs.  ~save_to: the file to save them to.
-Services: see ``live``.
+Services: see ``ros.reconfigure``.
 """
 from __future__ import annotations
 
@@ -34,26 +34,27 @@ import rospy
 from std_msgs.msg import Float32, Int32MultiArray
 
 from car_interface.cfg import SteeringTrimConfig
+from car_interface.common import causes
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import one_channel
 from car_interface.msg import SteeringState
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.master_watch import MasterWatch
 from car_interface.ros.reconfigure import ReconfigureServer
-from car_interface.ros.runtime import RateTimer, ThrottledWarnings, advertise, run, subscribe_changes
+from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
-from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, SteeringArbiter
-from car_interface.steering.calibration import SteeringConfig, trimmed
-from car_interface.steering.params import read_config as read_steering
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.topics import advertise, subscribe_changes
+from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
+from car_interface.steering.calibration import SteeringCalibration, trimmed
+from car_interface.steering.params import read_arbiter, read_calibration
 
 RATE_HZ = 100
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 10, 100
 LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of the way between a servo's ends
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
-# What an owner wants to be warned of: something was there and failed.
-ALARMING = ("human silent", "not re-armed", "teleop silent", "teleop not finite", "planner silent",
-            "planner not finite")
 # rospy sends by a thread of its own, which needs the interpreter: state and log wait until the command has left.
 REPORT_AFTER_NS = 500_000
 
@@ -63,11 +64,13 @@ class TurnArbConfig:
     """What the node's parameters say.
 
     Attributes:
-        steering: the calibration, and the rules of who steers.
-        tuning: how far it may be tuned while the car drives, and where that is saved.
+        calibration: servo ends, center and tables.
+        arbiter: the rules of who steers.
+        tuning: how far the calibration may be tuned while the car drives, and where it is saved.
     """
 
-    steering: SteeringConfig
+    calibration: SteeringCalibration
+    arbiter: ArbiterConfig
     tuning: TuningSettings
 
 
@@ -77,8 +80,10 @@ def read_config(params) -> TurnArbConfig:
     Raises:
         ConfigError: naming the parameter.
     """
-    tuning = read_tuning(params, LIVE_RANGE)
-    return TurnArbConfig(steering=read_steering(params), tuning=tuning)
+    config = TurnArbConfig(tuning=read_tuning(params, LIVE_RANGE), calibration=read_calibration(params),
+                           arbiter=read_arbiter(params))
+    params.finish()
+    return config
 
 
 class TurnArb:
@@ -87,8 +92,8 @@ class TurnArb:
     def __init__(self, params, inbox):
         config = read_config(params)
         now_ns = time.monotonic_ns()
-        self._arbiter = SteeringArbiter(config.steering)
-        self._channel = config.steering.servo_channel
+        self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
+        self._channel = config.calibration.servo_channel
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
         self._timer = RateTimer(RATE_HZ, now_ns)
@@ -107,12 +112,11 @@ class TurnArb:
         subscribe_interlock(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
-        self._reconfigure = self._offer_tuning(config.steering, config.tuning)
+        self._reconfigure = self._offer_tuning(config)
 
     def step(self, now_ns):
         """Take what arrived, news with its consequence; then beat if it is time."""
-        for handler, message, arrival_ns in self._inbox.drain():
-            handler(message, arrival_ns)
+        self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
         elif self._pending and now_ns >= self._report_ns:
@@ -135,7 +139,7 @@ class TurnArb:
     def _on_teleop(self, message, now_ns):
         self._arbiter.update_teleop(message.data, now_ns)
         if not math.isfinite(message.data):
-            self._warnings.warn("teleop not finite",
+            self._warnings.warn(causes.TELEOP_NOT_FINITE,
                                   f"tele_steer_req is {message.data}: the steering is neutral while it lasts")
         elif abs(message.data) > 1:
             self._warnings.warn("teleop clamped", f"tele_steer_req is {message.data:.3f}: clamped to -1..1")
@@ -143,7 +147,7 @@ class TurnArb:
     def _on_planner(self, message, now_ns):
         self._arbiter.update_planner(message.data, now_ns)
         if not math.isfinite(message.data):
-            self._warnings.warn("planner not finite", f"av_turnrad_req is {message.data}: taken for no request")
+            self._warnings.warn(causes.PLANNER_NOT_FINITE, f"av_turnrad_req is {message.data}: taken for no request")
 
     def _decide(self, now_ns):
         """Publish at once when the decision is another; whether it was."""
@@ -156,21 +160,22 @@ class TurnArb:
         self._publish_command(decision)
         return True
 
-    def _offer_tuning(self, config, settings):
-        """Have ends and center tuned while the car drives. All is worked out from the calibration at start."""
-        start = {name: getattr(config, name) for name in ("servo_left", "servo_center", "servo_right")}
-        rate = min(config.slew_limit or LIVE_RATE, LIVE_RATE)
-        tuning = Tuning(start, settings.reach, rate, lambda values: trimmed(config, **values))
+    def _offer_tuning(self, config):
+        """Have ends and center tuned while the car drives, relative to the calibration at start."""
+        calibration, settings = config.calibration, config.tuning
+        start = {name: getattr(calibration, name) for name in ("servo_left", "servo_center", "servo_right")}
+        rate = min(config.arbiter.slew_limit or LIVE_RATE, LIVE_RATE)
+        tuning = Tuning(start, settings.reach, rate, lambda values: trimmed(calibration, **values))
 
         def apply(values):
-            self._arbiter.calibrate(trimmed(config, **values))
+            self._arbiter.calibrate(trimmed(calibration, **values))
             self._neutral = duty_vector(one_channel(self._channel, values["servo_center"]))
             self._neutrals.publish(self._neutral)
 
         def parameters(values):
-            moved = trimmed(config, **values)
-            return {**values, "k_pwmcmd_left_table_servo": list(moved.left_duties),
-                    "k_pwmcmd_right_table_servo": list(moved.right_duties)}
+            scaled = trimmed(calibration, **values)
+            return {**values, "k_pwmcmd_left_table_servo": list(scaled.left_duties),
+                    "k_pwmcmd_right_table_servo": list(scaled.right_duties)}
 
         return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, SteeringTrimConfig,
                                  settings.save_to)
@@ -191,15 +196,16 @@ class TurnArb:
         for before, decision in self._pending:
             self._publish_state(decision)
             if before is None or (before.source, before.cause) != (decision.source, decision.cause):
-                log = rospy.logwarn if decision.cause in ALARMING or decision.source == LOCKED else rospy.loginfo
+                log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
                 log("%s: %s", SOURCE_NAMES[decision.source], decision.reason)
         self._pending.clear()
 
     def _report(self, status):
         """Who drives and why, on /diagnostics."""
         decision = self._arbiter.decide(time.monotonic_ns())  # for its ages
-        alarming = decision.source == LOCKED or decision.cause in ALARMING
+        alarming = _is_alarming(decision)
         status.summary(WARN if alarming else OK, f"{SOURCE_NAMES[decision.source]}: {decision.reason}")
+        status.add("cause", decision.cause)
         status.add("duty", decision.duty)
         for name, age_s in (("e_stop", decision.e_stop_age_s), ("human_in_loop", decision.human_age_s),
                             ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s)):
@@ -219,10 +225,15 @@ class TurnArb:
 
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
-            stamp=rospy.Time.now(), source=decision.source, reason=decision.reason, duty=decision.duty,
-            turn_radius=self._arbiter.turn_radius_m(decision.duty),
+            stamp=rospy.Time.now(), source=decision.source, cause=decision.cause, reason=decision.reason,
+            duty=decision.duty, turn_radius=self._arbiter.calibration.turn_radius_m(decision.duty),
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,
             planner_age=decision.planner_age_s))
+
+
+def _is_alarming(decision):
+    """Whether somebody has to act: the car is locked, or an input failed."""
+    return decision.source == LOCKED or decision.cause in causes.LOSSES
 
 
 def main():

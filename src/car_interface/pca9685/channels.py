@@ -10,9 +10,8 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
+from car_interface.common.units import NS_PER_MS
 from car_interface.pca9685.registers import counts_of_duty
-
-NS_PER_MS = 1_000_000
 
 
 @dataclass(frozen=True)

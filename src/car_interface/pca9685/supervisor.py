@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Callable, Sequence
 
 from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import NS_PER_MS
 from car_interface.pca9685.board import Board, BoardMismatch
 from car_interface.pca9685.channels import differences
 
-NS_PER_MS = 1_000_000
 CHECK_PERIOD_NS = 500 * NS_PER_MS
 FIRST_RETRY_NS, LAST_RETRY_NS = 100 * NS_PER_MS, 2000 * NS_PER_MS
 

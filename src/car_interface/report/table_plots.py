@@ -11,8 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from car_interface.report.plots import ASKED, FAINT, SENT, STYLE, title
-from car_interface.steering.arbiter import SteeringArbiter
-from car_interface.steering.calibration import SteeringConfig
+from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.value_map import ValueMap
 
 DPI = 120
@@ -20,13 +19,13 @@ CURVES = 9  # of a map's velocities
 LABELS = 12  # below an axis of radii
 
 
-def draw(table: SteeringConfig | ValueMap, kind: str, name: str) -> bytes:
+def draw(table: SteeringCalibration | ValueMap, kind: str, name: str) -> bytes:
     """A picture of a table, as the bytes of a file of that kind: svg, png or pdf."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.2), constrained_layout=True)
         FigureCanvasAgg(figure)
         figure.suptitle(Path(name).name, x=0.01, ha="left", fontsize=11, fontweight="bold")
-        (_steering if isinstance(table, SteeringConfig) else _map)(figure, table)
+        (_steering if isinstance(table, SteeringCalibration) else _map)(figure, table)
         file = io.BytesIO()
         figure.savefig(file, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
         return file.getvalue()
@@ -45,11 +44,10 @@ def _steering(figure, config):
     by_radius.set_xticklabels([f"{radius:g}" for radius in shown])
     by_radius.minorticks_off()
     by_radius.legend()
-    arbiter = SteeringArbiter(config)
     low, high = sorted((config.servo_left, config.servo_right))
     duties = np.linspace(low, high, 600)
     title(by_duty, "What a duty is taken to turn: 1/radius in 1/m, left up")
-    by_duty.plot(duties, [1 / arbiter.turn_radius_m(duty) for duty in duties], color=SENT)
+    by_duty.plot(duties, [1 / config.turn_radius_m(duty) for duty in duties], color=SENT)
     by_duty.axhline(0, color=FAINT, linewidth=0.9)
     by_duty.axvline(config.servo_center, color=FAINT, linewidth=0.9)
     by_duty.set_xlabel("duty")

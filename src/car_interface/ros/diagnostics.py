@@ -12,8 +12,9 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from diagnostic_updater import DiagnosticStatusWrapper, Updater
 
+from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
-from car_interface.ros.runtime import Inbox, RateTimer
+from car_interface.ros.inbox import Inbox
 
 RATE_HZ = 1
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -60,8 +61,8 @@ class Diagnostics:
         """That a node lost messages belongs to whatever it says of itself."""
         def report_both(status):
             report(status)
-            if self._inbox.overflowed_lately(time.monotonic_ns()):
-                status.mergeSummary(ERROR, self._inbox.overflow)
+            if self._inbox.overflowed_recently(time.monotonic_ns()):
+                status.mergeSummary(ERROR, self._inbox.overflow_text)
             if self._inbox.dropped:
                 status.add("messages dropped by its inbox", self._inbox.dropped)
             return status

@@ -7,7 +7,7 @@ from typing import Callable
 import rospy
 
 from car_interface.common.errors import ConfigError
-from car_interface.ros.runtime import serve
+from car_interface.ros.topics import serve
 from car_interface.srv import InjectFault
 
 

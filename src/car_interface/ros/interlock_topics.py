@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from std_msgs.msg import Bool
 
-from car_interface.ros.runtime import subscribe_changes
+from car_interface.ros.topics import subscribe_changes
 
 
 def subscribe_interlock(inbox, arbiter, then=None) -> None:

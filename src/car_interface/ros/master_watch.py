@@ -9,7 +9,7 @@ from typing import Any, Callable
 import rosgraph
 import rospy
 
-from car_interface.ros.runtime import Inbox
+from car_interface.ros.inbox import Inbox
 
 POLL_S = 2.0
 ANSWER_WITHIN_S = 1.0

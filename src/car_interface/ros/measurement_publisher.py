@@ -16,10 +16,12 @@ from sensor_msgs.msg import JointState, Range, Temperature
 from tf2_msgs.msg import TFMessage
 
 from car_interface.common.errors import ConfigError
+from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import SteeringState, TeensyClock
 from car_interface.ros.diagnostics import OK, WARN
-from car_interface.ros.runtime import RateTimer, ThrottledWarnings, advertise, has_subscribers, subscribe
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.topics import advertise, has_subscribers, subscribe
 from car_interface.steering.monitor import SteeringCheck
 from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.clock import ClockConfig

@@ -6,7 +6,7 @@ what is in force.
 Services:
     ~set_parameters (dynamic_reconfigure/Reconfigure), below ``namespace``: with the topics parameter_descriptions and
         parameter_updates what rqt_reconfigure works with.
-    ~save: see ``saving``. The file is that of ~save_to.
+    ~save: see ``save_service``. The file is that of ~save_to.
 """
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from dynamic_reconfigure.server import Server
 
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.yaml_edit import Values
-from car_interface.ros.runtime import TOO_BUSY, Inbox, ThrottledWarnings
+from car_interface.ros.inbox import TOO_BUSY, Inbox
 from car_interface.ros.save_service import File, serve_saving
+from car_interface.ros.throttled_warnings import ThrottledWarnings
 
 ANSWER_WITHIN_S = 2.0
 SETTLE_WITHIN_S = 5.0
@@ -130,8 +131,8 @@ class ReconfigureServer:
     def _on_request(self, request, now_ns):
         answer = self._tuning.request(request.wanted, now_ns)
         request.answered.set()
-        if answer.complaint:
-            self._warnings.warn("live tuning", answer.complaint)
+        if answer.problem:
+            self._warnings.warn("live tuning", answer.problem)
 
     def _files(self):
         """What ~save shall save: what was accepted, once it is in force."""

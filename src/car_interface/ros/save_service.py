@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.yaml_edit import Values, save
-from car_interface.ros.runtime import Inbox
+from car_interface.ros.inbox import Inbox
 
 FOLLOWER_WITHIN_S = 1.0
 

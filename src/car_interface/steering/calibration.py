@@ -1,35 +1,32 @@
-"""A car's steering calibration: the servo's ends and center, and turn radius to servo duty by tables.
+"""A car's steering calibration: servo duty from a steering request or a turn radius, and back.
 
-A turn radius is in metres; a duty is 0..65535 of the PWM period.
+Steering −1 is full right and +1 full left; a turn radius is in metres, right negative; a duty is 0..65535 of the PWM
+period.
 """
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Sequence
 
 from car_interface.common.errors import ConfigError
+from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.servo_channels import MAX_DUTY
-from car_interface.interlock.motion_interlock import InterlockConfig
 
-WIDE_M = 100.0  # a table that ends before it has no duty for almost straight on
-TABLE_DIGITS = 1  # of a duty in a table that was moved: finer than anything that a servo follows
+WIDE_M = 100.0  # a table should reach at least this radius, or it has no duty for almost straight ahead
+TABLE_DIGITS = 1  # decimals of a duty in a trimmed table; a servo resolves less
 
 
 @dataclass(frozen=True)
-class SteeringConfig:
-    """A car's steering calibration, and how long each input may be silent.
+class SteeringCalibration:
+    """The servo's end positions and center, and tables of turn radius to duty.
 
     Attributes:
-        servo_left, servo_center, servo_right: duty 0..65535 at full left, straight ahead and full right; the center
-            lies between the other two (either may be the larger).
+        servo_left, servo_center, servo_right: duty at full left, straight ahead and full right; the center lies between
+            the other two (either may be the larger).
         servo_channel: 0..15.
         radius_axis_m: magnitudes of turn radius in metres, positive, increasing.
-        left_duties, right_duties: the duty that turns that tight, one for each radius.
-        tele_steer_neutral: the request that means "not steering" (0.5 for an old 0..1 stack).
-        tele_steer_deadband: requests this near to it mean the same.
-        slew_limit: how fast gamepad and planner may move the servo, in duty per second; 0 = as fast as it can.
-        interlock: the rules of lock and deadman.
-        teleop_timeout_s, planner_timeout_s: silence longer than this is a loss; 0 = never.
+        left_duties, right_duties: the duty for each radius.
 
     Raises:
         ConfigError: naming the ROS parameter.
@@ -42,12 +39,8 @@ class SteeringConfig:
     radius_axis_m: Sequence[float]
     left_duties: Sequence[float]
     right_duties: Sequence[float]
-    tele_steer_neutral: float = 0.0
-    tele_steer_deadband: float = 0.001
-    slew_limit: float = 0.0
-    interlock: InterlockConfig = field(default_factory=InterlockConfig)
-    teleop_timeout_s: float = 0.5
-    planner_timeout_s: float = 0.5
+    _left: LookupTable = field(init=False, repr=False, compare=False)
+    _right: LookupTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         if not min(self.servo_left, self.servo_right) <= self.servo_center <= max(self.servo_left, self.servo_right):
@@ -57,36 +50,65 @@ class SteeringConfig:
             raise ConfigError("servo_right", self.servo_right, "a duty other than servo_left's")
         if self.radius_axis_m and self.radius_axis_m[0] <= 0:
             raise ConfigError("m_turnrad_axis_servo[0]", self.radius_axis_m[0], "a radius above 0 m")
+        for name, duties, parameter in (("_left", self.left_duties, "k_pwmcmd_left_table_servo"),
+                                        ("_right", self.right_duties, "k_pwmcmd_right_table_servo")):
+            object.__setattr__(self, name, LookupTable(self.radius_axis_m, duties, "m_turnrad_axis_servo", parameter))
+
+    def teleop_duty(self, steering: float) -> int:
+        """The duty for a gamepad request, clamped to −1..1; linear from the center to the end of each side."""
+        steering = max(-1.0, min(1.0, steering))
+        travel = self.servo_center - self.servo_left if steering > 0 else self.servo_right - self.servo_center
+        return round_half_away(self.servo_center - steering * travel)
+
+    def planner_duty(self, radius_m: float) -> int:
+        """The duty for a turn radius: looked up by magnitude, saturated beyond the axis; the sign selects the table."""
+        table = self._left if radius_m > 0 else self._right
+        return round_half_away(table(abs(radius_m)))
+
+    def turn_radius_m(self, duty: float) -> float:
+        """The turn radius of a duty by the tables, right negative; inf = straight ahead, or wider than the axis."""
+        is_left = (duty - self.servo_center) * (self.servo_left - self.servo_center) > 0
+        table, sign = (self._left, 1) if is_left else (self._right, -1)
+        direction = 1 if table.values[0] > self.servo_center else -1  # of duty, from the center to the tightest turn
+        if direction * (duty - self.servo_center) <= 0:
+            return math.inf
+        if direction * (duty - table.values[0]) >= 0:
+            return sign * table.axis[0]
+        for radius, wider, tight, wide in zip(table.axis, table.axis[1:], table.values, table.values[1:]):
+            if direction * (duty - wide) >= 0:
+                return sign * (radius + (wider - radius) * (tight - duty) / (tight - wide))
+        return math.inf
 
 
-def trimmed(config: SteeringConfig, servo_left: int, servo_center: int, servo_right: int) -> SteeringConfig:
-    """A calibration with other ends and another center; the tables of both sides move along.
+def trimmed(calibration: SteeringCalibration, servo_left: int, servo_center: int,
+            servo_right: int) -> SteeringCalibration:
+    """A calibration with other ends and another center; both tables are scaled with them.
 
-    Every duty keeps its share of the way from the center to the end of its side: what drove straight on is the new
-    center, what was full left is the new full left. All three moved alike move every duty alike.
+    Every duty keeps its ratio between the center and the end of its side: the duty for straight ahead becomes the new
+    center, the one for full left the new full left. A shift of all three shifts every duty.
 
     Raises:
         ConfigError: naming the parameter: the center must stay between the ends, and these must stay on their sides.
     """
-    before = (config.servo_left, config.servo_center, config.servo_right)
+    before = (calibration.servo_left, calibration.servo_center, calibration.servo_right)
     after = (servo_left, servo_center, servo_right)
-    if before != after and config.servo_center in (config.servo_left, config.servo_right):
-        raise ConfigError("servo_center", config.servo_center, "a duty between servo_left and servo_right, in the file "
-                          "already: from one of them on nothing can be tuned", "is an end at start")
-    if (servo_left < servo_right) != (config.servo_left < config.servo_right):
+    if before != after and calibration.servo_center in (calibration.servo_left, calibration.servo_right):
+        raise ConfigError("servo_center", calibration.servo_center, "a duty between servo_left and servo_right, in the "
+                          "file already: from one of them on nothing can be tuned", "is an end at start")
+    if (servo_left < servo_right) != (calibration.servo_left < calibration.servo_right):
         raise ConfigError("servo_left", servo_left, f"a duty on the same side of servo_right {servo_right} as before")
     if before == after:
-        return config
-    if servo_center in (servo_left, servo_right):  # a side without a way has no shares, and couldn't be tuned back
+        return calibration
+    if servo_center in (servo_left, servo_right):  # with a travel of 0 the ratios are lost: it couldn't be tuned back
         raise ConfigError("servo_center", servo_center,
                           f"a duty between servo_left {servo_left} and servo_right {servo_right}, and neither of them")
 
-    def moved(duty):
+    def scaled(duty):
         end = 0 if (duty - before[1]) * (before[0] - before[1]) > 0 else 2
         old_travel, new_travel = before[end] - before[1], after[end] - after[1]
         wanted = after[1] + (duty - before[1]) * new_travel / old_travel
         return max(0.0, min(float(MAX_DUTY), round(wanted, TABLE_DIGITS)))
 
-    return replace(config, servo_left=servo_left, servo_center=servo_center, servo_right=servo_right,
-                   left_duties=[moved(duty) for duty in config.left_duties],
-                   right_duties=[moved(duty) for duty in config.right_duties])
+    return replace(calibration, servo_left=servo_left, servo_center=servo_center, servo_right=servo_right,
+                   left_duties=[scaled(duty) for duty in calibration.left_duties],
+                   right_duties=[scaled(duty) for duty in calibration.right_duties])

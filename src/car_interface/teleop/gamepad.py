@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
+from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.interlock.motion_interlock import STARTED
@@ -57,12 +58,13 @@ class Requests(NamedTuple):
     human_in_loop: bool
     steering: float  # −1 right .. +1 left
     throttle: float  # −1 .. +1
+    cause: str  # one of car_interface.common.causes
     reason: str
 
     @property
     def must_let_go(self) -> bool:
         """Whether a deadman is held that doesn't count before it was let go."""
-        return self.reason.endswith(LET_GO)
+        return self.cause == causes.NOT_REARMED
 
 
 class Gamepad:
@@ -86,11 +88,12 @@ class Gamepad:
     def requests(self, now_ns: int) -> Requests:
         """What the gamepad asks for at ``now_ns``."""
         if self._joy.is_stale(now_ns):
-            return self._released(self._joy.stale_reason(now_ns))
+            cause = causes.JOY_STALE if self._joy.was_received else causes.JOY_NEVER_RECEIVED
+            return self._released(cause, self._joy.stale_reason(now_ns))
         return self._joy.value
 
-    def _released(self, reason):
-        return Requests(False, self._config.steer_neutral, 0.0, reason)
+    def _released(self, cause, reason):
+        return Requests(False, self._config.steer_neutral, 0.0, cause, reason)
 
     def _read(self, axes, buttons):
         config = self._config
@@ -100,20 +103,22 @@ class Gamepad:
                                    ("autonomous_button", config.autonomous_button, buttons)):
             if index >= len(there):
                 self._lost = f"the gamepad had no {name}"
-                return self._released(f"the gamepad has no {name} {index}: it has {len(there)} of them")
+                return self._released(causes.JOY_INCOMPLETE,
+                                      f"the gamepad has no {name} {index}: it has {len(there)} of them")
         steering = config.steer_scale * axes[config.steer_axis]
         throttle = config.throttle_scale * axes[config.throttle_axis]
         if not (math.isfinite(steering) and math.isfinite(throttle)):
             self._lost = "an axis of the gamepad was no number"
-            return self._released("an axis of the gamepad isn't a number")
+            return self._released(causes.JOY_NOT_FINITE, "an axis of the gamepad isn't a number")
         if not (buttons[config.manual_button] or buttons[config.autonomous_button]):
             self._lost = ""
-            return self._released("no deadman is held")
+            return self._released(causes.NO_DEADMAN, "no deadman is held")
         if self._lost:
-            return self._released(f"{self._lost}; {LET_GO}")
+            return self._released(causes.NOT_REARMED, f"{self._lost}; {LET_GO}")
         if buttons[config.manual_button]:
-            return Requests(True, self._steered(_unit(steering)), _unit(throttle), "manual deadman held")
-        return Requests(True, config.steer_neutral, 0.0, "autonomous deadman held")
+            return Requests(True, self._steered(_unit(steering)), _unit(throttle), causes.MANUAL,
+                            "manual deadman held")
+        return Requests(True, config.steer_neutral, 0.0, causes.AUTONOMOUS, "autonomous deadman held")
 
     def _steered(self, steering):
         """Who holds the manual deadman steers, with the stick at rest too: where nothing is asked the planner would."""

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
 from car_interface.throttle.value_map import ValueMap
@@ -39,7 +40,7 @@ class Conversion(NamedTuple):
     """A value to send, or ``None`` and the reason."""
 
     value: float | None
-    cause: str = ""  # the kind of reason, without numbers
+    cause: str = ""  # one of car_interface.common.causes; empty with a value
     reason: str = ""
 
 
@@ -75,7 +76,7 @@ class Converter:
     def convert(self, acceleration: float, now_ns: int) -> Conversion:
         """The value for a commanded acceleration in m/s² at the newest velocity."""
         if not math.isfinite(acceleration):
-            return Conversion(None, "command not finite", f"the commanded acceleration is {acceleration}")
+            return Conversion(None, causes.COMMAND_NOT_FINITE, f"the commanded acceleration is {acceleration}")
         if self._map is None:
             return Conversion(self._clamp(acceleration))
         trouble = self.odometry_trouble(now_ns)
@@ -86,9 +87,10 @@ class Converter:
     def odometry_trouble(self, now_ns: int) -> Conversion | None:
         """Why the velocity can't be used at ``now_ns``; ``None`` when it can."""
         if self._odometry.is_stale(now_ns):
-            return Conversion(None, "odometry silent", self._odometry.stale_reason(now_ns))
+            return Conversion(None, causes.ODOMETRY_STALE, self._odometry.stale_reason(now_ns))
         if not math.isfinite(self._odometry.value):
-            return Conversion(None, "odometry not finite", f"the velocity in the odometry is {self._odometry.value}")
+            return Conversion(None, causes.ODOMETRY_NOT_FINITE,
+                              f"the velocity in the odometry is {self._odometry.value}")
         return None
 
     def odometry_age_s(self, now_ns: int) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Sequence
 
+from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.servo_channels import MAX_DUTY
@@ -71,7 +72,7 @@ class ThrottleDecision(NamedTuple):
 
     duty: int
     driving: bool  # False: neutral
-    cause: str
+    cause: str  # one of car_interface.common.causes
     reason: str
 
 
@@ -123,7 +124,7 @@ class Throttle:
             return ThrottleDecision(self.config.neutral, False, *hindrance)
         value = self._command.value.value
         duty = max(0, min(MAX_DUTY, round_half_away(self._duty(value))))
-        return ThrottleDecision(duty, True, "driving", f"the value is {value:.3f}")
+        return ThrottleDecision(duty, True, causes.DRIVING, f"the value is {value:.3f}")
 
     def ages_s(self, now_ns: int) -> dict[str, float]:
         """Seconds since each input was heard, by its name; inf = never."""
@@ -135,10 +136,10 @@ class Throttle:
         if inhibit is not None:
             return inhibit.cause, inhibit.reason
         if self._steering.is_stale(now_ns):
-            return "steering silent", self._steering.stale_reason(now_ns)
+            return causes.STEERING_STALE, self._steering.stale_reason(now_ns)
         if self._steering.value not in (NEUTRAL, TELEOP, PLANNER):
-            return "steering stopped", f"turn_arb says {source_name(self._steering.value)}"
+            return causes.STEERING_STOPPED, f"turn_arb says {source_name(self._steering.value)}"
         if self._command.is_stale(now_ns):
-            return "command silent", self._command.stale_reason(now_ns)
+            return causes.COMMAND_STALE, self._command.stale_reason(now_ns)
         trouble = self._command.value if self._command.value.value is None else self._converter.odometry_trouble(now_ns)
         return None if trouble is None else (trouble.cause, trouble.reason)

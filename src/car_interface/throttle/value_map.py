@@ -45,7 +45,6 @@ class ValueMap:
                 raise ConfigError(f"{name}, row of value {value}", list(row), f"{len(velocities)} finite accelerations")
         self.values = tuple(map(float, values))
         self.velocities = tuple(map(float, velocities))
-        self._bulk = None  # prepared when it's first asked for
         is_large = len(values) * len(velocities) > MAX_IN_TUPLES
         keep = (lambda column: array("d", column)) if is_large else (lambda column: tuple(map(float, column)))
         self._columns = [keep(column) for column in zip(*accelerations)]
@@ -98,16 +97,6 @@ class ValueMap:
         if acceleration >= a1:  # by the same rounding, where neighbours are all but level
             return values[above]
         return values[below] + (acceleration - a0) / (a1 - a0) * (values[above] - values[below])
-
-    def values_at(self, accelerations, velocities):
-        """``value_at`` for numpy arrays of one shape, or that are broadcast to one; at 100×100 ten times as fast.
-
-        The same numbers but for the last digits. Where a plateau is asked for, any value of it may come.
-        """
-        if self._bulk is None:
-            from car_interface.throttle.value_map_bulk import BulkLookup  # numpy is for those who have arrays
-            self._bulk = BulkLookup(self.values, self.velocities, self._columns)
-        return self._bulk(accelerations, velocities)
 
     def acceleration_at(self, value: float, velocity: float) -> float:
         """The acceleration that ``value`` makes at ``velocity``, both clamped to the map; neither may be NaN."""

@@ -24,7 +24,6 @@ from car_interface.cli.calibrate_steering import Config
 from car_interface.cli.main import main
 from car_interface.common.errors import ConfigError
 from car_interface.sim.vehicle import Vehicle
-from car_interface.steering.arbiter import SteeringArbiter
 from car_interface.steering.params import load_steering
 from written_recordings import Written, odometry, write_ros1
 
@@ -73,8 +72,7 @@ def run(*arguments):
 def driven_radius_m(config, radius_m):
     """What the virtual car makes of a planner's request, once its servo has arrived from straight on."""
     vehicle = Vehicle(virtual_drive.random_car(SEED))
-    arbiter = SteeringArbiter(config)
-    for duty in (config.servo_center, arbiter.planner_duty(radius_m)):
+    for duty in (config.servo_center, config.planner_duty(radius_m)):
         for _ in range(200):
             vehicle.step(10_000_000, virtual_drive.count_duty(duty), -1)
     return 1 / vehicle.curvature_per_m
@@ -202,11 +200,10 @@ def test_forced_table_keeps_old_duties_where_nothing_was_driven_marked(bag_witho
     text, stock, config = made.read_text(encoding="utf-8"), load_steering(str(STOCK)), load_steering(str(made))
     assert "missing: no data for right turns" in text and text.count("* ") > 10
     assert config.servo_right == stock.servo_right
-    old, now = SteeringArbiter(stock), SteeringArbiter(config)
     for radius in config.radius_axis_m:
         if 1.1 < radius < 5:
-            assert now.planner_duty(-radius) == pytest.approx(old.planner_duty(-radius), abs=1)
-            assert now.planner_duty(radius) != old.planner_duty(radius)
+            assert config.planner_duty(-radius) == pytest.approx(stock.planner_duty(-radius), abs=1)
+            assert config.planner_duty(radius) != stock.planner_duty(radius)
 
 
 @pytest.mark.once

@@ -1,10 +1,8 @@
-"""Tuning while the car drives: what a request may change, how fast, and what moves along. Time is passed in."""
+"""Tuning while the car drives: what a request may change, and how fast. Time is passed in."""
 from __future__ import annotations
 
 import math
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -13,26 +11,14 @@ from hypothesis import strategies as st
 from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
 from car_interface.common.params import Params
-from car_interface.steering import arbiter as steering
-from car_interface.steering import calibration
-from car_interface.steering.arbiter import SteeringArbiter
-from car_interface.steering.calibration import SteeringConfig
-from car_interface.steering.params import load_steering
-from car_interface.throttle import esc_channel
-from car_interface.throttle.esc_channel import ThrottleConfig
+from car_interface.steering.calibration import trimmed
+from slash import SLASH
 
-CONFIG = Path(__file__).resolve().parents[3] / "config"
 MS = 1_000_000
 S = 1000 * MS
 BEAT = 10 * MS
 REACH, RATE = 500, 500
 NAMES = ("servo_left", "servo_center", "servo_right")
-SLASH = SteeringConfig(
-    servo_left=3800, servo_center=5100, servo_right=6700, servo_channel=0,
-    radius_axis_m=[1, 2, 3, 4, 5, 6, 7, 10, 20, 30, 40, 60, 80, 100, 300],
-    left_duties=[3800, 3830, 3840, 3850, 3860, 3870, 3880, 3890, 3900, 3950, 4000, 4300, 4600, 4900, 5100],
-    right_duties=[6700, 6650, 6600, 6500, 6450, 6400, 6350, 6250, 6150, 6050, 5950, 5900, 5600, 5300, 5100])
-ESC = ThrottleConfig(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 
 
 def values(left=3800, center=5100, right=6700):
@@ -41,7 +27,7 @@ def values(left=3800, center=5100, right=6700):
 
 def tuning(reach=REACH, rate=RATE, config=SLASH):
     start = {name: getattr(config, name) for name in NAMES}
-    return Tuning(start, reach, rate, lambda wanted: calibration.trimmed(config, **wanted))
+    return Tuning(start, reach, rate, lambda wanted: trimmed(config, **wanted))
 
 
 def settle(tuned, now_ns):
@@ -180,120 +166,13 @@ def test_whatever_is_asked_each_step_is_valid_and_within_the_rate(wanted, beats,
         for _ in range(beats):
             now_ns += BEAT
             tuned.advance(now_ns)
-            moved = calibration.trimmed(SLASH, **tuned.in_force)
-            SteeringArbiter(moved)
+            trimmed(SLASH, **tuned.in_force)
             assert all(tuned.low[name] <= value <= tuned.high[name] for name, value in tuned.in_force.items())
             assert max(abs(tuned.in_force[name] - before[name]) for name in NAMES) <= rate * BEAT / S + 1
             before = tuned.in_force
 
 
-# --- what moves along: the steering ---
-
-
-def test_trimmed_to_where_it_is_changes_nothing_at_all():
-    assert calibration.trimmed(SLASH, 3800, 5100, 6700) is SLASH
-
-
-def test_planner_drives_straight_on_and_turns_tightest_where_the_gamepad_does():
-    arbiter = SteeringArbiter(calibration.trimmed(SLASH, 3750, 5200, 6800))
-    assert [arbiter.planner_duty(radius) for radius in (300, -300, 1, -1)] == [5200, 5200, 3750, 6800]
-    assert [arbiter.teleop_duty(request) for request in (0, 1, -1)] == [5200, 3750, 6800]
-
-
-def test_table_between_keeps_its_share_of_the_way_from_center_to_end():
-    moved = calibration.trimmed(SLASH, 3800, 5200, 6700)
-    assert moved.left_duties[11] == 5200 - (5100 - 4300) * 1400 / 1300 // 0.1 / 10  # 60 m: 861.5
-    assert moved.right_duties[13] == round(5200 + 200 * 1500 / 1600, 1)
-
-
-def test_all_three_moved_alike_move_every_duty_alike():
-    moved = calibration.trimmed(SLASH, 3830, 5130, 6730)
-    assert moved.left_duties == [duty + 30 for duty in SLASH.left_duties]
-    assert moved.right_duties == [duty + 30 for duty in SLASH.right_duties]
-
-
-def test_car_whose_left_is_the_larger_duty_is_tuned_alike():
-    turned = replace(SLASH, servo_left=6700, servo_right=3800, left_duties=SLASH.right_duties,
-                     right_duties=SLASH.left_duties)
-    arbiter = SteeringArbiter(calibration.trimmed(turned, 6750, 5050, 3850))
-    assert [arbiter.planner_duty(radius) for radius in (1, 300, -300, -1)] == [6750, 5050, 5050, 3850]
-
-
-def test_commanded_radius_of_a_duty_moves_along_too():
-    arbiter = SteeringArbiter(calibration.trimmed(SLASH, 3800, 5200, 6700))
-    assert arbiter.turn_radius_m(5200) == math.inf
-    assert arbiter.turn_radius_m(arbiter.planner_duty(50)) == pytest.approx(50, rel=0.01)
-
-
-@pytest.mark.parametrize("wanted, message", [
-    pytest.param((3800, 6701, 6700), "servo_center is 6701; accepted: a duty between servo_left 3800 and servo_right",
-                 id="center_beyond_right"),
-    pytest.param((3800, 3800, 6700), "servo_center is 3800; accepted: .*, and neither of them", id="center_at_left"),
-    pytest.param((3800, 6700, 6700), "servo_center is 6700; accepted: .*, and neither of them", id="center_at_right"),
-    pytest.param((6700, 5100, 3800), "servo_left is 6700; accepted: a duty on the same side of servo_right 3800",
-                 id="ends_that_change_sides"),
-    pytest.param((5100, 5100, 5100), "servo_left is 5100; accepted: a duty on the same side", id="ends_that_meet"),
-])
-def test_impossible_trim_is_refused(wanted, message):
-    with pytest.raises(ConfigError, match=message):
-        calibration.trimmed(SLASH, *wanted)
-
-
-def test_center_that_is_an_end_at_start_is_not_tuned():
-    """On the way from there the two could meet again, and a side without a way can't be tuned back."""
-    config = replace(SLASH, servo_center=3800)
-    assert calibration.trimmed(config, 3800, 3800, 6700) is config
-    with pytest.raises(ConfigError, match="servo_center is an end at start"):
-        calibration.trimmed(config, 3900, 3950, 6700)
-
-
-@given(TRIPLES)
-def test_trimmed_tables_keep_their_order_and_stay_duties(wanted):
-    try:
-        moved = calibration.trimmed(SLASH, *wanted)
-    except ConfigError:
-        return
-    assert list(moved.left_duties) == sorted(moved.left_duties)
-    assert list(moved.right_duties) == sorted(moved.right_duties, reverse=True)
-    assert all(0 <= duty <= 65535 for duty in (*moved.left_duties, *moved.right_duties))
-
-
-def test_arbiter_calibrated_anew_keeps_what_it_heard():
-    arbiter = SteeringArbiter(SLASH)
-    arbiter.update_human(True, S)
-    arbiter.update_teleop(1.0, S)
-    arbiter.calibrate(calibration.trimmed(SLASH, 3700, 5100, 6700))
-    assert arbiter.decide(S)[:3] == (steering.TELEOP, 3700, "teleop")
-    with pytest.raises(ConfigError, match="k_pwmcmd_left_table_servo"):
-        arbiter.calibrate(replace(SLASH, left_duties=[1]))
-    assert arbiter.decide(S).duty == 3700
-
-
-# --- what moves along: the ESC ---
-
-
-def test_esc_table_moves_along_with_its_neutral():
-    moved = esc_channel.trimmed(ESC, 4950)
-    assert (moved.neutral, moved.duty_table) == (4950, [3312, 4950, 6589])
-
-
-def test_esc_table_ends_where_duties_do():
-    assert esc_channel.trimmed(replace(ESC, duty_table=[10, 4915, 65530]), 4895).duty_table == [0, 4895, 65510]
-    assert esc_channel.trimmed(replace(ESC, duty_table=[10, 4915, 65530]), 4935).duty_table == [30, 4935, 65535]
-
-
 # --- parameters ---
-
-
-def test_file_of_turn_arb_may_say_how_far_it_may_be_tuned():
-    shipped = (CONFIG / "turn_arb.yaml").read_text(encoding="utf-8")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "turn_arb.yaml"
-        path.write_text(shipped + "live_range: 300\n", encoding="utf-8")
-        assert load_steering(str(path)).servo_center == 5100
-        path.write_text(shipped + "live_range: far\n", encoding="utf-8")
-        with pytest.raises(ConfigError, match=r"turn_arb\.yaml, live_range is 'far'"):
-            load_steering(str(path))
 
 
 def test_settings_come_from_live_range_and_save_to():

@@ -1,59 +1,39 @@
 """Who steers, and with what duty: the arbiter as a table of who wins, with time passed in."""
 from __future__ import annotations
 
-import ast
 import math
-import re
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.common.errors import ConfigError
-from car_interface.common.servo_channels import one_channel
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SOURCE_NAMES, TELEOP, SteeringArbiter
-from car_interface.steering.calibration import SteeringConfig
+from car_interface.steering.arbiter import (
+    LOCKED,
+    NEUTRAL,
+    NO_HUMAN,
+    PLANNER,
+    SOURCE_NAMES,
+    TELEOP,
+    ArbiterConfig,
+    SteeringArbiter,
+)
+from car_interface.steering.calibration import trimmed
+from slash import CENTER, SLASH
 
 S = 1_000_000_000
 NOW = 1000 * S
-CONFIG_FILE = Path(__file__).resolve().parents[3] / "config" / "turn_arb.yaml"
-
-# The calibration of a Traxxas Slash 4x4, as its owner published it.
-SLASH_4X4 = {
-    "servo_left": 3800,
-    "servo_center": 5100,
-    "servo_right": 6700,
-    "servo_channel": 0,
-    "m_turnrad_axis_servo": [1, 2, 3, 4, 5, 6, 7, 10, 20, 30, 40, 60, 80, 100, 300],
-    "k_pwmcmd_left_table_servo": [3800, 3830, 3840, 3850, 3860, 3870, 3880, 3890, 3900, 3950, 4000, 4300, 4600, 4900,
-                                  5100],
-    "k_pwmcmd_right_table_servo": [6700, 6650, 6600, 6500, 6450, 6400, 6350, 6250, 6150, 6050, 5950, 5900, 5600, 5300,
-                                   5100],
-}
-CENTER = 5100
 
 
-def config(**changes):
-    settings = {
-        "servo_left": SLASH_4X4["servo_left"],
-        "servo_center": SLASH_4X4["servo_center"],
-        "servo_right": SLASH_4X4["servo_right"],
-        "servo_channel": SLASH_4X4["servo_channel"],
-        "radius_axis_m": SLASH_4X4["m_turnrad_axis_servo"],
-        "left_duties": SLASH_4X4["k_pwmcmd_left_table_servo"],
-        "right_duties": SLASH_4X4["k_pwmcmd_right_table_servo"],
-    }
-    if "human_timeout_s" in changes:
-        changes["interlock"] = InterlockConfig(human_timeout_s=changes.pop("human_timeout_s"))
-    settings.update(changes)
-    return SteeringConfig(**settings)
+def arbiter_with(human_timeout_s=None, **rules):
+    if human_timeout_s is not None:
+        rules["interlock"] = InterlockConfig(human_timeout_s=human_timeout_s)
+    return SteeringArbiter(SLASH, ArbiterConfig(**rules))
 
 
 def decide(human=None, teleop=None, planner=None, **changes):
     """The decision at NOW after each input was heard once: (value, its age in seconds), or None = never."""
-    arbiter = SteeringArbiter(config(**changes))
+    arbiter = arbiter_with(**changes)
     for hear, heard in ((arbiter.update_human, human), (arbiter.update_teleop, teleop),
                         (arbiter.update_planner, planner)):
         if heard is not None:
@@ -125,7 +105,7 @@ def test_arbiter_with_these_inputs_picks_source_duty_and_reason(human, teleop, p
 
 
 def test_arbiter_through_a_drive_hands_the_wheel_on_and_back():
-    arbiter = SteeringArbiter(config())
+    arbiter = SteeringArbiter(SLASH)
     now = NOW
 
     def after(milliseconds):
@@ -158,7 +138,7 @@ def test_arbiter_through_a_drive_hands_the_wheel_on_and_back():
 
 
 def test_first_true_of_the_human_after_start_grants_control():
-    arbiter = SteeringArbiter(config())
+    arbiter = SteeringArbiter(SLASH)
     arbiter.update_human(True, NOW)
     arbiter.update_teleop(1.0, NOW)
     assert arbiter.decide(NOW).source == TELEOP
@@ -204,39 +184,6 @@ def test_decision_differs_only_in_source_duty_or_cause():
     assert silent.differs_from(decide(LET_GO, STEERS))
 
 
-@pytest.mark.parametrize("steering, duty", [
-    pytest.param(1.0, 3800, id="full_left"),
-    pytest.param(-1.0, 6700, id="full_right"),
-    pytest.param(0.5, 4450, id="half_left_by_the_left_scale"),
-    pytest.param(-0.5, 5900, id="half_right_by_the_right_scale"),
-    pytest.param(0.0, 5100, id="straight_ahead"),
-    pytest.param(0.001, 5099, id="slightly_left"),
-    pytest.param(1.5, 3800, id="beyond_the_left_is_clamped"),
-    pytest.param(-1.5, 6700, id="beyond_the_right_is_clamped"),
-    pytest.param(1e300, 3800, id="far_beyond_is_clamped"),
-    pytest.param(1.0 / 2600, 5100, id="a_half_goes_away_from_zero_on_the_left"),
-    pytest.param(-1.0 / 3200, 5101, id="a_half_goes_away_from_zero_on_the_right"),
-])
-def test_teleop_request_makes_duty(steering, duty):
-    assert SteeringArbiter(config()).teleop_duty(steering) == duty
-
-
-def test_servo_mounted_the_other_way_round_is_steered_the_other_way_round():
-    arbiter = SteeringArbiter(config(servo_left=6700, servo_right=3800))
-    assert [arbiter.teleop_duty(steering) for steering in (1.0, 0.5, 0.0, -0.5, -1.0)] == [6700, 5900, 5100, 4450, 3800]
-
-
-def test_servo_that_turns_to_one_side_only_is_accepted():
-    arbiter = SteeringArbiter(config(servo_left=5100))
-    assert [arbiter.teleop_duty(steering) for steering in (1.0, 0.0, -1.0)] == [5100, 5100, 6700]
-
-
-@given(st.floats(-1, 1))
-def test_teleop_duty_of_any_request_is_the_rounded_line_to_its_side(steering):
-    exact = CENTER - steering * (CENTER - 3800 if steering > 0 else 6700 - CENTER)
-    assert abs(SteeringArbiter(config()).teleop_duty(steering) - exact) <= 0.5
-
-
 @pytest.mark.parametrize("neutral, deadband, request_, source", [
     pytest.param(0.0, 0.001, 0.0, NEUTRAL, id="zero_rests"),
     pytest.param(0.0, 0.001, 0.001, NEUTRAL, id="the_edge_of_the_deadband_rests"),
@@ -279,50 +226,10 @@ def test_planner_radius_makes_duty(radius_m, duty):
     assert (SOURCE_NAMES[decision.source], decision.duty) == ("PLANNER", duty)
 
 
-@pytest.mark.parametrize("side, table", [(1, "k_pwmcmd_left_table_servo"), (-1, "k_pwmcmd_right_table_servo")],
-                         ids=["left", "right"])
-def test_planner_radius_at_each_breakpoint_makes_the_table_s_duty(side, table):
-    arbiter = SteeringArbiter(config())
-    for radius_m, duty in zip(SLASH_4X4["m_turnrad_axis_servo"], SLASH_4X4[table]):
-        assert arbiter.planner_duty(side * radius_m) == duty
-
-
-@pytest.mark.parametrize("duty, radius_m", (
-    (5100, math.inf), (3800, 1.0), (3700, 1.0), (3835, 2.5), (5000, 200.0),
-    (6700, -1.0), (6800, -1.0), (6675, -1.5), (5200, -200.0)))
-def test_turn_radius_of_a_duty_is_the_one_that_the_tables_have_for_it(duty, radius_m):
-    assert SteeringArbiter(config()).turn_radius_m(duty) == pytest.approx(radius_m)
-
-
-@given(st.floats(1, 299), st.sampled_from((-1, 1)))
-def test_turn_radius_of_a_planner_s_duty_is_what_the_planner_asked_for(radius_m, side):
-    arbiter = SteeringArbiter(config())
-    duty = arbiter.planner_duty(side * radius_m)
-    assert arbiter.planner_duty(arbiter.turn_radius_m(duty)) == duty
-
-
-def test_turn_radius_where_the_servo_turns_the_other_way_and_tables_repeat():
-    arbiter = SteeringArbiter(config(
-        servo_left=6700, servo_right=3800, radius_axis_m=(1, 2, 4), left_duties=(6700, 6700, 6000),
-        right_duties=(3800, 4000, 4000)))
-    assert arbiter.turn_radius_m(6700) == 1.0
-    assert arbiter.turn_radius_m(6350) == pytest.approx(3.0)
-    assert arbiter.turn_radius_m(5500) == math.inf  # straighter than the widest turn of the table
-    assert arbiter.turn_radius_m(4000) == pytest.approx(-2.0)
-
-
 @pytest.mark.parametrize("radius_m", [0.0, -0.0, 0.001, -0.001, 0.0005])
 def test_planner_radius_within_a_millimetre_of_0_is_no_request(radius_m):
     decision = decide(HELD, None, (radius_m, 0.1))
     assert (SOURCE_NAMES[decision.source], decision.duty) == ("NEUTRAL", CENTER)
-
-
-def test_tables_with_fractions_are_interpolated_before_they_are_rounded():
-    arbiter = SteeringArbiter(config(radius_axis_m=[0.4, 0.9], left_duties=[3800.2, 3800.9],
-                                     right_duties=[6700.0, 6699.0]))
-    assert arbiter.planner_duty(0.4) == 3800
-    assert arbiter.planner_duty(0.65) == 3801  # 3800.55
-    assert arbiter.planner_duty(-0.65) == 6700  # 6699.5
 
 
 FINITE_OR_NOT = st.floats(allow_nan=True, allow_infinity=True)
@@ -341,50 +248,13 @@ def test_decision_on_anything_heard_stays_between_left_and_right_and_needs_a_fre
         assert decision.duty == CENTER
 
 
-@pytest.mark.parametrize("changes, message", [
-    pytest.param({"servo_center": 3799}, "servo_center is 3799; accepted: a duty between servo_left 3800 and "
-                                         "servo_right 6700", id="center_left_of_left"),
-    pytest.param({"servo_center": 6701}, "servo_center is 6701; accepted: a duty between servo_left 3800",
-                 id="center_right_of_right"),
-    pytest.param({"servo_left": 5100, "servo_right": 5100}, "servo_right is 5100; accepted: a duty other than "
-                                                            "servo_left's", id="left_and_right_the_same"),
-    pytest.param({"radius_axis_m": [0, 1], "left_duties": [1, 2], "right_duties": [1, 2]},
-                 r"m_turnrad_axis_servo\[0\] is 0; accepted: a radius above 0 m", id="radius_of_0"),
-    pytest.param({"radius_axis_m": [-5, 1], "left_duties": [1, 2], "right_duties": [1, 2]},
-                 r"m_turnrad_axis_servo\[0\] is -5; accepted: a radius above 0 m", id="negative_radius"),
-    pytest.param({"radius_axis_m": []}, r"m_turnrad_axis_servo is \[\]; accepted: at least two", id="no_radii"),
-    pytest.param({"radius_axis_m": [2, 1]}, r"m_turnrad_axis_servo\[1\] is 1; accepted: more than",
-                 id="radii_that_fall"),
-    pytest.param({"left_duties": [3800]}, "k_pwmcmd_left_table_servo is .3800.; accepted: 15 numbers",
-                 id="left_table_too_short"),
-    pytest.param({"right_duties": [6700] * 16}, "k_pwmcmd_right_table_servo is .*; accepted: 15 numbers",
-                 id="right_table_too_long"),
-])
-def test_calibration_with_a_fault_is_refused_naming_the_parameter(changes, message):
-    with pytest.raises(ConfigError, match=message):
-        SteeringArbiter(config(**changes))
-
-
-def test_one_channel_sets_one_channel_of_sixteen_and_leaves_the_others_alone():
-    assert one_channel(0, 5100) == [5100] + [-1] * 15
-    assert one_channel(15, 0) == [-1] * 15 + [0]
-
-
 def test_source_names_are_in_the_order_of_the_message_s_constants():
     assert SOURCE_NAMES == ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
     assert (LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER) == (0, 1, 2, 3, 4)
 
 
-def test_shipped_config_holds_the_slash_4x4_calibration():
-    text = CONFIG_FILE.read_text(encoding="utf-8")
-    shipped = {name: ast.literal_eval(value) for name, value in re.findall(r"(?m)^(\w+): *(\[[^]]*\]|[\d.]+)", text)}
-    assert {name: shipped.get(name) for name in SLASH_4X4} == SLASH_4X4
-    assert (shipped["tele_steer_neutral"], shipped["tele_steer_deadband"]) == (0.0, 0.001)
-    assert shipped["input_timeout"] == 0.5
-
-
 def arbiter_with_a_human(**changes):
-    arbiter = SteeringArbiter(config(**changes))
+    arbiter = arbiter_with(**changes)
     arbiter.update_human(True, NOW)
     return arbiter
 
@@ -462,8 +332,7 @@ def test_times_out_of_order_do_not_disturb_the_slew():
     pytest.param(["human", "teleop", "planner"], PLANNER, "av_turnrad_req is 5.000 m", id="all_heard_again"),
 ])
 def test_dropped_messages_make_every_input_stale(again, source, reason):
-    arbiter = SteeringArbiter(config(interlock=InterlockConfig(e_stop_timeout_s=0.0), planner_timeout_s=0.0,
-                                     teleop_timeout_s=0.0))
+    arbiter = arbiter_with(interlock=InterlockConfig(e_stop_timeout_s=0.0), planner_timeout_s=0.0, teleop_timeout_s=0.0)
     inputs = {"human": lambda: (arbiter.update_human(False, NOW), arbiter.update_human(True, NOW)),
               "teleop": lambda: arbiter.update_teleop(0.0, NOW), "planner": lambda: arbiter.update_planner(5.0, NOW)}
     for hear in inputs.values():
@@ -475,3 +344,11 @@ def test_dropped_messages_make_every_input_stale(again, source, reason):
         inputs[name]()
     decision = arbiter.decide(NOW)
     assert (SOURCE_NAMES[decision.source], decision.reason) == (SOURCE_NAMES[source], reason)
+
+
+def test_arbiter_calibrated_anew_keeps_what_it_heard():
+    arbiter = SteeringArbiter(SLASH)
+    arbiter.update_human(True, S)
+    arbiter.update_teleop(1.0, S)
+    arbiter.calibrate(trimmed(SLASH, 3700, 5100, 6700))
+    assert arbiter.decide(S)[:3] == (TELEOP, 3700, "teleop")

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig
 
@@ -35,31 +36,40 @@ def requests(axes, buttons, age_s=0.1, **changes):
     return gamepad.requests(NOW)
 
 
-@pytest.mark.parametrize("axes, buttons, human, steering, throttle, reason", [
-    pytest.param([0.5, -0.25], MANUAL, True, 0.5, -0.25, "manual deadman held", id="manual_deadman_passes_the_axes_on"),
-    pytest.param([0.5, -0.25], AUTONOMOUS, True, 0.0, 0.0, "autonomous deadman held",
+@pytest.mark.parametrize("axes, buttons, human, steering, throttle, cause, reason", [
+    pytest.param([0.5, -0.25], MANUAL, True, 0.5, -0.25,
+                 causes.MANUAL, "manual deadman held", id="manual_deadman_passes_the_axes_on"),
+    pytest.param([0.5, -0.25], AUTONOMOUS, True, 0.0, 0.0, causes.AUTONOMOUS, "autonomous deadman held",
                  id="autonomous_deadman_alone_means_a_neutral_request"),
-    pytest.param([0.5, -0.25], BOTH, True, 0.5, -0.25, "manual deadman held", id="with_both_the_human_steers"),
-    pytest.param([0.5, -0.25], NONE, False, 0.0, 0.0, "no deadman is held", id="without_a_deadman_nothing_is_asked"),
-    pytest.param([1.0, 1.0], MANUAL, True, 1.0, 1.0, "manual deadman held", id="full_axes"),
-    pytest.param([1.5, -7.0], MANUAL, True, 1.0, -1.0, "manual deadman held", id="axes_beyond_1_are_clamped"),
-    pytest.param([math.nan, 0.0], MANUAL, False, 0.0, 0.0, "an axis of the gamepad isn't a number",
-                 id="steering_that_is_nan_releases"),
-    pytest.param([0.0, math.inf], MANUAL, False, 0.0, 0.0, "an axis of the gamepad isn't a number",
+    pytest.param([0.5, -0.25], BOTH, True, 0.5, -0.25,
+                 causes.MANUAL, "manual deadman held", id="with_both_the_human_steers"),
+    pytest.param([0.5, -0.25], NONE, False, 0.0, 0.0,
+                 causes.NO_DEADMAN, "no deadman is held", id="without_a_deadman_nothing_is_asked"),
+    pytest.param([1.0, 1.0], MANUAL, True, 1.0, 1.0, causes.MANUAL, "manual deadman held", id="full_axes"),
+    pytest.param([1.5, -7.0], MANUAL, True, 1.0, -1.0,
+                 causes.MANUAL, "manual deadman held", id="axes_beyond_1_are_clamped"),
+    pytest.param([math.nan, 0.0], MANUAL, False, 0.0, 0.0,
+                 causes.JOY_NOT_FINITE, "an axis of the gamepad isn't a number", id="steering_that_is_nan_releases"),
+    pytest.param([0.0, math.inf], MANUAL, False, 0.0, 0.0,
+                 causes.JOY_NOT_FINITE, "an axis of the gamepad isn't a number",
                  id="throttle_that_is_infinite_releases"),
-    pytest.param([math.nan, 0.0], AUTONOMOUS, False, 0.0, 0.0, "an axis of the gamepad isn't a number",
+    pytest.param([math.nan, 0.0], AUTONOMOUS, False, 0.0, 0.0,
+                 causes.JOY_NOT_FINITE, "an axis of the gamepad isn't a number",
                  id="so_it_does_with_the_autonomous_deadman"),
-    pytest.param([], MANUAL, False, 0.0, 0.0, "the gamepad has no steer_axis 0: it has 0 of them",
-                 id="no_axes_release"),
-    pytest.param([0.5], MANUAL, False, 0.0, 0.0, "the gamepad has no throttle_axis 1: it has 1 of them",
+    pytest.param([], MANUAL, False, 0.0, 0.0,
+                 causes.JOY_INCOMPLETE, "the gamepad has no steer_axis 0: it has 0 of them", id="no_axes_release"),
+    pytest.param([0.5], MANUAL, False, 0.0, 0.0,
+                 causes.JOY_INCOMPLETE, "the gamepad has no throttle_axis 1: it has 1 of them",
                  id="a_missing_axis_releases"),
-    pytest.param([0.5, 0.5], [], False, 0.0, 0.0, "the gamepad has no manual_button 0: it has 0 of them",
+    pytest.param([0.5, 0.5], [], False, 0.0, 0.0,
+                 causes.JOY_INCOMPLETE, "the gamepad has no manual_button 0: it has 0 of them",
                  id="no_buttons_release"),
-    pytest.param([0.5, 0.5], [1], False, 0.0, 0.0, "the gamepad has no autonomous_button 1: it has 1 of them",
+    pytest.param([0.5, 0.5], [1], False, 0.0, 0.0,
+                 causes.JOY_INCOMPLETE, "the gamepad has no autonomous_button 1: it has 1 of them",
                  id="a_missing_button_releases_even_if_the_other_is_held"),
 ])
-def test_message_is_read_as_requests(axes, buttons, human, steering, throttle, reason):
-    assert requests(axes, buttons) == (human, steering, throttle, reason)
+def test_message_is_read_as_requests(axes, buttons, human, steering, throttle, cause, reason):
+    assert requests(axes, buttons) == (human, steering, throttle, cause, reason)
 
 
 @pytest.mark.parametrize("stick, changes, steering", [
@@ -77,12 +87,12 @@ def test_manual_deadman_steers_with_the_stick_at_rest_too(stick, changes, steeri
 
 
 def test_gamepad_never_heard_holds_no_deadman():
-    assert Gamepad(config()).requests(NOW) == (False, 0.0, 0.0, "joy was never heard")
+    assert Gamepad(config()).requests(NOW) == (False, 0.0, 0.0, causes.JOY_NEVER_RECEIVED, "joy was never heard")
 
 
 def test_gamepad_silent_for_longer_than_its_timeout_releases():
     assert requests([0.5, 0.5], MANUAL, age_s=0.25).human_in_loop
-    assert requests([0.5, 0.5], MANUAL, age_s=0.26) == (False, 0.0, 0.0, "joy silent for 0.26 s")
+    assert requests([0.5, 0.5], MANUAL, age_s=0.26) == (False, 0.0, 0.0, causes.JOY_STALE, "joy silent for 0.26 s")
 
 
 def test_gamepad_with_timeout_0_keeps_its_last_message():
@@ -153,7 +163,8 @@ def test_deadman_that_is_held_at_the_start_counts_once_it_was_let_go(held):
     for _ in range(3):
         gamepad.update([0.5, 0.5], held, NOW)
         assert gamepad.requests(NOW) == (
-            False, 0.0, 0.0, "this node has just started; let go of the deadman, then hold it again")
+            False, 0.0, 0.0,
+            causes.NOT_REARMED, "this node has just started; let go of the deadman, then hold it again")
         assert gamepad.requests(NOW).must_let_go
     gamepad.update([0.5, 0.5], NONE, NOW)
     assert not gamepad.requests(NOW).must_let_go
@@ -178,7 +189,7 @@ def test_after_dropped_messages_nothing_is_held_until_all_deadmen_were_let_go():
     gamepad = gamepad_at_rest()
     gamepad.update([0.5, 0.5], MANUAL, NOW)
     gamepad.mark_stale()
-    assert gamepad.requests(NOW) == (False, 0.0, 0.0, "joy was not heard since messages were dropped")
+    assert gamepad.requests(NOW) == (False, 0.0, 0.0, causes.JOY_STALE, "joy was not heard since messages were dropped")
     gamepad.update([0.5, 0.5], MANUAL, NOW)
     assert gamepad.requests(NOW).reason == "messages were dropped; let go of the deadman, then hold it again"
     gamepad.update([0.5, 0.5], NONE, NOW)

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -11,7 +12,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.throttle.converter import Conversion, ConversionConfig, Converter
-from car_interface.throttle.esc_channel import Throttle, ThrottleConfig
+from car_interface.throttle.esc_channel import Throttle, ThrottleConfig, trimmed
 from car_interface.throttle.value_map import ValueMap
 
 S = 1_000_000_000
@@ -207,3 +208,13 @@ def test_dropped_messages_make_every_input_stale(again, reason):
         inputs[name]()
     assert throttle.decide(NOW).reason == reason
     assert throttle.decide(NOW).driving == (len(again) == 4)
+
+
+def test_esc_table_moves_along_with_its_neutral():
+    moved = trimmed(config(), 4950)
+    assert (moved.neutral, moved.duty_table) == (4950, [3312, 4950, 6589])
+
+
+def test_esc_table_ends_where_duties_do():
+    assert trimmed(replace(config(), duty_table=[10, 4915, 65530]), 4895).duty_table == [0, 4895, 65510]
+    assert trimmed(replace(config(), duty_table=[10, 4915, 65530]), 4935).duty_table == [30, 4935, 65535]

@@ -198,45 +198,6 @@ def test_large_map_looks_up_as_a_small_one_does():
     for acceleration, velocity in ((0.0, 0.0), (17.3, 3.14), (-2.0, 11.111), (100.0, 19.95), (999.0, 7.0), (3.0, 99.0)):
         assert large.value_at(acceleration, velocity) == pytest.approx(
             naive_value_at(values, velocities, rows, acceleration, velocity))
-    assert large.values_at([17.3], [3.14]).tolist() == pytest.approx([large.value_at(17.3, 3.14)])
-
-
-# --- many at once
-
-def grid(steps, columns, plateaus):
-    """A map whose columns rise by steps that are drawn in turn."""
-    heights = [[sum(steps[(column + row) % len(steps)] for row in range(rows + 1)) - 2.0 for rows in range(6)]
-               for column in range(columns)]
-    return ValueMap([-3.0, -1.0, 0.0, 0.5, 2.0, 4.0], [0.0, 0.3, 2.0, 7.5][:columns], list(zip(*heights)), plateaus)
-
-
-@given(st.lists(st.floats(0.001, 3.0), min_size=2, max_size=7), st.integers(2, 4),
-       st.lists(st.tuples(st.floats(-5, 20), st.floats(-2, 10)), min_size=1, max_size=30))
-def test_many_at_once_are_what_each_by_itself_is(steps, columns, queries):
-    map_ = grid(steps, columns, False)
-    accelerations, velocities = zip(*queries)
-    assert map_.values_at(accelerations, velocities).tolist() == pytest.approx(
-        [map_.value_at(*query) for query in queries], abs=1e-9)
-
-
-def test_many_at_once_have_the_shape_of_what_is_asked(value_map):
-    found = value_map.values_at([[0.0], [1.0]], [0.0, 5.0, 10.0])
-    assert found.tolist() == [[value_map.value_at(a, v) for v in (0.0, 5.0, 10.0)] for a in (0.0, 1.0)]
-    assert value_map.values_at([], []).tolist() == []
-
-
-def test_many_at_once_get_a_value_of_the_plateau():
-    level = ValueMap([-1.0, 0.0, 1.0, 2.0], [0.0, 1.0], [[-1.0, -1.0], [0.0, 0.0], [0.0, 0.0], [1.0, 1.0]], True)
-    assert level.values_at([-0.5, 0.5], [0.5, 0.5]).tolist() == [-0.5, 1.5]
-    assert 0.0 <= level.values_at([0.0], [0.5])[0] <= 1.0
-
-
-def test_velocities_that_lie_close_and_far_apart_are_told_apart():
-    axis = [0.0, 1e-9, 1.0, 1e6]
-    map_ = ValueMap([0.0, 1.0], axis, [[0.0, 1.0, 2.0, 3.0], [10.0, 20.0, 30.0, 40.0]])
-    velocities = [0.0, 5e-10, 1e-9, 0.5, 1.0, 2e5, 1e6]
-    assert map_.values_at([5.0] * 7, velocities).tolist() == pytest.approx(
-        [map_.value_at(5.0, velocity) for velocity in velocities])
 
 
 # --- plateaus

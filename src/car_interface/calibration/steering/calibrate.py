@@ -22,7 +22,7 @@ from car_interface.calibration.steering.table import (
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.lookup_table import LookupTable
 from car_interface.common.yaml_edit import rewritten
-from car_interface.steering.calibration import WIDE_M, SteeringConfig
+from car_interface.steering.calibration import WIDE_M, SteeringCalibration
 
 STRAIGHT_PER_M = 0.02  # a curvature that is called straight on
 AXIS, LEFT_TABLE, RIGHT_TABLE = "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo"
@@ -40,7 +40,7 @@ class Calibrated(NamedTuple):
     disagreement: str  # between recordings; empty = none
 
 
-def calibrate(recorded: Sequence[RecordedDrive], base: SteeringConfig, axis_m: Sequence[float] | None = None,
+def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis_m: Sequence[float] | None = None,
               accept_disagreement: bool = False) -> Calibrated:
     """Calibrate by recorded drives.
 

@@ -1,0 +1,55 @@
+"""Why the car is driven, stopped or limited: one constant for each cause.
+
+A cause is the kind of reason, without numbers. Decisions carry it beside the reason in words; the state message, the
+diagnostics, the doctor and the report pass it on unchanged. Programs compare causes and never parse a reason.
+"""
+from __future__ import annotations
+
+# Motion interlock: emergency stop and deadman.
+STARTING = "starting"  # the first e_stop is awaited
+E_STOP = "e_stop"
+E_STOP_STALE = "e_stop silent"
+E_STOP_NEVER_RECEIVED = "e_stop never heard"
+HUMAN_STALE = "human silent"
+HUMAN_NEVER_RECEIVED = "human never heard"
+HUMAN_ABSENT = "human absent"
+NOT_REARMED = "not re-armed"  # the deadman must be released and held again
+
+# Steering arbiter.
+TELEOP = "teleop"
+TELEOP_STALE = "teleop silent"
+TELEOP_NOT_FINITE = "teleop not finite"
+PLANNER = "planner"
+PLANNER_STALE = "planner silent"
+PLANNER_NOT_FINITE = "planner not finite"
+NO_REQUEST = "no request"  # none was ever received
+NO_RADIUS = "no radius"  # the planner requests 0
+
+# Throttle.
+DRIVING = "driving"
+STEERING_STALE = "steering silent"
+STEERING_STOPPED = "steering stopped"
+COMMAND_STALE = "command silent"
+COMMAND_NOT_FINITE = "command not finite"
+ODOMETRY_STALE = "odometry silent"
+ODOMETRY_NOT_FINITE = "odometry not finite"
+
+# Gamepad.
+MANUAL = "manual"  # the manual deadman is held
+AUTONOMOUS = "autonomous"  # the autonomous deadman is held
+NO_DEADMAN = "no deadman"
+JOY_STALE = "joy silent"
+JOY_NEVER_RECEIVED = "joy never heard"
+JOY_NOT_FINITE = "joy not finite"
+JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
+
+LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
+# Causes for which the motion interlock inhibits steering and throttle.
+INHIBITS = LOCKS | {STARTING, HUMAN_STALE, HUMAN_NEVER_RECEIVED, HUMAN_ABSENT, NOT_REARMED}
+# An input arrived before and has stopped arriving.
+STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEERING_STALE, COMMAND_STALE,
+                   ODOMETRY_STALE, JOY_STALE})
+NOT_FINITE = frozenset({TELEOP_NOT_FINITE, PLANNER_NOT_FINITE, COMMAND_NOT_FINITE, ODOMETRY_NOT_FINITE,
+                        JOY_NOT_FINITE})
+# Something worked and failed, as opposed to an operator who stopped the car or has not started it yet.
+LOSSES = STALE | NOT_FINITE | {NOT_REARMED, JOY_INCOMPLETE}

@@ -1,0 +1,187 @@
+"""The queue between the callbacks of ROS and a node's one thread."""
+from __future__ import annotations
+
+import io
+import logging
+import os
+import select
+import threading
+import time
+import traceback
+from concurrent.futures import Future, InvalidStateError
+from typing import Any, Callable
+
+import rospy
+
+from car_interface.common.staleness import DROPPED
+from car_interface.common.units import NS_PER_S
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+
+MAX_WAIT_NS = NS_PER_S
+INBOX_LIMIT = 10_000  # more than any node receives while its thread waits for a device
+OVERFLOW_SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics reports an overflow
+# Errors for the caller of a service.
+ENDED, TOO_BUSY = "the node has ended", f"the node was held up for too long: {DROPPED}, and this request with them"
+
+
+class Inbox:
+    """Passes what callbacks receive to the node's thread, in order, and wakes it.
+
+    It waits with select on a pipe: before Python 3.11 a timed ``Condition.wait`` follows the settable clock, and poll
+    rounds up to whole milliseconds.
+
+    It is bounded. When it is full, because the node's thread was held up, all items in it are dropped: among them may
+    be an emergency stop. Service calls then fail, and the handlers of ``on_overflow`` mark the node's inputs stale.
+
+    Args:
+        node_name: the node's, with its namespace; ``None`` = the process's, of which it is the only node.
+        limit: the maximum number of items.
+    """
+
+    def __init__(self, node_name: str | None = None, limit: int = INBOX_LIMIT):
+        self.ending = False
+        self._node_name = node_name
+        self._close_actions: list[Callable[[], None]] = []
+        self._open_requests: set[Future] = set()  # service calls that wait for an answer
+        self._closed = False
+        self.dropped = 0
+        self._dropped_ns = -OVERFLOW_SHOWN_NS  # when the node handled the last overflow
+        self._overflow_handlers: list[Callable[[int], None]] = []
+        self._overflow_warnings = ThrottledWarnings(rospy.logerr)
+        self._limit = limit
+        self._items: list[tuple] = []  # ((handler, item, arrival_ns), on_drop)
+        self._lock = threading.Lock()  # of the items
+        self._wake_read, self._wake_write = os.pipe()
+        # Closed by the garbage collector after the last use: a closed fd's number may be a serial port's by then.
+        self._pipe = [io.FileIO(fd) for fd in (self._wake_read, self._wake_write)]
+        os.set_blocking(self._wake_read, False)
+        os.set_blocking(self._wake_write, False)
+        self._watched = [self._wake_read]
+
+    @property
+    def node_name(self) -> str:
+        """The node's name, with its namespace."""
+        return self._node_name or rospy.get_name()
+
+    def resolve_name(self, name: str) -> str:
+        """A topic's or service's name for rospy, which resolves ``~`` to the process's name, not the node's."""
+        return f"{self._node_name}/{name[1:]}" if self._node_name and name.startswith("~") else name
+
+    def on_close(self, action: Callable[[], None]) -> None:
+        """Have ``close`` call ``action``, which removes something of the node from the ROS graph."""
+        self._close_actions.append(action)
+
+    def close(self) -> None:
+        """Take the node off the ROS graph while its process lives on. Pending service calls fail."""
+        self.ending = self._closed = True
+        for action in reversed(self._close_actions):
+            try:
+                action()
+            except Exception:  # the master is gone
+                logging.getLogger("car_interface").info("%s", traceback.format_exc())
+        self._close_actions.clear()
+        for done in list(self._open_requests):
+            self._refuse(done, ENDED)
+
+    def ask(self, handler: Callable[[Any, Future], None], request: Any) -> Any:
+        """Call ``handler(request, future)`` in the node's thread and wait for the future. For other threads.
+
+        Raises:
+            rospy.ServiceException: the node ended, or the request was dropped.
+        """
+        done: Future = Future()
+        self._open_requests.add(done)
+        self.put(lambda item, now_ns: handler(item, done), request, on_drop=lambda: self._refuse(done, TOO_BUSY))
+        if self._closed:  # ``close`` may have run before this request was added
+            self._refuse(done, ENDED)
+        try:
+            return done.result()
+        finally:
+            self._open_requests.discard(done)
+
+    @staticmethod
+    def _refuse(done, reason):
+        try:
+            done.set_exception(rospy.ServiceException(reason))
+        except InvalidStateError:
+            pass  # it was answered meanwhile
+
+    def put(self, handler: Callable[[Any, int], None], item: Any, wakes: bool = True,
+            on_drop: Callable[[], None] | None = None) -> None:
+        """Have the node's thread call ``handler(item, arrival_ns)``. May be called from any thread.
+
+        Args:
+            wakes: False = the node handles it when it next wakes for another reason.
+            on_drop: called when the item is dropped, in any thread.
+        """
+        dropped: list[tuple] = []
+        with self._lock:
+            if len(self._items) >= self._limit:
+                dropped.extend(self._items)
+                self._items.clear()
+                self.dropped += sum(event[0] != self._on_overflow for event, _ in dropped)
+                self._items.append(((self._on_overflow, None, time.monotonic_ns()), None))
+            self._items.append(((handler, item, time.monotonic_ns()), on_drop))
+        for _, notify in dropped:
+            if notify is not None:
+                notify()
+        if wakes:
+            self.wake()
+
+    def on_overflow(self, handler: Callable[[int], None]) -> None:
+        """Have the node's thread call ``handler(now_ns)`` after items were dropped, before it handles newer ones."""
+        self._overflow_handlers.append(handler)
+
+    def _on_overflow(self, _, now_ns):
+        self._dropped_ns = now_ns
+        self._overflow_warnings.warn("overflow", f"{self.overflow_text}; all that was heard before counts as lost")
+        for handler in self._overflow_handlers:
+            handler(now_ns)
+
+    @property
+    def overflow_text(self) -> str:
+        """How many items were dropped so far, for a log line."""
+        return f"the inbox of this node overflowed: {DROPPED}, {self.dropped} in all"
+
+    def overflowed_recently(self, now_ns: int) -> bool:
+        """Whether items were dropped in the last 10 s."""
+        return now_ns - self._dropped_ns < OVERFLOW_SHOWN_NS
+
+    def wake(self) -> None:
+        """End the node's wait, now or the next one. For signal handlers too."""
+        try:
+            os.write(self._wake_write, b"\0")
+        except BlockingIOError:
+            pass  # the pipe is full of wake-ups already
+
+    def end(self) -> None:
+        """Have the node's thread leave its loop."""
+        self.ending = True
+        self.wake()
+
+    def watch(self, fd: int) -> None:
+        """Also end a wait when ``fd`` is readable or in error."""
+        self._watched.append(fd)
+
+    def unwatch(self, fd: int) -> None:
+        """No longer wait for ``fd``."""
+        self._watched = [watched for watched in self._watched if watched != fd]
+
+    def wait_until(self, deadline_ns: float) -> None:
+        """Sleep until an item arrives, a watched fd is readable, or the monotonic clock reaches the deadline."""
+        left_ns = max(0, min(deadline_ns - time.monotonic_ns(), MAX_WAIT_NS))
+        ready, _, _ = select.select(self._watched, [], [], left_ns / NS_PER_S)
+        if self._wake_read in ready:
+            os.read(self._wake_read, 4096)
+
+    def drain(self) -> list[tuple]:
+        """Remove and return all items, oldest first, as (handler, item, arrival_ns)."""
+        with self._lock:
+            events = [event for event, _ in self._items]
+            self._items.clear()
+        return events
+
+    def dispatch(self) -> None:
+        """Call the handler of each item that has arrived, oldest first."""
+        for handler, item, arrival_ns in self.drain():
+            handler(item, arrival_ns)

@@ -1,0 +1,60 @@
+"""Publishers, subscribers and services of one node, under the node's name and handled in the node's thread."""
+from __future__ import annotations
+
+from concurrent.futures import Future
+from typing import Any, Callable
+
+import rospy
+
+from car_interface.ros.inbox import Inbox
+
+
+def advertise(topic: str, message_type, inbox: Inbox, queue_size=10, latch=False) -> rospy.Publisher:
+    """A publisher that lives as long as the inbox's node."""
+    publisher = rospy.Publisher(inbox.resolve_name(topic), message_type, queue_size=queue_size, latch=latch)
+    inbox.on_close(publisher.unregister)
+    return publisher
+
+
+def serve(name: str, service_type, inbox: Inbox, handler: Callable[[Any, Future], None]) -> None:
+    """Offer a service: ``handler(request, done)`` runs in the node's thread; the Future gets the response's fields."""
+    def handle(request):
+        return service_type._response_class(*inbox.ask(handler, request))
+    inbox.on_close(rospy.Service(inbox.resolve_name(name), service_type, handle).shutdown)
+
+
+def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10) -> None:
+    """Subscribe so that ``handler(message, arrival_ns)`` runs in the node's thread, for each message, in order."""
+    _subscribe(topic, message_type, inbox, lambda message: inbox.put(handler, message), queue_size)
+
+
+def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None],
+                      on_change: Callable[[int], Any] | None = None) -> None:
+    """The same for a topic of std_msgs whose messages mostly repeat the last value, in a node with a fast timer.
+
+    A repeated value doesn't wake the node: it is handled, with its own time of arrival, when the node next wakes. That
+    reduces the CPU time of an input at 50 Hz to a third. After a new value ``on_change(arrival_ns)`` is called as well.
+    """
+    last = None
+
+    def handle_change(message, arrival_ns):
+        handler(message, arrival_ns)
+        on_change(arrival_ns)
+
+    def receive(message):
+        nonlocal last
+        has_changed = message.data != last  # as NaN always has
+        last = message.data
+        inbox.put(handle_change if on_change and has_changed else handler, message, wakes=has_changed)
+    _subscribe(topic, message_type, inbox, receive)
+
+
+def has_subscribers(publisher: rospy.Publisher) -> bool:
+    """Whether anybody subscribes: rospy serialises a message before it finds that nobody does."""
+    return publisher.get_num_connections() > 0
+
+
+def _subscribe(topic, message_type, inbox, receive, queue_size=10):
+    subscriber = rospy.Subscriber(inbox.resolve_name(topic), message_type, receive, queue_size=queue_size,
+                                  tcp_nodelay=True)
+    inbox.on_close(subscriber.unregister)

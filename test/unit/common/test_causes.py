@@ -1,0 +1,35 @@
+"""The cause constants and their sets."""
+from __future__ import annotations
+
+from car_interface.common import causes
+
+CONSTANTS = {name: value for name, value in vars(causes).items() if name.isupper()}
+CAUSES = {name: value for name, value in CONSTANTS.items() if isinstance(value, str)}
+
+
+def test_every_cause_has_one_constant():
+    assert len(set(CAUSES.values())) == len(CAUSES) > 20
+
+
+def test_sets_hold_causes_only_and_cannot_change():
+    sets = [value for value in CONSTANTS.values() if not isinstance(value, str)]
+    assert len(sets) == 5
+    for members in sets:
+        assert isinstance(members, frozenset) and members <= set(CAUSES.values())
+
+
+def test_causes_named_stale_or_not_finite_are_losses():
+    for name, cause in CAUSES.items():
+        assert (cause in causes.STALE) == name.endswith("_STALE")
+        assert (cause in causes.NOT_FINITE) == name.endswith("_NOT_FINITE")
+    assert causes.STALE | causes.NOT_FINITE < causes.LOSSES
+
+
+def test_what_an_operator_does_is_no_loss():
+    operator = {causes.E_STOP, causes.HUMAN_ABSENT, causes.NO_DEADMAN, causes.STARTING, causes.NO_RADIUS,
+                causes.TELEOP, causes.PLANNER, causes.DRIVING}
+    assert not operator & causes.LOSSES
+
+
+def test_locks_inhibit():
+    assert causes.LOCKS < causes.INHIBITS

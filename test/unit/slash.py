@@ -1,0 +1,18 @@
+"""The calibration of a Traxxas Slash 4x4, as its owner published it."""
+from __future__ import annotations
+
+from car_interface.steering.calibration import SteeringCalibration
+
+PARAMETERS = {
+    "servo_left": 3800,
+    "servo_center": 5100,
+    "servo_right": 6700,
+    "servo_channel": 0,
+    "m_turnrad_axis_servo": [1, 2, 3, 4, 5, 6, 7, 10, 20, 30, 40, 60, 80, 100, 300],
+    "k_pwmcmd_left_table_servo": [3800, 3830, 3840, 3850, 3860, 3870, 3880, 3890, 3900, 3950, 4000, 4300, 4600, 4900,
+                                  5100],
+    "k_pwmcmd_right_table_servo": [6700, 6650, 6600, 6500, 6450, 6400, 6350, 6250, 6150, 6050, 5950, 5900, 5600, 5300,
+                                   5100],
+}
+CENTER = PARAMETERS["servo_center"]
+SLASH = SteeringCalibration(*PARAMETERS.values())
