@@ -17,7 +17,7 @@ from car_interface.cli.options import add_namespace_argument
 from car_interface.common.errors import CarInterfaceError
 from car_interface.report.page import page
 from car_interface.report.plots import plots
-from car_interface.report.summary import look_at
+from car_interface.report.summary import summarize
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +70,7 @@ def _report(bag_and_page, options, progress):
     bag, path = bag_and_page
     try:
         output.check(path, options.bags)
-        drive = look_at(bag, options.namespace, options.odom, progress)
+        drive = summarize(bag, options.namespace, options.odom, progress)
         output.write(path, page(drive, plots(drive)))
     except CarInterfaceError as error:
         return str(error)

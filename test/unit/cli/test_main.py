@@ -9,6 +9,7 @@ import subprocess
 import sys
 import types
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -159,6 +160,13 @@ def test_setup_makes_the_command_and_names_what_it_needs():
     assert found["entry_points"] == {"console_scripts": ["car-interface = car_interface.cli.main:main"]}
     libraries = {"matplotlib", "numpy", "PyYAML", "rosbags", "scipy", "tqdm"}
     assert {need.split(">")[0] for need in found["extras_require"]["tools"]} == libraries
+
+
+def test_rosbags_has_the_same_range_of_versions_for_pip_and_for_ros():
+    (needed,) = [need for need in setup_arguments()["extras_require"]["tools"] if need.startswith("rosbags")]
+    package = ElementTree.parse(str(ROOT / "package.xml")).getroot()
+    (depend,) = [item for item in package.iter("exec_depend") if item.text == "python3-rosbags-pip"]
+    assert needed == f"rosbags>={depend.get('version_gte')},<={depend.get('version_lte')}"
 
 
 # --- help and version ---
