@@ -24,14 +24,14 @@ BUTTONS = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_
 # By node: what is required, and some of what a configuration is made of by default, as a path of attributes.
 DEFAULTS = {
     "turn_arb": (STEERING, {
-        "steering.servo_left": 3800, "steering.tele_steer_deadband": 0.001, "steering.slew_limit": 0.0,
-        "steering.teleop_timeout_s": 0.5, "steering.interlock.human_timeout_s": 0.5,
-        "steering.interlock.e_stop_timeout_s": 1.0, "steering.interlock.e_stop_required": False,
-        "steering.interlock.grant_at_start": True, "tuning.reach": 500, "tuning.save_to": None}),
+        "calibration.servo_left": 3800, "arbiter.tele_steer_deadband": 0.001, "arbiter.slew_limit": 0.0,
+        "arbiter.teleop_timeout_s": 0.5, "arbiter.interlock.human_timeout_s": 0.5,
+        "arbiter.interlock.e_stop_timeout_s": 1.0, "arbiter.interlock.e_stop_required": False,
+        "arbiter.interlock.grant_at_start": True, "tuning.max_offset": 500, "tuning.save_to": None}),
     "generic_value_converter": ({**MAP, **ESC}, {
         "conversion.min_value": -5.0, "conversion.max_value": 3.0, "conversion.odometry_timeout_s": 0.5,
         "map_path": MAP["csv_path_value_map"], "throttle.channel": 1, "throttle.command_timeout_s": 0.5,
-        "throttle.steering_timeout_s": 0.25, "throttle.interlock.grant_at_start": True, "tuning.reach": 100}),
+        "throttle.steering_timeout_s": 0.25, "throttle.interlock.grant_at_start": True, "tuning.max_offset": 100}),
     "pca9685": ({}, {
         "device": "/dev/i2c-1", "address": 0x40, "prescale": 121, "oscillator_hz": 25e6, "throttle_channel": -1,
         "timeout_value": (0,) * 16, "save_to": None, "required": False, "virtual_log": None}),

@@ -21,7 +21,7 @@ from car_interface.report.summary import summarize
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of bag_report."""
+    """Add the options of bag_report."""
     parser.add_argument("bags", nargs="+", metavar="BAG", help="a ROS 1 bag, or a ROS 2 bag (its folder)")
     parser.add_argument("-o", "--output", metavar="FILE",
                         help="the page, or for several recordings a folder (default: BAG.html beside each)")
@@ -66,7 +66,7 @@ def _pages(bags, folder, namespace):
 
 
 def _report(bag_and_page, options, progress):
-    """Write one page; what went wrong, or an empty text."""
+    """Write one page: an error as text, empty without one."""
     bag, path = bag_and_page
     try:
         output.check(path, options.bags)
@@ -76,6 +76,6 @@ def _report(bag_and_page, options, progress):
         return str(error)
     except OSError as error:
         return f"{error.filename or path}: {error.strerror}"
-    except Exception as error:  # whatever is in a recording, it must not keep the others from their pages
+    except Exception as error:  # one bad recording must not prevent the pages of the others
         return f"{bag}: no page can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
     return ""

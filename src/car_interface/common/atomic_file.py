@@ -1,4 +1,4 @@
-"""Replaces files whole, in one step: what is there is the old file or the new one, never half of either."""
+"""Replaces a file in one step: a reader sees the old content or the new one, never a part of either."""
 from __future__ import annotations
 
 import os
@@ -7,66 +7,66 @@ import stat
 import tempfile
 import time
 
-ANYBODY_WRITES = 0o222
+WRITE_BITS = 0o222
 
 
 def is_write_protected(path: str) -> bool:
-    """Whether its owner doesn't want a file to be written: to replace it its folder would do, and for root anything."""
-    return not os.access(path, os.W_OK) or not os.stat(path).st_mode & ANYBODY_WRITES
+    """Whether a file is write-protected. Replacing it needs write access to its folder only, and root may always."""
+    return not os.access(path, os.W_OK) or not os.stat(path).st_mode & WRITE_BITS
 
 
 def replace(path: str, data: bytes, keeps_old: bool) -> str | None:
-    """Put a new file in its place, with the old one's mode and, as far as that is allowed, owner.
+    """Replace a file, with the old one's mode and, as far as that is allowed, owner.
 
     Args:
-        path: no link, or that is replaced.
-        data: all of it.
-        keeps_old: the old file stays beside it, under a name with the time.
+        path: of the file; a link is replaced itself.
+        data: the new content.
+        keeps_old: keep the old file in the same folder, under a name with the time.
 
     Returns:
-        Where the old file is now, if there was one that is kept.
+        The backup's path, if there is one.
 
     Raises:
-        OSError: why not; then all is as it was.
+        OSError: nothing was changed.
     """
     folder, name = os.path.split(path)
-    existed, aside = os.path.exists(path), None
-    handle, fresh = tempfile.mkstemp(prefix=f".{name}.", dir=folder)
+    existed, backup_path = os.path.exists(path), None
+    handle, new_path = tempfile.mkstemp(prefix=f".{name}.", dir=folder)
     try:
         with open(handle, "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         if existed:
-            _keep_owner(path, fresh)
-        os.chmod(fresh, stat.S_IMODE(os.stat(path).st_mode) if existed else 0o666 & ~_umask())
+            _copy_owner(path, new_path)
+        os.chmod(new_path, stat.S_IMODE(os.stat(path).st_mode) if existed else 0o666 & ~_umask())
         if existed and keeps_old:
-            aside = _put_aside(path)
-        os.replace(fresh, path)
+            backup_path = _back_up(path)
+        os.replace(new_path, path)
     except BaseException:
-        os.unlink(fresh)
+        os.unlink(new_path)
         raise
-    return aside
+    return backup_path
 
 
-def _keep_owner(path, fresh):
+def _copy_owner(path, new_path):
     owner = os.stat(path)
     try:
-        os.chown(fresh, owner.st_uid, owner.st_gid)
+        os.chown(new_path, owner.st_uid, owner.st_gid)
     except PermissionError:
         pass  # only root may give files away
 
 
-def _put_aside(path):
-    """Give the file a second name with the time; that name. One that is taken is never overwritten."""
+def _back_up(path):
+    """Copy the file to a name with the time, and return that; an existing file is never overwritten."""
     stem = f"{path}.bak-{time.strftime('%Y%m%d-%H%M%S')}"
     for attempt in range(1, 1000):
-        aside = stem if attempt == 1 else f"{stem}-{attempt}"
+        backup_path = stem if attempt == 1 else f"{stem}-{attempt}"
         try:
-            with open(path, "rb") as old, open(aside, "xb") as new:
+            with open(path, "rb") as old, open(backup_path, "xb") as new:
                 shutil.copyfileobj(old, new)
-            shutil.copystat(path, aside)
-            return aside
+            shutil.copystat(path, backup_path)
+            return backup_path
         except FileExistsError:
             continue
     raise FileExistsError(f"too many files named {stem}")

@@ -1,19 +1,19 @@
-"""The errors of this package, each of which ends as one line that a car's owner can act on."""
+"""The errors of this package. Each message is one line that names the problem and the remedy."""
 from __future__ import annotations
 
 
 class CarInterfaceError(Exception):
-    """Whatever this package raises on purpose."""
+    """The base of all errors that this package raises."""
 
 
 class ConfigError(CarInterfaceError, ValueError):
-    """A parameter, table or file that the package can't work with.
+    """An invalid parameter, table or file.
 
     Args:
-        name: the parameter as its owner wrote it, e.g. ``servo_channel`` or ``value_map.csv, line 3``.
-        value: what was found there; ``None`` where nothing was.
-        accepted: what would have been accepted, e.g. ``an integer from 0 to 15``.
-        found: what to say in place of "is" and the value, e.g. ``has 2 columns``.
+        name: the parameter as the user wrote it, e.g. ``servo_channel`` or ``value_map.csv, line 3``.
+        value: the value found; ``None`` = it is missing.
+        accepted: the accepted values, e.g. ``an integer from 0 to 15``.
+        found: a text instead of "is" and the value, e.g. ``has 2 columns``.
     """
 
     def __init__(self, name, value, accepted, found=None):
@@ -26,7 +26,7 @@ class ConfigError(CarInterfaceError, ValueError):
         self._found = found
 
     def within(self, place: str) -> ConfigError:
-        """The same error, its name behind the place where it was found, e.g. a file."""
+        """The same error, with the place where it was found, e.g. a file, before its name."""
         return ConfigError(f"{place}, {self.name}", self.value, self.accepted, self._found)
 
 
@@ -35,12 +35,12 @@ class ProtocolError(CarInterfaceError, ValueError):
 
 
 class DeviceError(CarInterfaceError):
-    """A device that is absent, refused or failing. It never ends a node; it's reported and tried again.
+    """A device that is absent, not permitted or failing. The node reports it and tries again.
 
     Args:
         what: the device, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
-        cause: what went wrong, in words.
-        remedy: what its owner can do or type next.
+        cause: what went wrong.
+        remedy: what the user can do or type next.
     """
 
     def __init__(self, what, cause, remedy):

@@ -1,7 +1,7 @@
-"""Values that may be tuned while the car drives: how far, how fast, and what becomes of a request.
+"""Duties that may be tuned while the car drives, within limits and at a limited rate.
 
-Pure: requests and ``now_ns`` in, the values in force out. A request never takes effect at a jump: all values glide
-together, so that what lies between two valid sets of values is in force on the way.
+Pure: requests and ``now_ns`` in, the active values out. A request never takes effect in one step: all values change
+together, linearly, so that every intermediate set is a mean of two valid ones.
 """
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.servo_channels import MAX_DUTY
 from car_interface.common.units import NS_PER_S
 
-MAX_STEP_NS = 50_000_000  # a node that was held up must not make up for it by a jump
+MAX_STEP_NS = 50_000_000  # the longest time that one step counts, so that a delayed node makes no jump
 
 
 @dataclass(frozen=True)
 class TuningSettings:
-    """What a car's owner allows.
+    """Limits of tuning, from the parameters.
 
     Attributes:
-        reach: how far a value may be moved from where it was at start, in duty; 0 = not at all.
-        save_to: the YAML file that values are saved back to; ``None`` = nowhere.
+        max_offset: the largest change of a value from the one at start, in duty; 0 = no tuning.
+        save_to: the YAML file that values are saved to; ``None`` = nowhere.
     """
 
-    reach: int
+    max_offset: int
     save_to: str | None = None
 
 
-def read_tuning(params, reach: int) -> TuningSettings:
+def read_tuning(params, max_offset: int) -> TuningSettings:
     """The settings from ~live_range (with this default) and ~save_to."""
-    return TuningSettings(reach=params.integer("live_range", reach, low=0, high=MAX_DUTY),
+    return TuningSettings(max_offset=params.integer("live_range", max_offset, low=0, high=MAX_DUTY),
                           save_to=params.path("save_to", None))
 
 
 class Answer(NamedTuple):
-    """What became of a request."""
+    """The result of a request."""
 
-    values: Mapping[str, int]  # what is accepted by now
-    problem: str = ""  # what of the request wasn't, and why
+    values: Mapping[str, int]  # the accepted values
+    problem: str = ""  # what was clamped or refused, and why
 
 
 class Tuning:
@@ -46,38 +46,39 @@ class Tuning:
 
     Args:
         start: the values at start, by name.
-        reach: how far each may be moved from there, in duty.
-        rate: how fast, in duty per second.
-        check: raises ConfigError for values that can't be in force together.
+        max_offset: the largest change of each from there, in duty.
+        rate: the maximum rate of change, in duty per second.
+        check: raises ConfigError for values that don't fit together.
     """
 
-    def __init__(self, start: Mapping[str, int], reach: int, rate: float, check: Callable[[Mapping[str, int]], Any]):
+    def __init__(self, start: Mapping[str, int], max_offset: int, rate: float,
+                 check: Callable[[Mapping[str, int]], Any]):
         self._start = dict(start)
         self._rate = rate
         self._check = check
-        self.low = {name: max(0, value - reach) for name, value in start.items()}
-        self.high = {name: min(MAX_DUTY, value + reach) for name, value in start.items()}
+        self.low = {name: max(0, value - max_offset) for name, value in start.items()}
+        self.high = {name: min(MAX_DUTY, value + max_offset) for name, value in start.items()}
         self.accepted: Mapping[str, int] = dict(start)
-        self.in_force = self.accepted  # or on the way there
-        self._from = self.in_force
-        self._gone_ns = 0  # of the way from there
+        self.active = self.accepted  # or values between the old and the accepted ones
+        self._from = self.active
+        self._elapsed_ns = 0  # of the change from there to the accepted values
         self._stepped_ns = 0
 
     @property
-    def moving(self) -> bool:
-        """Whether what is in force isn't yet what was accepted."""
-        return self.in_force is not self.accepted
+    def is_changing(self) -> bool:
+        """Whether the active values are not yet the accepted ones."""
+        return self.active is not self.accepted
 
     @property
     def changes(self) -> str:
-        """What is accepted by now and was otherwise at start, in words; empty when nothing is."""
+        """The accepted values that differ from those at start, as text; empty when none does."""
         return ", ".join(f"{name} {self._start[name]} → {value}" for name, value in self.accepted.items()
                          if value != self._start[name])
 
     def request(self, wanted: Mapping[str, Any], now_ns: int) -> Answer:
-        """Take the values of a request: each clamped to its limits, and all of them or none.
+        """Accept the values of a request, each clamped to its limits; all of them or none.
 
-        Names that aren't tuned are ignored, and so are those that are missing.
+        Unknown and missing names are ignored.
         """
         problems = []
         values = dict(self.accepted)
@@ -94,22 +95,22 @@ class Tuning:
         except ConfigError as error:
             return Answer(self.accepted, f"{error}: refused")
         if values != self.accepted:
-            self.accepted, self._from = values, self.in_force
-            self._gone_ns, self._stepped_ns = 0, now_ns
+            self.accepted, self._from = values, self.active
+            self._elapsed_ns, self._stepped_ns = 0, now_ns
         return Answer(self.accepted, "; ".join(problems))
 
     def advance(self, now_ns: int) -> bool:
-        """Go on towards what was accepted; whether the values in force are others now."""
-        if not self.moving:
+        """Step towards the accepted values; whether the active values have changed."""
+        if not self.is_changing:
             return False
-        self._gone_ns += max(0, min(now_ns - self._stepped_ns, MAX_STEP_NS))
+        self._elapsed_ns += max(0, min(now_ns - self._stepped_ns, MAX_STEP_NS))
         self._stepped_ns = max(now_ns, self._stepped_ns)
-        longest = max(abs(value - self._from[name]) for name, value in self.accepted.items())
-        whole_ns = round(longest * NS_PER_S / self._rate)
-        if self._gone_ns >= whole_ns:
-            self.in_force = self.accepted
+        largest_change = max(abs(value - self._from[name]) for name, value in self.accepted.items())
+        duration_ns = round(largest_change * NS_PER_S / self._rate)
+        if self._elapsed_ns >= duration_ns:
+            self.active = self.accepted
         else:
-            # In integers: values that are in order at both ends of the way are so between.
-            self.in_force = {name: (2 * self._from[name] * whole_ns + 2 * (value - self._from[name]) * self._gone_ns
-                                    + whole_ns) // (2 * whole_ns) for name, value in self.accepted.items()}
+            # In integers: values that are in order at both ends of the change are in order between.
+            self.active = {name: (2 * self._from[name] * duration_ns + 2 * (value - self._from[name]) * self._elapsed_ns
+                                    + duration_ns) // (2 * duration_ns) for name, value in self.accepted.items()}
         return True

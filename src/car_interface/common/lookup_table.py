@@ -1,6 +1,6 @@
 """One-dimensional lookup tables: linear between breakpoints, saturated at both ends.
 
-Consumes plain numbers and lists. A table is checked when it is made, so that a lookup can't fail.
+A table is checked when it is made, so that a lookup can't fail.
 """
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from car_interface.common.errors import ConfigError
 
 
 class LookupTable:
-    """A piecewise linear function given by its breakpoints.
+    """A piecewise linear function, given by its breakpoints.
 
     Args:
         axis: breakpoints, at least two, finite, strictly increasing.
@@ -20,7 +20,7 @@ class LookupTable:
         axis_name, values_name: the parameters' names, for the error message.
 
     Raises:
-        ConfigError: naming the parameter, and the element at fault.
+        ConfigError: naming the parameter and the invalid element.
     """
 
     def __init__(self, axis: Sequence[float], values: Sequence[float], axis_name="axis", values_name="values"):

@@ -1,6 +1,6 @@
-"""Where this package's own files are: message definitions, the stock configuration.
+"""Finds this package's data files: message definitions and the default configuration.
 
-They lie elsewhere in a checkout (which a devel space points into), in a catkin install space and in what pip installs.
+Their place differs between a checkout (which a devel space points into), a catkin install space and pip's.
 """
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ def package_file(name: str) -> Path:
     """A file or folder of this package, such as ``msg`` or ``config/turn_arb.yaml``.
 
     Raises:
-        CarInterfaceError: it isn't there.
+        CarInterfaceError: it wasn't found.
     """
     for folder in Path(__file__).resolve().parents:
         for place in (folder / "share" / "car_interface", folder):
-            # pip's places have the files alone; the root of a checkout is known by its package.xml.
+            # pip installs the data files only; the root of a checkout has a package.xml.
             if (place / name).exists() and (place != folder or (folder / "package.xml").exists()):
                 return place / name
     raise CarInterfaceError(f"{name} of car_interface is missing beside {Path(__file__).resolve().parent}: "

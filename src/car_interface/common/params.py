@@ -1,11 +1,11 @@
-"""A node's parameters, read once at start and checked on the way.
+"""Reads and checks the parameters of a node.
 
-Plain values in, plain values out; ``ros.runtime`` fetches them from the parameter server, a tool from a YAML file. Each
-reader names the parameter, its value and what's accepted when it raises, and ``finish`` refuses names that nobody asked
-for: a typing error in a YAML file must not pass for a default.
+Plain values in, plain values out; ``ros.runtime`` fetches them from the parameter server, a tool from a YAML file. A
+ConfigError names the parameter, its value and the accepted values. ``finish`` refuses unknown names, so that a typing
+error in a YAML file doesn't leave a default in use.
 
-They came by YAML or XML: ``10`` is fine for a float, a float without a fraction for an integer, and ``1e-3`` and
-``0x40`` arrive as strings. True is no number.
+The values come from YAML or XML: ``10`` is accepted for a float, ``10.0`` for an integer, and ``1e-3`` and ``0x40``
+arrive as strings. True is not a number.
 """
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class Params:
     """The parameters in a node's private namespace.
 
     Args:
-        private: what the namespace holds, as rospy returns it: nested dicts for names with a slash.
+        private: the content of the namespace, as rospy returns it: nested dicts for names with a slash.
         search_parents: looks up a name that the private namespace lacks in the namespaces around it; None when there is
             none.
     """
 
     def __init__(self, private: dict[str, Any] | None, search_parents: Callable[[str], Any] = lambda name: None):
         self._values = _flatten(private or {})
-        self._outward = search_parents
-        self._asked: set = set()
+        self._search_parents = search_parents
+        self._known: set = set()
 
     def number(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, above=None,
                search_parents=False) -> float:
@@ -66,22 +66,21 @@ class Params:
         return self._scalar(name, default, False, lambda v: v if isinstance(v, bool) else None, "true or false")
 
     def text(self, name: str, default=REQUIRED, may_be_empty=False) -> str:
-        """A string, by default one that isn't empty."""
+        """A string; not an empty one unless ``may_be_empty``."""
         return self._scalar(name, default, False,
                             lambda v: v if isinstance(v, str) and (may_be_empty or v.strip()) else None, "a text")
 
     def path(self, name: str, default=REQUIRED) -> str:
-        """The whole path of a file or folder.
+        """The absolute path of a file or folder.
 
-        A relative one would count from where ROS starts nodes, and ~ from the home of whoever runs them, not from their
-        owner's; so neither is taken.
+        Relative paths and ~ are refused: they would depend on the folder and the user that ROS starts the node in.
         """
         return self._scalar(name, default, False, lambda v: v if isinstance(v, str) and os.path.isabs(v) else None,
                             "a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is "
                             "no name to them")
 
     def text_or_integer(self, name: str, default):
-        """A string that isn't empty, or an integer of at least 0."""
+        """A non-empty string, or an integer of at least 0."""
         def read(value):
             number = _integer(value, 0, 2 ** 31 - 1)
             return number if number is not None else value if isinstance(value, str) and value.strip() else None
@@ -92,19 +91,19 @@ class Params:
         return self._scalar(name, default, False, lambda v: v if v in choices else None, "one of " + ", ".join(choices))
 
     def timeout(self, name: str, default: float) -> float:
-        """Seconds of silence after which an input counts as lost; 0 = never."""
+        """Seconds after which an input without messages is stale; 0 = never."""
         return self.number(name, default, *DURATION_S)
 
     def finish(self) -> None:
-        """Refuse what's left over.
+        """Refuse names that no reader has asked for.
 
         Raises:
             ConfigError: naming the first unknown parameter and the known ones.
         """
-        unknown = sorted(set(self._values) - self._asked)
+        unknown = sorted(set(self._values) - self._known)
         if unknown:
             raise ConfigError(f"unknown parameter {unknown[0]}", self._values[unknown[0]],
-                              "only " + ", ".join(sorted(self._asked)))
+                              "only " + ", ".join(sorted(self._known)))
 
     def _scalar(self, name, default, search_parents, read, accepted):
         value = self._get(name, default, search_parents, accepted)
@@ -118,10 +117,10 @@ class Params:
         return [self._checked(f"{name}[{index}]", x, read, element) for index, x in enumerate(value)]
 
     def _get(self, name, default, search_parents, accepted=""):
-        self._asked.add(name)
+        self._known.add(name)
         value = self._values.get(name)
         if value is None and search_parents:
-            value = self._outward(name)
+            value = self._search_parents(name)
         if value is None:
             value = default
         if value is REQUIRED:
@@ -148,7 +147,7 @@ def _flatten(tree, prefix=""):
 
 def _number(value, low, high, above):
     if isinstance(value, str):
-        value = _spelled(value)
+        value = _parsed(value)
     try:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             return None
@@ -157,8 +156,8 @@ def _number(value, low, high, above):
     return float(value) if low <= value <= high and (above is None or value > above) else None
 
 
-def _spelled(text):
-    """The number that a text spells, 1e-3 or 0x40; None when it spells none."""
+def _parsed(text):
+    """The number that a text such as 1e-3 or 0x40 stands for, or None."""
     for read in (float, lambda digits: float(int(digits, 0))):
         try:
             return read(text)

@@ -1,4 +1,4 @@
-"""Which processes have a device open, as far as /proc tells: other users' are seen by root only."""
+"""Which processes have a device open, by /proc. Those of other users are visible to root only."""
 from __future__ import annotations
 
 import os
@@ -7,11 +7,11 @@ INTERPRETERS = ("python", "bash", "sh", "perl")
 
 
 def openers(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
-    """Who has a file open, as (process, name), without this process itself.
+    """The other processes that have a file open, as (process id, name).
 
     Args:
         path: of the file; links are followed.
-        proc: where to look.
+        proc: the proc file system.
     """
     wanted, found = os.path.realpath(path), []
     for pid in filter(str.isdigit, _names_in(proc)):
@@ -21,16 +21,16 @@ def openers(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
 
 
 def process_name(pid: int, proc: str = "/proc") -> str:
-    """The program's name; of a script the script's."""
+    """The name of a program; for an interpreter that of its script."""
     try:
         with open(os.path.join(proc, str(pid), "cmdline"), "rb") as file:
-            words = [os.path.basename(word) for word in file.read().decode(errors="replace").split("\0") if word]
+            names = [os.path.basename(part) for part in file.read().decode(errors="replace").split("\0") if part]
     except OSError:
         return "unknown"
-    scripts = [word for word in words[1:] if not word.startswith("-")]
-    if words and words[0].startswith(INTERPRETERS) and scripts:
+    scripts = [name for name in names[1:] if not name.startswith("-")]
+    if names and names[0].startswith(INTERPRETERS) and scripts:
         return scripts[0]
-    return words[0].rstrip(":") if words else "unknown"
+    return names[0].rstrip(":") if names else "unknown"
 
 
 def _names_in(folder):

@@ -1,6 +1,6 @@
-"""The vector of duties that everything on /servo/… speaks: its length, its range, and how to set one channel.
+"""The vector of duties in /servo/cmdVector, /servo/output and servo/neutral.
 
-A duty is 0..65535 of the PWM period; −1 leaves a channel alone.
+It has 16 channels. A duty is 0..65535 of the PWM period; −1 leaves a channel unchanged.
 """
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ UNCHANGED = -1
 
 
 def one_channel(channel: int, duty: int) -> list[int]:
-    """The vector that gives one channel, 0..15, a duty and leaves the others alone."""
+    """The vector that sets one channel, 0..15, and leaves the others unchanged."""
     vector = [UNCHANGED] * CHANNELS
     vector[channel] = duty
     return vector

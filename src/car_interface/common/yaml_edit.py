@@ -1,6 +1,6 @@
-"""Changes single values in a YAML text and leaves every other character of it alone, comments too.
+"""Changes single values in a YAML text and keeps every other character of it, comments included.
 
-``save`` does so in a file, which is replaced in one step; the old one stays beside it under a name with the time.
+``save`` does so in a file, which is replaced in one step; a backup stays in the same folder, under a name with the time.
 ``edited`` does so in a text, ``rewritten`` makes a new text after the pattern of another one.
 """
 from __future__ import annotations
@@ -19,15 +19,15 @@ COMMENT_BEHIND = re.compile(r"[ \t]+#[^\r\n]*")
 
 
 def save(path: str, values: Values) -> str | None:
-    """Put ``values`` into the file at ``path``.
+    """Write ``values`` into the file at ``path``; a link is followed.
 
     Returns:
-        Where the old file is now; ``None`` when it had these values already: then nothing is written.
+        The backup's path; ``None`` when the file had these values already: then nothing is written.
 
     Raises:
-        ConfigError: naming the file and why it was left as it is.
+        ConfigError: naming the file and why it was not changed.
     """
-    path = os.path.realpath(path)  # a link stays a link
+    path = os.path.realpath(path)
     try:
         with open(path, encoding="utf-8", newline="") as file:
             before = file.read()
@@ -43,35 +43,34 @@ def save(path: str, values: Values) -> str | None:
 
 
 def edited(text: str, values: Values, path: str = "the file", keeps_comments: bool = True) -> str:
-    """The text of a YAML file with other values; names that it lacks are added at its end.
+    """The text of a YAML file with ``values`` replaced; names that it lacks are appended.
 
     Args:
         text: of the file.
-        values: those that already stand there are left alone, however they are spelled.
+        values: those that it has already are left alone, however they are spelled.
         path: of the file, for errors.
         keeps_comments: otherwise the comment behind a value that changes is removed: it may describe the old value.
 
     Raises:
-        ConfigError: when that can't be done without touching anything else.
+        ConfigError: when that can't be done without changing anything else.
     """
     root = _compose(text, path)
-    places = {name: _find(root, name.split("/")) for name in values}
-    if not any(places.values()):
+    nodes = {name: _find(root, name.split("/")) for name in values}
+    if not any(nodes.values()):
         raise ConfigError(path, None, "a file with at least one of them", f"has none of {', '.join(values)}")
     values = {name: value for name, value in values.items()
-              if places[name] is None or not _has_value(places[name], value)}
+              if nodes[name] is None or not _has_value(nodes[name], value)}
     result, added = text, ""
-    replaced = [part for name, value in values.items() if places[name] is not None
-                for part in _replacements(places[name], value)]
+    edits = [edit for name, value in values.items() if nodes[name] is not None for edit in _edits(nodes[name], value)]
     if not keeps_comments:
-        replaced += _comments_behind(text, replaced, [places[name] for name in values if places[name] is not None])
-    for begin, end, spelled in sorted(replaced, reverse=True):
-        result = result[:begin] + spelled + result[end:]
+        edits += _comments_behind(text, edits, [nodes[name] for name in values if nodes[name] is not None])
+    for begin, end, new_text in sorted(edits, reverse=True):
+        result = result[:begin] + new_text + result[end:]
     for name, value in values.items():
-        if places[name] is None:
+        if nodes[name] is None:
             if "/" in name:
                 raise ConfigError(path, None, f"a file with {name}", "lacks it")
-            added += f"{name}: {_spell(value)}\n"
+            added += f"{name}: {_format(value)}\n"
     if added:
         result += ("" if result.endswith("\n") else "\n") + added
     try:
@@ -109,7 +108,7 @@ def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the f
 
 def _compose(text, path):
     """The tree of a YAML text that is a mapping."""
-    import yaml  # not needed by nodes, which get their parameters from ROS
+    import yaml  # only here: the other pure modules need the standard library alone
     try:
         root = yaml.compose(text, yaml.SafeLoader)
     except yaml.YAMLError as error:
@@ -132,38 +131,38 @@ def _find(node, names):
 
 
 def _has_value(node, value):
-    """Whether it has this value already; one number stands for a list of equal ones."""
+    """Whether a node has this value already; one number stands for a list of equal ones."""
     if _elements(node) is not None:
-        return not _replacements(node, value)
+        return not _edits(node, value)
     numbers = value if isinstance(value, (list, tuple)) else [value]
     return all(number == _number(node) for number in numbers)
 
 
-def _replacements(node, value):
-    """The parts of the text to replace, as (begin, end, text): only what differs."""
+def _edits(node, value):
+    """The ranges of text to replace, as (begin, end, text), for the elements that differ."""
     elements = _elements(node)
     if elements is not None and isinstance(value, (list, tuple)) and len(elements) == len(value):
-        return [part for element, number in zip(elements, value) for part in _replacements(element, number)]
+        return [edit for element, number in zip(elements, value) for edit in _edits(element, number)]
     if elements is None and _number(node) == value:
         return []
-    return [(node.start_mark.index, node.end_mark.index, _spell(value))]
+    return [(node.start_mark.index, node.end_mark.index, _format(value))]
 
 
-def _comments_behind(text, replaced, nodes):
-    """The comments on the lines where replaced values end, as (begin, end, "")."""
-    ends = {end for _, end, _ in replaced} | {node.end_mark.index for node in nodes}
+def _comments_behind(text, edits, nodes):
+    """The comments on the lines where edits end, as edits that remove them."""
+    ends = {end for _, end, _ in edits} | {node.end_mark.index for node in nodes}
     found = (COMMENT_BEHIND.match(text, end) for end in ends)
     return [(match.start(), match.end(), "") for match in found if match]
 
 
 def _elements(node):
-    """The nodes of a list; None for anything else."""
+    """The elements of a list; None for anything else."""
     is_list = isinstance(node.value, list) and not any(isinstance(element, tuple) for element in node.value)
     return node.value if is_list else None
 
 
 def _number(node):
-    """The number that a scalar spells, as the parameter server would take it; None when it spells none."""
+    """The number that a scalar stands for, as the parameter server reads it, or None."""
     import yaml
     try:
         value = yaml.safe_load(node.value)
@@ -173,14 +172,14 @@ def _number(node):
         return None
 
 
-def _spell(value):
+def _format(value):
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_spell(element) for element in value) + "]"
+        return "[" + ", ".join(_format(element) for element in value) + "]"
     return str(int(value)) if value == int(value) else repr(float(value))
 
 
 def _shape(node, changes=None):
-    """All values of a document, with ``changes`` in their places: what an edited one must contain."""
+    """The content of a document as Python values, with ``changes`` applied: the expected content after an edit."""
     changes = dict(changes or {})
     elements = _elements(node)
     if elements is not None:

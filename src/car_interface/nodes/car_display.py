@@ -1,13 +1,12 @@
-"""The car_display node: the car, its trail and its steering for rviz.
+"""The car_display node: publishes the car, its trail and its steering as markers for rviz.
 
 Subscribes:
     odom (nav_msgs/Odometry): the trail.
     turn_arb/state (SteeringState): the commanded turn radius, and who steers.
 Publishes:
     ~markers (visualization_msgs/MarkerArray, latched, 10 Hz): in base_link the car, its front wheels turned as the
-        steering is commanded, an arrow along the way that its nose will take, with who steers and the turn radius; in
-        odom the trail, a point every 5 cm, the newest 2,000. Without a command the wheels look ahead and there is no
-        arrow.
+        steering is commanded, an arrow along the path of its nose, with source and turn radius; in odom the trail, a
+        point every 5 cm, the newest 2,000. Without a command the wheels point ahead and there is no arrow.
 Parameters:
     ~wheelbase 0.324, ~track 0.296, ~wheel_diameter 0.095 (m): the car's size.
     ~odom_frame odom, ~base_frame base_link, ~frame_prefix "" (before both).
@@ -33,28 +32,28 @@ from car_interface.ros.topics import subscribe
 from car_interface.steering.arbiter import source_name
 
 RATE_HZ = 10
-TICKS_PER_TRAIL = 10  # a trail that didn't grow is sent once a second, for an rviz that comes late
+TICKS_PER_TRAIL = 10  # an unchanged trail is sent once a second, for an rviz that starts late
 COMMAND_TIMEOUT_S = 0.5
 SPACING_M = 0.05
 TRAIL_POINTS = 2000
-# Odometry that begins anew, somewhere else, is another trail. No car gets this far from one report to the next.
+# A jump of odometry starts another trail; no car drives this far between two messages.
 JUMP_M = 5.0
 ARROW_M, ARROW_STEPS = 1.0, 20
 ARROW_HEAD_M = 0.16
-# Beyond the axles, and the least that a body is above the ground.
+# Beyond the axles, and of the body above the ground.
 OVERHANG_M, CLEARANCE_M = 0.10, 0.035
 TIRE_WIDTH_M = 0.05
 LINE_M = 0.02
 
 BODY, CABIN = ColorRGBA(0.10, 0.35, 0.75, 1.0), ColorRGBA(0.06, 0.10, 0.18, 1.0)
 TIRE = ColorRGBA(0.08, 0.08, 0.08, 1.0)
-ARROW, TRAIL, WORDS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.0, 0.6, 0.35, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
-NO_TURN = Quaternion(0.0, 0.0, 0.0, 1.0)
+ARROW, TRAIL, TEXT = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.0, 0.6, 0.35, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
+NO_ROTATION = Quaternion(0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class CarDisplayConfig:
-    """What the node's parameters say: the car's size, and the frames with their prefix."""
+    """The node's configuration: the car's size, and the frames with their prefix."""
 
     wheelbase_m: float
     track_m: float
@@ -81,14 +80,14 @@ def read_config(params) -> CarDisplayConfig:
 
 
 class Trail:
-    """Where the car went, in steps."""
+    """The positions of the car, at least 5 cm apart."""
 
     def __init__(self):
         self.points: deque = deque(maxlen=TRAIL_POINTS)
-        self.grew = False  # whoever has shown it sets this back
+        self.has_grown = False  # reset by the user of the points
 
     def add(self, x_m: float, y_m: float) -> None:
-        """Take where the car is; what isn't finite is no place."""
+        """Add the car's position, unless it isn't finite or near to the last one."""
         if not math.isfinite(x_m + y_m):
             return
         if self.points:
@@ -98,11 +97,11 @@ class Trail:
             if step_m > JUMP_M:
                 self.points.clear()
         self.points.append(Point(x_m, y_m, LINE_M))
-        self.grew = True
+        self.has_grown = True
 
 
 class CarDisplay:
-    """Hears where the car is and what it's told; draws both."""
+    """Draws the car, its steering command and its trail."""
 
     def __init__(self, params, inbox):
         config = read_config(params)
@@ -119,14 +118,14 @@ class CarDisplay:
         subscribe("odom", Odometry, inbox, self._on_odometry, queue_size=100)
 
     def step(self, now_ns):
-        """Take what arrived; draw when it's time."""
+        """Handle what arrived; then the timer."""
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._draw(now_ns)
         return self._timer.due_ns
 
     def shut_down(self):
-        """Nothing to undo."""
+        """Nothing to do."""
 
     def _on_state(self, message, now_ns):
         self._state.update(message, now_ns)
@@ -141,14 +140,14 @@ class CarDisplay:
         curvature_per_m = 1 / state.turn_radius if known else 0.0
         markers = [*self._body(), *self._wheels(curvature_per_m)]
         markers += self._arrow(curvature_per_m, state) if known else self._no_arrow()
-        if self._trail.grew or self._ticks % TICKS_PER_TRAIL == 0:
+        if self._trail.has_grown or self._ticks % TICKS_PER_TRAIL == 0:
             markers.append(self._trail_marker())
-            self._trail.grew = False
+            self._trail.has_grown = False
         self._ticks += 1
         self._markers.publish(MarkerArray(markers))
 
     def _body(self):
-        """A box over the axles, a smaller one on top of it: it shows where ahead is."""
+        """A box over the axles, and a smaller one on top, towards the rear."""
         length_m = self._wheelbase_m + 2 * OVERHANG_M
         middle_m, height_m = self._wheelbase_m / 2, 0.8 * self._wheel_m
         low = Vector3(length_m, self._track_m - TIRE_WIDTH_M, height_m)
@@ -158,7 +157,7 @@ class CarDisplay:
                              _at(middle_m - 0.1 * length_m, 0.0, CLEARANCE_M + height_m + high.z / 2))]
 
     def _wheels(self, curvature_per_m):
-        """Four cylinders on their sides; each front one at a right angle to the line to the middle of the turn."""
+        """Four cylinders on their sides; each front one perpendicular to the line to the turning center."""
         size = Vector3(self._wheel_m, self._wheel_m, TIRE_WIDTH_M)
         places = [(x_m, y_m) for x_m in (0.0, self._wheelbase_m) for y_m in (self._track_m / 2, -self._track_m / 2)]
         return [self._marker("wheels", index, Marker.CYLINDER, TIRE, size, _at(
@@ -167,17 +166,17 @@ class CarDisplay:
 
     def _arrow(self, curvature_per_m, state):
         nose_m = self._wheelbase_m + OVERHANG_M
-        way = [_nose(index / ARROW_STEPS * ARROW_M, curvature_per_m, nose_m) for index in range(ARROW_STEPS + 1)]
+        path = [_nose(index / ARROW_STEPS * ARROW_M, curvature_per_m, nose_m) for index in range(ARROW_STEPS + 1)]
         line = self._marker("steering", 0, Marker.LINE_STRIP, ARROW, Vector3(2 * LINE_M, 0.0, 0.0))
-        line.points = [Point(x_m, y_m, LINE_M) for x_m, y_m, _ in way]
+        line.points = [Point(x_m, y_m, LINE_M) for x_m, y_m, _ in path]
         head = self._marker("steering", 1, Marker.ARROW, ARROW, Vector3(0.001, 0.12, ARROW_HEAD_M))
-        x_m, y_m, heading_rad = way[-1]
+        x_m, y_m, heading_rad = path[-1]
         head.points = [line.points[-1], Point(x_m + ARROW_HEAD_M * math.cos(heading_rad),
                                               y_m + ARROW_HEAD_M * math.sin(heading_rad), LINE_M)]
-        words = self._marker("steering", 2, Marker.TEXT_VIEW_FACING, WORDS, Vector3(0.0, 0.0, 0.12),
+        label = self._marker("steering", 2, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, 0.12),
                              _at(self._wheelbase_m / 2, 0.0, 0.5))
-        words.text = f"{source_name(state.source)}: {_turn(state.turn_radius)}"
-        return [line, head, words]
+        label.text = f"{source_name(state.source)}: {_turn_text(state.turn_radius)}"
+        return [line, head, label]
 
     def _no_arrow(self):
         return [Marker(header=self._header(self._base_frame), ns="steering", id=index, action=Marker.DELETE)
@@ -188,7 +187,7 @@ class CarDisplay:
         marker = self._marker("trail", 0, Marker.LINE_STRIP, TRAIL, Vector3(1.5 * LINE_M, 0.0, 0.0),
                               frame=self._odom_frame)
         marker.points = points
-        if len(points) < 2:  # rviz takes that for a fault
+        if len(points) < 2:  # rviz reports that as an error
             marker.action = Marker.DELETE
         return marker
 
@@ -201,28 +200,28 @@ class CarDisplay:
         return Header(stamp=rospy.Time(), frame_id=frame)  # 0: where the frame is now
 
 
-def _at(x_m, y_m, z_m, orientation=NO_TURN):
+def _at(x_m, y_m, z_m, orientation=NO_ROTATION):
     return Pose(Point(x_m, y_m, z_m), orientation)
 
 
 def _lying(heading_rad):
-    """A cylinder's orientation: on its side, and rolling in this direction."""
-    half_rad, lie = heading_rad / 2, math.sqrt(0.5)
-    return Quaternion(lie * math.cos(half_rad), lie * math.sin(half_rad), lie * math.sin(half_rad),
-                      lie * math.cos(half_rad))
+    """A cylinder's orientation: on its side, rolling in this direction."""
+    half_rad, factor = heading_rad / 2, math.sqrt(0.5)
+    return Quaternion(factor * math.cos(half_rad), factor * math.sin(half_rad), factor * math.sin(half_rad),
+                      factor * math.cos(half_rad))
 
 
 def _nose(distance_m, curvature_per_m, nose_m):
-    """Where the nose is, and looks, when the middle of the rear axle has gone so far along its arc: x, y, heading."""
-    turned_rad = curvature_per_m * distance_m
-    if abs(turned_rad) < 1e-6:
+    """x, y and heading of the nose when the middle of the rear axle has driven a distance along its arc."""
+    heading_rad = curvature_per_m * distance_m
+    if abs(heading_rad) < 1e-6:
         return distance_m + nose_m, 0.0, 0.0
-    x_m = math.sin(turned_rad) / curvature_per_m + nose_m * math.cos(turned_rad)
-    y_m = (1 - math.cos(turned_rad)) / curvature_per_m + nose_m * math.sin(turned_rad)
-    return x_m, y_m, turned_rad
+    x_m = math.sin(heading_rad) / curvature_per_m + nose_m * math.cos(heading_rad)
+    y_m = (1 - math.cos(heading_rad)) / curvature_per_m + nose_m * math.sin(heading_rad)
+    return x_m, y_m, heading_rad
 
 
-def _turn(radius_m):
+def _turn_text(radius_m):
     return "straight on" if math.isinf(radius_m) else f"{'left' if radius_m > 0 else 'right'} {abs(radius_m):.1f} m"
 
 

@@ -38,41 +38,41 @@ POLL_S = 0.005  # Thread.join with a timeout follows the settable clock before P
 
 
 class Part:
-    """One of the nodes, in a thread of its own for each of its lives.
+    """One of the nodes. Each run of it has a thread of its own.
 
     Args:
         name: the node's, without its namespace.
         node_class: as ``runtime.spin`` takes it.
-        on_end: called in the part's thread when a life is over.
+        on_end: called in that thread when a run has ended.
     """
 
     def __init__(self, name: str, node_class: Callable, on_end: Callable[[Part], None]):
         self.name = name
-        self.fault = ""  # what ended the last life, in words
-        self.was_refused = False  # the first life ended before it had begun: by a parameter, or a device
+        self.fault = ""  # what ended the last run
+        self.was_refused = False  # its first start failed, by a parameter or a device
         self._node_class = node_class
         self._on_end = on_end
-        self._ever_lived = self._is_final = False
-        self._begin()
+        self._has_started = self._is_final = False
+        self._start()
 
-    def begin_anew(self) -> None:
-        """Start it once more."""
-        gc.collect()  # else the files of rospy's closed connections wait for Python's next round
+    def restart(self) -> None:
+        """Start it again."""
+        gc.collect()  # closes the files of rospy's old connections
         self.fault = ""
-        self._begin()
+        self._start()
 
-    def _begin(self):
+    def _start(self):
         self._inbox = Inbox(f"{rospy.get_namespace()}{self.name}")
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
 
     def end(self) -> None:
-        """Have it shut down for good."""
+        """Have it shut down."""
         self._is_final = True
         self._inbox.end()
 
     def join(self, deadline_s: float) -> None:
-        """Wait for that, until the monotonic clock reaches the deadline at most."""
+        """Wait until it has shut down, or the monotonic clock reaches the deadline."""
         while self._thread.is_alive():
             if time.monotonic() >= deadline_s:
                 self.fault = "it hangs and can't be shut down"
@@ -86,40 +86,40 @@ class Part:
             fault = "" if self._is_final else fault
         except Exception as error:
             fault = describe_error(error)
-            self.was_refused = isinstance(error, CarInterfaceError) and not self._ever_lived
+            self.was_refused = isinstance(error, CarInterfaceError) and not self._has_started
         finally:
-            if not self._is_final:  # what isn't taken off the graph now, rospy takes with the process
+            if not self._is_final:  # at the process's end rospy does that
                 self._inbox.close()
             self.fault = fault
             self._on_end(self)
 
     def _build(self, params, inbox):
         node = self._node_class(params, inbox)
-        self._ever_lived = True
+        self._has_started = True
         return node
 
 
 class CarNodes:
-    """Starts the parts, and starts those anew that a fault has ended."""
+    """Starts the nodes, and restarts those that an error has ended."""
 
     def __init__(self, params, inbox):
         params.finish()
         self._inbox = inbox
-        self._due_ns: dict[Part, int] = {}  # of those that wait for their next life
+        self._due_ns: dict[Part, int] = {}  # of those that wait for their restart
         logging.getLogger("rosout").addFilter(_name_part)
         self._parts = [Part(name, node_class, lambda part: inbox.put(self._on_end, part))
                        for name, node_class in NODES.items()]
 
     def step(self, now_ns):
-        """Start what is due."""
+        """Restart the nodes that are due."""
         self._inbox.dispatch()
         for part in [part for part, due_ns in self._due_ns.items() if now_ns >= due_ns]:
             del self._due_ns[part]
-            part.begin_anew()
+            part.restart()
         return min(self._due_ns.values(), default=math.inf)
 
     def shut_down(self):
-        """All parts at the same time: each takes as long as it would alone."""
+        """End all nodes at the same time."""
         for part in self._parts:
             part.end()
         deadline_s = time.monotonic() + END_WITHIN_S
@@ -137,7 +137,7 @@ class CarNodes:
 
 
 def _name_part(record):
-    """Say in a line of the log which part it comes from."""
+    """Prefix a log line with the name of its node."""
     if record.threadName in NODES:
         record.msg = f"{record.threadName}: {record.msg}"
     return True

@@ -1,13 +1,13 @@
-"""The demo_drive node: a scripted drive of the virtual car by the real topics, watched and judged.
+"""The demo_drive node: drives the virtual car by a script over the real topics, and checks the result.
 
-It plays the person (joy) and the planner (av_turnrad_req, control commands), shows one line while it drives, and ends
-with a table. Exit code 0 only if everything went as planned.
+It simulates the human (joy) and the planner (av_turnrad_req, control commands), prints a status line while it drives,
+and ends with a table. Exit code 0 only if all checks pass.
 
 Publishes:
     joy (sensor_msgs/Joy), av_turnrad_req (std_msgs/Float32), control/command/control_cmd (Control): each at 50 Hz.
-Subscribes to what the car's nodes publish.
+Subscribes to the topics of the car's nodes.
 Parameters:
-    ~bag_dir: where to record a bag of all topics, by its whole path; none = record nothing.
+    ~bag_dir: absolute path of a folder for a bag of all topics; none = no recording.
 """
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ READY_WITHIN_S = 30
 LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
 STEER_AXIS, MANUAL_BUTTON, AUTONOMOUS_BUTTON = 0, 4, 5  # as config/teleop_logi.yaml has them
 AXES, BUTTONS = 8, 11
-STEERS, DRIVES = 0, 1  # channels, as config/turn_arb.yaml and config/throttle.yaml have them
-SETTLING_NS = NS_PER_S // 10  # after a change of stage: who steers then is still the old or a passing one
-# What odometry may be off by at the end: a share of the way, and degrees over some 34 m.
+STEERING_CHANNEL, THROTTLE_CHANNEL = 0, 1  # as config/turn_arb.yaml and config/throttle.yaml have them
+SETTLING_NS = NS_PER_S // 10  # after a change of stage the source isn't checked
+# Tolerance of odometry at the end: as a ratio of the distance, and in degrees over some 34 m.
 ODOMETRY_RATIO, ODOMETRY_DEG = 0.01, 2.0
 
 
 class Watch:
-    """What was seen of the car, as far as the verdict needs it."""
+    """Records what the checks need."""
 
     def __init__(self):
         self.messages = Counter()
@@ -79,13 +79,13 @@ class Watch:
         self.stage, self.stage_since_ns = NOBODY, 0
         self.stage_distance_m = Counter()
         self.stage_sources = {stage: set() for stage in range(DONE + 1)}
-        self.stage_turned_rad = Counter()
+        self.stage_yaw_rad = Counter()
         self.sonar_m = {}
-        self.rest = None  # the servo board's output while nobody is there
+        self.rest = None  # the servo board's output before the drive
         self.let_go_ns = self.neutral_ns = None
 
     def on_truth(self, message, now_ns):
-        """Where the car is."""
+        """The true pose of the car."""
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
         if self.pose is not None:
             distance_m = math.hypot(position.x - self.pose[0], position.y - self.pose[1])
@@ -102,39 +102,39 @@ class Watch:
             self.stage_sources[self.stage].add(message.source)
 
     def on_output(self, message, now_ns):
-        """What the servo board holds."""
+        """The servo board's output."""
         self.output = message.data
-        driven = (message.data[STEERS], message.data[DRIVES])
+        driven = (message.data[STEERING_CHANNEL], message.data[THROTTLE_CHANNEL])
         if self.stage == NOBODY:
             self.rest = driven
         elif self.let_go_ns is not None and self.neutral_ns is None and driven == self.rest:
             self.neutral_ns = now_ns
 
     def on_odometry(self, message, now_ns):
-        """Where the wheels say that the car is."""
+        """The pose by odometry."""
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
         self.odometry = (position.x, position.y, yaw_rad(orientation))
 
     def on_range(self, message, now_ns):
-        """A sonar's range; infinite: nothing there."""
+        """A sonar's range; infinite: no echo."""
         self.sonar_m[message.header.frame_id] = message.range
 
     def on_link(self, message, now_ns):
-        """How the serial link does."""
+        """The state of the serial link."""
         self.link = message
 
     def odometry_error(self):
-        """How far odometry is from the truth: m, and degrees."""
+        """The error of odometry, in m and degrees."""
         x_m, y_m, by_wheels_rad = self.odometry
-        off_rad = math.remainder(by_wheels_rad - self.yaw_rad, 2 * math.pi)
-        return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(off_rad))
+        error_rad = math.remainder(by_wheels_rad - self.yaw_rad, 2 * math.pi)
+        return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(error_rad))
 
     def missing(self):
-        """What hasn't been heard from yet; empty when the car is ready."""
+        """The topics without a message so far; empty when the car is ready."""
         seen = {
             "car_sim/truth": self.pose,
             "turn_arb/state": self.state,
-            "/servo/output": self.output and self.output[STEERS] >= 0,
+            "/servo/output": self.output and self.output[STEERING_CHANNEL] >= 0,
             "odom": self.odometry,
             "the Teensy's link": self.link and self.link.pongs,
         }
@@ -149,7 +149,7 @@ class DemoDriveConfig:
 
 
 def read_config(params) -> DemoDriveConfig:
-    """The node's configuration from its parameters; it opens and makes nothing.
+    """Read the node's configuration from its parameters, without side effects.
 
     Raises:
         ConfigError: naming the parameter.
@@ -160,14 +160,14 @@ def read_config(params) -> DemoDriveConfig:
 
 
 class DemoDrive:
-    """Plays the script, watches, judges."""
+    """Runs the script and checks the result."""
 
     def __init__(self, params, inbox):
         bag_dir = read_config(params).bag_dir
         self._inbox = inbox
         self._watch = Watch()
         self._drive = None
-        self._turned_rad = 0.0
+        self._yaw_rad = 0.0
         now_ns = time.monotonic_ns()
         self._started_ns = now_ns
         self._timer = RateTimer(RATE_HZ, now_ns)
@@ -201,7 +201,7 @@ class DemoDrive:
         return count
 
     def step(self, now_ns):
-        """Watch, drive, show."""
+        """Handle what arrived; then the timers."""
         self._inbox.dispatch()
         if self._drive is None:
             self._wait_until_ready(now_ns)
@@ -212,11 +212,11 @@ class DemoDrive:
         return self._timer.due_ns if self._drive is not None else now_ns + NS_PER_S // 10
 
     def shut_down(self):
-        """Close the bag; a drive that didn't reach its end didn't go as planned."""
+        """Close the bag; a drive that was interrupted has failed."""
         if self._recording is not None:
             self._recording.stop()
         if (self._drive is None or self._drive.stage != DONE) and sys.exc_info()[0] is None:
-            print(flush=True)  # the log line must not hang on the one that refreshes
+            print(flush=True)  # end the status line before the log line
             raise CarInterfaceError("the drive was ended before it was over")
 
     def _wait_until_ready(self, now_ns):
@@ -233,9 +233,9 @@ class DemoDrive:
         orders = drive.orders(now_ns, watch.yaw_rad, watch.speed_mps)
         if orders.stage != watch.stage:
             self._print_line(now_ns, end="\n")
-            watch.stage_turned_rad[watch.stage] = self._turned_rad
+            watch.stage_yaw_rad[watch.stage] = self._yaw_rad
             watch.stage, watch.stage_since_ns = orders.stage, now_ns
-        self._turned_rad = drive.turned_rad
+        self._yaw_rad = drive.turned_rad
         if orders.stage == DONE:
             self._finish()
             return
@@ -264,7 +264,7 @@ class DemoDrive:
         nearest = f"{nearest_m:4.2f} m" if nearest_m < math.inf else "free"
         text = (f"{(now_ns - self._started_ns) / NS_PER_S:5.1f} s  {STAGE_NAMES[watch.stage]:<21} "
                 f"{SOURCE_NAMES[watch.state.source]:<8} "
-                f"steering {watch.output[STEERS]:5d}  ESC {watch.output[DRIVES]:5d}  "
+                f"steering {watch.output[STEERING_CHANNEL]:5d}  ESC {watch.output[THROTTLE_CHANNEL]:5d}  "
                 f"{watch.speed_mps:5.2f} m/s  at {watch.pose[0]:+5.2f} {watch.pose[1]:+5.2f}  nearest {nearest}")
         print(("\r\x1b[K" if sys.stdout.isatty() else "") + text, end=end, flush=True)
 
@@ -285,9 +285,9 @@ class DemoDrive:
 
     def _figures(self, bag):
         watch, link = self._watch, self._watch.link
-        off_m, off_deg = watch.odometry_error()
+        error_m, error_deg = watch.odometry_error()
         yield "distance driven", f"{watch.distance_m:.2f} m"
-        yield "odometry at the end is off by", f"{off_m:.3f} m, {off_deg:.1f} degrees"
+        yield "odometry at the end is off by", f"{error_m:.3f} m, {error_deg:.1f} degrees"
         yield "pings answered", f"{link.pongs} of {link.pings}"
         yield "frames good, bad", f"{link.frames}, {link.bad_frames + link.malformed_frames}"
         neutral = "never" if watch.neutral_ns is None else f"after {self._neutral_after_s() * 1e3:.1f} ms"
@@ -299,21 +299,21 @@ class DemoDrive:
         return (self._watch.neutral_ns - self._watch.let_go_ns) / NS_PER_S
 
     def _checks(self):
-        """What was planned, and whether it came about."""
+        """What is wrong if a check fails, and whether it passed."""
         watch, link = self._watch, self._watch.link
-        turned, sources, distance_m = watch.stage_turned_rad, watch.stage_sources, watch.stage_distance_m
+        yaw_rad, sources, distance_m = watch.stage_yaw_rad, watch.stage_sources, watch.stage_distance_m
         yield "the car moved though nobody was there", distance_m[NOBODY] < 0.01
         yield "somebody steered though nobody was there", sources[NOBODY] == {NO_HUMAN}
         yield "the human didn't steer all the time", sources[TELEOP] == {TELEOP_STEERS}
-        yield "the human's circle wasn't closed", turned[TELEOP] > 0.95 * TURN_RAD
+        yield "the human's circle wasn't closed", yaw_rad[TELEOP] > 0.95 * TURN_RAD
         yield "the planner didn't steer all the time", sources[LEFT_CIRCLE] == sources[RIGHT_CIRCLE] == {PLANNER}
-        yield "the left circle wasn't closed", turned[LEFT_CIRCLE] > 0.95 * TURN_RAD
-        yield "the right circle wasn't closed", turned[RIGHT_CIRCLE] < -0.95 * TURN_RAD
+        yield "the left circle wasn't closed", yaw_rad[LEFT_CIRCLE] > 0.95 * TURN_RAD
+        yield "the right circle wasn't closed", yaw_rad[RIGHT_CIRCLE] < -0.95 * TURN_RAD
         yield "the outputs weren't neutral within 0.1 s of letting go", (
             watch.neutral_ns is not None and self._neutral_after_s() < 0.1)
         yield "the car rolled on after the human let go", abs(watch.speed_mps) < 0.05
-        off_m, off_deg = watch.odometry_error()
-        yield "odometry lost its way", off_m < ODOMETRY_RATIO * watch.distance_m and off_deg < ODOMETRY_DEG
+        error_m, error_deg = watch.odometry_error()
+        yield "odometry lost its way", error_m < ODOMETRY_RATIO * watch.distance_m and error_deg < ODOMETRY_DEG
         yield "not every sonar was heard", len(watch.sonar_m) == len(SONARS)
         yield "pings went unanswered", link.pongs >= link.pings - 1
         yield "there were bad frames", link.bad_frames + link.malformed_frames == 0

@@ -1,4 +1,4 @@
-"""The generic_value_converter node: accelerations to an actuator's value, and on request to the ESC's channel.
+"""The generic_value_converter node: converts accelerations to an actuator's value, and optionally drives the ESC.
 
 Subscribes:
     ~input/control_cmd (Control): its longitudinal.acceleration in m/s².
@@ -8,16 +8,16 @@ Publishes:
     ~output/value (Float64Stamped): one for each command that can be converted.
     With servo/channel set /servo/cmdVector (std_msgs/Int32MultiArray) at 50 Hz: the ESC's duty, all others −1; and
         servo/neutral (the same, latched): its neutral, for the servo board's timeout value.
-    /diagnostics: what becomes of the commands; 1 Hz.
+    /diagnostics: whether commands are converted, and why not; 1 Hz.
 Parameters:
-    ~csv_path_value_map: the map, by its whole path; required unless it isn't used.  ~allow_plateaus false.
-    ~max_value 3.0, ~min_value −5.0: what goes out is clamped to these.
+    ~csv_path_value_map: the absolute path of the map; required unless it isn't used.  ~allow_plateaus false.
+    ~max_value 3.0, ~min_value −5.0: limits of the output.
     ~convert_value_cmd true, ~use_value_ff true: one of them false passes accelerations through.
     ~odometry_timeout 0.5 (s, 0 = never).
     ~servo/channel −1 (none), ~servo/value_axis, ~servo/duty_table, ~servo/neutral: the ESC.
     ~command_timeout 0.5, ~human_timeout 0.5, ~steering_timeout 0.25 (s, 0 = never): for the ESC.
     ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's, for the ESC.
-    ~live_range 100 (duty): how far servo/neutral may be tuned while it runs.  ~save_to: the file to save it to.
+    ~live_range 100 (duty): the largest change of servo/neutral while it runs.  ~save_to: the file to save it to.
 Services, with servo/channel set: see ``ros.reconfigure``; set_parameters is below ~servo.
 """
 from __future__ import annotations
@@ -52,21 +52,21 @@ from car_interface.throttle.value_map import ValueMap, load_value_map
 
 RATE_HZ = 50
 NO_CHANNEL = -1
-LIVE_RANGE = 100  # duty, by default: 6 % of what an ESC has to each side, and at neutral it is driven by nobody
+LIVE_RANGE = 100  # duty, by default: 6 % of an ESC's range to each side
 LIVE_RATE = 100  # duty per second
-ODD_STAMP_S = 10.0  # a stamp this far from now is worth a word
+ODD_STAMP_S = 10.0  # a stamp this far from now is reported
 
 
 @dataclass(frozen=True)
 class ConverterConfig:
-    """What the node's parameters say.
+    """The node's configuration.
 
     Attributes:
         conversion: limits and timeout.
-        map_path: the file that the map is from; empty = accelerations pass through.
+        map_path: the map's file; empty = accelerations pass through.
         value_map: the map; ``None`` = accelerations pass through.
-        throttle: the ESC's channel and rules; ``None`` = there is none.
-        tuning: how far the ESC's neutral may be tuned while the car drives, and where that is saved.
+        throttle: the ESC's channel and rules; ``None`` = no ESC.
+        tuning: how far the ESC's neutral may be tuned while the car drives, and where it is saved.
     """
 
     conversion: ConversionConfig
@@ -77,7 +77,7 @@ class ConverterConfig:
 
 
 def read_config(params) -> ConverterConfig:
-    """The node's configuration from its parameters, the map with it; it makes nothing.
+    """Read the node's configuration, including the map, without other side effects.
 
     Raises:
         ConfigError: naming the parameter, or the place in the map's file.
@@ -103,7 +103,7 @@ def _read_conversion(params):
         path = params.path("csv_path_value_map")
     value_map = load_value_map(path, allow_plateaus)
     try:
-        Converter(conversion, value_map)  # map and limits are held against each other when it's made
+        Converter(conversion, value_map)  # checks the map against the limits
     except ConfigError as error:
         raise error.within(path) from error
     return conversion, path, value_map
@@ -124,12 +124,12 @@ def _read_throttle(params):
     if channel == NO_CHANNEL:
         return None
     config = ThrottleConfig(channel=channel, **settings)
-    duty_of_value(config)  # the table is checked when it's made
+    duty_of_value(config)  # checks the table
     return config
 
 
 class GenericValueConverter:
-    """Answers each command with a value, and keeps the ESC's channel."""
+    """Converts each command, and commands the ESC's channel."""
 
     def __init__(self, params, inbox):
         config = read_config(params)
@@ -162,7 +162,7 @@ class GenericValueConverter:
     def _offer_tuning(self, settings):
         """Have the ESC's neutral tuned while the car drives."""
         config = self._throttle.config
-        tuning = Tuning({"neutral": config.neutral}, settings.reach, LIVE_RATE,
+        tuning = Tuning({"neutral": config.neutral}, settings.max_offset, LIVE_RATE,
                         lambda values: trimmed(config, **values))
 
         def apply(values):
@@ -178,10 +178,10 @@ class GenericValueConverter:
                                  settings.save_to, namespace="servo")
 
     def step(self, now_ns):
-        """Take each message with its consequence; then beat if it is time."""
+        """Handle each message and its effect on the ESC; then the timers."""
         for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
-            self._stop_at_once(arrival_ns)
+            self._stop_if_blocked(arrival_ns)
         self._diagnostics.step(now_ns)
         if self._throttle is None:
             return self._diagnostics.due_ns
@@ -194,11 +194,11 @@ class GenericValueConverter:
         return min(self._timer.due_ns, self._diagnostics.due_ns)
 
     def shut_down(self):
-        """Neutral, if there is an ESC; the servo board's timeout does the rest."""
+        """Set the ESC to neutral; the servo board's timeout keeps it there."""
         if self._throttle is not None:
             self._throttle.update_human(False, time.monotonic_ns())
             self._publish_throttle(self._throttle.decide(time.monotonic_ns()))
-            time.sleep(0.02)  # it leaves by a thread of rospy's
+            time.sleep(0.02)  # rospy sends in a thread of its own
 
     def _on_overflow(self, now_ns):
         self._converter.mark_stale()
@@ -228,21 +228,22 @@ class GenericValueConverter:
         self._throttle.update_steering(message.source, now_ns)
 
     def _note_odd_stamp(self, name, stamp):
-        """Freshness goes by arrival: an odd stamp is counted and obeyed."""
-        off_s = (stamp - rospy.Time.now()).to_sec()
-        if abs(off_s) > ODD_STAMP_S:
-            text = "is zero" if stamp.is_zero() else f"is {abs(off_s):.0f} s in the {'future' if off_s > 0 else 'past'}"
+        """Count an odd stamp. The message is used all the same: freshness is measured by arrival."""
+        offset_s = (stamp - rospy.Time.now()).to_sec()
+        if abs(offset_s) > ODD_STAMP_S:
+            tense = "future" if offset_s > 0 else "past"
+            text = "is zero" if stamp.is_zero() else f"is {abs(offset_s):.0f} s in the {tense}"
             self._warnings.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
 
-    def _stop_at_once(self, now_ns):
-        """When what arrived means neutral, the ESC need not wait for the next beat."""
+    def _stop_if_blocked(self, now_ns):
+        """Publish neutral at once when an input demands it, before the next timer tick."""
         if self._throttle is not None and self._decision is not None and self._decision.driving:
             decision = self._throttle.decide(now_ns)
             if not decision.driving:
                 self._publish_throttle(decision)
 
     def _report(self, status):
-        """What becomes of the commands, on /diagnostics."""
+        """Whether commands are converted, and why not, for /diagnostics."""
         conversion = self._conversion
         if conversion is not None and conversion.value is None:
             status.summary(WARN, f"no output: {conversion.reason}")
@@ -266,7 +267,7 @@ class GenericValueConverter:
         return status
 
     def _cause(self):
-        """Why there is no value, or what the ESC gets; empty: neither is known yet."""
+        """Why there is no value, or the ESC's state; empty: neither is known yet."""
         if self._conversion is not None and self._conversion.value is None:
             return self._conversion.cause
         return "" if self._decision is None else self._decision.cause
@@ -279,7 +280,7 @@ class GenericValueConverter:
 
 
 def _warn_of_clamped_values(config):
-    """A map with values that never go out is worth a word."""
+    """Warn of a map with values beyond the limits of the output."""
     limits, value_map = config.conversion, config.value_map
     if value_map is not None and (value_map.values[0] < limits.min_value or value_map.values[-1] > limits.max_value):
         rospy.logwarn("%s has values from %g to %g; min_value and max_value clamp them to %g to %g", config.map_path,

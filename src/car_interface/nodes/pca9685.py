@@ -1,24 +1,23 @@
-"""The pca9685 node: duties from ROS to the servo board, and each channel to its timeout value when they stop coming.
+"""The pca9685 node: writes duties to the servo board, and a channel's timeout value when its commands stop.
 
 Subscribes:
-    command, /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties 0..65535 of the PWM period, −1 = leave it alone.
-    servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, of those who command the channels: timeout values.
+    command, /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties 0..65535 of the PWM period, −1 = unchanged.
+    servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, which the timeout values follow.
 Publishes:
-    /servo/output (std_msgs/Int32MultiArray, latched): the duties that the chip holds, −1 = never set; on change and
-        at 1 Hz.
+    /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at 1 Hz.
     /diagnostics: the board, its faults and how often each channel timed out; 1 Hz.
 Parameters:
     ~device /dev/i2c-1: the bus, by path or number; ``virtual`` = a chip in software.
-    ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides what these two make.
+    ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides these two.
     ~timeout 250 (ms, 0 = never), ~timeout_value 0 (duty, 0 = off), ~pwm_min 0, ~pwm_max 65535: a list of 16, or one
         for all.
-    ~throttle_channel −1 (none), ~throttle_neutral: the ESC's channel, and the timeout value that it has instead.
+    ~throttle_channel −1 (none), ~throttle_neutral: the ESC's channel, and its timeout value.
     ~live_range 500, ~throttle_live_range 100 (duty): how far a timeout value may follow servo/neutral; 0 = not at all.
-    ~save_to, ~throttle_save_to: the files that ~save puts timeout_value and throttle_neutral back to.
+    ~save_to, ~throttle_save_to: the files that ~save writes timeout_value and throttle_neutral to.
     ~required false: true = end with exit code 1 when the board can't be used at start.
 Service:
     ~save (std_srvs/Trigger): see ``ros.save_service``; turn_arb's and the converter's call it.
-The virtual chip has a service and a parameter more: see ``ros.virtual_board``.
+The virtual chip has another service and parameter: see ``ros.virtual_board``.
 """
 from __future__ import annotations
 
@@ -40,7 +39,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.pca9685.board import Board, BoardMismatch
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
-from car_interface.pca9685.supervisor import LOST, MISMATCH, RETRIED, RUNNING, BoardSupervisor
+from car_interface.pca9685.supervisor import DISCONNECTED, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.runtime import run
 from car_interface.ros.save_service import File, serve_saving
@@ -50,7 +49,7 @@ from car_interface.ros.topics import advertise, subscribe
 from car_interface.ros.virtual_board import VirtualBoardBus
 
 OUTPUT_RATE_HZ = 1
-INSIST_NS = NS_PER_S  # how long a node that ends goes on trying to reach a chip that pulses
+SWITCH_OFF_TIMEOUT_NS = NS_PER_S  # how long a node that ends tries to switch the chip off
 MAX_TIMEOUT_MS = 3_600_000
 VIRTUAL = "virtual"
 LIVE_RANGE, THROTTLE_LIVE_RANGE = 500, 100  # duty, as those of turn_arb and generic_value_converter
@@ -59,19 +58,19 @@ NO_CHANNEL = -1
 
 @dataclass(frozen=True)
 class Pca9685Config:
-    """What the node's parameters say.
+    """The node's configuration.
 
     Attributes:
         device: the bus's path, or ``VIRTUAL``.
-        address: the chip's on it, 0x40..0x7f.
+        address: the chip's, 0x40..0x7f.
         prescale: the chip's register, 3..255.
         oscillator_hz: the chip's clock.
         channels: limits and failsafe of each of the sixteen.
-        timeout_value: duties as that parameter has them, which is what ~save puts back for all but throttle_channel.
+        timeout_value: duties of that parameter; ~save keeps the one of throttle_channel.
         throttle_channel: the ESC's, or ``NO_CHANNEL``.
         save_to, throttle_save_to: the files that ~save writes; ``None`` = nowhere.
         required: end when the board can't be used at start.
-        virtual_log: where the virtual chip notes what it takes; ``None`` = nowhere.
+        virtual_log: the virtual chip's log; ``None`` = none.
     """
 
     device: str
@@ -88,7 +87,7 @@ class Pca9685Config:
 
 
 def read_config(params) -> Pca9685Config:
-    """The node's configuration from its parameters; it opens and makes nothing.
+    """Read the node's configuration from its parameters, without side effects.
 
     Raises:
         ConfigError: naming the parameter.
@@ -110,7 +109,7 @@ def read_config(params) -> Pca9685Config:
         required=params.flag("required", False),
         virtual_log=params.path("virtual_log", None) if device == VIRTUAL else None)
     params.finish()
-    Channels(config.channels)  # limits are held against each other when it's made
+    Channels(config.channels)  # checks the limits
     return config
 
 
@@ -131,18 +130,18 @@ def _read_channels(params):
 
 
 def files_to_save(config: Pca9685Config, timeout_values) -> list[File]:
-    """What of the timeout values that are in force goes to which file."""
+    """Which of the timeout values in use are saved to which file."""
     start, throttle_channel = config.timeout_value, config.throttle_channel
     plain = [start[channel] if channel == throttle_channel else duty for channel, duty in enumerate(timeout_values)]
-    own = [File("save_to", config.save_to, {"timeout_value": plain})] if any(start) else []
+    files = [File("save_to", config.save_to, {"timeout_value": plain})] if any(start) else []
     if throttle_channel == NO_CHANNEL:
-        return own
+        return files
     neutral = {"throttle_neutral": timeout_values[throttle_channel]}
-    return [*own, File("throttle_save_to", config.throttle_save_to, neutral)]
+    return [*files, File("throttle_save_to", config.throttle_save_to, neutral)]
 
 
 class SmbusBus:
-    """A bus of the kernel's, opened by smbus2; the address on it is locked against a second node like this."""
+    """A bus of the kernel, opened by smbus2. A lock on the address excludes a second pca9685 node."""
 
     def __init__(self, device: str, address: int):
         self._device = device
@@ -152,12 +151,12 @@ class SmbusBus:
         """The open bus.
 
         Raises:
-            OSError: why not.
+            OSError: it can't be opened, or another node has the lock.
         """
-        bus = smbus2.SMBus()  # in two steps: what is no I2C bus fails after it was opened
+        bus = smbus2.SMBus()  # in two steps: a device that is no I2C bus fails after it was opened
         try:
             bus.open(self._device)
-            # A node that takes over must not be switched off by the last words of the one before it.
+            # A node that ends must not switch off the chip of its successor.
             fcntl.lockf(bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, self._address)
         except OSError:
             bus.close()
@@ -169,11 +168,11 @@ class SmbusBus:
         bus.close()
 
     def serve(self, inbox) -> None:
-        """Nothing to offer: a real board has faults enough."""
+        """Nothing to offer: faults are injected into the virtual board only."""
 
 
 class Pca9685:
-    """Takes commands, keeps the chip at what they say, and tells how that goes."""
+    """Passes commands to the chip, applies timeouts, and reports."""
 
     def __init__(self, params, inbox):
         config = read_config(params)
@@ -186,8 +185,8 @@ class Pca9685:
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
         self._supervisor = BoardSupervisor(bus.open, bus.close, self._make_board, self._on_board_event)
-        self._trouble = None  # why the board isn't there, as (cause, remedy)
-        self._dropped = 0  # commands that came while it wasn't
+        self._fault = None  # why the board can't be used, as (cause, remedy)
+        self._dropped = 0  # commands that arrived meanwhile
         self._timeouts: Counter = Counter()  # by channel
         self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
         self._published = [UNCHANGED] * CHANNELS
@@ -203,10 +202,10 @@ class Pca9685:
         serve_saving(self._inbox, lambda: files_to_save(config, self._channels.timeout_values))
 
     def step(self, now_ns):
-        """Take all that arrived, expire the old, and only then write: a slow bus must not replay what is stale."""
+        """Handle all that arrived, expire commands, and then write: a slow bus must not replay stale commands."""
         self._inbox.dispatch()
         expired = self._channels.expire(time.monotonic_ns())
-        self._keep()
+        self._update()
         if expired:
             self._timeouts.update(expired)
             self._warnings.warn(f"timeout of {expired}", f"no command for {_listed(expired)}: now at timeout value")
@@ -223,24 +222,24 @@ class Pca9685:
             self._switch_off()
         finally:
             self._supervisor.close()
-        time.sleep(0.02)  # the last output leaves by a thread of rospy's
+        time.sleep(0.02)  # rospy sends in a thread of its own
 
     def _switch_off(self):
         self._channels.make_safe()
-        self._insist(self._keep_now)
+        self._retry(self._update_now)
         time.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
-        self._insist(lambda: self._keep_now() and self._supervisor.all_off(time.monotonic_ns()))
+        self._retry(lambda: self._update_now() and self._supervisor.all_off(time.monotonic_ns()))
         self._publish()
 
-    def _keep_now(self):
-        """Give the chip its targets without waiting for the next attempt; whether it holds them."""
+    def _update_now(self):
+        """Write the targets without waiting for the next attempt; whether the chip has them."""
         self._supervisor.retry_now()
-        self._keep()
+        self._update()
         return self._supervisor.running
 
-    def _insist(self, action):
-        """Repeat what returns whether it worked, for a while."""
-        deadline_ns = time.monotonic_ns() + INSIST_NS
+    def _retry(self, action):
+        """Repeat ``action``, which returns whether it succeeded, for up to a second."""
+        deadline_ns = time.monotonic_ns() + SWITCH_OFF_TIMEOUT_NS
         while not action():
             if time.monotonic_ns() >= deadline_ns:
                 raise DeviceError(self._name(), "it can't be switched off and goes on pulsing what it was last told",
@@ -262,7 +261,7 @@ class Pca9685:
             self._warnings.warn("clamped", f"{_listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
 
     def _on_neutral(self, message, now_ns):
-        """Who commands a channel also says where it is at rest: the two must not disagree."""
+        """Let timeout values follow the neutrals of the nodes that command the channels."""
         try:
             followed = self._channels.follow(message.data)
         except ValueError as error:
@@ -277,8 +276,8 @@ class Pca9685:
                                               f"servo/neutral, away from the YAML file's. To save it: rosservice call "
                                               f"{rospy.resolve_name(self._inbox.resolve_name('~save'))}")
 
-    def _keep(self):
-        self._supervisor.keep(self._channels.targets, time.monotonic_ns())
+    def _update(self):
+        self._supervisor.update(self._channels.targets, time.monotonic_ns())
         self._publish()
 
     def _make_board(self, bus):
@@ -291,9 +290,9 @@ class Pca9685:
             raise DeviceError(self._name(), *_explain(self._device, self._address, error)) from error
 
     def _on_board_event(self, event, error):
-        """Log what happened to bus or chip, in words and with what to do about it."""
+        """Log an event of bus or chip, with cause and remedy."""
         if event == RUNNING:
-            self._trouble = None
+            self._fault = None
             rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
                           frequency_for(self._prescale, self._oscillator_hz), self._prescale)
         elif event == RETRIED:
@@ -302,17 +301,17 @@ class Pca9685:
             self._warnings.warn(event, f"{self._name()} has forgotten what it was told ({error}): it lost its power, "
                                          "or another program writes to it. Initialising it anew")
         else:
-            self._trouble = _explain(self._device, self._address, error)
-            was = " was lost" if event == LOST else ""
-            self._warnings.warn(event, f"{self._name()}{was}: {'. '.join(self._trouble)}. Trying again")
+            self._fault = _explain(self._device, self._address, error)
+            was = " was lost" if event == DISCONNECTED else ""
+            self._warnings.warn(event, f"{self._name()}{was}: {'. '.join(self._fault)}. Trying again")
 
     def _report(self, status):
-        """The board's line on /diagnostics."""
+        """The board's state and counts, for /diagnostics."""
         tally = self._supervisor.tally
         if self._supervisor.running:
             status.summary(OK, f"running at {frequency_for(self._prescale, self._oscillator_hz):.2f} Hz")
         else:
-            status.summary(ERROR, ". ".join(self._trouble or ("not opened yet", "")))
+            status.summary(ERROR, ". ".join(self._fault or ("not opened yet", "")))
         status.add("bus", self._device)
         status.add("address", f"0x{self._address:02x}")
         period_ms = 1e3 / frequency_for(self._prescale, self._oscillator_hz)
@@ -329,7 +328,7 @@ class Pca9685:
         return status
 
     def _publish(self, always=False):
-        duties = self._published  # of a chip that was lost: what it held last, for it goes on pulsing
+        duties = self._published  # a chip that is out of reach keeps its last pulses
         if self._supervisor.running:
             duties = [UNCHANGED if counts is None else duty_of_counts(counts) for counts in self._supervisor.held]
         if always or duties != self._published:

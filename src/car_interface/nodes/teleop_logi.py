@@ -1,19 +1,19 @@
-"""The teleop_logi node: a gamepad as steering and throttle requests, and as evidence of a human.
+"""The teleop_logi node: converts a gamepad's messages to steering and throttle requests and the deadman.
 
 Subscribes:
     joy (sensor_msgs/Joy).
 Publishes, at 50 Hz and at once when the deadman changes:
-    /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is heard; a button
-        that is held at the start counts from when all were let go.
-    /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman, and never
-        quite so under the manual one, or with the stick at rest the planner would steer.
+    /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is fresh; a button
+        that is held at the start counts after all were released.
+    /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman; never
+        exactly neutral under the manual one, where the planner would steer then.
     /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 under the autonomous deadman.
 Parameters:
     ~steer_axis, ~throttle_axis, ~manual_button, ~autonomous_button: indices into the Joy message; required.
-    ~steer_scale 1.0, ~throttle_scale 1.0: −1 turns an axis round.
+    ~steer_scale 1.0, ~throttle_scale 1.0: −1 inverts an axis.
     ~steer_neutral 0.0, ~steer_deadband 0.001: the request that means "not steering", and how near to it another one
         means the same: turn_arb's tele_steer_neutral and tele_steer_deadband.
-    ~joy_timeout 0.25 (s): silence longer than this releases the deadman.
+    ~joy_timeout 0.25 (s): a message older than this releases the deadman.
 """
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def read_config(params) -> GamepadConfig:
 
 
 class TeleopLogi:
-    """Reads the gamepad, publishes requests."""
+    """Reads the gamepad and publishes requests."""
 
     def __init__(self, params, inbox):
         self._gamepad = Gamepad(read_config(params))
@@ -64,7 +64,7 @@ class TeleopLogi:
         subscribe("joy", Joy, inbox, self._on_joy)
 
     def step(self, now_ns):
-        """Take each message with its consequence; then publish if it is time."""
+        """Handle each message; then the timer."""
         for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
             self._publish_if_deadman_changed(arrival_ns)
@@ -73,9 +73,9 @@ class TeleopLogi:
         return self._timer.due_ns
 
     def shut_down(self):
-        """Let go."""
+        """Release the deadman."""
         self._human.publish(False)
-        time.sleep(0.02)  # it leaves by a thread of rospy's
+        time.sleep(0.02)  # rospy sends in a thread of its own
 
     def _on_joy(self, message, now_ns):
         self._gamepad.update(message.axes, message.buttons, now_ns)
@@ -87,16 +87,16 @@ class TeleopLogi:
 
     def _publish(self, requests):
         before, self._published = self._published, requests
-        # Letting go comes first; what the human wants comes before his evidence, or the planner would steer in between.
+        # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
             self._human.publish(False)
         self._steering.publish(requests.steering)
         self._throttle.publish(requests.throttle)
         if requests.human_in_loop:
             self._human.publish(True)
-        if before is None or (before.human_in_loop, before.must_let_go) != (requests.human_in_loop,
-                                                                            requests.must_let_go):
-            log = rospy.logwarn if requests.must_let_go else rospy.loginfo
+        if before is None or (before.human_in_loop, before.must_rearm) != (requests.human_in_loop,
+                                                                            requests.must_rearm):
+            log = rospy.logwarn if requests.must_rearm else rospy.loginfo
             log("human in loop: %s (%s)", requests.human_in_loop, requests.reason)
 
 

@@ -1,27 +1,27 @@
-"""The turn_arb node: who steers, at 100 Hz and at once whenever that changes.
+"""The turn_arb node: decides who steers, at 100 Hz and at once on a change.
 
 Subscribes:
-    /e_stop (std_msgs/Bool): true = locked: neutral, whoever asks for what.
+    /e_stop (std_msgs/Bool): true = locked: neutral, whoever requests what.
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left.
     av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 = no request.
 Publishes:
-    /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 but for the steering channel.
-    ~state (SteeringState, latched): who steers, why, with what duty; on every change and 10 times a second.
+    /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the steering channel.
+    ~state (SteeringState, latched): source, cause, duty and ages; on every change and 10 times a second.
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the center, for the servo board's timeout value; −1
         elsewhere.
-    /diagnostics: the same in short; 1 Hz.
+    /diagnostics: a summary of the same; 1 Hz.
 Parameters (those of the original are also looked up in the namespaces around the node's):
     servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
     k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
     ~tele_steer_neutral 0.0, ~tele_steer_deadband 0.001.
-    ~slew_limit 0 (duty per second, 0 = none): how fast gamepad and planner may move the servo.
-    ~e_stop_timeout 1.0 (s, 0 = never): a lock that was heard once and is silent for longer is on.
-    ~e_stop_required false: true = also one that was never heard.
+    ~slew_limit 0 (duty per second, 0 = none): the servo's maximum speed under gamepad and planner.
+    ~e_stop_timeout 1.0 (s, 0 = never): an e_stop that was received once and is older than this locks.
+    ~e_stop_required false: true = one that was never received locks, too.
     ~grant_at_start true: false (as in config/) = a deadman that is held when the node starts counts only after it was
-        let go, while e_stop is off or ~e_stop_timeout has passed without it.
+        released, while e_stop is off or ~e_stop_timeout has passed without it.
     ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
-    ~live_range 500 (duty): how far ends and center may be tuned while it runs.  ~save_to: the file to save them to.
+    ~live_range 500 (duty): the largest change of ends and center while it runs.  ~save_to: the file to save them to.
 Services: see ``ros.reconfigure``.
 """
 from __future__ import annotations
@@ -53,15 +53,15 @@ from car_interface.steering.params import read_arbiter, read_calibration
 
 RATE_HZ = 100
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 10, 100
-LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of the way between a servo's ends
+LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a servo's travel
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
-# rospy sends by a thread of its own, which needs the interpreter: state and log wait until the command has left.
+# rospy sends in a thread of its own, which needs the interpreter: state and log wait until the command was sent.
 REPORT_AFTER_NS = 500_000
 
 
 @dataclass(frozen=True)
 class TurnArbConfig:
-    """What the node's parameters say.
+    """The node's configuration.
 
     Attributes:
         calibration: servo ends, center and tables.
@@ -75,7 +75,7 @@ class TurnArbConfig:
 
 
 def read_config(params) -> TurnArbConfig:
-    """The node's configuration from its parameters; it opens and makes nothing.
+    """Read the node's configuration from its parameters, without side effects.
 
     Raises:
         ConfigError: naming the parameter.
@@ -87,7 +87,7 @@ def read_config(params) -> TurnArbConfig:
 
 
 class TurnArb:
-    """Hears the three inputs, decides, publishes."""
+    """Receives the inputs, decides, publishes."""
 
     def __init__(self, params, inbox):
         config = read_config(params)
@@ -99,14 +99,14 @@ class TurnArb:
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = None
-        self._command = self._commanded_duty = None  # the message that goes out, and the duty in it
-        self._pending = []  # decisions whose command is out, and whose state and log line are not
+        self._command = self._commanded_duty = None  # the command message, and the duty in it
+        self._pending = []  # decisions whose command was published, but not yet state and log line
         self._report_ns = 0
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
         self._states = advertise("~state", SteeringState, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, "none", {"steering": self._report}, now_ns)
-        self._master_trouble = ""
+        self._master_fault = ""
         MasterWatch(inbox, self._on_master)
         inbox.on_overflow(self._on_overflow)
         subscribe_interlock(inbox, self._arbiter, self._decide)
@@ -115,22 +115,22 @@ class TurnArb:
         self._reconfigure = self._offer_tuning(config)
 
     def step(self, now_ns):
-        """Take what arrived, news with its consequence; then beat if it is time."""
+        """Handle what arrived; then the timer."""
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
         elif self._pending and now_ns >= self._report_ns:
-            self._tell()
+            self._report_pending()
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
 
     def shut_down(self):
-        """Nothing to undo: the servo board's own timeout takes over from here."""
+        """Nothing to do: the servo board's timeout centers the steering."""
 
-    def _on_master(self, trouble, now_ns):
-        self._master_trouble = trouble
-        if trouble:
-            self._warnings.warn("master", trouble)
+    def _on_master(self, fault, now_ns):
+        self._master_fault = fault
+        if fault:
+            self._warnings.warn("master", fault)
 
     def _on_overflow(self, now_ns):
         self._arbiter.mark_stale(now_ns)
@@ -150,7 +150,7 @@ class TurnArb:
             self._warnings.warn(causes.PLANNER_NOT_FINITE, f"av_turnrad_req is {message.data}: taken for no request")
 
     def _decide(self, now_ns):
-        """Publish at once when the decision is another; whether it was."""
+        """Publish at once when the decision has changed; whether it has."""
         decision = self._arbiter.decide(now_ns)
         if not decision.differs_from(self._decision):
             return False
@@ -165,7 +165,7 @@ class TurnArb:
         calibration, settings = config.calibration, config.tuning
         start = {name: getattr(calibration, name) for name in ("servo_left", "servo_center", "servo_right")}
         rate = min(config.arbiter.slew_limit or LIVE_RATE, LIVE_RATE)
-        tuning = Tuning(start, settings.reach, rate, lambda values: trimmed(calibration, **values))
+        tuning = Tuning(start, settings.max_offset, rate, lambda values: trimmed(calibration, **values))
 
         def apply(values):
             self._arbiter.calibrate(trimmed(calibration, **values))
@@ -186,13 +186,13 @@ class TurnArb:
         if not self._decide(now_ns):
             self._publish_command(self._decision)
         if self._ticks % TICKS_PER_STATE == 0:
-            self._tell()
+            self._report_pending()
             self._publish_state(self._arbiter.decide(now_ns))
         if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
             self._neutrals.publish(self._neutral)
 
-    def _tell(self):
-        """Publish and log what was decided, now that the commands are on their way."""
+    def _report_pending(self):
+        """Publish and log the decisions whose commands were sent."""
         for before, decision in self._pending:
             self._publish_state(decision)
             if before is None or (before.source, before.cause) != (decision.source, decision.cause):
@@ -201,7 +201,7 @@ class TurnArb:
         self._pending.clear()
 
     def _report(self, status):
-        """Who drives and why, on /diagnostics."""
+        """Source, cause and ages, for /diagnostics."""
         decision = self._arbiter.decide(time.monotonic_ns())  # for its ages
         alarming = _is_alarming(decision)
         status.summary(WARN if alarming else OK, f"{SOURCE_NAMES[decision.source]}: {decision.reason}")
@@ -211,7 +211,7 @@ class TurnArb:
                             ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s)):
             status.add(f"age of {name}", age_text(age_s))
         status.add("locked", decision.source == LOCKED)
-        status.add("ROS master", self._master_trouble or "there")
+        status.add("ROS master", self._master_fault or "there")
         status.add("tuned live", self._reconfigure.changes)
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(f"warnings of {kind}", count)

@@ -1,7 +1,6 @@
-"""The PCA9685 chip, over any object that has smbus2's ``SMBus`` methods; the virtual chip's bus is another.
+"""Reads and writes the registers of a PCA9685, over any object with the methods of smbus2's ``SMBus``.
 
-It knows registers and the order to write them in; it opens no bus and keeps no time. Errors of the bus (OSError) pass
-through to the caller, who knows what to tell the owner.
+It opens no bus and calls no clock. Errors of the bus (OSError) pass through to the caller.
 """
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ CHANNELS_PER_BLOCK = 32 // 4  # an SMBus block write carries at most 32 bytes
 
 
 class BoardMismatch(OSError):
-    """The chip answers, but doesn't hold what it was told: it lost its power, or somebody else writes to it."""
+    """The chip answers, but its registers were changed: it lost its power, or another program writes to it."""
 
 
 class Board:
@@ -32,7 +31,7 @@ class Board:
         address: 7-bit I²C address, 0x40..0x7f.
         prescale: PRE_SCALE, 3..255.
         oscillator_hz: the chip's clock, nominally 25 MHz.
-        pause: called with seconds, where the chip must be given time.
+        pause: called with seconds where the chip needs time.
     """
 
     def __init__(self, bus, address: int, prescale: int, oscillator_hz: float, pause: Callable[[float], None]):
@@ -45,31 +44,31 @@ class Board:
 
     @property
     def held(self) -> list[int | None]:
-        """The counts that each channel was last given; ``None`` = never."""
+        """The counts last written to each channel; ``None`` = unknown."""
         return list(self._held)
 
     def initialise(self) -> None:
-        """Bring the chip to the wanted frequency with auto-increment on.
+        """Set frequency and auto-increment.
 
-        A chip that already runs so is not put to sleep: a node that comes back in mid-drive doesn't cut a pulse.
-        Otherwise every output goes off and its last pulse may end before the chip sleeps, for the prescale can only be
-        written asleep (data sheet 7.3.5) and a SLEEP in the middle of a pulse makes an ESC jump.
+        A chip that already runs so is not put to sleep, so that a node restarted while driving interrupts no pulse.
+        Otherwise every output is switched off and the last pulse ends before the chip sleeps: the prescale can only be
+        written asleep (data sheet 7.3.5), and a SLEEP in the middle of a pulse makes an ESC jump.
 
         Raises:
-            BoardMismatch: when it doesn't read back as it was written.
+            BoardMismatch: it doesn't read back as written.
         """
         self._held = [None] * CHANNELS
         self._start()
         self.check()
 
     def check(self) -> None:
-        """Ask the chip whether it still runs as ``initialise`` left it.
+        """Read back whether the chip still runs as ``initialise`` left it.
 
         Raises:
-            BoardMismatch: when it doesn't.
+            BoardMismatch: it doesn't.
         """
         mode1, prescale = self._read(MODE1), self._read(PRE_SCALE)
-        # EXTCLK is sticky until the power goes, and RESTART clears itself with the first write to a channel.
+        # EXTCLK stays set until the power is off; RESTART is cleared by the first write to a channel.
         if mode1 & ~(RESTART | EXTCLK) != AUTO_INCREMENT or prescale != self._prescale:
             raise BoardMismatch(f"MODE1 is 0x{mode1:02x} and PRE_SCALE {prescale}, "
                                 f"not 0x{AUTO_INCREMENT:02x} and {self._prescale}")
@@ -82,16 +81,16 @@ class Board:
             return
         if not mode1 & SLEEP:
             self.all_off()
-            self._pause(self._slowest_period_s())
+            self._pause(self._max_period_s())
         self._write(MODE1, AUTO_INCREMENT | SLEEP)
         self._write(PRE_SCALE, self._prescale)
         self._write(MODE2, TOTEM_POLE)
-        self.all_off()  # what the channels held before must not come back with the restart
+        self.all_off()  # a restart would bring the old pulses back
         self._write(MODE1, AUTO_INCREMENT)
         self._pause(OSCILLATOR_START_S)
 
     def write(self, changes: dict[int, int]) -> None:
-        """Give channels their counts: neighbours in one auto-increment block, lest a pulse be half old, half new."""
+        """Write channels' counts; neighbours in one auto-increment block, so that no pulse mixes old and new bytes."""
         for run in blocks(changes, CHANNELS_PER_BLOCK):
             data = b"".join(register_bytes(changes[channel]) for channel in run)
             for channel in run:
@@ -101,13 +100,13 @@ class Board:
                 self._held[channel] = changes[channel]
 
     def all_off(self) -> None:
-        """Set the full-off bit of all channels in one transfer; a pulse under way still ends by itself (7.3.3)."""
+        """Set the full-off bit of all channels in one transfer; the current pulse still ends regularly (7.3.3)."""
         self._held = [None] * CHANNELS  # until the transfer is known to have worked
         self._write(ALL_LED_OFF_H, FULL_OFF)
         self._held = [0] * CHANNELS
 
-    def _slowest_period_s(self):
-        return COUNTS * 256 / 23e6  # whatever prescale it ran at, and a slow oscillator
+    def _max_period_s(self):
+        return COUNTS * 256 / 23e6  # at the largest prescale and the slowest oscillator
 
     def _read(self, register):
         return self._bus.read_byte_data(self._address, register)

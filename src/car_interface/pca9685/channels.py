@@ -1,6 +1,6 @@
-"""What each of the sixteen channels should hold: the newest command, or its timeout value once that's too old.
+"""The target of each of the sixteen channels: the newest command, or the timeout value when that is too old.
 
-Pure: commands and ``now_ns`` in, counts out. The chip itself is ``board.Board``.
+Pure: commands and ``now_ns`` in, counts out. ``board.Board`` writes them to the chip.
 """
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class ChannelConfig:
     """One channel's limits and failsafe.
 
     Attributes:
-        timeout_ms: silence this long puts the channel to its timeout value; 0 = never.
+        timeout_ms: without a command for this long the channel goes to its timeout value; 0 = never.
         timeout_value: duty 0..65535; 0 = off. Not subject to the limits.
         pwm_min, pwm_max: commanded duties are clamped to these, 0 too.
-        live_range: the timeout value follows a neutral that is heard, this far at most; 0 = not at all.
+        live_range: the largest change of the timeout value by ``follow``, in duty; 0 = none.
     """
 
     timeout_ms: int = 250
@@ -33,22 +33,22 @@ class ChannelConfig:
 
 
 class Accepted(NamedTuple):
-    """What became of one command."""
+    """The channels that a command set, clamped and didn't set."""
 
-    channels: Sequence[int]  # the channels that it set
-    clamped: Sequence[int]  # of these, the ones whose duty lay beyond pwm_min or pwm_max
-    refused: Sequence[int]  # the ones whose value is no duty at all; they keep what they had, and their timeout runs on
+    channels: Sequence[int]
+    clamped: Sequence[int]  # of these, the ones whose duty was beyond pwm_min or pwm_max
+    refused: Sequence[int]  # those whose value is not a duty; they keep their target, and their timeout runs on
 
 
 class Followed(NamedTuple):
-    """What became of one vector of neutrals."""
+    """The channels whose timeout values a vector of neutrals changed, and those that refused it."""
 
-    changed: dict[int, int]  # the channels whose timeout value is another one now, and which
-    refused: Sequence[int]  # those whose neutral is no duty, or beyond live_range: they keep their timeout value
+    changed: dict[int, int]  # the new timeout value by channel
+    refused: Sequence[int]  # those whose neutral is not a duty or beyond live_range: they keep their timeout value
 
 
 class Channels:
-    """Keeps every channel's target. At first, and after a timeout, that is the timeout value.
+    """The targets of all channels. At first, and after a timeout, a target is the timeout value.
 
     Args:
         configs: one for each of the sixteen channels.
@@ -64,14 +64,14 @@ class Channels:
         self._configs = tuple(configs)
         self.timeout_values = [config.timeout_value for config in configs]
         self._targets = [counts_of_duty(duty) for duty in self.timeout_values]
-        self._commanded: set[int] = set()  # the others hold their timeout value
+        self._commanded: set[int] = set()  # the others are at their timeout value
         self._deadlines_ns: dict[int, int] = {}
 
     def command(self, duties: Sequence[int], now_ns: int) -> Accepted:
-        """Take a vector of 16 duties, −1 = leave the channel alone. Each duty renews its channel's timeout.
+        """Set targets by a vector of 16 duties, −1 = unchanged. Each duty restarts its channel's timeout.
 
         Raises:
-            ValueError: unless there are exactly 16; then nothing of the command is taken.
+            ValueError: unless there are exactly 16; then nothing changes.
         """
         if len(duties) != CHANNELS:
             raise ValueError(f"a command needs {CHANNELS} values and has {len(duties)}")
@@ -94,7 +94,7 @@ class Channels:
         return Accepted(given, clamped, refused)
 
     def expire(self, now_ns: int) -> list[int]:
-        """Put every channel whose command is too old to its timeout value; which these are."""
+        """Set every channel whose command is too old to its timeout value, and return these channels."""
         expired = [channel for channel, deadline_ns in self._deadlines_ns.items() if now_ns >= deadline_ns]
         for channel in expired:
             del self._deadlines_ns[channel]
@@ -103,9 +103,9 @@ class Channels:
         return expired
 
     def follow(self, neutrals: Sequence[int]) -> Followed:
-        """Take a vector of 16 neutrals, −1 = none, as told by those who command the channels, for timeout values.
+        """Set timeout values by a vector of 16 neutrals, −1 = none, from the nodes that command the channels.
 
-        A channel whose timeout value at start is 0, off, stays so: its owner wants no pulses there.
+        A channel whose timeout value at start is 0 (off) stays off.
 
         Raises:
             ValueError: unless there are exactly 16.
@@ -126,13 +126,13 @@ class Channels:
         return Followed(changed, refused)
 
     def make_safe(self) -> None:
-        """Put every channel to its timeout value now."""
+        """Set every channel to its timeout value now."""
         self._deadlines_ns.clear()
         self._commanded.clear()
         self._targets = [counts_of_duty(duty) for duty in self.timeout_values]
 
     def next_deadline_ns(self) -> float:
-        """When ``expire`` will next have something to do; inf = not before the next command."""
+        """When the next command expires; inf = none will."""
         return min(self._deadlines_ns.values(), default=math.inf)
 
     @property
@@ -141,11 +141,11 @@ class Channels:
         return list(self._targets)
 
 
-def blocks(changes: dict[int, int], longest: int) -> list[list[int]]:
-    """Channels to write, as runs of neighbours no longer than ``longest``: one transfer each."""
+def blocks(changes: dict[int, int], max_length: int) -> list[list[int]]:
+    """Channels to write, as runs of at most ``max_length`` neighbours: one transfer each."""
     runs: list[list[int]] = []
     for channel in sorted(changes):
-        if runs and channel == runs[-1][-1] + 1 and len(runs[-1]) < longest:
+        if runs and channel == runs[-1][-1] + 1 and len(runs[-1]) < max_length:
             runs[-1].append(channel)
         else:
             runs.append([channel])
@@ -153,5 +153,5 @@ def blocks(changes: dict[int, int], longest: int) -> list[list[int]]:
 
 
 def differences(held: Sequence[int | None], targets: Sequence[int]) -> dict[int, int]:
-    """The channels whose target isn't what the chip holds (``None`` = not known), with their targets."""
+    """The targets of those channels whose registers (``None`` = unknown) differ from them."""
     return {channel: target for channel, target in enumerate(targets) if held[channel] != target}

@@ -1,7 +1,7 @@
 """Duties, counts, register bytes and the prescale of a PCA9685. Pure arithmetic.
 
 A duty is 0..65535 of the PWM period. The chip divides the period into 4096 counts; 0 counts stand for its full-off bit
-and 4096 for its full-on bit (data sheet 7.3.3), so that neither end leaves a glitch of one count.
+and 4096 for its full-on bit (data sheet 7.3.3), so that neither limit has a glitch of one count.
 """
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def counts_of_duty(duty: int) -> int:
 
 
 def duty_of_counts(counts: int) -> int:
-    """The duty that 0..4096 counts make; 65535 for full on."""
+    """The duty of 0..4096 counts; 65535 for full on."""
     return min(MAX_DUTY, counts * DUTY_PER_COUNT)
 
 
@@ -34,14 +34,14 @@ def register_bytes(counts: int) -> bytes:
 
 
 def prescale_for(frequency_hz: float, oscillator_hz: float = 25e6) -> int:
-    """The PRE_SCALE that comes nearest to a PWM frequency: round(oscillator / (4096 · f)) − 1 (data sheet 7.3.5).
+    """The PRE_SCALE nearest to a PWM frequency: round(oscillator / (4096 · f)) − 1 (data sheet 7.3.5).
 
-    121 for 50 Hz and the nominal 25 MHz, which makes 50.03 Hz.
+    121 for 50 Hz and the nominal 25 MHz; the frequency is then 50.03 Hz.
 
     Raises:
-        ConfigError: when the frequency is out of the chip's reach, naming what is in reach.
+        ConfigError: naming the range, when the frequency is outside.
     """
-    divider = min(oscillator_hz / (COUNTS * frequency_hz), 1e6)  # however near to 0 the frequency, a finite number
+    divider = min(oscillator_hz / (COUNTS * frequency_hz), 1e6)  # finite for any frequency above 0
     prescale = round(divider) - 1
     if not PRESCALE_MIN <= prescale <= PRESCALE_MAX:
         low, high = (frequency_for(p, oscillator_hz) for p in (PRESCALE_MAX, PRESCALE_MIN))
@@ -50,5 +50,5 @@ def prescale_for(frequency_hz: float, oscillator_hz: float = 25e6) -> int:
 
 
 def frequency_for(prescale: int, oscillator_hz: float = 25e6) -> float:
-    """The PWM frequency in Hz that a PRE_SCALE value really makes."""
+    """The PWM frequency in Hz of a PRE_SCALE value."""
     return oscillator_hz / (COUNTS * (prescale + 1))

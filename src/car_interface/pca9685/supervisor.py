@@ -1,10 +1,10 @@
-"""Keeps one PCA9685 at what is wanted, whatever happens to bus and chip.
+"""Keeps one PCA9685 at its targets, and recovers from faults of bus and chip.
 
-A failed transfer is made once more; when that fails too, the bus is reopened and the chip initialised anew, with
-growing pauses. Twice a second the chip is asked whether it still runs as it was told to: one that lost its power holds
-its reset values and answers every write as if nothing had happened.
+A failed transfer is repeated once; when that fails too, the bus is reopened and the chip initialised again, with
+growing pauses. Twice a second the chip's mode is read back: after a loss of power it has its reset values and still
+acknowledges every write.
 
-It opens no bus by itself and calls no clock: the bus is opened by a function that it's given, ``now_ns`` is passed in.
+Pure: the bus is opened by a function that is passed in, and so is ``now_ns``.
 """
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from car_interface.pca9685.channels import differences
 CHECK_PERIOD_NS = 500 * NS_PER_MS
 FIRST_RETRY_NS, LAST_RETRY_NS = 100 * NS_PER_MS, 2000 * NS_PER_MS
 
-# What happened, as ``on_event`` is told.
-RETRIED, LOST, ABSENT, RUNNING, MISMATCH = "retried", "lost", "absent", "running", "mismatch"
+# Events for ``on_event``.
+RETRIED, DISCONNECTED, ABSENT, RUNNING, MISMATCH = "retried", "lost", "absent", "running", "mismatch"
 
 
 @dataclass
 class BoardTally:
-    """What went wrong so far."""
+    """Counts of faults so far."""
 
-    errors: int = 0  # transfers that failed, first tries and repetitions
-    reopenings: int = 0  # times that bus and chip were brought back
-    reinitialisations: int = 0  # times that a chip which answered had forgotten what it was told
+    errors: int = 0  # failed transfers, first attempts and repetitions
+    reopenings: int = 0  # recoveries of bus and chip
+    reinitialisations: int = 0  # of a chip that answered and had been reset
 
 
 class BoardSupervisor:
-    """Opens, writes, checks and reopens.
+    """Opens, writes, checks and reopens bus and chip.
 
     Args:
         open_bus: opens the bus and returns it; raises OSError. Called again after a failure.
         close_bus: closes what ``open_bus`` returned.
         make_board: from an open bus to the chip on it.
-        on_event: told one of the names above and the OSError or None, at each attempt.
+        on_event: called with one of the events above and the OSError or None, at each attempt.
     """
 
     def __init__(self, open_bus: Callable, close_bus: Callable, make_board: Callable[..., Board],
@@ -58,25 +58,25 @@ class BoardSupervisor:
 
     @property
     def running(self) -> bool:
-        """Whether the chip is there, as far as is known."""
+        """Whether the chip is connected, as far as is known."""
         return self._board is not None
 
     @property
     def ever_ran(self) -> bool:
-        """Whether the chip was ever there, so that it may be pulsing now."""
+        """Whether the chip was ever connected, so that it may be pulsing now."""
         return self._was_running
 
     @property
     def held(self) -> list[int | None]:
-        """The counts that the chip holds; ``None`` = not known."""
+        """The counts in the chip's registers; ``None`` = unknown."""
         return [None] * CHANNELS if self._board is None else self._board.held
 
     def next_due_ns(self) -> int:
-        """When ``keep`` has something to do even if no target changes."""
+        """When ``update`` must be called even if no target changes."""
         return self._next_try_ns if self._board is None else self._next_check_ns
 
-    def keep(self, targets: Sequence[int], now_ns: int) -> None:
-        """Open, check or write, whatever is due; the errors of the bus end here."""
+    def update(self, targets: Sequence[int], now_ns: int) -> None:
+        """Open, check or write, whatever is due. Errors of the bus are handled here."""
         if self._board is None:
             if now_ns >= self._next_try_ns:
                 self._try_to_open(targets, now_ns)
@@ -87,13 +87,13 @@ class BoardSupervisor:
                 self._check()
             self._write(targets)
         except OSError as error:
-            self._lose(error, now_ns)
+            self._disconnect(error, now_ns)
 
     def open(self, targets: Sequence[int], now_ns: int) -> None:
-        """Open bus and chip now, and give every channel its target.
+        """Open bus and chip now, and write every target.
 
         Raises:
-            OSError: why not; BoardMismatch when the chip doesn't keep what it's told.
+            OSError: it failed; BoardMismatch when the chip doesn't read back as written.
         """
         try:
             self._bus = self._open_bus()
@@ -112,21 +112,21 @@ class BoardSupervisor:
         self._on_event(RUNNING, None)
 
     def all_off(self, now_ns: int) -> bool:
-        """Every output off; whether the chip took it."""
+        """Switch every output off; whether the chip acknowledged."""
         if self._board is None:
             return False
         try:
             self._repeat(self._board.all_off)
         except OSError as error:
-            self._lose(error, now_ns)
+            self._disconnect(error, now_ns)
         return self._board is not None
 
     def close(self) -> None:
-        """Let go of the bus; the chip goes on with what it was told."""
+        """Close the bus; the chip continues with its registers."""
         self._close()
 
     def retry_now(self) -> None:
-        """Let the next ``keep`` try at once to open what was lost."""
+        """Let the next ``update`` try at once to open bus and chip."""
         self._next_try_ns = 0
 
     def _try_to_open(self, targets, now_ns):
@@ -149,7 +149,7 @@ class BoardSupervisor:
             self._repeat(lambda: self._board.write(differences(self._board.held, targets)))
 
     def _repeat(self, transfer):
-        """Do it, and once more when it fails."""
+        """Call ``transfer``, and once more when it fails."""
         try:
             transfer()
         except BoardMismatch:
@@ -159,9 +159,9 @@ class BoardSupervisor:
             self._on_event(RETRIED, error)
             transfer()
 
-    def _lose(self, error, now_ns):
+    def _disconnect(self, error, now_ns):
         self.tally.errors += 1
-        self._on_event(LOST, error)
+        self._on_event(DISCONNECTED, error)
         self._close()
         self._wait(now_ns)
 

@@ -1,7 +1,7 @@
-"""What a node reports on /diagnostics, once a second.
+"""A node's reports on /diagnostics, once a second.
 
-``diagnostic_updater`` makes the messages. Its own pace follows ROS time, which can be set back, and asks the master,
-which can be dead; so the node's heartbeat paces it.
+``diagnostic_updater`` makes the messages. Its own timer follows ROS time, which can be set back, and asks the master,
+which can be dead; so the node's loop calls it.
 """
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Report = Callable[[DiagnosticStatusWrapper], DiagnosticStatusWrapper]
 
 
 class _Updater(Updater):
-    """Reports in the name of its node, which needn't be that of the process."""
+    """Reports under the node's name, which may differ from the process's."""
 
     def __init__(self, node_name):
         self._prefix = node_name[1:]
@@ -39,13 +39,13 @@ class _Updater(Updater):
 
 
 class Diagnostics:
-    """One node's reports.
+    """Publishes one node's reports.
 
     Args:
         inbox: the node's.
-        hardware_id: what the reports are about, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
-        reports: by name; each fills in the status that it's given, and returns it.
-        now_ns: the first report comes a second later.
+        hardware_id: the device that the reports are about, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
+        reports: functions by name; each fills in a status and returns it.
+        now_ns: the first report is due a second later.
     """
 
     def __init__(self, inbox: Inbox, hardware_id: str, reports: dict[str, Report], now_ns: int):
@@ -58,7 +58,7 @@ class Diagnostics:
         self._timer = RateTimer(RATE_HZ, now_ns + NS_PER_S // RATE_HZ)
 
     def _with_inbox(self, report):
-        """That a node lost messages belongs to whatever it says of itself."""
+        """Add the inbox's overflow to a report."""
         def report_both(status):
             report(status)
             if self._inbox.overflowed_recently(time.monotonic_ns()):
@@ -74,7 +74,7 @@ class Diagnostics:
         return self._timer.due_ns
 
     def step(self, now_ns: int) -> None:
-        """Report, if it's time."""
+        """Report if it is due."""
         if self._timer.is_due(now_ns):
             self._updater.force_update()
 

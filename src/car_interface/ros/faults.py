@@ -1,4 +1,4 @@
-"""The service by which tests and drives on the desk make a virtual device misbehave. Real devices don't offer it."""
+"""The service that injects faults into a virtual device, for tests and trials. Real devices don't offer it."""
 from __future__ import annotations
 
 import math
@@ -12,7 +12,7 @@ from car_interface.srv import InjectFault
 
 
 def serve_faults(inbox, faults: dict[str, Callable[[float], None]]) -> None:
-    """Offer ~inject_fault; a fault's function runs in the node's thread. It refuses a value with a ConfigError."""
+    """Offer ~inject_fault; a fault's function runs in the node's thread and raises ConfigError on a bad value."""
     def inject(request, done):
         if request.fault not in faults:
             done.set_result((False, f"there is no fault {request.fault!r}, only {', '.join(sorted(faults))}"))

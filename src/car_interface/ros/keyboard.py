@@ -1,4 +1,4 @@
-"""Single key presses from the terminal that a node runs in, if it has one to itself."""
+"""Single key presses from the terminal that a node runs in, if it is in the foreground there."""
 from __future__ import annotations
 
 import os
@@ -15,7 +15,7 @@ NO_FD = -1  # standard input is closed
 class Keys:
     """Reads keys without Enter while the node is its terminal's foreground process group.
 
-    Under roslaunch it isn't, although its standard input is a terminal: then it reads nothing and changes nothing.
+    Under roslaunch it isn't, although its standard input is a terminal: then nothing is read or changed.
     """
 
     def __init__(self, fd: int | None = None):
@@ -23,10 +23,10 @@ class Keys:
             fd = sys.stdin.fileno() if sys.stdin is not None else NO_FD
         self._fd = fd
         self._saved = None
-        self._continued = False  # after Ctrl-Z and fg the shell has set the terminal back
+        self._continued = False  # after Ctrl-Z and fg the shell has reset the terminal's mode
 
     def start(self) -> bool:
-        """Take the terminal's keys; whether there are any to take. None for a node that shares its process."""
+        """Switch the terminal to single keys; whether it can be. It can't for a node that shares its process."""
         if threading.current_thread() is not threading.main_thread() or not self._in_foreground():
             return False
         self._saved = termios.tcgetattr(self._fd)
@@ -35,21 +35,18 @@ class Keys:
         return True
 
     def fileno(self) -> int:
-        """For the inbox to watch."""
+        """The file descriptor, for the inbox to watch."""
         return self._fd
 
     def read(self) -> str | None:
-        """What was typed since the last call; ``None`` when there's nothing to wait for.
-
-        That is when the terminal hung up, or another program has it now.
-        """
+        """The keys typed since the last call; ``None`` = the terminal hung up or is another program's by now."""
         if not self._in_foreground():
             return None
         try:
             if self._continued:
                 self._continued = False
                 tty.setcbreak(self._fd)
-            waiting, _, _ = select.select([self._fd], [], [], 0)  # a terminal's read waits for a key
+            waiting, _, _ = select.select([self._fd], [], [], 0)  # reading a terminal blocks until a key is typed
             if not waiting:
                 return ""
             return os.read(self._fd, 64).decode("ascii", "ignore") or None
@@ -57,7 +54,7 @@ class Keys:
             return None
 
     def restore(self) -> None:
-        """Leave the terminal as it was found."""
+        """Restore the terminal's mode."""
         if self._saved is not None and self._in_foreground():
             termios.tcsetattr(self._fd, termios.TCSADRAIN, self._saved)
         self._saved = None

@@ -1,7 +1,7 @@
-"""What a node says is written by threads of its own: whoever takes it may stop taking it, the node's thread must not.
+"""Writes a node's log in separate threads, so that a blocked terminal, disk or master never blocks the node.
 
-A terminal stops at Ctrl-S, or when the ssh connection to it breaks; a disk stalls; and rospy asks the master before it
-publishes on /rosout. All that happens in the thread that logs, and that thread drives a car.
+A terminal blocks at Ctrl-S, or when the ssh connection to it breaks; a disk stalls; and rospy asks the master before it
+publishes on /rosout. Without this module that would block the thread that drives the car.
 """
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import logging
 from logging.handlers import QueueHandler, QueueListener
 from queue import Queue
 
-WAITING = 1000  # lines for each who takes them; what comes on top is dropped
+MAX_LINES = 1000  # that wait for a handler; more are dropped
 
 
 class LogStream:
-    """Standard output or error: a line shows when it is said, in a pipe too; one that nobody can read is no fault.
+    """Standard output or error, flushed after each write. Write errors are ignored.
 
     A terminal that was closed, or a pipe whose reader ended, must not end a node that drives a car.
     """
@@ -34,17 +34,17 @@ class LogStream:
             self._stream = None
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Nothing is buffered."""
 
     def isatty(self) -> bool:
         """Whether it's a terminal."""
         return self._stream is not None and self._stream.isatty()
 
 
-class LogsAside:
-    """Moves each handler of the process's logs, as ROS has set them up, to a thread of its own.
+class LogThreads:
+    """Moves each log handler that ROS has set up to a thread of its own.
 
-    One that hangs keeps neither the node nor the others from going on.
+    A handler that blocks then delays neither the node nor the other handlers.
     """
 
     def __init__(self):
@@ -52,20 +52,20 @@ class LogsAside:
         for logger in (logging.getLogger(), logging.getLogger("rosout")):
             for handler in list(logger.handlers):
                 logger.removeHandler(handler)
-                logger.addHandler(self._aside(handler))
+                logger.addHandler(self._in_thread(handler))
 
-    def _aside(self, handler):
-        waiting: Queue = Queue(WAITING)
-        self._queues.append(waiting)
-        QueueListener(waiting, handler, respect_handler_level=True).start()
-        return QueueHandler(waiting)
+    def _in_thread(self, handler):
+        queue: Queue = Queue(MAX_LINES)
+        self._queues.append(queue)
+        QueueListener(queue, handler, respect_handler_level=True).start()
+        return QueueHandler(queue)
 
     def flush(self, within_s: float) -> bool:
-        """Wait until all that was logged is written; whether it is."""
-        done = [_is_done(waiting, within_s) for waiting in self._queues]  # one that hangs doesn't cut off the others
+        """Wait until all lines are written, for each handler at most so long; whether they are."""
+        done = [_is_done(queue, within_s) for queue in self._queues]  # a list: every queue is waited for
         return all(done)
 
 
-def _is_done(waiting, within_s):
-    with waiting.all_tasks_done:
-        return waiting.all_tasks_done.wait_for(lambda: not waiting.unfinished_tasks, within_s)
+def _is_done(queue, within_s):
+    with queue.all_tasks_done:
+        return queue.all_tasks_done.wait_for(lambda: not queue.unfinished_tasks, within_s)

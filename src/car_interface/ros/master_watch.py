@@ -1,4 +1,4 @@
-"""Whether the ROS master is there. Topics that are connected go on without it, but nothing can join any more."""
+"""Watches the ROS master. Without it connected topics keep working, but no node can join."""
 from __future__ import annotations
 
 import threading
@@ -20,35 +20,35 @@ ANOTHER = ("there is another ROS master now, which doesn't know these nodes. Sto
 
 
 class MasterWatch:
-    """Asks the master for a sign of life in a thread of its own, for a dead one lets its callers wait.
+    """Asks the master for its process id every 2 s, in a separate thread, as a dead one blocks its callers.
 
     Args:
-        inbox: of the node that wants to know.
-        handler: called in the node's thread with the trouble in words, or with an empty text while there is none.
+        inbox: the node's.
+        handler: called in the node's thread with a line about the fault, or an empty one while there is none.
     """
 
     def __init__(self, inbox: Inbox, handler: Callable[[str, int], None]):
         self._inbox = inbox
         self._handler = handler
-        self._master = xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=_HastyTransport())
+        self._master = xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=_TimeoutTransport())
         self._pid = None
         threading.Thread(target=self._watch, name="master watch", daemon=True).start()
 
     def _watch(self):
         while not (rospy.is_shutdown() or self._inbox.ending):
-            self._inbox.put(self._handler, self._trouble())
+            self._inbox.put(self._handler, self._fault())
             time.sleep(POLL_S)
 
-    def _trouble(self):
+    def _fault(self):
         try:
             pid = self._master.getPid(rospy.get_name())[2]
-        except Exception:  # whatever is wrong with the answer: there is none
+        except Exception:  # no usable answer, for whatever reason
             return GONE
         self._pid = self._pid or pid
         return "" if pid == self._pid else ANOTHER
 
 
-class _HastyTransport(xmlrpc.client.Transport):
+class _TimeoutTransport(xmlrpc.client.Transport):
     def make_connection(self, host: Any):
         connection = super().make_connection(host)
         connection.timeout = ANSWER_WITHIN_S

@@ -1,11 +1,11 @@
-"""What a node lets its owner tune while it drives: sliders of dynamic_reconfigure, and ~save, which keeps them.
+"""Live tuning of a node's calibration by dynamic_reconfigure, and ~save, which writes it to the YAML file.
 
-Requests arrive in a thread of ROS's, which passes them to the node's and waits for its answer: that one alone decides
-what is in force.
+Requests arrive in a thread of ROS, which passes them to the node's thread and waits for its answer: only the node's
+thread changes active values.
 
 Services:
-    ~set_parameters (dynamic_reconfigure/Reconfigure), below ``namespace``: with the topics parameter_descriptions and
-        parameter_updates what rqt_reconfigure works with.
+    ~set_parameters (dynamic_reconfigure/Reconfigure), below ``namespace``, with the topics parameter_descriptions and
+        parameter_updates: the interface of rqt_reconfigure.
     ~save: see ``save_service``. The file is that of ~save_to.
 """
 from __future__ import annotations
@@ -26,25 +26,25 @@ from car_interface.ros.throttled_warnings import ThrottledWarnings
 
 ANSWER_WITHIN_S = 2.0
 SETTLE_WITHIN_S = 5.0
-FOLLOWER = "pca9685/save"  # the servo board's node, whose timeout values follow what is tuned
+FOLLOWER = "pca9685/save"  # the servo board's node, whose timeout values follow the tuned ones
 
 
 class _Server(Server):
-    """The library's, but for what would happen behind the node's back."""
+    """The library's server without its own clamping and parameter writing."""
 
     def _clamp(self, config):
-        """What lies beyond a limit comes to the callback, which clamps it and says so."""
+        """The callback clamps values, and reports that."""
 
     def _copy_to_parameter_server(self):
-        """Parameters that nobody tuned stay where they are: turn_arb's may be those of a namespace around it."""
+        """Untuned parameters stay where they are: turn_arb's may be in a parent namespace."""
 
     def _set_callback(self, req):
-        req.config.groups = []  # there is only one; the library fails on those that it doesn't know
+        req.config.groups = []  # the library fails on unknown groups; there is only one
         return super()._set_callback(req)
 
 
 class _Request:
-    """The values that somebody asks for, and the answer once there is one."""
+    """Requested values, and whether they were answered."""
 
     def __init__(self, wanted):
         self.wanted = wanted
@@ -61,19 +61,19 @@ class ReconfigureServer:
 
     Args:
         inbox: the node's.
-        warnings: the node's; what of a request isn't accepted is counted there.
-        tuning: the values, their limits, and how fast they move.
-        apply: puts values in force; called in the node's thread.
-        parameters: all parameters that belong to such values, with the names that they have in the node's namespace and
-            in its file; called in any thread.
-        offered: the class that catkin made of a .cfg file.
+        warnings: the node's; clamped and refused requests are counted there.
+        tuning: the values, their limits and rate.
+        apply: makes values active; called in the node's thread.
+        parameters: all parameters that result from such values, by their names in the node's namespace and in its file;
+            called in any thread.
+        config_class: the class that catkin made of a .cfg file.
         save_to: the file; ``None`` = nowhere.
-        namespace: below the node's, where dynamic_reconfigure keeps the parameters.
+        namespace: of dynamic_reconfigure's parameters, below the node's.
     """
 
     def __init__(self, inbox: Inbox, warnings: ThrottledWarnings, tuning: Tuning,
                  apply: Callable[[Mapping[str, int]], None], parameters: Callable[[Mapping[str, int]], Values],
-                 offered, save_to: str | None, namespace: str = ""):
+                 config_class, save_to: str | None, namespace: str = ""):
         self._inbox = inbox
         self._warnings = warnings
         self._tuning = tuning
@@ -81,30 +81,30 @@ class ReconfigureServer:
         self._parameters = parameters
         self._save_to = save_to
         self._serving = False
-        self._kept = False  # whether the parameter server has tuned values
-        apply(tuning.in_force)
-        own = f"{inbox.node_name}/{namespace}" if namespace else inbox.node_name
-        self._server = _Server(_limited(offered, tuning), self._on_reconfigure, own)
-        for take_back in (self._server.set_service.shutdown, self._server.descr_topic.unregister,
+        self._has_set_parameters = False  # whether the parameter server has tuned values
+        apply(tuning.active)
+        full_namespace = f"{inbox.node_name}/{namespace}" if namespace else inbox.node_name
+        self._server = _Server(_limited(config_class, tuning), self._on_reconfigure, full_namespace)
+        for remove in (self._server.set_service.shutdown, self._server.descr_topic.unregister,
                           self._server.update_topic.unregister):
-            inbox.on_close(take_back)
+            inbox.on_close(remove)
         self._serving = True
         serve_saving(inbox, self._files, FOLLOWER)
 
     def step(self, now_ns: int) -> None:
-        """Go on towards what was accepted. On every heartbeat, in the node's thread."""
+        """Step towards the accepted values. To be called at each timer tick, in the node's thread."""
         if self._tuning.advance(now_ns):
-            self._apply(self._tuning.in_force)
-            if not self._tuning.moving:
+            self._apply(self._tuning.active)
+            if not self._tuning.is_changing:
                 rospy.loginfo("tuned live: %s", self.changes)
 
     @property
     def changes(self) -> str:
-        """What was tuned, for a report."""
+        """The tuned values, for a report."""
         return self._tuning.changes or "nothing"
 
     def _on_reconfigure(self, config, level):
-        """Pass a request on, wait for the answer, return what is accepted by now. In a thread of ROS's."""
+        """Pass a request to the node's thread and return the accepted values. Called in a thread of ROS."""
         if self._serving:
             request = _Request({name: config.get(name) for name in self._tuning.accepted})
             self._inbox.put(self._on_request, request, on_drop=request.drop)
@@ -112,21 +112,21 @@ class ReconfigureServer:
             if request.was_dropped:
                 raise rospy.ServiceException(TOO_BUSY)
             if answered:
-                self._keep_for_a_restart()
+                self._set_parameters()
         else:
             self._groups = config["groups"]  # as the .cfg file has them
         return type(config)({**self._tuning.accepted, "groups": self._groups})
 
-    def _keep_for_a_restart(self):
-        """A node that is started again finds the parameters as they belong together."""
+    def _set_parameters(self):
+        """Set the tuned values on the parameter server, for a restart of the node."""
         if self._tuning.changes:
-            self._kept = True
-        if self._kept:
+            self._has_set_parameters = True
+        if self._has_set_parameters:
             try:
                 for name, value in self._parameters(self._tuning.accepted).items():
                     rospy.set_param(self._inbox.resolve_name(f"~{name}"), value)
             except OSError:
-                pass  # without a master nothing is started again either
+                pass  # the master is gone
 
     def _on_request(self, request, now_ns):
         answer = self._tuning.request(request.wanted, now_ns)
@@ -135,19 +135,19 @@ class ReconfigureServer:
             self._warnings.warn("live tuning", answer.problem)
 
     def _files(self):
-        """What ~save shall save: what was accepted, once it is in force."""
+        """The values for ~save: the accepted ones, once they are active."""
         deadline_s = time.monotonic() + SETTLE_WITHIN_S
-        while self._tuning.moving and time.monotonic() < deadline_s:
+        while self._tuning.is_changing and time.monotonic() < deadline_s:
             time.sleep(0.01)
         return [File("save_to", self._save_to, self._parameters(self._tuning.accepted))]
 
 
-def _limited(offered, tuning):
-    """The class of a .cfg file, with the limits of this car and its values for defaults."""
+def _limited(config_class, tuning):
+    """A .cfg file's class with this car's limits and values."""
     parameters = [{**parameter, "min": tuning.low[parameter["name"]], "max": tuning.high[parameter["name"]],
                    "default": tuning.accepted[parameter["name"]]}
-                  for parameter in offered.config_description["parameters"]]
+                  for parameter in config_class.config_description["parameters"]]
     return SimpleNamespace(min=dict(tuning.low), max=dict(tuning.high), defaults=dict(tuning.accepted),
-                           level=offered.level,
-                           config_description={**offered.config_description, "parameters": parameters})
+                           level=config_class.level,
+                           config_description={**config_class.config_description, "parameters": parameters})
 

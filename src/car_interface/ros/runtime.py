@@ -22,7 +22,7 @@ import rospy
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.ros.inbox import Inbox
-from car_interface.ros.logs import LogsAside, LogStream
+from car_interface.ros.logs import LogStream, LogThreads
 
 SHUT_DOWN_S = 2.0
 FLUSH_S = 0.5  # for the log lines of the shutdown
@@ -41,7 +41,7 @@ def run(name: str, node_class) -> None:
     except KeyboardInterrupt:  # while it waited for the master
         sys.exit(1)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    logs = LogsAside()
+    logs = LogThreads()
     inbox = Inbox()
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

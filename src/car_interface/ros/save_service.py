@@ -1,10 +1,9 @@
-"""The service ~save: what was tuned while a node ran goes into the YAML file that it will start from.
+"""The service ~save: writes tuned values into the YAML file that the node starts with.
 
-It is the only way by which a message makes a node write a file, it runs in a thread of ROS's, and it writes only to
-what a parameter named at start.
+It runs in a thread of ROS, and writes only files that a parameter named at start.
 
 Service:
-    ~save (std_srvs/Trigger): the old file stays beside the new one, under a name with the time.
+    ~save (std_srvs/Trigger): a backup of the old file stays in its folder, under a name with the time.
 """
 from __future__ import annotations
 
@@ -22,11 +21,11 @@ FOLLOWER_WITHIN_S = 1.0
 
 
 class File(NamedTuple):
-    """What shall be saved where."""
+    """A file to save to."""
 
-    parameter: str  # that named the file
+    parameter: str  # the one that names the file
     path: str | None
-    values: Values  # by the names that they have in it
+    values: Values  # by their names in the file
 
 
 def serve_saving(inbox: Inbox, files: Callable[[], list[File]], follower: str | None = None) -> None:
@@ -34,18 +33,18 @@ def serve_saving(inbox: Inbox, files: Callable[[], list[File]], follower: str | 
 
     Args:
         inbox: the node's.
-        files: what to save; asked for in a thread of ROS's.
-        follower: a service of the same kind, which is called afterwards if it's there.
+        files: returns what to save; called in a thread of ROS.
+        follower: a service of the same kind, which is called afterwards if it exists.
     """
     one_at_a_time = threading.Lock()
 
     def answer(_request):
         with one_at_a_time:
-            told = [_save(file) for file in files()]
-            if follower is not None and all(well for well, _ in told):
-                told.append(_save_too(follower))
-        response = TriggerResponse(success=all(well for well, _ in told),
-                                   message="; ".join(text for _, text in told) or "there is nothing to save")
+            results = [_save(file) for file in files()]
+            if follower is not None and all(success for success, _ in results):
+                results.append(_call_follower(follower))
+        response = TriggerResponse(success=all(success for success, _ in results),
+                                   message="; ".join(text for _, text in results) or "there is nothing to save")
         (rospy.loginfo if response.success else rospy.logwarn)("save: %s", response.message)
         return response
 
@@ -53,20 +52,20 @@ def serve_saving(inbox: Inbox, files: Callable[[], list[File]], follower: str | 
 
 
 def _save(file):
-    """Whether it went well, and the line about it."""
+    """Whether it succeeded, and a line about it."""
     if file.path is None:
         return False, f"{' and '.join(file.values)} not saved: the parameter ~{file.parameter} names no file"
     try:
-        aside = save(file.path, file.values)
+        backup_path = save(file.path, file.values)
     except ConfigError as error:
         return False, f"not saved: {error}"
-    if aside is None:
+    if backup_path is None:
         return True, f"{file.path} says so already"
-    return True, f"saved to {file.path}, the old one is {aside}"
+    return True, f"saved to {file.path}, the old one is {backup_path}"
 
 
-def _save_too(service):
-    """Have the one who follows save as well; whether it went well, and the line about it."""
+def _call_follower(service):
+    """Call the follower's ~save; whether it succeeded, and a line about it."""
     name = rospy.resolve_name(service)
     try:
         rospy.wait_for_service(service, FOLLOWER_WITHIN_S)

@@ -1,4 +1,4 @@
-"""Messages that more than one node makes."""
+"""Builds the messages about servo channels."""
 from __future__ import annotations
 
 from std_msgs.msg import Int32MultiArray, MultiArrayDimension, MultiArrayLayout

@@ -1,11 +1,11 @@
-"""A PCA9685 in software for the pca9685 node, with the faults that tests and drives on the desk ask for.
+"""A PCA9685 in software for the pca9685 node, with faults that a service injects.
 
 Service:
-    ~inject_fault (InjectFault): ``nack`` (the next so many transfers), ``hold`` (the bus is held down, 1 or 0),
-        ``power`` (of the chip, 1 or 0), ``brownout`` (its registers are reset), ``address`` (it answers there now).
+    ~inject_fault (InjectFault): ``nack`` (number of the next transfers that fail), ``hold`` (the bus is held down, 1 or
+        0), ``power`` (of the chip, 1 or 0), ``brownout`` (its registers are reset), ``address`` (its new address).
 Parameter:
-    ~virtual_log: a file to which each write that the chip takes is appended: monotonic time in ns, address, register
-        and bytes. A whole path.
+    ~virtual_log: the absolute path of a file to which each write to the chip is appended: monotonic time in ns,
+        address, register and bytes.
 """
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 
 class VirtualBoardBus:
-    """Opens and closes as a real bus does; the chip on it lives on.
+    """Opens and closes as a real bus does; the chip on it keeps its state.
 
     Args:
         address: the chip's.
-        log_path: what ~virtual_log names; ``None`` = nothing is noted.
+        log_path: that of ~virtual_log; ``None`` = no log.
 
     Raises:
-        ConfigError: when it can't be written.
+        ConfigError: the log can't be written.
     """
 
     def __init__(self, address: int, log_path: str | None = None):
         self._address = address
         self._chip = VirtualPca9685()
         self._log = _open_log(log_path)
-        self._bus = VirtualBus({address: self._chip}, time.sleep, self._note_write)
+        self._bus = VirtualBus({address: self._chip}, time.sleep, self._log_write)
 
     def open(self) -> VirtualBus:
         """The bus."""
@@ -48,7 +48,7 @@ class VirtualBoardBus:
             "hold": self._hold,
             "power": self._power,
             "brownout": lambda value: self._chip.power_up(),
-            "address": self._move,
+            "address": self._set_address,
         })
 
     def _nack(self, transfers):
@@ -66,13 +66,13 @@ class VirtualBoardBus:
         else:
             self._bus.remove(self._address)
 
-    def _move(self, address):
+    def _set_address(self, address):
         has_power = self._bus.remove(self._address) is not None
         self._address = int(address)
         if has_power:
             self._bus.attach(self._address, self._chip)
 
-    def _note_write(self, address, register, data):
+    def _log_write(self, address, register, data):
         if self._log is not None:
             self._log.write(f"{time.monotonic_ns()} {address:02x} {register:02x} {bytes(data).hex()}\n")
 

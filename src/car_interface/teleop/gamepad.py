@@ -1,9 +1,8 @@
 """A gamepad's axes and buttons → steering and throttle requests, and whether a human holds a deadman.
 
-A held level, never a toggle: letting go releases at once, and so does a gamepad that falls silent or that sends fewer
-axes or buttons than it should. After that it holds nothing until all deadmen were let go: a car must not set off when a
-radio link recovers. Nor does it hold anything at the start: what is held then may have been held before, for a node
-that died.
+The deadman is a level, not a toggle: releasing it acts at once, and so does a gamepad that is stale or that sends fewer
+axes or buttons than configured. After such a fault, and after the start, all deadmen must be released before one
+counts: a car must not set off when a radio link recovers, or when a node is restarted.
 """
 from __future__ import annotations
 
@@ -16,8 +15,9 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.interlock.motion_interlock import STARTED
 
-LET_GO = "let go of the deadman, then hold it again"  # what brings back what was lost
-BEYOND, LEAST = 2, 0.002  # so many deadbands a stick at rest is from neutral, and so much: less than a servo follows
+REARM_TEXT = "let go of the deadman, then hold it again"
+# Distance from neutral of the request of a stick at rest: in deadbands, and its minimum. A servo doesn't resolve it.
+REST_DEADBANDS, MIN_REST = 2, 0.002
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,12 @@ class GamepadConfig:
 
     Attributes:
         steer_axis, throttle_axis: indices of axes.
-        steer_scale, throttle_scale: −1 turns an axis round.
+        steer_scale, throttle_scale: −1 inverts an axis.
         manual_button: deadman: the human steers.
         autonomous_button: deadman: the planner steers while a human watches.
         steer_neutral: the request that means "not steering".
-        steer_deadband: requests this near to it mean the same. Both as turn_arb has them.
-        joy_timeout_s: silence longer than this releases; 0 = never.
+        steer_deadband: requests this near to it mean the same. Both as in turn_arb.
+        joy_timeout_s: a message older than this releases the deadman; 0 = never.
 
     Raises:
         ConfigError: naming the ROS parameter.
@@ -53,7 +53,7 @@ class GamepadConfig:
 
 
 class Requests(NamedTuple):
-    """What the gamepad asks for."""
+    """What the gamepad requests."""
 
     human_in_loop: bool
     steering: float  # −1 right .. +1 left
@@ -62,31 +62,31 @@ class Requests(NamedTuple):
     reason: str
 
     @property
-    def must_let_go(self) -> bool:
-        """Whether a deadman is held that doesn't count before it was let go."""
+    def must_rearm(self) -> bool:
+        """Whether a deadman is held that doesn't count until it was released."""
         return self.cause == causes.NOT_REARMED
 
 
 class Gamepad:
-    """The newest message of the gamepad, read as requests."""
+    """Converts the gamepad's newest message to requests."""
 
     def __init__(self, config: GamepadConfig):
         self._config = config
         self._joy = TimedInput("joy", config.joy_timeout_s)
-        self._lost = STARTED  # what was lost since the deadmen were last let go
+        self._rearm_reason = STARTED  # why the deadmen must be released first; empty: they were
 
     def update(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """A message: axes −1..1, buttons 0 or 1."""
         if self._joy.was_received and self._joy.is_stale(now_ns):
-            self._lost = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
+            self._rearm_reason = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
         self._joy.update(self._read(axes, buttons), now_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here: nothing is held until all deadmen were let go."""
+        """Messages were dropped before they got here: no deadman counts until all were released."""
         self._joy.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
-        """What the gamepad asks for at ``now_ns``."""
+        """The requests at ``now_ns``."""
         if self._joy.is_stale(now_ns):
             cause = causes.JOY_STALE if self._joy.was_received else causes.JOY_NEVER_RECEIVED
             return self._released(cause, self._joy.stale_reason(now_ns))
@@ -102,30 +102,30 @@ class Gamepad:
                                    ("manual_button", config.manual_button, buttons),
                                    ("autonomous_button", config.autonomous_button, buttons)):
             if index >= len(there):
-                self._lost = f"the gamepad had no {name}"
+                self._rearm_reason = f"the gamepad had no {name}"
                 return self._released(causes.JOY_INCOMPLETE,
                                       f"the gamepad has no {name} {index}: it has {len(there)} of them")
         steering = config.steer_scale * axes[config.steer_axis]
         throttle = config.throttle_scale * axes[config.throttle_axis]
         if not (math.isfinite(steering) and math.isfinite(throttle)):
-            self._lost = "an axis of the gamepad was no number"
+            self._rearm_reason = "an axis of the gamepad was no number"
             return self._released(causes.JOY_NOT_FINITE, "an axis of the gamepad isn't a number")
         if not (buttons[config.manual_button] or buttons[config.autonomous_button]):
-            self._lost = ""
+            self._rearm_reason = ""
             return self._released(causes.NO_DEADMAN, "no deadman is held")
-        if self._lost:
-            return self._released(causes.NOT_REARMED, f"{self._lost}; {LET_GO}")
+        if self._rearm_reason:
+            return self._released(causes.NOT_REARMED, f"{self._rearm_reason}; {REARM_TEXT}")
         if buttons[config.manual_button]:
             return Requests(True, self._steered(_unit(steering)), _unit(throttle), causes.MANUAL,
                             "manual deadman held")
         return Requests(True, config.steer_neutral, 0.0, causes.AUTONOMOUS, "autonomous deadman held")
 
     def _steered(self, steering):
-        """Who holds the manual deadman steers, with the stick at rest too: where nothing is asked the planner would."""
-        neutral, least = self._config.steer_neutral, max(BEYOND * self._config.steer_deadband, LEAST)
-        if abs(steering - neutral) >= least:
+        """The request of a stick, never neutral: under the manual deadman a neutral one would let the planner steer."""
+        neutral, rest = self._config.steer_neutral, max(REST_DEADBANDS * self._config.steer_deadband, MIN_REST)
+        if abs(steering - neutral) >= rest:
             return steering
-        return neutral + (least if neutral <= 0 else -least)
+        return neutral + (rest if neutral <= 0 else -rest)
 
 
 def _unit(x):

@@ -1,7 +1,7 @@
-"""Accelerations to an actuator's values: the rules around the map.
+"""Accelerations to an actuator's values: limits, timeouts and the value map.
 
-Consumes odometry's velocity and commanded accelerations with their arrival times, answers each command with a value or
-with the reason why there is none. A value that nobody can vouch for is not sent.
+Consumes odometry's velocity and commanded accelerations with their arrival times, and answers each command with a value
+or with the cause why there is none.
 """
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class ConversionConfig:
     """Limits and modes, named as the ROS parameters.
 
     Attributes:
-        min_value, max_value: what goes out is clamped to these, passed through or converted.
-        odometry_timeout_s: a velocity older than this is no velocity; 0 = never.
+        min_value, max_value: limits of the output, with and without a map.
+        odometry_timeout_s: a velocity older than this is not used; 0 = never.
 
     Raises:
         ConfigError: naming the parameter.
@@ -37,7 +37,7 @@ class ConversionConfig:
 
 
 class Conversion(NamedTuple):
-    """A value to send, or ``None`` and the reason."""
+    """A value to send, or ``None`` and why."""
 
     value: float | None
     cause: str = ""  # one of car_interface.common.causes; empty with a value
@@ -52,7 +52,7 @@ class Converter:
         value_map: the map; ``None`` passes accelerations through, clamped, and needs no odometry.
 
     Raises:
-        ConfigError: when all of the map's values are beyond the limits: it would send the same one for everything.
+        ConfigError: all values of the map are outside the limits, so that every output would be the same.
     """
 
     def __init__(self, config: ConversionConfig, value_map: ValueMap | None):
@@ -70,7 +70,7 @@ class Converter:
         self._odometry.update(velocity, now_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here: the velocity is lost."""
+        """Messages were dropped before they got here: the velocity is stale."""
         self._odometry.mark_stale()
 
     def convert(self, acceleration: float, now_ns: int) -> Conversion:
@@ -94,7 +94,7 @@ class Converter:
         return None
 
     def odometry_age_s(self, now_ns: int) -> float:
-        """Seconds since odometry was heard; inf = never."""
+        """Seconds since the last odometry; inf = never received."""
         return self._odometry.age_s(now_ns)
 
     def _clamp(self, value):

@@ -1,7 +1,7 @@
-"""Whether the ESC gets the converted value, or neutral, and why.
+"""Whether the ESC gets the converted value or neutral, and why.
 
-The ESC is driven only while a human holds the deadman, the steering arbiter is alive and hasn't locked, and command and
-odometry are fresh: steering and throttle stop together.
+The ESC is driven only while a human holds the deadman, the steering arbiter is alive and not locked, and command and
+odometry are fresh. Steering and throttle stop together.
 """
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ThrottleConfig:
         value_axis, duty_table: the duty for each value, linear between, saturated beyond.
         neutral: the duty that neither drives nor brakes.
         interlock: the rules of lock and deadman.
-        steering_timeout_s, command_timeout_s: silence longer than this is a loss; 0 = never.
+        steering_timeout_s, command_timeout_s: an older input is stale; 0 = never.
 
     Raises:
         ConfigError: naming the parameter.
@@ -42,13 +42,13 @@ class ThrottleConfig:
     command_timeout_s: float = 0.5
 
     def __post_init__(self):
-        whole = self.duty_table and len(self.duty_table) == len(self.value_axis)  # else the table itself is refused
-        if whole and not min(self.duty_table) <= self.neutral <= max(self.duty_table):
+        is_valid_table = self.duty_table and len(self.duty_table) == len(self.value_axis)  # else LookupTable refuses it
+        if is_valid_table and not min(self.duty_table) <= self.neutral <= max(self.duty_table):
             raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
 
 
 def trimmed(config: ThrottleConfig, neutral: int) -> ThrottleConfig:
-    """An ESC's calibration with another neutral; the whole table moves along, so that a value of 0 still does nothing.
+    """An ESC's calibration with another neutral and the table shifted by the same, so that a value of 0 stays neutral.
 
     Raises:
         ConfigError: naming the parameter.
@@ -68,7 +68,7 @@ def duty_of_value(config: ThrottleConfig) -> LookupTable:
 
 
 class ThrottleDecision(NamedTuple):
-    """What the ESC shall get."""
+    """The duty for the ESC, and why."""
 
     duty: int
     driving: bool  # False: neutral
@@ -77,7 +77,7 @@ class ThrottleDecision(NamedTuple):
 
 
 class Throttle:
-    """Decides what the ESC gets from the newest of what was heard."""
+    """Decides the ESC's duty from the newest of each input."""
 
     def __init__(self, config: ThrottleConfig, converter: Converter):
         self.calibrate(config)
@@ -87,10 +87,10 @@ class Throttle:
         self._command = TimedInput("control_cmd", config.command_timeout_s)
 
     def calibrate(self, config: ThrottleConfig) -> None:
-        """Go by another calibration from now on; timeouts and interlock stay as they were at start.
+        """Use another calibration from now on; timeouts and interlock stay as they were at start.
 
         Raises:
-            ConfigError: naming the parameter; then the one before stays.
+            ConfigError: naming the parameter; the calibration before stays.
         """
         duty = duty_of_value(config)
         self.config, self._duty = config, duty
@@ -104,34 +104,35 @@ class Throttle:
         self._interlock.update_human(present, now_ns)
 
     def update_steering(self, source: int, now_ns: int) -> None:
-        """Who steers, as in SteeringState.source."""
+        """Who steers: a value of SteeringState.source."""
         self._steering.update(source, now_ns)
 
     def update_conversion(self, conversion: Conversion, now_ns: int) -> None:
-        """What became of the newest command."""
+        """The converter's answer to the newest command."""
         self._command.update(conversion, now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
-        """Messages were dropped before they got here: all that was heard is lost."""
+        """Messages were dropped before they got here: all inputs are stale."""
         self._interlock.mark_stale(now_ns)
         self._steering.mark_stale()
         self._command.mark_stale()
 
     def decide(self, now_ns: int) -> ThrottleDecision:
         """The ESC's duty at ``now_ns``, and why."""
-        hindrance = self._hindrance(now_ns)
-        if hindrance is not None:
-            return ThrottleDecision(self.config.neutral, False, *hindrance)
+        blocked = self._why_blocked(now_ns)
+        if blocked is not None:
+            return ThrottleDecision(self.config.neutral, False, *blocked)
         value = self._command.value.value
         duty = max(0, min(MAX_DUTY, round_half_away(self._duty(value))))
         return ThrottleDecision(duty, True, causes.DRIVING, f"the value is {value:.3f}")
 
     def ages_s(self, now_ns: int) -> dict[str, float]:
-        """Seconds since each input was heard, by its name; inf = never."""
+        """Seconds since the last message of each input, by name; inf = never received."""
         return {"e_stop": self._interlock.e_stop_age_s(now_ns), "human_in_loop": self._interlock.human_age_s(now_ns),
                 self._steering.name: self._steering.age_s(now_ns), self._command.name: self._command.age_s(now_ns)}
 
-    def _hindrance(self, now_ns) -> Sequence[str] | None:
+    def _why_blocked(self, now_ns) -> Sequence[str] | None:
+        """Cause and reason why the ESC must be neutral, or ``None``."""
         inhibit = self._interlock.inhibit(now_ns)
         if inhibit is not None:
             return inhibit.cause, inhibit.reason

@@ -1,8 +1,8 @@
 """A calibrated map: (value, velocity) → acceleration, and its inverse: (acceleration, velocity) → value.
 
-The map is a grid; between its points it is bilinear. At any velocity acceleration must rise with value, or there would
-be no telling which value to send: that's checked when the map is made, so that a lookup can't fail.
-Format and method are those of Autoware's value map. Velocities are in m/s, accelerations in m/s²; the value's unit is
+The map is a grid with bilinear interpolation. At any velocity acceleration must rise with value, or the inverse would
+be ambiguous; that is checked when the map is made, so that a lookup can't fail. Format and method are those of
+Autoware's value map. Velocities are in m/s, accelerations in m/s²; the value's unit is
 the actuator's own.
 """
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Sequence
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import check_axis
 
-# Python finds a tuple's numbers fastest while they all fit into the processor's caches, and side by side if not.
+# Numbers of a small map are kept in tuples, which is fastest; of a large one in arrays, which use the cache better.
 MAX_IN_TUPLES = 100_000
 
 
@@ -27,11 +27,11 @@ class ValueMap:
         values: the rows' axis, at least two, strictly increasing.
         velocities: the columns' axis in m/s, at least two, strictly increasing.
         accelerations: a row for each value, in m/s²; along each column rising from row to row.
-        allow_plateaus: take a column that stays level from one row to the next, too.
-        name: what to call the map in an error.
+        allow_plateaus: accept equal accelerations in neighbouring rows.
+        name: the map's name in an error.
 
     Raises:
-        ConfigError: naming the axis, or the rows and the velocity at fault.
+        ConfigError: naming the axis, or rows and velocity.
     """
 
     def __init__(self, values: Sequence[float], velocities: Sequence[float], accelerations: Sequence[Sequence[float]],
@@ -46,16 +46,16 @@ class ValueMap:
         self.values = tuple(map(float, values))
         self.velocities = tuple(map(float, velocities))
         is_large = len(values) * len(velocities) > MAX_IN_TUPLES
-        keep = (lambda column: array("d", column)) if is_large else (lambda column: tuple(map(float, column)))
-        self._columns = [keep(column) for column in zip(*accelerations)]
+        store = (lambda column: array("d", column)) if is_large else (lambda column: tuple(map(float, column)))
+        self._columns = [store(column) for column in zip(*accelerations)]
         for velocity, column in zip(velocities, self._columns):
             _check_rising(values, column, velocity, allow_plateaus, name)
-        self._strips = self._between_columns()
+        self._intervals = self._between_columns()
 
     def _between_columns(self):
-        """For each interval of velocities (its begin, its width, the column at its begin, the one at its end).
+        """For each interval of velocities (begin, width, column at the begin, column at the end).
 
-        Below the first velocity and above the last one a column is its own neighbour, and the width is 0.
+        The intervals below the first velocity and above the last one have a width of 0.
         """
         velocities, columns = self.velocities, self._columns
         inner = zip(velocities, velocities[1:], columns, columns[1:])
@@ -67,53 +67,53 @@ class ValueMap:
         """The value that makes ``acceleration`` at ``velocity``; neither may be NaN.
 
         Velocity is clamped to the map; an acceleration beyond it gets the first or the last value. On a plateau the
-        value of least magnitude. O(log rows): acceleration between the velocities' two columns is a blend of theirs,
-        so the row that it lies in is between the rows that it lies in there.
+        value of least magnitude. O(log rows): the acceleration at a velocity is a mean of those in the two columns, so
+        its row lies between the rows of these columns.
         """
-        begin, width, low, high = self._strips[bisect_right(self.velocities, velocity)]
-        part = (velocity - begin) / width if width else 0.0
+        begin, width, low, high = self._intervals[bisect_right(self.velocities, velocity)]
+        ratio = (velocity - begin) / width if width else 0.0
         values = self.values
-        if part == 0.0:
+        if ratio == 0.0:
             above = bisect_right(low, acceleration)
         else:
             first, above = bisect_right(low, acceleration), bisect_right(high, acceleration)
             if first > above:
                 first, above = above, first
-            while first < above:  # the first row whose acceleration at this velocity is above the wanted one
+            while first < above:  # the first row with more than the requested acceleration
                 middle = (first + above) >> 1
-                if acceleration < low[middle] + part * (high[middle] - low[middle]):
+                if acceleration < low[middle] + ratio * (high[middle] - low[middle]):
                     above = middle
                 else:
                     first = middle + 1
         if above == 0:
             return values[0]
         below = above - 1
-        a0 = low[below] + part * (high[below] - low[below])
-        if acceleration <= a0:  # below it only by the blend's rounding
-            return self._min_on_plateau(acceleration, low, high, part, below)
+        a0 = low[below] + ratio * (high[below] - low[below])
+        if acceleration <= a0:  # less only by rounding
+            return self._min_on_plateau(acceleration, low, high, ratio, below)
         if above == len(values):
             return values[-1]
-        a1 = low[above] + part * (high[above] - low[above])
-        if acceleration >= a1:  # by the same rounding, where neighbours are all but level
+        a1 = low[above] + ratio * (high[above] - low[above])
+        if acceleration >= a1:  # more only by rounding
             return values[above]
         return values[below] + (acceleration - a0) / (a1 - a0) * (values[above] - values[below])
 
     def acceleration_at(self, value: float, velocity: float) -> float:
         """The acceleration that ``value`` makes at ``velocity``, both clamped to the map; neither may be NaN."""
-        begin, width, low, high = self._strips[bisect_right(self.velocities, velocity)]
-        part = (velocity - begin) / width if width else 0.0
+        begin, width, low, high = self._intervals[bisect_right(self.velocities, velocity)]
+        ratio = (velocity - begin) / width if width else 0.0
         values = self.values
         value = max(values[0], min(values[-1], value))
         above = min(max(bisect_right(values, value), 1), len(values) - 1)
         below = above - 1
-        a0 = low[below] + part * (high[below] - low[below])
-        a1 = low[above] + part * (high[above] - low[above])
+        a0 = low[below] + ratio * (high[below] - low[below])
+        a1 = low[above] + ratio * (high[above] - low[above])
         return a0 + (value - values[below]) / (values[above] - values[below]) * (a1 - a0)
 
-    def _min_on_plateau(self, acceleration, low, high, part, last):
-        """Of the rows up to ``last`` that make exactly this acceleration, the least value in magnitude."""
+    def _min_on_plateau(self, acceleration, low, high, ratio, last):
+        """The value of least magnitude of the rows up to ``last`` that have exactly this acceleration."""
         first = last
-        while first and low[first - 1] + part * (high[first - 1] - low[first - 1]) == acceleration:
+        while first and low[first - 1] + ratio * (high[first - 1] - low[first - 1]) == acceleration:
             first -= 1
         return max(self.values[first], min(self.values[last], 0.0))
 
@@ -136,10 +136,10 @@ def load_value_map(path: str, allow_plateaus: bool = False) -> ValueMap:
     """Read a map from a CSV file.
 
     The first row is a name and the velocities, every other row a value and its accelerations. CRLF, a byte-order mark,
-    spaces around numbers and blank lines at the end are fine.
+    spaces around numbers and blank lines at the end are accepted.
 
     Raises:
-        ConfigError: naming the file, the line, the column and what is wrong there.
+        ConfigError: naming file, line, column and fault.
     """
     rows = _read_rows(path)
     if len(rows) < 3:

@@ -16,8 +16,8 @@ from slash import SLASH
 
 MS = 1_000_000
 S = 1000 * MS
-BEAT = 10 * MS
-REACH, RATE = 500, 500
+TICK = 10 * MS
+MAX_OFFSET, RATE = 500, 500
 NAMES = ("servo_left", "servo_center", "servo_right")
 
 
@@ -25,18 +25,18 @@ def values(left=3800, center=5100, right=6700):
     return dict(zip(NAMES, (left, center, right)))
 
 
-def tuning(reach=REACH, rate=RATE, config=SLASH):
+def tuning(max_offset=MAX_OFFSET, rate=RATE, config=SLASH):
     start = {name: getattr(config, name) for name in NAMES}
-    return Tuning(start, reach, rate, lambda wanted: trimmed(config, **wanted))
+    return Tuning(start, max_offset, rate, lambda wanted: trimmed(config, **wanted))
 
 
 def settle(tuned, now_ns):
-    """Beats until it has arrived; all values that were in force on the way, the last one too."""
+    """Ticks until it has arrived; all values that were in force on the way, the last one too."""
     seen = []
-    while tuned.moving:
-        now_ns += BEAT
+    while tuned.is_changing:
+        now_ns += TICK
         assert tuned.advance(now_ns)
-        seen.append(tuned.in_force)
+        seen.append(tuned.active)
         assert len(seen) < 10_000
     return seen
 
@@ -73,11 +73,11 @@ def test_center_beyond_an_end_is_refused_in_whole_and_changes_nothing():
     assert answer.problem == ("servo_center is 4900; accepted: a duty between servo_left 5000 and servo_right 6800: "
                                 "refused")
     assert answer.values == values(left=5000)
-    assert not tuned.moving and tuned.changes == ""
+    assert not tuned.is_changing and tuned.changes == ""
 
 
-def test_reach_of_0_lets_nothing_be_tuned():
-    assert tuning(reach=0).request({"servo_center": 5101}, 0) == (
+def test_offset_of_0_lets_nothing_be_tuned():
+    assert tuning(max_offset=0).request({"servo_center": 5101}, 0) == (
         values(), "servo_center 5101 is beyond 5100 to 5100: clamped to 5100")
 
 
@@ -91,7 +91,7 @@ def test_limits_stay_where_they_were_at_start_however_often_one_asks():
     for _ in range(3):
         tuned.request({"servo_center": 9999}, 0)
         settle(tuned, 0)
-    assert tuned.in_force == values(center=5600)
+    assert tuned.active == values(center=5600)
 
 
 def test_changes_are_told_in_words_and_a_value_put_back_is_none():
@@ -108,7 +108,7 @@ def test_changes_are_told_in_words_and_a_value_put_back_is_none():
 def test_accepted_values_are_reached_at_the_rate_and_no_faster():
     tuned = tuning()
     tuned.request({"servo_center": 5150}, 0)
-    assert tuned.moving and tuned.in_force == values()
+    assert tuned.is_changing and tuned.active == values()
     seen = [step["servo_center"] for step in settle(tuned, 0)]
     assert seen == [5105, 5110, 5115, 5120, 5125, 5130, 5135, 5140, 5145, 5150]
     assert not tuned.advance(S)
@@ -124,52 +124,52 @@ def test_values_tuned_together_arrive_together():
 def test_node_that_was_held_up_does_not_jump():
     tuned = tuning()
     tuned.request({"servo_center": 5600}, 0)
-    assert tuned.advance(3 * S) and tuned.in_force["servo_center"] == 5125
+    assert tuned.advance(3 * S) and tuned.active["servo_center"] == 5125
 
 
 def test_clock_that_stands_moves_nothing():
     tuned = tuning()
     tuned.request({"servo_center": 5600}, S)
     tuned.advance(S)
-    tuned.advance(S - BEAT)
-    assert tuned.in_force["servo_center"] == 5100 and tuned.moving
+    tuned.advance(S - TICK)
+    assert tuned.active["servo_center"] == 5100 and tuned.is_changing
 
 
 def test_request_on_the_way_starts_from_where_the_values_are():
     tuned = tuning()
     tuned.request({"servo_center": 5600}, 0)
-    for beat in range(1, 11):
-        tuned.advance(beat * BEAT)
-    assert tuned.in_force["servo_center"] == 5150
-    tuned.request({"servo_center": 5100}, 10 * BEAT)
-    assert tuned.in_force["servo_center"] == 5150
-    assert [step["servo_center"] for step in settle(tuned, 10 * BEAT)][:2] == [5145, 5140]
+    for tick in range(1, 11):
+        tuned.advance(tick * TICK)
+    assert tuned.active["servo_center"] == 5150
+    tuned.request({"servo_center": 5100}, 10 * TICK)
+    assert tuned.active["servo_center"] == 5150
+    assert [step["servo_center"] for step in settle(tuned, 10 * TICK)][:2] == [5145, 5140]
 
 
 def test_same_request_again_does_not_start_anew():
     tuned = tuning()
-    for beat in range(11):
-        tuned.request({"servo_center": 5150}, beat * BEAT)
-        tuned.advance(beat * BEAT)
-    assert not tuned.moving
+    for tick in range(11):
+        tuned.request({"servo_center": 5150}, tick * TICK)
+        tuned.advance(tick * TICK)
+    assert not tuned.is_changing
 
 
 TRIPLES = st.tuples(st.integers(3000, 4600), st.integers(4300, 5900), st.integers(5900, 7500))
 
 
 @given(st.lists(TRIPLES, min_size=1, max_size=4), st.integers(1, 60), st.sampled_from([1, 37, 500, 20_000]))
-def test_whatever_is_asked_each_step_is_valid_and_within_the_rate(wanted, beats, rate):
+def test_whatever_is_asked_each_step_is_valid_and_within_the_rate(wanted, ticks, rate):
     tuned = tuning(rate=rate)
-    now_ns, before = 0, tuned.in_force
+    now_ns, before = 0, tuned.active
     for request in wanted:
         tuned.request(values(*request), now_ns)
-        for _ in range(beats):
-            now_ns += BEAT
+        for _ in range(ticks):
+            now_ns += TICK
             tuned.advance(now_ns)
-            trimmed(SLASH, **tuned.in_force)
-            assert all(tuned.low[name] <= value <= tuned.high[name] for name, value in tuned.in_force.items())
-            assert max(abs(tuned.in_force[name] - before[name]) for name in NAMES) <= rate * BEAT / S + 1
-            before = tuned.in_force
+            trimmed(SLASH, **tuned.active)
+            assert all(tuned.low[name] <= value <= tuned.high[name] for name, value in tuned.active.items())
+            assert max(abs(tuned.active[name] - before[name]) for name in NAMES) <= rate * TICK / S + 1
+            before = tuned.active
 
 
 # --- parameters ---

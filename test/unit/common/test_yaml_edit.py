@@ -188,10 +188,10 @@ def test_save_that_fails_half_way_leaves_the_file_as_it_was_and_nothing_beside_i
     assert path.read_text(encoding="utf-8") == "a: 1  # why\n" and list(path.parent.iterdir()) == [path]
 
 
-def test_file_that_cannot_be_put_aside_stays(path, monkeypatch):
+def test_file_that_cannot_be_back_up_stays(path, monkeypatch):
     def refused(_):
         raise PermissionError(13, "Permission denied")
-    monkeypatch.setattr(atomic_file, "_put_aside", refused)
+    monkeypatch.setattr(atomic_file, "_back_up", refused)
     with pytest.raises(ConfigError, match=r"can't be saved \(Permission denied\)"):
         save(str(path), {"a": 2})
     assert list(path.parent.iterdir()) == [path]

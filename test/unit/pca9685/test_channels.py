@@ -166,7 +166,7 @@ def test_limits_the_wrong_way_round_are_refused_naming_the_channel():
     pytest.param([3, 4, 5], [[3, 4, 5]], id="neighbours_go_together"),
     pytest.param([5, 3, 4], [[3, 4, 5]], id="whatever_their_order"),
     pytest.param([0, 2, 3, 15], [[0], [2, 3], [15]], id="gaps_part_runs"),
-    pytest.param(range(16), [list(range(8)), list(range(8, 16))], id="a_run_is_cut_at_the_longest"),
+    pytest.param(range(16), [list(range(8)), list(range(8, 16))], id="a_run_is_split_at_the_maximum"),
     pytest.param(range(9), [list(range(8)), [8]], id="what_is_left_over_is_a_run"),
 ])
 def test_blocks_of_changes_are_runs_of_neighbours(changed, runs):
@@ -174,10 +174,10 @@ def test_blocks_of_changes_are_runs_of_neighbours(changed, runs):
 
 
 @given(st.sets(st.integers(0, 15)), st.integers(1, 16))
-def test_blocks_of_any_changes_hold_each_once_in_order_and_none_too_long(changed, longest):
-    runs = blocks(dict.fromkeys(changed, 0), longest)
+def test_blocks_of_any_changes_hold_each_once_in_order_and_none_too_long(changed, max_length):
+    runs = blocks(dict.fromkeys(changed, 0), max_length)
     assert [channel for run in runs for channel in run] == sorted(changed)
-    assert all(run == list(range(run[0], run[0] + len(run))) and len(run) <= longest for run in runs)
+    assert all(run == list(range(run[0], run[0] + len(run))) and len(run) <= max_length for run in runs)
 
 
 def test_differences_are_the_channels_that_hold_something_else_or_nobody_knows_what():

@@ -4,7 +4,7 @@ from __future__ import annotations
 import pytest
 
 from car_interface.pca9685.board import Board, BoardMismatch
-from car_interface.pca9685.supervisor import ABSENT, LOST, MISMATCH, RETRIED, RUNNING, BoardSupervisor
+from car_interface.pca9685.supervisor import ABSENT, DISCONNECTED, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 MS = 1_000_000
@@ -24,8 +24,8 @@ class Bench:
         self.events = []
         self.opened = self.closed = 0
         self.open_error = None
-        self.keeper = BoardSupervisor(self._open, self._close, self._board,
-                                      lambda event, error: self.events.append(event))
+        self.supervisor = BoardSupervisor(self._open, self._close, self._board,
+                                          lambda event, error: self.events.append(event))
         self.now_ns = NOW
 
     def _open(self):
@@ -42,14 +42,14 @@ class Bench:
     def _board(bus):
         return Board(bus, ADDRESS, 121, 25e6, lambda seconds: None)
 
-    def keep(self, targets, after_ms=0):
+    def update(self, targets, after_ms=0):
         self.now_ns += after_ms * MS
-        self.keeper.keep(targets, self.now_ns)
+        self.supervisor.update(targets, self.now_ns)
 
-    def keep_when_due(self, targets):
-        """Go on until the keeper wants to be called; how many ms that took."""
-        waited_ns = self.keeper.next_due_ns() - self.now_ns
-        self.keep(targets, waited_ns // MS)
+    def update_when_due(self, targets):
+        """Go on until an update is due; how many ms that took."""
+        waited_ns = self.supervisor.next_due_ns() - self.now_ns
+        self.update(targets, waited_ns // MS)
         return waited_ns // MS
 
     def pulses(self):
@@ -63,7 +63,7 @@ def bench():
 
 @pytest.fixture
 def running(bench):
-    bench.keep(NEUTRAL)
+    bench.update(NEUTRAL)
     assert bench.events == [RUNNING]
     bench.events.clear()
     bench.writes.clear()
@@ -71,86 +71,86 @@ def running(bench):
 
 
 def test_first_call_opens_and_brings_every_channel_to_its_target(bench):
-    bench.keep(NEUTRAL)
-    assert bench.keeper.running
+    bench.update(NEUTRAL)
+    assert bench.supervisor.running
     assert bench.events == [RUNNING]
     assert bench.pulses() == NEUTRAL
-    assert bench.keeper.held == NEUTRAL
+    assert bench.supervisor.held == NEUTRAL
 
 
 def test_what_did_not_change_is_not_written(running):
-    running.keep(NEUTRAL, 1)
-    running.keep(LEFT, 1)
-    running.keep(LEFT, 1)
+    running.update(NEUTRAL, 1)
+    running.update(LEFT, 1)
+    running.update(LEFT, 1)
     assert len(running.writes) == 1
     assert running.pulses() == LEFT
 
 
 def test_one_failed_transfer_is_made_again_at_once(running):
     running.bus.nacks_left = 1
-    running.keep(LEFT, 1)
+    running.update(LEFT, 1)
     assert running.events == [RETRIED]
     assert running.pulses() == LEFT
-    assert running.keeper.running
-    assert running.keeper.tally.errors == 1
+    assert running.supervisor.running
+    assert running.supervisor.tally.errors == 1
 
 
 def test_two_failures_lose_the_board_and_close_the_bus(running):
     running.bus.nacks_left = 2
-    running.keep(LEFT, 1)
-    assert running.events == [RETRIED, LOST]
-    assert not running.keeper.running
-    assert running.keeper.held == [None] * 16
+    running.update(LEFT, 1)
+    assert running.events == [RETRIED, DISCONNECTED]
+    assert not running.supervisor.running
+    assert running.supervisor.held == [None] * 16
     assert running.closed == 1
 
 
 def test_board_that_was_lost_is_opened_again_after_100_ms_with_the_newest_target(running):
     running.bus.nacks_left = 2
-    running.keep(LEFT, 1)
-    running.keep(NEUTRAL, 99)
-    assert not running.keeper.running
-    running.keep(NEUTRAL, 1)
-    assert running.keeper.running
+    running.update(LEFT, 1)
+    running.update(NEUTRAL, 99)
+    assert not running.supervisor.running
+    running.update(NEUTRAL, 1)
+    assert running.supervisor.running
     assert running.pulses() == NEUTRAL
-    assert running.keeper.tally.reopenings == 1
+    assert running.supervisor.tally.reopenings == 1
 
 
 def test_pauses_between_attempts_double_from_100_ms_to_2_s(bench):
     bench.bus.remove(ADDRESS)
-    bench.keep(NEUTRAL)
-    assert [bench.keep_when_due(NEUTRAL) for _ in range(7)] == [100, 200, 400, 800, 1600, 2000, 2000]
+    bench.update(NEUTRAL)
+    assert [bench.update_when_due(NEUTRAL) for _ in range(7)] == [100, 200, 400, 800, 1600, 2000, 2000]
     assert bench.events == [ABSENT] * 8
 
 
 def test_pauses_begin_anew_after_the_board_was_there(bench):
     bench.bus.remove(ADDRESS)
-    bench.keep(NEUTRAL)
-    bench.keep_when_due(NEUTRAL)
+    bench.update(NEUTRAL)
+    bench.update_when_due(NEUTRAL)
     bench.bus.attach(ADDRESS, bench.chip)
-    bench.keep_when_due(NEUTRAL)
-    assert bench.keeper.running
+    bench.update_when_due(NEUTRAL)
+    assert bench.supervisor.running
     bench.bus.remove(ADDRESS)
-    bench.keep(LEFT, 1)
-    assert bench.keep_when_due(LEFT) == 100
+    bench.update(LEFT, 1)
+    assert bench.update_when_due(LEFT) == 100
 
 
 def test_bus_that_cannot_be_opened_is_tried_again(bench):
     bench.open_error = FileNotFoundError(2, "No such file or directory")
-    bench.keep(NEUTRAL)
+    bench.update(NEUTRAL)
     assert bench.events == [ABSENT]
     bench.open_error = None
-    bench.keep_when_due(NEUTRAL)
-    assert bench.keeper.running
+    bench.update_when_due(NEUTRAL)
+    assert bench.supervisor.running
 
 
 def test_bus_that_is_held_down_is_left_and_comes_back(running):
     running.bus.held = True
-    running.keep(LEFT, 1)
-    assert running.events == [RETRIED, LOST]
-    running.keep_when_due(LEFT)
-    assert not running.keeper.running
+    running.update(LEFT, 1)
+    assert running.events == [RETRIED, DISCONNECTED]
+    running.update_when_due(LEFT)
+    assert not running.supervisor.running
     running.bus.held = False
-    running.keep_when_due(LEFT)
+    running.update_when_due(LEFT)
     assert running.pulses() == LEFT
 
 
@@ -158,57 +158,57 @@ def test_bus_that_is_held_down_is_left_and_comes_back(running):
 def test_chip_that_lost_its_power_is_noticed_within_half_a_second(running, driven):
     running.chip.power_up()
     for step in range(50):
-        running.keep([230 + step % 2 if driven else 319] + [0] * 15, 10)
+        running.update([230 + step % 2 if driven else 319] + [0] * 15, 10)
     assert running.events == [MISMATCH]
-    running.keep(LEFT, 10)
+    running.update(LEFT, 10)
     assert running.pulses() == LEFT
     assert running.chip.period_s() == pytest.approx(0.02, rel=0.01)
-    assert running.keeper.tally.reinitialisations == 1
+    assert running.supervisor.tally.reinitialisations == 1
 
 
 def test_chip_that_is_fine_is_asked_twice_a_second_and_not_written_to(running):
     for _ in range(4):
-        assert running.keep_when_due(NEUTRAL) == 500
+        assert running.update_when_due(NEUTRAL) == 500
     assert running.writes == []
     assert running.events == []
 
 
 def test_chip_that_does_not_keep_its_prescale_counts_as_absent(bench):
     bench.chip.write = lambda register, data: None
-    bench.keep(NEUTRAL)
+    bench.update(NEUTRAL)
     assert bench.events == [ABSENT]
     with pytest.raises(BoardMismatch, match="MODE1 is 0x11 and PRE_SCALE 30, not 0x20 and 121"):
-        bench.keeper.open(NEUTRAL, NOW)
+        bench.supervisor.open(NEUTRAL, NOW)
 
 
 def test_all_off_is_repeated_once_and_tells_whether_it_worked(running):
     running.bus.nacks_left = 1
-    assert running.keeper.all_off(NOW)
+    assert running.supervisor.all_off(NOW)
     assert running.pulses() == [0] * 16
     running.bus.nacks_left = 2
-    assert not running.keeper.all_off(NOW)
-    assert not running.keeper.all_off(NOW)
+    assert not running.supervisor.all_off(NOW)
+    assert not running.supervisor.all_off(NOW)
 
 
-def test_hurry_makes_the_next_attempt_at_once(running):
+def test_retry_now_makes_the_next_attempt_at_once(running):
     running.bus.nacks_left = 2
-    running.keep(LEFT, 1)
-    running.keeper.retry_now()
-    running.keep(NEUTRAL)
+    running.update(LEFT, 1)
+    running.supervisor.retry_now()
+    running.update(NEUTRAL)
     assert running.pulses() == NEUTRAL
 
 
 def test_board_that_was_never_there_never_ran(bench):
     bench.bus.remove(ADDRESS)
-    bench.keep(NEUTRAL)
-    assert not bench.keeper.ever_ran
+    bench.update(NEUTRAL)
+    assert not bench.supervisor.ever_ran
     bench.bus.attach(ADDRESS, bench.chip)
-    bench.keep_when_due(NEUTRAL)
+    bench.update_when_due(NEUTRAL)
     bench.bus.remove(ADDRESS)
-    bench.keep(LEFT, 1)
-    assert bench.keeper.ever_ran
+    bench.update(LEFT, 1)
+    assert bench.supervisor.ever_ran
 
 
 def test_close_lets_go_of_the_bus_and_leaves_the_chip_as_it_is(running):
-    running.keeper.close()
-    assert (running.closed, running.keeper.running, running.pulses()) == (1, False, NEUTRAL)
+    running.supervisor.close()
+    assert (running.closed, running.supervisor.running, running.pulses()) == (1, False, NEUTRAL)

@@ -7,7 +7,7 @@ import sys
 # In an interpreter of its own: pytest's handlers are the root logger's, too.
 SCRIPT = """
 import logging, threading
-from car_interface.ros.logs import WAITING, LogsAside
+from car_interface.ros.logs import MAX_LINES, LogThreads
 
 free = threading.Event()
 
@@ -24,10 +24,10 @@ logging.raiseExceptions = False  # as a node has it
 logging.getLogger().addHandler(Disk())
 rosout = logging.getLogger("rosout")
 rosout.addHandler(Terminal())
-logs = LogsAside()
+logs = LogThreads()
 rosout.warning("%s is held down", "the bus")
 print("written:", logs.flush(0.5))
-for number in range(2 * WAITING):
+for number in range(2 * MAX_LINES):
     logging.getLogger().warning("line %d", number)
 print("goes on")
 free.set()

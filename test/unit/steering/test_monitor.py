@@ -271,7 +271,7 @@ def test_warnings_of_both_sides_are_told_together(car):
     pytest.param({"min_speed_mps": 0.0}, "min_speed_mps is 0.0; accepted: a number above 0", id="no_speed"),
     pytest.param({"off_for_s": NAN}, "off_for_s is nan", id="nan"),
     pytest.param({"straight_m": INF}, "straight_m is inf", id="infinite"),
-    pytest.param({"off_ratio": 1.0}, "off_ratio is 1.0; accepted: a share below 1", id="all_of_it"),
+    pytest.param({"off_ratio": 1.0}, "off_ratio is 1.0; accepted: a ratio below 1", id="all_of_it"),
 ])
 def test_impossible_configuration_is_named(wrong, message):
     with pytest.raises(ConfigError, match=message):

@@ -165,9 +165,9 @@ def test_deadman_that_is_held_at_the_start_counts_once_it_was_let_go(held):
         assert gamepad.requests(NOW) == (
             False, 0.0, 0.0,
             causes.NOT_REARMED, "this node has just started; let go of the deadman, then hold it again")
-        assert gamepad.requests(NOW).must_let_go
+        assert gamepad.requests(NOW).must_rearm
     gamepad.update([0.5, 0.5], NONE, NOW)
-    assert not gamepad.requests(NOW).must_let_go
+    assert not gamepad.requests(NOW).must_rearm
     gamepad.update([0.5, 0.5], held, NOW)
     assert gamepad.requests(NOW).human_in_loop
 
