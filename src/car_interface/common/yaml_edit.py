@@ -1,6 +1,6 @@
 """Changes single values in a YAML text and keeps every other character of it, comments included.
 
-``save`` does so in a file, which is replaced in one step; a backup stays in the same folder, under a name with the time.
+``save`` does so in a file, which is replaced in one step; a backup stays in its folder, under a name with the time.
 ``edited`` does so in a text, ``rewritten`` makes a new text after the pattern of another one.
 """
 from __future__ import annotations
