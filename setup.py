@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 
 from setuptools import setup
 
-# From the last version for Python 3.8 to the newest that was tested: recordings/rosbag1.py overrides an undocumented part
-# of its reader. package.xml has the same range.
+# From the last version for Python 3.8 to the newest that was tested: recordings/rosbag1.py overrides an undocumented
+# part of its reader. package.xml has the same range.
 ROSBAGS = "rosbags>=0.9.23,<=0.11.9"
 HERE = Path(__file__).resolve().parent
 PACKAGE = ElementTree.parse(str(HERE / "package.xml")).getroot()

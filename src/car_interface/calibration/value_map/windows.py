@@ -77,48 +77,62 @@ class Sampled(NamedTuple):
     state: np.ndarray  # of the windows, by their values too, (W,)
 
 
+class _Gathered(NamedTuple):
+    """The windows of one drive; see Data."""
+
+    windows: Windows
+    acceleration: np.ndarray
+    sigma: np.ndarray
+    sees_slope: bool
+    part: np.ndarray
+    hop_s: np.ndarray
+    state: np.ndarray
+    pitch_offset: float
+
+
 def gather(drives: Sequence[Drive], config: FitConfig) -> Data:
     """Divide drives into windows, and find which count by everything but the value."""
-    found, slopes, parts, offsets, sees_slope = [], [], [], [], []
-    accelerations, sigmas, states, numbers, hops = [], [], [], [], []
-    for index, drive in enumerate(drives):
-        one = windows(drive, config.window)
-        state = one.state.copy()
-        counted = state == windowing.MEASURED
-        cos, sin = one.cos_yaw, one.sin_yaw
-        turning = ((state == windowing.STEERING) & np.isfinite(one.acceleration_mps2 + one.sigma_mps2)
-                   & (np.abs(one.acceleration_mps2) < config.window.max_mps2))
-        spreads = _spread(cos, sin, counted, turning) >= MIN_SPREAD
-        acceleration, sigma, offset = one.acceleration_mps2, one.sigma_mps2, float("nan")
-        if config.from_imu:
-            acceleration, sigma = one.force_mps2 - _bias(one, counted | turning, spreads), one.force_sigma_mps2
-            spreads = False  # an accelerometer measures what the car would do on level ground
-        elif drive.pitch is not None and np.isfinite(one.pitch_rad).all() and counted.any():
-            offset = _pitch_offset(one, counted | turning) if spreads else 0.0
-            pitch = one.pitch_rad - offset
-            state[counted & (np.abs(pitch) > config.max_pitch_rad)] = STEEP
-            acceleration = acceleration - GRAVITY_MPS2 * np.sin(np.nan_to_num(pitch))
-            spreads = False  # gravity is off already
-        if spreads:
-            state[turning] = TURNING
-        found.append(one)
-        slope = np.zeros((cos.size, 2 * len(drives)))
-        slope[:, 2 * index] = -GRAVITY_MPS2 * cos
-        slope[:, 2 * index + 1] = -GRAVITY_MPS2 * sin
-        slopes.append(slope)
-        begins, ends = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 1.0)
-        parts.append((one.middle_s - (begins + ends) / 2) / max(ends - begins, 1.0))
-        offsets.append(offset)
-        sees_slope.append(spreads)
-        accelerations.append(acceleration)
-        sigmas.append(np.hypot(np.nan_to_num(sigma), config.min_sigma_mps2))
-        state[(state == windowing.MEASURED) & ~np.isfinite(acceleration)] = windowing.NOT_MEASURED
-        states.append(state)
-        numbers.append(np.full(cos.size, index))
-        hops.append(np.full(cos.size, max(config.window.hop_s, (ends - begins) / windowing.MAX_WINDOWS)))
-    join = np.concatenate
-    return Data(found, join(numbers), join(accelerations), join(sigmas), join(slopes), np.array(sees_slope),
-                join(parts), join(hops), join(states), offsets)
+    gathered = [_gather(drive, config) for drive in drives]
+    counts = [one.state.size for one in gathered]
+    slope = np.zeros((sum(counts), 2 * len(drives)))
+    number = np.repeat(np.arange(len(drives)), counts)
+    for index, one in enumerate(gathered):
+        slope[number == index, 2 * index] = -GRAVITY_MPS2 * one.windows.cos_yaw
+        slope[number == index, 2 * index + 1] = -GRAVITY_MPS2 * one.windows.sin_yaw
+
+    def column(name):
+        return np.concatenate([getattr(one, name) for one in gathered])
+
+    return Data([one.windows for one in gathered], number, column("acceleration"), column("sigma"), slope,
+                np.array([one.sees_slope for one in gathered]), column("part"), column("hop_s"), column("state"),
+                [one.pitch_offset for one in gathered])
+
+
+def _gather(drive, config):
+    one = windows(drive, config.window)
+    state = one.state.copy()
+    counted = state == windowing.MEASURED
+    turning = ((state == windowing.STEERING) & np.isfinite(one.acceleration_mps2 + one.sigma_mps2)
+               & (np.abs(one.acceleration_mps2) < config.window.max_mps2))
+    spreads = _spread(one.cos_yaw, one.sin_yaw, counted, turning) >= MIN_SPREAD
+    acceleration, sigma, offset = one.acceleration_mps2, one.sigma_mps2, float("nan")
+    if config.from_imu:
+        acceleration, sigma = one.force_mps2 - _bias(one, counted | turning, spreads), one.force_sigma_mps2
+        spreads = False  # an accelerometer measures what the car would do on level ground
+    elif drive.pitch is not None and np.isfinite(one.pitch_rad).all() and counted.any():
+        offset = _pitch_offset(one, counted | turning) if spreads else 0.0
+        pitch = one.pitch_rad - offset
+        state[counted & (np.abs(pitch) > config.max_pitch_rad)] = STEEP
+        acceleration = acceleration - GRAVITY_MPS2 * np.sin(np.nan_to_num(pitch))
+        spreads = False  # gravity is subtracted already
+    if spreads:
+        state[turning] = TURNING
+    state[(state == windowing.MEASURED) & ~np.isfinite(acceleration)] = windowing.NOT_MEASURED
+    begin_s, end_s = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 1.0)
+    hop_s = max(config.window.hop_s, (end_s - begin_s) / windowing.MAX_WINDOWS)
+    return _Gathered(one, acceleration, np.hypot(np.nan_to_num(sigma), config.min_sigma_mps2), spreads,
+                     (one.middle_s - (begin_s + end_s) / 2) / max(end_s - begin_s, 1.0),
+                     np.full(state.size, hop_s), state, offset)
 
 
 def _spread(cos, sin, counted, turning):
