@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from accuracy import virtual_drive
-from car_interface.calibration.value_map import acceleration as cut
+from car_interface.calibration.value_map import acceleration as windowing
 from car_interface.calibration.value_map import table as tables
 from car_interface.cli import calibrate_value_map as command
 from car_interface.common.errors import CarInterfaceError
@@ -90,10 +90,10 @@ def published(drive, table, start):
 def favoured(drive, table, start, delay_s):
     """The same cells with the command's own windows and delay: where the value held through a window."""
     cells = PerCell(table.values, table.velocities, start)
-    windows = cut.windows(drive)
+    windows = windowing.windows(drive)
     held = value_at(drive, windows.t_s - delay_s)
     value, speed = held.mean(axis=1), windows.speed_mps.mean(axis=1)
-    counts = ((windows.state == cut.MEASURED) & (np.ptp(held, axis=1) < 0.05 * np.ptp(table.values))
+    counts = ((windows.state == windowing.MEASURED) & (np.ptp(held, axis=1) < 0.05 * np.ptp(table.values))
               & inside(value, speed, table))
     for index in np.flatnonzero(counts):
         cells.update(value[index], speed[index], windows.acceleration_mps2[index])
@@ -149,7 +149,8 @@ def judge(seed, arguments):
     given += ["--imu", "imu/data"] if arguments.imu else []
     options = parser.parse_args(given)
     begun_s = time.monotonic()
-    done = command.calibrate(options)
+    config = command.config_of(options)
+    (recorded_drive,), done = command.calibrate_by(config)
     spent_s = time.monotonic() - begun_s
     table, fit = done.table, done.fit
     car = virtual_drive.random_car(seed)
@@ -159,7 +160,7 @@ def judge(seed, arguments):
     everywhere = (fit.accelerations - truth(car, fit))[fit.supported]
     stock = load_value_map(str(STOCK_MAP))
     start = [[stock.acceleration_at(value, velocity) for velocity in table.velocities] for value in table.values]
-    drive = command.load(str(path), options).drive
+    drive = recorded_drive.drive
     others = published(drive, table, start), favoured(drive, table, start, fit.delay_s)
     visited = stated & (others[1].visits >= OFTEN)
     yardsticks = [*(rms((cells.map - true)[stated]) for cells in others), rms((others[1].map - true)[visited]),
@@ -170,7 +171,7 @@ def judge(seed, arguments):
             f"{np.mean(np.abs(off) < 2 * table.sigma_mps2[stated]):6.2f} {fit.held_out_mps2:7.3f} "
             f"{yardsticks[0]:8.3f} {yardsticks[1]:8.3f} {yardsticks[2]:6.3f}:{yardsticks[3]:5.3f} "
             f"{1000 * fit.delay_s:5.0f} {spent_s:5.1f}"
-            + (" refused" if done.complaints else ""))
+            + (" refused" if done.problems else ""))
     return line, (rms(off), rms(everywhere), *yardsticks, spent_s, float(np.mean(fit.supported)))
 
 

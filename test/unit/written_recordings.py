@@ -1,4 +1,4 @@
-"""Makes small recordings of every kind that rosbags writes, and a drive in which a lot happens."""
+"""Writes small recordings of every kind that rosbags knows, and a drive in which a lot happens."""
 from __future__ import annotations
 
 import math
@@ -11,13 +11,15 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from car_interface.common import causes
+
 ROOT = Path(__file__).resolve().parents[2]
 START_NS = 1_700_000_000 * 1_000_000_000
 BASE, NAME, ARRAY, SEQUENCE = range(1, 5)  # kinds of fields, as rosbags has them
 
 
 class Written(NamedTuple):
-    """One message to be written: its fields as a dict, what is left out is 0 or empty."""
+    """One message to be written; fields that are left out are 0 or empty."""
 
     time_s: float
     topic: str
@@ -125,10 +127,16 @@ SPEED_MPS, RADIUS_M = 1.5, 2.0
 HOSTILE = '<script>document.title = "owned"</script> & "quotes" </svg>'
 
 
-def drive(duration_s: float = 60.0, namespace: str = "") -> list[Written]:
-    """Somebody drives straight on by gamepad, then the planner to the left, on a circle that the car makes 10 % wider.
+def old_steering_state() -> tuple[str, str]:
+    """The type of turn_arb's state, and its definition before it had a cause."""
+    lines = (ROOT / "msg" / "SteeringState.msg").read_text(encoding="utf-8").split("\n")
+    return "car_interface/SteeringState", "\n".join(line for line in lines if line != "string cause")
 
-    At 40 s the planner falls silent, at 50 s the Teensy for two seconds; at 45 s a node logs something nasty.
+
+def drive(duration_s: float = 60.0, namespace: str = "", with_causes: bool = True) -> list[Written]:
+    """By gamepad straight on, then by the planner to the left, on a circle that the car makes 10 % wider.
+
+    At 40 s the planner's messages end, at 50 s the Teensy's for two seconds; at 45 s a node logs a hostile text.
     """
     below = namespace.rstrip("/")
     messages = [Written(0.0, "/tf_static", "tf2_msgs/TFMessage", {"transforms": [
@@ -147,13 +155,14 @@ def drive(duration_s: float = 60.0, namespace: str = "") -> list[Written]:
         duties = [0] * 16
         duties[2], duties[3] = (4912 if stands else 5200), (3840 if sent else 5088)
         if step % 5 == 0:
-            source, reason = ((NO_HUMAN, "human_in_loop is false") if time_s < 5 else
-                              (TELEOP, f"tele_steer_req is {0.1 + time_s / 1000:.3f}") if time_s < 20 else
-                              (PLANNER, "av_turnrad_req is 2.000 m") if time_s < 40 else
-                              (NEUTRAL, f"av_turnrad_req silent for {time_s - 39.5:.2f} s"))
+            source, cause, reason = (
+                (NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false") if time_s < 5 else
+                (TELEOP, causes.TELEOP, f"tele_steer_req is {0.1 + time_s / 1000:.3f}") if time_s < 20 else
+                (PLANNER, causes.PLANNER, "av_turnrad_req is 2.000 m") if time_s < 40 else
+                (NEUTRAL, causes.PLANNER_STALE, f"av_turnrad_req silent for {time_s - 39.5:.2f} s"))
             messages.append(Written(time_s, f"{below}/turn_arb/state", "car_interface/SteeringState", {
-                "stamp": stamp(time_s), "source": source, "reason": reason, "duty": 3846 if sent else 5100,
-                "turn_radius": RADIUS_M if sent else math.inf}))
+                "stamp": stamp(time_s), "source": source, **({"cause": cause} if with_causes else {}), "reason": reason,
+                "duty": 3846 if sent else 5100, "turn_radius": RADIUS_M if sent else math.inf}))
             messages.append(Written(time_s, f"{below}/servo/output", "std_msgs/Int32MultiArray", {"data": duties}))
             messages.append(Written(time_s, f"{below}/generic/output/value", "car_interface/Float64Stamped", {
                 "stamp": stamp(time_s), "data": 0.0 if stands else 0.7}))

@@ -1,1 +1,1 @@
-"""Calibration: numbers of a drive in, tables with their confidence out. Pure numpy and scipy."""
+"""Calibration of steering and throttle: recorded drives in, tables with the confidence of their numbers out."""

@@ -1,8 +1,8 @@
-"""How long an effect takes to follow its cause: a delay, and a lag with which it creeps up to where it's going.
+"""Estimates the delay and the first-order lag from a cause to its effect.
 
-Consumes two sampled signals: a cause that holds its value until the next sample, as commands do, and an effect that
-depends on it by a curve that nobody knows. No model of that curve is needed: the right delay and lag are those with
-which moments of the same (delayed, lagged) cause have the same effect, whatever it is. Pure numpy.
+The cause holds its value until the next sample, as commands do; the effect depends on it by an unknown curve. No model
+of that curve is needed: with the right delay and lag equal values of the (delayed, lagged) cause have equal effects.
+Pure numpy.
 """
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-STEP_S = 0.02  # of the scale on which delays are tried
+STEP_S = 0.02  # of the time scale on which delays are tried
 BINS = 60
 COARSE_S, FINE_S = 0.04, 0.01
 MIN_SAMPLES = 200
 
 
 class Delay(NamedTuple):
-    """How an effect follows.
+    """How an effect follows its cause.
 
     Attributes:
-        delay_s: nothing happens for so long.
-        lag_s: after so much more 63 % of a change are done.
-        explained: the share of the effect's variance that the cause explains with these.
+        delay_s: the time until a change begins.
+        lag_s: the time from then until 63 % of it are done.
+        explained: the ratio of the effect's variance that the cause explains with these.
     """
 
     delay_s: float
@@ -31,23 +31,26 @@ class Delay(NamedTuple):
 
     @property
     def settled_s(self) -> float:
-        """After so long 95 % of a change are done."""
+        """The time until 95 % of a change are done."""
         return self.delay_s + 3 * self.lag_s
 
 
 def held(t_s: np.ndarray, value: np.ndarray, at_s: np.ndarray) -> np.ndarray:
-    """A signal's value at moments, each sample holding until the next; the first one's before it."""
+    """The values at the times ``at_s`` (M,) of a signal (N,) that holds each sample until the next: (M,).
+
+    Before the first sample its value counts.
+    """
     return value[np.maximum(np.searchsorted(t_s, at_s, side="right") - 1, 0)]
 
 
 def lagged(value: np.ndarray, step_s: float, lag_s: float) -> np.ndarray:
-    """An evenly sampled signal as it comes out of a first-order lag."""
+    """An evenly sampled signal (N,) after a first-order lag: (N,)."""
     if lag_s < step_s / 10:
         return np.asarray(value, float)
-    keep = np.exp(-step_s / lag_s)
+    decay = np.exp(-step_s / lag_s)
     out, now = np.empty(len(value)), float(value[0])
     for index, wanted in enumerate(value.tolist()):
-        now = wanted + (now - wanted) * keep
+        now = wanted + (now - wanted) * decay
         out[index] = now
     return out
 
@@ -57,10 +60,10 @@ def estimate(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effec
     """Find delay and lag.
 
     Args:
-        cause_s, cause: held until the next sample.
-        effect_s, effect: samples at rising times, as noisy as they are; gaps don't matter.
-        weight: of each sample of the effect; 0 = don't look.
-        max_delay_s, max_lag_s: what is tried.
+        cause_s, cause: the cause, (N,) each, held until the next sample.
+        effect_s, effect: samples of the effect at rising times, (M,) each; noise and gaps don't matter.
+        weight: of each sample of the effect, (M,); 0 = not used.
+        max_delay_s, max_lag_s: upper bounds.
 
     Returns:
         ``None`` where there are too few samples, or where the cause explains next to nothing.
@@ -76,19 +79,19 @@ def estimate(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effec
 
     lagged_by: dict = {}
 
-    def left_over(delay_s, lag_s):
+    def unexplained(delay_s, lag_s):
         if lag_s not in lagged_by:
             lagged_by[lag_s] = lagged(commanded, STEP_S, lag_s)
         return _scatter(np.interp(at_s - delay_s, grid_s, lagged_by[lag_s]), y, w)
 
-    tried = [(left_over(delay_s, lag_s), delay_s, lag_s)
+    tried = [(unexplained(delay_s, lag_s), delay_s, lag_s)
              for delay_s in _steps(0.0, max_delay_s, COARSE_S) for lag_s in _steps(0.0, max_lag_s, COARSE_S)]
     _, delay_s, lag_s = min(tried)
-    tried = [(left_over(d, lag), d, lag)
+    tried = [(unexplained(d, lag), d, lag)
              for d in _steps(max(0.0, delay_s - COARSE_S), delay_s + COARSE_S, FINE_S)
              for lag in _steps(max(0.0, lag_s - COARSE_S), lag_s + COARSE_S, FINE_S)]
-    least, delay_s, lag_s = min(tried)
-    explained = 1 - least / total if total > 0 else 0.0
+    smallest, delay_s, lag_s = min(tried)
+    explained = 1 - smallest / total if total > 0 else 0.0
     return Delay(delay_s, lag_s, float(explained)) if explained > 0.1 else None
 
 
@@ -97,7 +100,7 @@ def _steps(low, high, step):
 
 
 def _scatter(x, y, w):
-    """The sum of squares of ``y`` around a curve over ``x``: a straight line through each bin, alike in samples."""
+    """The weighted sum of squares of ``y`` around straight lines over ``x``, one for each of BINS of equal size."""
     order = np.argsort(x, kind="stable")
     x, y, w = x[order], y[order], w[order]
     starts = np.unique(np.linspace(0, len(x), BINS + 1).astype(int)[:-1])

@@ -1,6 +1,6 @@
 """A page about a drive: who drove, how it steered, where it went, how fast, and what went wrong.
 
-It is one HTML file that needs nothing besides itself, no network either.
+It is one HTML file without external resources: it needs no network.
 """
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import argparse
 import os
 import shlex
 import sys
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -17,11 +18,30 @@ from car_interface.cli.options import add_namespace_argument
 from car_interface.common.errors import CarInterfaceError
 from car_interface.report.page import page
 from car_interface.report.plots import plots
-from car_interface.report.summary import look_at
+from car_interface.report.summary import summarize
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to report, and where to.
+
+    Attributes:
+        recordings: paths.
+        output: path of the page, for several recordings of a folder; ``None`` = beside each recording.
+        namespace: the car's.
+        odom_topic: of odometry.
+        jobs: recordings to read at the same time.
+    """
+
+    recordings: tuple[str, ...]
+    output: str | None = None
+    namespace: str = "/"
+    odom_topic: str = "odom"
+    jobs: int = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of bag_report."""
+    """Add the options of bag_report."""
     parser.add_argument("bags", nargs="+", metavar="BAG", help="a ROS 1 bag, or a ROS 2 bag (its folder)")
     parser.add_argument("-o", "--output", metavar="FILE",
                         help="the page, or for several recordings a folder (default: BAG.html beside each)")
@@ -32,21 +52,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the pages."""
-    pages = _pages(options.bags, options.output, options.namespace)
-    work = partial(_report, options=options, progress=len(options.bags) == 1)
+    config = Config(tuple(options.bags), options.output, options.namespace, options.odom, options.jobs)
+    pages = _pages(config)
     failed = 0
-    for (_, path), trouble in zip(pages, for_each(work, pages, options.jobs)):
-        if trouble:
+    for (_, path), error in zip(pages, for_each(partial(_report, config=config), pages, config.jobs)):
+        if error:
             failed = 1
-            print(f"bag_report: {trouble}", file=sys.stderr)
+            print(f"bag_report: {error}", file=sys.stderr)
         else:
             print(path)
     return failed
 
 
-def _pages(bags, folder, namespace):
-    """Pairs of a recording and where its page goes."""
-    ending = ".".join(["", *filter(None, namespace.split("/")), "html"])
+def _pages(config):
+    """Pairs of a recording and its page's path."""
+    bags, folder = config.recordings, config.output
+    ending = ".".join(["", *filter(None, config.namespace.split("/")), "html"])
     if len(bags) == 1 and folder is not None and not os.path.isdir(folder):
         return [(bags[0], folder)]
     if folder is not None and not os.path.isdir(folder):
@@ -65,17 +86,17 @@ def _pages(bags, folder, namespace):
     return pages
 
 
-def _report(bag_and_page, options, progress):
-    """Write one page; what went wrong, or an empty text."""
+def _report(bag_and_page, config):
+    """Write one page: an error as text, empty without one."""
     bag, path = bag_and_page
     try:
-        output.check(path, options.bags)
-        drive = look_at(bag, options.namespace, options.odom, progress)
+        output.check(path, config.recordings)
+        drive = summarize(bag, config.namespace, config.odom_topic, progress=len(config.recordings) == 1)
         output.write(path, page(drive, plots(drive)))
     except CarInterfaceError as error:
         return str(error)
     except OSError as error:
         return f"{error.filename or path}: {error.strerror}"
-    except Exception as error:  # whatever is in a recording, it must not keep the others from their pages
+    except Exception as error:  # one bad recording must not prevent the pages of the others
         return f"{bag}: no page can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
     return ""

@@ -1,6 +1,6 @@
-"""What turn_arb or generic_value_converter would say to a table: taken or refused, with a picture of it.
+"""Checks a table as turn_arb or generic_value_converter would, and shows it.
 
-FILE is a steering calibration in YAML, as turn_arb takes it, or a map of values in CSV.
+FILE is a steering calibration in YAML, as turn_arb loads it, or a value map in CSV.
 """
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from car_interface.throttle.value_map import ValueMap, load_value_map
 
 STEERING_SUFFIXES = (".yaml", ".yml")
 PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
-COUNT = 16  # of duty: what the servo board can tell apart
+COUNT = 16  # duty of one count of the servo board
 BAR = 24  # characters to each side
 MAX_COLUMNS, MAX_ROWS = 11, 21
-LIMITS = ConversionConfig()  # of a generic_value_converter that isn't told otherwise
-LEVEL_MPS2 = 0.005  # a rise by less may be none at all in a CSV with two decimals
+LIMITS = ConversionConfig()  # the defaults of generic_value_converter
+LEVEL_MPS2 = 0.005  # a smaller rise may vanish in a CSV with two decimals
 PLAIN = "\033[0m"
-# Of 256 colours: from braking over nothing to accelerating.
+# Of the terminal's 256 colours: from braking to accelerating.
 SHADES = (160, 167, 174, 181, 188, 255, 188, 152, 116, 74, 32)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of check_map."""
+    """Add the options of check_map."""
     parser.add_argument("file", metavar="FILE", help="a steering calibration (.yaml) or a map of values (.csv)")
     parser.add_argument("-o", "--output", metavar="PICTURE", help="also draw it: " + ", ".join(PICTURE_SUFFIXES))
     parser.add_argument("--allow-plateaus", action="store_true",
@@ -79,12 +79,12 @@ def _check_values(limits, table, path):
 
 
 def steering_picture(config: SteeringCalibration) -> list[str]:
-    """For each turn radius how far the servo goes to each side, as lines of text."""
-    reach = max(abs(duty - config.servo_center) for duty in
+    """For each turn radius the servo's travel to each side, as lines of text."""
+    max_travel = max(abs(duty - config.servo_center) for duty in
                 (config.servo_left, config.servo_right, *config.left_duties, *config.right_duties)) or 1
 
     def bar(duty):
-        return "█" * round(BAR * abs(duty - config.servo_center) / reach)
+        return "█" * round(BAR * abs(duty - config.servo_center) / max_travel)
 
     ends = f"servo_left {config.servo_left}, servo_center {config.servo_center}, servo_right {config.servo_right}"
     lines = [f"{ends}, channel {config.servo_channel}", "",
@@ -95,7 +95,7 @@ def steering_picture(config: SteeringCalibration) -> list[str]:
 
 
 def steering_notes(config: SteeringCalibration) -> Iterator[str]:
-    """What turn_arb takes and an owner may still want to know."""
+    """Yield what turn_arb accepts and an owner may still want to know."""
     for side, table, end in (("left", config.left_duties, config.servo_left),
                              ("right", config.right_duties, config.servo_right)):
         towards_center = 1 if config.servo_center > end else -1
@@ -118,7 +118,7 @@ def steering_notes(config: SteeringCalibration) -> Iterator[str]:
 
 
 def map_picture(table: ValueMap, colour: bool = False) -> list[str]:
-    """Its accelerations as lines of text: value upwards, velocity to the right; of a large map every so many."""
+    """The accelerations as lines of text: value upwards, velocity to the right; of a large map only some."""
     rows, columns = _some(table.values, MAX_ROWS), _some(table.velocities, MAX_COLUMNS)
     cells = [[table.acceleration_at(value, velocity) for velocity in columns] for value in rows]
     largest = max(max(map(abs, row)) for row in cells) or 1.0
@@ -134,23 +134,23 @@ def map_picture(table: ValueMap, colour: bool = False) -> list[str]:
 
 
 def map_notes(table: ValueMap, limits: ConversionConfig = LIMITS) -> Iterator[str]:
-    """What generic_value_converter takes and an owner may still want to know."""
+    """Yield what generic_value_converter accepts and an owner may still want to know."""
     accelerations = [[table.acceleration_at(value, velocity) for velocity in table.velocities]
                      for value in table.values]
     rises = [(after - before, velocity, low, high)
              for low, high, row, next_row in zip(table.values, table.values[1:], accelerations, accelerations[1:])
              for before, after, velocity in zip(row, next_row, table.velocities)]
-    least, velocity, low, high = min(rises)
-    if least < LEVEL_MPS2:
-        yield (f"from value {low:g} to {high:g} at {velocity:g} m/s acceleration rises by only {least:.2g} m/s²: "
+    smallest, velocity, low, high = min(rises)
+    if smallest < LEVEL_MPS2:
+        yield (f"from value {low:g} to {high:g} at {velocity:g} m/s acceleration rises by only {smallest:.2g} m/s²: "
                "a small error there is a large one in the value")
     held, ends = [], ((table.velocities[0], 0), (table.velocities[-1], -1))
     for velocity, column in ends:
-        least, most = accelerations[0][column], accelerations[-1][column]
-        if least <= 0 <= most:
+        lowest, highest = accelerations[0][column], accelerations[-1][column]
+        if lowest <= 0 <= highest:
             held.append(f"{table.value_at(0.0, velocity):.3g} at {velocity:g} m/s")
         else:
-            yield f"at {velocity:g} m/s it has no value for 0 m/s², only for {least:g} to {most:g}"
+            yield f"at {velocity:g} m/s it has no value for 0 m/s², only for {lowest:g} to {highest:g}"
     if held:
         yield f"0 m/s² takes the value {' and '.join(held)}"
     values = table.values
@@ -167,9 +167,9 @@ def _cell(number, largest, colour):
     return f"\033[48;5;{shade};38;5;16m{text} {PLAIN}"
 
 
-def _some(axis: Sequence[float], most: int) -> list[float]:
-    """An axis, or, if it's longer, ``most`` of its numbers with both ends."""
-    if len(axis) <= most:
+def _some(axis: Sequence[float], count: int) -> list[float]:
+    """An axis, or, if it is longer, ``count`` of its numbers with both ends."""
+    if len(axis) <= count:
         return list(axis)
-    return [axis[round(index * (len(axis) - 1) / (most - 1))] for index in range(most)]
+    return [axis[round(index * (len(axis) - 1) / (count - 1))] for index in range(count)]
 

@@ -1,4 +1,4 @@
-"""The same work on several recordings at once, by processes."""
+"""Runs the same work on several recordings at once, in processes."""
 from __future__ import annotations
 
 import os
@@ -9,19 +9,20 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Callable, Iterator, Sequence
 
 from car_interface.common.errors import CarInterfaceError
+from car_interface.recordings.overlap import check_no_overlap, check_paths_differ
 
 
 def add_jobs_argument(parser) -> None:
-    """The option ``--jobs``."""
+    """Add the option ``--jobs``."""
     parser.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, metavar="N",
                         help="recordings to work on at the same time (default: as many as there are processors)")
 
 
 def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) -> Iterator[Any]:
-    """Yield ``function(item)`` for each item, in their order; in processes where that is more than one at a time.
+    """Yield ``function(item)`` for each item, in order; in processes where several run at a time.
 
     Args:
-        function: of a module, and what it takes and returns can be pickled; see ``functools.partial``.
+        function: of a module; its arguments and result are pickled.
         items: such as paths.
         jobs: processes at the same time, at least 1.
 
@@ -31,8 +32,8 @@ def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) ->
     if jobs == 1 or len(items) < 2:
         yield from map(function, items)
         return
-    # One for each process and no more: one that waits would have to be cancelled when another fails, and in Python 3.8
-    # a pool with nothing left but cancelled work never ends.
+    # As many as there are processes: pending work would have to be cancelled when other work fails, and in Python 3.8
+    # a pool that has only cancelled work left never ends.
     with ProcessPoolExecutor(min(jobs, len(items))) as pool:
         results: deque = deque()
         try:
@@ -48,6 +49,18 @@ def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) ->
         except BrokenProcessPool as error:
             raise CarInterfaceError("a process that read a recording was killed, maybe for want of memory: "
                                     "try again with --jobs 1") from error
+
+
+def load_all(load: Callable[[str], Any], paths: Sequence[str], jobs: int) -> list[Any]:
+    """``load(path)`` for each recording; each result has a ``trail`` by which it is compared with the others.
+
+    Raises:
+        NoRecording: two have the same driving in them; besides whatever ``load`` raises.
+    """
+    check_paths_differ(paths)
+    loaded = list(for_each(load, paths, jobs))
+    check_no_overlap([one.trail for one in loaded])
+    return loaded
 
 
 def _count(text):

@@ -1,7 +1,7 @@
 """The commands for recordings and tables: ``car-interface COMMAND …``, and ``rosrun car_interface COMMAND …``.
 
-A command is a module with ``add_arguments(parser)`` and ``run(arguments)``, which returns the exit code: 0 done,
-1 refused or failed, with one line that says why; 2 is for what argparse doesn't understand.
+A command is a module with ``add_arguments(parser)`` and ``run(options)``, which returns the exit code: 0 done,
+1 refused or failed, with one line that says why. argparse ends with 2 on options that it doesn't know.
 """
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import signal
 import sys
 from typing import Sequence
 
+from car_interface.cli.version import VersionAction
 from car_interface.common.errors import CarInterfaceError
 
 PROGRAM = "car-interface"
@@ -23,9 +24,9 @@ MODULES = {
     "check_map": "car_interface.cli.check_map",
 }
 INSTALL = "pip install '.[tools]' in the checkout"
-# What is called otherwise where it's installed from.
+# Libraries whose package has another name.
 PACKAGES = {"yaml": "PyYAML", "ruamel": "ruamel.yaml"}
-# For terminals that know no more than ASCII.
+# For terminals with ASCII only.
 PLAIN = {"█": "#", "│": "|", "└": "+", "─": "-", "²": "2", "±": "+-", "°": " deg", "…": "...", "−": "-", "×": "x"}
 INTERRUPTED = 128 + signal.SIGINT
 
@@ -57,7 +58,7 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
             raise
         library = error.name.split(".")[0]
         return _failed(command, f"this needs {PACKAGES.get(library, library)}, which isn't installed: {INSTALL}")
-    except BrokenPipeError:  # the reader, such as head, has seen enough
+    except BrokenPipeError:  # the reader, such as head, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
@@ -69,11 +70,12 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
 
 
 def _parser(command, arguments):
-    """The parser for one command; for all of them, with a line for each, when none is named."""
+    """The parser for one command; without a name for all of them."""
     if command is not None:
         parser = argparse.ArgumentParser(prog=command)
         return _describe(parser, command)
     parser = argparse.ArgumentParser(prog=PROGRAM, description="Tables and reports from recordings of a car's drives.")
+    parser.add_argument("--version", action=VersionAction)
     commands = parser.add_subparsers(metavar="COMMAND", dest="command")
     commands.required = True
     named = next((argument for argument in arguments if argument in MODULES), None)
@@ -87,12 +89,13 @@ def _describe(parser, name):
     parser.description = module.__doc__
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     module.add_arguments(parser)
+    parser.add_argument("--version", action=VersionAction)
     parser.set_defaults(run=module.run)
     return parser
 
 
 def _plain(error):
-    """What stands for characters that the output can't have."""
+    """Replaces characters that the output can't encode."""
     return "".join(PLAIN.get(character, "?") for character in error.object[error.start:error.end]), error.end
 
 

@@ -1,4 +1,4 @@
-"""Options that several commands have."""
+"""Options that several commands have in common."""
 from __future__ import annotations
 
 import argparse
@@ -6,7 +6,7 @@ import math
 
 
 def add_namespace_argument(parser: argparse.ArgumentParser) -> None:
-    """The option ``--ns``, as long ``--namespace``."""
+    """Add the option ``--ns``, also ``--namespace``."""
     parser.add_argument("--ns", "--namespace", dest="namespace", default="/", metavar="NAME",
                         help="the car's namespace, if its topics are below one (default: /)")
 

@@ -1,7 +1,7 @@
-"""Where a command's results go: what can't be written is refused before the work, and a file is whole or not there.
+"""Writes a command's results: what can't be written is refused before the work, and a file is never half written.
 
-A link stays a link, and its target is written. A file that is replaced keeps its mode and its owner. What is no file,
-such as /dev/stdout, is written to as it is. A recording is never overwritten.
+A link stays a link, and its target is written. A file that is replaced keeps its mode and its owner. What is no regular
+file, such as /dev/stdout, is written to as it is. A recording is never overwritten.
 """
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from car_interface.common.atomic_file import is_write_protected, replace
 from car_interface.common.errors import CarInterfaceError, ConfigError
 
 RECORDING_BEGINS = (b"#ROSBAG", b"SQLite format 3", b"\x89MCAP")
-STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}  # opened by name they would begin anew where they lead to a file
+STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}  # opened by name they would truncate a file that they are redirected to
 
 
 def check(path: str, recordings: Iterable[str] = ()) -> None:
-    """See whether an output can be written, before the work for it.
+    """Check that an output can be written, before the work for it.
 
     Args:
         path: as its owner wrote it.
@@ -48,10 +48,10 @@ def check(path: str, recordings: Iterable[str] = ()) -> None:
 
 
 def check_content(path: str, text: str, load: Callable[[str], Any]) -> None:
-    """Have a loader take a text before it becomes the file at ``path``.
+    """Check with its loader a text that will be the file at ``path``.
 
     Raises:
-        CarInterfaceError: what the loader says, of ``path``.
+        CarInterfaceError: the loader's error, with ``path``.
     """
     with tempfile.TemporaryDirectory() as folder:
         trial = os.path.join(folder, "trial")
@@ -64,12 +64,12 @@ def check_content(path: str, text: str, load: Callable[[str], Any]) -> None:
 
 
 def write(path: str, content: str | bytes, keeps_old: bool = False) -> str | None:
-    """Write all of it, or nothing.
+    """Write the content, all of it or nothing.
 
     Args:
         path: as ``check`` takes it.
-        content: a text goes out as UTF-8.
-        keeps_old: a file that is replaced stays beside it, under a name with the time.
+        content: a text is written as UTF-8.
+        keeps_old: a file that is replaced is kept beside it, under a name with the time.
 
     Returns:
         Where the old file is now, if there was one that is kept.
@@ -93,7 +93,7 @@ def write(path: str, content: str | bytes, keeps_old: bool = False) -> str | Non
 
 
 def is_stream(path: str) -> bool:
-    """Whether it's there and no file: a device, a pipe."""
+    """Whether the path is a device or a pipe."""
     return path in STREAMS or os.path.exists(path) and not os.path.isdir(path) and \
         not stat.S_ISREG(os.stat(path).st_mode)
 

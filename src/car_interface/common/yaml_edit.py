@@ -1,11 +1,13 @@
-"""Changes single values in a YAML file and keeps every other character of it, comments included.
+"""Changes single values in a YAML text and keeps every other character of it, comments included.
 
-The file is replaced in one step; a backup stays in the same folder, under a name with the time.
+``save`` does so in a file, which is replaced in one step; a backup stays in its folder, under a name with the time.
+``edited`` does so in a text, ``rewritten`` makes a new text after the pattern of another one.
 """
 from __future__ import annotations
 
 import errno
 import os
+import re
 from typing import Mapping, Sequence, Union
 
 from car_interface.common.atomic_file import is_write_protected, replace
@@ -13,6 +15,7 @@ from car_interface.common.errors import ConfigError
 
 Value = Union[int, float, Sequence[Union[int, float]]]
 Values = Mapping[str, Value]  # by name; one inside a mapping as ``servo/neutral``
+COMMENT_BEHIND = re.compile(r"[ \t]+#[^\r\n]*")
 
 
 def save(path: str, values: Values) -> str | None:
@@ -39,8 +42,14 @@ def save(path: str, values: Values) -> str | None:
                           f"can't be saved ({error.strerror})") from error
 
 
-def edited(text: str, values: Values, path: str = "the file") -> str:
+def edited(text: str, values: Values, path: str = "the file", keeps_comments: bool = True) -> str:
     """The text of a YAML file with ``values`` replaced; names that it lacks are appended.
+
+    Args:
+        text: of the file.
+        values: those that it has already are left alone, however they are spelled.
+        path: of the file, for errors.
+        keeps_comments: otherwise the comment behind a value that changes is removed: it may describe the old value.
 
     Raises:
         ConfigError: when that can't be done without changing anything else.
@@ -53,6 +62,8 @@ def edited(text: str, values: Values, path: str = "the file") -> str:
               if nodes[name] is None or not _has_value(nodes[name], value)}
     result, added = text, ""
     edits = [edit for name, value in values.items() if nodes[name] is not None for edit in _edits(nodes[name], value)]
+    if not keeps_comments:
+        edits += _comments_behind(text, edits, [nodes[name] for name in values if nodes[name] is not None])
     for begin, end, new_text in sorted(edits, reverse=True):
         result = result[:begin] + new_text + result[end:]
     for name, value in values.items():
@@ -69,6 +80,30 @@ def edited(text: str, values: Values, path: str = "the file") -> str:
     if not is_right:
         raise ConfigError(path, None, "plain values, each written out in its place", "can't be edited safely")
     return result
+
+
+def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the file") -> str:
+    """A new YAML text after the pattern of ``text``: its other values, layout and comments stay.
+
+    Comments behind values that change are removed, and the comments before the first name are replaced by ``head``. A
+    text that can't be edited safely is written anew, without its comments.
+
+    Args:
+        text: the pattern, a mapping.
+        values: the new values.
+        head: lines of the comment at the top.
+        path: of the pattern, for errors.
+
+    Raises:
+        ConfigError: the pattern is no mapping in YAML.
+    """
+    import yaml
+    body = text[_compose(text, path).start_mark.index:]
+    try:
+        body = edited(body, values, path, keeps_comments=False)
+    except ConfigError:
+        body = yaml.safe_dump({**yaml.safe_load(text), **values}, sort_keys=False)
+    return "".join(f"# {line}".rstrip() + "\n" for line in head) + "\n" + body
 
 
 def _compose(text, path):
@@ -111,6 +146,13 @@ def _edits(node, value):
     if elements is None and _number(node) == value:
         return []
     return [(node.start_mark.index, node.end_mark.index, _format(value))]
+
+
+def _comments_behind(text, edits, nodes):
+    """The comments on the lines where edits end, as edits that remove them."""
+    ends = {end for _, end, _ in edits} | {node.end_mark.index for node in nodes}
+    found = (COMMENT_BEHIND.match(text, end) for end in ends)
+    return [(match.start(), match.end(), "") for match in found if match]
 
 
 def _elements(node):

@@ -27,7 +27,7 @@ from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import NS_PER_S, yaw_rad
 from car_interface.msg import (
     Control,
     Distance,
@@ -92,7 +92,7 @@ class Watch:
             self.distance_m += distance_m
             self.stage_distance_m[self.stage] += distance_m
         self.pose = (position.x, position.y)
-        self.yaw_rad = 2 * math.atan2(orientation.z, orientation.w)
+        self.yaw_rad = yaw_rad(orientation)
         self.speed_mps = message.twist.twist.linear.x
 
     def on_state(self, message, now_ns):
@@ -113,7 +113,7 @@ class Watch:
     def on_odometry(self, message, now_ns):
         """The pose by odometry."""
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
-        self.odometry = (position.x, position.y, 2 * math.atan2(orientation.z, orientation.w))
+        self.odometry = (position.x, position.y, yaw_rad(orientation))
 
     def on_range(self, message, now_ns):
         """A sonar's range; infinite: no echo."""
@@ -125,8 +125,8 @@ class Watch:
 
     def odometry_error(self):
         """The error of odometry, in m and degrees."""
-        x_m, y_m, yaw_rad = self.odometry
-        error_rad = math.remainder(yaw_rad - self.yaw_rad, 2 * math.pi)
+        x_m, y_m, by_wheels_rad = self.odometry
+        error_rad = math.remainder(by_wheels_rad - self.yaw_rad, 2 * math.pi)
         return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(error_rad))
 
     def missing(self):

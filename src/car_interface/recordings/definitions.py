@@ -1,7 +1,7 @@
-"""What the fields of a recorded message are: from the recording itself, or else from ROS 2's and this package's types.
+"""Deserializes recorded messages, by the recording's own definitions or by those that are known here.
 
-ROS 1 bags always have their definitions with them, ROS 2 bags since Iron. For older ones the standard types of ROS 2
-Humble serve, the ones in this package's ``msg`` folder, and Autoware's twins of these.
+ROS 1 bags always contain their definitions, ROS 2 bags since Iron. For older ones there are the standard types of ROS 2
+Humble, those in this package's ``msg`` folder, and Autoware's equivalents of these.
 """
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
 
 PACKAGE = "car_interface"
-# Autoware's packages that define messages with the fields of ours.
-TWINS = {
+# Autoware's packages with messages that have the fields of ours.
+EQUIVALENTS = {
     "autoware_control_msgs": ("Control", "Lateral", "Longitudinal"),
     "autoware_internal_debug_msgs": ("Float64Stamped",),
     "tier4_debug_msgs": ("Float64Stamped",),
@@ -23,11 +23,11 @@ IDL_RULE = "=" * 80 + "\n"
 
 
 class UnknownType(CarInterfaceError):
-    """A message type of which nobody has a definition."""
+    """A message type without a definition in the recording or here."""
 
 
 class Definitions:
-    """Turns a recording's bytes into messages; a type's code is made when it is first asked for.
+    """Turns a recording's bytes into messages; a type's code is generated when it is first used.
 
     Args:
         is_ros2: whether the bytes are CDR, as ROS 2 has them.
@@ -35,7 +35,7 @@ class Definitions:
 
     def __init__(self, is_ros2: bool):
         self._is_ros2 = is_ros2
-        self._by_text: dict = {}  # of bags in which two publishers disagree about a type, each is taken at its word
+        self._by_text: dict = {}  # by name and definition: two publishers may have different ones of a type
 
     def decoder(self, connection) -> Callable[[bytes], Any]:
         """A function from the bytes of one connection's messages to messages.
@@ -57,15 +57,15 @@ class Definitions:
 
 
 def known_types() -> Any:
-    """The types of ROS 2 Humble, of this package, and Autoware's twins of these, as rosbags' typestore."""
+    """The types of ROS 2 Humble, of this package, and Autoware's equivalents of these, as rosbags' typestore."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     types: dict = {}
     for path in sorted(package_file("msg").glob("*.msg")):
         text = path.read_text(encoding="utf-8")
         types.update(get_types_from_msg(text, f"{PACKAGE}/msg/{path.stem}"))
-        for twin, names in TWINS.items():
+        for package, names in EQUIVALENTS.items():
             if path.stem in names:
-                types.update(get_types_from_msg(text, f"{twin}/msg/{path.stem}"))
+                types.update(get_types_from_msg(text, f"{package}/msg/{path.stem}"))
     store.register(types)
     return store
 

@@ -1,7 +1,7 @@
-"""Reads what a car's topics carried from a recording: ROS 1 bags, and ROS 2 bags in SQLite or MCAP.
+"""Reads messages from a recording: ROS 1 bags, and ROS 2 bags in SQLite or MCAP.
 
-It goes through a recording once, from the beginning to the end, and keeps nothing: memory doesn't grow with the file.
-Only the topics that are asked for are looked at, so that others may have types that nobody knows.
+A recording is read once, from the beginning to the end; memory doesn't grow with the file. Only the requested topics
+are deserialized, so that others may have unknown types.
 """
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from car_interface.recordings.rosbag1 import ChunkReader
 ROS2_SUFFIXES = (".db3", ".mcap")
 METADATA = "metadata.yaml"
 BAR_AFTER_S = 1.0
-MESSAGES_PER_LOOK = 256  # at the clock
+MESSAGES_PER_CLOCK_CHECK = 256
 
 
 class Recorded(NamedTuple):
     """One message."""
 
-    time_ns: int  # ROS time at which the recorder took it
-    topic: str  # as it was asked for: without the car's namespace
+    time_ns: int  # ROS time at which the recorder received it
+    topic: str  # as it was requested: without the car's namespace
     message: Any  # with the fields of its definition
 
 
 class Topic(NamedTuple):
-    """What a recording has of a topic."""
+    """One topic of a recording."""
 
     type: str  # such as nav_msgs/msg/Odometry
     count: int  # messages
 
 
 class Contents(NamedTuple):
-    """What a recording has."""
+    """Times and topics of a recording."""
 
     start_ns: int  # ROS time of the first message; 0 when there is none
     end_ns: int
@@ -52,11 +52,11 @@ class Contents(NamedTuple):
 
 
 class NoRecording(CarInterfaceError):
-    """A file that can't be read as a recording, or one that lacks what is asked for."""
+    """A file that can't be read as a recording, or one that lacks what is requested."""
 
 
 def contents(path: str) -> Contents:
-    """What a recording has.
+    """Times and topics of a recording.
 
     Raises:
         NoRecording: it can't be read.
@@ -82,24 +82,24 @@ def topics(path: str) -> dict[str, str]:
 
 def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], namespace: str = "/",
          progress: bool = False) -> Iterator[Recorded]:
-    """Yield what the topics of one car carried, in the order in which it was recorded.
+    """Yield the messages on the topics of one car, in the order in which they were recorded.
 
     Args:
         path: of a ROS 1 bag, of a ROS 2 bag's folder, or of a file in that.
-        topics: their names below ``namespace``; those that weren't recorded yield nothing. One that begins with a slash
-            and isn't found below the namespace is taken as it stands. In a dict each name has the type that it must be
-            of, ``nav_msgs/Odometry``, or several that will do.
+        topics: their names below ``namespace``; those that weren't recorded yield nothing. A name that begins with a
+            slash and isn't found below the namespace is looked up as it is. In a dict each name has the accepted type,
+            such as ``nav_msgs/Odometry``, or several of them.
         namespace: the car's.
         progress: show a bar on a terminal's standard error when it takes more than a second.
 
     Raises:
-        NoRecording: it can't be read; a topic's type isn't one that will do, or nobody knows it.
+        NoRecording: it can't be read, or the type of a topic isn't accepted or isn't known.
     """
     with _opened(path) as reader:
         names = absolute_names({connection.topic for connection in reader.connections}, topics, namespace)
         connections = [connection for connection in reader.connections if connection.topic in names]
         if not connections:
-            return  # rosbags takes none of them for all of them
+            return  # for rosbags no connections mean all of them
         definitions = Definitions(is_ros2=isinstance(reader, Ros2Reader))
         decoders = {}
         for connection in connections:
@@ -115,14 +115,14 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
         for connection, time_ns, data in messages:
             try:
                 message = decoders[connection.id](data)
-            except Exception as error:  # whatever a damaged message does to generated code
+            except Exception as error:  # generated code may raise anything on a damaged message
                 raise NoRecording(f"{path} is damaged: a message of {connection.topic} can't be read as "
                                   f"{connection.msgtype}") from error
             yield Recorded(time_ns, names[connection.topic], message)
 
 
 def absolute_names(recorded: Iterable[str], topics: Iterable[str], namespace: str = "/") -> dict[str, str]:
-    """For each absolute name under which a topic was recorded, the name by which it was asked for."""
+    """For each absolute name under which a topic was recorded, the name by which it was requested."""
     recorded, prefix = set(recorded), "/" + namespace.strip("/")
     names = {}
     for topic in topics:
@@ -135,16 +135,16 @@ def absolute_names(recorded: Iterable[str], topics: Iterable[str], namespace: st
 
 
 def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "") -> None:
-    """See whether all topics were recorded.
+    """Check that all topics were recorded.
 
     Args:
         path: of the recording.
         topics: their names, as for ``read``.
         namespace: the car's.
-        why: what they're needed for, as the end of a sentence.
+        why: the purpose, as the end of a sentence.
 
     Raises:
-        NoRecording: naming the first that wasn't, and what there is of the same kind.
+        NoRecording: names the first that wasn't, and topics with similar names.
     """
     recorded = contents(path).topics
     found = set(absolute_names(recorded, topics, namespace).values())
@@ -158,21 +158,21 @@ def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "
 
 
 def other_version(path: str, recorded: Recorded) -> NoRecording:
-    """The error for a message that lacks a field which its type has here."""
+    """The error for a message that lacks a field of its type."""
     return NoRecording(f"{path}: {recorded.topic} was recorded with another version of "
                        f"{_short(recorded.message.__msgtype__)}")
 
 
 def with_bar(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
-    """Pass items on; from a second on with a bar on standard error."""
+    """Yield the items; after a second with a progress bar on standard error."""
     begin_s, bar = time.monotonic(), None
     try:
         for number, item in enumerate(items, 1):
             yield item
             if bar is not None:
                 bar.update()
-            elif number % MESSAGES_PER_LOOK == 0 and time.monotonic() - begin_s > BAR_AFTER_S:
-                from tqdm import tqdm  # not before there is something to show
+            elif number % MESSAGES_PER_CLOCK_CHECK == 0 and time.monotonic() - begin_s > BAR_AFTER_S:
+                from tqdm import tqdm  # slow to import
                 bar = tqdm(total=total, initial=number, desc=text, unit=" messages", unit_scale=True, leave=False)
     finally:
         if bar is not None:
@@ -181,20 +181,20 @@ def with_bar(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
 
 @contextmanager
 def _opened(path):
-    """A reader of a recording; whatever is wrong with the file ends as NoRecording."""
+    """A reader of a recording; every error of the file becomes NoRecording."""
     file = Path(path)
     _check_exists(file)
     try:
         reader = _reader(file)
         reader.open()
     except Exception as error:  # a damaged file makes rosbags raise almost anything
-        raise NoRecording(_explained(file, error)) from error
+        raise NoRecording(_error_text(file, error)) from error
     try:
         yield reader
     except CarInterfaceError:
         raise
     except Exception as error:
-        raise NoRecording(_explained(file, error)) from error
+        raise NoRecording(_error_text(file, error)) from error
     finally:
         reader.close()
 
@@ -241,7 +241,7 @@ def _short(name):
     return name.replace("/msg/", "/")
 
 
-def _explained(file, error):
+def _error_text(file, error):
     text = " ".join(str(error).split()) or type(error).__name__
     reindex = f"rosbag reindex {shlex.quote(str(file))}"
     is_ros1 = not file.is_dir() and file.suffix not in ROS2_SUFFIXES

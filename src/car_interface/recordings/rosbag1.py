@@ -1,8 +1,11 @@
-"""ROS 1 bags in the order in which they were recorded, with as much memory as a few of their chunks take.
+"""Reads ROS 1 bags in the order in which they were recorded, with the memory of a few of their chunks.
 
-rosbags keeps where each message lies, which takes gigabytes for the messages of a day, and sorts them by time: after
-the clock was set back it jumps between two chunks for each message, and what was driven before and after that comes
-out as one muddle. This reader goes from chunk to chunk.
+rosbags' own reader keeps the position of each message, which takes gigabytes for the messages of a day, and sorts them
+by time: after the clock was set back it alternates between two chunks, and mixes what was driven before and after. This
+reader goes from chunk to chunk.
+
+It overrides ``read_index_data`` and uses ``chunks``, ``chunk_infos`` and ``bio``, which rosbags doesn't document:
+setup.py limits rosbags to the versions that this was tested with.
 """
 from __future__ import annotations
 
@@ -13,8 +16,9 @@ from typing import Any, Iterator
 import numpy as np
 from rosbags.rosbag1 import Reader, ReaderError
 
+from car_interface.common.units import NS_PER_S
+
 MESSAGE = 2  # the op of a record that holds a message
-NS_PER_S = 1_000_000_000
 LENGTH = struct.Struct("<I")
 TIME = struct.Struct("<II")
 
@@ -33,7 +37,7 @@ class ChunkReader(Reader):
         self._newest: dict = {}  # time of the newest message, by connection
 
     def read_index_data(self, pos, indexes):
-        """Take the order of times from a chunk's index, and leave the rest of it; called once for each connection."""
+        """Read only the times from a chunk's index; rosbags calls this once for each connection of each chunk."""
         header = _fields(self._read(LENGTH.unpack(self._read(LENGTH.size))[0]))
         entries = np.frombuffer(self._read(LENGTH.unpack(self._read(LENGTH.size))[0]), "<u4").reshape(-1, 3)
         connection = header[b"conn"]
@@ -55,7 +59,7 @@ class ChunkReader(Reader):
     def messages(self, connections=(), start=None, stop=None) -> Iterator[tuple]:
         """Yield connection, time in ns and bytes: by time, or, if the clock was ever set back, as they were written.
 
-        ``start`` and ``stop`` are rosbags', and aren't served.
+        ``start`` and ``stop`` are parameters of rosbags; they are ignored.
         """
         wanted = {connection.id: connection for connection in connections or self.connections}
         chunks = [info for info in self.chunk_infos if not wanted.keys().isdisjoint(info.connection_counts)]
@@ -64,16 +68,16 @@ class ChunkReader(Reader):
                 for connection, time_ns, data in self._chunk(info.pos, wanted):
                     yield wanted[connection], time_ns, data
             return
-        number, waiting = 0, []  # chunks may overlap: what is waiting goes out before a chunk that begins later
+        number, pending = 0, []  # chunks may overlap: pending messages go out before a chunk that begins later
         for info in sorted(chunks, key=lambda info: (info.start_time, info.pos)):
-            while waiting and waiting[0][0] < info.start_time:
-                time_ns, _, connection, data = heapq.heappop(waiting)
+            while pending and pending[0][0] < info.start_time:
+                time_ns, _, connection, data = heapq.heappop(pending)
                 yield wanted[connection], time_ns, data
             for connection, time_ns, data in self._chunk(info.pos, wanted):
-                heapq.heappush(waiting, (time_ns, number, connection, data))
+                heapq.heappush(pending, (time_ns, number, connection, data))
                 number += 1
-        while waiting:
-            time_ns, _, connection, data = heapq.heappop(waiting)
+        while pending:
+            time_ns, _, connection, data = heapq.heappop(pending)
             yield wanted[connection], time_ns, data
 
     def _chunk(self, position, wanted) -> Iterator[tuple[int, int, bytes]]:

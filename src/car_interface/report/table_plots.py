@@ -1,4 +1,4 @@
-"""Pictures of the tables: a steering calibration, and a map of values."""
+"""Pictures of tables: a steering calibration, and a value map."""
 from __future__ import annotations
 
 import io
@@ -10,13 +10,13 @@ from matplotlib import cm
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from car_interface.report.plots import ASKED, FAINT, SENT, STYLE, title
+from car_interface.report.figures import FAINT, REQUESTED, SENT, STYLE, title
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.value_map import ValueMap
 
 DPI = 120
 CURVES = 9  # of a map's velocities
-LABELS = 12  # below an axis of radii
+MAX_LABELS = 12  # below an axis of radii
 
 
 def draw(table: SteeringCalibration | ValueMap, kind: str, name: str) -> bytes:
@@ -36,10 +36,10 @@ def _steering(figure, config):
     axis = list(config.radius_axis_m)
     title(by_radius, "Duty for a turn radius")
     by_radius.axhline(config.servo_center, color=FAINT, linewidth=0.9)
-    for duties, colour, side in ((config.left_duties, SENT, "left"), (config.right_duties, ASKED, "right")):
+    for duties, colour, side in ((config.left_duties, SENT, "left"), (config.right_duties, REQUESTED, "right")):
         by_radius.plot(axis, duties, color=colour, marker="o", markersize=3.5, label=side)
     by_radius.set(xscale="log", xlabel="turn radius in m")
-    shown = _apart(axis)
+    shown = _labelled(axis)
     by_radius.set_xticks(shown)
     by_radius.set_xticklabels([f"{radius:g}" for radius in shown])
     by_radius.minorticks_off()
@@ -53,12 +53,12 @@ def _steering(figure, config):
     by_duty.set_xlabel("duty")
 
 
-def _apart(axis):
-    """As many of the radii as have room for a label each, on a logarithmic axis."""
-    room = (axis[-1] / axis[0]) ** (1 / LABELS)
+def _labelled(axis):
+    """Radii that are far enough apart for a label each, on a logarithmic axis."""
+    min_ratio = (axis[-1] / axis[0]) ** (1 / MAX_LABELS)
     shown = [axis[-1]]
     for radius in reversed(axis):
-        if radius * room <= shown[-1]:
+        if radius * min_ratio <= shown[-1]:
             shown.append(radius)
     return shown[::-1]
 

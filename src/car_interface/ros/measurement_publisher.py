@@ -17,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import NS_PER_S
 from car_interface.msg import SteeringState, TeensyClock
 from car_interface.ros.diagnostics import OK, WARN
 from car_interface.ros.throttled_warnings import ThrottledWarnings
@@ -30,7 +31,6 @@ from car_interface.teensy.sensing.plausibility import GateConfig
 from car_interface.teensy.sensing.ranging import INF, MAX_RANGE, MAX_TIMEOUT_MS, USUAL_TIMEOUT_MS, RangingConfig
 
 QUEUE_SIZE = 100
-NS_PER_S = 1_000_000_000
 UNMEASURED = 1e6  # variance of what wheels don't tell: height, roll, pitch and sliding sideways
 WHEEL_JOINTS = ("rear_left_wheel", "rear_right_wheel")
 # Of the virtual car: x and y from the middle of the rear axle, in m, and where it looks, in rad.

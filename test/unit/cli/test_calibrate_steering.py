@@ -20,9 +20,9 @@ import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
-from car_interface.cli import calibrate_steering
+from car_interface.cli.calibrate_steering import Config
 from car_interface.cli.main import main
-from car_interface.recordings import signals
+from car_interface.common.errors import ConfigError
 from car_interface.sim.vehicle import Vehicle
 from car_interface.steering.params import load_steering
 from written_recordings import Written, odometry, write_ros1
@@ -85,7 +85,7 @@ def test_car_that_is_driven_by_its_own_table_turns_as_it_is_asked(calibrated):
               for path in (STOCK, made)}
     assert np.median(errors[made]) < 0.04 and max(errors[made]) < 0.10
     assert np.median(errors[made]) < np.median(errors[STOCK]) / 5
-    assert "play in the steering: " in calibrated.out
+    assert "backlash of the steering: " in calibrated.out
 
 
 def test_file_keeps_what_else_the_base_has_and_tells_how_well_it_is_known(bag, tmp_path):
@@ -101,7 +101,7 @@ def test_file_keeps_what_else_the_base_has_and_tells_how_well_it_is_known(bag, t
     text = made.read_text(encoding="utf-8")
     assert "slew_limit: 9000  # gently\n" in text and "# of the PCA9685, 0..15" in text
     assert "Traxxas" not in text and text.startswith("# Written by calibrate_steering")
-    assert "# steering by drive.bag: 240 s" in text and "pieces of steady steering" in text
+    assert "# steering by drive.bag: 240 s" in text and "segments of steady steering" in text
     for name in ("servo_left", "servo_center", "servo_right"):
         assert isinstance(after[name], int)
     for name in ("k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo"):
@@ -215,16 +215,6 @@ def test_recording_with_gaps_is_calibrated_all_the_same(tmp_path_factory, tmp_pa
         assert driven_radius_m(config, 2.0) == pytest.approx(2.0, rel=0.08)
 
 
-def test_way_is_as_long_whether_the_recording_has_gaps_or_not():
-    t_s = np.arange(0.0, 60.0, 0.02)
-    circle = signals.Odom(t_s, np.sin(t_s), 1 - np.cos(t_s), t_s, np.full(len(t_s), 1.02), np.ones(len(t_s)))
-    heard = t_s % 10 < 7  # by speed it's 2 % longer than between places, which across a gap tell nothing
-    gappy = signals.Odom(*(column[heard] for column in circle))
-    for odom in (circle, gappy):
-        way = calibrate_steering.distance_m(odom)
-        assert np.median(np.diff(way) / np.diff(odom.t_s)) == pytest.approx(1.0, abs=2e-4)
-
-
 def test_odometry_of_a_virtual_drive_is_the_newest_at_most_50_times_a_second(bag):
     with AnyReader([Path(bag)]) as reader:
         odom = [(received_ns, reader.deserialize(raw, connection.msgtype).header.stamp)
@@ -322,6 +312,16 @@ def test_axis_with_spaces_is_told_about_commas(bag, tmp_path, capsys):
 def test_channel_that_there_is_none_of_is_refused(bag, tmp_path, capsys):
     assert run(bag, "-o", tmp_path / "made.yaml", "--channel", "16") == 1
     assert "--channel is 16" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given, message", [
+    ({"channel": 16}, "--channel is 16; accepted: a channel of the servo board, 0 to 15"),
+    ({"axis_m": (2.0, 1.0)}, r"--axis\[1\] is 1.0"),
+    ({"axis_m": (0.0, 1.0)}, "--axis is .*; accepted: at most 200 radii above 0 m"),
+], ids=["channel", "falling_axis", "no_radius"])
+def test_configuration_is_checked_when_it_is_made(given, message):
+    with pytest.raises(ConfigError, match=message):
+        Config(("a.bag",), "out.yaml", "base.yaml", **given)
 
 
 def test_virtual_cars_differ_and_their_curves_are_monotone():

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from car_interface.calibration.value_map import table as tables
-from car_interface.calibration.value_map.acceleration import Series
-from car_interface.cli import calibrate_value_map as command
+from car_interface.calibration.value_map.calibrate import MapAxes
+from car_interface.calibration.value_map.recorded import Source
+from car_interface.cli.calibrate_value_map import Config
 from car_interface.cli.main import main
-from car_interface.recordings.signals import Pulses
+from car_interface.common.errors import ConfigError
 from car_interface.throttle.value_map import load_value_map
 from written_recordings import Written, write_ros1, write_ros2
 
@@ -70,16 +70,6 @@ def throttle_file(tmp_path, text):
     path = tmp_path / "throttle.yaml"
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def test_duties_become_values_by_the_throttles_table_the_other_way_round(tmp_path):
-    path = throttle_file(tmp_path, "servo: {channel: 2, value_axis: [-1, 0, 4], duty_table: [6000, 5000, 3000], "
-                                   "neutral: 5000}\ncommand_timeout: 0.3\n")
-    values = command.load_values(str(path))
-    assert values.neutral == 0.0
-    assert values(np.array([6000, 5500, 5000, 4000, 3000])).tolist() == [-1, -0.5, 0, 2, 4]
-    assert values(np.array([6016, 2984])).tolist() == [-1, 4]  # the board's rounding
-    assert np.isnan(values(np.array([6100, 2900, 0]))).all()
 
 
 @pytest.mark.parametrize("text, said", [
@@ -254,45 +244,11 @@ def test_number_that_is_none_is_a_matter_of_usage(tmp_path, capsys, option, text
     assert f"'{text}' is no finite number" in capsys.readouterr().err
 
 
-# --- parts ---
-
-
-def test_value_that_did_not_reach_the_esc_is_seen():
-    t_s = np.arange(0.0, 3.0, 0.02)
-    commanded = Series(t_s, np.where(t_s > 0.5, 2.0, 0.0))
-    duty = Series(t_s, np.where((t_s > 0.55) & (t_s < 2.0), 6000.0, 4915.0))  # the human lets go after 2 s
-    driven = command.reached(commanded, duty, 0.0, 4915)
-    gone = driven.t_s[driven.y == 0]
-    assert gone.min() == pytest.approx(2.0, abs=0.03) and gone.max() > 2.9
-
-
-def test_channel_that_nobody_drives_tells_nothing():
-    t_s = np.arange(0.0, 3.0, 0.02)
-    assert command.reached(Series(t_s, t_s), Series(t_s, np.full(t_s.size, -1.0)), 0.0, 4915) is None
-
-
-def test_pulses_are_as_long_as_odometry_makes_them():
-    t_s = np.arange(0.0, 20.0, 0.01)
-    wheel = Pulses(t_s[::2], np.floor(t_s[::2] * 2.0 / 0.0149))
-    ways = command.wheel_distances((wheel, wheel), Series(t_s, np.full(t_s.size, 2.0)))
-    assert (ways[0].y[-1] - ways[0].y[0]) / (ways[0].t_s[-1] - ways[0].t_s[0]) == pytest.approx(2.0, rel=0.002)
-    assert command.wheel_distances((wheel,), Series(t_s, t_s)) == ()
-
-
-def test_pulses_counted_while_nothing_was_recorded_do_not_change_their_length():
-    t_s = np.arange(0.0, 40.0, 0.01)
-    speed = np.where((t_s > 11.0) & (t_s < 13.0), 4.0, 1.0)
-    count = np.floor(np.cumsum(speed) * 0.01 / 0.0149)
-    recorded = (t_s < 10.0) | (t_s > 14.0)
-    wheel = Pulses(t_s[recorded], count[recorded])
-    ways = command.wheel_distances((wheel, wheel), Series(t_s[recorded], speed[recorded]))
-    assert (ways[0].y[-1] - ways[0].y[0]) / (count[-1] - count[0]) == pytest.approx(0.0149, rel=0.003)
-
-
-def test_csv_is_what_the_converter_loads(tmp_path):
-    table = tables.Table(np.array([-1.0, 0.0, 0.3]), np.array([0.5, 1.0]), np.array([[-1, -2], [0, -1], [1, 0.0005]]),
-                          np.zeros((3, 2), int), np.zeros((3, 2)))
-    path = tmp_path / "map.csv"
-    path.write_text(command.csv_text(table), encoding="utf-8")
-    assert load_value_map(str(path)).values == (-1.0, 0.0, 0.3)
-    assert path.read_text(encoding="utf-8").splitlines()[0] == "default,0.5,1.0"
+@pytest.mark.parametrize("given, message", [
+    ({"source": Source(esc_channel=16)}, "--esc-channel is 16; accepted: a channel of the servo board"),
+    ({"source": Source(measured_by="imu")}, "--imu is missing; accepted: the IMU's topic"),
+    ({"axes": MapAxes(velocities_mps=(1.0, 1.0))}, r"--velocities\[1\] is 1.0"),
+], ids=["esc_channel", "no_imu", "level_axis"])
+def test_configuration_is_checked_when_it_is_made(given, message):
+    with pytest.raises(ConfigError, match=message):
+        Config(("a.bag",), "map.csv", **given)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from car_interface.common import atomic_file
 from car_interface.common.errors import ConfigError
-from car_interface.common.yaml_edit import edited, save
+from car_interface.common.yaml_edit import edited, rewritten, save
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 
@@ -53,6 +53,36 @@ CONFIG = Path(__file__).resolve().parents[3] / "config"
 ])
 def test_only_what_differs_is_rewritten(before, values, after):
     assert edited(before, values) == after
+
+@pytest.mark.parametrize("before, values, after", [
+    pytest.param("a: 1  # one\nb: 2  # two\n", {"a": 5}, "a: 5\nb: 2  # two\n", id="comment_behind_a_changed_value"),
+    pytest.param("a: 1  # one\n", {"a": 1}, "a: 1  # one\n", id="comment_behind_an_unchanged_value"),
+    pytest.param("t: [1, 2]  # both\n", {"t": [1, 3]}, "t: [1, 3]\n", id="comment_behind_a_list"),
+    pytest.param("t:\n- 1  # one\n- 2  # two\n", {"t": [1, 3]}, "t:\n- 1  # one\n- 3\n",
+                 id="comment_behind_an_element"),
+    pytest.param("# on a line of its own\na: 1\n", {"a": 2}, "# on a line of its own\na: 2\n", id="line_of_its_own"),
+])
+def test_comments_behind_changed_values_are_removed_on_request(before, values, after):
+    assert edited(before, values, keeps_comments=False) == after
+
+
+@pytest.mark.parametrize("before, after", [
+    pytest.param("# old head\n\n# more of it\na: 1  # old\n\n# about b\nb: 2\n", "a: 9\n\n# about b\nb: 2\n",
+                 id="head_is_replaced_and_other_comments_stay"),
+    pytest.param("{a: 1, b: 2}\n", "{a: 9, b: 2}\n", id="mapping_on_one_line"),
+    pytest.param("--- \na: 1\nb: 2\n", "a: 9\nb: 2\n", id="document_start"),
+    pytest.param("b: &n 2\na: 1\nc: *n\n", "b: &n 2\na: 9\nc: *n\n", id="anchor_elsewhere"),
+    pytest.param("a: &n 1\nb: *n\n", "a: 9\nb: 1\n", id="what_cannot_be_edited_is_written_anew"),
+])
+def test_new_text_has_another_texts_values_and_a_head_of_its_own(before, after):
+    text = rewritten(before, {"a": 9}, ["new head", "", "more"])
+    assert text == "# new head\n#\n# more\n\n" + after
+    assert yaml.safe_load(text) == {**yaml.safe_load(before), "a": 9}
+
+
+def test_new_text_after_what_is_no_mapping_is_refused():
+    with pytest.raises(ConfigError, match=r"base\.yaml has no such lines"):
+        rewritten("- 1\n", {"a": 2}, [], "base.yaml")
 
 
 @pytest.mark.parametrize("text, values, message", [

@@ -1,7 +1,7 @@
-"""A smooth curve through pieces that don't all belong to it, and the nearest one that never falls.
+"""A smoothing spline through observations with outliers, and the nearest monotone sequence.
 
-An integrated random walk (a smoothing spline) whose strength is the likeliest, and another one along the duty where the
-curve bends; robust by Tukey's biweight.
+The spline is an integrated random walk whose strength is the likeliest, and varies along the duty where the curve
+bends. It is robust by Tukey's biweight. S observations, K knots.
 """
 from __future__ import annotations
 
@@ -11,33 +11,41 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from car_interface.calibration.steering.segments import KNOT, NothingToFit
+from car_interface.calibration.steering.drive import KNOT, NothingToFit
+from car_interface.calibration.steering.segments import Observations
 
 NEIGHBOURS, CONTRADICTION_PER_M = 5, 0.03
 
 
 class Smooth:
-    """An integrated random walk through pieces, its strength the likeliest; robust.
+    """The spline through observations.
+
+    Args:
+        found: the observations.
+        adapts: whether the strength may vary along the duty.
 
     Attributes:
-        curvatures: at the knots.
-        weight: of each piece, 0..1: 0 doesn't belong.
-        scatter: of the pieces, in their own standard errors.
+        curvatures: at the knots in 1/m, (K,).
+        weight: of each observation, 0..1, (S,); 0 is an outlier.
+        scatter: of the observations, in their own standard errors, at least 1.
+
+    Raises:
+        NothingToFit: no strength gives a curve that can be computed.
     """
 
     # Variance of a second difference of the curve from knot to knot, (1/m)².
     STRENGTHS = np.exp(np.linspace(math.log(1e-13), math.log(1e-3), 30))
-    SMOOTHING, ROBUST = 3, 4  # passes without and with doubt in pieces
+    SMOOTHING, ROBUST = 3, 4  # passes without and with weights
     TUKEY = 5.0
-    WIDEST_SPAN = 1e-5
-    AROUND = 13  # knots by which the strength is smoothed
+    MIN_STRENGTH_RATIO = 1e-5  # of the local strengths, smallest to largest
+    SMOOTHED_OVER = 13  # knots
 
-    def __init__(self, pieces, adapts=True):
-        self._h, self._y, self._stated = pieces.weights, pieces.curvature_per_m, pieces.sigma_per_m
-        self._duty_sigma = pieces.duty_sigma
+    def __init__(self, found: Observations, adapts: bool = True):
+        self._h, self._y, self._stated = found.weights, found.curvature_per_m, found.sigma_per_m
+        self._duty_sigma = found.duty_sigma
         knots = self._h.shape[1]
         self._second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(knots - 2, knots), format="csr")
-        self.weight = np.where(_contradicted(pieces.duty, self._y, self._stated), 0.0, 1.0)
+        self.weight = np.where(_contradicted(found.duty, self._y, self._stated), 0.0, 1.0)
         self.scatter = 1.0
         self._sigma = self._stated
         local = np.ones(knots - 2)
@@ -53,31 +61,31 @@ class Smooth:
                 local = self._local()
         self._solve(local)
 
-    def cost(self, weights, _duties):
-        """Of other observations of the same pieces: twice their negative log likelihood, but for a constant."""
+    def cost(self, weights: sparse.csr_matrix) -> float:
+        """Twice the negative log likelihood, but for a constant, of other weights (S, K) of the same observations."""
         normal, right = self._normal_equations(weights)
         return self._cost(_banded(normal + self._penalty), right)[0]
 
-    def standard_errors(self):
-        """At the knots."""
+    def standard_errors(self) -> np.ndarray:
+        """Of the curvatures at the knots, (K,)."""
         inverse = cho_solve_banded((self._factor, True), np.eye(self._factor.shape[1]))
         return np.sqrt(np.maximum(np.diag(inverse), 0.0))
 
-    def monotone(self, sigmas):
-        """The curve, never falling (or rising, as the pieces do): the nearest one, by the standard errors."""
+    def monotone(self, sigmas: np.ndarray) -> np.ndarray:
+        """The nearest monotone curve (K,), weighted by standard errors (K,); it rises or falls as the observations."""
         places = self._h @ np.arange(self._h.shape[1])
         sign = 1.0 if np.polyfit(places, self._y, 1)[0] > 0 else -1.0
         return sign * rising(sign * self.curvatures, 1 / np.maximum(sigmas, 1e-9) ** 2)
 
     def _local(self):
-        """The strength differs along the duty: great where the curve bends, as at a stop, small where it doesn't."""
+        """The strength relative to its mean along the duty (K−2,): large where the curve bends, as at a stop."""
         bend = (self._second @ self.curvatures) ** 2
-        kernel = np.hanning(self.AROUND + 2)[1:-1]
-        smoothed = np.convolve(np.pad(bend, self.AROUND // 2, "edge"), kernel / kernel.sum(), "valid")
+        kernel = np.hanning(self.SMOOTHED_OVER + 2)[1:-1]
+        smoothed = np.convolve(np.pad(bend, self.SMOOTHED_OVER // 2, "edge"), kernel / kernel.sum(), "valid")
         smoothed = smoothed + 0.1 * np.median(smoothed) + 1e-18
-        # Where it was straight so far it needn't be straight; and beyond a span of 1e8 the equations can't be solved
-        # in floating point.
-        smoothed = np.maximum(smoothed, smoothed.max() * self.WIDEST_SPAN)
+        # Where the curve was straight so far it may still bend a little; and beyond a range of 1e8 the equations can't
+        # be solved in floating point.
+        smoothed = np.maximum(smoothed, smoothed.max() * self.MIN_STRENGTH_RATIO)
         return smoothed / np.exp(np.mean(np.log(smoothed)))
 
     def _solve(self, local):
@@ -116,11 +124,11 @@ class Smooth:
 
 
 def _contradicted(duty, curvature, sigma):
-    """Which pieces no monotone curve can have beside most of their neighbours on one side."""
+    """Which observations (S,) no monotone curve can have beside most of their neighbours on one side."""
     order = np.argsort(duty, kind="stable")
     y, slack = curvature[order], 4 * sigma[order] + CONTRADICTION_PER_M
     if np.median(np.sign(y[len(y) // 2:])) > np.median(np.sign(y[:len(y) // 2])):
-        y = -y  # falling with the duty from here on
+        y = -y  # it falls from here on
     contradictions = np.zeros((2, len(y)), int)
     for apart in range(1, NEIGHBOURS + 1):
         rises = y[apart:] - y[:-apart] > np.maximum(slack[apart:], slack[:-apart])
@@ -132,7 +140,7 @@ def _contradicted(duty, curvature, sigma):
 
 
 def rising(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The nearest sequence in weighted least squares that never falls: neighbours that fall are pooled."""
+    """The nearest sequence (N,) in weighted least squares that never falls: pool adjacent violators."""
     pools: list = []  # (mean, weight, how many), means rising
     for value, weight in zip(np.asarray(values).tolist(), np.asarray(weights).tolist()):
         pool = (value, weight, 1)
@@ -145,6 +153,7 @@ def rising(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def _banded(matrix, height=None):
+    """A symmetric sparse matrix in lower band form, as scipy's banded solvers take it."""
     matrix = matrix.tocoo()
     below = matrix.row - matrix.col
     dense = np.zeros((height or int(below.max()) + 1, matrix.shape[0]))

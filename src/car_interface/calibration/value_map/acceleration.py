@@ -1,11 +1,11 @@
-"""Accelerations out of a drive: regressed over short windows, each with all that is known of the car meanwhile.
+"""Measures the accelerations of a drive by regression over short windows.
 
 A regression over samples y(t_k) of a window is a sum of w_k·y(t_k). Where the w_k annihilate straight lines, that sum
 is, for any motion, exactly the mean of y'' under a bump φ(t) = sum of w_k·max(0, t_k − t) (Peano's kernel; the same one
-order lower gives y' out of speeds). So a window needs no steady value and no steady speed: whatever is compared with
-its acceleration is averaged under the same φ.
+order lower gives y' from speeds). So a window needs no steady value and no steady speed: whatever is compared with its
+acceleration is averaged under the same φ.
 
-Numbers in, numbers out; seconds, metres, radians; x forward, y left, left turns positive.
+Pure numpy; seconds, metres, radians; x forward, y left, left turns positive (REP-103). W windows of P points each.
 """
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from typing import NamedTuple, Sequence
 
 import numpy as np
 
-TICK_SIGMA_S = 1e-3 / 12**0.5  # a pulse's time is cut to the millisecond
-GRID_S = 0.01  # of φ; as fine as what commands an ESC, whose pulse comes every 20 ms
-GOLDEN = 0.6180339887498949  # multiples of it lie evenly between whole numbers
-SPEED_SPAN_S = 0.1  # a speed is the way over this time
-MAX_WINDOWS = 20_000  # of a drive: more than an hour; they lie farther apart in longer ones
-ENOUGH_PULSES, ENOUGH_SPEEDS = 6, 5
-SPEEDS = 8  # in a window, at the least: with slow odometry windows are longer
-COVERED = 0.7  # of a window, by its samples
+TICK_SIGMA_S = 1e-3 / 12**0.5  # a pulse's time is truncated to the millisecond
+GRID_S = 0.01  # of φ; an ESC gets a pulse every 20 ms
+GOLDEN = 0.6180339887498949  # its multiples, modulo 1, are evenly spread
+SPEED_SPAN_S = 0.1  # a speed is the distance over this time
+MAX_WINDOWS = 20_000  # of a drive: more than an hour; in longer drives windows lie farther apart
+MIN_PULSES, MIN_SPEEDS = 6, 5
+SPEEDS = 8  # in a window: with slow odometry windows are longer
+MIN_COVERED = 0.7  # of a window, by its samples
 
 # How a window was measured, or why it was not.
-MEASURED, NOTHING_MEASURED, STANDING, BACKWARD, TURNED_ROUND, STEERING, SLIPPING = range(7)
+MEASURED, NOT_MEASURED, STANDING, BACKWARD, GEAR_CHANGE, STEERING, SLIPPING = range(7)
 
 
 @dataclass(frozen=True)
 class WindowConfig:
-    """How a drive is cut up, and what of it doesn't count.
+    """How a drive is divided into windows, and which of them don't count.
 
     Attributes:
         window_s, hop_s: a window's length, and the time from one to the next.
-        slowest_mps: what is slower somewhere in a window is a stop. There an ESC holds, reverses or waits.
-        turned_round_s: so long after rolling backward the ESC may still be changing its gear.
+        min_speed_mps: a window with a lower speed is a stop, in which an ESC holds, reverses or waits.
+        gear_change_s: for this long after rolling backward the ESC may still be changing its direction.
         max_curvature_per_m, max_lateral_mps2: tyres in a turn brake.
         max_mps2: tyres don't hold more: the wheels slip.
         max_difference_mps2: nor can the accelerations of the two wheels, or those of wheels and IMU, differ by more.
@@ -42,8 +42,8 @@ class WindowConfig:
 
     window_s: float = 0.4
     hop_s: float = 0.2
-    slowest_mps: float = 0.3
-    turned_round_s: float = 0.5
+    min_speed_mps: float = 0.3
+    gear_change_s: float = 0.5
     max_curvature_per_m: float = 0.6
     max_lateral_mps2: float = 2.5
     max_mps2: float = 10.0
@@ -51,7 +51,7 @@ class WindowConfig:
 
 
 class Series(NamedTuple):
-    """Samples of one quantity at rising times."""
+    """Samples of one quantity at rising times; both of the shape (N,)."""
 
     t_s: np.ndarray
     y: np.ndarray
@@ -59,15 +59,15 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True)
 class Drive:
-    """What one recording holds, on one scale of seconds.
+    """One recording, on one scale of seconds.
 
     Attributes:
         name: for messages.
-        value: what drives the actuator, as it was commanded: each sample holds until the next one.
+        value: the actuator's commanded value, each sample until the next one.
         speed: m/s, backward negative.
         yaw: rad, unwrapped.
-        wheels: signed way of each wheel in m at its pulses; empty = none known, then the speed is differentiated.
-        imu: forward specific force in m/s²: gravity's part on a slope included, as accelerometers feel it.
+        wheels: signed distance of each wheel in m at its pulses; empty = unknown, then the speed is differentiated.
+        imu: forward specific force in m/s², with gravity's part on a slope, as accelerometers measure it.
         pitch: rad, nose down positive (REP-103).
         driven: 1 where the value reached the actuator, each sample until the next; ``None`` = always.
     """
@@ -84,17 +84,17 @@ class Drive:
 
 @dataclass(frozen=True)
 class Windows:
-    """One row for each window; what has a second dimension is sampled along the window.
+    """The W windows of a drive, each with P points.
 
     Attributes:
-        middle_s: its middle.
-        acceleration_mps2: the mean under φ.
-        sigma_mps2: of its noise: ticks, or what samples scatter around the regression.
-        state: MEASURED, or why it was not.
-        t_s, weight, speed_mps: φ's times, its weights there (their sum is 1), and the speeds.
-        cos_yaw, sin_yaw: means under φ.
-        pitch_rad: mean under φ, NaN without.
-        force_mps2, force_sigma_mps2: the IMU's mean under φ, and of its noise; NaN without.
+        middle_s: (W,).
+        acceleration_mps2: mean under φ, (W,); NaN where it was not measured.
+        sigma_mps2: standard error by ticks, or by the samples' scatter around the regression, (W,).
+        state: MEASURED, or why not, (W,).
+        t_s, weight, speed_mps: φ's times, its weights (each row's sum is 1), and the speeds, (W, P).
+        cos_yaw, sin_yaw: means under φ, (W,).
+        pitch_rad: mean under φ, (W,); NaN without a sensor.
+        force_mps2, force_sigma_mps2: the IMU's mean under φ and its standard error, (W,); NaN without an IMU.
     """
 
     middle_s: np.ndarray
@@ -113,7 +113,7 @@ class Windows:
 
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
 def windows(drive: Drive, config: WindowConfig = WindowConfig()) -> Windows:
-    """Cut a drive into windows and measure each."""
+    """Divide a drive into windows and measure each."""
     speed = speed_of_wheels(drive.wheels) if drive.wheels else drive.speed
     begins, ends = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 0.0)
     if not drive.wheels and drive.speed.t_s.size > 1:
@@ -121,7 +121,7 @@ def windows(drive: Drive, config: WindowConfig = WindowConfig()) -> Windows:
         config = replace(config, window_s=max(config.window_s, SPEEDS * period_s))
     hop_s = max(config.hop_s, (ends - begins) / MAX_WINDOWS)
     middles = np.arange(begins + config.window_s / 2, ends - config.window_s / 2, hop_s)
-    # Not in step with the grid of φ, nor with commands in step with that: else a delay would show in whole steps.
+    # Windows in step with the grid of φ, or with commands in step with that, would show a delay in whole steps only.
     middles = middles + (np.arange(middles.size) * GOLDEN % 1.0 - 0.5) * GRID_S
     steps = round(config.window_s / GRID_S)
     offsets = (np.arange(steps) + 0.5) * GRID_S - config.window_s / 2
@@ -130,9 +130,9 @@ def windows(drive: Drive, config: WindowConfig = WindowConfig()) -> Windows:
     speeds = _at(speed, t_s)
     measured, sigma = np.full(middles.size, np.nan), np.full(middles.size, np.nan)
     apart = np.zeros(middles.size)
-    order, sources, enough = (2, drive.wheels, ENOUGH_PULSES) if drive.wheels else (1, (drive.speed,), ENOUGH_SPEEDS)
+    order, sources, min_samples = (2, drive.wheels, MIN_PULSES) if drive.wheels else (1, (drive.speed,), MIN_SPEEDS)
     for index, middle in enumerate(middles):
-        found = [_regress(source, middle, config.window_s, order, t_s[index], enough) for source in sources]
+        found = [_regress(source, middle, config.window_s, order, t_s[index], min_samples) for source in sources]
         if any(one is None for one in found):
             continue
         values = [one.value for one in found]
@@ -147,14 +147,14 @@ def windows(drive: Drive, config: WindowConfig = WindowConfig()) -> Windows:
     yaw = _at(drive.yaw, t_s)
     force, force_sigma = _forces(drive.imu, t_s, weight)
     pitch = (_at(drive.pitch, t_s) * weight).sum(axis=1) if drive.pitch else np.full(middles.size, np.nan)
-    cut = Windows(middles, measured, sigma, np.zeros(middles.size, int), t_s, weight, speeds,
+    found = Windows(middles, measured, sigma, np.zeros(middles.size, int), t_s, weight, speeds,
                   (np.cos(yaw) * weight).sum(axis=1), (np.sin(yaw) * weight).sum(axis=1), pitch, force,
                   force_sigma)
-    return replace(cut, state=_judge(cut, yaw, apart, speed, config))
+    return replace(found, state=_states(found, yaw, apart, speed, config))
 
 
 def speed_of_wheels(wheels: Sequence[Series]) -> Series:
-    """The speed of the middle of the axle: the mean of the wheels', each way over SPEED_SPAN_S around its time."""
+    """The speed of the axle's middle in m/s: the mean of the wheels', each over SPEED_SPAN_S around its time."""
     usable = [wheel for wheel in wheels if wheel.t_s.size > 1]
     if not usable:
         return Series(np.zeros(0), np.zeros(0))
@@ -172,13 +172,13 @@ class _Regressed(NamedTuple):
     scatter: float  # of the samples around the regression
 
 
-def _regress(series, middle_s, window_s, order, t_s, enough):
-    """The derivative of ``order``, under a polynomial of that order; ``None`` where samples are too few."""
+def _regress(series, middle_s, window_s, order, t_s, min_samples):
+    """The derivative of ``order`` by a polynomial of that order; ``None`` where samples are too few."""
     first, last = np.searchsorted(series.t_s, (middle_s - window_s / 2, middle_s + window_s / 2))
-    if last - first < enough:
+    if last - first < min_samples:
         return None
     x, y = series.t_s[first:last] - middle_s, series.y[first:last]
-    if x[-1] - x[0] < COVERED * window_s:
+    if x[-1] - x[0] < MIN_COVERED * window_s:
         return None
     y = y - y[0]
     scale = window_s / 2
@@ -199,43 +199,43 @@ def _regress(series, middle_s, window_s, order, t_s, enough):
 
 
 def _forces(imu, t_s, weight):
-    """An IMU's means under φ; NaN where it has gaps."""
+    """(an IMU's means under φ (W,), their standard errors (W,)); NaN where it has gaps."""
     if imu is None or imu.t_s.size < 2:
         return np.full(len(t_s), np.nan), np.full(len(t_s), np.nan)
-    # What an average over many samples leaves of their noise; the noise is what neighbours differ by.
+    # The noise is by how much neighbours differ; an average over many samples reduces it.
     noise = np.median(np.abs(np.diff(imu.y))) / 0.6745 / 2**0.5
     period_s = np.median(np.diff(imu.t_s))
     begin, end = np.searchsorted(imu.t_s, t_s[:, 0]), np.searchsorted(imu.t_s, t_s[:, -1])
-    enough = (end - begin) * period_s >= COVERED * (t_s[:, -1] - t_s[:, 0])
+    enough = (end - begin) * period_s >= MIN_COVERED * (t_s[:, -1] - t_s[:, 0])
     sigma = noise * np.sqrt((weight**2).sum(axis=1) * max(1.0, period_s / GRID_S))
     return np.where(enough, (_at(imu, t_s) * weight).sum(axis=1), np.nan), sigma
 
 
-def _judge(cut, yaw, apart, speed, config):
-    """Why a window doesn't count; the first reason that holds."""
-    state = np.full(cut.middle_s.size, MEASURED)
-    slowest, fastest = cut.speed_mps.min(axis=1), cut.speed_mps.max(axis=1)
+def _states(found, yaw, apart, speed, config):
+    """The state of each window (W,): why it doesn't count."""
+    state = np.full(found.middle_s.size, MEASURED)
+    slowest, fastest = found.speed_mps.min(axis=1), found.speed_mps.max(axis=1)
     half = config.window_s / 2
-    backward_s = speed.t_s[speed.y < -config.slowest_mps / 2]
+    backward_s = speed.t_s[speed.y < -config.min_speed_mps / 2]
     if backward_s.size:
-        last = np.searchsorted(backward_s, cut.middle_s + half) - 1
-        since_s = cut.middle_s - half - backward_s[np.maximum(last, 0)]
-        turned = (last >= 0) & (since_s < config.turned_round_s)
+        last = np.searchsorted(backward_s, found.middle_s + half) - 1
+        since_s = found.middle_s - half - backward_s[np.maximum(last, 0)]
+        changes_gear = (last >= 0) & (since_s < config.gear_change_s)
     else:
-        turned = np.zeros(state.size, bool)
-    distance_m = np.maximum((cut.speed_mps * GRID_S).sum(axis=1), 1e-3)
+        changes_gear = np.zeros(state.size, bool)
+    distance_m = np.maximum((found.speed_mps * GRID_S).sum(axis=1), 1e-3)
     curvature_per_m = np.abs(yaw[:, -1] - yaw[:, 0]) / distance_m
     lateral_mps2 = curvature_per_m * fastest**2
-    force_apart = np.nan_to_num(np.abs(cut.force_mps2 - cut.acceleration_mps2))
-    slipping = ((np.abs(cut.acceleration_mps2) > config.max_mps2) | (apart > config.max_difference_mps2)
+    force_apart = np.nan_to_num(np.abs(found.force_mps2 - found.acceleration_mps2))
+    slipping = ((np.abs(found.acceleration_mps2) > config.max_mps2) | (apart > config.max_difference_mps2)
                 | (force_apart > config.max_difference_mps2))
     for reason, holds in (
         (SLIPPING, slipping),
         (STEERING, (curvature_per_m > config.max_curvature_per_m) | (lateral_mps2 > config.max_lateral_mps2)),
-        (NOTHING_MEASURED, ~np.isfinite(cut.acceleration_mps2 + cut.sigma_mps2) | ~np.isfinite(slowest + fastest)),
-        (TURNED_ROUND, turned),
-        (STANDING, slowest < config.slowest_mps),
-        (BACKWARD, fastest < -config.slowest_mps),
+        (NOT_MEASURED, ~np.isfinite(found.acceleration_mps2 + found.sigma_mps2) | ~np.isfinite(slowest + fastest)),
+        (GEAR_CHANGE, changes_gear),
+        (STANDING, slowest < config.min_speed_mps),
+        (BACKWARD, fastest < -config.min_speed_mps),
     ):
         state[np.nan_to_num(holds).astype(bool)] = reason
     return state

@@ -1,23 +1,25 @@
-"""The part of a fitted value map that may be written, as its CSV has it: nothing is invented."""
+"""The part of a fitted value map that may be written, and its CSV: nothing is invented."""
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
 
-from car_interface.calibration.value_map.fit import MIN_STEP_MPS2, RESOLUTION_MPS2, Fit, rounded
+from car_interface.calibration.value_map.axes import DECIMALS, MIN_STEP_MPS2, RESOLUTION_MPS2, rounded
+from car_interface.calibration.value_map.fit import Fit
 from car_interface.calibration.value_map.surface import rising_column
 
-MIN_NODES = 3  # values, and velocities, that make a map worth driving with
-BRACKET = 2  # nodes: so near on both sides must be others that are supported
+MIN_NODES = 3  # values, and velocities, of a map that is fit to drive with
+BRACKET = 2  # nodes: this near on both sides must be supported ones
+
 
 class Table(NamedTuple):
-    """What goes into the CSV.
+    """A map of R values and C velocities, as it is written.
 
     Attributes:
-        values, velocities, accelerations: as of the fit, or part of it.
-        origin: of each acceleration: DRIVEN, BETWEEN, OLD or MOVED.
-        sigma_mps2: standard errors; NaN for the prior's.
+        values, velocities, accelerations: those of the fit, or part of it: (R,), (C,), (R, C).
+        origin: of each acceleration: DRIVEN, BETWEEN, OLD or MOVED, (R, C).
+        sigma_mps2: standard errors, (R, C); NaN for the prior's.
     """
 
     values: np.ndarray
@@ -26,27 +28,27 @@ class Table(NamedTuple):
     origin: np.ndarray
     sigma_mps2: np.ndarray
 
-    def share(self) -> float:
-        """Of its accelerations that the drives state."""
+    def driven_ratio(self) -> float:
+        """The ratio of accelerations that come from the drives."""
         return float(np.mean(self.origin <= BETWEEN))
 
 
-# Where a table's acceleration is from: the drives themselves; from the drives next to it on both sides, and as sure; an
-# old map; an old map, moved because its column would not have risen.
+# The source of an acceleration: the drives; drives next to it on both sides, and as sure; an old map; an old map, moved
+# because its column would not have risen.
 DRIVEN, BETWEEN, OLD, MOVED = range(4)
 
 
 def table(found: Fit, neutral: float, prior: np.ndarray | None = None) -> Table | None:
-    """The part of a fit that may be written: nothing is invented.
+    """The part of a fit that may be written.
 
-    Where the drives state nothing the prior's accelerations stay. Where an old one contradicts what its column has
-    measured it is moved as far as it takes for the column to rise. Where there is no prior either, the axes are cut, to
-    the largest part in which everything is stated.
+    Where the drives support nothing the prior's accelerations stay; one that contradicts the measured ones of its
+    column is moved so that the column rises. Without a prior the axes are limited to the largest part in which every
+    node is supported.
 
     Args:
         found: the fit.
         neutral: the value at which the car coasts: the map should have values on both sides of it.
-        prior: an old map's accelerations at the fit's nodes, NaN where it has none.
+        prior: an old map's accelerations at the fit's nodes, (R, C), NaN where it has none.
 
     Returns:
         The table, with at least two values and velocities, or ``None``.
@@ -64,9 +66,9 @@ def table(found: Fit, neutral: float, prior: np.ndarray | None = None) -> Table 
     wanted = found.accelerations[part]
     if old.any():
         wanted = np.where(old, prior[part], wanted)
-        least = np.full(wanted.shape[0] - 1, MIN_STEP_MPS2)
-        weight = np.where(old, 1.0, 1e9)  # what was measured doesn't give way
-        risen = np.stack([rising_column(wanted[:, k], weight[:, k], least) for k in range(wanted.shape[1])], axis=1)
+        min_steps = np.full(wanted.shape[0] - 1, MIN_STEP_MPS2)
+        weight = np.where(old, 1.0, 1e9)  # measured ones don't move
+        risen = np.stack([rising_column(wanted[:, k], weight[:, k], min_steps) for k in range(wanted.shape[1])], axis=1)
         origin[old & (np.abs(risen - wanted) > RESOLUTION_MPS2)] = MOVED
         wanted = risen
         sigma[old] = np.nan
@@ -74,30 +76,30 @@ def table(found: Fit, neutral: float, prior: np.ndarray | None = None) -> Table 
 
 
 def _between(found):
-    """Nodes that the drives passed by on both sides, and know as well as those."""
+    """Which nodes have supported ones on both sides, and are known as well (R, C)."""
     known = found.supported
     between = np.zeros(known.shape, bool)
     for axis in (0, 1):
         near = []
         for direction in (1, -1):
             side = np.zeros(known.shape, bool)
-            for reach in range(1, BRACKET + 1):
-                moved = np.roll(known, direction * reach, axis)
+            for steps in range(1, BRACKET + 1):
+                shifted = np.roll(known, direction * steps, axis)
                 edge = [slice(None), slice(None)]
-                edge[axis] = slice(None, reach) if direction > 0 else slice(-reach, None)
-                moved[tuple(edge)] = False
-                side |= moved
+                edge[axis] = slice(None, steps) if direction > 0 else slice(-steps, None)
+                shifted[tuple(edge)] = False
+                side |= shifted
             near.append(side)
         between |= near[0] & near[1]
     return between & ~known & found.sure
 
 
 def _largest_part(stated, values, velocities, neutral):
-    """Rows and columns of the largest part of a map in which everything is stated: at least two each, or ``None``.
+    """Rows and columns of the largest part of a map in which every node is stated: at least two each, or ``None``.
 
-    Its velocities follow one another. Of its values some may be left out, if no more than BRACKET side by side: the map
-    is linear over them. How large it is goes by how far it reaches; a part that both drives and brakes is preferred,
-    and one with less than MIN_NODES of either is the last choice.
+    Its velocities are consecutive. Up to BRACKET consecutive values may be left out: the map is linear over them. Its
+    size is the product of its ranges; a part that both drives and brakes is preferred, and one with less than MIN_NODES
+    of either is the last choice.
     """
     best, largest = None, 0.0
     for first in range(velocities.size - 1):
@@ -113,3 +115,16 @@ def _largest_part(stated, values, velocities, neutral):
                 if size > largest:
                     best, largest = np.ix_(rows, np.arange(first, last + 1)), size
     return best
+
+
+def csv_text(written: Table) -> str:
+    """The map's CSV, as generic_value_converter loads it."""
+    lines = ["default," + ",".join(number_text(velocity) for velocity in written.velocities)]
+    for value, row in zip(written.values, written.accelerations):
+        lines.append(number_text(value) + "," + ",".join(f"{cell:.{DECIMALS}f}" for cell in row))
+    return "\n".join(lines) + "\n"
+
+
+def number_text(x: float) -> str:
+    """A number on an axis, without the errors of binary fractions."""
+    return repr(round(float(x), 9))

@@ -9,6 +9,7 @@ import time
 
 from car_interface.common.errors import DeviceError
 from car_interface.common.processes import openers
+from car_interface.common.units import NS_PER_S
 from car_interface.doctor.checks.board import Bus, check_bus, check_chip, check_no_answer, find_others, read_registers
 from car_interface.doctor.checks.findings import BAD, OK, Finding
 from car_interface.doctor.checks.port import HUB, TeensyProbe, check_holders, is_terminal
@@ -16,7 +17,6 @@ from car_interface.doctor.probes.computer import group_of
 from car_interface.teensy.link.console import PSEUDO_TERMINALS, consoles
 
 I2C_MAJOR = 89  # Documentation/admin-guide/devices.txt of the kernel
-NS_PER_S = 1_000_000_000
 LIST_PORTS = "See which there are: ls /dev/serial/by-id /dev/ttyA*"
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-NS_PER_MS, NS_PER_S = 1_000_000, 1_000_000_000
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 
 OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
 

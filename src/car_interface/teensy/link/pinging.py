@@ -7,11 +7,11 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import NamedTuple
 
+from car_interface.common.units import NS_PER_S
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED, encode
 from car_interface.teensy.link.protocol import ping
 
 AUTO = "auto"
-NS_PER_S = 1_000_000_000
 # A pong's way back is at most what the Teensy's transmit buffers hold: some 2 kB, 0.2 s at 115200 baud.
 ANSWER_WITHIN_NS = NS_PER_S // 2
 UNANSWERED_BEFORE_SWITCH = 5

@@ -29,10 +29,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from car_interface.common.errors import ConfigError
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.teensy.link.protocol import UINT32
 
-NS_PER_S = 1_000_000_000
-NS_PER_MS = 1_000_000
 BITS_PER_BYTE = 10  # start bit, eight, stop bit
 # What waits in the Teensy's buffers goes first: some 2 kB, 0.2 s at 115200 baud; then the host takes its time.
 ONE_WAY_UNCERTAINTY_NS = 250 * NS_PER_MS

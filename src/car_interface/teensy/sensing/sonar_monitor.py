@@ -16,10 +16,10 @@ from __future__ import annotations
 
 from typing import NamedTuple, Sequence
 
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.ranging import is_near_micros_wrap
 
-NS_PER_MS, NS_PER_S = 1_000_000, 1_000_000_000
 MISSING_ROUNDS = 2  # so many rounds of the others without a report
 STUCK_ZEROS, DROPPED_ZEROS = 2, 3  # echoes of 0 in a row
 STUCK_SILENCES = 2  # so often in a row all went silent at the same sonar

@@ -1,0 +1,138 @@
+"""Reads a recording as the drive that the fit of a steering curve takes."""
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from car_interface.calibration.steering.drive import Drive
+from car_interface.common.errors import CarInterfaceError
+from car_interface.recordings import signals
+from car_interface.recordings.overlap import Trail, trail
+from car_interface.recordings.series import Imu, Odom
+
+MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that a servo accepts as a command: 0.5 and 2.5 ms of 20 ms
+BIN_S, MIN_BIN_M, MAX_BIN_GAP_S, MAX_BIN_RAD = 1.0, 0.4, 0.3, 2.0
+MIN_BINS = 5
+IMU_GAP_S = 0.1
+MIN_IMU_RATIO = 0.95  # of a drive that an IMU must cover to be used
+MAX_YAW_DIFFERENCE = 0.03  # of odometry's and the IMU's yaw, as a ratio, without a note
+
+
+class RecordedDrive(NamedTuple):
+    """One recording."""
+
+    path: str
+    drive: Drive
+    notes: tuple[str, ...]
+    duration_s: float
+    uses_imu: bool
+    trail: Trail
+
+
+class ImuHeading(NamedTuple):
+    """A heading by the IMU at odometry's times."""
+
+    yaw_rad: np.ndarray  # (N,)
+    ratio: float  # of odometry's change of yaw to the IMU's
+
+
+def load_drive(path: str, channel: int, odom_topic: str = "odom", imu_topic: str | None = None, use_imu: bool = True,
+               namespace: str = "/") -> RecordedDrive:
+    """Read one recording.
+
+    Args:
+        path: of the recording.
+        channel: of the steering servo, 0..15.
+        odom_topic: of odometry.
+        imu_topic: of an IMU that must be there; ``None`` = the standard topic if it was recorded.
+        use_imu: whether the heading may come from an IMU.
+        namespace: the car's.
+
+    Raises:
+        NoRecording: it can't be read, or lacks what is needed.
+        CarInterfaceError: the channel never had a pulse.
+    """
+    found = signals.load(path, (signals.ODOM, signals.OUTPUT), optional=(signals.IMU,) if use_imu else (),
+                         namespace=namespace, odom=odom_topic, imu=imu_topic if use_imu else None, progress=True)
+    odom, notes = found.odom, list(found.notes)
+    heading = None if found.imu is None else imu_heading(odom, found.imu)
+    if found.imu is not None and heading is None:
+        notes.append(f"{imu_topic or signals.IMU_TOPIC} covers too little of the drive, or doesn't follow the "
+                     "car's turning: not used")
+    if heading is not None and abs(heading.ratio - 1) > MAX_YAW_DIFFERENCE:
+        notes.append(f"odometry turns {abs(heading.ratio - 1):.0%} {'more' if heading.ratio > 1 else 'less'} than the "
+                     "IMU: measure track and wheel_diameter")
+    duty = found.output.duties[:, channel].astype(float)
+    is_pulse = (duty >= MIN_PULSE) & (duty <= MAX_PULSE)
+    if not is_pulse.any():
+        raise CarInterfaceError(f"{path}: channel {channel} of the servo board never had a servo's pulse")
+    drive = Drive(odom.t_s, distance_m(odom), odom.yaw_rad if heading is None else heading.yaw_rad, found.output.t_s,
+                  np.where(is_pulse, duty, np.nan))
+    return RecordedDrive(path, drive, tuple(notes), found.duration_s, heading is not None, trail(found))
+
+
+def distance_m(odom: Odom) -> np.ndarray:
+    """The distance travelled at each row of odometry (N,), backward negative.
+
+    It is the integral of the speed, scaled to the distances between positions: speeds show small steps and their
+    direction better, positions long distances.
+    """
+    dx, dy = np.diff(odom.x_m), np.diff(odom.y_m)
+    if np.any(odom.speed_mps):
+        steps_m = np.diff(odom.t_s) * (odom.speed_mps[1:] + odom.speed_mps[:-1]) / 2
+    else:
+        steps_m = np.hypot(dx, dy) * np.sign(dx * np.cos(odom.yaw_rad[:-1]) + dy * np.sin(odom.yaw_rad[:-1]))
+    by_speed_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    return by_speed_m * _distance_ratio(odom, by_speed_m)
+
+
+def _distance_ratio(odom, by_speed_m):
+    """The ratio of distances between positions to those by speed, over all seconds in which the car drove."""
+    at_s = np.arange(odom.t_s[0], odom.t_s[-1], BIN_S)
+    x_m, y_m, yaw_rad, speed_m = (np.diff(np.interp(at_s, odom.t_s, column))
+                                  for column in (odom.x_m, odom.y_m, odom.yaw_rad, by_speed_m))
+    half_rad = np.clip(np.abs(yaw_rad) / 2, 1e-6, 1.5)
+    arc_m = np.hypot(x_m, y_m) * half_rad / np.sin(half_rad)  # from the chord
+    drove = (np.abs(speed_m) > MIN_BIN_M) & (np.abs(yaw_rad) < MAX_BIN_RAD) & ~_has_gap(odom.t_s, at_s)
+    if drove.sum() < MIN_BINS:
+        return 1.0
+    ratios = arc_m[drove] / np.abs(speed_m[drove])
+    usual = np.median(ratios)
+    inliers = np.abs(ratios - usual) < 0.1 * usual
+    if not inliers.any():
+        return 1.0
+    ratio = float(arc_m[drove][inliers].sum() / np.abs(speed_m[drove][inliers]).sum())
+    return ratio if 0.5 < ratio < 2.0 else 1.0
+
+
+def _has_gap(t_s, at_s):
+    """Which of the bins between consecutive times ``at_s`` (M,) contain a gap between samples ``t_s``: (M−1,)."""
+    before = np.flatnonzero(np.diff(t_s) > MAX_BIN_GAP_S)
+    begun = np.searchsorted(t_s[before], at_s[1:])  # gaps that began before a bin's end
+    ended = np.searchsorted(t_s[before + 1], at_s[:-1], side="right")  # gaps that ended before its begin
+    return begun > ended
+
+
+def imu_heading(odom: Odom, imu: Imu) -> ImuHeading | None:
+    """The integral of the IMU's yaw rate, less its offset; ``None`` when it covers too little or is unrelated."""
+    inside = (odom.t_s >= imu.t_s[0]) & (odom.t_s <= imu.t_s[-1])
+    gaps = np.diff(imu.t_s) > IMU_GAP_S
+    covered = np.mean(inside) - np.sum(np.diff(imu.t_s)[gaps]) / max(odom.t_s[-1] - odom.t_s[0], 1e-9)
+    if len(imu.t_s) < 100 or covered < MIN_IMU_RATIO:
+        return None
+    steps = np.diff(imu.t_s) * (imu.yaw_rate_radps[1:] + imu.yaw_rate_radps[:-1]) / 2
+    by_rate_rad = np.interp(odom.t_s, imu.t_s, np.concatenate([[0.0], np.cumsum(steps)]))
+    # Ratio and offset by a straight line through the changes of yaw in each second, twice without its outliers.
+    at_s = np.arange(odom.t_s[0], odom.t_s[-1], 1.0)
+    by_odom, by_imu = (np.diff(np.interp(at_s, odom.t_s, yaw)) for yaw in (odom.yaw_rad, by_rate_rad))
+    used = np.ones(len(by_odom), bool)
+    for _ in range(3):
+        if used.sum() < 10 or np.ptp(by_imu[used]) < 0.2:
+            return None
+        ratio, offset = np.polyfit(by_imu[used], by_odom[used], 1)
+        off = np.abs(by_odom - ratio * by_imu - offset)
+        used = off <= 4 * 1.4826 * np.median(off) + 1e-9
+    if not 0.7 < ratio < 1.4:
+        return None
+    return ImuHeading(by_rate_rad + offset / ratio * (odom.t_s - odom.t_s[0]), float(ratio))

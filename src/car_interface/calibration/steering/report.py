@@ -1,0 +1,78 @@
+"""The report on a steering calibration, as lines of text: they are printed, and head the file that turn_arb loads."""
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Iterator, Sequence
+
+import numpy as np
+
+from car_interface.calibration.steering.calibrate import Calibrated
+from car_interface.calibration.steering.errors import BAND
+from car_interface.calibration.steering.fit import Curve
+from car_interface.calibration.steering.problems import radius_text
+from car_interface.calibration.steering.recorded import RecordedDrive
+from car_interface.calibration.steering.table import DRIVEN, LEFT, OLD, RIGHT, Breakpoint
+
+
+def report(calibrated: Calibrated, recorded: Sequence[RecordedDrive], axis_m: Sequence[float] | None) -> Iterator[str]:
+    """Yield the lines.
+
+    Args:
+        calibrated: what was found.
+        recorded: the drives.
+        axis_m: the radii that were asked for, if they were.
+    """
+    curve, points = calibrated.curve, calibrated.points
+    length_m = curve.observations.distance_m[curve.used].sum()
+    yield (f"steering by {', '.join(Path(one.path).name for one in recorded)}: "
+           f"{sum(one.duration_s for one in recorded):.0f} s, {curve.used.sum()} segments of steady steering, "
+           f"{length_m:.0f} m in them"
+           + (", heading by the IMU" if all(one.uses_imu for one in recorded) else ""))
+    for one in recorded:
+        yield from (f"  {one.path}: {note}" for note in one.notes)
+    yield from _curve_lines(curve)
+    added = [point.radius_m for point in points[LEFT] if axis_m and point.radius_m > axis_m[-1]]
+    if added:
+        yield (f"  --axis ends at {axis_m[-1]:g} m: {added[0]:g} to {added[-1]:g} m are added, or turn_arb would "
+               "turn as tight as there when asked for straight on")
+    yield "  radius         left  ±duty   ±radius segments    m        right  ±duty   ±radius segments    m"
+    for left, right in zip(points[LEFT], points[RIGHT]):
+        yield f"  {left.radius_m:6g} m  {_cells(left)}   {_cells(right)}"
+    yield "  (±: two standard errors; segments: driven about as tight; e: the end, no tighter turn can be had;"
+    yield "  *: nothing was driven)"
+    yield from (f"  missing: {problem}" for problem in calibrated.problems)
+    if calibrated.disagreement:
+        yield f"  {calibrated.disagreement}?"
+
+
+def _curve_lines(curve: Curve):
+    left_out = ", ".join(f"{count} {reason}" for reason, count in curve.counts.items() if count)
+    yield f"  left out (intervals): {left_out or 'none'}"
+    yield (f"  the servo follows after {curve.delay.delay_s:.2f} s, with a lag of {curve.delay.lag_s:.2f} s; backlash "
+           f"of the steering: {curve.backlash_duty:.0f} ± {BAND * curve.backlash_sigma:.0f} duty")
+    fitted = curve.observations.weights @ _at_all_knots(curve)
+    off = np.abs(curve.observations.curvature_per_m - fitted)[curve.used]
+    yield f"  segments lie off the curve by {np.median(off):.4f} 1/m (median), {np.percentile(off, 95):.4f} (95 %)"
+    if not math.isnan(curve.center):
+        yield f"  straight on: duty {curve.center:.0f} ± {BAND * curve.center_sigma:.0f}"
+    for side, end in ((LEFT, curve.left), (RIGHT, curve.right)):
+        why = ("the radius shrinks no more" if end.is_stop else "the end that was allowed" if end.is_end else
+               "the farthest that was driven; the end was not reached")
+        yield f"  {side}: duty {end.duty:.0f}, radius {radius_text(end.curvature_per_m)}: {why}"
+
+
+def _at_all_knots(curve):
+    """The curve at all columns of the observations' weights; 0 beyond what was driven."""
+    values = np.zeros(curve.observations.weights.shape[1])
+    values[curve.first_knot:curve.first_knot + len(curve.curvatures)] = curve.curvatures
+    return values
+
+
+def _cells(point: Breakpoint):
+    if point.source == OLD:
+        return f"{point.duty:8.0f} *{'old':>26}{'':8}"
+    mark = " " if point.source == DRIVEN else "e"
+    ratio = min(9.99, BAND * point.radius_sigma_m / point.radius_m)
+    return (f"{point.duty:8.0f}{mark} {min(9999, BAND * point.duty_sigma):5.0f} {ratio:8.1%} {point.segments:7d} "
+            f"{point.distance_m:6.0f}")

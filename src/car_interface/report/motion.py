@@ -1,0 +1,144 @@
+"""How the car moved by odometry: path, distance, acceleration, and how tightly it turned against what was sent."""
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any, Mapping, NamedTuple
+
+from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
+from car_interface.report.downsample import Path, Trace
+from car_interface.report.faults import WARN, Fault, FaultLog
+from car_interface.report.steering_state import SteeringWatch
+
+WINDOW_S = 0.3  # over which accelerations and curvatures are taken: a dozen reports of the wheels
+MIN_DISTANCE_M = 0.05  # in it, for a curvature
+MIN_SAMPLES = 4
+MOVING_MPS = 0.05
+JUMP_M = 1.0  # from one odometry message to the next: odometry was reset
+MAX_GAP_S = 0.5  # the hub reports at least every 0.2 s
+# The car's curvature is compared with the sent one at speed, in a real bend, a while after the servo last moved.
+STEADY_S, MIN_CURVATURE_PER_M, MIN_SPEED_MPS = 0.7, 0.1, 0.3
+RATIO_BINS, BINS_PER_UNIT = 300, 100
+MAX_POSES = 60
+TRACES = ("speed", "acceleration", "driven curvature")
+
+
+class CurvatureRatio(NamedTuple):
+    """How tightly the car turned to one side against what was sent."""
+
+    median: float  # ratio of curvatures; NaN without samples
+    samples: int
+
+
+class MotionWatch:
+    """Follows odometry.
+
+    Args:
+        traces: those of TRACES are written to.
+        faults: gaps and resets are added.
+        steering: who steers, and with what curvature.
+        start_ns: ROS time of the recording's first message.
+
+    Attributes:
+        path: where the car was, by who steered.
+        distance_m, moving_s: how far, and how long it drove.
+        curvature_ratios: (left, right), known after ``finish``.
+    """
+
+    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, start_ns: int):
+        self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
+        self.path = Path()
+        self.distance_m = self.moving_s = 0.0
+        self.curvature_ratios = (CurvatureRatio(math.nan, 0), CurvatureRatio(math.nan, 0))
+        self._window: deque = deque()  # stamp in s, speed, yaw, distance of the last WINDOW_S
+        self._yaw = self._signed_distance_m = 0.0
+        self._poses: deque = deque(maxlen=MAX_POSES)  # stamp in s, x, y, yaw
+        self._newest = None  # time, x, y, yaw
+        self._ratio_bins = ([0] * RATIO_BINS, [0] * RATIO_BINS)
+
+    def on_odom(self, time_s: float, message: Any) -> None:
+        """nav_msgs/Odometry."""
+        position, yaw = message.pose.pose.position, yaw_rad(message.pose.pose.orientation)
+        speed = message.twist.twist.linear.x
+        if not all(map(math.isfinite, (position.x, position.y, yaw, speed))):
+            return
+        stamp_s = (stamp_ns(message.header.stamp) - self._start_ns) / NS_PER_S
+        if self._newest is not None:
+            self._move(time_s, position, yaw, speed)
+        self._newest = (time_s, position.x, position.y, yaw)
+        self._poses.append((stamp_s, position.x, position.y, yaw))
+        self._traces["speed"].add(time_s, speed)
+        self.path.add(position.x, position.y, self._steering.source)
+        self._update_window(time_s, stamp_s, speed)
+
+    def pose_at(self, stamp_s: float) -> tuple[float, float, float] | None:
+        """(x, y, yaw) of the recent odometry that is nearest in time; ``None`` without any."""
+        if not self._poses:
+            return None
+        return min(self._poses, key=lambda pose: abs(pose[0] - stamp_s))[1:]
+
+    def finish(self) -> None:
+        """Compute the curvature ratios."""
+        self.curvature_ratios = tuple(_median_of(bins) for bins in self._ratio_bins)
+
+    def _move(self, time_s, position, yaw, speed):
+        before_s, x, y, yaw_before = self._newest
+        step_m = math.hypot(position.x - x, position.y - y)
+        if time_s - before_s > MAX_GAP_S:
+            self._faults.add(Fault(before_s, time_s, WARN, "odom", f"silent for {time_s - before_s:.2f} s"))
+        if step_m > JUMP_M:
+            self._faults.add_moment(time_s, WARN, "odom", f"began anew: {step_m:.1f} m from where it was")
+            self._window.clear()
+            self.path.interrupt()
+        else:
+            self.distance_m += step_m
+            self._signed_distance_m += math.copysign(step_m, speed)
+        self._yaw += math.remainder(yaw - yaw_before, 2 * math.pi)
+        if abs(speed) > MOVING_MPS and 0 < time_s - before_s < MAX_GAP_S:
+            self.moving_s += time_s - before_s
+
+    def _update_window(self, time_s, stamp_s, speed):
+        """Acceleration and curvature of the last WINDOW_S, at its middle."""
+        window = self._window
+        if window and not 0 <= stamp_s - window[-1][0] < MAX_GAP_S:
+            window.clear()  # the clock was set, or messages are missing
+        window.append((stamp_s, speed, self._yaw, self._signed_distance_m))
+        while stamp_s - window[0][0] > WINDOW_S:
+            window.popleft()
+        span_s = stamp_s - window[0][0]
+        if span_s < WINDOW_S / 2 or len(window) < MIN_SAMPLES:
+            return
+        middle_s = time_s - span_s / 2
+        self._traces["acceleration"].add(middle_s, _slope(window))
+        distance_m = self._signed_distance_m - window[0][3]
+        if abs(distance_m) >= MIN_DISTANCE_M:
+            curvature = (self._yaw - window[0][2]) / distance_m
+            self._traces["driven curvature"].add(middle_s, curvature)
+            self._compare(time_s, curvature, speed)
+
+    def _compare(self, time_s, curvature, speed):
+        sent = self._steering.curvature_per_m
+        if (sent is not None and abs(sent) > MIN_CURVATURE_PER_M and abs(speed) > MIN_SPEED_MPS
+                and time_s - self._steering.unchanged_since_s > STEADY_S):
+            bins = self._ratio_bins[0 if sent > 0 else 1]
+            bins[min(max(int(curvature / sent * BINS_PER_UNIT), 0), RATIO_BINS - 1)] += 1
+
+
+def _slope(samples):
+    """The slope of a line through (time, value, …) in least squares."""
+    count, begin = len(samples), samples[0][0]
+    mean_t = sum(sample[0] - begin for sample in samples) / count
+    mean_v = sum(sample[1] for sample in samples) / count
+    spread = sum((sample[0] - begin - mean_t) ** 2 for sample in samples)
+    if not spread:
+        return math.nan
+    return sum((sample[0] - begin - mean_t) * (sample[1] - mean_v) for sample in samples) / spread
+
+
+def _median_of(bins):
+    total, seen = sum(bins), 0
+    for index, count in enumerate(bins):
+        seen += count
+        if total and seen * 2 >= total:
+            return CurvatureRatio((index + 0.5) / BINS_PER_UNIT, total)
+    return CurvatureRatio(math.nan, 0)

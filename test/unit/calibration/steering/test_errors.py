@@ -1,0 +1,44 @@
+"""Standard errors hold the truth, also between the places that were driven."""
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from calibration.steering.synthetic import drive, steep_drive, steep_ends, true_curvature
+from car_interface.calibration.steering import fit
+from car_interface.calibration.steering.errors import BAND, bends
+
+pytestmark = pytest.mark.once
+
+
+def test_bands_hold_the_truth_where_a_steering_is_steep_and_where_it_is_nearly_level():
+    found = fit.fit([steep_drive()])
+    off = np.abs(found.curvatures - steep_ends(found.duties))
+    assert np.mean(off <= BAND * found.sigmas) > 0.95
+    assert found.backlash_duty == pytest.approx(6.0, abs=0.3)
+
+
+def test_between_places_that_differ_the_band_holds_a_stop_that_nobody_drove_at():
+    duties = np.concatenate([[3500, 3600, 3700], np.arange(3984, 6700, 48)])
+    found = fit.fit([drive(np.random.default_rng(1).permutation(16 * np.round(duties / 16)), hold_s=2.0)])
+    inside = (found.duties > 3700) & (found.duties < 3984)
+    off = np.abs(found.curvatures - true_curvature(found.duties))[inside]
+    assert np.all(off <= BAND * found.sigmas[inside])
+    bend = bends(found.duties, found.observations, found.used)[inside]
+    assert bend.max() > 0.03 and BAND * found.sigmas[inside].max() > bend.max() / 2
+
+
+def observations_at(duty, curvature):
+    return SimpleNamespace(duty=np.array(duty, float), curvature_per_m=np.array(curvature), sigma_per_m=np.full(
+        len(duty), 1e-4))
+
+
+def test_curve_may_bend_between_two_places_as_far_as_both_neighbours_lead():
+    stop = observations_at([0, 100, 400, 500], [0.0, 0.0, 0.1, 0.2])  # level up to a corner at 300
+    knots = np.array([100.0, 200.0, 300.0, 350.0, 400.0])
+    bend = bends(knots, stop, np.ones(4, bool))
+    assert bend == pytest.approx([0.0, 0.1 / 3, 0.2 / 3, 0.1 / 3, 0.0], abs=1e-3)
+    straight = observations_at([0, 100, 400, 500], [0.0, 0.1, 0.4, 0.5])
+    assert bends(knots, straight, np.ones(4, bool)) == pytest.approx(np.zeros(5), abs=1e-9)

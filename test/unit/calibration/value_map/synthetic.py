@@ -1,0 +1,81 @@
+"""Synthetic drives whose value map, slope, battery and delay are known."""
+from __future__ import annotations
+
+import random
+
+import numpy as np
+
+from car_interface.calibration.value_map.acceleration import Drive, Series
+from car_interface.calibration.value_map.config import FitConfig
+from car_interface.calibration.value_map.fit import fit
+
+PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))
+DELAY_S = 0.08
+
+
+def acceleration(value, speed):
+    """The synthetic car's: two slopes, a motor that gets weaker, drag."""
+    return np.where(value > 0, 1.8 * value / (1 + speed / 10), 1.4 * value) - 0.35 - 0.08 * speed
+
+
+def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pitch=False, with_imu=False, pulses=True,
+          mounting_rad=0.0, map_of=acceleration, there_and_back=False,
+          circles=False):
+    """A drive with a random value every second or so, straight on or all round."""
+    rng = random.Random(seed)
+    count = int(seconds / STEP_S)
+    t_s = np.arange(count) * STEP_S
+    value, speed, yaw = np.zeros(count), np.zeros(count), np.zeros(count)
+    now, until, turn, held, v, heading = 0.0, 0.0, 0.0, [], 1.0, 0.0
+    forces = np.zeros(count)
+    for index in range(count):
+        if t_s[index] >= until or v < 0.6 and now < 0 or v > 7.0 and now > 0:
+            now = rng.uniform(0.5, 3.0) if v < 1.0 else rng.uniform(-4.0, 0.0) if v > 6.0 else rng.uniform(-4.0, 3.0)
+            until, turn = t_s[index] + rng.uniform(0.6, 1.6), rng.uniform(-0.4, 0.4) if turns else 0.0
+        held.append(now)
+        value[index] = now
+        acting = held[max(0, index - round(DELAY_S / STEP_S))]
+        push = map_of(acting, v)
+        coasting = map_of(0.0, v)
+        push = coasting + (push - coasting) * (1 + sag * (0.5 - index / count) if acting > 0 else 1.0)
+        forces[index] = push
+        if circles and t_s[index] % 40 > 30:
+            turn, push = 0.7 * v, push - 0.4  # tyres brake
+        elif circles:
+            turn, heading = 0.0, 2 * np.pi * round(heading / 2 / np.pi)
+        change = push - 9.81 * (uphill[0] * np.cos(heading) + uphill[1] * np.sin(heading))
+        v = max(0.0, v + change * STEP_S)
+        heading = np.pi * (t_s[index] // 20 % 2) if there_and_back else heading + turn * STEP_S
+        speed[index], yaw[index] = v, heading
+    commanded_s, t_s = t_s, t_s + STEP_S  # what follows from a command is there a step later
+    distance_m = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * STEP_S)))
+    wheels = []
+    for phase in (0.3, 0.8):
+        places = (np.arange(int(distance_m[-1] / PULSE_M) - 1) + phase) * PULSE_M
+        ticks = np.floor(np.interp(places, distance_m, t_s) * 1000) / 1000 + 0.0005
+        fresh = np.concatenate(([True], np.diff(ticks) > 0))
+        wheels.append(Series(ticks[fresh], places[fresh]))
+    pitch = -(uphill[0] * np.cos(yaw) + uphill[1] * np.sin(yaw)) + mounting_rad  # nose down is positive
+    noise = np.random.default_rng(seed).normal(0.0, 0.1, count)
+    every = slice(None, None, 4)
+    return Drive("a.bag", Series(commanded_s, value), Series(t_s[every], speed[every]), Series(t_s[every], yaw[every]),
+                 wheels if pulses else (),
+                 imu=Series(commanded_s[::2], (forces + noise)[::2] + 0.2) if with_imu else None,
+                 pitch=Series(t_s[every], pitch[every]) if with_pitch else None)
+
+
+def error(found, map_of=acceleration):
+    """RMS over what is supported."""
+    truth = map_of(found.values[:, None], found.velocities[None, :])
+    assert found.supported.sum() > 0.3 * found.supported.size
+    return float(np.sqrt(np.mean((found.accelerations - truth)[found.supported] ** 2)))
+
+
+def rejected(one, config=None):
+    found = fit([one], None, None, config or FitConfig(delay_s=DELAY_S))
+    return {text: number for text, number in found.rejected.items() if number and text != "counted"}
+
+
+def with_(one, **changes):
+    fields = {"name": one.name, "value": one.value, "speed": one.speed, "yaw": one.yaw, "wheels": one.wheels}
+    return Drive(**{**fields, **changes})

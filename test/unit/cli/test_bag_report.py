@@ -1,0 +1,114 @@
+"""The command bag_report: where pages go, what is refused, and a page in a real browser."""
+from __future__ import annotations
+
+import io
+import pathlib
+import shutil
+
+import pytest
+from matplotlib import image
+
+from browser import Browser, find_browser
+from car_interface.cli import bag_report
+from car_interface.cli.main import main
+from written_recordings import drive, write_ros1
+
+PLOTS = ["who", "steering", "path", "speed", "link"]
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """A drive of a minute in which a lot happens, as a ROS 1 bag."""
+    return str(write_ros1(tmp_path_factory.mktemp("bags") / "drive.bag", drive()))
+
+
+def test_command_writes_the_page_and_says_where(bag, tmp_path, capsys):
+    out = tmp_path / "out.html"
+    assert main("bag_report", [bag, "-o", str(out)]) == 0
+    assert capsys.readouterr().out == f"{out}\n" and out.read_text(encoding="utf-8").endswith("</html>\n")
+    assert out.stat().st_mode & 0o077 == 0o044
+
+
+def test_command_without_output_puts_the_page_beside_the_recording(bag, capsys):
+    assert main("bag_report", [bag]) == 0
+    assert capsys.readouterr().out == bag.replace(".bag", ".html") + "\n"
+
+
+@pytest.mark.once
+def test_several_recordings_get_a_page_each_and_a_bad_one_stops_no_other(bag, tmp_path, capsys):
+    bad = tmp_path / "bad.bag"
+    bad.write_bytes(b"no bag")
+    assert main("bag_report", [str(bad), bag, "-o", str(tmp_path), "--jobs", "2"]) == 1
+    shown = capsys.readouterr()
+    assert shown.out == f"{tmp_path / 'drive.html'}\n"
+    assert shown.err == f"bag_report: {bad} can't be read as a recording: it is no bag\n"
+
+
+@pytest.mark.parametrize("arguments, words", [
+    pytest.param(["a.bag", "b.bag", "-o", "nowhere"], "is no folder, and 2 recordings need one", id="no_folder"),
+    pytest.param(["a/x.bag", "b/x.bag", "-o", "."], "would both get the page x.html", id="same_name"),
+    pytest.param(["a.bag"], "a.bag can't be read as a recording: there is no such file", id="missing"),
+])
+def test_what_can_not_be_done_is_refused_in_one_line(arguments, words, capsys):
+    assert main("bag_report", arguments) == 1
+    shown = capsys.readouterr()
+    assert words in shown.err and shown.err.count("\n") == 1
+
+
+def test_page_that_can_not_be_written_is_refused_and_leaves_nothing(bag, tmp_path, capsys):
+    assert main("bag_report", [bag, "-o", str(tmp_path / "none" / "a.html")]) == 1
+    assert "there is no folder" in capsys.readouterr().err and list(tmp_path.iterdir()) == []
+
+
+def test_page_replaces_an_old_one_but_never_a_recording(bag, tmp_path, capsys):
+    old, recording = tmp_path / "old.html", pathlib.Path(bag).read_bytes()
+    old.write_text("old")
+    assert main("bag_report", [bag, "-o", str(old)]) == 0
+    assert old.read_text().endswith("</html>\n") and [path.name for path in tmp_path.iterdir()] == ["old.html"]
+    capsys.readouterr()
+    assert main("bag_report", [bag, "-o", bag]) == 1
+    assert capsys.readouterr().err.startswith(f"bag_report: {bag} is one of the recordings")
+    assert pathlib.Path(bag).read_bytes() == recording
+
+
+def test_recording_that_breaks_the_report_stops_no_other(bag, tmp_path, capsys, monkeypatch):
+    other = str(tmp_path / "other.bag")
+    shutil.copy(bag, other)
+    monkeypatch.setattr(bag_report, "plots", lambda seen: {bag: {}}[seen.path])
+    assert main("bag_report", [other, bag, "-o", str(tmp_path), "--jobs", "1"]) == 1
+    shown = capsys.readouterr()
+    assert shown.out == f"{tmp_path / 'drive.html'}\n"
+    assert shown.err == f"bag_report: {other}: no page can be made of it (KeyError: {other!r})\n"
+
+
+def test_page_of_a_car_below_a_namespace_has_that_in_its_name(tmp_path, capsys):
+    path = write_ros1(tmp_path / "drive.bag", drive(10.0, "/car1"))
+    for option in ("--ns", "--namespace"):
+        assert main("bag_report", [str(path), option, "/car1/"]) == 0
+        assert capsys.readouterr().out == f"{tmp_path / 'drive.car1.html'}\n"
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium on this computer")
+def test_page_in_chromium_shows_every_plot_and_has_no_errors(bag, tmp_path):
+    out = tmp_path / "out.html"
+    assert main("bag_report", [bag, "-o", str(out)]) == 0
+    with Browser(find_browser()) as browser:
+        browser.open(out)
+        places = browser.evaluate(
+            "[...document.querySelectorAll('svg[data-plot]')].map(svg => { const box = svg.getBoundingClientRect();"
+            " return [svg.dataset.plot, box.left, box.top + scrollY, box.width, box.height]; })")
+        title = browser.evaluate("document.title")
+        wide = browser.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        picture = image.imread(io.BytesIO(browser.picture()))
+    assert browser.complaints == [] and browser.requests == [out.resolve().as_uri()]
+    assert title == "Drive: drive.bag" and wide == 0
+    assert [place[0] for place in places] == PLOTS
+    for name, left, top, width, height in places:
+        part = picture[round(top):round(top + height), round(left):round(left + width), :3]
+        assert abs(part.shape[0] - height) < 2 and abs(part.shape[1] - width) < 2, f"{name} is cut off"
+        assert width > 800 and height > 80, name
+        inked = (part.min(axis=2) < 0.8).mean(axis=0)  # by column
+        assert (inked > 0).mean() > 0.35, f"{name} is all but empty"
+        coloured = (part.max(axis=2) - part.min(axis=2) > 0.25).mean()
+        assert coloured > 0.0005, f"{name} has no curve in it"

@@ -1,0 +1,61 @@
+"""The same work on several recordings at once."""
+from __future__ import annotations
+
+import argparse
+import os
+from functools import partial
+
+import pytest
+
+from car_interface.cli import jobs
+from car_interface.common.errors import CarInterfaceError
+
+
+def squared(number):
+    return number * number
+
+
+def refusing(number):
+    raise CarInterfaceError(f"{number} is refused")
+
+
+def leaving_a_mark(folder, number):
+    (folder / str(number)).touch()
+    if number == 0:
+        raise CarInterfaceError("0 is refused")
+
+
+def dying(number):
+    os._exit(9)
+
+
+@pytest.mark.parametrize("count", [1, 3, 20])
+def test_work_in_processes_comes_back_in_order(count):
+    assert list(jobs.for_each(squared, list(range(7)), count)) == [0, 1, 4, 9, 16, 25, 36]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_error_of_this_package_comes_back_as_it_is(count):
+    with pytest.raises(CarInterfaceError, match="1 is refused"):
+        list(jobs.for_each(refusing, [1, 2], count))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_error_ends_the_work(count, tmp_path):
+    with pytest.raises(CarInterfaceError, match="0 is refused"):
+        list(jobs.for_each(partial(leaving_a_mark, tmp_path), range(1000), count))
+    assert len(list(tmp_path.iterdir())) < 100
+
+
+def test_process_that_was_killed_is_told():
+    with pytest.raises(CarInterfaceError, match="was killed, maybe for want of memory: try again with --jobs 1"):
+        list(jobs.for_each(dying, [1, 2], 2))
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "x", ""])
+def test_number_of_jobs_must_be_one(text, capsys):
+    parser = argparse.ArgumentParser()
+    jobs.add_jobs_argument(parser)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--jobs", text])
+    assert "no number of at least 1" in capsys.readouterr().err

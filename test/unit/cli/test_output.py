@@ -1,0 +1,130 @@
+"""Where results are written: what is refused, and what becomes of an old file."""
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from car_interface.cli import output
+from car_interface.common.errors import CarInterfaceError
+from car_interface.steering.params import load_steering
+
+
+def kept_beside(path):
+    return [other for other in path.parent.iterdir() if other.name.startswith(f"{path.name}.bak-")]
+
+
+def test_new_file_has_the_usual_permissions_and_nothing_lies_beside_it(tmp_path):
+    assert output.write(str(tmp_path / "a"), "¼ m", keeps_old=True) is None
+    assert (tmp_path / "a").read_text(encoding="utf-8") == "¼ m"
+    mask = os.umask(0)
+    os.umask(mask)
+    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o666 & ~mask
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("keeps_old", [False, True])
+def test_replaced_file_keeps_its_mode_and_is_kept_on_request(tmp_path, keeps_old):
+    path = tmp_path / "a"
+    path.write_text("old")
+    path.chmod(0o640)
+    aside = output.write(str(path), b"new", keeps_old)
+    assert path.read_text() == "new" and path.stat().st_mode & 0o777 == 0o640
+    assert [str(other) for other in kept_beside(path)] == ([aside] if keeps_old else [])
+    assert not keeps_old or Path(aside).read_text() == "old"
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root may give files away")
+def test_replaced_file_keeps_its_owner(tmp_path):
+    path = tmp_path / "a"
+    path.write_text("old")
+    os.chown(str(path), 1234, 2345)
+    output.write(str(path), "new")
+    assert (path.stat().st_uid, path.stat().st_gid) == (1234, 2345)
+
+
+@pytest.mark.parametrize("target_exists", [True, False])
+def test_link_stays_a_link_and_its_target_is_written(tmp_path, target_exists):
+    target, link = tmp_path / "mine" / "a", tmp_path / "link"
+    target.parent.mkdir()
+    if target_exists:
+        target.write_text("old")
+    link.symlink_to(target)
+    output.check(str(link))
+    output.write(str(link), "new")
+    assert link.is_symlink() and target.read_text() == "new"
+
+
+def test_what_is_no_file_is_written_to_as_it_is(tmp_path, capfd):
+    for path in ("/dev/null", "/dev/stdout"):
+        output.check(path)
+        assert output.write(path, "hello", keeps_old=True) is None
+    assert capfd.readouterr().out == "hello"
+    assert not Path("/dev/null").is_file()
+
+
+def test_half_written_file_is_none(tmp_path, monkeypatch):
+    path = tmp_path / "a"
+    path.write_text("old")
+
+    def full(handle):
+        raise OSError(28, "No space left on device")
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(CarInterfaceError, match=f"{path} can't be written: No space left on device"):
+        output.write(str(path), "new", keeps_old=True)
+    assert [(other.name, other.read_text()) for other in tmp_path.iterdir()] == [("a", "old")]
+
+
+def folder(tmp_path):
+    return tmp_path, "is a folder"
+
+
+def new_folder(tmp_path):
+    return f"{tmp_path}/new/", "is a folder"
+
+
+def in_no_folder(tmp_path):
+    return tmp_path / "none" / "a", "there is no folder"
+
+
+def recording_given(tmp_path):
+    (tmp_path / "given.bag").touch()
+    return tmp_path / "given.bag", "is one of the recordings"
+
+
+def link_to_recording_given(tmp_path):
+    (tmp_path / "given.bag").touch()
+    (tmp_path / "a.html").symlink_to(tmp_path / "given.bag")
+    return tmp_path / "a.html", "is one of the recordings"
+
+
+def other_recording(tmp_path):
+    (tmp_path / "a.yaml").write_bytes(b"#ROSBAG V2.0\n")
+    return tmp_path / "a.yaml", "is a recording, and would be lost"
+
+
+def protected(tmp_path):
+    (tmp_path / "a.yaml").touch(mode=0o444)
+    return tmp_path / "a.yaml", "is write-protected"
+
+
+@pytest.mark.parametrize("made", [folder, new_folder, in_no_folder, recording_given, link_to_recording_given,
+                                  other_recording, protected], ids=lambda made: made.__name__)
+def test_output_that_can_not_be_or_would_be_a_loss_is_refused_by_the_name_it_was_given(made, tmp_path):
+    path, words = made(tmp_path)
+    with pytest.raises(CarInterfaceError, match=f"^{path} [^\n]*{words}[^\n]*$"):
+        output.check(str(path), [str(tmp_path / "given.bag")])
+
+
+def test_folder_without_permission_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: path != str(tmp_path))  # root may write everywhere
+    with pytest.raises(CarInterfaceError, match=f"a can't be written: no permission in the folder {tmp_path}"):
+        output.check(str(tmp_path / "a"))
+
+
+def test_loader_that_refuses_a_text_names_the_output(tmp_path):
+    path = str(tmp_path / "mine.yaml")
+    with pytest.raises(CarInterfaceError, match=f"^{path}, servo_left is missing"):
+        output.check_content(path, "servo_channel: 0\n", load_steering)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,31 @@
+"""Stamps and orientations of rospy's messages and of rosbags', which name their fields differently."""
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.common.units import NS_PER_MS, NS_PER_S, stamp_ns, yaw_rad
+
+
+@pytest.mark.parametrize("stamp", [
+    pytest.param(SimpleNamespace(secs=1_700_000_000, nsecs=123_456_789), id="rospy"),
+    pytest.param(SimpleNamespace(sec=1_700_000_000, nanosec=123_456_789), id="rosbags"),
+])
+def test_stamp_is_exact_nanoseconds(stamp):
+    assert stamp_ns(stamp) == 1_700_000_000_123_456_789
+
+
+def test_a_second_has_a_thousand_milliseconds():
+    assert NS_PER_S == 1000 * NS_PER_MS
+
+
+@given(st.floats(-math.pi + 1e-6, math.pi - 1e-6), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+def test_yaw_is_that_of_the_quaternion_whatever_pitch_and_roll(yaw, pitch, roll):
+    cy, sy, cp, sp, cr, sr = (f(angle / 2) for angle in (yaw, pitch, roll) for f in (math.cos, math.sin))
+    quaternion = SimpleNamespace(x=sr * cp * cy - cr * sp * sy, y=cr * sp * cy + sr * cp * sy,
+                                 z=cr * cp * sy - sr * sp * cy, w=cr * cp * cy + sr * sp * sy)
+    assert yaw_rad(quaternion) == pytest.approx(yaw, abs=1e-9)

@@ -1,0 +1,83 @@
+"""The plots of a drive."""
+from __future__ import annotations
+
+import copy
+import math
+import re
+
+import numpy as np
+import pytest
+
+from car_interface.report import plots as report_plots
+from car_interface.report.downsample import Trace
+from car_interface.report.page import page
+from car_interface.report.plots import plots
+from car_interface.report.summary import summarize
+from written_recordings import Written, odometry, write_ros1
+
+PLOTS = ["who", "steering", "path", "speed", "link"]
+
+
+def test_each_plot_is_one_svg_with_ids_of_its_own(seen):
+    made = plots(seen)
+    assert list(made) == PLOTS
+    ids = [name for plot in made.values() for name in re.findall(r'\bid="([^"]+)"', plot.svg)]
+    assert len(ids) == len(set(ids))
+    for plot in made.values():
+        assert plot.svg.startswith('<svg role="img" aria-label="') and plot.svg.count("</svg>") == 1
+        used = set(re.findall(r'(?:href="#|url\(#)([\w.-]+)', plot.svg))
+        assert used <= set(re.findall(r'\bid="([^"]+)"', plot.svg))
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("changed", [
+    ("requested curvature", "speed", "frames"), ("sent curvature", "acceleration", "bad frames"),
+    ("driven curvature", "requested acceleration", "round trip"), ("gamepad", "value", "skew")], ids=", ".join)
+def test_each_trace_shows_in_its_plot(changed, seen):
+    other = copy.copy(seen)
+    other.traces = dict(seen.traces)
+    for name in changed:
+        other.traces[name] = Trace(0.0, seen.duration_s)
+        for step in range(200):
+            other.traces[name].add(seen.duration_s * step / 200, 0.3 * math.sin(step / 7))
+    before, after = plots(seen), plots(other)
+    assert [name for name in PLOTS if before[name] != after[name]] == ["steering", "speed", "link"]
+
+
+def test_plot_of_a_recording_that_lacks_its_topics_is_left_out(tmp_path):
+    path = str(write_ros1(tmp_path / "a.bag", [odometry(0.1 * step, 0.1 * step, speed_mps=1.0) for step in range(50)]))
+    seen = summarize(path)
+    assert list(plots(seen)) == ["steering", "path", "speed"]
+    text = page(seen, plots(seen))
+    assert "Not recorded: turn_arb/state" in text and "Not recorded: teensy_sensor_hub/link, teensy_clock" in text
+
+
+def test_steering_shows_what_was_driven_where_that_is_tighter_than_what_was_sent(tmp_path):
+    messages = [odometry(0.02 * step, math.sin(0.02 * step), 1 - math.cos(0.02 * step), 0.02 * step, 1.0)
+                for step in range(500)]
+    figure = report_plots._steering(summarize(str(write_ros1(tmp_path / "a.bag", messages))))
+    low, high = figure.axes[0].get_ylim()
+    assert low < -1.0 and high > 1.0  # 1/m
+
+
+def test_servos_channel_is_not_drawn_as_the_escs_though_its_channel_is_unknown(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(report_plots, "curve", lambda axes, trace, colour, label, *_, **__: drawn.append(label))
+    messages = [Written(0.1 * step, "/servo/output", "std_msgs/Int32MultiArray",
+                        {"data": [5000 + 16 * step, 4912 + 16 * step] + [0] * 14}) for step in range(20)]
+    seen = summarize(str(write_ros1(tmp_path / "a.bag", messages)))
+    with monkeypatch.context() as patch:
+        patch.setattr(report_plots, "title", lambda axes, text: drawn.append(text))
+        report_plots._speed(seen)
+    assert drawn == ["The ESC's duty", "duty on channel 1"]
+
+
+@pytest.mark.once
+def test_plots_of_a_long_drive_are_no_larger_than_those_of_a_short_one(tmp_path):
+    random = np.random.default_rng(2)
+    sizes = []
+    for count in (10_000, 40_000):
+        messages = [odometry(600 * step / count, speed_mps=random.normal()) for step in range(count)]
+        seen = summarize(str(write_ros1(tmp_path / f"{count}.bag", messages)))
+        sizes.append(len(plots(seen)["speed"].svg))
+    assert sizes[1] < 1.3 * sizes[0]

@@ -1,0 +1,88 @@
+"""What is found in a recording, and which recordings are refused."""
+from __future__ import annotations
+
+import pytest
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.typesys import Stores
+
+import written_recordings
+from car_interface.recordings.recording import NoRecording
+from car_interface.report.summary import summarize
+from written_recordings import HOSTILE, SPEED_MPS, Written, drive, odometry, old_steering_state, write_ros1, write_ros2
+
+
+def test_recording_of_ros_2_gives_the_same(seen, tmp_path):
+    messages = [message for message in drive() if message.topic != "/rosout"]
+    again = summarize(str(write_ros2(tmp_path / "drive", messages, with_definitions=False)))
+    assert again.steering.episodes == seen.steering.episodes and again.motion.distance_m == seen.motion.distance_m
+    assert str(again.faults.entries) == str([fault for fault in seen.faults.entries if fault.what != HOSTILE])
+
+
+def test_recording_without_causes_gives_the_same(seen, tmp_path):
+    path = write_ros1(tmp_path / "old.bag", drive(with_causes=False), extra_types=[old_steering_state()])
+    again = summarize(str(path))
+    assert again.steering.episodes == seen.steering.episodes
+    assert str(again.faults.entries) == str(seen.faults.entries)
+
+
+def test_car_below_a_namespace_is_found_there(seen, tmp_path):
+    path = str(write_ros1(tmp_path / "car1.bag", drive(20.0, "/car1")))
+    assert summarize(path, "/car1").motion.distance_m == pytest.approx(15 * SPEED_MPS, rel=0.01)
+    with pytest.raises(NoRecording, match=r"car1\.bag has no message of odom.*: try --ns /car1"):
+        summarize(path)
+
+
+@pytest.mark.parametrize("messages", [
+    pytest.param(drive(5.0), id="only_another_cars"),
+    pytest.param([*drive(5.0), Written(0.0, "/car1/sonar/front_middle", "sensor_msgs/Range", {})], id="only_a_sonar"),
+])
+def test_namespace_without_a_drive_is_refused_though_absolute_names_are_found(messages, tmp_path):
+    path = str(write_ros1(tmp_path / "a.bag", sorted(messages, key=lambda message: message.time_s)))
+    with pytest.raises(NoRecording, match=r"a\.bag has no message of odom, .* below /car1: try it without --ns$"):
+        summarize(path, "/car1")
+
+
+def test_topic_that_was_only_announced_is_not_there(tmp_path):
+    path = announced(tmp_path, [odometry(0.1 * step, 0.1 * step, speed_mps=1.0) for step in range(20)])
+    assert summarize(path).present == {"odom"}
+    with pytest.raises(NoRecording, match="has no message of odom"):
+        summarize(announced(tmp_path, []))
+
+
+def announced(tmp_path, messages):
+    """A recording in which turn_arb/state never said anything."""
+    path, store = tmp_path / f"{len(messages)}.bag", written_recordings.typestore(Stores.ROS1_NOETIC)
+    with Ros1Writer(path) as writer:
+        writer.add_connection("/turn_arb/state", "car_interface/msg/SteeringState", typestore=store)
+        written_recordings._write(writer, store, store.serialize_ros1, messages)
+    return str(path)
+
+
+def test_message_of_another_version_is_refused_with_its_type(tmp_path):
+    old = ("old_interface/SteeringState", "uint8 source\nuint16 duty")
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), Written(0.1, "/turn_arb/state", old[0], {})],
+                      extra_types=[old])
+    path.write_bytes(path.read_bytes().replace(b"old_interface/SteeringState", b"car_interface/SteeringState"))
+    with pytest.raises(NoRecording, match=r"state was recorded with another version of car_interface/SteeringState$"):
+        summarize(str(path))
+
+
+def test_other_topic_of_odometry_is_named_and_taken(tmp_path):
+    path = str(write_ros1(tmp_path / "a.bag", [odometry(0.1 * step, 0.1 * step, speed_mps=1.0, topic="/other/state")
+                                               for step in range(50)]))
+    assert summarize(path, odom="other/state").motion.distance_m == pytest.approx(4.9)
+    with pytest.raises(NoRecording, match="try --odom /other/state"):
+        summarize(path)
+
+
+@pytest.mark.parametrize("messages, words", [
+    pytest.param([Written(0.0, "/chatter", "std_msgs/String", {"data": "x"})], "it has /chatter", id="other_topics"),
+    pytest.param([], "no topic at all", id="empty"),
+    pytest.param([Written(0.0, "/odom", "std_msgs/String", {"data": "x"})],
+                 "/odom is of type std_msgs/String; accepted: nav_msgs/Odometry", id="wrong_type"),
+])
+def test_recording_without_a_drive_is_refused_by_name(messages, words, tmp_path):
+    path = str(write_ros1(tmp_path / "a.bag", messages))
+    with pytest.raises(NoRecording, match=words) as caught:
+        summarize(path)
+    assert path in str(caught.value)
