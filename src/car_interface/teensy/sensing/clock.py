@@ -1,23 +1,7 @@
-"""The Teensy's ticks as times of this computer's monotonic clock, each with how far off it can be.
+"""The Teensy's ticks as times of this computer's monotonic clock, each with its uncertainty.
 
-Tick k says that the Teensy's clock stood somewhere in [k, k + 1) ms. Over a minute crystals run evenly, so that host
-time is a line over the Teensy's time, and all that is known bounds it:
-
-- the Teensy answers a ping after its last byte has come: line(k + 1) ≥ sent + the ping's time on the wire;
-- it reads its clock before the first byte of a frame leaves: line(k) ≤ received − the frame's time on the wire.
-
-The lines that no bound forbids are a convex polygon in the plane of offset and skew: each bound cuts off a half-plane.
-The polygon's corners give the earliest and the latest time of any tick. That is no statistics: it holds however long a
-frame waits in a buffer.
-
-Nothing but pings goes to the Teensy, so the lower bounds are tight to the tick, while what comes back queues up. So the
-line is taken that lies lowest over the middle of the pings, for the sum of the delays is least over it: a linear
-program, whose optimum is a corner of the polygon (S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew
-from network delay measurements", INFOCOM 1999). The truth lies above it: from there the line goes towards the centre of
-the polygon, by as much as so many pings must be expected to leave and never beyond the centre.
-
-Temperature bends the line: a bound of age τ is loosened by ½ wander τ², for so far the truth can be off the line that
-is right now. So old bounds fade by themselves, and what lies far from the last pings comes out uncertain.
+Pongs and ticks bound the line of host time over the Teensy's time (``clock_lines``). ``Clock`` keeps the tightest
+bounds of a window, rejects what contradicts them, finds out when a clock jumped, and translates ticks.
 
 Pure: ticks and monotonic nanoseconds in, the same out.
 """
@@ -30,9 +14,9 @@ from typing import NamedTuple
 
 from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import UINT32
+from car_interface.teensy.sensing.clock_lines import NS_PER_MS, Bound, ClockLines, PongBounds, rise_ns
 
 NS_PER_S = 1_000_000_000
-NS_PER_MS = 1_000_000
 BITS_PER_BYTE = 10  # start bit, eight, stop bit
 # What waits in the Teensy's buffers goes first: some 2 kB, 0.2 s at 115200 baud; then the host takes its time.
 ONE_WAY_UNCERTAINTY_NS = 250 * NS_PER_MS
@@ -43,7 +27,6 @@ SENDING_NS = 100_000  # the host takes about so long from taking the time until 
 AGREEING = 3  # so many pongs in a row overrule those before them
 BUCKETS = 120  # in a window. Of each the tightest bounds are kept: neither memory nor time grows with the rate of pings
 KEPT_BUCKETS = 5  # with pongs, however old: they fade, but are better than none when pings are rare or paused
-BEND_PER_PPM_PER_H = 0.5 * 1e-6 / 3600 * 1e-6 * NS_PER_S  # of ½ wander τ² in ns, τ in ms
 
 # Why something isn't used, in words.
 TOO_SOON = "a pong sooner than ping and pong take on the line"
@@ -139,7 +122,7 @@ class Clock:
         sent_by_ns = sent_ns + self._wire_ns(sent_bytes)
         latest_ns = received_ns - self._wire_ns(received_bytes)
         tick = self._hear(tick, latest_ns)
-        used, reason = self._take(_Pong(_Bound(tick + 1, sent_by_ns), _Bound(tick, latest_ns)))
+        used, reason = self._take(PongBounds(Bound(tick + 1, sent_by_ns), Bound(tick, latest_ns)))
         if reason:
             self.counts[reason] += 1
         uncertainty_ns = self._stamp(tick, latest_ns).uncertainty_ns
@@ -155,7 +138,7 @@ class Clock:
         A wheel's doesn't serve: that is the time of the last pulse, however long ago.
         """
         latest_ns = received_ns - self._wire_ns(received_bytes)
-        bound = _Bound(self._hear(tick, latest_ns), latest_ns)
+        bound = Bound(self._hear(tick, latest_ns), latest_ns)
         if self._lines is None:
             return
         if self._lines.admit(None, bound):
@@ -192,6 +175,9 @@ class Clock:
             return self._lines.tick_at(host_ns)
         self._demand_a_tick()
         return self._last + 0.5 + (host_ns - self._last_ns) / NS_PER_MS
+
+    def _lines_of(self, pong):
+        return ClockLines(pong, self._config.max_skew_ppm, self._config.wander_ppm_per_h)
 
     def _wire_ns(self, byte_count):
         return round(byte_count * self._byte_ns)
@@ -240,7 +226,7 @@ class Clock:
             self._suspects.clear()
             self._add(pong)
             return True, ""
-        lines = _Lines(pong, self._config)
+        lines = self._lines_of(pong)
         if not all(lines.admit(*suspect) for suspect in self._suspects):
             self._suspects.clear()
         self._suspects.append(pong)
@@ -271,7 +257,7 @@ class Clock:
 
         A bucket that doesn't is left out; with the second in a row everything before it is.
         """
-        self._lines = _Lines(pong, self._config)
+        self._lines = self._lines_of(pong)
         contradictions = 0
         for key in sorted(self._buckets, reverse=True):
             bucket = self._buckets[key]
@@ -308,20 +294,6 @@ class Clock:
         return self._buckets[key]
 
 
-class _Bound(NamedTuple):
-    """The line was at ``tick`` not before, or not after ``ns``."""
-
-    tick: int
-    ns: int
-
-
-class _Pong(NamedTuple):
-    """What a pong says about the line."""
-
-    earliest: _Bound
-    latest: _Bound
-
-
 class _Bucket:
     """The tightest bounds of a while."""
 
@@ -340,130 +312,7 @@ class _Bucket:
 
     def tighten(self, earliest, latest, slope):
         """Take bounds; ``slope`` of the line in ns per ms says which of two is tighter."""
-        if earliest and (self.earliest is None or _rise(self.earliest, earliest, slope) > 0):
+        if earliest and (self.earliest is None or rise_ns(self.earliest, earliest, slope) > 0):
             self.earliest = earliest
-        if latest and (self.latest is None or _rise(self.latest, latest, slope) < 0):
+        if latest and (self.latest is None or rise_ns(self.latest, latest, slope) < 0):
             self.latest = latest
-
-
-class _Lines:
-    """All lines from ticks to host time that no bound forbids.
-
-    x ms after the reference a line is at the reference + 10**6 x + offset + skew x: 1 ns per ms is 1 ppm. The corners
-    (offset, skew) of the polygon go around it.
-    """
-
-    def __init__(self, pong, config):
-        self._tick, self._ns = pong.latest
-        self._bend = BEND_PER_PPM_PER_H * config.wander_ppm_per_h
-        most = config.max_skew_ppm
-        min_ns = pong.earliest.ns - self._ns - 2 * NS_PER_MS  # lower than the pong's own bound at any skew
-        self._corners = [(min_ns, -most), (0.0, -most), (0.0, most), (min_ns, most)]
-        self._middle = 0.0
-        self._gap_ns = 0.0
-        self._chosen = None
-        self.admit(*pong)
-
-    def admit(self, earliest, latest):
-        """Cut off what these bounds, or ``None``, forbid. When that is all, leave it as it is and return False."""
-        corners = self._corners
-        if earliest:
-            corners = _cut(corners, *self._place(earliest, -1), 1)
-        if latest:
-            corners = _cut(corners, *self._place(latest, 1), -1)
-        if not corners:
-            return False
-        if corners is not self._corners:
-            self._corners = corners
-            self._chosen = None
-        return True
-
-    def choose(self, middle_tick, gap_ns):
-        """Take the lowest over this tick, raised there by the gap, but towards the centre and not beyond it."""
-        self._middle = middle_tick - self._tick
-        self._gap_ns = gap_ns
-        self._chosen = None
-
-    @property
-    def slope(self):
-        """Of the chosen line, ns per ms."""
-        return NS_PER_MS + self._line()[1]
-
-    def skew_ppm(self):
-        """How much faster the Teensy's clock runs, by the chosen line."""
-        return 1e6 * (NS_PER_MS / self.slope - 1)
-
-    def offset_ns(self):
-        """When it is at 0, by the chosen line."""
-        offset, skew = self._line()
-        return self._ns - self._tick * NS_PER_MS + round(offset - skew * self._tick)
-
-    def tick_at(self, host_ns):
-        """The inverse of the chosen line."""
-        offset, skew = self._line()
-        return self._tick + (host_ns - self._ns - offset) / (NS_PER_MS + skew)
-
-    def translate(self, tick):
-        """(the middle of this tick by the chosen line, its earliest beginning and its latest end by all of them)."""
-        offset, skew = self._line()
-        x = tick - self._tick
-        base_ns = self._ns + x * NS_PER_MS
-        low = min([offset + skew * x for offset, skew in self._corners])
-        high = max([offset + skew * (x + 1) for offset, skew in self._corners])
-        bend_ns = self._bend * (abs(x) + 1) ** 2
-        return (base_ns + NS_PER_MS // 2 + round(offset + skew * (x + 0.5)), base_ns + math.floor(low - bend_ns),
-                base_ns + NS_PER_MS + math.ceil(high + bend_ns))
-
-    def _line(self):
-        if self._chosen is None:
-            middle = self._middle
-            lowest = min(self._corners, key=lambda line: line[0] + line[1] * middle)
-            center = _center(self._corners)
-            rise_ns = center[0] - lowest[0] + (center[1] - lowest[1]) * middle
-            share = min(1.0, self._gap_ns / rise_ns) if rise_ns > 0 else 0.0
-            self._chosen = tuple(low + share * (high - low) for low, high in zip(lowest, center))
-        return self._chosen
-
-    def _place(self, bound, side):
-        """Where a bound lies from the reference, loosened upwards (1) or downwards (-1) by what the truth may bend."""
-        x = bound.tick - self._tick
-        return x, bound.ns - self._ns - x * NS_PER_MS + side * self._bend * x * x
-
-
-def _rise(before, after, slope):
-    """How far one bound lies over the line of this slope through another."""
-    return after.ns - before.ns - slope * (after.tick - before.tick)
-
-
-def _cut(corners, x, y, side):
-    """The part of a polygon of lines (offset, skew) that at x pass above y (side 1) or below it (-1)."""
-    heights = [side * (offset + skew * x - y) for offset, skew in corners]
-    if not heights or min(heights) >= 0:
-        return corners
-    kept = []
-    before, height_before = corners[-1], heights[-1]
-    for corner, height in zip(corners, heights):
-        if (height < 0) != (height_before < 0):
-            share = height_before / (height_before - height)
-            kept.append((before[0] + share * (corner[0] - before[0]), before[1] + share * (corner[1] - before[1])))
-        if height >= 0:
-            kept.append(corner)
-        before, height_before = corner, height
-    return kept
-
-
-def _center(corners):
-    """The centre of a polygon's area."""
-    first_offset, first_skew = corners[0]
-    area = offset = skew = 0.0
-    for before, after in zip(corners[1:], corners[2:]):
-        # The triangle of these two and the first corner.
-        u, v = before[0] - first_offset, before[1] - first_skew
-        w, z = after[0] - first_offset, after[1] - first_skew
-        double = u * z - v * w
-        area += double
-        offset += double * (u + w)
-        skew += double * (v + z)
-    if not area:
-        return tuple(sum(ends) / len(corners) for ends in zip(*corners))
-    return first_offset + offset / (3 * area), first_skew + skew / (3 * area)

@@ -13,7 +13,8 @@ from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import SONARS, UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
-from car_interface.teensy.sensing.plausibility import GateConfig, Gates, ahead, has_pulsed
+from car_interface.teensy.sensing.plausibility import GateConfig, Gates
+from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed
 from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
 
 NS_PER_MS = 1_000_000

@@ -18,8 +18,8 @@ from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import BACKWARD, NO_DIRECTION, WheelStatus
 from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, UNALIGNED_PULSES, Alignment
 from car_interface.teensy.sensing.heading import HEADING_VARIANCE, HeadingFilter
-from car_interface.teensy.sensing.plausibility import LEARNING_PULSES
 from car_interface.teensy.sensing.pose import Pose
+from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
 from car_interface.teensy.sensing.restart import CarState, RestartBridge, WheelState
 from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
 
