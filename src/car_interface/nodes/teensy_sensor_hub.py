@@ -4,7 +4,7 @@ Publishes:
     teensy_pong (Pong), teensy_wheel (Wheel), teensy_distance (Distance), teensy_error (Error): each valid frame.
     odom (nav_msgs/Odometry), joint_states (sensor_msgs/JointState: the rear wheels), /tf from odom to base_link: by the
         newest report of the wheels, 5 to 50 Hz (~odom_rate), stamped when the wheels were so.
-    sonar/front_right … sonar/rear_left (sensor_msgs/Range): about 3 Hz each, stamped when the echo was heard; where the
+    sonar/front_right … sonar/rear_left (sensor_msgs/Range): about 3 Hz each, stamped when the echo came; where the
         sonars sit goes to /tf_static.
     teensy_clock (TeensyClock): with each answered ping, how the Teensy's clock relates to this computer's.
     ~link (LinkStatus, latched, 1 Hz and when the port opens or closes): what is wrong with the link, and its counters.
@@ -72,7 +72,7 @@ KEY_HELP = "keys: P ping, S sonar start, N sonar stop, R wheel reset, C counters
 
 @dataclass(frozen=True)
 class HubConfig:
-    """What the node's parameters say.
+    """The node's parameters.
 
     Attributes:
         port: the Teensy's serial port.
@@ -96,7 +96,7 @@ class HubConfig:
 
 
 def read_config(params) -> HubConfig:
-    """The node's configuration from its parameters; it opens and makes nothing.
+    """The node's configuration from its parameters, without side effects.
 
     Raises:
         ConfigError: naming the parameter.
@@ -116,7 +116,7 @@ def read_config(params) -> HubConfig:
 
 
 class TeensySensorHub:
-    """Keeps the link open and pinged, and passes on what comes through it."""
+    """Keeps the port open, runs the session over it, and publishes what comes through it."""
 
     def __init__(self, params, inbox):
         now_ns = time.monotonic_ns()
@@ -132,7 +132,7 @@ class TeensySensorHub:
         self._retry_ns = FIRST_RETRY_NS
         self._next_try_ns = now_ns
         self._next_counters_ns = now_ns
-        self._waiting = {}  # timestamp1 → the Futures of the ~ping calls that wait for it
+        self._waiting_pings = {}  # timestamp1 → the Futures of the ~ping calls that wait for it
         self._watched_fd = None
         self._rest_until_ns = 0
         self._corrupt = 0
@@ -161,15 +161,15 @@ class TeensySensorHub:
             rospy.loginfo(KEY_HELP)
 
     def _event_handlers(self):
-        """What to do with each kind of event, and when it was read; records are first passed on as they are."""
+        """The handler for each type of event, called with the time of the read; records are first published raw."""
         pong = advertise("teensy_pong", Pong, self._inbox, QUEUE_SIZE).publish
         wheel = advertise("teensy_wheel", Wheel, self._inbox, QUEUE_SIZE)
         distance = advertise("teensy_distance", Distance, self._inbox, QUEUE_SIZE)
         error = advertise("teensy_error", Error, self._inbox, QUEUE_SIZE).publish
         measurements = self._measurements
-        # Those that come often are made once and filled in each time: rospy writes them out as it publishes them.
-        turned, echo = Wheel(OneWheel(), OneWheel()), Distance()
-        left, right = turned.left, turned.right
+        # Frequent messages are reused: rospy serialises them as it publishes them.
+        wheel_msg, distance_msg = Wheel(OneWheel(), OneWheel()), Distance()
+        left, right = wheel_msg.left, wheel_msg.right
 
         def on_pong(event, received_ns):
             record, answer = event
@@ -184,14 +184,14 @@ class TeensySensorHub:
             if has_subscribers(wheel):
                 left.speed, left.direction, left.when, left.dist, left.dist_abs = record.left
                 right.speed, right.direction, right.when, right.dist, right.dist_abs = record.right
-                wheel.publish(turned)
+                wheel.publish(wheel_msg)
             if measurements:
                 measurements.wheels(record, received_ns)
 
         def on_sonar(record, received_ns):
             if has_subscribers(distance):
-                echo.sensor, echo.distance, echo.when = record
-                distance.publish(echo)
+                distance_msg.sensor, distance_msg.distance, distance_msg.when = record
+                distance.publish(distance_msg)
             is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
             if measurements:
                 measurements.sonar(record, received_ns, is_trusted)
@@ -214,7 +214,7 @@ class TeensySensorHub:
         serve(f"~{name}", service_type, self._inbox, lambda request, done: _answer(done, action, request))
 
     def step(self, now_ns):
-        """Do what was asked, read what came, ping when it's time."""
+        """Handle requests, read the port, ping, judge, publish; returns when to be called next."""
         for handler, item, arrival_ns in self._inbox.drain():
             handler(item, arrival_ns)
         if self._has_keys:
@@ -231,7 +231,7 @@ class TeensySensorHub:
                    self._measurements.due_ns if self._measurements else math.inf)
 
     def _attend_port(self, now_ns):
-        """Read it and ping through it, or try to open it; when that is due again though nothing comes from it."""
+        """Read it and ping through it, or try to open it; returns when that is due again though nothing comes."""
         if self._link.is_open:
             if now_ns >= self._rest_until_ns:
                 self._read(now_ns)
@@ -250,7 +250,7 @@ class TeensySensorHub:
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
-        """Leave the terminal and the port as they were found."""
+        """Restore the terminal and close the port."""
         self._keys.restore()
         self._close("the node ends")
         self._inbox.ending = True
@@ -282,7 +282,7 @@ class TeensySensorHub:
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _watch_port(self, wanted):
-        """Wait for the port, or don't: while it rests it would end every wait."""
+        """Wake on the port, or don't: while it is left alone it would end every wait."""
         if wanted and self._watched_fd is None:
             self._watched_fd = self._link.fileno()
             self._inbox.watch(self._watched_fd)
@@ -291,10 +291,10 @@ class TeensySensorHub:
             self._watched_fd = None
 
     def _close(self, reason):
-        """Close the port and tell those who wait for an answer through it."""
+        """Close the port and answer the ~ping calls that wait for it."""
         self._watch_port(False)
         self._link.close()
-        for timestamp1 in list(self._waiting):
+        for timestamp1 in list(self._waiting_pings):
             self._answer_ping(timestamp1, False, reason)
 
     def _read(self, began_ns):
@@ -319,7 +319,7 @@ class TeensySensorHub:
             self._note_noise(noise_bytes, len(data), began_ns)
 
     def _note_noise(self, noise_bytes, read_bytes, began_ns):
-        """Corrupt frames are told; what is mostly noise gets a rest."""
+        """Warn of corrupt frames; after a long read that is mostly noise leave the port alone for a while."""
         corrupt = self._session.tally.bad_frames - self._corrupt
         if corrupt:
             self._corrupt += corrupt
@@ -328,7 +328,7 @@ class TeensySensorHub:
             self._rest(began_ns)
 
     def _rest(self, began_ns):
-        """After much noise leave the port alone for as long as that took: a flood must not take the whole CPU."""
+        """Leave the port alone for as long as this read took: a flood must not take the whole CPU."""
         now_ns = time.monotonic_ns()
         self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
         self._watch_port(False)
@@ -340,14 +340,14 @@ class TeensySensorHub:
         self._plan_retry()
 
     def _note_failure(self, error):
-        """Say at once that the port is gone; that it still is can wait for the next second."""
+        """Publish at once that the port is gone; that it still is waits for the next second."""
         before = self._session.verdict.state
         self._session.port_failed(error.state, error.cause, error.remedy)
         if error.state != before:
             self._link_status.publish()
 
     def _write(self, data):
-        """Send; whether the port took it."""
+        """Send; whether that worked."""
         try:
             self._link.write(data)
         except DeviceError as error:
@@ -369,7 +369,7 @@ class TeensySensorHub:
             self._ping()
 
     def _ping(self):
-        """Send a ping stamped with ROS time in ms, which is all that fits; the session keeps when that really was."""
+        """Send a ping stamped with ROS time in ms, which is all that fits; the session keeps its monotonic time."""
         timestamp1 = rospy.Time.now().to_nsec() // 1_000_000 % protocol.UINT32
         self._write(self._session.ping(timestamp1, time.monotonic_ns()))
         return timestamp1
@@ -382,20 +382,20 @@ class TeensySensorHub:
         self._warnings.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
 
     def _judge(self):
-        """Find out how the link does, and say so when that is news, or still bad; a failing port says so by itself."""
+        """Judge the link; log what is new, or still bad. A port that fails is logged by itself."""
         if not self._link.is_open:
             return
         before = self._session.verdict
         verdict = self._session.judge(time.monotonic_ns())
         is_news = verdict.state != before.state
-        if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was told as it was noticed
-            self._warnings.warn(verdict.state, f"Teensy on {self._port}: {verdict.words}. {verdict.next_step}",
+        if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was logged as it was detected
+            self._warnings.warn(verdict.state, f"Teensy on {self._port}: {verdict.description}. {verdict.next_step}",
                                 int(is_news))
         elif verdict.state == FINE and is_news:
-            rospy.loginfo("Teensy on %s: %s", self._port, verdict.words)
+            rospy.loginfo("Teensy on %s: %s", self._port, verdict.description)
 
     def _judge_sonars(self):
-        """Send what the sonars need, and say what is wrong with them."""
+        """Send the commands that the sonars need, and warn of their faults."""
         now_ns = time.monotonic_ns()
         command = self._sonars.next_command(now_ns) if self._link.is_open else None
         if command == SEND_SEQUENCE:
@@ -405,19 +405,19 @@ class TeensySensorHub:
             self._send(protocol.sonar_start())
         faults = self._sonars.faults(now_ns)
         if faults:
-            words, next_step = describe(faults)
-            self._warnings.warn(f"sonars {sorted(str(fault.sensor) for fault in faults)}", f"{words}. {next_step}")
+            kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
+            self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
 
     def _answer_ping(self, timestamp1, success, message):
         """Answer the ~ping calls that wait for this ping's pong."""
-        for future in self._waiting.pop(timestamp1, ()):
+        for future in self._waiting_pings.pop(timestamp1, ()):
             future.set_result((success, message))
 
     def _ping_and_wait(self):
         if not self._link.is_open:
             return NOT_OPEN
         future = Future()
-        self._waiting.setdefault(self._ping(), []).append(future)
+        self._waiting_pings.setdefault(self._ping(), []).append(future)
         if not self._link.is_open:
             self._close(NOT_OPEN[1])
         return future
@@ -463,7 +463,7 @@ class TeensySensorHub:
         return True, "sent; the counters come on teensy_error"
 
     def _watch_keys(self, wanted):
-        """Wait for the terminal only while its keys are ours to read: what isn't read stays readable for ever."""
+        """Wake on the terminal only while this process may read it: what isn't read stays readable for ever."""
         if wanted and self._has_keys and not self._watches_keys:
             self._inbox.watch(self._keys.fileno())
         elif self._watches_keys and not wanted:
@@ -499,12 +499,12 @@ def _answer(done, action, request):
     _when_done(result, done.set_result)
 
 
-def _when_done(result, tell):
-    """Call ``tell`` with the result, now or, if that's a Future, when it's there."""
+def _when_done(result, callback):
+    """Call ``callback`` with the result, now or, if that's a Future, when it's there."""
     if isinstance(result, Future):
-        result.add_done_callback(lambda future: tell(future.result()))
+        result.add_done_callback(lambda future: callback(future.result()))
     else:
-        tell(result)
+        callback(result)
 
 
 def _log_key(key, success, message):

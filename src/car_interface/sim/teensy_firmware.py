@@ -100,7 +100,7 @@ class TeensyFirmware:
         self.counters: dict[str, int] = dict.fromkeys(COUNTER_NAMES, 0)
         self.hung = False
         self._pool = PacketPool(config.pool_size, config.seed)
-        self._receiver = Receiver(self._pool.take, self.counters, config.corrected_checksum)
+        self._receiver = Receiver(self._pool.acquire, self.counters, config.corrected_checksum)
         self._transmitter = Transmitter(self._outgoing, self._pool, self.counters, config.boot_byte)
         self._axle = Axle(self.counters)
         self._sonars = SonarArray(
@@ -254,7 +254,7 @@ class TeensyFirmware:
         if self._sonars.is_retrying:
             now_ns = yield from self._sonars.retry(now_ns)
         while self._incoming.next_ns <= now_ns:
-            packet = self._receiver.byte(self._incoming.take())
+            packet = self._receiver.byte(self._incoming.pop())
             if packet is None:
                 continue
             if packet[0] == TEENSY and packet[2] == PING_QUERY:
@@ -264,14 +264,14 @@ class TeensyFirmware:
                 now_ns = yield from self._sonars.start(now_ns)
             elif packet[0] == TEENSY:
                 self._commands.get(packet[2], self._count_unknown)(packet)
-            self._pool.give(packet)
+            self._pool.release(packet)
         return now_ns
 
     def _report_echo(self, now_ns: int):
         echo = self._sonars.take_echo()
         if echo is None:
             return
-        packet = self._pool.take()
+        packet = self._pool.acquire()
         if packet is None:
             # The firmware schedules the next ping when it handles the report. No packet, no report, no next ping:
             # the sonars stay silent until SONAR_START.
@@ -311,7 +311,7 @@ class TeensyFirmware:
 
     def _send_counters(self, packet: bytearray):
         for name, count in [item for item in self.counters.items() if item[1]]:
-            answer = self._pool.take()
+            answer = self._pool.acquire()
             if answer is None:
                 self.counters["txErrorNoBuf"] += 1
                 continue

@@ -22,7 +22,7 @@ def run(monkeypatch, capsys):
             ran.append(command[0])
             return subprocess.CompletedProcess(command, int(command[0] in failing))
         monkeypatch.setattr(subprocess, "run", execute)
-        monkeypatch.setattr(cli, "look", lambda user, rules: COMPUTER)
+        monkeypatch.setattr(cli, "read_computer", lambda user, rules: COMPUTER)
         monkeypatch.setattr(cli, "as_root", list)
         monkeypatch.setattr(cli, "package_file", lambda name: f"/share/{name}")
         monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann"])
@@ -66,7 +66,7 @@ def test_what_udev_does_by_itself_later_is_no_failure(run):
 
 def test_dry_run_shows_the_commands_and_runs_none(monkeypatch, capsys):
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("it ran something"))
-    monkeypatch.setattr(cli, "look", lambda user, rules: COMPUTER)
+    monkeypatch.setattr(cli, "read_computer", lambda user, rules: COMPUTER)
     monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann", "--dry-run"])
     cli.main()
     assert "usermod --append --groups dialout,i2c,input ann" in capsys.readouterr().out

@@ -343,7 +343,7 @@ def test_two_failed_pings_without_a_packet_hang_it_until_a_reboot():
     bench.teensy.set_sonar(1, SONAR_MISSING, bench.now_ns)
     bench.teensy.set_sonar(2, SONAR_MISSING, bench.now_ns)
     bench.write(b"\x7e")  # the receiver holds a packet now
-    bench.teensy._pool.take()
+    bench.teensy._pool.acquire()
     bench.after(S)
     assert bench.teensy.hung
     size = len(bench.sent)

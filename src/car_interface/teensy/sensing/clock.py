@@ -22,18 +22,18 @@ BITS_PER_BYTE = 10  # start bit, eight, stop bit
 ONE_WAY_UNCERTAINTY_NS = 250 * NS_PER_MS
 UNKNOWN_NS = 1 << 62  # the uncertainty of a time of which nothing is known
 CONVERGED_PONGS = 5
-CONVERGED_AFTER_MS = 900  # over a shorter time a tick of 1 ms says less of the skew than the crystals' data sheets
+CONVERGED_AFTER_MS = 900  # over a shorter time a tick of 1 ms tells less about the skew than the crystals' data sheets
 SENDING_NS = 100_000  # the host takes about so long from taking the time until the first bit is on the wire
 AGREEING = 3  # so many pongs in a row overrule those before them
 BUCKETS = 120  # in a window. Of each the tightest bounds are kept: neither memory nor time grows with the rate of pings
 KEPT_BUCKETS = 5  # with pongs, however old: they fade, but are better than none when pings are rare or paused
 
-# Why something isn't used, in words.
+# Why something isn't used.
 TOO_SOON = "a pong sooner than ping and pong take on the line"
 FASTER_LINE = "one pong after the other sooner than the line takes: it has no baud rate, as on USB; no more wire time"
 CONTRADICTION = "a pong that contradicts the ones before it"
 FROM_THE_FUTURE = "a tick that can't have been yet"
-# Worth a word about a pong that is used.
+# What is notable about a pong that is used.
 ONE_WAS_WRONG = "three pongs in a row say that one before them was wrong"
 BEGUN_ANEW = "three pongs in a row contradict those before them: a clock jumped or stood still"
 
@@ -45,8 +45,8 @@ class ClockConfig:
     Args:
         baud: bits per second on the line.
         window_s: how long a ping counts.
-        max_skew_ppm: the most by which the clocks' rates differ; crystals are good for 100 each.
-        wander_ppm_per_h: the most by which that changes in an hour; a car that warms up makes 20.
+        max_skew_ppm: by which the clocks' rates differ at most; crystals are good for 100 each.
+        wander_ppm_per_h: by which that changes in an hour at most; a car that warms up makes 20.
 
     Raises:
         ConfigError: when one of them isn't a number above 0, or beyond what a line can be.
@@ -81,15 +81,15 @@ class Sync(NamedTuple):
     round_trip_ns: int
     converged: bool
     used: bool
-    reason: str  # why it isn't used, or what is worth a word; empty for most
+    reason: str  # why it isn't used, or what is notable; empty for most
 
 
 class Clock:
     """Learns from pongs how the Teensy's clock relates to the host's, and translates its ticks.
 
     Attributes:
-        counts: what wasn't used, by reason, and what else was worth a word.
-        converged: whether the pongs are enough for a line; before, times go by the tick that was heard last.
+        counts: what wasn't used, by reason, and what else was notable.
+        converged: whether the pongs are enough for a line; before, times go by the newest tick.
     """
 
     def __init__(self, config: ClockConfig = ClockConfig()):
@@ -102,7 +102,7 @@ class Clock:
 
     def restart(self) -> None:
         """The Teensy's clock began anew: forget all but the counts."""
-        self._last = None  # the tick that was heard last, unwrapped
+        self._last = None  # the newest tick, unwrapped
         self._last_ns = 0  # when it was, at the latest
         self._buckets: dict = {}  # number of the bucket, counted in host time → its bounds
         self._suspects: list = []  # the last pongs, if they contradict those before them and not each other
@@ -121,7 +121,7 @@ class Clock:
         """
         sent_by_ns = sent_ns + self._wire_ns(sent_bytes)
         latest_ns = received_ns - self._wire_ns(received_bytes)
-        tick = self._hear(tick, latest_ns)
+        tick = self._update_last(tick, latest_ns)
         used, reason = self._take(PongBounds(Bound(tick + 1, sent_by_ns), Bound(tick, latest_ns)))
         if reason:
             self.counts[reason] += 1
@@ -132,13 +132,13 @@ class Clock:
             offset_ns, skew_ppm = self._last_ns - self._last * NS_PER_MS - NS_PER_MS // 2, 0.0
         return Sync(offset_ns, skew_ppm, uncertainty_ns, received_ns - sent_ns, self.converged, used, reason)
 
-    def heard(self, tick: int, received_ns: int, received_bytes: int) -> None:
+    def update_tick(self, tick: int, received_ns: int, received_bytes: int) -> None:
         """Take another tick that was new when its frame was queued, a sonar's: it can't have been later.
 
         A wheel's doesn't serve: that is the time of the last pulse, however long ago.
         """
         latest_ns = received_ns - self._wire_ns(received_bytes)
-        bound = Bound(self._hear(tick, latest_ns), latest_ns)
+        bound = Bound(self._update_last(tick, latest_ns), latest_ns)
         if self._lines is None:
             return
         if self._lines.admit(None, bound):
@@ -150,18 +150,18 @@ class Clock:
         """When a tick was. As things stand and for the same receipt, a later tick never comes out earlier.
 
         Args:
-            tick: ms modulo 2**32, less than 24.8 days from the tick that was heard last.
+            tick: ms modulo 2**32, less than 24.8 days from the newest tick.
             received_ns: monotonic time, taken after the frame that had it was read; it was no later.
             received_bytes: what that frame took on the line at least.
 
         Raises:
-            ValueError: without ``received_ns`` before any tick has been heard.
+            ValueError: without ``received_ns`` before any tick was received.
         """
         latest_ns = None if received_ns is None else received_ns - self._wire_ns(received_bytes)
         return self._stamp(self.unwrap(tick), latest_ns)
 
     def unwrap(self, tick: int) -> int:
-        """The tick without its wraps: of all that it may mean what is nearest to the tick that was heard last."""
+        """The tick without its wraps: of all that it may mean what is nearest to the newest tick."""
         last = self._last
         return tick if last is None else last + (tick - last + UINT32 // 2) % UINT32 - UINT32 // 2
 
@@ -169,11 +169,11 @@ class Clock:
         """What the Teensy's clock is at at a monotonic time: ms, unwrapped, not cut to whole ones.
 
         Raises:
-            ValueError: before any tick has been heard.
+            ValueError: before any tick was received.
         """
         if self.converged:
             return self._lines.tick_at(host_ns)
-        self._demand_a_tick()
+        self._require_tick()
         return self._last + 0.5 + (host_ns - self._last_ns) / NS_PER_MS
 
     def _lines_of(self, pong):
@@ -182,13 +182,13 @@ class Clock:
     def _wire_ns(self, byte_count):
         return round(byte_count * self._byte_ns)
 
-    def _hear(self, tick, latest_ns):
+    def _update_last(self, tick, latest_ns):
         self._last, self._last_ns = self.unwrap(tick), latest_ns
         return self._last
 
-    def _demand_a_tick(self):
+    def _require_tick(self):
         if self._last is None:
-            raise ValueError("nothing has been heard of the Teensy's clock yet")
+            raise ValueError("no tick of the Teensy's clock was received yet")
 
     def _stamp(self, tick, latest_ns):
         if not self.converged:
@@ -196,7 +196,7 @@ class Clock:
         time_ns, earliest_ns, end_ns = self._lines.translate(tick)
         if latest_ns is not None and latest_ns < end_ns:
             if latest_ns < earliest_ns:
-                # A clock has jumped or stood still, and three pongs haven't said so yet.
+                # A clock has jumped or stood still, and three pongs haven't confirmed it yet.
                 return Stamp(latest_ns, self._one_way_stamp(tick, latest_ns).uncertainty_ns)
             end_ns = latest_ns
             time_ns = min(time_ns, end_ns)
@@ -205,7 +205,7 @@ class Clock:
     def _one_way_stamp(self, tick, latest_ns):
         if self._last is None and latest_ns is not None:
             return Stamp(latest_ns, UNKNOWN_NS)
-        self._demand_a_tick()
+        self._require_tick()
         apart_ms = tick - self._last
         time_ns = self._last_ns + apart_ms * NS_PER_MS
         uncertainty_ns = ONE_WAY_UNCERTAINTY_NS + NS_PER_MS + math.ceil(abs(apart_ms) * self._config.max_skew_ppm)
@@ -214,7 +214,7 @@ class Clock:
         return Stamp(latest_ns, uncertainty_ns + time_ns - latest_ns)
 
     def _take(self, pong):
-        """Whether it was used, and why not or what is worth a word."""
+        """Whether it was used, and why not or what is notable."""
         if pong.earliest.ns > pong.latest.ns:
             self._too_soon += 1
             if self._too_soon < AGREEING:
@@ -269,11 +269,11 @@ class Clock:
         return contradictions < 2
 
     def _settle(self, pong):
-        """Choose the line, and say whether it's good for anything yet."""
+        """Choose the line, and whether there are enough pongs for it."""
         buckets = [bucket for bucket in self._buckets.values() if bucket.pongs]
         ticks = [bucket.earliest.tick for bucket in buckets] or [pong.earliest.tick]
         count = self._pongs()
-        # The least of n delays of up to a tick is a tick / (n + 1), on average; a line leans on two of them.
+        # The shortest of n delays of up to a tick is a tick / (n + 1), on average; a line leans on two of them.
         self._lines.choose(sum(ticks) / len(ticks), 2 * NS_PER_MS / (count + 1) + SENDING_NS)
         span_ms = pong.latest.tick - min((bucket.first_tick for bucket in buckets), default=pong.latest.tick)
         self.converged = count >= CONVERGED_PONGS and span_ms >= CONVERGED_AFTER_MS
@@ -311,7 +311,7 @@ class _Bucket:
         self.tighten(*pong, slope)
 
     def tighten(self, earliest, latest, slope):
-        """Take bounds; ``slope`` of the line in ns per ms says which of two is tighter."""
+        """Take bounds; by ``slope`` of the line, ns per ms, of two the tighter is kept."""
         if earliest and (self.earliest is None or rise_ns(self.earliest, earliest, slope) > 0):
             self.earliest = earliest
         if latest and (self.latest is None or rise_ns(self.latest, latest, slope) < 0):

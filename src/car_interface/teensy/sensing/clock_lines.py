@@ -11,7 +11,7 @@ The polygon's corners give the earliest and the latest time of any tick. That is
 frame waits in a buffer.
 
 Nothing but pings goes to the Teensy, so the lower bounds are tight to the tick, while what comes back queues up. So the
-line is taken that lies lowest over the middle of the pings, for the sum of the delays is least over it: a linear
+line is taken that lies lowest over the middle of the pings, for the sum of the delays is smallest over it: a linear
 program, whose optimum is a corner of the polygon (S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew
 from network delay measurements", INFOCOM 1999). The truth lies above it: from there the line goes towards the centre of
 the polygon, by as much as so many pings must be expected to leave and never beyond the centre.
@@ -38,7 +38,7 @@ class Bound(NamedTuple):
 
 
 class PongBounds(NamedTuple):
-    """What a pong says about the line."""
+    """How a pong bounds the line."""
 
     earliest: Bound
     latest: Bound

@@ -1,7 +1,7 @@
 """Gates between the Teensy's records and what is made of them: odometry, clock and ranges.
 
 A checksum of eight bits lets some wrong frames past. Each record that made sense is judged here against those before
-it: device ticks against device ticks and pulses against pulses, never against the host's clock. The answer says
+it: device ticks against device ticks and pulses against pulses, never against the host's clock. The verdict has
 whether it may be used, why not, and how many pulses it adds to the distance.
 
 Three rules keep one wrong record from doing harm, and a true jump from being locked out:
@@ -10,9 +10,10 @@ Three rules keep one wrong record from doing harm, and a true jump from being lo
   others confirm it. So a wrong one that is taken moves a wheel by at most that many pulses, 4.5 cm.
 - A record that contradicts the one before it, but follows from the one before that, is taken, and what the wrong one
   had added is taken back.
-- Any other contradiction is a jump: the Teensy rebooted, its odometers were reset, or much was lost. It is taken up
-  with the third of ``CONSISTENT`` records in a row each of which follows from the one before it; none of the pulses
-  between these is lost. Odometers at zero that have no direction yet are taken up at once: no other state looks so.
+- Any other contradiction is a jump: the Teensy rebooted, its odometers were reset, or many reports were lost. It is
+  accepted with the third of ``CONSISTENT`` records in a row each of which follows from the one before it; none of the
+  pulses between these is lost. Odometers at zero that have no direction yet are accepted at once: no other state looks
+  like that.
 
 What a healthy firmware sends is never refused. Pure.
 """

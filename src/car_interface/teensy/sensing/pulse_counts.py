@@ -24,8 +24,8 @@ def has_pulsed(wheel: Wheel) -> bool:
 def signed_pulses(before: Wheel, now: Wheel) -> int:
     """The pulses from one report of a wheel to a later one, backward negative.
 
-    The pulse before ``now.dist`` was made in the other direction. Where a wheel turned round twice in between, nobody
-    knows how many of the pulses before that went which way: they count as none.
+    The pulse before ``now.dist`` was made in the other direction. Where a wheel turned round twice in between, it
+    is unknown how many of the pulses before that went in which direction: they count as none.
     """
     sign = 1 if now.direction == FORWARD else -1
     pulses = ahead(now.dist_abs, before.dist_abs)

@@ -3,11 +3,11 @@ from __future__ import annotations
 
 from car_interface.teensy.sensing.pulse_counts import ahead
 from car_interface.teensy.sensing.verdicts import (
-    CAUGHT_UP,
+    AFTER_GAP,
     CLOCK_RESTARTED,
     FINE,
     FIRST,
-    TAKEN_BACK,
+    PREVIOUS_WRONG,
     TICK_AHEAD,
     TICK_BACK,
     Verdict,
@@ -61,11 +61,11 @@ class TickGate:
         if self._before is not None and not self._fault(self._before, tick):
             self.newest = tick
             self._candidates.clear()
-            return Verdict(True, TAKEN_BACK)
+            return Verdict(True, PREVIOUS_WRONG)
         if self._candidates and self._fault(self._candidates[-1], tick):
             self._candidates.clear()
         self._candidates.append(tick)
-        return self._take_up() if len(self._candidates) == CONSISTENT else Verdict(False, fault)
+        return self._accept_chain() if len(self._candidates) == CONSISTENT else Verdict(False, fault)
 
     def _fault(self, before, tick):
         gap_ms = ahead(tick, before)
@@ -73,9 +73,9 @@ class TickGate:
             return TICK_BACK
         return TICK_AHEAD if gap_ms > self._max_gap_ms else ""
 
-    def _take_up(self):
+    def _accept_chain(self):
         rebooted = ahead(self._candidates[0], self.newest) < 0
         newest = self._candidates[-1]
         self.restart(newest)
         self.restarts -= not rebooted
-        return Verdict(True, CLOCK_RESTARTED if rebooted else CAUGHT_UP, restarted=rebooted)
+        return Verdict(True, CLOCK_RESTARTED if rebooted else AFTER_GAP, restarted=rebooted)

@@ -5,8 +5,8 @@ What a healthy firmware sends is never refused:
 - A wheel's ``when`` is the tick of its last pulse *or repeat*: a standing car repeats its report with a new ``when``
   for both wheels. Only a change of ``dist_abs`` is a pulse.
 - ``when`` is 0 until the first pulse after power-up: that is no reading of the clock. WHEEL_RESET keeps it.
-- The first two pulses of a wheel after power-up are ``unproven`` (see ``pulse_counts``); whoever counts them must find
-  their direction elsewhere. WHEEL_RESET keeps the pins' states, so that it makes none.
+- The first two pulses of a wheel after power-up are ``unproven`` (see ``pulse_counts``); their
+  direction must be found elsewhere. WHEEL_RESET keeps the pins' states, so that it makes none.
 
 Pure.
 """
@@ -22,7 +22,7 @@ from car_interface.teensy.sensing.pulse_counts import (
 )
 from car_interface.teensy.sensing.tick_gate import CONSISTENT, OVERTAKEN_MS, YOUNG_MS
 from car_interface.teensy.sensing.verdicts import (
-    CAUGHT_UP,
+    AFTER_GAP,
     CHANGE_WITHOUT_PULSE,
     COUNT_BACK,
     COUNTS_DISAGREE,
@@ -30,16 +30,16 @@ from car_interface.teensy.sensing.verdicts import (
     FIRST,
     ODOMETERS_RESET,
     ODOMETERS_RESTARTED,
+    PREVIOUS_WRONG,
     PULSE_AHEAD,
     PULSE_BACK,
     REPEAT_ALONE,
+    REVERSED_AT_SPEED,
     SENSOR_ERROR,
     SPEED_TOO_HIGH,
     SURPRISING,
-    TAKEN_BACK,
     TOO_MANY_PULSES,
-    TURNED_AT_SPEED,
-    TURNED_WRONGLY,
+    WRONG_DIRECTION,
     Verdict,
 )
 
@@ -80,7 +80,7 @@ class WheelGate:
 
     @property
     def is_zero_again(self):
-        """Whether both odometers have gone back to zero: two pieces of evidence prove a reboot, this and the clock."""
+        """Whether both odometers have gone back to zero: a reboot is proven by this and the clock."""
         return self._zero is not None and self._before is None
 
     def judge(self, record: WheelStatus, newest_tick: int | None, clock_restarts: int) -> Verdict:
@@ -130,7 +130,7 @@ class WheelGate:
             pulses = _difference(self._pulses_between(self._before, record),
                                  self._pulses_between(self._before, self._last))
             if max(map(abs, pulses)) <= SURPRISE_PULSES:
-                return self._accept(record, TAKEN_BACK, pulses, before=self._before)
+                return self._accept(record, PREVIOUS_WRONG, pulses, before=self._before)
         if fault and _is_fresh(record):
             return self._restart(record, ODOMETERS_RESET)
         return self._consider(record, doubt, bool(fault))
@@ -160,10 +160,10 @@ class WheelGate:
         chain.append(record)
         if len(chain) < CONSISTENT:
             return Verdict(False, doubt)
-        reason, known, wrong = CAUGHT_UP, [self._last, *chain], (0, 0, 0, 0)
+        reason, known, wrong = AFTER_GAP, [self._last, *chain], (0, 0, 0, 0)
         if jumped:
             if self._before is not None and not self._fault(self._before, chain[0], self._per_ms):
-                reason, known = TAKEN_BACK, [self._before, *chain]
+                reason, known = PREVIOUS_WRONG, [self._before, *chain]
                 wrong = self._pulses_between(self._before, self._last)
             else:
                 reason, known = ODOMETERS_RESTARTED, list(chain)
@@ -212,14 +212,14 @@ class WheelGate:
         if has_tick and pulses > self._top_per_ms * (elapsed_ms + QUANTUM_MS) + PULSES_OF_JITTER:
             return TOO_MANY_PULSES
         if now.dist == before.dist:
-            return "" if now.direction == before.direction else TURNED_WRONGLY
+            return "" if now.direction == before.direction else WRONG_DIRECTION
         minimum = 2 if now.direction == before.direction else 1  # turned round twice: a pulse lies between
         if not minimum <= ahead(now.dist, before.dist_abs) <= pulses:
-            return TURNED_WRONGLY
+            return WRONG_DIRECTION
         if self._learns and now.dist <= LEARNING_PULSES + 1:
             return ""
         speed_mps = 1000 * per_ms * self._pulse_m
-        return TURNED_AT_SPEED if speed_mps - BRAKING_MPS2 * elapsed_ms / 1000 > SLOW_MPS else ""
+        return REVERSED_AT_SPEED if speed_mps - BRAKING_MPS2 * elapsed_ms / 1000 > SLOW_MPS else ""
 
     def _doubt(self, record, newest_tick):
         """Why a report that may follow the last one had better be confirmed."""

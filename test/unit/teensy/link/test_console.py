@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from car_interface.teensy.link.console import consoles, is_consoles, take_off
+from car_interface.teensy.link.console import consoles, is_consoles, removal_remedy
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def test_console_is_found_by_the_port_s_name_among_its_arguments(tmp_path):
 
 
 def test_port_that_a_console_has_is_its_console_s_and_asks_for_no_group_tty(consoles_port):
-    assert is_consoles(consoles_port) and "serial-getty@ttyAMA0 " in take_off(consoles_port)
+    assert is_consoles(consoles_port) and "serial-getty@ttyAMA0 " in removal_remedy(consoles_port)
 
 
 @pytest.mark.parametrize(("mode", "group"), [(0o20660, 5), (0o20620, 20), (0o20600, 987)],

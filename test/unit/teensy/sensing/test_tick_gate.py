@@ -47,13 +47,13 @@ def test_wrong_tick_that_was_accepted_is_taken_back_and_is_no_reboot():
     some = Gates()
     judged([sonar(10_000), sonar(10_050), sonar(11_500)], some.sonar)
     verdict = some.sonar(sonar(10_100))
-    assert (verdict.accepted, verdict.reason, verdict.restarted) == (True, gates.TAKEN_BACK, False)
+    assert (verdict.accepted, verdict.reason, verdict.restarted) == (True, gates.PREVIOUS_WRONG, False)
     assert some.refused == 0
 
 
 @pytest.mark.parametrize("start_ms, reason, restarted", [
     pytest.param(30, gates.CLOCK_RESTARTED, True, id="reboot"),
-    pytest.param(99_000, gates.CAUGHT_UP, False, id="frames_lost_for_a_minute"),
+    pytest.param(99_000, gates.AFTER_GAP, False, id="frames_lost_for_a_minute"),
 ])
 def test_clock_that_jumped_is_taken_up_with_the_third_consistent_tick(start_ms, reason, restarted):
     some = Gates()

@@ -55,8 +55,8 @@ def test_reports_of_a_crawl_are_accepted_and_their_pulses_counted():
     pytest.param(LAST._replace(dist=2), gates.CHANGE_WITHOUT_PULSE, id="dist_changes_without_a_pulse"),
     pytest.param(NEXT._replace(dist_abs=LAST.dist_abs + 256), gates.TOO_MANY_PULSES, id="80_m_per_s"),
     pytest.param(NEXT._replace(dist_abs=LAST.dist_abs + 32), gates.SURPRISING, id="10_m_per_s_out_of_a_crawl"),
-    pytest.param(NEXT._replace(direction=BACKWARD), gates.TURNED_WRONGLY, id="direction_changes_and_dist_does_not"),
-    pytest.param(NEXT._replace(dist=3), gates.TURNED_WRONGLY, id="dist_moves_to_the_past"),
+    pytest.param(NEXT._replace(direction=BACKWARD), gates.WRONG_DIRECTION, id="direction_changes_and_dist_does_not"),
+    pytest.param(NEXT._replace(dist=3), gates.WRONG_DIRECTION, id="dist_moves_to_the_past"),
 ])
 def test_report_that_can_not_be_is_refused_by_name_and_does_no_harm(wheel, reason):
     for wrong in (report(wheel, NEXT), report(NEXT, wheel)):
@@ -78,7 +78,7 @@ def test_reversal_at_speed_is_refused_and_after_a_stop_it_is_not():
         turned = Wheel(0, BACKWARD, last.when + pause_ms, last.dist_abs + 1, last.dist_abs + 1)
         verdict = some.wheels(report(turned))
         assert verdict.accepted == accepted
-        assert verdict.reason == ("" if accepted else gates.TURNED_AT_SPEED)
+        assert verdict.reason == ("" if accepted else gates.REVERSED_AT_SPEED)
         assert verdict.pulses == ((-1, -1) if accepted else (0, 0))
 
 
@@ -127,14 +127,14 @@ def test_wrong_count_that_was_accepted_is_taken_back_by_the_next_report():
     wrong = some.wheels(report(NEXT._replace(dist_abs=NEXT.dist_abs + 2), NEXT))
     assert (wrong.accepted, wrong.pulses) == (True, (3, 1))
     right = some.wheels(crawled(2)[1])
-    assert (right.accepted, right.reason, right.pulses) == (True, gates.TAKEN_BACK, (-1, 1))
+    assert (right.accepted, right.reason, right.pulses) == (True, gates.PREVIOUS_WRONG, (-1, 1))
 
 
 def test_wrong_count_is_taken_back_below_what_it_was():
     some = crawling()
     assert some.wheels(report(NEXT._replace(dist_abs=NEXT.dist_abs + 2), NEXT)).pulses == (3, 1)
     again = some.wheels(report(NEXT, NEXT._replace(dist_abs=NEXT.dist_abs + 1, when=NEXT.when + 5)))
-    assert (again.accepted, again.reason, again.pulses) == (True, gates.TAKEN_BACK, (-2, 1))
+    assert (again.accepted, again.reason, again.pulses) == (True, gates.PREVIOUS_WRONG, (-2, 1))
 
 
 @pytest.mark.parametrize("wheel", [
@@ -144,7 +144,7 @@ def test_wrong_count_is_taken_back_below_what_it_was():
 def test_report_that_goes_with_the_one_before_the_last_is_taken_and_costs_a_pulse_at_most_until_the_next(wheel):
     some = crawling()
     wrong = some.wheels(report(wheel))
-    assert (wrong.accepted, wrong.reason) == (True, gates.TAKEN_BACK)
+    assert (wrong.accepted, wrong.reason) == (True, gates.PREVIOUS_WRONG)
     assert max(wrong.pulses) <= 1
     after = judged(crawled(3), some.wheels)
     assert proven([wrong, *after]) == (3, 3)
@@ -156,7 +156,7 @@ def test_report_that_may_follow_puts_an_end_to_a_jump_that_nothing_confirmed():
     wrong = report(fast[0].left._replace(when=LAST.when - 64))
     verdicts = judged([wrong, *fast[1:]], some.wheels)
     assert [verdict.accepted for verdict in verdicts] == [False, False, False, True]
-    assert (verdicts[-1].reason, proven(verdicts)) == (gates.CAUGHT_UP, (24, 24))
+    assert (verdicts[-1].reason, proven(verdicts)) == (gates.AFTER_GAP, (24, 24))
 
 
 def test_wrong_first_report_is_given_up_after_three_others():
