@@ -287,7 +287,7 @@ class Bench:
         verdict = self._gates.sonar(record)
         if verdict.accepted:
             self._restart_if(verdict)
-            self._clock.heard(record.when, now_ns, SONAR_BYTES)
+            self._clock.update_tick(record.when, now_ns, SONAR_BYTES)
             self._on_tick(record.when, self._truth.get(("sonar", record.sensor, record.when)), now_ns, SONAR_BYTES)
 
     def _restart_if(self, verdict):

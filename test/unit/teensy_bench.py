@@ -100,13 +100,13 @@ def received(wire, corrected=False):
     """What a receiver alone makes of ``wire``: the packets that it accepts, and its counters."""
     counters = dict.fromkeys(COUNTER_NAMES, 0)
     pool = PacketPool(4, None)
-    receiver = Receiver(pool.take, counters, corrected)
+    receiver = Receiver(pool.acquire, counters, corrected)
     accepted = []
     for byte in wire:
         packet = receiver.byte(byte)
         if packet is not None:
             accepted.append(bytes(packet))
-            pool.give(packet)
+            pool.release(packet)
     return accepted, counters
 
 

@@ -87,7 +87,7 @@ def _parameters(master, namespace, node):
 
 
 def _text(params, name):
-    """A text among the parameters; ``None`` when there is none, or nonsense: that is told as a bad parameter."""
+    """A text among the parameters; ``None`` when there is none, or nonsense: ``check_parameters`` reports that."""
     try:
         return params.text(name, None)
     except ConfigError:
@@ -137,7 +137,7 @@ def examine(options: Options) -> Iterator[Finding]:
     board = None if virtual_bus else Task("bus", probe_board, car.bus, car.address, car.prescale,
                                           car.runs("pca9685") is not None, car.oscillator_hz)
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
-    topics = Task("topics", _listen, car, hub, reporting) if reporting else None
+    topics = Task("topics", _listen_to_topics, car, hub, reporting) if reporting else None
 
     yield from versions.findings(deadline_s)
     yield from groups.findings(deadline_s)
@@ -151,16 +151,16 @@ def examine(options: Options) -> Iterator[Finding]:
         yield Finding(OK, "port", f"{car.port} is {hub.path}'s")
     else:
         yield from port.findings(deadline_s)
-    heard, topics_trouble = topics.wait(deadline_s) if topics else (None, [])
-    if heard and hub:
-        yield from check_link(heard.link, hub.path)
+    topic_reports, topics_trouble = topics.wait(deadline_s) if topics else (None, [])
+    if topic_reports and hub:
+        yield from check_link(topic_reports.link, hub.path)
     yield from board.findings(deadline_s) if board else [_virtual_board(car)]
     yield from topics_trouble
-    if heard:
+    if topic_reports:
         if car.runs("turn_arb"):
-            yield from check_steering(heard.steering, car.runs("turn_arb").path)
-        yield from check_diagnostics(heard.reports, options.namespace, reporting,
-                                     told=[f"{hub.path.strip('/')}: {LINK_REPORT}"] if hub and heard.link else [])
+            yield from check_steering(topic_reports.steering, car.runs("turn_arb").path)
+        yield from check_diagnostics(topic_reports.reports, options.namespace, reporting,
+                                     [f"{hub.path.strip('/')}: {LINK_REPORT}"] if hub and topic_reports.link else [])
 
 
 def _or(result_and_trouble, default):
@@ -173,7 +173,7 @@ def _read_all(master, car):
     return check_parameters([reading for reading in readings if reading is not None])
 
 
-def _listen(car, hub, reporting):
+def _listen_to_topics(car, hub, reporting):
     from car_interface.doctor.probes.topics import listen  # it needs rospy, which may be what is missing
     turn_arb = car.runs("turn_arb")
     return listen(hub and hub.path, turn_arb and turn_arb.path, reporting)

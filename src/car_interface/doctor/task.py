@@ -1,4 +1,4 @@
-"""Something to look at in a thread of its own, so that whatever hangs there doesn't hold the doctor up."""
+"""A probe in a thread of its own, so that one that hangs doesn't block the doctor."""
 from __future__ import annotations
 
 import threading
@@ -9,26 +9,26 @@ from car_interface.doctor.checks.findings import BAD, Finding
 
 
 class Task:
-    """A look at something, in a thread of its own: whatever hangs there, the doctor goes on.
+    """Runs one probe in a thread of its own.
 
     Args:
-        subject: for the finding when it hangs or fails.
-        look: returns the result.
-        arguments: what ``look`` takes.
+        subject: of the finding when it hangs or fails.
+        probe: returns the result.
+        arguments: what ``probe`` takes.
     """
 
-    def __init__(self, subject: str, look: Callable[..., Any], *arguments: Any):
+    def __init__(self, subject: str, probe: Callable[..., Any], *arguments: Any):
         self._subject = subject
         self._result: Any = None
         self._fault: Exception | None = None
-        self._look = lambda: look(*arguments)
+        self._probe = lambda: probe(*arguments)
         self._ended = threading.Event()
         threading.Thread(target=self._run, name=subject, daemon=True).start()
 
     def _run(self):
         try:
-            self._result = self._look()
-        except Exception as error:  # no fault of one look may end the others
+            self._result = self._probe()
+        except Exception as error:  # no fault of one probe may end the others
             self._fault = error
         self._ended.set()
 
@@ -44,6 +44,6 @@ class Task:
         return self._result, []
 
     def findings(self, deadline_s: float) -> list[Finding]:
-        """Of a look that returns findings."""
+        """The result of a probe that returns findings, or what went wrong."""
         result, trouble = self.wait(deadline_s)
         return trouble or result

@@ -1,4 +1,4 @@
-"""rosrun car_interface setup_hardware: once on each computer, for its user to reach the car's hardware.
+"""rosrun car_interface setup_hardware: once on each computer, to give its user access to the car's hardware.
 
 It installs the udev rules and adds the user to the groups dialout, i2c and input. Each step is a command that it shows,
 and runs by sudo; nothing else of this package needs root. What is done already is left alone; what fails keeps nothing
@@ -22,14 +22,14 @@ import sys
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
-from car_interface.host_setup.plan import RULES_FOLDER, RULES_NAME, Computer, plan, remarks
+from car_interface.host_setup.plan import RULES_FOLDER, RULES_NAME, Computer, Step, plan, remarks
 
 # A user's PATH often lacks these, where the commands are.
 SYSTEM_PATH = "/usr/sbin:/sbin:/usr/bin:/bin"
 
 
-def look(user: str, rules: str) -> Computer:
-    """How this computer is now."""
+def read_computer(user: str, rules: str) -> Computer:
+    """Read how this computer is now."""
     groups = grp.getgrall()
     primary = pwd.getpwnam(user).pw_gid
     return Computer(
@@ -43,13 +43,13 @@ def _same(rules):
     return os.path.exists(installed) and filecmp.cmp(rules, installed, shallow=False)
 
 
-def show(step) -> bool:
-    """Say what a step would do, as if that worked."""
+def show_step(step: Step) -> bool:
+    """Print what a step would do; True, as if that worked."""
     print(f"would {step.what}:\n    {shlex.join(as_root(step.command))}")
     return True
 
 
-def do(step) -> bool:
+def run_step(step: Step) -> bool:
     """Run a step's command as root; whether that worked."""
     command = as_root(step.command)
     print(f"{step.what}:\n    {shlex.join(command)}", flush=True)
@@ -78,13 +78,13 @@ def main():
     user = options.user or os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
     try:
         rules = str(package_file(f"udev/{RULES_NAME}"))
-        computer = look(user, rules)
+        computer = read_computer(user, rules)
     except CarInterfaceError as error:
         sys.exit(str(error))
     except KeyError:
         sys.exit(f"there is no user {user}")
     steps = plan(computer, rules)
-    done = [step for step in steps if (show if options.dry_run else do)(step)]
+    done = [step for step in steps if (show_step if options.dry_run else run_step)(step)]
     if not steps:
         print("Nothing to do: it's all there.")
     for remark in remarks(computer, done):

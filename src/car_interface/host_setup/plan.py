@@ -1,4 +1,4 @@
-"""What has to be done once on a computer, as root, for its user to reach the car's hardware: the steps, not the doing.
+"""The steps that give a user access to the car's hardware, once on each computer; ``cli`` runs them.
 
 A step that is done already is no step: planning again after everything was done plans nothing. One that fails keeps
 none of the others from being done.
@@ -35,10 +35,10 @@ class Step(NamedTuple):
     """One thing to do.
 
     Attributes:
-        what: in words.
+        what: a description.
         command: what does it, as root.
         may_fail: whether what it does comes about without it, too.
-        otherwise: what to tell when it failed.
+        otherwise: what to print when it failed.
     """
 
     what: str
@@ -83,14 +83,14 @@ def remarks(computer: Computer, steps: Sequence[Step]) -> list[str]:
         steps: what was done.
     """
     done = [step.command[0] for step in steps]
-    said = []
+    lines = []
     if computer.user == ROOT:
-        said.append("root needs no groups. For the user who will drive: setup_hardware --user NAME")
+        lines.append("root needs no groups. For the user who will drive: setup_hardware --user NAME")
     if "usermod" in done:
-        said.append(f"Groups count from the next log-in: {computer.user} must log out and in again, everywhere.")
+        lines.append(f"Groups count from the next log-in: {computer.user} must log out and in again, everywhere.")
     if not computer.has_udev:
-        said.append("There is no udevadm here, as in a container: the udev rule was left out. Run this on the computer "
-                    "itself, too; it makes the devices that a container is given.")
+        lines.append("There is no udevadm here, as in a container: the udev rule was left out. Run this on the "
+                     "computer itself, too; it makes the devices that a container is given.")
     elif "install" in done:
-        said.append("The Teensy is now also /dev/teensy_sensor_hub. If ModemManager had it open, plug it in anew.")
-    return said
+        lines.append("The Teensy is now also /dev/teensy_sensor_hub. If ModemManager had it open, plug it in anew.")
+    return lines

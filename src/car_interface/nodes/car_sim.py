@@ -49,7 +49,7 @@ from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
-STEP_NS = 2_000_000  # the car's longest step, and how often bytes leave
+STEP_NS = 2_000_000  # the car's maximum step, and how often bytes leave
 MAX_UPTIME_MS = 3_600_000
 MAX_DRIFT_PPM = 50.0
 SEEDS = 1 << 31

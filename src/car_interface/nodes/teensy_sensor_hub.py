@@ -4,7 +4,7 @@ Publishes:
     teensy_pong (Pong), teensy_wheel (Wheel), teensy_distance (Distance), teensy_error (Error): each valid frame.
     odom (nav_msgs/Odometry), joint_states (sensor_msgs/JointState: the rear wheels), /tf from odom to base_link: by the
         newest report of the wheels, 5 to 50 Hz (~odom_rate), stamped when the wheels were so.
-    sonar/front_right … sonar/rear_left (sensor_msgs/Range): about 3 Hz each, stamped when the echo was heard; where the
+    sonar/front_right … sonar/rear_left (sensor_msgs/Range): about 3 Hz each, stamped when the echo came; where the
         sonars sit goes to /tf_static.
     teensy_clock (TeensyClock): with each answered ping, how the Teensy's clock relates to this computer's.
     ~link (LinkStatus, latched, 1 Hz and when the port opens or closes): what is wrong with the link, and its counters.
@@ -39,24 +39,21 @@ from __future__ import annotations
 
 import math
 import time
-from concurrent.futures import Future
 from dataclasses import dataclass
 
 import rospy
-from std_srvs.srv import Trigger
 
-from car_interface.common.errors import ConfigError, DeviceError, ProtocolError
+from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import Distance, Error, OneWheel, Pong, Wheel
 from car_interface.ros.diagnostics import Diagnostics
-from car_interface.ros.keyboard import Keys
 from car_interface.ros.link_status import LinkStatusPublisher
 from car_interface.ros.measurement_publisher import MeasurementPublisher, Settings, read_settings
 from car_interface.ros.runtime import run
+from car_interface.ros.teensy_commands import TeensyCommands
 from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, has_subscribers, serve
-from car_interface.srv import SetSonarSequence, SetSonarWait
+from car_interface.ros.topics import advertise, has_subscribers
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import CORRECTED, SHIPPED
 from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING
@@ -69,14 +66,11 @@ QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
 LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So much at once that is no frames is a flood
 SHORTEST_REST_NS = NS_PER_S // 250
-COUNTERS_PERIOD_NS = NS_PER_S  # asked more often, the answers starve the Teensy's buffers
-NOT_OPEN = (False, "the Teensy's port is not open")
-KEY_HELP = "keys: P ping, S sonar start, N sonar stop, R wheel reset, C counters, X sonars 0 1 5, Y all sonars, Q quit"
 
 
 @dataclass(frozen=True)
 class HubConfig:
-    """What the node's parameters say.
+    """The node's parameters.
 
     Attributes:
         port: the Teensy's serial port.
@@ -100,7 +94,7 @@ class HubConfig:
 
 
 def read_config(params) -> HubConfig:
-    """The node's configuration from its parameters; it opens and makes nothing.
+    """The node's configuration from its parameters, without side effects.
 
     Raises:
         ConfigError: naming the parameter.
@@ -120,7 +114,7 @@ def read_config(params) -> HubConfig:
 
 
 class TeensySensorHub:
-    """Keeps the link open and pinged, and passes on what comes through it."""
+    """Keeps the port open, runs the session over it, and publishes what comes through it."""
 
     def __init__(self, params, inbox):
         now_ns = time.monotonic_ns()
@@ -135,8 +129,6 @@ class TeensySensorHub:
         self._warnings = ThrottledWarnings()
         self._retry_ns = FIRST_RETRY_NS
         self._next_try_ns = now_ns
-        self._next_counters_ns = now_ns
-        self._waiting = {}  # timestamp1 → the Futures of the ~ping calls that wait for it
         self._watched_fd = None
         self._rest_until_ns = 0
         self._corrupt = 0
@@ -145,42 +137,29 @@ class TeensySensorHub:
         self._diagnostics = Diagnostics(inbox, f"Teensy on {config.port}", {
             LINK_REPORT: self._link_status.report, **(self._measurements.reports if self._measurements else {})},
             now_ns)
+        self._commands = TeensyCommands(self._link, self._session, self._sonars, self._write, self._ping, inbox)
         self._handlers = self._event_handlers()
         if config.required:
             self._open()
-        self._services()
-        self._key_actions = {
-            "P": self._ping_and_wait,
-            "S": self._start_sonars,
-            "N": self._stop_sonars,
-            "R": lambda: self._send(protocol.wheel_reset()),
-            "C": self._get_counters,
-            "X": lambda: self._set_sonar_sequence((0, 1, 5)),
-            "Y": lambda: self._set_sonar_sequence(range(len(protocol.SONARS))),
-        }
-        self._keys = Keys()
-        self._has_keys = self._keys.start()
-        self._watches_keys = False
-        if self._has_keys:
-            rospy.loginfo(KEY_HELP)
+        self._commands.start()
 
     def _event_handlers(self):
-        """What to do with each kind of event, and when it was read; records are first passed on as they are."""
+        """The handler for each type of event, called with the time of the read; records are first published raw."""
         pong = advertise("teensy_pong", Pong, self._inbox, QUEUE_SIZE).publish
         wheel = advertise("teensy_wheel", Wheel, self._inbox, QUEUE_SIZE)
         distance = advertise("teensy_distance", Distance, self._inbox, QUEUE_SIZE)
         error = advertise("teensy_error", Error, self._inbox, QUEUE_SIZE).publish
         measurements = self._measurements
-        # Those that come often are made once and filled in each time: rospy writes them out as it publishes them.
-        turned, echo = Wheel(OneWheel(), OneWheel()), Distance()
-        left, right = turned.left, turned.right
+        # Frequent messages are reused: rospy serialises them as it publishes them.
+        wheel_msg, distance_msg = Wheel(OneWheel(), OneWheel()), Distance()
+        left, right = wheel_msg.left, wheel_msg.right
 
         def on_pong(event, received_ns):
             record, answer = event
             pong(*record)
             self._sonars.tick(record.timestamp2, received_ns)
             if answer is not None:
-                self._answer_ping(record.timestamp1, True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms")
+                self._commands.answer_ping(record.timestamp1, True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms")
             if measurements:
                 measurements.pong(record, answer, received_ns)
 
@@ -188,14 +167,14 @@ class TeensySensorHub:
             if has_subscribers(wheel):
                 left.speed, left.direction, left.when, left.dist, left.dist_abs = record.left
                 right.speed, right.direction, right.when, right.dist, right.dist_abs = record.right
-                wheel.publish(turned)
+                wheel.publish(wheel_msg)
             if measurements:
                 measurements.wheels(record, received_ns)
 
         def on_sonar(record, received_ns):
             if has_subscribers(distance):
-                echo.sensor, echo.distance, echo.when = record
-                distance.publish(echo)
+                distance_msg.sensor, distance_msg.distance, distance_msg.when = record
+                distance.publish(distance_msg)
             is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
             if measurements:
                 measurements.sonar(record, received_ns, is_trusted)
@@ -204,25 +183,11 @@ class TeensySensorHub:
                 protocol.ErrorCount: lambda record, received_ns: error(*record),
                 protocol.Malformed: self._on_malformed, Rebooted: self._on_reboot}
 
-    def _services(self):
-        for name, action in (("sonar_start", self._start_sonars), ("sonar_stop", self._stop_sonars),
-                             ("wheel_reset", lambda: self._send(protocol.wheel_reset()))):
-            self._serve(name, Trigger, lambda request, action=action: action())
-        self._serve("get_counters", Trigger, lambda request: self._get_counters())
-        self._serve("ping", Trigger, lambda request: self._ping_and_wait())
-        self._serve("set_sonar_sequence", SetSonarSequence, lambda request: self._set_sonar_sequence(request.sequence))
-        self._serve("set_sonar_wait", SetSonarWait, lambda request: self._set_sonar_wait(request.wait_ms))
-
-    def _serve(self, name, service_type, action):
-        """A service whose ``action(request)`` runs in the node's thread; it returns (success, message), or a Future."""
-        serve(f"~{name}", service_type, self._inbox, lambda request, done: _answer(done, action, request))
-
     def step(self, now_ns):
-        """Do what was asked, read what came, ping when it's time."""
+        """Handle requests, read the port, ping, judge, publish; returns when to be called next."""
         for handler, item, arrival_ns in self._inbox.drain():
             handler(item, arrival_ns)
-        if self._has_keys:
-            self._read_keys()
+        self._commands.read_keys()
         port_ns = self._attend_port(now_ns)
         if self._measurements:
             self._measurements.step(now_ns)
@@ -235,7 +200,7 @@ class TeensySensorHub:
                    self._measurements.due_ns if self._measurements else math.inf)
 
     def _attend_port(self, now_ns):
-        """Read it and ping through it, or try to open it; when that is due again though nothing comes from it."""
+        """Read it and ping through it, or try to open it; returns when that is due again though nothing comes."""
         if self._link.is_open:
             if now_ns >= self._rest_until_ns:
                 self._read(now_ns)
@@ -254,8 +219,8 @@ class TeensySensorHub:
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
-        """Leave the terminal and the port as they were found."""
-        self._keys.restore()
+        """Restore the terminal and close the port."""
+        self._commands.restore_terminal()
         self._close("the node ends")
         self._inbox.ending = True
         for handler, item, arrival_ns in self._inbox.drain():
@@ -286,7 +251,7 @@ class TeensySensorHub:
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _watch_port(self, wanted):
-        """Wait for the port, or don't: while it rests it would end every wait."""
+        """Wake on the port, or don't: while it is left alone it would end every wait."""
         if wanted and self._watched_fd is None:
             self._watched_fd = self._link.fileno()
             self._inbox.watch(self._watched_fd)
@@ -295,11 +260,10 @@ class TeensySensorHub:
             self._watched_fd = None
 
     def _close(self, reason):
-        """Close the port and tell those who wait for an answer through it."""
+        """Close the port and answer the ~ping calls that wait for it."""
         self._watch_port(False)
         self._link.close()
-        for timestamp1 in list(self._waiting):
-            self._answer_ping(timestamp1, False, reason)
+        self._commands.answer_pings(False, reason)
 
     def _read(self, began_ns):
         try:
@@ -323,7 +287,7 @@ class TeensySensorHub:
             self._note_noise(noise_bytes, len(data), began_ns)
 
     def _note_noise(self, noise_bytes, read_bytes, began_ns):
-        """Corrupt frames are told; what is mostly noise gets a rest."""
+        """Warn of corrupt frames; after a long read that is mostly noise leave the port alone for a while."""
         corrupt = self._session.tally.bad_frames - self._corrupt
         if corrupt:
             self._corrupt += corrupt
@@ -332,7 +296,7 @@ class TeensySensorHub:
             self._rest(began_ns)
 
     def _rest(self, began_ns):
-        """After much noise leave the port alone for as long as that took: a flood must not take the whole CPU."""
+        """Leave the port alone for as long as this read took: a flood must not take the whole CPU."""
         now_ns = time.monotonic_ns()
         self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
         self._watch_port(False)
@@ -344,14 +308,14 @@ class TeensySensorHub:
         self._plan_retry()
 
     def _note_failure(self, error):
-        """Say at once that the port is gone; that it still is can wait for the next second."""
+        """Publish at once that the port is gone; that it still is waits for the next second."""
         before = self._session.verdict.state
         self._session.port_failed(error.state, error.cause, error.remedy)
         if error.state != before:
             self._link_status.publish()
 
     def _write(self, data):
-        """Send; whether the port took it."""
+        """Send; whether that worked."""
         try:
             self._link.write(data)
         except DeviceError as error:
@@ -367,13 +331,13 @@ class TeensySensorHub:
                 self._warnings.warn("checksum",
                                     f"no ping is answered: trying the checksum of a {event.checksum} firmware")
             else:
-                self._answer_ping(event.timestamp1, False, "no pong came back")
+                self._commands.answer_ping(event.timestamp1, False, "no pong came back")
                 self._warnings.warn("ping", "a ping went unanswered")
         if now_ns >= self._session.ping_due_ns:
             self._ping()
 
     def _ping(self):
-        """Send a ping stamped with ROS time in ms, which is all that fits; the session keeps when that really was."""
+        """Send a ping stamped with ROS time in ms, which is all that fits; the session keeps its monotonic time."""
         timestamp1 = rospy.Time.now().to_nsec() // 1_000_000 % protocol.UINT32
         self._write(self._session.ping(timestamp1, time.monotonic_ns()))
         return timestamp1
@@ -386,105 +350,31 @@ class TeensySensorHub:
         self._warnings.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
 
     def _judge(self):
-        """Find out how the link does, and say so when that is news, or still bad; a failing port says so by itself."""
+        """Judge the link; log what is new, or still bad. A port that fails is logged by itself."""
         if not self._link.is_open:
             return
         before = self._session.verdict
         verdict = self._session.judge(time.monotonic_ns())
         is_news = verdict.state != before.state
-        if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was told as it was noticed
-            self._warnings.warn(verdict.state, f"Teensy on {self._port}: {verdict.words}. {verdict.next_step}",
+        if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was logged as it was detected
+            self._warnings.warn(verdict.state, f"Teensy on {self._port}: {verdict.description}. {verdict.next_step}",
                                 int(is_news))
         elif verdict.state == FINE and is_news:
-            rospy.loginfo("Teensy on %s: %s", self._port, verdict.words)
+            rospy.loginfo("Teensy on %s: %s", self._port, verdict.description)
 
     def _judge_sonars(self):
-        """Send what the sonars need, and say what is wrong with them."""
+        """Send the commands that the sonars need, and warn of their faults."""
         now_ns = time.monotonic_ns()
         command = self._sonars.next_command(now_ns) if self._link.is_open else None
         if command == SEND_SEQUENCE:
-            self._send(protocol.set_sonar_sequence(self._sonars.sequence))
+            self._write(self._session.encode(protocol.set_sonar_sequence(self._sonars.sequence)))
         elif command:
             self._warnings.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
-            self._send(protocol.sonar_start())
+            self._write(self._session.encode(protocol.sonar_start()))
         faults = self._sonars.faults(now_ns)
         if faults:
-            words, next_step = describe(faults)
-            self._warnings.warn(f"sonars {sorted(str(fault.sensor) for fault in faults)}", f"{words}. {next_step}")
-
-    def _answer_ping(self, timestamp1, success, message):
-        """Answer the ~ping calls that wait for this ping's pong."""
-        for future in self._waiting.pop(timestamp1, ()):
-            future.set_result((success, message))
-
-    def _ping_and_wait(self):
-        if not self._link.is_open:
-            return NOT_OPEN
-        future = Future()
-        self._waiting.setdefault(self._ping(), []).append(future)
-        if not self._link.is_open:
-            self._close(NOT_OPEN[1])
-        return future
-
-    def _send(self, body):
-        """Send a command; (success, message) for a service."""
-        if self._link.is_open and self._write(self._session.encode(body)):
-            return True, "sent"
-        return NOT_OPEN
-
-    def _start_sonars(self):
-        result = self._send(protocol.sonar_start())
-        if result[0]:
-            self._sonars.started(time.monotonic_ns())
-        return result
-
-    def _stop_sonars(self):
-        result = self._send(protocol.sonar_stop())
-        if result[0]:
-            self._sonars.stopped()
-        return result
-
-    def _set_sonar_sequence(self, sequence):
-        result = self._send(protocol.set_sonar_sequence(sequence))
-        if result[0]:
-            self._sonars.sequence_set(sequence, time.monotonic_ns())
-        return result
-
-    def _set_sonar_wait(self, wait_ms):
-        result = self._send(protocol.sonar_wait(wait_ms))
-        if result[0]:
-            self._sonars.wait_set(wait_ms)
-        return result
-
-    def _get_counters(self):
-        now_ns = time.monotonic_ns()
-        if now_ns < self._next_counters_ns:
-            return False, "asked less than a second ago: the Teensy's buffers can't take more"
-        result = self._send(protocol.get_counters())
-        if not result[0]:
-            return result
-        self._next_counters_ns = now_ns + COUNTERS_PERIOD_NS
-        return True, "sent; the counters come on teensy_error"
-
-    def _watch_keys(self, wanted):
-        """Wait for the terminal only while its keys are ours to read: what isn't read stays readable for ever."""
-        if wanted and self._has_keys and not self._watches_keys:
-            self._inbox.watch(self._keys.fileno())
-        elif self._watches_keys and not wanted:
-            self._inbox.unwatch(self._keys.fileno())
-        self._watches_keys = wanted and self._has_keys
-
-    def _read_keys(self):
-        typed = self._keys.read()
-        self._watch_keys(typed is not None)
-        for key in (typed or "").upper():
-            if key == "Q":
-                self._inbox.end()
-            elif key in self._key_actions:
-                _when_done(self._key_actions[key](), lambda result, key=key: _log_key(key, *result))
-            elif key.strip():
-                rospy.loginfo(KEY_HELP)
-
+            kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
+            self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
 
 def _sonar_sequence(params):
     """The order of the sonars that the parameters ask for; ``None`` = the firmware's own."""
@@ -492,27 +382,6 @@ def _sonar_sequence(params):
     if len(sequence) > protocol.MAX_SEQUENCE or any(sensor % 1 for sensor in sequence):
         raise ConfigError("sonar_sequence", sequence, f"up to {protocol.MAX_SEQUENCE} whole numbers from 0 to 5")
     return [int(sensor) for sensor in sequence] or None
-
-
-def _answer(done, action, request):
-    """Give ``done`` what ``action`` returns, now or, if that's a Future, when it's there."""
-    try:
-        result = action(request)
-    except ProtocolError as error:
-        result = (False, str(error))
-    _when_done(result, done.set_result)
-
-
-def _when_done(result, tell):
-    """Call ``tell`` with the result, now or, if that's a Future, when it's there."""
-    if isinstance(result, Future):
-        result.add_done_callback(lambda future: tell(future.result()))
-    else:
-        tell(result)
-
-
-def _log_key(key, success, message):
-    (rospy.loginfo if success else rospy.logwarn)("%s: %s", key, message)
 
 
 def main():

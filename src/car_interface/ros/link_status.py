@@ -58,7 +58,7 @@ class LinkStatusPublisher:
         session, tally, verdict = self._session, self._session.tally, self._verdict()
         return LinkStatus(
             stamp=rospy.Time.now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
-            words=verdict.words, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
+            words=verdict.description, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
             malformed_frames=session.malformed, unknown_commands=session.unknown_commands,
             noise_bytes=tally.noise_bytes, resyncs=session.resyncs, reconnects=max(0, session.openings - 1),
             reboots=session.reboots, pings=session.pings, pongs=session.pongs,

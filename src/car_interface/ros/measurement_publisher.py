@@ -31,19 +31,19 @@ from car_interface.teensy.sensing.plausibility import GateConfig
 from car_interface.teensy.sensing.ranging import INF, MAX_RANGE, MAX_TIMEOUT_MS, USUAL_TIMEOUT_MS, RangingConfig
 
 QUEUE_SIZE = 100
-UNMEASURED = 1e6  # variance of what wheels don't tell: height, roll, pitch and sliding sideways
+UNMEASURED = 1e6  # variance of what wheels don't measure: height, roll, pitch and sliding sideways
 WHEEL_JOINTS = ("rear_left_wheel", "rear_right_wheel")
-# Of the virtual car: x and y from the middle of the rear axle, in m, and where it looks, in rad.
+# Of the virtual car: x and y from the middle of the rear axle, in m, and its yaw, in rad.
 MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0], "front_left": [0.40, 0.10, 0.524],
           "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
-MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's worth a warning
+MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's a warning
 SLOWEST_ODOM_HZ = 0.1
 SAME_OFFSET_NS = 200_000  # the system's clock is slewed by 0.5 ms a second at most
 SET_BACK_NS = NS_PER_S // 2  # a clock that goes back by more was set on purpose
 
 
 class Settings(NamedTuple):
-    """What the parameters say about measuring, and about the messages."""
+    """The parameters of measuring, and of the messages."""
 
     config: MeasurementConfig
     baud: int
@@ -84,7 +84,7 @@ class MeasurementPublisher:
 
     Args:
         settings: as ``read_settings`` has read them.
-        inbox: the node's; hears the temperature and the steering.
+        inbox: the node's; for the temperature and the steering.
     """
 
     def __init__(self, settings: Settings, inbox):
@@ -113,13 +113,13 @@ class MeasurementPublisher:
         subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
 
     def _prepare_messages(self):
-        """Those that come often are made once and filled in each time: rospy writes them out as it publishes them."""
+        """Frequent messages are reused: rospy serialises them as it publishes them."""
         settings = self._settings
-        self._moved = OdometryMessage(child_frame_id=settings.base_frame)
-        self._moved.header.frame_id = settings.odom_frame
-        self._moved_frame = _transform(settings.odom_frame, settings.base_frame, 0.0, 0.0, 0.0)
-        self._turned = JointState(name=settings.joint_names)
-        self._heard = Range(radiation_type=Range.ULTRASOUND, field_of_view=settings.field_of_view_rad,
+        self._odom_msg = OdometryMessage(child_frame_id=settings.base_frame)
+        self._odom_msg.header.frame_id = settings.odom_frame
+        self._tf_msg = _transform(settings.odom_frame, settings.base_frame, 0.0, 0.0, 0.0)
+        self._joint_msg = JointState(name=settings.joint_names)
+        self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=settings.field_of_view_rad,
                             min_range=self._ranging.min_range_m, max_range=self._ranging.max_range_m)
 
     def pong(self, record, answer, received_ns: int) -> None:
@@ -140,7 +140,7 @@ class MeasurementPublisher:
         measured = self._measurements.sonar(record, received_ns, is_trusted)
         if measured is None or not has_subscribers(self._ranges[measured.sensor]):
             return
-        message = self._heard
+        message = self._range_msg
         message.range = measured.range_m
         message.header.stamp = self._ros_clock.stamp(measured.sensor, measured.stamp.time_ns)
         message.header.frame_id = self._settings.sonar_frames[measured.sensor]
@@ -181,13 +181,13 @@ class MeasurementPublisher:
         if has_subscribers(self._odometry):
             self._odometry.publish(self._odometry_message(motion, stamp))
         if self._tf is not None and has_subscribers(self._tf):
-            moved = self._moved_frame
-            moved.header.stamp = stamp
-            moved.transform.translation.x, moved.transform.translation.y = motion.x_m, motion.y_m
-            _turn(moved.transform.rotation, motion.yaw_rad)
-            self._tf.publish([moved])
+            tf_msg = self._tf_msg
+            tf_msg.header.stamp = stamp
+            tf_msg.transform.translation.x, tf_msg.transform.translation.y = motion.x_m, motion.y_m
+            _set_yaw(tf_msg.transform.rotation, motion.yaw_rad)
+            self._tf.publish([tf_msg])
         if has_subscribers(self._joints):
-            joints = self._turned
+            joints = self._joint_msg
             joints.header.stamp = stamp
             joints.position, joints.velocity = motion.wheel_angles_rad, motion.wheel_speeds_radps
             self._joints.publish(joints)
@@ -226,7 +226,7 @@ class MeasurementPublisher:
         return status
 
     def _report_steering(self, status):
-        """Whether the car turns as the steering was told to, on /diagnostics."""
+        """Whether the car turns as the steering is commanded, on /diagnostics."""
         judgement = self._steering_check.judge(time.monotonic_ns())
         status.summary(WARN if judgement.warning else OK,
                        judgement.warning or "the car turns as it is told to, or stands")
@@ -249,11 +249,11 @@ class MeasurementPublisher:
         self._steering_check.update_command(message.turn_radius, now_ns)
 
     def _odometry_message(self, motion, stamp):
-        message = self._moved
+        message = self._odom_msg
         message.header.stamp = stamp
         pose, twist = message.pose.pose, message.twist
         pose.position.x, pose.position.y = motion.x_m, motion.y_m
-        _turn(pose.orientation, motion.yaw_rad)
+        _set_yaw(pose.orientation, motion.yaw_rad)
         (xx, xy, xa), (_, yy, ya), (_, _, aa) = motion.pose_covariance
         message.pose.covariance = _covariance(xx, xy, xa, yy, ya, aa)
         twist.twist.linear.x, twist.twist.angular.z = motion.speed_mps, motion.yaw_rate_radps
@@ -266,7 +266,7 @@ class RosClock:
 
     ROS time is the computer's clock, which gets slewed and set: setting it disturbs nothing that is measured. Both are
     read one after the other, never at the same time, so that their difference is kept until it has changed by more than
-    the reading can be off. Otherwise two messages a moment apart could be stamped the other way round.
+    the reading can be off. Otherwise two messages a moment apart could be stamped in the wrong order.
     """
 
     def __init__(self):
@@ -282,7 +282,7 @@ class RosClock:
         ros_ns = rospy.Time.now().to_nsec()
         after_ns = time.monotonic_ns()
         offset_ns = ros_ns - (before_ns + after_ns) // 2
-        # A thread that is held up between the readings knows it less well.
+        # The longer a thread is held up between the readings, the larger the error.
         if (self._offset_ns is None
                 or abs(offset_ns - self._offset_ns) > SAME_OFFSET_NS + after_ns - before_ns):
             self._offset_ns = offset_ns
@@ -341,11 +341,11 @@ def _transform(parent, child, x_m, y_m, yaw_rad):
     message = TransformStamped(child_frame_id=child)
     message.transform = Transform(Vector3(x_m, y_m, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
     message.header.stamp, message.header.frame_id = rospy.Time.now(), parent
-    _turn(message.transform.rotation, yaw_rad)
+    _set_yaw(message.transform.rotation, yaw_rad)
     return message
 
 
-def _turn(rotation, yaw_rad):
+def _set_yaw(rotation, yaw_rad):
     """Make a rotation one about the vertical."""
     rotation.z, rotation.w = math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
 

@@ -50,7 +50,7 @@ class VirtualLine:
         self._plug_ns = NEVER_NS
 
     def serve(self, clock_ns) -> None:
-        """Offer the faults; ``clock_ns()`` tells when one begins."""
+        """Offer the faults; ``clock_ns()`` is when one begins."""
         bad, firmware = self._bad, self._firmware
         serve_faults(self._inbox, {
             "unplug": lambda duration_s: self._unplug(duration_s, clock_ns()),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-NS_PER_S = 1_000_000_000
+from car_interface.common.units import NS_PER_S
 
 NOBODY, TELEOP, LEFT_CIRCLE, RIGHT_CIRCLE, LET_GO, DONE = range(6)
 STAGE_NAMES = ("nobody there", "human steers", "planner: left circle", "planner: right circle", "human let go", "done")

@@ -28,7 +28,7 @@ class PoolEmpty(Exception):
 
 
 class PacketPool:
-    """The packets that everything shares. A used one comes back with what was in it; that is what fills the filler."""
+    """The packets that all parts share. A used one keeps its content, which later is in the filler byte."""
 
     def __init__(self, size: int, seed: int | None):
         memory = bytes(size * PACKET_SIZE)
@@ -37,9 +37,9 @@ class PacketPool:
         chunks = (memory[start : start + PACKET_SIZE] for start in range(0, len(memory), PACKET_SIZE))
         self._free: deque[bytearray] = deque(bytearray(chunk) for chunk in chunks)
 
-    def take(self) -> bytearray | None:
+    def acquire(self) -> bytearray | None:
         """Returns the packet that has lain free for longest, or None when all are in use."""
         return self._free.popleft() if self._free else None
 
-    def give(self, packet: bytearray):
+    def release(self, packet: bytearray):
         self._free.append(packet)

@@ -12,7 +12,7 @@ class Receiver:
     """Bytes from the host → packets, with the four faults of the original.
 
     Args:
-        take: gets an empty packet, or None.
+        acquire: gets an empty packet, or None.
         counters: counted into.
         corrected_checksum: True to sum with carry, over what the bytes meant.
     """
@@ -20,9 +20,9 @@ class Receiver:
     IDLE, WAITING, DATA, ESCAPED = "idle", "waiting", "data", "escaped"
 
     def __init__(
-        self, take: Callable[[], bytearray | None], counters: dict[str, int], corrected_checksum: bool = False
+        self, acquire: Callable[[], bytearray | None], counters: dict[str, int], corrected_checksum: bool = False
     ):
-        self._take = take
+        self._acquire = acquire
         self._counters = counters
         self._corrected = corrected_checksum
         self._packet: bytearray | None = None
@@ -32,13 +32,13 @@ class Receiver:
 
     @property
     def state(self) -> tuple[str, int]:
-        """(phase, bytes in the packet). IDLE holds no packet yet, WAITING does and looks for an opening flag."""
+        """(phase, bytes in the packet). IDLE holds no packet yet, WAITING does and waits for an opening flag."""
         return self._phase, self._filled
 
     def byte(self, byte: int) -> bytearray | None:
         """Takes one byte; returns the packet that it completed, checksum included, or None."""
         if self._packet is None:
-            self._packet = self._take()
+            self._packet = self._acquire()
             if self._packet is None:
                 self._counters["rxErrorBuffer"] += 1
                 return None
@@ -114,14 +114,14 @@ class IncomingLine:
         baud: bits a second.
 
     Attributes:
-        next_ns: when the next byte is complete; NEVER_NS when the wire is silent.
+        next_ns: when the next byte is complete; NEVER_NS when none is on the wire.
     """
 
     def __init__(self, baud: int):
         self._baud = baud
         self._bytes: deque[int] = deque()
         self._burst_ns = 0
-        self._taken = 0  # since the burst began
+        self._popped = 0  # since the burst began
         self.next_ns = NEVER_NS
 
     @property
@@ -131,23 +131,23 @@ class IncomingLine:
     def write(self, data: bytes, now_ns: int):
         if not self._bytes:
             self._burst_ns = now_ns
-            self._taken = 0
+            self._popped = 0
         self._bytes.extend(data)
-        self._look_ahead()
+        self._schedule_next()
 
-    def take(self) -> int:
+    def pop(self) -> int:
         byte = self._bytes.popleft()
-        self._taken += 1
-        self._look_ahead()
+        self._popped += 1
+        self._schedule_next()
         return byte
 
     def drop(self, now_ns: int):
-        """Loses what has arrived by now: nobody listened."""
+        """Discards what has arrived by now, as while it boots."""
         while self.next_ns <= now_ns:
-            self.take()
+            self.pop()
 
     def _byte_ns(self, count: int) -> int:
         return self._burst_ns - (-count * BITS_PER_BYTE_S // self._baud)
 
-    def _look_ahead(self):
-        self.next_ns = self._byte_ns(self._taken + 1) if self._bytes else NEVER_NS
+    def _schedule_next(self):
+        self.next_ns = self._byte_ns(self._popped + 1) if self._bytes else NEVER_NS

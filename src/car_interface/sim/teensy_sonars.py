@@ -33,7 +33,7 @@ class SonarSensor:
 
     Args:
         pulse_end_us: after so long it does so by itself.
-        echo_us: ``at_ns -> µs``: what a ping then would hear; 0 for nothing.
+        echo_us: ``at_ns -> µs``: the echo of a ping then; 0 for none.
     """
 
     def __init__(self, pulse_end_us: int, echo_us: Callable[[int], float]):
@@ -143,7 +143,7 @@ class SonarArray:
 
     def retry(self, now_ns: int) -> Held:
         """Goes on after two that failed."""
-        self._pool.give(self._retry)
+        self._pool.release(self._retry)
         self._retry = None
         if self.running:
             now_ns = yield from self._ping_one_of_two(now_ns)
@@ -172,7 +172,7 @@ class SonarArray:
             self._step()
             now_ns, has_begun = yield from self._ping(now_ns)
         if not has_begun:
-            self._retry = self._pool.take()
+            self._retry = self._pool.acquire()
             if self._retry is None:
                 raise PoolEmpty
         return now_ns

@@ -18,10 +18,10 @@ from car_interface.sim.teensy_sonars import SONARS
 
 
 class Transmitter:
-    """Queues and frames: what goes out next, and how it looks on the wire.
+    """Queues packets and frames them for the line.
 
     Answers go first. The newest wheel report and the newest report of each sonar wait for the rest of the line; a
-    newer one takes the place of one that still waits, and is counted. Two frames share a flag when the second one
+    newer one replaces one that still waits, which is counted. Two frames share a flag when the second one
     waits already while the first is being closed; otherwise each has its own two.
 
     The first thing that it sends is the frame that the firmware makes of a packet that isn't there.
@@ -33,39 +33,39 @@ class Transmitter:
         self._counters = counters
         self._first: deque[bytearray] = deque()
         self._reports: list[bytearray | None] = [None] * (1 + SONARS)  # wheels, then each sonar
-        self._turn = 0
+        self._next_index = 0
         self._sending: bytearray | None = None
         self._unsent = bytes([FLAG]) + stuff(bytes([boot_byte, boot_byte ^ 0xFF])) + bytes([FLAG])
-        self.due_ns = AT_ONCE_NS  # when what is to be sent finds room; NEVER_NS when there is nothing
+        self.due_ns = AT_ONCE_NS  # when there is space for what is to be sent; NEVER_NS when there is nothing
 
     def queue_first(self, packet: bytearray):
         self._first.append(packet)
-        self._look_up()
+        self._wake()
 
     def queue_wheels(self, report: bytes):
         packet = self._reports[0]
         if packet is not None:
             self._counters["txInfoWheelDrop"] += 1
         else:
-            packet = self._pool.take()
+            packet = self._pool.acquire()
             if packet is None:
                 self._counters["txErrorNoBuf"] += 1
                 return
         packet[:4] = bytes((RPI, TEENSY, WHEEL_STATUS, 0))
         packet[4 : 4 + len(report)] = report
         self._reports[0] = packet
-        self._look_up()
+        self._wake()
 
     def queue_sonar(self, sensor: int, packet: bytearray):
         waiting = self._reports[1 + sensor]
         if waiting is not None:
             self._counters["txInfoSonarDrop"] += 1
-            self._pool.give(waiting)
+            self._pool.release(waiting)
         self._reports[1 + sensor] = packet
-        self._look_up()
+        self._wake()
 
     def poll(self, now_ns: int):
-        """Writes what finds room, to the end of the frame under way and on."""
+        """Writes as much as the buffer takes, over the end of the frame under way."""
         is_open = False  # the last frame's closing flag is the last thing written
         while True:
             if not self._unsent:
@@ -76,21 +76,21 @@ class Transmitter:
                 self._sending = packet
                 body = frame_body(bytes(packet[: message_length(packet)])) + bytes([FLAG])
                 self._unsent = body if is_open else bytes([FLAG]) + body
-            count = min(len(self._unsent), self._line.room(now_ns))
+            count = min(len(self._unsent), self._line.free_bytes(now_ns))
             self._line.write(self._unsent[:count], now_ns)
             self._counters["txBytes"] += count
             self._unsent = self._unsent[count:]
             if self._unsent:
-                # All of it finds room before the line runs dry: the buffer is longer than a frame.
-                self.due_ns = self._line.room_ns(len(self._unsent), now_ns)
+                # There is space for all of it before the line runs dry: the buffer is longer than a frame.
+                self.due_ns = self._line.free_at_ns(len(self._unsent), now_ns)
                 return
             is_open = True
             if self._sending is not None:
-                self._pool.give(self._sending)
+                self._pool.release(self._sending)
                 self._sending = None
                 self._counters["txPackets"] += 1
 
-    def _look_up(self):
+    def _wake(self):
         if self.due_ns == NEVER_NS:
             self.due_ns = AT_ONCE_NS
 
@@ -100,10 +100,10 @@ class Transmitter:
         if not any(self._reports):
             return None
         for _ in self._reports:
-            packet, self._reports[self._turn] = self._reports[self._turn], None
+            packet, self._reports[self._next_index] = self._reports[self._next_index], None
             if packet is not None:
                 return packet
-            self._turn = (self._turn + 1) % len(self._reports)
+            self._next_index = (self._next_index + 1) % len(self._reports)
         return None
 
 
@@ -128,18 +128,18 @@ class OutgoingLine:
         self._chunks.append((start_ns, data))
         self._free_ns = start_ns - (-len(data) * BITS_PER_BYTE_S // self._baud)  # rounded up: never too fast
 
-    def room(self, now_ns: int) -> int:
+    def free_bytes(self, now_ns: int) -> int:
         """How many bytes the buffer takes now."""
         waiting = -(-(self._free_ns - now_ns) * self._baud // BITS_PER_BYTE_S)
         return min(self._buffer_size, self._buffer_size + 1 - waiting)
 
-    def room_ns(self, count: int, now_ns: int) -> int:
+    def free_at_ns(self, count: int, now_ns: int) -> int:
         """When the buffer takes ``count`` bytes, at most its size."""
         spare = self._buffer_size + 1 - min(count, self._buffer_size)
         return max(now_ns, self._free_ns - spare * BITS_PER_BYTE_S // self._baud)
 
     def collect(self, now_ns: int) -> bytes:
-        """Returns the bytes whose last bit is out by ``now_ns`` and that nobody has collected yet."""
+        """Returns the bytes whose last bit is out by ``now_ns`` and that weren't collected yet."""
         out, self._saved = self._saved, b""
         while self._chunks:
             start_ns, data = self._chunks[0]

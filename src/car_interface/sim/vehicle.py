@@ -16,10 +16,10 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from car_interface.common.units import NS_PER_S
 from car_interface.sim.checks import require
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 
-NS_PER_S = 1_000_000_000
 GRAVITY_MPS2 = 9.81
 # 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.
 SHORTEST_PULSE, MAX_PULSE = 1638, 8192

@@ -3,13 +3,10 @@ from __future__ import annotations
 
 import fnmatch
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from car_interface.host_setup import cli
 from car_interface.host_setup.plan import GROUPS, RULES_NAME, Computer, plan, remarks
 
 RULES = Path(__file__).resolve().parents[3] / "udev" / RULES_NAME
@@ -72,61 +69,6 @@ def test_user_is_told_nothing_of_what_was_not_done():
 def test_only_what_udev_does_by_itself_later_may_fail():
     assert [step.command[0] for step in plan(computer(), "/share/rules") if step.may_fail] == ["udevadm", "udevadm"]
     assert all(step.otherwise for step in plan(computer(), "/share/rules") if step.may_fail)
-
-
-# --- the doing ---
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Runs setup_hardware where some programs fail: its exit code, the programs that it ran, and all that it said."""
-    def run(*failing):
-        ran = []
-
-        def execute(command, **_):
-            ran.append(command[0])
-            return subprocess.CompletedProcess(command, int(command[0] in failing))
-        monkeypatch.setattr(subprocess, "run", execute)
-        monkeypatch.setattr(cli, "look", lambda user, rules: computer())
-        monkeypatch.setattr(cli, "as_root", list)
-        monkeypatch.setattr(cli, "package_file", lambda name: f"/share/{name}")
-        monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann"])
-        last_words = ""
-        try:
-            cli.main()
-        except SystemExit as end:
-            last_words = end.code
-        return int(bool(last_words)), ran, capsys.readouterr().out + last_words
-    return run
-
-
-ALL = ["groupadd", "usermod", "install", "udevadm", "udevadm"]
-
-
-def test_all_that_works_is_done_and_told(run):
-    code, ran, said = run()
-    assert (code, ran) == (0, ALL)
-    assert "log out and in again" in said and "now also /dev/teensy_sensor_hub" in said
-
-
-def test_user_whom_usermod_does_not_know_gets_the_udev_rule_all_the_same(run):
-    code, ran, said = run("usermod")
-    assert (code, ran) == (1, ALL)
-    assert "sudo gpasswd --add ann GROUP" in said and "Not done: add ann to dialout, i2c, input. " in said
-    assert "log out and in again" not in said and "now also /dev/teensy_sensor_hub" in said
-
-
-def test_each_step_that_failed_is_named_at_the_end(run):
-    code, ran, said = run("groupadd", "install")
-    assert (code, ran) == (1, ALL)
-    assert f"Not done: make the group i2c; install /etc/udev/rules.d/{RULES_NAME}. " in said
-    assert "now also /dev/teensy_sensor_hub" not in said
-
-
-def test_what_udev_does_by_itself_later_is_no_failure(run):
-    code, ran, said = run("udevadm")
-    assert (code, ran) == (0, ALL)
-    assert "at the next boot" in said and "Not done" not in said
 
 
 # --- the rules ---

@@ -12,7 +12,7 @@ from car_interface.pca9685.bus_errors import explain
 
 @pytest.mark.parametrize("number, cause, remedy", [
     pytest.param(errno.EAGAIN, "another pca9685 node has this board", "rosnode list", id="locked"),
-    pytest.param(errno.EACCES, "no permission to use the bus", "setup_hardware", id="permission"),
+    pytest.param(errno.EACCES, "no permission to open it", "setup_hardware", id="permission"),
     pytest.param(errno.ENOTTY, "this is not an I2C bus", "ls /dev/i2c-", id="another_device"),
     pytest.param(errno.EISDIR, "this is not an I2C bus", "ls /dev/i2c-", id="folder"),
     pytest.param(errno.EREMOTEIO, "nothing answers at this address", "i2cdetect -y 7", id="no_acknowledge"),

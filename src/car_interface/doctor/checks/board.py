@@ -13,10 +13,10 @@ ADDRESSES = range(0x40, 0x80)  # that the six pins can choose (data sheet 7.1)
 # Where others are looked for: what three pins choose. Who reads a register writes its number first, and chips of other
 # kinds take that for an order: at 0x70 to 0x77 a multiplexer switches its channels, from 0x48 on a PCF8591 its inputs.
 NEIGHBOURS = range(0x40, 0x48)
-SUB_ADDRESSES = 0x0E  # bits of MODE1 that nobody sets who drives servos
+SUB_ADDRESSES = 0x0E  # bits of MODE1 that servo drivers leave at 0
 RESET_MODE1, RESET_PRESCALE = 0x11, 0x1E  # after power-up (data sheet 7.3.1, 7.3.5)
 SERVO_HZ = (40.0, 400.0)  # what servos and ESCs understand, digital ones included
-NOBODY = (errno.EREMOTEIO, errno.ENXIO, errno.EIO)  # how adapters say that no chip acknowledged
+NOT_ACKNOWLEDGED = (errno.EREMOTEIO, errno.ENXIO, errno.EIO)  # how adapters say that no chip acknowledged
 
 
 class Bus(NamedTuple):
@@ -91,7 +91,7 @@ def find_others(bus, address: int) -> list[tuple[int, Registers]]:
         try:
             registers = read_registers(bus, other)
         except OSError as error:
-            if error.errno in (*NOBODY, errno.EBUSY):
+            if error.errno in (*NOT_ACKNOWLEDGED, errno.EBUSY):
                 continue
             break
         if registers.plausible:
@@ -120,7 +120,7 @@ def check_chip(name: str, registers: Registers, prescale: int | None = None, dri
     if driven:
         runs = registers.mode1 & AUTO_INCREMENT and not registers.mode1 & SLEEP
         if not runs or prescale not in (None, registers.prescale):
-            return [Finding(BAD, "chip", f"{name} doesn't run as the pca9685 node told it to: {registers}",
+            return [Finding(BAD, "chip", f"{name} doesn't run as the pca9685 node set it: {registers}",
                             "See who else writes to it, and whether its power holds")]
         return [Finding(OK, "chip", f"{name} is driven at {frequency}: {registers}")]
     if registers == (RESET_MODE1, RESET_PRESCALE):
@@ -143,7 +143,7 @@ def check_no_answer(name: str, error: OSError, others: Sequence[tuple[int, Regis
     """
     if error.errno == errno.EBUSY:
         return [Finding(BAD, "chip", f"{name}: a kernel driver has this address", "Unbind it, or give --address")]
-    if error.errno in NOBODY:
+    if error.errno in NOT_ACKNOWLEDGED:
         if others:
             listed = ", ".join(f"0x{address:02x}" for address, _ in others)
             return [Finding(BAD, "chip", f"nothing answers at {name}, but something like it at {listed}",

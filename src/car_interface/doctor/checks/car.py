@@ -1,4 +1,4 @@
-"""The running car: its nodes, what they were told, who drives, and what they complain of."""
+"""The running car: its nodes, their parameters, who drives, and their reports."""
 from __future__ import annotations
 
 from typing import NamedTuple, Sequence
@@ -9,7 +9,7 @@ from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
 NODE_ROLES = {
     "turn_arb": "nobody steers",
     "pca9685": "no servo moves",
-    "teensy_sensor_hub": "no wheel and no sonar is heard",
+    "teensy_sensor_hub": "no wheel and no sonar reports",
     "generic_value_converter": "no acceleration becomes throttle",
     "teleop_logi": "no gamepad, no deadman",
 }
@@ -75,27 +75,27 @@ class Report(NamedTuple):
     message: str
 
 
-def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequence[str], told: Sequence[str] = ()
+def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequence[str], reported: Sequence[str] = ()
                       ) -> list[Finding]:
-    """One finding for all that is well, and one for each complaint.
+    """One finding for all that is well, and one for each that is not.
 
     Args:
         reports: the newest of each name.
         namespace: the car's; other cars' reports are left out.
         reporting: the paths of the running nodes, which should each report.
-        told: the names of reports that are told elsewhere.
+        reported: the names of reports that another finding covers.
     """
     prefix = namespace.strip("/") + "/" if namespace.strip("/") else ""
     ours = [report for report in reports if report.name.startswith(prefix)
             and "/" not in report.name.partition(":")[0][len(prefix):]]
-    silent = [path for path in reporting if not any(_is_of(report, path) for report in ours)]
-    bad = [report for report in ours if report.level != OK and report.name not in told]
+    missing = [path for path in reporting if not any(_is_of(report, path) for report in ours)]
+    bad = [report for report in ours if report.level != OK and report.name not in reported]
     found = [Finding(OK, "reports", ", ".join(report.name for report in ours if report.level == OK))]
     found = found if any(report.level == OK for report in ours) else []
     for report in bad:
         found.append(Finding(min(report.level, BAD), "reports", f"{report.name}: {report.message}",
                              "More about it: rostopic echo /diagnostics"))
-    for path in silent:
+    for path in missing:
         found.append(Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
                              f"See whether it hangs: rosnode ping {path}"))
     return found

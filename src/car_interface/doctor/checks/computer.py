@@ -89,7 +89,7 @@ class Library(NamedTuple):
 
     Attributes:
         name: as it's imported.
-        version: as a text; ``None`` when it can't be imported, empty when it doesn't tell.
+        version: as a text; ``None`` when it can't be imported, empty when it isn't known.
         remedy: what installs it.
     """
 

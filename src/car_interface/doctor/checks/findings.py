@@ -20,7 +20,7 @@ class Finding(NamedTuple):
 
     Attributes:
         level: OK, WARN (the car may drive) or BAD (it can't, or shouldn't).
-        subject: what was looked at, in a word.
+        subject: what was examined, one word.
         what: what was found.
         remedy: what to do or type next; empty only when it's OK.
     """

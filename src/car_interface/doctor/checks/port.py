@@ -1,25 +1,25 @@
-"""The Teensy's port: who has it, and what comes through it when nobody has."""
+"""The Teensy's port: which programs have it open, and what comes through it when none has."""
 from __future__ import annotations
 
 import math
 from typing import NamedTuple, Sequence
 
 from car_interface.common.device_access import SETUP_COMMAND
+from car_interface.common.units import NS_PER_MS
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
 from car_interface.teensy.link import protocol
-from car_interface.teensy.link.console import PROGRAMS, take_off
+from car_interface.teensy.link.console import PROGRAMS, removal_remedy
 from car_interface.teensy.link.health import FINE, WAITING
 from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.session import Session
 
 HUB = "teensy_sensor_hub"
 MAX_NAMES = 3
-NS_PER_MS = 1_000_000
 PING_PERIOD_NS = 300 * NS_PER_MS
 SONARS_WITHIN_NS = 2500 * NS_PER_MS  # a round of all six takes 0.6 s at most, unless their wait was set longer
 SONARS_REMEDY = ("Check their plugs, wires and supply; were they stopped, or left out of the sequence? The hub starts "
                  "them, and says more: roslaunch car_interface teensy_sensor_hub.launch")
-MAX_TRANSMIT_NS = 3600 * NS_PER_MS  # five pings in vain at 0.5 s each, and one with the other checksum
+MAX_TRANSMIT_NS = 3600 * NS_PER_MS  # five unanswered pings at 0.5 s each, and one with the other checksum
 
 
 def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding]:
@@ -35,7 +35,7 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
     if "ModemManager" in programs:
         remedy = f"It tries every new port. Keep it off: {SETUP_COMMAND}, then plug the Teensy in anew"
     elif set(programs) & set(PROGRAMS):
-        remedy = f"That is a log-in console: {take_off(path)}"
+        remedy = f"That is a log-in console: {removal_remedy(path)}"
     else:
         remedy = f"End it; more about it: fuser -v {path}"
     others = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
@@ -61,33 +61,34 @@ def is_terminal(major: int, minor: int, drivers: str) -> bool:
 
 
 class Link(NamedTuple):
-    """What the hub's ~link topic says, as far as the doctor wants to know."""
+    """What the doctor needs of the hub's ~link topic."""
 
     level: int
-    words: str
+    description: str
     next_step: str
     round_trip_s: float
     firmware_checksum: str
 
 
 def check_link(link: Link | None, node: str) -> list[Finding]:
-    """The link as the running hub sees it; ``None`` = it said nothing."""
+    """The link as the running hub reports it; ``None`` = no message came."""
     if link is None:
         return [Finding(BAD, "Teensy", f"{node} is registered, but its topic link is silent",
                         f"See whether it hangs: rosnode ping {node}")]
     if link.level != OK:
-        return [Finding(min(link.level, BAD), "Teensy", link.words, link.next_step or f"rostopic echo {node}/link")]
-    return [Finding(OK, "Teensy", f"{link.words}; {_pong_words(link.round_trip_s, link.firmware_checksum)}")]
+        return [Finding(min(link.level, BAD), "Teensy", link.description,
+                        link.next_step or f"rostopic echo {node}/link")]
+    return [Finding(OK, "Teensy", f"{link.description}; {_describe_pong(link.round_trip_s, link.firmware_checksum)}")]
 
 
-def _pong_words(round_trip_s, checksum):
+def _describe_pong(round_trip_s, checksum):
     if math.isnan(round_trip_s):
         return "no pong yet"
     return f"pong after {1e3 * round_trip_s:.1f} ms ({checksum} checksum)"
 
 
 class TeensyProbe:
-    """Listens to a Teensy and pings it, until it's known how it does. No clock, no port: bytes and ``now_ns`` in.
+    """Pings a Teensy and judges the link, until its state is known. No clock, no port: bytes and ``now_ns`` in.
 
     Args:
         baud: of the line.
@@ -119,27 +120,28 @@ class TeensyProbe:
         return min(self._session.next_event_ns(), self._end_ns)
 
     def is_done(self, now_ns: int) -> bool:
-        """Whether nothing more is to be learned, or it took too long."""
+        """Whether the state is known, or it took too long."""
         has_sonar_reports = len(self._sonars) == len(protocol.SONARS) or now_ns >= self._sonars_ns
         is_fine = self._session.verdict.state == FINE and self._session.pongs > 1 and has_sonar_reports
         return now_ns >= self._end_ns or is_fine and not self._session.tally.bad_frames
 
     def finding(self) -> Finding:
-        """How the Teensy does."""
+        """The finding about the Teensy."""
         verdict = self._session.verdict
         if verdict.state == FINE and not self._session.pongs:
-            return Finding(WARN, "Teensy", f"{verdict.words}, but no ping was answered",
+            return Finding(WARN, "Teensy", f"{verdict.description}, but no ping was answered",
                            "Check the wire from this port's TX to the Teensy's RX")
         if verdict.state == WAITING:
             return Finding(WARN, "Teensy", "too little came to judge it", "Run the doctor again")
         if verdict.level != OK:
-            return Finding(verdict.level, "Teensy", verdict.words, verdict.next_step)
+            return Finding(verdict.level, "Teensy", verdict.description, verdict.next_step)
         missing = [name for sensor, name in enumerate(protocol.SONARS) if sensor not in self._sonars]
         if missing:
-            return Finding(WARN, "Teensy", f"{verdict.words}, but nothing came from {_describe_sonars(missing)} in "
-                                           f"{SONARS_WITHIN_NS / 1e9:g} s", SONARS_REMEDY)
-        pong = _pong_words(self._session.round_trip_ns / 1e9, self._session.answered_checksum)
-        return Finding(OK, "Teensy", f"{verdict.words}; {pong}")
+            return Finding(WARN, "Teensy", f"{verdict.description}, but nothing came from "
+                                           f"{_describe_sonars(missing)} in {SONARS_WITHIN_NS / 1e9:g} s",
+                           SONARS_REMEDY)
+        pong = _describe_pong(self._session.round_trip_ns / 1e9, self._session.answered_checksum)
+        return Finding(OK, "Teensy", f"{verdict.description}; {pong}")
 
 
 def _describe_sonars(names):

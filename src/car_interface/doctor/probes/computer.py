@@ -75,7 +75,7 @@ def probe_clock(uses_sim_time: bool):
 
 
 def _is_synchronised():
-    """As the kernel has it; ``None`` where it doesn't tell."""
+    """As the kernel has it; ``None`` where it isn't known."""
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(TIMEX_SIZE))  # zeros: only asks
     except (OSError, AttributeError):

@@ -26,7 +26,7 @@ def is_pseudo_terminal(port: str) -> bool:
 
 
 def probe_port(port: str, baud: int):
-    """Open the port, unless somebody else has it, and listen to what is behind it."""
+    """Open the port, unless another program has it, and examine what is behind it."""
     if _subsystem(port) not in (None, "tty"):
         return [Finding(BAD, "port", f"{port}: this is not a serial port", LIST_PORTS)]
     # The program behind a pseudo-terminal may hold this end, too.
@@ -68,7 +68,7 @@ def _subsystem(path):
 
 
 def _probe(link, baud):
-    """Ping the Teensy through an open port and listen; what that told."""
+    """The finding about the Teensy behind an open port."""
     now_ns = time.monotonic_ns()
     probe = TeensyProbe(baud, now_ns)
     while not probe.is_done(now_ns):

@@ -43,9 +43,9 @@ class Master:
         Raises:
             LookupError: when the master says no.
         """
-        code, words, value = ask(self._uri, question, caller, *arguments)
+        code, message, value = ask(self._uri, question, caller, *arguments)
         if code != 1:
-            raise LookupError(words)
+            raise LookupError(message)
         return value
 
     def parameter(self, path: str) -> Any:

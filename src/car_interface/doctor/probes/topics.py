@@ -1,4 +1,4 @@
-"""What the doctor hears of a running car: who drives, how the Teensy's link does, and what nodes complain of."""
+"""What the topics of a running car say: who drives, the Teensy's link, and the reports on /diagnostics."""
 from __future__ import annotations
 
 import logging
@@ -26,14 +26,14 @@ class TopicReports(NamedTuple):
     reports: list
 
 
-class _Ear:
-    """Keeps what came."""
+class _Listener:
+    """Collects what came."""
 
     def __init__(self):
         self.links, self.states, self.reports = [], [], {}
         self._lock = threading.Lock()
 
-    def hear_reports(self, array):
+    def on_reports(self, array):
         with self._lock:
             for status in array.status:
                 self.reports[status.name] = Report(status.name, _level(status.level), status.message)
@@ -50,33 +50,34 @@ def _level(level):
 
 
 def listen(hub: str | None, turn_arb: str | None, reporting) -> TopicReports:
-    """Listen until everything was heard that is expected, at most for ``LISTEN_S``.
+    """Listen until everything that is expected has come, at most for ``LISTEN_S``.
 
     Args:
         hub: the Teensy hub's path; ``None`` when it doesn't run.
         turn_arb: turn_arb's; likewise.
         reporting: the paths of the nodes that report on /diagnostics.
     """
-    logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes is told as findings
+    logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes becomes a finding
     rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
     rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
-    ear = _Ear()
+    listener = _Listener()
     if hub:
-        rospy.Subscriber(f"{hub}/link", LinkStatus, ear.links.append)
+        rospy.Subscriber(f"{hub}/link", LinkStatus, listener.links.append)
     if turn_arb:
-        rospy.Subscriber(f"{turn_arb}/state", SteeringState, ear.states.append)
-    rospy.Subscriber("/diagnostics", DiagnosticArray, ear.hear_reports)
+        rospy.Subscriber(f"{turn_arb}/state", SteeringState, listener.states.append)
+    rospy.Subscriber("/diagnostics", DiagnosticArray, listener.on_reports)
     wanted = {path.strip("/") for path in reporting}
     deadline_s = time.monotonic() + LISTEN_S
     while time.monotonic() < deadline_s:
-        if (ear.links or not hub) and (len(ear.states) > 1 or not turn_arb) and wanted <= ear.reporters():
+        has_link, has_state = listener.links or not hub, len(listener.states) > 1 or not turn_arb
+        if has_link and has_state and wanted <= listener.reporters():
             break
         time.sleep(POLL_S)
-    return TopicReports(_link(ear.links), _steering(ear.states), list(ear.reports.values()))
+    return TopicReports(_link(listener.links), _steering(listener.states), list(listener.reports.values()))
 
 
 def leave() -> None:
-    """Take leave of the master."""
+    """Unregister from the master."""
     rospy.signal_shutdown("the doctor is done")
 
 

@@ -1,7 +1,7 @@
-"""Log-in consoles on the Teensy's port: how to tell, and what takes them off.
+"""Log-in consoles on the Teensy's port: how to detect and how to remove them.
 
 A console reads the bytes that the hub wants. It makes its port root's and the group tty's with mode 0620, so that no
-group lets anybody read it; and it can't be ended for good but with its service and the kernel's ``console=``.
+group lets a user read it; and it can't be ended for good but with its service and the kernel's ``console=``.
 """
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ def consoles(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
 
     Args:
         path: of the port; links are followed.
-        proc: where to look.
+        proc: the folder to search.
     """
     wanted, found = os.path.realpath(path), []
     for file in glob.glob(os.path.join(proc, "[0-9]*", "cmdline")):
         program, *arguments = _command(file)
-        if program in PROGRAMS and any(os.path.realpath(os.path.join("/dev", word)) == wanted for word in arguments):
+        if program in PROGRAMS and any(os.path.realpath(os.path.join("/dev", name)) == wanted for name in arguments):
             found.append((int(os.path.basename(os.path.dirname(file))), program))
     return sorted(found)
 
 
-def take_off(path: str) -> str:
+def removal_remedy(path: str) -> str:
     """The remedy for a console on this port."""
     return (f"sudo systemctl disable --now serial-getty@{os.path.basename(os.path.realpath(path))} (on a Jetson: "
             "nvgetty), take console= out of the kernel's command line, and reboot. Raspberry Pi: raspi-config does it")

@@ -13,7 +13,7 @@ FLAG, ESCAPE = b"\x7e", b"\x7d"
 _ESCAPED_FLAG, _ESCAPED_ESCAPE = b"\x7d\x5e", b"\x7d\x5d"
 _FLIP = 0x20  # what an escaped byte is xored with
 HEADER_SIZE = 4  # dst, src, cmd, reserved
-MAX_BODY = 36  # header + two wheels of 16 bytes; also the most that the Teensy's receiver takes
+MAX_BODY = 36  # header + two wheels of 16 bytes; also the maximum of the Teensy's receiver
 MAX_ON_LINE = 2 * (MAX_BODY + 1)  # each byte of it, and of the checksum, escaped
 
 SHIPPED = "shipped"  # the checksum that the Teensy's receiver really computes

@@ -1,4 +1,4 @@
-"""What is wrong with the link to the Teensy, in words and with what to do next.
+"""What is wrong with the link to the Teensy, and what to do next.
 
 ``LinkHealth`` takes the state of the port and, about once a second, the link's counters; it returns a ``Verdict``.
 Pure: ``now_ns`` in, and nothing is kept that grows.
@@ -22,13 +22,13 @@ LINK_REPORT = "Teensy link"  # the report on /diagnostics that says the same as 
 SONAR_FAULT = "sonar fault"  # of a link that is fine
 
 SHORTEST_SPAN_NS = 800 * NS_PER_MS  # counters that stand closer together say too little: 5 frames a second may be all
-WINDOW = 10  # spans, over which the share of bad frames is taken
+WINDOW = 10  # spans, over which the ratio of bad frames is taken
 REPORT_REBOOT_NS = 10 * NS_PER_S
 BITS_PER_BYTE = 10  # 8N1
-FEWEST_BAD, MAX_BAD_RATIO, MAX_BAD = 3, 0.01, 0.5  # a good line has none; from a hundredth on it's worth a word
+FEWEST_BAD, MAX_BAD_RATIO, MAX_BAD = 3, 0.01, 0.5  # a good line has none; from a hundredth on it's reported
 # Whatever the checksum sees, 1 in 255 wrong frames gets past: so few good ones are no proof of a Teensy.
 GOOD_RATIO = 0.05
-# A Teensy's frames have 12 to 74 bytes. Noise has a flag every 256, and one in eight pieces between them is as short.
+# A Teensy's frames have 12 to 74 bytes. Noise has a flag every 256, and one in eight gaps between them is as short.
 BYTES_PER_FRAME = 100
 PINGS_IN_VAIN = 3
 
@@ -49,13 +49,13 @@ class Verdict(NamedTuple):
     Attributes:
         state: one of the names above.
         level: OK, WARN or ERROR.
-        words: what is wrong, or that nothing is.
+        description: what is wrong, or that nothing is.
         next_step: what its owner can do or type; empty when there is nothing to do.
     """
 
     state: str
     level: int
-    words: str
+    description: str
     next_step: str
 
 
@@ -68,8 +68,8 @@ class LinkHealth:
     """Judges the link by what changed from second to second.
 
     An open port's verdict changes when two spans in a row contradict it, and then to what the second one says: a fault
-    begins in the middle of a span, and a second that is half good says little. A port that opens or closes, the first
-    good second, and a reboot are told at once.
+    begins in the middle of a span, and a second that is half good shows little. A port that opens or closes, the first
+    good second, and a reboot change it at once.
 
     Args:
         baud: of the line.
@@ -83,7 +83,7 @@ class LinkHealth:
         self._reboot_ns = 0
         self.verdict = Verdict(ABSENT, ERROR, "the port was not opened yet", "")
 
-    def port_fails(self, state: str, cause: str, remedy: str) -> None:
+    def port_failed(self, state: str, cause: str, remedy: str) -> None:
         """It couldn't be opened, or was lost: what the link says about that is the verdict."""
         self._samples.clear()
         self.verdict = Verdict(state, ERROR, cause, remedy)
@@ -95,9 +95,9 @@ class LinkHealth:
         self._doubted = False
         self.verdict = Verdict(WAITING, WARN, "the port is open, nothing is known about the Teensy yet", "")
 
-    def rebooted(self, words: str, now_ns: int) -> None:
-        """The Teensy's clock went back; ``words`` say from where to where."""
-        self._reboot, self._reboot_ns = words, now_ns
+    def rebooted(self, description: str, now_ns: int) -> None:
+        """The Teensy's clock went back; ``description`` says from where to where."""
+        self._reboot, self._reboot_ns = description, now_ns
         if self.verdict.state == FINE:
             self.verdict = self._reboot_verdict()
 
@@ -112,14 +112,14 @@ class LinkHealth:
         if is_news and not self._doubted and not at_once:
             self._doubted = True
             if self.verdict.level != OK:
-                self._forget_the_past()  # the end of one fault must not pass for another
+                self._restart_window()  # the end of one fault must not pass for another
             return self.verdict
         self._doubted = False
         self.verdict = found
         return found
 
-    def _forget_the_past(self):
-        """Let the share of bad frames begin anew."""
+    def _restart_window(self):
+        """Begin the ratio of bad frames anew."""
         newest = self._samples.pop()
         self._samples.clear()
         self._samples.append(newest)
@@ -127,32 +127,32 @@ class LinkHealth:
     def _find(self, now_ns) -> Verdict:
         before, newest = self._samples[-2], self._samples[-1]
         span_s = (newest.at_ns - before.at_ns) / NS_PER_S
-        heard, records, bad, bad_checksums = (
+        bytes_in, records, bad, bad_checksums = (
             new - old for new, old in zip(newest.counts[:4], before.counts[:4]))
         if not records or records < GOOD_RATIO * (records + bad):
-            self._forget_the_past()
-            return self._no_frames(heard, heard / span_s, bad_checksums)
-        share, bad = self._bad_ratio()
-        corrupt = bad >= FEWEST_BAD and share >= MAX_BAD_RATIO
+            self._restart_window()
+            return self._no_frames(bytes_in, bytes_in / span_s, bad_checksums)
+        ratio, bad = self._bad_ratio()
+        corrupt = bad >= FEWEST_BAD and ratio >= MAX_BAD_RATIO
         in_vain = newest.counts.pings_in_vain
-        if in_vain >= PINGS_IN_VAIN and not (corrupt and share >= MAX_BAD):
+        if in_vain >= PINGS_IN_VAIN and not (corrupt and ratio >= MAX_BAD):
             return Verdict(NO_PONGS, WARN, f"frames come, but none of the last {in_vain} pings was answered",
                            "Check the wire from this port's TX to the Teensy's RX, and ~firmware_checksum: auto tries "
                            "both of them")
         if corrupt:
-            return Verdict(BAD_CHECKSUMS, ERROR if share >= MAX_BAD else WARN,
-                           f"frames come, but {100 * share:.0f} % of them are corrupt",
+            return Verdict(BAD_CHECKSUMS, ERROR if ratio >= MAX_BAD else WARN,
+                           f"frames come, but {100 * ratio:.0f} % of them are corrupt",
                            "Check ground, length and plugs of the serial cable, and that no other program reads the "
                            "port: fuser -v on it")
         if self._reboot is not None and now_ns - self._reboot_ns < REPORT_REBOOT_NS:
             return self._reboot_verdict()
         return Verdict(FINE, OK, f"fine: {records / span_s:.0f} frames a second", "")
 
-    def _no_frames(self, heard, per_s, bad_checksums) -> Verdict:
-        if not heard:
+    def _no_frames(self, bytes_in, per_s, bad_checksums) -> Verdict:
+        if not bytes_in:
             return Verdict(SILENT, ERROR, "the port is open, but nothing comes from it",
                            "Check the Teensy's power and that its TX leads to this port's RX; is it the right ~port?")
-        if bad_checksums * BYTES_PER_FRAME >= heard:
+        if bad_checksums * BYTES_PER_FRAME >= bytes_in:
             return Verdict(BAD_CHECKSUMS, ERROR, "frames come, but the checksum of almost none of them is right",
                            "Check ground, length and plugs of the serial cable; is it this firmware that runs?")
         too_many = (f", more than {self._baud} baud can carry" if per_s > 1.5 * self._baud / BITS_PER_BYTE else "")
@@ -160,7 +160,7 @@ class LinkHealth:
                        f"Is the Teensy's rate another one than ~baud {self._baud}? Is it a Teensy at all?")
 
     def _bad_ratio(self):
-        """The share of bad frames over the window, and how many that is."""
+        """The ratio of bad frames over the window, and how many that is."""
         oldest, newest = self._samples[0].counts, self._samples[-1].counts
         bad = newest.bad_frames - oldest.bad_frames
         return bad / max(1, bad + newest.records - oldest.records), bad

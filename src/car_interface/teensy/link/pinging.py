@@ -12,11 +12,11 @@ from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED,
 from car_interface.teensy.link.protocol import ping
 
 AUTO = "auto"
-# A pong's way back is at most what the Teensy's transmit buffers hold: some 2 kB, 0.2 s at 115200 baud.
+# A pong waits at most behind what the Teensy's transmit buffers hold: some 2 kB, 0.2 s at 115200 baud.
 ANSWER_WITHIN_NS = NS_PER_S // 2
 UNANSWERED_BEFORE_SWITCH = 5
 # Each ping leaves its place in the period by up to so much: pings that kept to a period of whole ms would meet the
-# Teensy's ticks at the same phase for ever, and what they tell of its clock would be off by that.
+# Teensy's ticks at the same phase for ever, and the clock estimate would be off by that.
 DITHER_NS = 10_000_000
 DITHER_RATIO = 10  # of the period, at most one in so many
 # Multiples of the golden section, modulo 1, fill an interval more evenly than chance would, however many there are.
@@ -41,7 +41,7 @@ class Pinger:
     Args:
         period_ns: from one ping to the next, on average.
         checksum: ``framing.SHIPPED``, ``framing.CORRECTED``, or ``AUTO``: shipped first, and the other one whenever
-            five pings in a row go unanswered while the Teensy is heard.
+            five pings in a row go unanswered while other frames come from the Teensy.
         now_ns: when to send the first.
 
     Attributes:
@@ -83,18 +83,18 @@ class Pinger:
         oldest_ns, _, _ = next(iter(self._waiting.values()), (None, 0, ""))
         return self.due_ns if oldest_ns is None else min(self.due_ns, oldest_ns + ANSWER_WITHIN_NS)
 
-    def expire(self, now_ns: int, heard: bool = True) -> list[int]:
+    def expire(self, now_ns: int, is_alive: bool = True) -> list[int]:
         """Give up on pings that have waited too long; their timestamps. May change ``checksum``.
 
         Args:
-            heard: whether other frames came from the Teensy meanwhile. When nothing gets through, or it's unplugged,
+            is_alive: whether other frames came from the Teensy meanwhile. When nothing gets through, or it's unplugged,
                 an unanswered ping says nothing about the checksum.
         """
         expired = [token for token, (sent_ns, _, _) in self._waiting.items() if now_ns - sent_ns >= ANSWER_WITHIN_NS]
         for token in expired:
             del self._waiting[token]
             self.unanswered_in_a_row += 1
-            self._missed_pings_of_live_link += heard
+            self._missed_pings_of_live_link += is_alive
             if self._auto and self._missed_pings_of_live_link == UNANSWERED_BEFORE_SWITCH:
                 self._missed_pings_of_live_link = 0
                 self.checksum = CORRECTED if self.checksum == SHIPPED else SHIPPED

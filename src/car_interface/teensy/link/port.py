@@ -1,4 +1,4 @@
-"""The serial port: open, read, write, and what's wrong with it in words. The only place that knows pyserial.
+"""The serial port: open, read, write, and what's wrong with it. The only place that knows pyserial.
 
 Reading never blocks: a node waits on ``fileno()`` together with whatever else it waits for.
 """
@@ -14,7 +14,7 @@ import serial
 from car_interface.common.device_access import SETUP_COMMAND, explain_denial
 from car_interface.common.errors import DeviceError
 from car_interface.common.processes import openers, process_name
-from car_interface.teensy.link.console import is_consoles, take_off
+from car_interface.teensy.link.console import is_consoles, removal_remedy
 from car_interface.teensy.link.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT
 
 READ_SIZE = 4096
@@ -28,7 +28,7 @@ class PortError(DeviceError):
     Args:
         path: of the port.
         state: which fault it is, one of ``health``'s.
-        cause: what went wrong, in words.
+        cause: what went wrong.
         remedy: what its owner can do or type next.
     """
 
@@ -95,30 +95,30 @@ class SerialLink:
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise self._lost(error) from error
+            raise self._close_failed(error) from error
         if not data:
-            raise self._lost("the line hung up")
+            raise self._close_failed("the line hung up")
         return data
 
     def write(self, data: bytes) -> None:
-        """Send bytes; waits a moment for room.
+        """Send bytes; waits a moment for poll.
 
         Raises:
             PortError: when the port is gone or takes nothing; it is closed then.
         """
         fd = self.fileno()
-        room = select.poll()
-        room.register(fd, select.POLLOUT)
+        poll = select.poll()
+        poll.register(fd, select.POLLOUT)
         while data:
             # Not pyserial's write: against a port that is full it spins until its timeout.
-            if not room.poll(WRITE_WITHIN_MS):
-                raise self._lost("write timeout: it takes nothing")
+            if not poll.poll(WRITE_WITHIN_MS):
+                raise self._close_failed("write timeout: it takes nothing")
             try:
                 data = data[os.write(fd, data):]
             except BlockingIOError:
                 continue
             except OSError as error:
-                raise self._lost(error) from error
+                raise self._close_failed(error) from error
 
     def close(self) -> None:
         """Close the port, if it is open."""
@@ -129,7 +129,7 @@ class SerialLink:
                 pass  # it was pulled out; there is nothing left to close
             self._serial = self._fd = None
 
-    def _lost(self, error):
+    def _close_failed(self, error):
         self._discard_output()
         self.close()
         return PortError(self._path, FAILING, f"the port was lost ({error})",
@@ -180,7 +180,7 @@ def _distinguish_silence_from_hangup(fd):
 def _explain_permission(path):
     """Cause and remedy: a log-in console's port is open to no group."""
     if is_consoles(path):
-        return "no permission to open it: a log-in console has it", take_off(path)
+        return "no permission to open it: a log-in console has it", removal_remedy(path)
     return explain_denial(path)
 
 

@@ -1,4 +1,4 @@
-"""What the frames say: records from the Teensy, commands to it.
+"""The content of frames: records from the Teensy, commands to it.
 
 ``decode`` turns the body of a frame into a record, or into ``Malformed`` with the reason; it never raises. The command
 functions return the body of a frame for ``framing.encode`` and raise ProtocolError on arguments that the Teensy
@@ -45,7 +45,7 @@ class Wheel(NamedTuple):
     direction: int  # FORWARD, BACKWARD, NO_DIRECTION yet, DIRECTION_ERROR; of the first two pulses it means nothing
     when: int  # the Teensy's clock at the last pulse or repeat, ms; 0 before the first pulse
     dist: int  # dist_abs at the first pulse of the present direction
-    dist_abs: int  # pulses since the last reset, whichever way the wheel turned
+    dist_abs: int  # pulses since the last reset, in either direction
 
 
 class WheelStatus(NamedTuple):

@@ -4,7 +4,8 @@ Pure: ticks and ``now_ns`` in.
 """
 from __future__ import annotations
 
-NS_PER_MS = 1_000_000
+from car_interface.common.units import NS_PER_MS
+
 # Sonar reports wait behind pongs in the Teensy's queues, so ticks come a little out of order: 0.2 s at most.
 LATEST_TICK_MS = 500
 # The Teensy's crystal and the host's differ by 1e-4 at most.

@@ -1,7 +1,7 @@
 """One session with a Teensy: bytes and ``now_ns`` in; events, and bytes to send, out.
 
 ``Session`` joins what belongs to the link alone: decoder, pinger, health, reboot detector and counters. It opens no
-port and reads no clock. Whoever owns the port reports its state (``opened``, ``port_failed``), passes in what was read
+port and reads no clock. The owner of the port reports its state (``opened``, ``port_failed``), passes in what was read
 (``receive``), calls ``expire`` at ``next_event_ns``, and sends a ``ping`` from ``ping_due_ns`` on.
 """
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Session:
 
     def port_failed(self, state: str, cause: str, remedy: str) -> None:
         """The port couldn't be opened or was lost; ``state`` is one of ``health``'s."""
-        self._health.port_fails(state, cause, remedy)
+        self._health.port_failed(state, cause, remedy)
 
     # From the Teensy
 
@@ -149,7 +149,7 @@ class Session:
         """Give up on the pings that have waited too long."""
         checksum, records = self._pinger.checksum, self.counts().records
         # An unanswered ping says nothing about the checksum while nothing at all comes from the Teensy.
-        expired = self._pinger.expire(now_ns, heard=records > self._records_at_expiry)
+        expired = self._pinger.expire(now_ns, is_alive=records > self._records_at_expiry)
         if expired:
             self._records_at_expiry = records
         events: list = [PingExpired(timestamp1) for timestamp1 in expired]

@@ -1,23 +1,7 @@
-"""The Teensy's ticks as times of this computer's monotonic clock, each with how far off it can be.
+"""The Teensy's ticks as times of this computer's monotonic clock, each with its uncertainty.
 
-Tick k says that the Teensy's clock stood somewhere in [k, k + 1) ms. Over a minute crystals run evenly, so that host
-time is a line over the Teensy's time, and all that is known bounds it:
-
-- the Teensy answers a ping after its last byte has come: line(k + 1) ≥ sent + the ping's time on the wire;
-- it reads its clock before the first byte of a frame leaves: line(k) ≤ received − the frame's time on the wire.
-
-The lines that no bound forbids are a convex polygon in the plane of offset and skew: each bound cuts off a half-plane.
-The polygon's corners give the earliest and the latest time of any tick. That is no statistics: it holds however long a
-frame waits in a buffer.
-
-Nothing but pings goes to the Teensy, so the lower bounds are tight to the tick, while what comes back queues up. So the
-line is taken that lies lowest over the middle of the pings, for the sum of the delays is least over it: a linear
-program, whose optimum is a corner of the polygon (S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew
-from network delay measurements", INFOCOM 1999). The truth lies above it: from there the line goes towards the centre of
-the polygon, by as much as so many pings must be expected to leave and never beyond the centre.
-
-Temperature bends the line: a bound of age τ is loosened by ½ wander τ², for so far the truth can be off the line that
-is right now. So old bounds fade by themselves, and what lies far from the last pings comes out uncertain.
+Pongs and ticks bound the line of host time over the Teensy's time (``clock_lines``). ``Clock`` keeps the tightest
+bounds of a window, rejects what contradicts them, finds out when a clock jumped, and translates ticks.
 
 Pure: ticks and monotonic nanoseconds in, the same out.
 """
@@ -31,25 +15,25 @@ from typing import NamedTuple
 from car_interface.common.errors import ConfigError
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.teensy.link.protocol import UINT32
+from car_interface.teensy.sensing.clock_lines import Bound, ClockLines, PongBounds, rise_ns
 
 BITS_PER_BYTE = 10  # start bit, eight, stop bit
 # What waits in the Teensy's buffers goes first: some 2 kB, 0.2 s at 115200 baud; then the host takes its time.
 ONE_WAY_UNCERTAINTY_NS = 250 * NS_PER_MS
 UNKNOWN_NS = 1 << 62  # the uncertainty of a time of which nothing is known
 CONVERGED_PONGS = 5
-CONVERGED_AFTER_MS = 900  # over a shorter time a tick of 1 ms says less of the skew than the crystals' data sheets
+CONVERGED_AFTER_MS = 900  # over a shorter time a tick of 1 ms tells less about the skew than the crystals' data sheets
 SENDING_NS = 100_000  # the host takes about so long from taking the time until the first bit is on the wire
 AGREEING = 3  # so many pongs in a row overrule those before them
 BUCKETS = 120  # in a window. Of each the tightest bounds are kept: neither memory nor time grows with the rate of pings
 KEPT_BUCKETS = 5  # with pongs, however old: they fade, but are better than none when pings are rare or paused
-BEND_PER_PPM_PER_H = 0.5 * 1e-6 / 3600 * 1e-6 * NS_PER_S  # of ½ wander τ² in ns, τ in ms
 
-# Why something isn't used, in words.
+# Why something isn't used.
 TOO_SOON = "a pong sooner than ping and pong take on the line"
 FASTER_LINE = "one pong after the other sooner than the line takes: it has no baud rate, as on USB; no more wire time"
 CONTRADICTION = "a pong that contradicts the ones before it"
 FROM_THE_FUTURE = "a tick that can't have been yet"
-# Worth a word about a pong that is used.
+# What is notable about a pong that is used.
 ONE_WAS_WRONG = "three pongs in a row say that one before them was wrong"
 BEGUN_ANEW = "three pongs in a row contradict those before them: a clock jumped or stood still"
 
@@ -61,8 +45,8 @@ class ClockConfig:
     Args:
         baud: bits per second on the line.
         window_s: how long a ping counts.
-        max_skew_ppm: the most by which the clocks' rates differ; crystals are good for 100 each.
-        wander_ppm_per_h: the most by which that changes in an hour; a car that warms up makes 20.
+        max_skew_ppm: by which the clocks' rates differ at most; crystals are good for 100 each.
+        wander_ppm_per_h: by which that changes in an hour at most; a car that warms up makes 20.
 
     Raises:
         ConfigError: when one of them isn't a number above 0, or beyond what a line can be.
@@ -97,15 +81,15 @@ class Sync(NamedTuple):
     round_trip_ns: int
     converged: bool
     used: bool
-    reason: str  # why it isn't used, or what is worth a word; empty for most
+    reason: str  # why it isn't used, or what is notable; empty for most
 
 
 class Clock:
     """Learns from pongs how the Teensy's clock relates to the host's, and translates its ticks.
 
     Attributes:
-        counts: what wasn't used, by reason, and what else was worth a word.
-        converged: whether the pongs are enough for a line; before, times go by the tick that was heard last.
+        counts: what wasn't used, by reason, and what else was notable.
+        converged: whether the pongs are enough for a line; before, times go by the newest tick.
     """
 
     def __init__(self, config: ClockConfig = ClockConfig()):
@@ -118,7 +102,7 @@ class Clock:
 
     def restart(self) -> None:
         """The Teensy's clock began anew: forget all but the counts."""
-        self._last = None  # the tick that was heard last, unwrapped
+        self._last = None  # the newest tick, unwrapped
         self._last_ns = 0  # when it was, at the latest
         self._buckets: dict = {}  # number of the bucket, counted in host time → its bounds
         self._suspects: list = []  # the last pongs, if they contradict those before them and not each other
@@ -137,8 +121,8 @@ class Clock:
         """
         sent_by_ns = sent_ns + self._wire_ns(sent_bytes)
         latest_ns = received_ns - self._wire_ns(received_bytes)
-        tick = self._hear(tick, latest_ns)
-        used, reason = self._take(_Pong(_Bound(tick + 1, sent_by_ns), _Bound(tick, latest_ns)))
+        tick = self._update_last(tick, latest_ns)
+        used, reason = self._take(PongBounds(Bound(tick + 1, sent_by_ns), Bound(tick, latest_ns)))
         if reason:
             self.counts[reason] += 1
         uncertainty_ns = self._stamp(tick, latest_ns).uncertainty_ns
@@ -148,13 +132,13 @@ class Clock:
             offset_ns, skew_ppm = self._last_ns - self._last * NS_PER_MS - NS_PER_MS // 2, 0.0
         return Sync(offset_ns, skew_ppm, uncertainty_ns, received_ns - sent_ns, self.converged, used, reason)
 
-    def heard(self, tick: int, received_ns: int, received_bytes: int) -> None:
+    def update_tick(self, tick: int, received_ns: int, received_bytes: int) -> None:
         """Take another tick that was new when its frame was queued, a sonar's: it can't have been later.
 
         A wheel's doesn't serve: that is the time of the last pulse, however long ago.
         """
         latest_ns = received_ns - self._wire_ns(received_bytes)
-        bound = _Bound(self._hear(tick, latest_ns), latest_ns)
+        bound = Bound(self._update_last(tick, latest_ns), latest_ns)
         if self._lines is None:
             return
         if self._lines.admit(None, bound):
@@ -166,18 +150,18 @@ class Clock:
         """When a tick was. As things stand and for the same receipt, a later tick never comes out earlier.
 
         Args:
-            tick: ms modulo 2**32, less than 24.8 days from the tick that was heard last.
+            tick: ms modulo 2**32, less than 24.8 days from the newest tick.
             received_ns: monotonic time, taken after the frame that had it was read; it was no later.
             received_bytes: what that frame took on the line at least.
 
         Raises:
-            ValueError: without ``received_ns`` before any tick has been heard.
+            ValueError: without ``received_ns`` before any tick was received.
         """
         latest_ns = None if received_ns is None else received_ns - self._wire_ns(received_bytes)
         return self._stamp(self.unwrap(tick), latest_ns)
 
     def unwrap(self, tick: int) -> int:
-        """The tick without its wraps: of all that it may mean what is nearest to the tick that was heard last."""
+        """The tick without its wraps: of all that it may mean what is nearest to the newest tick."""
         last = self._last
         return tick if last is None else last + (tick - last + UINT32 // 2) % UINT32 - UINT32 // 2
 
@@ -185,23 +169,26 @@ class Clock:
         """What the Teensy's clock is at at a monotonic time: ms, unwrapped, not cut to whole ones.
 
         Raises:
-            ValueError: before any tick has been heard.
+            ValueError: before any tick was received.
         """
         if self.converged:
             return self._lines.tick_at(host_ns)
-        self._demand_a_tick()
+        self._require_tick()
         return self._last + 0.5 + (host_ns - self._last_ns) / NS_PER_MS
+
+    def _lines_of(self, pong):
+        return ClockLines(pong, self._config.max_skew_ppm, self._config.wander_ppm_per_h)
 
     def _wire_ns(self, byte_count):
         return round(byte_count * self._byte_ns)
 
-    def _hear(self, tick, latest_ns):
+    def _update_last(self, tick, latest_ns):
         self._last, self._last_ns = self.unwrap(tick), latest_ns
         return self._last
 
-    def _demand_a_tick(self):
+    def _require_tick(self):
         if self._last is None:
-            raise ValueError("nothing has been heard of the Teensy's clock yet")
+            raise ValueError("no tick of the Teensy's clock was received yet")
 
     def _stamp(self, tick, latest_ns):
         if not self.converged:
@@ -209,7 +196,7 @@ class Clock:
         time_ns, earliest_ns, end_ns = self._lines.translate(tick)
         if latest_ns is not None and latest_ns < end_ns:
             if latest_ns < earliest_ns:
-                # A clock has jumped or stood still, and three pongs haven't said so yet.
+                # A clock has jumped or stood still, and three pongs haven't confirmed it yet.
                 return Stamp(latest_ns, self._one_way_stamp(tick, latest_ns).uncertainty_ns)
             end_ns = latest_ns
             time_ns = min(time_ns, end_ns)
@@ -218,7 +205,7 @@ class Clock:
     def _one_way_stamp(self, tick, latest_ns):
         if self._last is None and latest_ns is not None:
             return Stamp(latest_ns, UNKNOWN_NS)
-        self._demand_a_tick()
+        self._require_tick()
         apart_ms = tick - self._last
         time_ns = self._last_ns + apart_ms * NS_PER_MS
         uncertainty_ns = ONE_WAY_UNCERTAINTY_NS + NS_PER_MS + math.ceil(abs(apart_ms) * self._config.max_skew_ppm)
@@ -227,7 +214,7 @@ class Clock:
         return Stamp(latest_ns, uncertainty_ns + time_ns - latest_ns)
 
     def _take(self, pong):
-        """Whether it was used, and why not or what is worth a word."""
+        """Whether it was used, and why not or what is notable."""
         if pong.earliest.ns > pong.latest.ns:
             self._too_soon += 1
             if self._too_soon < AGREEING:
@@ -239,7 +226,7 @@ class Clock:
             self._suspects.clear()
             self._add(pong)
             return True, ""
-        lines = _Lines(pong, self._config)
+        lines = self._lines_of(pong)
         if not all(lines.admit(*suspect) for suspect in self._suspects):
             self._suspects.clear()
         self._suspects.append(pong)
@@ -270,7 +257,7 @@ class Clock:
 
         A bucket that doesn't is left out; with the second in a row everything before it is.
         """
-        self._lines = _Lines(pong, self._config)
+        self._lines = self._lines_of(pong)
         contradictions = 0
         for key in sorted(self._buckets, reverse=True):
             bucket = self._buckets[key]
@@ -282,11 +269,11 @@ class Clock:
         return contradictions < 2
 
     def _settle(self, pong):
-        """Choose the line, and say whether it's good for anything yet."""
+        """Choose the line, and whether there are enough pongs for it."""
         buckets = [bucket for bucket in self._buckets.values() if bucket.pongs]
         ticks = [bucket.earliest.tick for bucket in buckets] or [pong.earliest.tick]
         count = self._pongs()
-        # The least of n delays of up to a tick is a tick / (n + 1), on average; a line leans on two of them.
+        # The shortest of n delays of up to a tick is a tick / (n + 1), on average; a line leans on two of them.
         self._lines.choose(sum(ticks) / len(ticks), 2 * NS_PER_MS / (count + 1) + SENDING_NS)
         span_ms = pong.latest.tick - min((bucket.first_tick for bucket in buckets), default=pong.latest.tick)
         self.converged = count >= CONVERGED_PONGS and span_ms >= CONVERGED_AFTER_MS
@@ -307,20 +294,6 @@ class Clock:
         return self._buckets[key]
 
 
-class _Bound(NamedTuple):
-    """The line was at ``tick`` not before, or not after ``ns``."""
-
-    tick: int
-    ns: int
-
-
-class _Pong(NamedTuple):
-    """What a pong says about the line."""
-
-    earliest: _Bound
-    latest: _Bound
-
-
 class _Bucket:
     """The tightest bounds of a while."""
 
@@ -338,131 +311,8 @@ class _Bucket:
         self.tighten(*pong, slope)
 
     def tighten(self, earliest, latest, slope):
-        """Take bounds; ``slope`` of the line in ns per ms says which of two is tighter."""
-        if earliest and (self.earliest is None or _rise(self.earliest, earliest, slope) > 0):
+        """Take bounds; by ``slope`` of the line, ns per ms, of two the tighter is kept."""
+        if earliest and (self.earliest is None or rise_ns(self.earliest, earliest, slope) > 0):
             self.earliest = earliest
-        if latest and (self.latest is None or _rise(self.latest, latest, slope) < 0):
+        if latest and (self.latest is None or rise_ns(self.latest, latest, slope) < 0):
             self.latest = latest
-
-
-class _Lines:
-    """All lines from ticks to host time that no bound forbids.
-
-    x ms after the reference a line is at the reference + 10**6 x + offset + skew x: 1 ns per ms is 1 ppm. The corners
-    (offset, skew) of the polygon go around it.
-    """
-
-    def __init__(self, pong, config):
-        self._tick, self._ns = pong.latest
-        self._bend = BEND_PER_PPM_PER_H * config.wander_ppm_per_h
-        most = config.max_skew_ppm
-        min_ns = pong.earliest.ns - self._ns - 2 * NS_PER_MS  # lower than the pong's own bound at any skew
-        self._corners = [(min_ns, -most), (0.0, -most), (0.0, most), (min_ns, most)]
-        self._middle = 0.0
-        self._gap_ns = 0.0
-        self._chosen = None
-        self.admit(*pong)
-
-    def admit(self, earliest, latest):
-        """Cut off what these bounds, or ``None``, forbid. When that is all, leave it as it is and return False."""
-        corners = self._corners
-        if earliest:
-            corners = _cut(corners, *self._place(earliest, -1), 1)
-        if latest:
-            corners = _cut(corners, *self._place(latest, 1), -1)
-        if not corners:
-            return False
-        if corners is not self._corners:
-            self._corners = corners
-            self._chosen = None
-        return True
-
-    def choose(self, middle_tick, gap_ns):
-        """Take the lowest over this tick, raised there by the gap, but towards the centre and not beyond it."""
-        self._middle = middle_tick - self._tick
-        self._gap_ns = gap_ns
-        self._chosen = None
-
-    @property
-    def slope(self):
-        """Of the chosen line, ns per ms."""
-        return NS_PER_MS + self._line()[1]
-
-    def skew_ppm(self):
-        """How much faster the Teensy's clock runs, by the chosen line."""
-        return 1e6 * (NS_PER_MS / self.slope - 1)
-
-    def offset_ns(self):
-        """When it is at 0, by the chosen line."""
-        offset, skew = self._line()
-        return self._ns - self._tick * NS_PER_MS + round(offset - skew * self._tick)
-
-    def tick_at(self, host_ns):
-        """The inverse of the chosen line."""
-        offset, skew = self._line()
-        return self._tick + (host_ns - self._ns - offset) / (NS_PER_MS + skew)
-
-    def translate(self, tick):
-        """(the middle of this tick by the chosen line, its earliest beginning and its latest end by all of them)."""
-        offset, skew = self._line()
-        x = tick - self._tick
-        base_ns = self._ns + x * NS_PER_MS
-        low = min([offset + skew * x for offset, skew in self._corners])
-        high = max([offset + skew * (x + 1) for offset, skew in self._corners])
-        bend_ns = self._bend * (abs(x) + 1) ** 2
-        return (base_ns + NS_PER_MS // 2 + round(offset + skew * (x + 0.5)), base_ns + math.floor(low - bend_ns),
-                base_ns + NS_PER_MS + math.ceil(high + bend_ns))
-
-    def _line(self):
-        if self._chosen is None:
-            middle = self._middle
-            lowest = min(self._corners, key=lambda line: line[0] + line[1] * middle)
-            center = _center(self._corners)
-            rise_ns = center[0] - lowest[0] + (center[1] - lowest[1]) * middle
-            share = min(1.0, self._gap_ns / rise_ns) if rise_ns > 0 else 0.0
-            self._chosen = tuple(low + share * (high - low) for low, high in zip(lowest, center))
-        return self._chosen
-
-    def _place(self, bound, side):
-        """Where a bound lies from the reference, loosened upwards (1) or downwards (-1) by what the truth may bend."""
-        x = bound.tick - self._tick
-        return x, bound.ns - self._ns - x * NS_PER_MS + side * self._bend * x * x
-
-
-def _rise(before, after, slope):
-    """How far one bound lies over the line of this slope through another."""
-    return after.ns - before.ns - slope * (after.tick - before.tick)
-
-
-def _cut(corners, x, y, side):
-    """The part of a polygon of lines (offset, skew) that at x pass above y (side 1) or below it (-1)."""
-    heights = [side * (offset + skew * x - y) for offset, skew in corners]
-    if not heights or min(heights) >= 0:
-        return corners
-    kept = []
-    before, height_before = corners[-1], heights[-1]
-    for corner, height in zip(corners, heights):
-        if (height < 0) != (height_before < 0):
-            share = height_before / (height_before - height)
-            kept.append((before[0] + share * (corner[0] - before[0]), before[1] + share * (corner[1] - before[1])))
-        if height >= 0:
-            kept.append(corner)
-        before, height_before = corner, height
-    return kept
-
-
-def _center(corners):
-    """The centre of a polygon's area."""
-    first_offset, first_skew = corners[0]
-    area = offset = skew = 0.0
-    for before, after in zip(corners[1:], corners[2:]):
-        # The triangle of these two and the first corner.
-        u, v = before[0] - first_offset, before[1] - first_skew
-        w, z = after[0] - first_offset, after[1] - first_skew
-        double = u * z - v * w
-        area += double
-        offset += double * (u + w)
-        skew += double * (v + z)
-    if not area:
-        return tuple(sum(ends) / len(corners) for ends in zip(*corners))
-    return first_offset + offset / (3 * area), first_skew + skew / (3 * area)

@@ -9,16 +9,17 @@ import math
 from dataclasses import dataclass, field
 from typing import Callable, NamedTuple
 
+from car_interface.common.units import NS_PER_MS
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import SONARS, UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
-from car_interface.teensy.sensing.plausibility import GateConfig, Gates, ahead, has_pulsed
+from car_interface.teensy.sensing.plausibility import GateConfig, Gates
+from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed
 from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
 
-NS_PER_MS = 1_000_000
-# On the line, with checksum and closing flag: the least, without escapes and with a shared opening flag. What is taken
-# off the time of receipt for it must not be more than the line took.
+# On the line, with checksum and closing flag: the minimum, without escapes and with a shared opening flag. What is
+# subtracted the time of receipt for it must not be more than the line took.
 PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 TICK_MIDDLE_MS = 0.5
 MAX_QUEUED = 10  # reports of the wheels: what is published as it comes shall not wait for long behind them
@@ -87,13 +88,13 @@ class Measurements:
         return self.clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, received_ns, PONG_BYTES)
 
     def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True) -> RangeMeasurement | None:
-        """Take a sonar's report; ``None`` when it was refused, or tells no range."""
+        """Take a sonar's report; ``None`` when it was refused, or has no range."""
         self.process_queue()
         verdict = self.gates.sonar(record)
         if not verdict.accepted:
             return None
         self._update_tick(verdict, record.when, received_ns)
-        self.clock.heard(record.when, received_ns, SONAR_BYTES)
+        self.clock.update_tick(record.when, received_ns, SONAR_BYTES)
         range_m = self.ranging.range(record.sensor, record.echo_us, record.when, is_trusted)
         if range_m is None:
             return None
@@ -139,13 +140,13 @@ class Measurements:
             if newest is None:
                 return None
             self._update_tick(verdict, newest, received_ns)
-            self.clock.heard(newest, received_ns, WHEEL_BYTES)
+            self.clock.update_tick(newest, received_ns, WHEEL_BYTES)
         if verdict.boot_tick is not None:
             self._restart_clock(verdict.boot_tick, received_ns)
         received_ms = self.clock.tick_at(received_ns) + self._shift_ms
         left_ms, right_ms = (self.clock.unwrap(wheel.when) + self._shift_ms if has_pulsed(wheel) else -math.inf
                              for wheel in record)
-        # When a report was sent nobody knows; but until its newest pulse or repeat no later pulse had come.
+        # When a report was sent isn't known; but until its newest pulse or repeat no later pulse had come.
         newest_ms = -math.inf if newest is None else self.clock.unwrap(newest) + self._shift_ms
         is_news = self._newest_ms < newest_ms <= received_ms
         if is_news:
@@ -177,7 +178,7 @@ class Measurements:
         """The Teensy rebooted, and this is a tick of its new clock."""
         self._shift_ms += self.clock.tick_at(received_ns) - tick
         self.clock.restart()
-        self.clock.heard(tick, received_ns, 0)
+        self.clock.update_tick(tick, received_ns, 0)
 
 
 def _newest_when(record):

@@ -18,8 +18,8 @@ from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import BACKWARD, NO_DIRECTION, WheelStatus
 from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, UNALIGNED_PULSES, Alignment
 from car_interface.teensy.sensing.heading import HEADING_VARIANCE, HeadingFilter
-from car_interface.teensy.sensing.plausibility import LEARNING_PULSES
 from car_interface.teensy.sensing.pose import Pose
+from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
 from car_interface.teensy.sensing.restart import CarState, RestartBridge, WheelState
 from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
 
@@ -112,11 +112,11 @@ class Odometry:
 
         Args:
             record: the report.
-            pulses: signed, that it adds to the left and to the right wheel, as the gates say.
-            restarted: the odometers began anew; nobody knows how many pulses weren't counted.
+            pulses: signed, for the left and the right wheel, as the gates counted them.
+            restarted: the odometers began anew; it is unknown how many pulses weren't counted.
             left_ms, right_ms: the ticks of each wheel's last pulse or repeat, in ticks that never begin anew.
             report_ms: a moment until which there was no later pulse; never earlier than the newest of them.
-            unproven: further pulses, before those, of which nobody knows the direction yet.
+            unproven: further pulses, before those, whose direction isn't known yet.
         """
         now_ms = max(report_ms, self._time_ms)
         last, self._last = self._last, record
@@ -131,7 +131,7 @@ class Odometry:
         elif self._bridge is None and any(unproven):
             self._begin_bridge(now_ms)
         if self._bridge is not None and self._bridge.is_reset(pulses, unproven, now_ms):
-            self._bridge = None  # each wheel by itself tells where it is with its next pulse
+            self._bridge = None  # each wheel's next pulse shows where it is
         if self._bridge is None:
             has_pulse = self._update_wheels(record, last, pulses, (left_ms, right_ms), now_ms)
             for wheel in self._wheels:
@@ -164,7 +164,7 @@ class Odometry:
             wheel.is_uncounted = True
 
     def _cross_bridge(self, record, pulses, unproven, times_ms, now_ms):
-        """Collect pulses until they say how the car goes on."""
+        """Collect pulses until they show how the car goes on."""
         bridge = self._bridge
         for side, wheel in enumerate(self._wheels):
             bridge.add(side, unproven[side], pulses[side], min(times_ms[side] + TICK_MIDDLE_MS, now_ms))
@@ -183,7 +183,7 @@ class Odometry:
                 wheel.start(start, outcome.was_rolling, now_ms)
                 wheel.advance(now_ms)
             else:
-                wheel.stop_at(start.place)  # its next pulse tells the magnet
+                wheel.stop_at(start.place)  # its next pulse shows the magnet
         return self._move(record, True, now_ms, outcome)
 
     def _move(self, record, has_pulse, now_ms, outcome=None):

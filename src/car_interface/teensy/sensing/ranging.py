@@ -1,17 +1,17 @@
 """Echo times → ranges.
 
 Consumes microseconds from a sonar's ping to its echo as the firmware reports them; produces metres, as
-sensor_msgs/Range wants them. What is no distance is said as REP-117 has it: nothing in range +inf, too near to be
-measured −inf. ROS 1's costmap layer drops infinite ranges and clears only at ``max_range``, so there is a way to have
-numbers only. Never NaN.
+sensor_msgs/Range wants them. What is no distance goes by REP-117: nothing in range +inf, too near to be
+measured −inf. ROS 1's costmap layer drops infinite ranges and clears only at ``max_range``, so there is an option
+to have numbers only. Never NaN.
 
 What the firmware reports (seen on the original one, see test/data/firmware):
 
 - 13 µs less than the echo took: they are added.
 - Whatever the sensor's own pulse lasts, in 16 bits. Without an echo an HC-SR04 ends its pulse after 38 ms. There are
   clones that hold it for 200 ms, of which 3,379 µs are left, 0.58 m: their time-out has to be known.
-- 0 for a pin that never fell, and around a wrap of micros(): no distance, and no report about the room either. Around
-  the wrap, every 71.6 minutes of the Teensy's uptime, several pings fail or fire together: nothing of it is believed.
+- 0 for a pin that never fell, and around a wrap of micros(): no distance, and no measurement either. Around
+  the wrap, every 71.6 minutes of the Teensy's uptime, several pings fail or fire together: none of it is used.
 
 Pure: the temperature of the air is set from outside, whenever it is known.
 """
@@ -28,16 +28,16 @@ INF, MAX_RANGE = "inf", "max_range"
 US_PER_S = 1e6
 COLDEST_C, HOTTEST_C = -50.0, 60.0
 MEDIAN_OF = 5
-TAKEN_OFF_US = 13  # by the firmware, of each echo
+FIRMWARE_OFFSET_US = 13  # by the firmware, of each echo
 UINT16, UINT32 = 2 ** 16, 2 ** 32
 USUAL_TIMEOUT_MS, MAX_TIMEOUT_MS = 38.0, 1000.0
-# From so much of its time-out on an echo is none; where the time-out wraps, that is told by how near it comes to it.
+# From so much of its time-out on an echo is none; where the time-out wraps, it is known by how near it comes to it.
 TIMEOUT_RATIO, TIMEOUT_TOLERANCE_US = 0.95, 300
 # Around a wrap of micros(): a ping begun in the last 29 ms before it fails, and what fires then reports a little later.
 # The first report after power-up comes at 300 ms.
 BEFORE_WRAP_US, AFTER_WRAP_US = 50_000, 250_000
 
-# Why an echo makes no range, in words.
+# Why an echo makes no range.
 STUCK = "an echo of 0: the pin was high all the time"
 MICROS_WRAP = "an echo around the wrap of the Teensy's micros()"
 DISTRUSTED = "an echo right after SONAR_START"
@@ -58,7 +58,7 @@ class RangingConfig:
         max_range_m: an echo from farther counts as none.
         no_echo: ``inf``: no echo is +inf, one from too near −inf. ``max_range``: no echo is ``max_range_m``, one from
             too near is ``min_range_m``: something stands there, and a costmap shall keep it.
-        timeouts_ms: after which each sonar ends its pulse by itself when it hears no echo; up to 1000.
+        timeouts_ms: after which each sonar ends its pulse by itself when no echo comes; up to 1000.
         median: of each sonar's newest five echoes, not the newest. One or two wrong ones in a row don't show; what is
             new shows with the third report, two reports later than without.
 
@@ -126,8 +126,8 @@ class Ranging:
             is_trusted: False within two reports of a SONAR_START: the firmware fires two sonars at once.
 
         Returns:
-            ``min_range_m`` to ``max_range_m``; else what ``no_echo`` says; ``None`` when the report says nothing about
-            the room. With ``median`` no echo counts as one from beyond all others, so that three of the newest five
+            ``min_range_m`` to ``max_range_m``; else by ``no_echo``; ``None`` when the report tells no
+            distance. With ``median`` no echo counts as one from beyond all others, so that three of the newest five
             decide; of the first two or four the nearer middle one.
         """
         doubt = "" if is_trusted else DISTRUSTED
@@ -151,12 +151,12 @@ class Ranging:
         """What the echo took; infinite when there was none."""
         timeout_us = self._timeouts_us[sensor]
         if timeout_us >= UINT16:
-            off_us = (reported_us + TAKEN_OFF_US - timeout_us + UINT16 // 2) % UINT16 - UINT16 // 2
+            off_us = (reported_us + FIRMWARE_OFFSET_US - timeout_us + UINT16 // 2) % UINT16 - UINT16 // 2
             if abs(off_us) <= TIMEOUT_TOLERANCE_US:
                 return math.inf
-        elif reported_us + TAKEN_OFF_US >= TIMEOUT_RATIO * timeout_us:
+        elif reported_us + FIRMWARE_OFFSET_US >= TIMEOUT_RATIO * timeout_us:
             return math.inf
-        return reported_us + TAKEN_OFF_US
+        return reported_us + FIRMWARE_OFFSET_US
 
 
 def is_near_micros_wrap(tick: int) -> bool:

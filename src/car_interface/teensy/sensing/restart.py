@@ -1,7 +1,7 @@
-"""What the wheels did while nobody counted their pulses, and which way they turned in the first pulses after it.
+"""What the wheels did while their pulses weren't counted, and in which direction they made the first pulses after it.
 
 A Teensy that reboots counts no pulse for about 0.3 s, and does not know the direction of each wheel's first two pulses
-after that (see ``plausibility``). ``RestartBridge`` collects the pulses after the restart until they say enough, and
+after that (see ``plausibility``). ``RestartBridge`` collects the pulses after the restart until they are enough, and
 then finds the magnets at which both wheels were, from four things:
 
 - a wheel makes pulses at fixed places, one magnet apart, so that each wheel has skipped a whole number of them;
@@ -23,18 +23,18 @@ LEFT, RIGHT = 0, 1
 ROLLING_PER_MS = 0.01  # 0.15 m/s: from here on a wheel is taken to go on as it rolled
 BLIND_MS = 100.0  # a restart that takes longer was one of the Teensy; a reset of its odometers loses a report or two
 REPEAT_MS = 450.0  # a standing car is reported at least so often
-MAX_BLIND_MS = 2_000.0  # after longer nobody knows anything of the speed between
+MAX_BLIND_MS = 2_000.0  # after longer the speed between isn't known at all
 # After the restart each wheel's speed is taken over so many pulses and so long, or whatever has come when that is over.
 ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
 LATE_INTERVALS = 1.6  # a first pulse that comes later than so many intervals is that of a car which started after it
-STOPPED_INTERVALS = 3.0  # no pulse for so many of the intervals before: it stopped while nobody counted
+STOPPED_INTERVALS = 3.0  # no pulse for so many of the intervals before: it stopped meanwhile
 SEARCHED = 6  # magnets around the likeliest
 UNEVEN_PER_MS2 = 1.3e-4  # by how much an acceleration may differ from the even one, 2 m/s²
 CLOCK_MS = 4.0  # how well the duration of a reboot is known
-REST_MS, UNPROVEN_VARIANCE = 1000.0, 4.0  # ms; pulses²: two of them the other way in less than three sigma
+REST_MS, UNPROVEN_VARIANCE = 1000.0, 4.0  # ms; pulses²: two of them in the other direction in less than three sigma
 TICK_MS = 0.45  # of the interval between two ticks, one sigma
 CURVATURE_SIGMA = 0.05  # 1/m: what the curvature between is claimed to be known by, at the best
-UNEVEN_START_RATIO = 0.3  # of the distance that a car has made which started while nobody counted, one sigma
+UNEVEN_START_RATIO = 0.3  # of the distance that a car has made which started meanwhile, one sigma
 PLACE_SIGMA, DIFFERENCE_SIGMA = 0.3, 0.2  # pulses: of where the wheels were before
 STANDING_DIFFERENCE_VARIANCE = 0.4  # pulses²: of wheels that stood, each anywhere between two magnets
 MIN_DIFFERENCE_VARIANCE = 1 / 9  # pulses²: a whole one within three sigma
@@ -63,7 +63,7 @@ class WheelStart(NamedTuple):
     Attributes:
         place: of its first pulse's magnet; without pulses where it is, anywhere between two.
         speed: then.
-        forward: which way it turns.
+        forward: its direction.
         pulses: (so many, at ms), the first of which was at ``place``.
     """
 
@@ -111,7 +111,7 @@ class RestartBridge:
         return sum(count for count, _ in self._pulses[side])
 
     def is_reset(self, pulses: Sequence[int], unproven: Sequence[int], now_ms: float) -> bool:
-        """Whether the first pulses show that it was WHEEL_RESET: each direction is known, hardly a pulse is lost."""
+        """Whether the first pulses show that it was WHEEL_RESET: each direction is known, hardly a pulse is missing."""
         seen_ms = now_ms if self._seen_ms is None else self._seen_ms
         return (any(pulses) and not any(unproven) and not any(self._pulses)
                 and seen_ms - self._state.at_ms <= REPEAT_MS)
@@ -132,7 +132,7 @@ class RestartBridge:
 
     @property
     def positions(self) -> tuple[float, float]:
-        """Where the wheels stand, after ``report`` said that the car has stopped."""
+        """Where the wheels stand, after ``report`` found that the car has stopped."""
         left, right = self._state.wheels
         return left.position, right.position
 
@@ -181,7 +181,7 @@ class RestartBridge:
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
-        # After a rest a car may have turned round, and nobody knows which way its first pulses were.
+        # After a rest a car may have turned round, and the direction of its first pulses isn't known.
         unknown = UNPROVEN_VARIANCE if not was_rolling and now_ms - self._first_ms() > REST_MS else 0.0
         return Outcome(
             wheels=tuple(WheelStart(places[side], speeds[side], signs[side] > 0, self._pulses[side])
@@ -211,7 +211,7 @@ class RestartBridge:
 
     def _all_signs(self, now_ms):
         sign = self._find_sign(now_ms)
-        return [own or sign for own in self._signs]
+        return [proven or sign for proven in self._signs]
 
     def _was_rolling(self):
         """Whether the car rolled as pulses began to be counted again; else it started later."""
@@ -224,7 +224,7 @@ class RestartBridge:
         return not any(_rate(pulses) for pulses in self._pulses) and abs(self._mean_before()) > ROLLING_PER_MS
 
     def _speeds(self, signs, now_ms):
-        """Of both wheels at their pulses; what one doesn't say is taken from the other, or from before."""
+        """Of both wheels at their pulses; what one doesn't tell is taken from the other, or from before."""
         rates = [_rate(pulses) for pulses in self._pulses]
         known = [sign * rate for sign, rate in zip(signs, rates) if rate]
         # A wheel of which no second pulse has come for a while has become slow.
@@ -235,7 +235,7 @@ class RestartBridge:
                 for sign, rate, speed in zip(signs, rates, slowed)]
 
     def _curvature(self, speeds, was_rolling):
-        """Over the time that nobody counted, and its variance, from before and after."""
+        """Over the time without counts, and its variance, from before and after."""
         before, before_variance = self._state.curvature_per_m, self._state.curvature_variance
         after, after_variance = self._curvature_after()
         if not was_rolling or after is None or self._blind_ms() <= BLIND_MS:
@@ -246,7 +246,7 @@ class RestartBridge:
         return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2
 
     def _curvature_after(self):
-        """From what both wheels have rolled over the same time, and its variance; ``None`` when that says nothing."""
+        """From both wheels over the same time, and its variance; ``None`` when there are too few pulses."""
         if any(len(pulses) < 2 for pulses in self._pulses):
             return None, math.inf
         begin_ms = max(pulses[0][1] for pulses in self._pulses)
@@ -301,8 +301,8 @@ class RestartBridge:
             cost = (((left + right) / 2 - mean) ** 2 / mean_variance
                     + (right - left - difference) ** 2 / difference_variance)
             scored.append((cost, left, right))
-        least, left, right = min(scored)
-        weights = [(math.exp((least - cost) / 2), one, other) for cost, one, other in scored]
+        min_cost, left, right = min(scored)
+        weights = [(math.exp((min_cost - cost) / 2), one, other) for cost, one, other in scored]
         total = sum(weight for weight, _, _ in weights)
         return (left, right), sum(weight * (other - one - right + left) ** 2 for weight, one, other in weights) / total
 
@@ -315,12 +315,12 @@ class RestartBridge:
         nearest = wheel.count + first if sign > 0 else wheel.count + 1 - first
         if wheel.speed == 0.0 and not self._was_rolling():
             return [nearest]  # it stood until pulses were counted again
-        kept = [place for place in places if (place - nearest) * sign >= 0]
-        return kept or [nearest]
+        possible = [place for place in places if (place - nearest) * sign >= 0]
+        return possible or [nearest]
 
 
 def _rate(pulses):
-    """Pulses per ms; 0 when one report says nothing of it."""
+    """Pulses per ms; 0 when there are too few."""
     if len(pulses) < 2 or pulses[-1][1] <= pulses[0][1]:
         return 0.0
     return sum(count for count, _ in pulses[1:]) / (pulses[-1][1] - pulses[0][1])

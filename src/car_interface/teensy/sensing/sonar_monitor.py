@@ -1,4 +1,4 @@
-"""Which sonars are alive, which of their reports to trust, and when to start them again.
+"""Which sonars report, which of their reports to trust, and when to start them again.
 
 Consumes the sonars' reports and what the host commands; answers with faults by name and with what to do about them.
 What the firmware does (seen on the original one, see test/data/firmware):
@@ -7,8 +7,8 @@ What the firmware does (seen on the original one, see test/data/firmware):
   SONAR_START steps to the next.
 - One whose echo pin is stuck high holds the others up for about the Teensy's uptime and reports 0; after 179 s of
   uptime (89 s on a Teensy 3.1) it silences all of them, until SONAR_START, and then again at that sonar.
-- SONAR_START while they run fires two sonars at once, and the second one hears the first one's echo. So it's sent only
-  when they are silent, and reports right after it aren't trusted.
+- SONAR_START while they run fires two sonars at once, and the second one receives the first one's echo. So it's sent
+  only when none reports, and reports right after it aren't trusted.
 
 Pure: ``now_ns`` in, nothing that grows.
 """
@@ -22,14 +22,14 @@ from car_interface.teensy.sensing.ranging import is_near_micros_wrap
 
 MISSING_ROUNDS = 2  # so many rounds of the others without a report
 STUCK_ZEROS, DROPPED_ZEROS = 2, 3  # echoes of 0 in a row
-STUCK_SILENCES = 2  # so often in a row all went silent at the same sonar
+MAX_STALLS = 2  # so often in a row all stopped at the same sonar
 DISTRUSTED_REPORTS = 2
 # A report of before SONAR_START may still be on its way; the last false one comes with the end of a pulse of 38 ms.
 BEFORE_START_MS, AFTER_START_MS = 15, 70
 MAX_RETRY_NS = 60 * NS_PER_S  # between SONAR_STARTs that don't help
 FIRMWARE_WAIT_MS = 50
 SEND_START, SEND_SEQUENCE = "SONAR_START", "SET_SONAR_SEQ"
-ALIVE_NS = NS_PER_S  # a link on which nothing came for longer says nothing about sonars
+ALIVE_NS = NS_PER_S  # a link on which nothing came for longer tells nothing about sonars
 
 
 class SonarFault(NamedTuple):
@@ -37,12 +37,12 @@ class SonarFault(NamedTuple):
 
     Attributes:
         sensor: index in ``protocol.SONARS``; ``None`` for all of them.
-        words: what is wrong.
+        description: what is wrong.
         next_step: what its owner can do.
     """
 
     sensor: int | None
-    words: str
+    description: str
     next_step: str
 
 
@@ -80,7 +80,7 @@ class SonarMonitor:
         self._others = [0] * len(SONARS)  # reports of other sonars since its own last one
         self._zeros = [0] * len(SONARS)  # in a row
         self._last: int | None = None  # the sensor that reported last, since SONAR_START
-        self._silences = [0] * len(SONARS)  # in a row, at this sensor
+        self._stalls = [0] * len(SONARS)  # in a row, at this sensor
         self._retry_ns = self._restart_ns
         self._trusted_after = (0, 0)  # reports still to be distrusted, tick until which all are
 
@@ -108,7 +108,7 @@ class SonarMonitor:
         self._newest = (tick, now_ns)
 
     def stopped(self) -> None:
-        """SONAR_STOP was sent on somebody's behalf."""
+        """SONAR_STOP was sent on request."""
         self._stopped = True
 
     def started(self, now_ns: int) -> None:
@@ -123,12 +123,12 @@ class SonarMonitor:
         self._trusted_after = (DISTRUSTED_REPORTS, until)
 
     def sequence_set(self, sequence: Sequence[int], now_ns: int) -> None:
-        """SET_SONAR_SEQ was sent on somebody's behalf: who puts a sonar in wants it to be used."""
+        """SET_SONAR_SEQ was sent on request: a sonar that is put in is used again."""
         self.sequence = tuple(sequence)
         self.dropped = tuple(sensor for sensor in self.dropped if sensor not in sequence)
         self._since_ns = max(self._since_ns, now_ns)
         for sensor in range(len(SONARS)):
-            self._others[sensor] = self._zeros[sensor] = self._silences[sensor] = 0
+            self._others[sensor] = self._zeros[sensor] = self._stalls[sensor] = 0
 
     def wait_set(self, wait_ms: int) -> None:
         """SONAR_WAIT was sent."""
@@ -141,7 +141,7 @@ class SonarMonitor:
         self._since_ns = now_ns
         self._retry_ns = self._restart_ns
         self._last = sensor
-        self._silences[sensor] = 0
+        self._stalls[sensor] = 0
         for other in range(len(SONARS)):
             self._others[other] = 0 if other == sensor else self._others[other] + 1
         if is_trusted and not is_near_micros_wrap(tick):
@@ -175,11 +175,11 @@ class SonarMonitor:
                 self.dropped += (sensor,)
                 self._last = None
                 return SEND_SEQUENCE
-        if not self._is_silent(now_ns):
+        if not self._is_overdue(now_ns):
             return None
         suspect = self._suspect()
         if suspect is not None:
-            self._silences[suspect] += 1
+            self._stalls[suspect] += 1
         elif self.starts:
             self._retry_ns = min(2 * self._retry_ns, MAX_RETRY_NS)
         self.starts += 1
@@ -190,9 +190,9 @@ class SonarMonitor:
         return self._frame_ns is not None and now_ns - self._frame_ns <= ALIVE_NS
 
     def _is_stuck(self, sensor):
-        return self._zeros[sensor] >= DROPPED_ZEROS or self._silences[sensor] >= STUCK_SILENCES
+        return self._zeros[sensor] >= DROPPED_ZEROS or self._stalls[sensor] >= MAX_STALLS
 
-    def _is_silent(self, now_ns):
+    def _is_overdue(self, now_ns):
         """Whether reports are missing for long enough to start the sonars."""
         patience_ns = max(self._retry_ns, 2 * self._wait_ms * NS_PER_MS)
         return bool(self._restart_ns) and now_ns - self._since_ns >= patience_ns
@@ -204,7 +204,7 @@ class SonarMonitor:
         return self.sequence[(self.sequence.index(self._last) + 1) % len(self.sequence)]
 
     def faults(self, now_ns: int) -> list[SonarFault]:
-        """What is wrong, by name; empty when all that are in use report, or when nobody wants them to."""
+        """What is wrong, by name; empty when all that are in use report, or when they were stopped."""
         found = [SonarFault(sensor, f"{SONARS[sensor]} is stuck high and was taken out of the sequence",
                             "Check its echo wire and supply; when it is mended: ~set_sonar_sequence, or power the "
                             "Teensy off and on") for sensor in self.dropped]
@@ -212,16 +212,16 @@ class SonarMonitor:
             return found
         rounds = MISSING_ROUNDS * len(self.sequence)
         for sensor in sorted(set(self.sequence)):
-            if self._zeros[sensor] >= STUCK_ZEROS or self._silences[sensor]:
+            if self._zeros[sensor] >= STUCK_ZEROS or self._stalls[sensor]:
                 found.append(SonarFault(sensor, f"{SONARS[sensor]} seems stuck high: it holds the other sonars up",
                                         "Check its echo wire and supply"))
             elif self._others[sensor] >= rounds:
                 found.append(SonarFault(sensor, f"{SONARS[sensor]} does not report: it seems not to be connected",
                                         "Check its plug and wires; for a car without it leave it out of "
                                         "~sonar_sequence"))
-        silent_ns = now_ns - self._since_ns
+        overdue_ns = now_ns - self._since_ns
         # One that was just left out still holds the others up until the next SONAR_START.
-        if self.starts and self._last is None and silent_ns > (2 * self._restart_ns if self.dropped else NS_PER_S):
+        if self.starts and self._last is None and overdue_ns > (2 * self._restart_ns if self.dropped else NS_PER_S):
             found.append(SonarFault(None, f"no sonar reports, in spite of {self.starts} SONAR_STARTs",
                                     "Check the sonars' supply and plugs; for a car without sonars set "
                                     "~sonar_restart to 0"))
@@ -229,6 +229,6 @@ class SonarMonitor:
 
 
 def describe(faults: Sequence[SonarFault]) -> tuple[str, str]:
-    """All faults in words, and all that can be done about them."""
+    """All faults in one text, and all next steps in another."""
     steps = dict.fromkeys(fault.next_step for fault in faults)
-    return "; ".join(fault.words for fault in faults), ". ".join(steps)
+    return "; ".join(fault.description for fault in faults), ". ".join(steps)

@@ -83,7 +83,7 @@ class WheelFilter:
             at_ms: its time.
             now_ms: the time of the report.
         """
-        # A moment that can't be, because the Teensy rebooted and nobody has noticed yet, is some moment until now.
+        # A moment that can't be, because of a reboot that isn't detected yet, is some moment until now.
         is_known = self._pulse_ms < at_ms <= now_ms + TICK_MIDDLE_MS
         at_ms = min(max(at_ms, self._time_ms), now_ms) if is_known else now_ms
         self.count += pulses

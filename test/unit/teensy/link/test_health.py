@@ -93,18 +93,18 @@ def test_link_with_a_good_second_is_fine(link):
 
 
 def test_port_that_fails_is_told_at_once_in_the_port_s_own_words(good_link):
-    good_link.health.port_fails(BUSY, "another program has it open", "See which one")
+    good_link.health.port_failed(BUSY, "another program has it open", "See which one")
     assert good_link.health.verdict == (BUSY, ERROR, "another program has it open", "See which one")
 
 
 def test_port_that_is_still_closed_stays_what_it_is_as_time_passes(good_link):
-    good_link.health.port_fails(ABSENT, "there is no such port", "Plug it in")
+    good_link.health.port_failed(ABSENT, "there is no such port", "Plug it in")
     assert good_link.live(NOTHING, NOTHING, NOTHING) == [ABSENT] * 3
 
 
 def test_port_opened_again_is_judged_anew(good_link):
     good_link.live(NOTHING, NOTHING)
-    good_link.health.port_fails(ABSENT, "there is no such port", "Plug it in")
+    good_link.health.port_failed(ABSENT, "there is no such port", "Plug it in")
     good_link.open()
     assert good_link.health.verdict.state == WAITING
     assert good_link.live(GOOD) == [FINE]
@@ -128,7 +128,7 @@ def test_fault_of_an_open_port_is_told_in_words_with_the_next_step(link, second,
     assert link.live(second, second) == [WAITING, state]
     verdict = link.second(second)
     assert (verdict.state, verdict.level) == (state, level)
-    assert words in verdict.words
+    assert words in verdict.description
     assert next_step in verdict.next_step
 
 
@@ -159,7 +159,7 @@ def test_noise_is_told_by_its_share_over_ten_seconds(good_link):
     assert good_link.live(*[NOISY] * 9)[3:] == [BAD_CHECKSUMS] * 6
     verdict = good_link.second(NOISY)
     assert verdict.level == WARN
-    assert "5 % of them are corrupt" in verdict.words
+    assert "5 % of them are corrupt" in verdict.description
     assert "fuser -v" in verdict.next_step
 
 
@@ -207,7 +207,7 @@ def test_reboot_is_told_at_once_and_for_ten_seconds(good_link):
     good_link.health.rebooted("its clock went from 9.0 s back to 0.1 s", good_link.now_ns)
     verdict = good_link.health.verdict
     assert (verdict.state, verdict.level) == (REBOOTED, WARN)
-    assert verdict.words == "the Teensy rebooted: its clock went from 9.0 s back to 0.1 s"
+    assert verdict.description == "the Teensy rebooted: its clock went from 9.0 s back to 0.1 s"
     assert "power supply" in verdict.next_step
     assert good_link.live(*[GOOD] * 10) == [REBOOTED] * 9 + [FINE]
 
@@ -231,5 +231,5 @@ def test_verdict_on_any_counters_has_words_and_a_next_step_unless_it_is_fine(sec
     link = Link()
     for second in seconds:
         verdict = link.second(second)
-        assert verdict.words
+        assert verdict.description
         assert bool(verdict.next_step) == (verdict.state not in (FINE, WAITING))

@@ -255,7 +255,7 @@ def test_pings_unanswered_while_nothing_is_heard_say_nothing_about_the_checksum(
     for number in range(47):
         pings.ping(number, after)
         after += GIVE_UP
-        assert pings.expire(after, heard=False) == [number]
+        assert pings.expire(after, is_alive=False) == [number]
     assert (pings.checksum, pings.unanswered_in_a_row) == (SHIPPED, 47)
     after = go_unanswered(pings, 4, after)
     assert pings.checksum == SHIPPED

@@ -22,14 +22,14 @@ from car_interface.teensy.link.protocol import (
     WheelStatus,
     decode,
 )
-from car_interface.teensy.sensing import plausibility
+from car_interface.teensy.sensing import verdicts
 from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionMeasurement
 from car_interface.teensy.sensing.ranging import MICROS_WRAP, STUCK, RangingConfig
 
 S_US = 1_000_000
 SPEED_OF_SOUND_MPS = 343.42
 MAX_RANGE_M = 2.0
-WORTH_A_WORD = {plausibility.FIRST, plausibility.ODOMETERS_RESET, plausibility.CLOCK_RESTARTED}
+WORTH_A_WORD = {verdicts.FIRST, verdicts.ODOMETERS_RESET, verdicts.CLOCK_RESTARTED}
 
 
 class Error(NamedTuple):
@@ -200,7 +200,7 @@ def test_host_that_begins_to_listen_later_has_odometry_at_once(name, begin_s):
 
 def test_reboots_in_mid_drive_leave_heading_and_place(replayed):
     _, moments, measurements, found = replayed("reboot_rolling")
-    assert measurements.gates.counts[plausibility.CLOCK_RESTARTED] == 3
+    assert measurements.gates.counts[verdicts.CLOCK_RESTARTED] == 3
     false_pulses = [wheel for moment in moments if isinstance(moment.record, WheelStatus)
                     for wheel in moment.record if wheel.direction == BACKWARD]
     assert false_pulses, "the capture has the false backward pulses that this is about"

@@ -14,7 +14,7 @@ from car_interface.sim.teensy_wheels import LEFT, RIGHT
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.pinging import Answer, Pinger
 from car_interface.teensy.link.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus, decode
-from car_interface.teensy.sensing import plausibility
+from car_interface.teensy.sensing import verdicts
 from car_interface.teensy.sensing.measurements import (
     MAX_QUEUED,
     MeasurementConfig,
@@ -118,10 +118,10 @@ def test_temperature_may_change_while_it_runs(host):
 
 
 @pytest.mark.parametrize("record, reason", (
-    (SonarStatus(0, ECHO_US, 2_000), plausibility.TICK_BACK),
-    (SonarStatus(0, ECHO_US, 90_000), plausibility.TICK_AHEAD),
-    (Pong(1234, 9_000), plausibility.NOT_OUR_PING),
-    (WheelStatus(Wheel(0, 3, 9_000, 0, 0), Wheel(0, 0, 9_000, 1, 1)), plausibility.SENSOR_ERROR),
+    (SonarStatus(0, ECHO_US, 2_000), verdicts.TICK_BACK),
+    (SonarStatus(0, ECHO_US, 90_000), verdicts.TICK_AHEAD),
+    (Pong(1234, 9_000), verdicts.NOT_OUR_PING),
+    (WheelStatus(Wheel(0, 3, 9_000, 0, 0), Wheel(0, 0, 9_000, 1, 1)), verdicts.SENSOR_ERROR),
 ))
 def test_bad_record_is_named_and_changes_nothing(host, record, reason):
     host.until(START_NS + 10 * S)
@@ -135,7 +135,7 @@ def test_duplicated_pong_answers_no_ping_any_more(host):
     answer = Answer(START_NS, 4 * MS, 11)
     assert host.measured.pong(Pong(1, 10), answer, START_NS + 4 * MS).used
     assert host.measured.pong(Pong(1, 10), None, START_NS + 5 * MS) is None
-    assert host.measured.gates.counts[plausibility.NOT_OUR_PING] == 1
+    assert host.measured.gates.counts[verdicts.NOT_OUR_PING] == 1
 
 
 def test_wheels_in_opposite_directions_turn_the_car_on_the_spot(host):
@@ -162,7 +162,7 @@ def test_reboot_while_rolling_restarts_the_clock_and_leaves_the_pose_where_it_wa
     assert after.motion.speed_mps == pytest.approx(1.0, rel=0.03)
     assert after.motion.yaw_rad == pytest.approx(0.0, abs=0.05)
     assert after.stamp.time_ns == pytest.approx(host.now_ns, abs=40 * MS)
-    assert host.measured.gates.counts[plausibility.CLOCK_RESTARTED] == 1
+    assert host.measured.gates.counts[verdicts.CLOCK_RESTARTED] == 1
     stamps_ns = [result.stamp.time_ns for result in host.of(MotionMeasurement)]
     assert all(earlier < later for earlier, later in zip(stamps_ns, stamps_ns[1:]))
 
@@ -175,7 +175,7 @@ def test_clock_that_wraps_while_rolling_is_noticed_nowhere():
     assert last.motion.x_m == pytest.approx(2.0, abs=0.02)
     assert last.motion.speed_mps == pytest.approx(1.0, rel=0.03)
     assert last.stamp.time_ns == pytest.approx(host.now_ns, abs=20 * MS)
-    assert not host.measured.gates.counts[plausibility.CLOCK_RESTARTED]
+    assert not host.measured.gates.counts[verdicts.CLOCK_RESTARTED]
 
 
 def test_pulse_counters_that_wrap_while_rolling_move_the_car_on():

@@ -1,0 +1,52 @@
+"""What the plausibility gates answer about a record, and the reasons that they give."""
+from __future__ import annotations
+
+from typing import NamedTuple
+
+# Why a record is refused.
+NOT_OUR_PING = "a pong that answers no ping of ours"
+TICK_BACK = "a tick that goes back"
+TICK_AHEAD = "a tick that jumps ahead"
+SENSOR_ERROR = "a wheel whose direction sensor reports an error (direction 3)"
+COUNTS_DISAGREE = "a wheel whose direction and counts disagree"
+SPEED_TOO_HIGH = "a wheel's speed above the top speed"
+COUNT_BACK = "a wheel's count that goes back"
+PULSE_BACK = "a wheel's last pulse that goes back in time"
+CHANGE_WITHOUT_PULSE = "a change of direction in a wheel that made no pulse"
+REPEAT_ALONE = "a wheel's time that changes without a pulse or a repeat"
+TOO_MANY_PULSES = "more pulses than the top speed allows"
+WRONG_DIRECTION = "a direction that doesn't go with the counts"
+REVERSED_AT_SPEED = "a direction that changes at speed"
+SURPRISING = "more pulses at once than the wheel's speed explains"
+PULSE_AHEAD = "a pulse ahead of the Teensy's clock"
+# What is notable about one that is accepted.
+FIRST = "the first of its kind"
+PREVIOUS_WRONG = "the one before it was wrong"
+AFTER_GAP = "taken up after a gap"
+CLOCK_RESTARTED = "taken up after the Teensy's clock went back: it rebooted"
+ODOMETERS_RESTARTED = "taken up after a jump of the odometers"
+ODOMETERS_RESET = "odometers that were reset"
+
+
+class Verdict(NamedTuple):
+    """What became of a record.
+
+    Attributes:
+        accepted: whether it may be used.
+        reason: why not, or what is notable; empty for most.
+        pulses: to add to the distance of the left and the right wheel, signed.
+        restarted: what was there before it doesn't count any more.
+        unproven: further pulses of the left and the right wheel, made before those of ``pulses``, whose direction the
+            firmware could not know yet.
+        boot_tick: a tick of the clock after a reboot that this report of the wheels reveals; else ``None``.
+    """
+
+    accepted: bool
+    reason: str
+    pulses: tuple[int, int] = (0, 0)
+    restarted: bool = False
+    unproven: tuple[int, int] = (0, 0)
+    boot_tick: int | None = None
+
+
+FINE = Verdict(True, "")

@@ -1,0 +1,277 @@
+"""The gate for the reports of the wheels.
+
+What a healthy firmware sends is never refused:
+
+- A wheel's ``when`` is the tick of its last pulse *or repeat*: a standing car repeats its report with a new ``when``
+  for both wheels. Only a change of ``dist_abs`` is a pulse.
+- ``when`` is 0 until the first pulse after power-up: that is no reading of the clock. WHEEL_RESET keeps it.
+- The first two pulses of a wheel after power-up are ``unproven`` (see ``pulse_counts``); their
+  direction must be found elsewhere. WHEEL_RESET keeps the pins' states, so that it makes none.
+
+Pure.
+"""
+from __future__ import annotations
+
+from car_interface.teensy.link.protocol import DIRECTION_ERROR, NO_DIRECTION, Wheel, WheelStatus
+from car_interface.teensy.sensing.pulse_counts import (
+    LEARNING_PULSES,
+    ahead,
+    has_pulsed,
+    learning_pulses,
+    signed_pulses,
+)
+from car_interface.teensy.sensing.tick_gate import CONSISTENT, OVERTAKEN_MS, YOUNG_MS
+from car_interface.teensy.sensing.verdicts import (
+    AFTER_GAP,
+    CHANGE_WITHOUT_PULSE,
+    COUNT_BACK,
+    COUNTS_DISAGREE,
+    FINE,
+    FIRST,
+    ODOMETERS_RESET,
+    ODOMETERS_RESTARTED,
+    PREVIOUS_WRONG,
+    PULSE_AHEAD,
+    PULSE_BACK,
+    REPEAT_ALONE,
+    REVERSED_AT_SPEED,
+    SENSOR_ERROR,
+    SPEED_TOO_HIGH,
+    SURPRISING,
+    TOO_MANY_PULSES,
+    WRONG_DIRECTION,
+    Verdict,
+)
+
+SURPRISE_PULSES = 3  # at 1.5 cm: wrong by 4.5 cm at most, and two reports in a row may be lost from a crawl
+TRUSTED_MS = 100  # how long after a wheel's last pulse its speed still explains pulses
+QUANTUM_MS = 1  # of the ticks
+PULSES_OF_JITTER = 2  # the magnets of an encoder wheel aren't spaced evenly
+# From here on a wheel needs time to turn round: ten times what tyres hold, for a wheel in the air may be braked harder.
+SLOW_MPS = 1.0
+BRAKING_MPS2 = 100.0
+SPEED_OF_ONE_TICK = 1000  # pulses per second: two pulses, one tick apart
+
+_NOTHING_YET = WheelStatus(*2 * (Wheel(0, NO_DIRECTION, 0, 0, 0),))
+
+
+class WheelGate:
+    """Judges the reports of the wheels, which come in order.
+
+    Args:
+        pulse_m: a wheel's distance from pulse to pulse.
+        max_gap_ms: between ticks of a line that is whole.
+        top_speed_mps: of a wheel, its spinning included.
+    """
+
+    def __init__(self, pulse_m: float, max_gap_ms: float, top_speed_mps: float):
+        self._pulse_m = pulse_m
+        self._max_gap_ms = max_gap_ms
+        self._top_per_ms = top_speed_mps / pulse_m / 1000
+        self._top_speed = 2000 * self._top_per_ms + SPEED_OF_ONE_TICK  # as a report may give it
+        self._last = None
+        self._before = None  # accepted before the last one
+        self._candidates: list = []
+        self._jumped = False  # the candidates can't follow the last one
+        self._per_ms = (0.0, 0.0)  # each wheel's speed when it made its last pulse
+        self._pulse_ticks: tuple = (None, None)  # of the last pulses; ``when`` may be that of a repeat
+        self._learns = True  # pulses of small number are unproven
+        self._zero = None  # (newest tick, restarts of the clock) when both odometers went back to zero
+
+    @property
+    def is_zero_again(self):
+        """Whether both odometers have gone back to zero: a reboot is proven by this and the clock."""
+        return self._zero is not None and self._before is None
+
+    def judge(self, record: WheelStatus, newest_tick: int | None, clock_restarts: int) -> Verdict:
+        """Judge the next report, beside the newest tick of the clock and how often the clock restarted."""
+        fault = self._impossible(record.left) or self._impossible(record.right)
+        if fault:
+            return Verdict(False, fault)
+        boot_tick = self._find_boot(record, newest_tick, clock_restarts)
+        verdict = self._judge(record, newest_tick if boot_tick is None else boot_tick)
+        if verdict.reason == ODOMETERS_RESET:
+            self._zero = (newest_tick, clock_restarts)
+            self._learns = not any(wheel.when for wheel in record if not wheel.dist_abs)
+            boot_tick = self._find_boot(record, newest_tick, clock_restarts)
+            pulses = self._pulses_between(_NOTHING_YET, record)
+            verdict = verdict._replace(pulses=pulses[:2], unproven=pulses[2:])
+        elif verdict.reason == ODOMETERS_RESTARTED and self._learns:
+            boot_tick = _tick_gone_back(record, newest_tick)
+        if not verdict.accepted:
+            return verdict
+        if not _is_zero(record):
+            self._zero = None
+            self._learns = self._learns and any(wheel.dist_abs <= LEARNING_PULSES for wheel in record)
+        elif verdict.reason == FIRST:
+            self._learns = not any(wheel.when for wheel in record)  # which WHEEL_RESET keeps
+        return verdict if boot_tick is None else verdict._replace(boot_tick=boot_tick)
+
+    def _find_boot(self, record, newest_tick, clock_restarts):
+        """The first pulse after zero shows whether that was a reset; if not, the answer is a tick of the new clock."""
+        if self._zero is None or _is_zero(record) or newest_tick is None:
+            return None
+        tick_at_zero, restarts_at_zero = self._zero
+        if not self._learns or clock_restarts != restarts_at_zero or (tick_at_zero or 0) < YOUNG_MS:
+            return None
+        boot_tick = _tick_gone_back(record, newest_tick)
+        if boot_tick is None:
+            self._learns = False  # the clock goes on: it was WHEEL_RESET, and the pins' states are known
+        return boot_tick
+
+    def _judge(self, record, newest_tick):
+        if self._last is None:
+            return self._restart(record, FIRST)
+        fault = self._fault(self._last, record, self._per_ms)
+        doubt = fault or self._doubt(record, newest_tick)
+        if not doubt:
+            return self._accept(record, "", self._pulses_between(self._last, record), before=self._last)
+        if fault and self._before is not None and not self._fault(self._before, record, self._per_ms):
+            pulses = _difference(self._pulses_between(self._before, record),
+                                 self._pulses_between(self._before, self._last))
+            if max(map(abs, pulses)) <= SURPRISE_PULSES:
+                return self._accept(record, PREVIOUS_WRONG, pulses, before=self._before)
+        if fault and _is_fresh(record):
+            return self._restart(record, ODOMETERS_RESET)
+        return self._consider(record, doubt, bool(fault))
+
+    def _accept(self, record, reason, pulses, before):
+        for_each_wheel = zip(self._last, record, self._per_ms, self._pulse_ticks)
+        self._per_ms, self._pulse_ticks = zip(*(self._speed(*wheel) for wheel in for_each_wheel))
+        self._before, self._last = before, record
+        self._candidates.clear()
+        return Verdict(True, reason, pulses[:2], unproven=pulses[2:]) if reason or any(pulses) else FINE
+
+    def _restart(self, record, reason):
+        self._before, self._last = None, record
+        self._per_ms = (0.0, 0.0)
+        self._pulse_ticks = (None, None)
+        self._zero = None
+        self._candidates.clear()
+        return Verdict(True, reason, restarted=True)
+
+    def _consider(self, record, doubt, jumped):
+        """Wait for others like it; with the last of them, take all of them up."""
+        chain = self._candidates
+        # What may follow the last one puts an end to a jump that nothing has confirmed yet.
+        if chain and (jumped != self._jumped or self._fault(chain[-1], record, (0.0, 0.0))):
+            chain.clear()
+        self._jumped = jumped
+        chain.append(record)
+        if len(chain) < CONSISTENT:
+            return Verdict(False, doubt)
+        reason, known, wrong = AFTER_GAP, [self._last, *chain], (0, 0, 0, 0)
+        if jumped:
+            if self._before is not None and not self._fault(self._before, chain[0], self._per_ms):
+                reason, known = PREVIOUS_WRONG, [self._before, *chain]
+                wrong = self._pulses_between(self._before, self._last)
+            else:
+                reason, known = ODOMETERS_RESTARTED, list(chain)
+                self._learns = any(ahead(now.when, last.when) < 0 for now, last in zip(chain[0], self._last))
+        pulses = _difference([sum(counts) for counts in zip(*map(self._pulses_between, known, known[1:]))], wrong)
+        self._last = chain[-2]
+        self._pulse_ticks = tuple(now.when if now.dist_abs != before.dist_abs else None
+                                  for before, now in zip(chain[-3], chain[-2]))
+        self._accept(record, "", pulses, before=chain[-2])
+        return Verdict(True, reason, pulses[:2], restarted=reason == ODOMETERS_RESTARTED, unproven=pulses[2:])
+
+    def _pulses_between(self, before, now):
+        """Signed proven pulses of left and right, and unproven ones of both."""
+        if not self._learns or min(before.left.dist_abs, before.right.dist_abs) >= LEARNING_PULSES:
+            return signed_pulses(before.left, now.left), signed_pulses(before.right, now.right), 0, 0
+        left, right = learning_pulses(before.left, now.left), learning_pulses(before.right, now.right)
+        return left[0], right[0], left[1], right[1]
+
+    def _impossible(self, wheel):
+        """What is wrong with a wheel by itself."""
+        if wheel.direction == DIRECTION_ERROR:
+            return SENSOR_ERROR
+        if wheel.direction == NO_DIRECTION:
+            if wheel.dist or wheel.dist_abs > LEARNING_PULSES:
+                return COUNTS_DISAGREE
+        elif ahead(wheel.dist_abs, wheel.dist) < 0:
+            return COUNTS_DISAGREE
+        return SPEED_TOO_HIGH if wheel.speed > self._top_speed else ""
+
+    def _fault(self, before, now, per_ms):
+        """Why one report can't follow another, whatever was lost in between; empty when it can."""
+        return (self._wheel_fault(before.left, now.left, per_ms[0])
+                or self._wheel_fault(before.right, now.right, per_ms[1])
+                or _repeat_fault(before, now))
+
+    def _wheel_fault(self, before, now, per_ms):
+        pulses = ahead(now.dist_abs, before.dist_abs)
+        has_tick = has_pulsed(before) and has_pulsed(now)
+        elapsed_ms = ahead(now.when, before.when) if has_tick else 0
+        if pulses < 0:
+            return COUNT_BACK
+        if elapsed_ms < 0:
+            return PULSE_BACK
+        if pulses == 0:
+            return "" if (now.direction, now.dist) == (before.direction, before.dist) else CHANGE_WITHOUT_PULSE
+        if has_tick and pulses > self._top_per_ms * (elapsed_ms + QUANTUM_MS) + PULSES_OF_JITTER:
+            return TOO_MANY_PULSES
+        if now.dist == before.dist:
+            return "" if now.direction == before.direction else WRONG_DIRECTION
+        minimum = 2 if now.direction == before.direction else 1  # turned round twice: a pulse lies between
+        if not minimum <= ahead(now.dist, before.dist_abs) <= pulses:
+            return WRONG_DIRECTION
+        if self._learns and now.dist <= LEARNING_PULSES + 1:
+            return ""
+        speed_mps = 1000 * per_ms * self._pulse_m
+        return REVERSED_AT_SPEED if speed_mps - BRAKING_MPS2 * elapsed_ms / 1000 > SLOW_MPS else ""
+
+    def _doubt(self, record, newest_tick):
+        """Why a report that may follow the last one had better be confirmed."""
+        for before, now, per_ms in zip(self._last, record, self._per_ms):
+            pulses = ahead(now.dist_abs, before.dist_abs)
+            elapsed_ms = ahead(now.when, before.when) if has_pulsed(before) else 0
+            if pulses > SURPRISE_PULSES + per_ms * min(elapsed_ms, TRUSTED_MS):
+                return SURPRISING
+            if newest_tick is not None and min(elapsed_ms, ahead(now.when, newest_tick)) > self._max_gap_ms:
+                return PULSE_AHEAD
+        return ""
+
+    def _speed(self, before, now, per_ms, pulse_tick):
+        """A wheel's speed in pulses per ms between its last two pulses' reports, rather too low than too high."""
+        pulses = ahead(now.dist_abs, before.dist_abs)
+        if pulses <= 0:
+            return per_ms, pulse_tick
+        elapsed_ms = -1 if pulse_tick is None else ahead(now.when, pulse_tick)
+        return min(self._top_per_ms, pulses / (elapsed_ms + QUANTUM_MS)) if elapsed_ms >= 0 else 0.0, now.when
+
+
+def _tick_gone_back(record, newest_tick):
+    """The newest pulse's tick, if it can only be of a clock that began anew; else ``None``."""
+    when = max((wheel.when for wheel in record if wheel.dist_abs), default=None)
+    if when is None or newest_tick is None:
+        return None
+    return when if when < newest_tick and ahead(when, newest_tick) < -OVERTAKEN_MS else None
+
+
+def _repeat_fault(before, now):
+    """Why a wheel without a pulse can't have its new ``when``: a repeat renews both wheels', to the same tick."""
+    renewed = [wheel for wheel, old in zip(now, before) if wheel.dist_abs == old.dist_abs and wheel.when != old.when]
+    if not renewed:
+        return ""
+    others = [wheel for wheel in now if wheel.dist_abs and wheel not in renewed]
+    # Beside a wheel that has pulsed since, the repeat itself was lost: it lay between the report before and that pulse.
+    fits = (all(ahead(renewed[0].when, old.when) > 0 for old in before if has_pulsed(old))
+            and all(ahead(other.when, renewed[0].when) >= 0 for other in others)
+            and renewed[0].when == renewed[-1].when)
+    return "" if fits else REPEAT_ALONE
+
+
+def _difference(pulses, other):
+    return tuple(one - another for one, another in zip(pulses, other))
+
+
+def _is_zero(record):
+    """Both odometers as they stand after power-up and after a reset."""
+    return all(wheel.direction == NO_DIRECTION and not wheel.dist_abs for wheel in record)
+
+
+def _is_fresh(record):
+    """Both odometers counted from zero a moment ago, and one of them has no direction yet."""
+    return (any(wheel.direction == NO_DIRECTION for wheel in record)
+            and all(wheel.dist_abs <= SURPRISE_PULSES for wheel in record))

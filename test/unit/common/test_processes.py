@@ -1,0 +1,40 @@
+"""Which processes have a device open."""
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from car_interface.common.processes import openers, process_name
+
+
+@pytest.fixture
+def proc(tmp_path):
+    """A /proc in which process 7, a script, has a device open by a link, and process 8 something else."""
+    device = tmp_path / "ttyACM0"
+    device.write_text("")
+    (tmp_path / "by-id").symlink_to(device)
+    for pid, target, words in ((7, device, ["/usr/bin/python3", "-u", "/opt/pca9685"]), (8, "/dev/null", ["agetty:"])):
+        (tmp_path / "proc" / str(pid) / "fd").mkdir(parents=True)
+        (tmp_path / "proc" / str(pid) / "fd" / "3").symlink_to(target)
+        (tmp_path / "proc" / str(pid) / "cmdline").write_bytes(b"\0".join(word.encode() for word in words) + b"\0")
+    (tmp_path / "proc" / "9").mkdir()
+    (tmp_path / "proc" / "uptime").write_text("")
+    return tmp_path
+
+
+def test_openers_are_found_through_links(proc):
+    assert openers(str(proc / "by-id"), str(proc / "proc")) == [(7, "pca9685")]
+    assert openers(str(proc / "ttyACM1"), str(proc / "proc")) == []
+
+
+def test_processes_that_hide_or_have_ended_are_passed_over(proc):
+    assert process_name(8, str(proc / "proc")) == "agetty"
+    assert process_name(9, str(proc / "proc")) == "unknown"
+    assert openers(str(proc / "by-id"), str(proc / "nowhere")) == []
+
+
+def test_this_process_is_not_among_the_openers(tmp_path):
+    with open(tmp_path / "port", "w", encoding="ascii") as file:
+        assert os.readlink(f"/proc/self/fd/{file.fileno()}") == str(tmp_path / "port")
+        assert openers(str(tmp_path / "port")) == []

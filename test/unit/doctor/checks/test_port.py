@@ -1,0 +1,165 @@
+"""The Teensy's port and what is behind it, as the doctor judges them; the Teensy is the simulated one."""
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from car_interface.doctor.checks.findings import BAD, OK, WARN
+from car_interface.doctor.checks.port import Link, TeensyProbe, check_holders, check_link, is_terminal
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+
+MS = 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("holders", "level", "words", "remedy"),
+    [
+        ([(5, "minicom")], BAD, "minicom (process 5)", "fuser -v /dev/tty0"),
+        ([(5, "ModemManager")], BAD, "ModemManager (process 5)", "setup_hardware"),
+        ([(5, "agetty")], BAD, "agetty (process 5)", "disable --now serial-getty@tty0 (on a Jetson: nvgetty)"),
+        ([(5, "agetty")], BAD, "agetty (process 5)", "console= out of the kernel's command line, and reboot"),
+        ([(4, "car_sim"), (5, "teensy_sensor_hub")], WARN, "/dev/tty0: teensy_sensor_hub (process 5)", "--ns"),
+        ([(pid, "a") for pid in range(5)], BAD, "a (process 2) and 2 more", "fuser"),
+    ],
+    ids=["any", "modem_manager", "console", "console_that_the_kernel_asks_for", "hub_elsewhere", "many"],
+)
+def test_port_that_another_program_has_is_told(holders, level, words, remedy):
+    found, = check_holders("/dev/tty0", holders)
+    assert found.level == level and words in found.what and remedy in found.remedy
+
+
+TTY_DRIVERS = """\
+/dev/tty             /dev/tty        5       0 system:/dev/tty
+usbserial            /dev/ttyUSB   188 0-511 serial
+serial               /dev/ttyS       4 64-95 serial
+pty_slave            /dev/pts      136 0-1048575 pty:slave
+unknown              /dev/tty        4 1-63 console
+"""
+
+
+@pytest.mark.parametrize(("number", "expected"), [
+    ((4, 64), True), ((4, 95), True), ((4, 96), False), ((188, 511), True), ((136, 70_000), True), ((5, 0), True),
+    ((5, 1), False), ((1, 3), False), ((64, 0), False)])
+def test_terminals_are_those_of_the_kernel_s_drivers(number, expected):
+    assert is_terminal(*number, TTY_DRIVERS) is expected
+    assert not is_terminal(*number, "")
+
+
+def test_port_that_nobody_has_is_nothing_to_tell():
+    assert check_holders("/dev/tty0", []) == []
+
+
+# --- the Teensy ---
+
+
+def probed(firmware=None, change=lambda data: data, baud=115200, begin_ns=50_000 * MS):
+    """The finding about a Teensy behind a line that ``change`` spoils, and how long it took."""
+    now_ns = begin_ns
+    firmware = firmware or TeensyFirmware(FirmwareConfig(seed=1), lambda sensor, at_ns: 0, now_ns)
+    probe = TeensyProbe(baud, now_ns)
+    while not probe.is_done(now_ns):
+        firmware.receive(probe.step(now_ns), now_ns)
+        probe.update(change(firmware.transmit(now_ns)), now_ns)
+        now_ns += 2 * MS
+    return probe.finding(), (now_ns - begin_ns) // MS
+
+
+def corrupting(share):
+    """Spoils so many bytes of a hundred, evenly."""
+    count = 0
+
+    def change(data):
+        nonlocal count
+        spoiled = bytearray(data)
+        for index in range(len(spoiled)):
+            count += share
+            if count >= 100:
+                count -= 100
+                spoiled[index] ^= 0x01
+        return bytes(spoiled)
+    return change
+
+
+def without_pongs(data):
+    """A pong's frame opens with 7e 01 02 02."""
+    return b"" if b"\x7e\x01\x02\x02" in data else data
+
+
+def test_teensy_that_answers_is_fine_within_a_second():
+    found, took_ms = probed()
+    assert found.level == OK and "frames a second; pong after" in found.what and "shipped checksum" in found.what
+    assert took_ms < 1500
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "words", "remedy"),
+    [
+        (lambda data: b"", BAD, "nothing comes", "TX"),
+        (lambda data: bytes(byte | 0x80 for byte in data), BAD, "but no frames", "baud"),
+        (corrupting(0.4), WARN, "corrupt", "cable"),
+        (corrupting(1), WARN, "corrupt", "cable"),
+        (corrupting(30), BAD, "checksum", "cable"),
+        (without_pongs, WARN, "pings was answered", "TX"),
+    ],
+    ids=["silent", "no_frames", "a_few_corrupt", "some_corrupt", "nearly_all_corrupt", "no_pongs"],
+)
+def test_what_is_wrong_with_the_line_is_told(change, level, words, remedy):
+    found, took_ms = probed(change=change)
+    assert (found.subject, found.level) == ("Teensy", level)
+    assert words in found.what and remedy in found.remedy
+    assert took_ms < 4000
+
+
+@pytest.mark.parametrize("corrected", (False, True), ids=("shipped", "corrected"))
+def test_healthy_teensy_is_never_blamed_for_its_wire_whichever_checksum_its_receiver_wants(corrected):
+    rng = random.Random(7)
+    for seed in range(30):
+        begin_ns = rng.randrange(10 ** 6) * MS + rng.randrange(MS)
+        firmware = TeensyFirmware(FirmwareConfig(seed=seed, corrected_checksum=corrected,
+                                                 clock_start_ms=rng.randrange(300, 3_600_000)),
+                                  lambda sensor, at_ns: 4000, begin_ns)
+        found, took_ms = probed(firmware, begin_ns=begin_ns)
+        assert found.level == OK and "pong after" in found.what, found
+        assert took_ms < 4000
+
+
+@pytest.mark.parametrize("missing, words", [
+    ((3,), "nothing came from the sonar rear_right in 2.5 s"),
+    ((2, 5), "nothing came from the sonars front_left, rear_left in 2.5 s"),
+    ((0,), "nothing came from any of the sonars in 2.5 s"),
+], ids=("one", "two", "the_first_silences_all"))
+def test_sonars_that_do_not_report_are_named_with_the_remedy(missing, words):
+    firmware = TeensyFirmware(FirmwareConfig(seed=1, sonars_missing=missing), lambda sensor, at_ns: 4000, 50_000 * MS)
+    found, took_ms = probed(firmware)
+    assert found.level == WARN and words in found.what and "Check their plugs" in found.remedy
+    assert took_ms < 4000
+
+
+def test_teensy_whose_receiver_is_out_of_step_is_brought_back():
+    firmware = TeensyFirmware(FirmwareConfig(seed=1), lambda sensor, at_ns: 0, 50_000 * MS)
+    firmware.receive(b"\x7e", 50_000 * MS)
+    found, took_ms = probed(firmware)
+    assert found.level == OK and took_ms < 1000
+
+
+def link(level=OK, words="fine: 22 frames a second", next_step="", round_trip_s=0.004):
+    return Link(level, words, next_step, round_trip_s, "shipped")
+
+
+@pytest.mark.parametrize(
+    ("status", "level", "words", "remedy"),
+    [
+        (link(), OK, "fine: 22 frames a second; pong after 4.0 ms (shipped checksum)", ""),
+        (link(round_trip_s=float("nan")), OK, "no pong yet", ""),
+        (link(WARN, "the Teensy rebooted", "Check its power"), WARN, "rebooted", "Check its power"),
+        (link(BAD, "there is no such port", "Plug it in"), BAD, "no such port", "Plug it in"),
+        (link(WARN, "nothing is known yet"), WARN, "nothing is known", "rostopic echo /hub/link"),
+        (None, BAD, "/hub is registered, but its topic link is silent", "rosnode ping /hub"),
+    ],
+    ids=["fine", "no_pong", "warning", "error", "no_next_step", "silent_hub"],
+)
+def test_link_is_told_as_the_hub_sees_it(status, level, words, remedy):
+    found, = check_link(status, "/hub")
+    assert found.level == level and words in found.what and remedy in found.remedy

@@ -1,0 +1,90 @@
+"""What the doctor's probes make of ports, consoles, bus and chip."""
+from __future__ import annotations
+
+import errno
+import grp
+import os
+import sys
+import types
+
+import pytest
+
+from car_interface.doctor.checks import board
+from car_interface.doctor.checks.findings import BAD, OK
+from car_interface.doctor.probes import computer, devices
+from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+
+
+def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch):
+    monkeypatch.setattr(devices, "_is_character_device", lambda path: True)
+    monkeypatch.setattr(devices, "_subsystem", lambda path: "tty")
+    monkeypatch.setattr(devices, "consoles", lambda path: [(612, "agetty")])
+    found, = devices.probe_port("/dev/ttyAMA7", 115200)
+    assert (found.level, found.what) == (BAD, "/dev/ttyAMA7: another program has it open: agetty (process 612)")
+    assert "log-in console" in found.remedy and "serial-getty@ttyAMA7" in found.remedy
+
+
+def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open_in_a_chroot_without_sys_too(monkeypatch):
+    def readlink(path):
+        raise FileNotFoundError(path)
+    monkeypatch.setattr(os, "readlink", readlink)
+    monkeypatch.setattr(devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
+    found, = devices.probe_port("/dev/null", 115200)
+    assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
+
+
+def test_group_of_a_port_that_a_console_has_is_the_usual_one(monkeypatch):
+    monkeypatch.setattr(os, "stat", lambda path, **how: os.stat_result((0o20620, 3, 26, 1, 0, 5, 0, 0, 0, 0)))
+    monkeypatch.setattr(grp, "getgrgid", lambda number: grp.struct_group(("tty", "x", number, [])))
+    assert computer.group_of("/dev/ttyAMA0", "dialout") == "dialout"
+
+
+@pytest.fixture
+def smbus2(monkeypatch):
+    """A bus that is there and usable, with a smbus2 that opens it; what was opened, and still is."""
+    module = types.SimpleNamespace(chips={0x40: VirtualPca9685()}, opened=[], refuses=None)
+
+    class SMBus(VirtualBus):
+        def __init__(self):
+            super().__init__(module.chips)
+
+        def open(self, device):
+            if module.refuses is not None:
+                raise module.refuses
+            module.opened.append(device)
+
+        def close(self):
+            module.opened.clear()
+
+    module.SMBus = SMBus
+    monkeypatch.setitem(sys.modules, "smbus2", module)
+    monkeypatch.setattr(devices, "_bus", lambda device: board.Bus(device, True, True, True, "i2c"))
+    return module
+
+
+def levels_and_words(address=0x40, driven=False):
+    found = devices.probe_board("/dev/i2c-1", address, 121, driven, 25e6)
+    return [(finding.subject, finding.level) for finding in found], found[-1].what
+
+
+def test_bus_and_chip_are_ok(smbus2):
+    assert levels_and_words() == ([("bus", OK), ("chip", OK)],
+                                  "0x40 on /dev/i2c-1 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
+    assert smbus2.opened == []
+
+
+def test_chip_that_lost_its_power_under_the_node_is_bad(smbus2):
+    assert levels_and_words(driven=True)[0] == [("bus", OK), ("chip", BAD)]
+
+
+def test_chip_at_another_address_is_named(smbus2):
+    levels, words = levels_and_words(address=0x60)
+    assert levels == [("bus", OK), ("chip", BAD)]
+    assert words == "nothing answers at 0x60 on /dev/i2c-1, but something like it at 0x40"
+    assert smbus2.opened == []
+
+
+def test_bus_that_can_not_be_opened_is_bad(smbus2):
+    smbus2.refuses = PermissionError(errno.EACCES, "Permission denied")
+    levels, words = levels_and_words()
+    assert levels == [("bus", BAD)] and "Permission denied" in words

@@ -1,0 +1,56 @@
+"""Signed pulses from two reports of a wheel."""
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.teensy.link.protocol import (
+    BACKWARD,
+    FORWARD,
+    NO_DIRECTION,
+    UINT32,
+    Wheel,
+)
+from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed, learning_pulses, signed_pulses
+from wheel_reports import NEW, forward
+
+
+@pytest.mark.parametrize("before, now, pulses", [
+    pytest.param(forward(5, 0), forward(9, 0), 4, id="forward"),
+    pytest.param(Wheel(0, BACKWARD, 0, 3, 5), Wheel(0, BACKWARD, 0, 3, 9), -4, id="backward"),
+    pytest.param(forward(5, 0), Wheel(0, BACKWARD, 0, 8, 9), 0, id="two_forward_then_two_back"),
+    pytest.param(Wheel(0, BACKWARD, 0, 3, 5), forward(9, 0, 6), 4, id="turns_with_the_next_pulse"),
+    pytest.param(forward(5, 0), forward(9, 0, 8), 2, id="turned_round_twice_the_unknown_counts_as_none"),
+    pytest.param(NEW, forward(3, 0), 3, id="from_rest"),
+    pytest.param(NEW, forward(3, 0, 3), -1, id="from_rest_back_and_then_forward"),
+    pytest.param(forward(5, 0), forward(5, 0), 0, id="no_pulse"),
+    pytest.param(forward(UINT32 - 2, 0, 7), forward(3, 0, 7), 5, id="wrap"),
+])
+def test_signed_pulses_between_two_reports(before, now, pulses):
+    assert signed_pulses(before, now) == pulses
+
+
+@given(st.integers(0, UINT32 - 1), st.integers(-2 ** 31, 2 ** 31 - 1))
+def test_ahead_is_the_inverse_of_counting_on(counter, step):
+    assert ahead((counter + step) % UINT32, counter) == step
+
+
+@pytest.mark.parametrize("wheel, expected", [
+    (NEW, False), (forward(1, 300), True), (Wheel(0, NO_DIRECTION, 300, 0, 0), True),
+    (Wheel(10, FORWARD, 0, 1, 9), True),
+], ids=["never", "once", "before_a_reset", "at_the_wrap_of_the_clock"])
+def test_time_of_a_wheel_is_a_reading_of_the_clock_once_it_has_pulsed(wheel, expected):
+    assert has_pulsed(wheel) == expected
+
+
+@pytest.mark.parametrize("before, now, expected", [
+    (NEW, Wheel(0, BACKWARD, 300, 1, 1), (0, 1)),
+    (NEW, Wheel(0, BACKWARD, 300, 1, 2), (0, 2)),
+    (NEW, Wheel(0, FORWARD, 300, 3, 4), (2, 2)),
+    (Wheel(0, BACKWARD, 300, 1, 2), Wheel(0, FORWARD, 400, 3, 4), (2, 0)),
+    (NEW, Wheel(0, FORWARD, 300, 2, 2), (1, 1)),
+    (Wheel(0, FORWARD, 300, 3, 4), Wheel(0, FORWARD, 400, 3, 6), (2, 0)),
+], ids=["first", "first_two", "two_and_two_more", "after_the_first_two", "direction_with_the_second", "later"])
+def test_first_two_pulses_after_power_up_are_unproven(before, now, expected):
+    assert learning_pulses(before, now) == expected

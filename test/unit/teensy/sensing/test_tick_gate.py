@@ -1,0 +1,64 @@
+"""The gate for the ticks of the Teensy's clock."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.teensy.link.protocol import (
+    Pong,
+)
+from car_interface.teensy.sensing import verdicts as gates
+from car_interface.teensy.sensing.plausibility import Gates
+from wheel_reports import judged, sonar
+
+
+def test_pong_that_answers_no_ping_is_refused_by_name_and_its_tick_with_it():
+    some = Gates()
+    some.sonar(sonar(100))
+    verdict = some.pong(Pong(1, 2_000_000), is_ours=False)
+    assert (verdict.accepted, verdict.reason) == (False, gates.NOT_OUR_PING)
+    assert some.sonar(sonar(150)).accepted
+    assert some.pong(Pong(1, 160), is_ours=True).accepted
+
+
+@pytest.mark.parametrize("tick, reason", [
+    pytest.param(1000, gates.TICK_BACK, id="tick_going_back"),
+    pytest.param(10_000 + 2 ** 16, gates.TICK_AHEAD, id="tick_a_minute_ahead"),
+    pytest.param(10_100 + 2 ** 31, gates.TICK_BACK, id="tick_at_the_other_end"),
+])
+def test_tick_that_can_not_be_is_refused_by_name_and_the_next_is_fine(tick, reason):
+    for judge in (Gates.sonar, lambda some, record: some.pong(Pong(7, record.when), is_ours=True)):
+        some = Gates()
+        judged([sonar(10_000), sonar(10_050)], some.sonar)
+        verdict = judge(some, sonar(tick))
+        assert (verdict.accepted, verdict.reason) == (False, reason)
+        after = some.sonar(sonar(10_100))
+        assert (after.accepted, after.reason, after.restarted) == (True, "", False)
+
+
+def test_pong_that_overtook_a_sonar_s_report_is_nothing_odd():
+    some = Gates()
+    some.sonar(sonar(10_000))
+    assert some.pong(Pong(7, 10_180), is_ours=True).accepted
+    late = some.sonar(sonar(10_020))
+    assert (late.accepted, late.reason) == (True, "")
+
+
+def test_wrong_tick_that_was_accepted_is_taken_back_and_is_no_reboot():
+    some = Gates()
+    judged([sonar(10_000), sonar(10_050), sonar(11_500)], some.sonar)
+    verdict = some.sonar(sonar(10_100))
+    assert (verdict.accepted, verdict.reason, verdict.restarted) == (True, gates.PREVIOUS_WRONG, False)
+    assert some.refused == 0
+
+
+@pytest.mark.parametrize("start_ms, reason, restarted", [
+    pytest.param(30, gates.CLOCK_RESTARTED, True, id="reboot"),
+    pytest.param(99_000, gates.AFTER_GAP, False, id="frames_lost_for_a_minute"),
+])
+def test_clock_that_jumped_is_taken_up_with_the_third_consistent_tick(start_ms, reason, restarted):
+    some = Gates()
+    judged([sonar(10_000), sonar(10_050)], some.sonar)
+    verdicts = judged([sonar(start_ms + 50 * n) for n in range(4)], some.sonar)
+    assert [verdict.accepted for verdict in verdicts] == [False, False, True, True]
+    assert (verdicts[2].reason, verdicts[2].restarted) == (reason, restarted)
+    assert (verdicts[3].reason, verdicts[3].restarted) == ("", False)

@@ -1,0 +1,336 @@
+"""The gate for the wheels: what it refuses and why, wrong reports that do no harm, true jumps that are accepted."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.teensy.link.protocol import (
+    BACKWARD,
+    DIRECTION_ERROR,
+    FORWARD,
+    NO_DIRECTION,
+    UINT32,
+    SonarStatus,
+    Wheel,
+    WheelStatus,
+)
+from car_interface.teensy.sensing import verdicts as gates
+from car_interface.teensy.sensing.plausibility import Gates
+from wheel_reports import (
+    HARM_M,
+    LAST,
+    NEW,
+    NEXT,
+    PULSE_M,
+    START_MS,
+    counted,
+    crawl,
+    crawled,
+    crawling,
+    forward,
+    judged,
+    proven,
+    report,
+    sonar,
+)
+
+
+def test_reports_of_a_crawl_are_accepted_and_their_pulses_counted():
+    verdicts = judged(crawl(5), Gates().wheels)
+    assert [verdict.accepted for verdict in verdicts] == [True] * 5
+    assert [verdict.reason for verdict in verdicts] == [gates.FIRST, "", "", "", ""]
+    assert verdicts[0].restarted and not verdicts[1].restarted
+    assert proven(verdicts) == (4, 4)
+
+
+@pytest.mark.parametrize("wheel, reason", [
+    pytest.param(NEXT._replace(direction=DIRECTION_ERROR), gates.SENSOR_ERROR, id="direction_3"),
+    pytest.param(NEXT._replace(direction=NO_DIRECTION), gates.COUNTS_DISAGREE, id="no_direction_though_it_counted"),
+    pytest.param(Wheel(0, NO_DIRECTION, 100, 0, 3), gates.COUNTS_DISAGREE, id="third_pulse_without_a_direction"),
+    pytest.param(NEXT._replace(dist=NEXT.dist_abs + 1), gates.COUNTS_DISAGREE, id="dist_beyond_dist_abs"),
+    pytest.param(NEXT._replace(speed=0x1000), gates.SPEED_TOO_HIGH, id="speed_of_61_m_per_s"),
+    pytest.param(NEXT._replace(dist_abs=LAST.dist_abs - 64), gates.COUNT_BACK, id="count_goes_back"),
+    pytest.param(NEXT._replace(when=LAST.when - 64), gates.PULSE_BACK, id="pulse_goes_back_in_time"),
+    pytest.param(LAST._replace(when=LAST.when - 64), gates.PULSE_BACK, id="time_of_the_last_pulse_goes_back"),
+    pytest.param(LAST._replace(direction=BACKWARD), gates.CHANGE_WITHOUT_PULSE, id="direction_changes_without_a_pulse"),
+    pytest.param(LAST._replace(dist=2), gates.CHANGE_WITHOUT_PULSE, id="dist_changes_without_a_pulse"),
+    pytest.param(NEXT._replace(dist_abs=LAST.dist_abs + 256), gates.TOO_MANY_PULSES, id="80_m_per_s"),
+    pytest.param(NEXT._replace(dist_abs=LAST.dist_abs + 32), gates.SURPRISING, id="10_m_per_s_out_of_a_crawl"),
+    pytest.param(NEXT._replace(direction=BACKWARD), gates.WRONG_DIRECTION, id="direction_changes_and_dist_does_not"),
+    pytest.param(NEXT._replace(dist=3), gates.WRONG_DIRECTION, id="dist_moves_to_the_past"),
+])
+def test_report_that_can_not_be_is_refused_by_name_and_does_no_harm(wheel, reason):
+    for wrong in (report(wheel, NEXT), report(NEXT, wheel)):
+        some = crawling()
+        verdict = some.wheels(wrong)
+        assert (verdict.accepted, verdict.reason, verdict.pulses) == (False, reason, (0, 0))
+        assert (some.refused, some.counts[reason]) == (1, 1)
+        after = judged(crawled(3), some.wheels)
+        assert [verdict.accepted for verdict in after] == [True] * 3
+        assert proven(after) == (3, 3)
+
+
+def test_reversal_at_speed_is_refused_and_after_a_stop_it_is_not():
+    fast = [report(forward(100 + 3 * index, START_MS + 5 * index)) for index in range(10)]  # 9 m/s
+    last = fast[-1].left
+    for pause_ms, accepted in ((5, False), (200, True)):
+        some = Gates()
+        judged(fast, some.wheels)
+        turned = Wheel(0, BACKWARD, last.when + pause_ms, last.dist_abs + 1, last.dist_abs + 1)
+        verdict = some.wheels(report(turned))
+        assert verdict.accepted == accepted
+        assert verdict.reason == ("" if accepted else gates.REVERSED_AT_SPEED)
+        assert verdict.pulses == ((-1, -1) if accepted else (0, 0))
+
+
+def test_wheels_in_opposite_directions_are_a_spinning_car_and_accepted():
+    some = Gates()
+    spinning = [WheelStatus(*(Wheel(50, direction, START_MS + 20 * n, 1, 3 + n) for direction in (FORWARD, BACKWARD)))
+                for n in range(10)]
+    verdicts = judged(spinning, some.wheels)
+    assert some.refused == 0
+    assert proven(verdicts) == (9, -9)
+
+
+def test_pulse_minutes_ahead_of_the_teensy_s_clock_waits_for_others():
+    some = crawling()
+    some.sonar(SonarStatus(0, 0, LAST.when + 20))
+    verdict = some.wheels(report(NEXT._replace(when=LAST.when + 2 ** 18), LAST))
+    assert (verdict.accepted, verdict.reason) == (False, gates.PULSE_AHEAD)
+
+
+def test_wheel_that_stood_for_an_hour_goes_on_at_once():
+    some = crawling()
+    hour_ms = 3_600_000
+    some.sonar(SonarStatus(0, 0, LAST.when + hour_ms))
+    verdicts = judged(crawl(3, LAST.dist_abs + 1, start_ms=LAST.when + hour_ms), some.wheels)
+    assert [verdict.accepted for verdict in verdicts] == [True] * 3
+    assert proven(verdicts) == (3, 3)
+
+
+@pytest.mark.parametrize("bit", range(32))
+def test_bit_of_the_count_flipped_moves_a_wheel_by_less_than_10_cm_and_nothing_is_left_of_it(bit):
+    for first in (100, 127, 2 ** 20 + 5):
+        records = crawl(12, first)
+        wrong = records[6].left
+        records[6] = report(wrong._replace(dist_abs=wrong.dist_abs ^ 1 << bit), records[6].right)
+        some, at, truth = Gates(), 0, first
+        for index, record in enumerate(records):
+            verdict = some.wheels(record)
+            at += verdict.pulses[0]
+            truth = first + index
+            assert abs(first + at - truth) * PULSE_M < HARM_M or not verdict.accepted
+        assert first + at == truth
+
+
+def test_wrong_count_that_was_accepted_is_taken_back_by_the_next_report():
+    some = crawling()
+    wrong = some.wheels(report(NEXT._replace(dist_abs=NEXT.dist_abs + 2), NEXT))
+    assert (wrong.accepted, wrong.pulses) == (True, (3, 1))
+    right = some.wheels(crawled(2)[1])
+    assert (right.accepted, right.reason, right.pulses) == (True, gates.PREVIOUS_WRONG, (-1, 1))
+
+
+def test_wrong_count_is_taken_back_below_what_it_was():
+    some = crawling()
+    assert some.wheels(report(NEXT._replace(dist_abs=NEXT.dist_abs + 2), NEXT)).pulses == (3, 1)
+    again = some.wheels(report(NEXT, NEXT._replace(dist_abs=NEXT.dist_abs + 1, when=NEXT.when + 5)))
+    assert (again.accepted, again.reason, again.pulses) == (True, gates.PREVIOUS_WRONG, (-2, 1))
+
+
+@pytest.mark.parametrize("wheel", [
+    pytest.param(NEXT._replace(dist=NEXT.dist_abs), id="dist_moves_and_direction_does_not"),
+    pytest.param(NEXT._replace(when=LAST.when - 1), id="pulse_that_goes_back_by_1_ms"),
+])
+def test_report_that_goes_with_the_one_before_the_last_is_taken_and_costs_a_pulse_at_most_until_the_next(wheel):
+    some = crawling()
+    wrong = some.wheels(report(wheel))
+    assert (wrong.accepted, wrong.reason) == (True, gates.PREVIOUS_WRONG)
+    assert max(wrong.pulses) <= 1
+    after = judged(crawled(3), some.wheels)
+    assert proven([wrong, *after]) == (3, 3)
+
+
+def test_report_that_may_follow_puts_an_end_to_a_jump_that_nothing_confirmed():
+    some = crawling()
+    fast = [report(forward(LAST.dist_abs + 6 * n, LAST.when + 5 * n)) for n in range(1, 5)]
+    wrong = report(fast[0].left._replace(when=LAST.when - 64))
+    verdicts = judged([wrong, *fast[1:]], some.wheels)
+    assert [verdict.accepted for verdict in verdicts] == [False, False, False, True]
+    assert (verdicts[-1].reason, proven(verdicts)) == (gates.AFTER_GAP, (24, 24))
+
+
+def test_wrong_first_report_is_given_up_after_three_others():
+    some = Gates()
+    some.wheels(report(forward(2 ** 24, START_MS)))
+    verdicts = judged(crawl(4), some.wheels)
+    assert [verdict.accepted for verdict in verdicts] == [False, False, True, True]
+    assert [verdict.restarted for verdict in verdicts] == [False, False, True, False]
+    assert proven(verdicts) == (3, 3)
+
+
+TRUE_JUMPS = [
+    pytest.param(crawl(5, 1, start_ms=START_MS + 700), 0, True, id="wheel_reset_whose_first_report_was_lost"),
+    pytest.param(crawl(5, 1, start_ms=300), 0, True, id="reboot_whose_first_reports_were_lost"),
+    pytest.param(crawl(5, LAST.dist_abs + 40, start_ms=LAST.when + 3000), 40, False, id="frames_lost_for_3_s"),
+    pytest.param(crawl(5, LAST.dist_abs + 400, 5, LAST.when + 1000), 400, False, id="frames_lost_at_6_m_per_s"),
+]
+
+
+@pytest.mark.parametrize("records, unseen, restarted", TRUE_JUMPS)
+def test_true_jump_is_taken_up_with_the_third_consistent_report_without_losing_a_pulse(records, unseen, restarted):
+    verdicts = judged(records, crawling().wheels)
+    assert [verdict.accepted for verdict in verdicts] == [False, False, True, True, True]
+    assert [verdict.restarted for verdict in verdicts] == [False, False, restarted, False, False]
+    assert counted(verdicts) == (unseen + 4, unseen + 4)
+
+
+@pytest.mark.parametrize("fresh, pulses", [
+    pytest.param(report(NEW), (0, 0), id="both_at_zero"),
+    pytest.param(report(NEW._replace(when=LAST.when)), (0, 0), id="reset_that_keeps_the_time_of_the_last_pulse"),
+    pytest.param(report(forward(1, NEXT.when), NEW), (1, 0), id="one_has_made_a_pulse_since"),
+    pytest.param(report(NEW, Wheel(0, BACKWARD, NEXT.when, 1, 2)), (0, -2), id="one_has_gone_back_since"),
+])
+def test_odometers_that_were_reset_are_taken_up_at_once(fresh, pulses):
+    some = crawling()
+    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)  # the clock goes on
+    verdict = some.wheels(fresh)
+    assert (verdict.accepted, verdict.reason, verdict.pulses) == (True, gates.ODOMETERS_RESET, pulses)
+    assert verdict.restarted
+    wheels = [wheel._replace(direction=FORWARD, dist=max(1, wheel.dist_abs + 1), dist_abs=wheel.dist_abs + 1,
+                             when=NEXT.when + 300) if wheel.direction != FORWARD
+              else wheel._replace(dist_abs=wheel.dist_abs + 1, when=NEXT.when + 300) for wheel in fresh]
+    after = some.wheels(WheelStatus(*wheels))
+    assert (after.accepted, after.pulses) == (True, (1, 1))
+
+
+def test_counters_that_wrap_are_no_jump():
+    some = Gates()
+    records = [report(Wheel(10, FORWARD, (UINT32 - 130 + 50 * n) % UINT32, UINT32 - 90, (UINT32 - 3 + n) % UINT32))
+               for n in range(8)]
+    verdicts = judged(records, some.wheels)
+    assert some.refused == 0
+    assert proven(verdicts) == (7, 7)
+    assert [some.sonar(SonarStatus(0, 0, (UINT32 - 100 + 50 * n) % UINT32)).accepted for n in range(6)] == [True] * 6
+
+
+# --- what only the firmware knows of its wheels ---
+
+REST = 201
+
+
+def standing(count, first=LAST, step_ms=REST):
+    """How a standing car repeats itself: both wheels' times are renewed, nothing else."""
+    return [report(first._replace(when=first.when + step_ms * n, speed=max(0, 10 - n))) for n in range(1, count + 1)]
+
+
+def test_repeats_of_a_standing_car_are_accepted_and_add_nothing():
+    some = crawling()
+    verdicts = judged(standing(50), some.wheels)
+    assert all(verdict.accepted and not verdict.reason for verdict in verdicts)
+    assert proven(verdicts) == (0, 0) and some.refused == 0
+
+
+def test_wheel_that_stands_beside_one_that_turns_keeps_its_time_until_both_stand():
+    some = crawling()
+    turning = [WheelStatus(LAST, forward(104 + n, LAST.when + 30 * n)) for n in range(1, 20)]
+    assert proven(judged(turning, some.wheels)) == (0, 19)
+    both = turning[-1].right.when + REST
+    repeat = WheelStatus(LAST._replace(when=both), turning[-1].right._replace(when=both))
+    assert some.wheels(repeat).accepted
+    assert some.wheels(WheelStatus(repeat.left, repeat.right._replace(dist_abs=124, when=both + 40))).pulses == (0, 1)
+    assert some.refused == 0
+
+
+def test_repeat_that_was_lost_shows_in_the_report_after_it():
+    some = crawling()
+    repeat = standing(1)[0]
+    after = WheelStatus(repeat.left, repeat.right._replace(dist_abs=105, when=repeat.left.when + 33))
+    verdict = some.wheels(after)
+    assert (verdict.accepted, verdict.reason, verdict.pulses) == (True, "", (0, 1))
+
+
+def test_repeat_of_one_wheel_alone_can_not_be():
+    some = crawling()
+    judged(standing(2), some.wheels)
+    last = standing(2)[-1]
+    verdict = some.wheels(WheelStatus(last.left, last.right._replace(when=last.right.when + 64)))
+    assert (verdict.accepted, verdict.reason) == (False, gates.REPEAT_ALONE)
+    assert judged(standing(5)[2:], some.wheels)[-1].accepted
+
+
+def test_setting_off_right_after_a_repeat_is_no_speed():
+    """The time since the repeat says nothing about the time since the pulse before."""
+    some = crawling()
+    judged(standing(3), some.wheels)
+    at_ms = LAST.when + 3 * REST + 1
+    assert some.wheels(report(forward(105, at_ms))).accepted
+    turned = Wheel(0, BACKWARD, at_ms + 30, 106, 106)
+    assert (some.wheels(report(turned)).accepted, some.refused) == (True, 0)
+
+
+# Both wheels rolled on at 1 m/s, as in test/data/firmware: false backward pulses, and pulses without direction.
+BOOT = [
+    WheelStatus(NEW, NEW),
+    WheelStatus(Wheel(0, 1, 302, 1, 1), Wheel(0, 2, 311, 0, 1)),
+    WheelStatus(Wheel(66, 1, 317, 1, 2), Wheel(0, 2, 311, 0, 1)),
+    WheelStatus(Wheel(66, 1, 317, 1, 2), Wheel(66, 2, 326, 0, 2)),
+    WheelStatus(Wheel(0, 0, 332, 3, 3), Wheel(66, 2, 326, 0, 2)),
+    WheelStatus(Wheel(0, 0, 332, 3, 3), Wheel(0, 0, 341, 3, 3)),
+    WheelStatus(Wheel(66, 0, 347, 3, 4), Wheel(0, 0, 341, 3, 3)),
+]
+
+
+@pytest.mark.parametrize("kept", [range(7), (0, 3, 5, 6), (0, 5, 6)], ids=["all", "half", "most_lost"])
+def test_first_two_pulses_of_a_wheel_after_power_up_are_unproven_whatever_the_firmware_says(kept):
+    some = crawling()
+    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)
+    verdicts = judged([BOOT[index] for index in kept], some.wheels)
+    assert all(verdict.accepted for verdict in verdicts) and verdicts[0].restarted
+    assert tuple(sum(verdict.unproven[side] for verdict in verdicts) for side in (0, 1)) == (2, 2)
+    assert proven(verdicts) == (2, 1)
+
+
+def test_direction_that_comes_with_the_second_pulse_is_proven():
+    some = Gates()
+    judged([WheelStatus(NEW, NEW), WheelStatus(Wheel(0, 2, 311, 0, 1), NEW)], some.wheels)
+    verdict = some.wheels(WheelStatus(Wheel(0, 0, 326, 2, 2), NEW))
+    assert (verdict.pulses, verdict.unproven) == ((1, 0), (0, 0))
+
+
+def test_first_pulse_after_power_up_tells_the_reboot_before_any_tick_has_come():
+    some = crawling()
+    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)
+    verdicts = judged(BOOT[:3], some.wheels)
+    assert [verdict.boot_tick for verdict in verdicts] == [None, 311, None]
+    assert some.sonar(sonar(330)).reason == "", "the tick gate knows the new clock already"
+
+
+def test_tick_that_goes_back_after_odometers_at_zero_is_a_reboot_at_once():
+    some = crawling()
+    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)
+    some.wheels(BOOT[0])
+    verdict = some.sonar(sonar(303))
+    assert (verdict.accepted, verdict.reason, verdict.restarted) == (True, gates.CLOCK_RESTARTED, True)
+    assert judged(BOOT[1:3], some.wheels)[0].boot_tick is None
+    assert some.refused == 0
+
+
+def test_after_wheel_reset_every_direction_is_proven():
+    some = crawling()
+    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)
+    zero = report(NEW._replace(when=LAST.when))
+    verdicts = judged([zero, report(forward(1, LAST.when + 50)), report(forward(2, LAST.when + 90))], some.wheels)
+    assert proven(verdicts) == (2, 2) and not any(any(verdict.unproven) for verdict in verdicts)
+
+
+def test_first_pulses_of_a_car_that_has_stood_since_power_up_are_unproven_however_long_ago_that_was():
+    some = Gates()
+    judged([sonar(3_600_000), sonar(3_600_055)], some.sonar)
+    first = [report(NEW), report(NEW), report(Wheel(0, BACKWARD, 3_600_100, 1, 1))]
+    assert [verdict.unproven for verdict in judged(first, some.wheels)] == [(0, 0), (0, 0), (1, 1)]
+
+
+def test_pulses_of_a_teensy_that_counts_for_long_are_proven_also_over_a_wrap():
+    some = Gates()
+    records = [report(Wheel(10, FORWARD, START_MS + 50 * n, UINT32 - 90, (UINT32 - 3 + n) % UINT32)) for n in range(8)]
+    assert not any(any(verdict.unproven) for verdict in judged(records, some.wheels))
