@@ -39,20 +39,17 @@ from __future__ import annotations
 
 import math
 import time
-from concurrent.futures import Future
 from dataclasses import dataclass
 
 import rospy
-from std_srvs.srv import Trigger
 
-from car_interface.common.errors import ConfigError, DeviceError, ProtocolError
+from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.msg import Distance, Error, OneWheel, Pong, Wheel
 from car_interface.ros.diagnostics import Diagnostics
-from car_interface.ros.keyboard import Keys
 from car_interface.ros.link_status import LinkStatusPublisher
 from car_interface.ros.measurement_publisher import MeasurementPublisher, Settings, read_settings
-from car_interface.ros.runtime import NS_PER_S, RateTimer, ThrottledWarnings, advertise, has_subscribers, run, serve
-from car_interface.srv import SetSonarSequence, SetSonarWait
+from car_interface.ros.runtime import NS_PER_S, RateTimer, ThrottledWarnings, advertise, has_subscribers, run
+from car_interface.ros.teensy_commands import TeensyCommands
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import CORRECTED, SHIPPED
 from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING
@@ -65,9 +62,6 @@ QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
 LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So much at once that is no frames is a flood
 SHORTEST_REST_NS = NS_PER_S // 250
-COUNTERS_PERIOD_NS = NS_PER_S  # asked more often, the answers starve the Teensy's buffers
-NOT_OPEN = (False, "the Teensy's port is not open")
-KEY_HELP = "keys: P ping, S sonar start, N sonar stop, R wheel reset, C counters, X sonars 0 1 5, Y all sonars, Q quit"
 
 
 @dataclass(frozen=True)
@@ -131,8 +125,6 @@ class TeensySensorHub:
         self._warnings = ThrottledWarnings()
         self._retry_ns = FIRST_RETRY_NS
         self._next_try_ns = now_ns
-        self._next_counters_ns = now_ns
-        self._waiting_pings = {}  # timestamp1 → the Futures of the ~ping calls that wait for it
         self._watched_fd = None
         self._rest_until_ns = 0
         self._corrupt = 0
@@ -141,24 +133,11 @@ class TeensySensorHub:
         self._diagnostics = Diagnostics(inbox, f"Teensy on {config.port}", {
             LINK_REPORT: self._link_status.report, **(self._measurements.reports if self._measurements else {})},
             now_ns)
+        self._commands = TeensyCommands(self._link, self._session, self._sonars, self._write, self._ping, inbox)
         self._handlers = self._event_handlers()
         if config.required:
             self._open()
-        self._services()
-        self._key_actions = {
-            "P": self._ping_and_wait,
-            "S": self._start_sonars,
-            "N": self._stop_sonars,
-            "R": lambda: self._send(protocol.wheel_reset()),
-            "C": self._get_counters,
-            "X": lambda: self._set_sonar_sequence((0, 1, 5)),
-            "Y": lambda: self._set_sonar_sequence(range(len(protocol.SONARS))),
-        }
-        self._keys = Keys()
-        self._has_keys = self._keys.start()
-        self._watches_keys = False
-        if self._has_keys:
-            rospy.loginfo(KEY_HELP)
+        self._commands.start()
 
     def _event_handlers(self):
         """The handler for each type of event, called with the time of the read; records are first published raw."""
@@ -176,7 +155,7 @@ class TeensySensorHub:
             pong(*record)
             self._sonars.tick(record.timestamp2, received_ns)
             if answer is not None:
-                self._answer_ping(record.timestamp1, True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms")
+                self._commands.answer_ping(record.timestamp1, True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms")
             if measurements:
                 measurements.pong(record, answer, received_ns)
 
@@ -200,25 +179,11 @@ class TeensySensorHub:
                 protocol.ErrorCount: lambda record, received_ns: error(*record),
                 protocol.Malformed: self._on_malformed, Rebooted: self._on_reboot}
 
-    def _services(self):
-        for name, action in (("sonar_start", self._start_sonars), ("sonar_stop", self._stop_sonars),
-                             ("wheel_reset", lambda: self._send(protocol.wheel_reset()))):
-            self._serve(name, Trigger, lambda request, action=action: action())
-        self._serve("get_counters", Trigger, lambda request: self._get_counters())
-        self._serve("ping", Trigger, lambda request: self._ping_and_wait())
-        self._serve("set_sonar_sequence", SetSonarSequence, lambda request: self._set_sonar_sequence(request.sequence))
-        self._serve("set_sonar_wait", SetSonarWait, lambda request: self._set_sonar_wait(request.wait_ms))
-
-    def _serve(self, name, service_type, action):
-        """A service whose ``action(request)`` runs in the node's thread; it returns (success, message), or a Future."""
-        serve(f"~{name}", service_type, self._inbox, lambda request, done: _answer(done, action, request))
-
     def step(self, now_ns):
         """Handle requests, read the port, ping, judge, publish; returns when to be called next."""
         for handler, item, arrival_ns in self._inbox.drain():
             handler(item, arrival_ns)
-        if self._has_keys:
-            self._read_keys()
+        self._commands.read_keys()
         port_ns = self._attend_port(now_ns)
         if self._measurements:
             self._measurements.step(now_ns)
@@ -251,7 +216,7 @@ class TeensySensorHub:
 
     def shut_down(self):
         """Restore the terminal and close the port."""
-        self._keys.restore()
+        self._commands.restore_terminal()
         self._close("the node ends")
         self._inbox.ending = True
         for handler, item, arrival_ns in self._inbox.drain():
@@ -294,8 +259,7 @@ class TeensySensorHub:
         """Close the port and answer the ~ping calls that wait for it."""
         self._watch_port(False)
         self._link.close()
-        for timestamp1 in list(self._waiting_pings):
-            self._answer_ping(timestamp1, False, reason)
+        self._commands.answer_pings(False, reason)
 
     def _read(self, began_ns):
         try:
@@ -363,7 +327,7 @@ class TeensySensorHub:
                 self._warnings.warn("checksum",
                                     f"no ping is answered: trying the checksum of a {event.checksum} firmware")
             else:
-                self._answer_ping(event.timestamp1, False, "no pong came back")
+                self._commands.answer_ping(event.timestamp1, False, "no pong came back")
                 self._warnings.warn("ping", "a ping went unanswered")
         if now_ns >= self._session.ping_due_ns:
             self._ping()
@@ -399,88 +363,14 @@ class TeensySensorHub:
         now_ns = time.monotonic_ns()
         command = self._sonars.next_command(now_ns) if self._link.is_open else None
         if command == SEND_SEQUENCE:
-            self._send(protocol.set_sonar_sequence(self._sonars.sequence))
+            self._write(self._session.encode(protocol.set_sonar_sequence(self._sonars.sequence)))
         elif command:
             self._warnings.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
-            self._send(protocol.sonar_start())
+            self._write(self._session.encode(protocol.sonar_start()))
         faults = self._sonars.faults(now_ns)
         if faults:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
             self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
-
-    def _answer_ping(self, timestamp1, success, message):
-        """Answer the ~ping calls that wait for this ping's pong."""
-        for future in self._waiting_pings.pop(timestamp1, ()):
-            future.set_result((success, message))
-
-    def _ping_and_wait(self):
-        if not self._link.is_open:
-            return NOT_OPEN
-        future = Future()
-        self._waiting_pings.setdefault(self._ping(), []).append(future)
-        if not self._link.is_open:
-            self._close(NOT_OPEN[1])
-        return future
-
-    def _send(self, body):
-        """Send a command; (success, message) for a service."""
-        if self._link.is_open and self._write(self._session.encode(body)):
-            return True, "sent"
-        return NOT_OPEN
-
-    def _start_sonars(self):
-        result = self._send(protocol.sonar_start())
-        if result[0]:
-            self._sonars.started(time.monotonic_ns())
-        return result
-
-    def _stop_sonars(self):
-        result = self._send(protocol.sonar_stop())
-        if result[0]:
-            self._sonars.stopped()
-        return result
-
-    def _set_sonar_sequence(self, sequence):
-        result = self._send(protocol.set_sonar_sequence(sequence))
-        if result[0]:
-            self._sonars.sequence_set(sequence, time.monotonic_ns())
-        return result
-
-    def _set_sonar_wait(self, wait_ms):
-        result = self._send(protocol.sonar_wait(wait_ms))
-        if result[0]:
-            self._sonars.wait_set(wait_ms)
-        return result
-
-    def _get_counters(self):
-        now_ns = time.monotonic_ns()
-        if now_ns < self._next_counters_ns:
-            return False, "asked less than a second ago: the Teensy's buffers can't take more"
-        result = self._send(protocol.get_counters())
-        if not result[0]:
-            return result
-        self._next_counters_ns = now_ns + COUNTERS_PERIOD_NS
-        return True, "sent; the counters come on teensy_error"
-
-    def _watch_keys(self, wanted):
-        """Wake on the terminal only while this process may read it: what isn't read stays readable for ever."""
-        if wanted and self._has_keys and not self._watches_keys:
-            self._inbox.watch(self._keys.fileno())
-        elif self._watches_keys and not wanted:
-            self._inbox.unwatch(self._keys.fileno())
-        self._watches_keys = wanted and self._has_keys
-
-    def _read_keys(self):
-        typed = self._keys.read()
-        self._watch_keys(typed is not None)
-        for key in (typed or "").upper():
-            if key == "Q":
-                self._inbox.end()
-            elif key in self._key_actions:
-                _when_done(self._key_actions[key](), lambda result, key=key: _log_key(key, *result))
-            elif key.strip():
-                rospy.loginfo(KEY_HELP)
-
 
 def _sonar_sequence(params):
     """The order of the sonars that the parameters ask for; ``None`` = the firmware's own."""
@@ -488,27 +378,6 @@ def _sonar_sequence(params):
     if len(sequence) > protocol.MAX_SEQUENCE or any(sensor % 1 for sensor in sequence):
         raise ConfigError("sonar_sequence", sequence, f"up to {protocol.MAX_SEQUENCE} whole numbers from 0 to 5")
     return [int(sensor) for sensor in sequence] or None
-
-
-def _answer(done, action, request):
-    """Give ``done`` what ``action`` returns, now or, if that's a Future, when it's there."""
-    try:
-        result = action(request)
-    except ProtocolError as error:
-        result = (False, str(error))
-    _when_done(result, done.set_result)
-
-
-def _when_done(result, callback):
-    """Call ``callback`` with the result, now or, if that's a Future, when it's there."""
-    if isinstance(result, Future):
-        result.add_done_callback(lambda future: callback(future.result()))
-    else:
-        callback(result)
-
-
-def _log_key(key, success, message):
-    (rospy.loginfo if success else rospy.logwarn)("%s: %s", key, message)
 
 
 def main():

@@ -1,4 +1,4 @@
-"""The car without hardware: the Teensy's firmware, the car that moves, and the room that its sonars see.
+"""The car without hardware: the Teensy's firmware, the car that moves, and the walls that its sonars see.
 
 Everything in here is honest and pure: bytes and numbers in, values out, time passed in as nanoseconds. Nothing is
 shared with the parts that are tested against it.

@@ -19,7 +19,7 @@ TO_HOST, TO_TEENSY = 0, 1
 
 
 class BadLine:
-    """The line between the Teensy and the host, with the faults that it's told to have.
+    """The line between the Teensy and the host, with faults that can be switched on.
 
     A duration of 0 ends a fault.
 
@@ -55,7 +55,7 @@ class BadLine:
         self._to_lose = int(count)
 
     def bit_errors(self, rate: float) -> None:
-        """From now on, of the bits in both directions, this share is wrong."""
+        """From now on, of the bits in both directions, this ratio is wrong."""
         for noise in self._noise:
             noise.set_rate(rate)
 

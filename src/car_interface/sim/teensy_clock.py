@@ -15,7 +15,7 @@ class Clock:
     """``millis()`` and ``micros()`` over a crystal that is a little off.
 
     Args:
-        start_ms: what it says at ``start_ns``.
+        start_ms: its value at ``start_ns``.
         drift_ppm: how much too fast it runs then.
         ramp_ppm_per_h: how much faster still it runs each hour after.
         start_ns: true time at which it starts.
@@ -78,7 +78,7 @@ class Deadline:
     """What the loop waits for until ``millis()`` is past it, compared as the firmware compares.
 
     Attributes:
-        due_ns: when it will be, if nothing but time passes; the loop looks then.
+        due_ns: when it will be, if nothing but time passes; the loop checks then.
     """
 
     def __init__(self, clock: Clock, wait_ms: int, now_ns: int):

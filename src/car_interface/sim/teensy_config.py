@@ -15,23 +15,23 @@ class FirmwareConfig:
 
     Attributes:
         baud: bits a second on the line, both ways.
-        clock_start_ms: what ``millis()`` says at power-up, when the boot has ended; near 2**32 the wrap comes soon.
+        clock_start_ms: what ``millis()`` says at power-up, when the boot has ended; near 2**32 it wraps soon.
             After ``reboot`` it is 300.
         clock_drift_ppm: how much the Teensy's crystal is too fast (positive) or too slow.
         clock_ramp_ppm_per_h: how much that changes in an hour (a car that warms up).
         loop_us: the loop passes once in so many µs of true time. How long the original's passes take is not known.
-        sonar_wait_ms: from an echo to the next sonar's ping, until SONAR_WAIT says otherwise.
-        sonar_sequence: the sonars' order, until SET_SONAR_SEQ says otherwise.
-        sonar_pulse_end_us: so long a sensor holds its echo pin high when it hears nothing: 38 ms with an HC-SR04,
+        sonar_wait_ms: from an echo to the next sonar's ping, until SONAR_WAIT changes it.
+        sonar_sequence: the sonars' order, until SET_SONAR_SEQ changes it.
+        sonar_pulse_end_us: how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04,
             200 ms with some clones.
         sonars_missing: the sensors that are not connected at power-up; see ``set_sonar``.
         wheel_positions: where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
-        odometer_start: what both dist and dist_abs of both wheels say at power-up. Not 0: then they have turned
+        odometer_start: dist and dist_abs of both wheels at power-up. Not 0: then they have turned
             forward. After ``reboot`` it is 0.
         corrected_checksum: True for a firmware whose receiver sums with carry over unescaped bytes. Its other
             faults stay.
         pool_size: packets that receiver, queues and transmitter share.
-        uart_buffer: bytes that wait in front of the line: of the 64 that find room there the firmware leaves 2 free.
+        uart_buffer: bytes that wait in front of the line: of its 64 the firmware leaves 2 free.
         boot_byte: the X of the boot frame.
         seed: of the garbage that the packets' memory holds at power-up; None for zeros.
 

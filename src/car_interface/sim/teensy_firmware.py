@@ -1,13 +1,12 @@
 """The Teensy's deployed firmware as seen from its serial line: every byte, every fault, every millisecond.
 
 Consumes the bytes that a host writes, the pulses of two wheels and the echoes of six sonars; produces the bytes that
-leave the UART, each no earlier than the line carries it. It knows what a frame *is* on its own and shares no code with
-the host's side of the protocol.
+leave the UART, each no earlier than the line carries it. It shares no code with the host's side of the protocol.
 
-What the original does wrong is done wrong here as well, on purpose: a host that works with this one works with the ones
-in the cars. The faults: the receiver's four, the boot frame, the filler that is never filled, the starving packet pool,
-the hall pins that are never read, echoes without a limit, pings that hold the loop up, deadlines that don't survive the
-clock's wrap. Frames, times and fields are held against captures of the original in test/unit/sim/test_captures.py.
+It has the faults of the original on purpose, so that a host that works with this one works with the ones in the cars:
+the receiver's four, the boot frame, the filler that is never filled, the starving packet pool, the hall pins that are
+never read, echoes without a limit, pings that hold the loop up, deadlines that don't survive the clock's wrap. Frames,
+times and fields are held against captures of the original in test/unit/sim/test_captures.py.
 
 The firmware is one loop. Here it is a generator that yields when it goes on: at the next pass with something to do, or,
 while a ping holds it up, when that ends. Interrupts (pulses, the ends of echoes, the timer) happen meanwhile.
@@ -54,7 +53,7 @@ from car_interface.sim.teensy_transmitter import OutgoingLine, Transmitter
 from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
 
 U32 = struct.Struct("<I")
-SONAR_ECHO = struct.Struct("<HI")  # echo µs, when: what follows the sensor and the byte that nobody fills
+SONAR_ECHO = struct.Struct("<HI")  # echo µs, when: what follows the sensor and the filler byte
 
 
 class TeensyFirmware:
@@ -63,12 +62,12 @@ class TeensyFirmware:
     Args:
         config: what it is like.
         echo_us: ``(sensor, at_ns) -> µs`` from a ping to its echo; 0 when nothing is near enough for one: then the
-            sensor ends its pulse by itself. An attribute too. Without one no sonar ever hears anything.
+            sensor ends its pulse by itself. An attribute too. Without it no sonar gets an echo.
         power_up_ns: the true time at which its boot ends and it begins to work.
 
     Attributes:
         counters: every counter that GET_COUNTERS can report, by name.
-        hung: True once it has come to a point from which only a reboot leads on.
+        hung: True once only a reboot helps.
     """
 
     def __init__(
@@ -121,7 +120,7 @@ class TeensyFirmware:
         next(self._loop)
 
     def advance(self, now_ns: int):
-        """Lives on until ``now_ns``. A time that has passed already changes nothing."""
+        """Simulates until ``now_ns``. A time that has passed already changes nothing."""
         while True:
             interrupt_ns = self._sonars.interrupt_ns
             at_ns = min(interrupt_ns, self._resume_ns)
@@ -142,12 +141,12 @@ class TeensyFirmware:
         self._wake(self._incoming.next_ns)
 
     def receive_backlog(self, now_ns: int) -> int:
-        """Bytes that the host has written and that the line hasn't carried yet: whoever feeds a flood waits on this."""
+        """Bytes that the host has written and that the line hasn't carried yet: a writer of a flood waits for this."""
         self.advance(now_ns)
         return self._incoming.backlog
 
     def transmit(self, now_ns: int) -> bytes:
-        """Lives on until ``now_ns`` and returns the bytes that have left the UART by then, each one once."""
+        """Simulates until ``now_ns`` and returns the bytes that have left the UART by then, each one once."""
         self.advance(now_ns)
         return self._outgoing.collect(self._now_ns)
 
@@ -194,11 +193,11 @@ class TeensyFirmware:
         self._sonars.schedule()
 
     def millis(self, now_ns: int) -> int:
-        """The firmware's clock at ``now_ns``: whole milliseconds, modulo 2**32. Looks only, lives nothing."""
+        """The firmware's clock at ``now_ns``: whole milliseconds, modulo 2**32; simulates nothing."""
         return self._clock.millis(now_ns)
 
     def device_ns(self, now_ns: int) -> int:
-        """The same clock in nanoseconds, neither truncated nor wrapped: what an estimate of it is scored against."""
+        """The same clock in nanoseconds, neither truncated nor wrapped: the truth for an estimate of it."""
         return self._clock.device_ns(now_ns)
 
     @property
@@ -274,7 +273,7 @@ class TeensyFirmware:
         packet = self._pool.acquire()
         if packet is None:
             # The firmware schedules the next ping when it handles the report. No packet, no report, no next ping:
-            # the sonars stay silent until SONAR_START.
+            # the sonars report nothing until SONAR_START.
             self.counters["txErrorNoBuf"] += 1
             return
         sensor, echo_us, when = echo
@@ -286,7 +285,7 @@ class TeensyFirmware:
     # What the host asks for
 
     def _pong(self, packet: bytearray, now_ns: int):
-        """Turns the ping itself into its answer, as the firmware does: whatever was in it stays in it."""
+        """Turns the ping itself into its answer, as the firmware does: the rest of it stays as it was."""
         packet[:3] = bytes((packet[1], TEENSY, PONG_RESP))
         U32.pack_into(packet, 8, self._clock.millis(now_ns))
         self._transmitter.queue_first(packet)

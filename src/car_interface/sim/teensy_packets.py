@@ -28,7 +28,7 @@ class PoolEmpty(Exception):
 
 
 class PacketPool:
-    """The packets that everything shares. A used one comes back with what was in it; that is what fills the filler."""
+    """The packets that all parts share. A used one keeps its content, which later is in the filler byte."""
 
     def __init__(self, size: int, seed: int | None):
         memory = bytes(size * PACKET_SIZE)

@@ -32,7 +32,7 @@ class Receiver:
 
     @property
     def state(self) -> tuple[str, int]:
-        """(phase, bytes in the packet). IDLE holds no packet yet, WAITING does and looks for an opening flag."""
+        """(phase, bytes in the packet). IDLE holds no packet yet, WAITING does and waits for an opening flag."""
         return self._phase, self._filled
 
     def byte(self, byte: int) -> bytearray | None:
@@ -114,7 +114,7 @@ class IncomingLine:
         baud: bits a second.
 
     Attributes:
-        next_ns: when the next byte is complete; NEVER_NS when the wire is silent.
+        next_ns: when the next byte is complete; NEVER_NS when none is on the wire.
     """
 
     def __init__(self, baud: int):
@@ -142,7 +142,7 @@ class IncomingLine:
         return byte
 
     def drop(self, now_ns: int):
-        """Loses what has arrived by now: nobody listened."""
+        """Discards what has arrived by now, as while it boots."""
         while self.next_ns <= now_ns:
             self.pop()
 

@@ -33,7 +33,7 @@ class SonarSensor:
 
     Args:
         pulse_end_us: after so long it does so by itself.
-        echo_us: ``at_ns -> µs``: what a ping then would hear; 0 for nothing.
+        echo_us: ``at_ns -> µs``: the echo of a ping then; 0 for none.
     """
 
     def __init__(self, pulse_end_us: int, echo_us: Callable[[int], float]):

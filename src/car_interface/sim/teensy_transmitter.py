@@ -18,10 +18,10 @@ from car_interface.sim.teensy_sonars import SONARS
 
 
 class Transmitter:
-    """Queues and frames: what goes out next, and how it looks on the wire.
+    """Queues packets and frames them for the line.
 
     Answers go first. The newest wheel report and the newest report of each sonar wait for the rest of the line; a
-    newer one takes the place of one that still waits, and is counted. Two frames share a flag when the second one
+    newer one replaces one that still waits, which is counted. Two frames share a flag when the second one
     waits already while the first is being closed; otherwise each has its own two.
 
     The first thing that it sends is the frame that the firmware makes of a packet that isn't there.
@@ -36,7 +36,7 @@ class Transmitter:
         self._next_index = 0
         self._sending: bytearray | None = None
         self._unsent = bytes([FLAG]) + stuff(bytes([boot_byte, boot_byte ^ 0xFF])) + bytes([FLAG])
-        self.due_ns = AT_ONCE_NS  # when what is to be sent finds room; NEVER_NS when there is nothing
+        self.due_ns = AT_ONCE_NS  # when there is space for what is to be sent; NEVER_NS when there is nothing
 
     def queue_first(self, packet: bytearray):
         self._first.append(packet)
@@ -65,7 +65,7 @@ class Transmitter:
         self._wake()
 
     def poll(self, now_ns: int):
-        """Writes what finds room, to the end of the frame under way and on."""
+        """Writes as much as the buffer takes, over the end of the frame under way."""
         is_open = False  # the last frame's closing flag is the last thing written
         while True:
             if not self._unsent:
@@ -81,7 +81,7 @@ class Transmitter:
             self._counters["txBytes"] += count
             self._unsent = self._unsent[count:]
             if self._unsent:
-                # All of it finds room before the line runs dry: the buffer is longer than a frame.
+                # There is space for all of it before the line runs dry: the buffer is longer than a frame.
                 self.due_ns = self._line.free_at_ns(len(self._unsent), now_ns)
                 return
             is_open = True
@@ -139,7 +139,7 @@ class OutgoingLine:
         return max(now_ns, self._free_ns - spare * BITS_PER_BYTE_S // self._baud)
 
     def collect(self, now_ns: int) -> bytes:
-        """Returns the bytes whose last bit is out by ``now_ns`` and that nobody has collected yet."""
+        """Returns the bytes whose last bit is out by ``now_ns`` and that weren't collected yet."""
         out, self._saved = self._saved, b""
         while self._chunks:
             start_ns, data = self._chunks[0]

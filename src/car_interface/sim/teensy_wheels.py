@@ -21,7 +21,7 @@ class Wheel:
     """One wheel's odometer."""
 
     def __init__(self):
-        self._pins = HALL_PINS[0]  # taken for this at power-up, whatever they are
+        self._pins = HALL_PINS[0]  # assumed at power-up, without reading them
         self._when_tick = 0
         self.reset()
 
@@ -78,7 +78,7 @@ class Wheel:
 
 
 class Axle:
-    """Both rear wheels, and when they are worth a report: with a pulse, but not too often; standing, now and then.
+    """Both rear wheels, and when they are reported: with a pulse, but not too often; while standing, now and then.
 
     A pulse sooner than 5 ms after the last one that was reported is not reported later either: it waits for the next
     one or for a repeat, and counts as rotUpdSkip. Every 201 ms it is looked whether that is more than 200 ms ago; then

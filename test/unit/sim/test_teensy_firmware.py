@@ -1,9 +1,7 @@
 """The simulated Teensy against the protocol's text and against what the original firmware really sent.
 
-Its wheels, sonars, loop and restarts are told here as rules, one test each; test_captures.py holds the same rules
-against long captures of the original.
-
-The parser and the encoders in here are written from the protocol's description alone and are shared with nothing.
+Frames, pings, counters and restarts are specified here, one test each; test_captures.py holds them and the rest against
+long captures of the original. Parser and encoders (teensy_bench) are shared with nothing.
 """
 import random
 import struct

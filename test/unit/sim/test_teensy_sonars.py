@@ -1,4 +1,4 @@
-"""The simulated Teensy's sonars, told as rules; test_captures.py holds them against captures of the original."""
+"""The simulated Teensy's sonars, specified as rules; test_captures.py holds them against captures of the original."""
 import struct
 
 import pytest

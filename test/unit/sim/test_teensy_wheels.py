@@ -1,4 +1,4 @@
-"""The simulated Teensy's wheels, told as rules; test_captures.py holds them against captures of the original."""
+"""The simulated Teensy's wheels, specified as rules; test_captures.py holds them against captures of the original."""
 
 import pytest
 from hypothesis import given, settings
