@@ -30,11 +30,12 @@ DEBIAN = {
     "rosout": ("rosout",),
     "rostest": ("librostest-dev", "python3-rostest"),
 }
+BOUNDS = (("version_gte", ">="), ("version_lte", "<="))
 PIP = {"python3-serial": "pyserial", "python3-yaml": "PyYAML"}  # where it is not KEY without python3- and -pip
 
 
-def keys(distribution: str) -> list[str]:
-    """Return the keys in package.xml whose condition holds, in order, each once.
+def keys(distribution: str) -> dict[str, str]:
+    """Return the keys in package.xml whose condition holds, in order, with their version's bounds as pip writes them.
 
     Raises:
         ValueError: a condition is not `$ROS_DISTRO ==` or `!= NAME`.
@@ -43,8 +44,9 @@ def keys(distribution: str) -> list[str]:
     for tag in ElementTree.parse(str(PACKAGE_XML)).getroot():
         key = (tag.text or "").strip()
         if tag.tag.endswith("depend") and key not in NOT_NEEDED and holds(tag.get("condition"), distribution):
-            found[key] = None
-    return list(found)
+            bounds = [sign + tag.get(name) for name, sign in BOUNDS if tag.get(name)]
+            found[key] = ",".join(bounds) or found.get(key, "")
+    return found
 
 
 def holds(condition: str | None, distribution: str) -> bool:
@@ -85,13 +87,13 @@ def packages(distribution: str, kind: str) -> list[str]:
     """Return the names of the packages, sorted."""
     wanted = keys(distribution)
     if kind == "apt":
-        wanted = [key for key in (*wanted, *ROS_TOOLS, *TOOLS) if not is_from_pip(key)]
-        found = [name for key in wanted for name in apt_names(key, distribution)]
+        named = [key for key in (*wanted, *ROS_TOOLS, *TOOLS) if not is_from_pip(key)]
+        found = [name for key in named for name in apt_names(key, distribution)]
         found += DEBIAN_TOOLS if distribution == "debian" else ()
-    elif kind == "pip":
-        found = [pip_name(key) for key in wanted if is_from_pip(key)]
     else:
-        found = [pip_name(key) for key in (*wanted, *TOOLS) if key.startswith("python3-") and key != "python3-venv"]
+        named = wanted if kind == "pip" else [*wanted, *TOOLS]
+        found = [pip_name(key) + wanted.get(key, "") for key in named
+                 if (is_from_pip(key) if kind == "pip" else key.startswith("python3-") and key != "python3-venv")]
     return sorted(set(found))
 
 

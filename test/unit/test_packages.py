@@ -9,6 +9,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 packages = importlib.import_module("packages")
+ROSBAGS = "rosbags>=0.9.23,<=0.11.9"
 
 
 @pytest.mark.parametrize("key, debian, noetic", [
@@ -41,8 +42,8 @@ def test_condition_of_another_kind_is_refused():
 
 
 def test_package_without_a_distribution_s_comes_from_pip_and_only_from_there():
-    assert packages.packages("debian", "pip") == ["rosbags"]
-    assert packages.packages("noetic", "pip") == ["rosbags", "smbus2"]
+    assert packages.packages("debian", "pip") == [ROSBAGS]
+    assert packages.packages("noetic", "pip") == [ROSBAGS, "smbus2"]
     assert [name for name in packages.packages("noetic", "apt") if "smbus2" in name or "rosbags" in name] == []
 
 
@@ -54,5 +55,5 @@ def test_list_has_what_commands_and_tests_call_and_no_rviz():
 
 def test_other_python_gets_every_python_package():
     found = packages.packages("debian", "python3.8")
-    assert {"numpy", "pyserial", "pytest", "pytest-xdist", "PyYAML", "rosbags", "rospkg", "smbus2"} <= set(found)
+    assert {"numpy", "pyserial", "pytest", "pytest-xdist", "PyYAML", ROSBAGS, "rospkg", "smbus2"} <= set(found)
     assert "venv" not in found
