@@ -23,7 +23,7 @@ MODULES = {
     "calibrate_value_map": "car_interface.cli.calibrate_value_map",
     "check_map": "car_interface.cli.check_map",
 }
-INSTALL = "pip install '.[tools]' in the checkout"
+INSTALL = "see docs/recordings.md, Install the tools"
 # Libraries whose package has another name.
 PACKAGES = {"yaml": "PyYAML", "ruamel": "ruamel.yaml"}
 # For terminals with ASCII only.
