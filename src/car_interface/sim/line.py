@@ -31,13 +31,13 @@ class BadLine:
         self._random = random.Random(seed)
         self._noise = (BitErrors(seed), BitErrors(seed + 1))
         self._receivers = (SlowReceiver(), SlowReceiver())
-        self._silent_until_ns = self._scrambled_until_ns = self._flooded_until_ns = 0
+        self._muted_until_ns = self._scrambled_until_ns = self._flooded_until_ns = 0
         self._flooded_ns = 0  # the flood has come until here
         self._to_lose = 0
 
     def silence(self, duration_s: float, now_ns: int) -> None:
         """Nothing reaches the host."""
-        self._silent_until_ns = now_ns + _duration_ns("silence", duration_s)
+        self._muted_until_ns = now_ns + _duration_ns("silence", duration_s)
 
     def scramble(self, duration_s: float, now_ns: int) -> None:
         """Each side listens at half the baud rate of the other."""
@@ -61,7 +61,7 @@ class BadLine:
 
     def to_host(self, data: bytes, now_ns: int) -> bytes:
         """What arrives there of what the Teensy sent since the last call."""
-        if now_ns < self._silent_until_ns:
+        if now_ns < self._muted_until_ns:
             data = b""
         data, self._to_lose = data[self._to_lose:], max(0, self._to_lose - len(data))
         return self._carry(TO_HOST, data, now_ns) + self._flood(now_ns)

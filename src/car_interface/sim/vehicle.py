@@ -96,7 +96,7 @@ class DriveConfig:
         thrust_halves_mps: at this speed the motor has half its thrust.
         drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
             With the defaults full throttle ends at 14 m/s.
-        sag: share of the thrust that is lost while the battery empties, from half of it above the thrust that the other
+        sag: ratio of the thrust that is lost while the battery empties, from half of it above the thrust that the other
             attributes state to half of it below. Brakes don't need the battery.
         sag_over_s: how long that takes; the thrust stays as it is after that.
     """
@@ -126,7 +126,7 @@ class DriveConfig:
         require(self.sag_over_s > 0, "sag_over_s", self.sag_over_s, "more than 0")
 
     def thrust(self, elapsed_s: float) -> float:
-        """The share of the stated thrust that the battery gives so long after the start."""
+        """The ratio of the stated thrust that the battery gives so long after the start."""
         return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
 
 
@@ -222,8 +222,8 @@ class Vehicle:
             return curvatures[-1]
         index = bisect_right(duties, duty)
         low, high = duties[index - 1], duties[index]
-        share = (duty - low) / (high - low)
-        return curvatures[index - 1] + share * (curvatures[index] - curvatures[index - 1])
+        ratio = (duty - low) / (high - low)
+        return curvatures[index - 1] + ratio * (curvatures[index] - curvatures[index - 1])
 
     def step(self, dt_ns: int, steering_duty: int, esc_duty: int) -> list[Pulse]:
         """Moves on by ``dt_ns`` with both outputs held.
@@ -303,10 +303,10 @@ class Vehicle:
             return sorted(left + right)
         return left or right
 
-    def _wheel(self, side: int, distance_m: float, share: float, acceleration_mps2: float) -> list[Pulse]:
-        """Turns one wheel, whose way is ``share`` of the axle's, and returns its pulses."""
+    def _wheel(self, side: int, distance_m: float, ratio: float, acceleration_mps2: float) -> list[Pulse]:
+        """Turns one wheel, whose distance is ``ratio`` of the axle's, and returns its pulses."""
         before = self._wheel_pulses[side]
-        after = before + distance_m * share / self._pulse_m
+        after = before + distance_m * ratio / self._pulse_m
         self._wheel_pulses[side] = after
         # A magnet sits at each whole number. Rolling back over it gives a pulse as well.
         first, last = math.floor(before), math.floor(after)
@@ -315,7 +315,7 @@ class Vehicle:
         magnets, direction = (
             (range(first + 1, last + 1), FORWARD) if last > first else (range(first, last, -1), BACKWARD)
         )
-        to_axle_m = self._pulse_m / share
+        to_axle_m = self._pulse_m / ratio
         return [
             Pulse(self.time_ns + self._time_to_ns((magnet - before) * to_axle_m, acceleration_mps2), side, direction)
             for magnet in magnets
@@ -359,7 +359,7 @@ def true_acceleration_mps2(
         esc_duty: of the ESC's channel.
         speed_mps: backward negative.
         drive: the car's drive train.
-        thrust: the share of its thrust that the battery gives.
+        thrust: the ratio of its thrust that the battery gives.
         downhill_mps2: what the ground adds, forward positive; 0 on the level.
     """
     command = throttle(esc_duty, drive) or 0.0
