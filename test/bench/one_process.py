@@ -61,6 +61,7 @@ def react(count: int, stage: Stage, nodes: tuple, times_ms: dict) -> None:
     """Measure the latency of the four nodes with a full line, without other subscribers."""
     log, port = stage.path(f"chip{len(nodes)}"), stage.path("teensy")
     for node, *files in (("turn_arb", "turn_arb.yaml"), ("pca9685", "pca9685.yaml"),
+                         ("pca9685/steering", "turn_arb.yaml"),
                          ("teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml"),
                          ("generic_value_converter", "generic_value_converter.yaml", "throttle.yaml")):
         stage.load(f"/{node}", *files)

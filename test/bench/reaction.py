@@ -143,6 +143,7 @@ def measure_chip(effort: Effort, stage: Stage) -> Iterator[Row]:
     chip_log, sink_log = stage.path("chip"), stage.path("sink")
     stage.load("/turn_arb", "turn_arb.yaml")
     stage.load("/pca9685", "pca9685.yaml")
+    stage.load("/pca9685/steering", "turn_arb.yaml")
     with stage.running(stage.node("pca9685", "_device:=virtual", f"_virtual_log:={chip_log}"), stage.node("turn_arb"),
                        *stage.actors(("relay", "/bench/in", "/bench/out"), ("sink", "/bench/out", sink_log))):
         chip, to_relay, inputs = Chip(chip_log), connected_publisher("/bench/in", Bool), SteeringInputs(stage.random)

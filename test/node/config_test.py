@@ -8,10 +8,12 @@ import os
 import tempfile
 import unittest
 
+import roslaunch
 import rostest
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
+from car_interface.pca9685.channels import ChannelConfig
 from waiting import PACKAGE, config
 
 WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
@@ -33,8 +35,8 @@ DEFAULTS = {
         "map_path": MAP["csv_path_value_map"], "throttle.channel": 1, "throttle.command_timeout_s": 0.5,
         "throttle.steering_timeout_s": 0.25, "throttle.interlock.grant_at_start": True, "tuning.max_offset": 100}),
     "pca9685": ({}, {
-        "device": "/dev/i2c-1", "address": 0x40, "prescale": 121, "oscillator_hz": 25e6, "throttle_channel": -1,
-        "timeout_value": (0,) * 16, "save_to": None, "required": False, "virtual_log": None}),
+        "device": "/dev/i2c-1", "address": 0x40, "prescale": 121, "oscillator_hz": 25e6,
+        "channels": (ChannelConfig(live_range=0),) * 16, "required": False, "virtual_log": None}),
     "teensy_sensor_hub": ({}, {
         "port": "/dev/ttyAMA0", "baud": 115200, "firmware_checksum": "auto", "required": False, "raw_only": False,
         "settings.ping_period_s": 1.0, "settings.odom_frame": "odom", "settings.odom_rate_hz": 50.0}),
@@ -67,8 +69,15 @@ REFUSALS = [
      "servo/value_axis[1] is 2.0; accepted: more than"),
     ("pca9685", {"address": 0x80}, "address is 128; accepted: an integer from 64 to 127"),
     ("pca9685", {"pwm_min": 5000, "pwm_max": 4000}, "pwm_min[0] is 5000; accepted: at most pwm_max[0] 4000"),
-    ("pca9685", {"throttle_channel": 1}, "throttle_neutral is missing"),
-    ("pca9685", {"throttle_save_to": "./a.yaml"}, f"throttle_save_to is './a.yaml'; {WHOLE_PATH}"),
+    ("pca9685", {"throttle_channel": 1}, "unknown parameter throttle_channel is 1; accepted: only address, "),
+    ("pca9685", {"save_to": "/a.yaml"}, "unknown parameter save_to is '/a.yaml'; accepted: only address, "),
+    ("pca9685", {"steering": 5}, "unknown parameter steering is 5; accepted: only address, "),
+    ("pca9685", {"steering": {**STEERING, "servo_channel": 16}},
+     "steering/servo_channel is 16; accepted: an integer from 0 to 15"),
+    ("pca9685", {"esc": {"servo": {**ESC["servo"], "neutral": -1}}},
+     "esc/servo/neutral is -1; accepted: an integer from 0 to 65535"),
+    ("pca9685", {"steering": {**STEERING, "servo_channel": 1}, "esc": ESC},
+     "esc/servo/channel is 1; accepted: a channel other than steering/servo_channel"),
     ("pca9685", {"device": "virtual", "virtual_log": "chip.log"}, f"virtual_log is 'chip.log'; {WHOLE_PATH}"),
     ("pca9685", {"virtual_log": "/tmp/chip.log"}, "unknown parameter virtual_log is '/tmp/chip.log'"),
     ("teensy_sensor_hub", {"baud": 0}, "baud is 0; accepted: an integer from 300"),
@@ -101,7 +110,8 @@ class ReadConfig(unittest.TestCase):
     def test_shipped_files_are_taken(self):
         for node, values in (
                 ("turn_arb", config("turn_arb.yaml")), ("teleop_logi", config("teleop_logi.yaml")),
-                ("pca9685", config("pca9685.yaml", "pca9685_throttle.yaml")),
+                ("pca9685", {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"),
+                             "esc": config("throttle.yaml")}),
                 ("teensy_sensor_hub", config("teensy_sensor_hub.yaml", "sonars.yaml")),
                 ("generic_value_converter", {**config("generic_value_converter.yaml", "throttle.yaml"), **MAP})):
             with self.subTest(node):
@@ -135,14 +145,44 @@ class ReadConfig(unittest.TestCase):
                     ConfigError, "^unknown parameter no_such_thing is 1; accepted: only "):
                 read(node, {**required, "no_such_thing": 1})
 
+    def test_center_and_neutral_are_the_timeout_values_of_their_channels(self):
+        others = {"timeout_value": [100] * 16}
+        for given, expected in (
+                ({}, {}),
+                ({"steering": config("turn_arb.yaml")}, {0: (5100, 500)}),
+                ({"steering": config("turn_arb.yaml"), "esc": config("throttle.yaml")},
+                 {0: (5100, 500), 1: (4915, 100)}),
+                ({"steering": {**STEERING, "servo_channel": 7}, "live_range": 50}, {7: (5100, 50)}),
+                ({"esc": {"servo": {**ESC["servo"], "channel": 15}}, "throttle_live_range": 9}, {15: (4915, 9)}),
+                ({"esc": {"servo": {**ESC["servo"], "channel": -1}}}, {}),
+                ({"steering": {"servo_channel": 3}}, {}),
+                ({"steering": {"servo_center": 5100}, "esc": {"servo": {"channel": 1}}}, {})):
+            with self.subTest(given=given):
+                made = [(channel.timeout_value, channel.live_range)
+                        for channel in read("pca9685", {**others, **given}).channels]
+                self.assertEqual(made, [expected.get(channel, (100, 0)) for channel in range(16)])
+
+    def test_launch_files_give_the_board_the_files_of_turn_arb_and_of_the_converter(self):
+        for launch, more in (("pca9685.launch", []), ("car_nodes.launch", []), ("car.launch", ["gamepad:=false"])):
+            for throttle in ("false", "true"):
+                with self.subTest(launch=launch, throttle=throttle):
+                    loaded = roslaunch.config.load_config_default(
+                        [(f"{PACKAGE}/launch/{launch}", [f"throttle:={throttle}", *more])], None, verbose=False)
+                    values: dict = {}
+                    for name, param in loaded.params.items():
+                        if name.startswith("/pca9685/"):
+                            values[name[len("/pca9685/"):]] = param.value
+                    made = read("pca9685", values)
+                    self.assertEqual([channel.timeout_value for channel in made.channels],
+                                     [5100, 4915 if throttle == "true" else 0] + [0] * 14)
+
     def test_accelerations_that_pass_through_need_no_map(self):
         made = read("generic_value_converter", {"use_value_ff": False})
         self.assertEqual((made.map_path, made.value_map, made.throttle), ("", None, None))
 
     def test_reading_opens_and_makes_nothing(self):
         with tempfile.TemporaryDirectory() as folder:
-            for node, given in (("pca9685", {"device": "virtual", "virtual_log": f"{folder}/chip", "required": True,
-                                             "save_to": f"{folder}/a.yaml"}),
+            for node, given in (("pca9685", {"device": "virtual", "virtual_log": f"{folder}/chip", "required": True}),
                                 ("car_sim", {"port": f"{folder}/teensy"}),
                                 ("demo_drive", {"bag_dir": f"{folder}/bags"}),
                                 ("teensy_sensor_hub", {"port": f"{folder}/teensy", "required": True}),

@@ -75,7 +75,9 @@ NODES = {
     "turn_arb": (turn_arb.TurnArb, lambda: config("turn_arb.yaml")),
     "generic_value_converter": (generic_value_converter.GenericValueConverter, converter_config),
     "teleop_logi": (teleop_logi.TeleopLogi, lambda: config("teleop_logi.yaml")),
-    "pca9685": (pca9685.Pca9685, lambda: {**config("pca9685.yaml"), "device": "virtual"}),
+    "pca9685": (pca9685.Pca9685, lambda: {
+        **config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
+        "device": "virtual"}),
     "teensy_sensor_hub": (teensy_sensor_hub.TeensySensorHub,
                           lambda: {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml"), "port": PORT}),
     "car_display": (car_display.CarDisplay, dict),
@@ -94,7 +96,10 @@ READERS = {
     "turn_arb": (turn_arb.read_config, lambda: config("turn_arb.yaml")),
     "teleop_logi": (teleop_logi.read_config, lambda: config("teleop_logi.yaml")),
     "generic_value_converter": (generic_value_converter.read_config, converter_config),
-    "pca9685": (pca9685.read_config, lambda: config("pca9685.yaml")),
+    "pca9685": (pca9685.read_config, lambda: {
+        **config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
+        "steering/servo_channel": 0, "steering/servo_center": 5100, "esc/servo/channel": 1,
+        "esc/servo/neutral": 4915}),
     "teensy_sensor_hub": (teensy_sensor_hub.read_config,
                           lambda: {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml"), "port": PORT}),
     "car_display": (car_display.read_config, lambda: {"wheelbase": 0.324, "frame_prefix": "car1/"}),

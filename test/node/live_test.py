@@ -17,6 +17,7 @@ import rospy
 import rostest
 import yaml
 from car_interface.msg import SteeringState
+from diagnostic_msgs.msg import DiagnosticArray
 from dynamic_reconfigure.client import Client
 from dynamic_reconfigure.msg import Config, DoubleParameter, GroupState, IntParameter, StrParameter
 from dynamic_reconfigure.srv import Reconfigure
@@ -36,7 +37,8 @@ LAUNCH = """<launch>
   </include>
   <include file="$(find car_interface)/launch/pca9685.launch">
     <arg name="ns" value="tuned"/><arg name="config" value="{folder}/pca9685.yaml"/>
-    <arg name="throttle_config" value="{folder}/pca9685_throttle.yaml"/>
+    <arg name="steering_config" value="{folder}/turn_arb.yaml"/>
+    <arg name="throttle_config" value="{folder}/throttle.yaml"/>
     <arg name="throttle" value="true"/><arg name="device" value="virtual"/>
   </include>
   <include file="$(find car_interface)/launch/generic_value_converter.launch">
@@ -68,7 +70,8 @@ class LiveTest(unittest.TestCase):
         self.neutrals = Topic("/tuned/servo/neutral", Int32MultiArray)
         self.states = Topic("/tuned/turn_arb/state", SteeringState)
         self.log = Topic("/rosout", Log)
-        for topic in (self.commands, self.outputs, self.neutrals, self.states, self.log):
+        self.diagnostics = Topic("/diagnostics", DiagnosticArray)
+        for topic in (self.commands, self.outputs, self.neutrals, self.states, self.log, self.diagnostics):
             self.addCleanup(topic.close)
         self.launch()
         self.human = self.sender("/tuned/teleop_logi/human_in_loop", Bool)
@@ -84,14 +87,14 @@ class LiveTest(unittest.TestCase):
 
     def launch(self):
         """Start the nodes from the files as they are now."""
-        mark = self.neutrals.mark()
+        mark, outputs_mark = self.neutrals.mark(), self.outputs.mark()
         self.roslaunch = start(self, "roslaunch", str(self.folder / "live.launch"))
         self.addCleanup(self.roslaunch.end, signal.SIGINT, 30)  # it ends its nodes
         for channel in (STEERS, DRIVES):
             self.neutrals.wait_for(lambda vector, channel=channel: vector.data[channel] >= 0, mark)
         self.steering = self.client("/tuned/turn_arb")
         self.esc = self.client("/tuned/generic_value_converter/servo")
-        rospy.wait_for_service("/tuned/pca9685/save", 15)
+        self.outputs.wait_for_count(1, outputs_mark)
 
     def client(self, name):
         made = Client(name, timeout=15)
@@ -218,7 +221,7 @@ class LiveTest(unittest.TestCase):
         self.steering.update_configuration({"servo_center": 5200})
         self.neutrals.wait_for(lambda vector: vector.data[STEERS] == 5200)
         self.wait_for_log("/tuned/pca9685", "the timeout value of channel 0 follows servo/neutral, away from the YAML "
-                                            "file's. To save it: rosservice call /tuned/pca9685/save", log_mark)
+                                            "file's. To save it: ~save of the node that was tuned", log_mark)
 
         def attempt():  # without turn_arb, until roslaunch has started it again
             self.drive(teleop=1.0)
@@ -229,9 +232,28 @@ class LiveTest(unittest.TestCase):
                              .what.data[STEERS], counts_16(5200))
         retried(attempt)
 
+    def test_servo_board_that_is_started_again_follows_what_was_tuned(self):
+        self.steering.update_configuration({"servo_center": 5200})
+        self.esc.update_configuration({"neutral": NEUTRAL + 40})
+        self.wait_for_timeout_values([5200, NEUTRAL + 40] + [0] * 14, 0)
+        before = self.uri("pca9685")
+        self.kill("pca9685")
+        eventually(lambda: self.uri("pca9685") != before, "the new pca9685")
+        self.wait_for_timeout_values([5200, NEUTRAL + 40] + [0] * 14, self.diagnostics.mark())
+
+    def wait_for_timeout_values(self, duties, since):
+        """Wait until the servo board reports these."""
+        def has(array):
+            return any(value.key == "timeout values" and value.value == " ".join(map(str, duties))
+                       for status in array.status for value in status.values)
+        self.diagnostics.wait_for(has, since)
+
+    def uri(self, node):
+        return rosgraph.Master(rospy.get_name()).lookupNode(f"/tuned/{node}")
+
     def kill(self, node):
         """End it as a fault would. roslaunch starts it again a second later."""
-        uri = rosgraph.Master(rospy.get_name()).lookupNode(f"/tuned/{node}")
+        uri = self.uri(node)
         os.kill(ServerProxy(uri).getPid(rospy.get_name())[2], signal.SIGKILL)
 
     def test_node_that_is_started_again_by_roslaunch_keeps_what_was_tuned(self):
@@ -274,11 +296,11 @@ class LiveTest(unittest.TestCase):
         mark = self.log.mark()
         rogue.publish(data=[5100] * 3)
         self.wait_for_log("/tuned/pca9685", "a vector of neutrals needs 16 values and has 3: refused", mark)
+        rogue.publish(data=[-1] * 5 + [5100] + [-1] * 10)  # a channel of neither node
         rogue.publish(data=[9000] + [-1] * 15)
         self.wait_for_log("/tuned/pca9685", "channel 0 rests at 9000 by servo/neutral, its timeout value is 5100: "
                                             "too far to follow", mark)
-        self.assertEqual(self.save("pca9685").message.count("says so already"), 2)
-        self.assertEqual(self.values("pca9685.yaml")["timeout_value"][0], CENTER)
+        self.wait_for_timeout_values([CENTER, NEUTRAL] + [0] * 14, self.diagnostics.mark())
 
     # --- saving ---
 
@@ -288,32 +310,34 @@ class LiveTest(unittest.TestCase):
         answer = self.save("turn_arb")  # while it glides: what was accepted is saved
         self.assertTrue(answer.success, answer.message)
         self.assertRegex(answer.message, rf"^saved to {self.folder}/turn_arb.yaml, the old one is "
-                                         rf"{self.folder}/turn_arb.yaml.bak-[\d-]+; /tuned/pca9685/save: saved to "
-                                         rf"{self.folder}/pca9685.yaml, the old one is .*")
+                                         rf"{self.folder}/turn_arb.yaml.bak-[\d-]+$")
         self.esc.update_configuration({"neutral": NEUTRAL + 35})
         answer = self.save("generic_value_converter")
         self.assertTrue(answer.success, answer.message)
 
-        steering, board, throttle = (self.values(name) for name in ("turn_arb.yaml", "pca9685.yaml", "throttle.yaml"))
+        steering, throttle = self.values("turn_arb.yaml"), self.values("throttle.yaml")
         self.assertEqual((steering["servo_left"], steering["servo_center"], steering["servo_right"]),
                          (3750, 5150, RIGHT))
         for table, end in (("k_pwmcmd_left_table_servo", 3750), ("k_pwmcmd_right_table_servo", RIGHT)):
             self.assertEqual((steering[table][0], steering[table][-1]), (end, 5150))
-        self.assertEqual(board["timeout_value"], [5150] + [0] * 15)
-        self.assertEqual(self.values("pca9685_throttle.yaml")["throttle_neutral"], NEUTRAL + 35)
         self.assertEqual((throttle["servo"]["neutral"], throttle["servo"]["duty_table"]), (4950, [3312, 4950, 6589]))
-        for name in ("turn_arb.yaml", "pca9685.yaml", "pca9685_throttle.yaml", "throttle.yaml"):
+        for name in ("turn_arb.yaml", "throttle.yaml"):
             self.assertEqual(re.findall("#.*", (self.folder / name).read_text(encoding="utf-8")),
                              re.findall("#.*", texts[name]))
             (aside,) = self.asides(name)
             self.assertEqual(aside.read_text(encoding="utf-8"), texts[name])
-        self.assertEqual((self.folder / "sonars.yaml").read_text(encoding="utf-8"), texts["sonars.yaml"])
+        for name in ("sonars.yaml", "pca9685.yaml"):
+            self.assertEqual((self.folder / name).read_text(encoding="utf-8"), texts[name])
 
         before = {**rospy.get_param("/tuned/turn_arb"), **rospy.get_param("/tuned/generic_value_converter")}
         self.end()
         self.launch()
         after = {**rospy.get_param("/tuned/turn_arb"), **rospy.get_param("/tuned/generic_value_converter")}
         self.assertEqual(after, before)
+        self.assertEqual(rospy.get_param("/tuned/pca9685/steering"), yaml.safe_load(
+            (self.folder / "turn_arb.yaml").read_text(encoding="utf-8")))
+        self.assertEqual(rospy.get_param("/tuned/pca9685/esc/servo/neutral"), 4950)
+        self.wait_for_timeout_values([5150, 4950] + [0] * 14, self.diagnostics.mark())
         described = {parameter["name"]: (parameter["min"], parameter["max"])
                      for parameter in self.steering.get_parameter_descriptions()}
         self.assertEqual(described["servo_center"], (4650, 5650))
@@ -340,12 +364,12 @@ class LiveTest(unittest.TestCase):
         answer = self.save("turn_arb")
         self.assertFalse(answer.success)
         self.assertRegex(answer.message, rf"^not saved: {self.folder}/turn_arb.yaml is no YAML: ")
-        self.assertEqual((self.asides("turn_arb.yaml"), self.asides("pca9685.yaml")), ([], []))
+        self.assertEqual(self.asides("turn_arb.yaml"), [])
         (self.folder / "turn_arb.yaml").unlink()
         self.assertRegex(self.save("turn_arb").message, r"turn_arb.yaml can't be saved \(No such file or directory\)")
         self.wait_for_duty(STEERS, 5150)
 
-    def test_node_without_save_to_saves_nowhere_and_without_a_servo_board_says_so(self):
+    def test_node_without_save_to_saves_nowhere(self):
         values = yaml.safe_load((shipped() / "turn_arb.yaml").read_text(encoding="utf-8"))
         set_params(self, "/bare/turn_arb", values)
         start_node(self, "turn_arb", "__ns:=/bare", "/servo/cmdVector:=servo/cmdVector")
@@ -359,7 +383,7 @@ class LiveTest(unittest.TestCase):
         answer = rospy.ServiceProxy("/bare2/turn_arb/save", Trigger)()
         self.assertTrue(answer.success)
         self.assertEqual(answer.message,
-                         f"{self.folder}/turn_arb.yaml says so already; /bare2/pca9685/save isn't there to be asked")
+                         f"{self.folder}/turn_arb.yaml says so already")
         self.assertEqual(self.client("/bare2/turn_arb").update_configuration({"servo_center": 5101})["servo_center"],
                          CENTER)
 

@@ -131,8 +131,8 @@ class AProcess(unittest.TestCase):
     def set_params(self, namespace="", **changes):
         """The shipped ones, with a chip in software."""
         values = {"turn_arb": config("turn_arb.yaml"),
-                  "pca9685": {**config("pca9685.yaml", "pca9685_throttle.yaml"), "device": "virtual",
-                              "virtual_log": self.chip.path},
+                  "pca9685": {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"),
+                              "esc": config("throttle.yaml"), "device": "virtual", "virtual_log": self.chip.path},
                   "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml", "sonars.yaml"), "port": self.port},
                   "generic_value_converter": {**config("generic_value_converter.yaml", "throttle.yaml"),
                                               "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}

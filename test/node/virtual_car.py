@@ -135,7 +135,9 @@ class Car:
     def load_actors(self):
         """The parameters of the three nodes between the senders and the chip."""
         self.load("/turn_arb", "turn_arb.yaml")
-        self.load("/pca9685", "pca9685.yaml", "pca9685_throttle.yaml")
+        self.load("/pca9685", "pca9685.yaml")
+        self.load("/pca9685/steering", "turn_arb.yaml")
+        self.load("/pca9685/esc", "throttle.yaml")
         self.load("/generic_value_converter", "generic_value_converter.yaml", "throttle.yaml")
 
     def actors(self, odometry="localization/kinematic_state"):

@@ -94,13 +94,17 @@ class Params:
         """Seconds after which an input without messages is stale; 0 = never."""
         return self.number(name, default, *DURATION_S)
 
-    def finish(self) -> None:
+    def finish(self, ignored_namespaces: Sequence[str] = ()) -> None:
         """Refuse names that no reader has asked for.
+
+        Args:
+            ignored_namespaces: names below these are not refused: another node checks them.
 
         Raises:
             ConfigError: naming the first unknown parameter and the known ones.
         """
-        unknown = sorted(set(self._values) - self._known)
+        ignored = tuple(f"{namespace}/" for namespace in ignored_namespaces)
+        unknown = sorted(name for name in self._values if name not in self._known and not name.startswith(ignored))
         if unknown:
             raise ConfigError(f"unknown parameter {unknown[0]}", self._values[unknown[0]],
                               "only " + ", ".join(sorted(self._known)))

@@ -11,13 +11,13 @@ Parameters:
     ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides these two.
     ~timeout 250 (ms, 0 = never), ~timeout_value 0 (duty, 0 = off), ~pwm_min 0, ~pwm_max 65535: a list of 16, or one
         for all.
-    ~throttle_channel −1 (none), ~throttle_neutral: the ESC's channel, and its timeout value.
-    ~live_range 500, ~throttle_live_range 100 (duty): how far a timeout value may follow servo/neutral; 0 = not at all.
-    ~save_to, ~throttle_save_to: the files that ~save writes timeout_value and throttle_neutral to.
+    ~steering/servo_channel, ~steering/servo_center: the steering's channel and its timeout value, where both are given.
+    ~esc/servo/channel, ~esc/servo/neutral: those of the ESC. The rest of ~steering and ~esc, the YAML files of turn_arb
+        and generic_value_converter, is not read.
+    ~live_range 500, ~throttle_live_range 100 (duty): how far the timeout values of these two channels may follow
+        servo/neutral; 0 = not at all.
     ~required false: true = end with exit code 1 when the board can't be used at start.
-Service:
-    ~save (std_srvs/Trigger): see ``ros.save_service``; turn_arb's and the converter's call it.
-The virtual chip has another service and parameter: see ``ros.virtual_board``.
+The virtual chip has a service and another parameter: see ``ros.virtual_board``.
 """
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ import rospy
 import smbus2
 from std_msgs.msg import Int32MultiArray
 
-from car_interface.common.errors import DeviceError
+from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_S
@@ -42,7 +42,6 @@ from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, duty_of_
 from car_interface.pca9685.supervisor import DISCONNECTED, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.runtime import run
-from car_interface.ros.save_service import File, serve_saving
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe
@@ -66,9 +65,6 @@ class Pca9685Config:
         prescale: the chip's register, 3..255.
         oscillator_hz: the chip's clock.
         channels: limits and failsafe of each of the sixteen.
-        timeout_value: duties of that parameter; ~save keeps the one of throttle_channel.
-        throttle_channel: the ESC's, or ``NO_CHANNEL``.
-        save_to, throttle_save_to: the files that ~save writes; ``None`` = nowhere.
         required: end when the board can't be used at start.
         virtual_log: the virtual chip's log; ``None`` = none.
     """
@@ -78,10 +74,6 @@ class Pca9685Config:
     prescale: int
     oscillator_hz: float
     channels: tuple[ChannelConfig, ...]
-    timeout_value: tuple[int, ...]
-    throttle_channel: int
-    save_to: str | None
-    throttle_save_to: str | None
     required: bool
     virtual_log: str | None
 
@@ -102,13 +94,9 @@ def read_config(params) -> Pca9685Config:
         prescale=prescale_for(frequency_hz, oscillator_hz) if prescale is None else prescale,
         oscillator_hz=oscillator_hz,
         channels=_read_channels(params),
-        timeout_value=tuple(params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)),
-        throttle_channel=params.integer("throttle_channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1),
-        save_to=params.path("save_to", None),
-        throttle_save_to=params.path("throttle_save_to", None),
         required=params.flag("required", False),
         virtual_log=params.path("virtual_log", None) if device == VIRTUAL else None)
-    params.finish()
+    params.finish(ignored_namespaces=("steering", "esc"))
     Channels(config.channels)  # checks the limits
     return config
 
@@ -117,27 +105,27 @@ def _read_channels(params):
     """Limits and failsafe of each of the sixteen."""
     timeouts_ms = params.integers("timeout", CHANNELS, 250, 0, MAX_TIMEOUT_MS)
     timeout_values = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
-    live_ranges = [params.integer("live_range", LIVE_RANGE, 0, MAX_DUTY)] * CHANNELS
-    throttle_live_range = params.integer("throttle_live_range", THROTTLE_LIVE_RANGE, 0, MAX_DUTY)
-    throttle_channel = params.integer("throttle_channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
-    if throttle_channel != NO_CHANNEL:
-        live_ranges[throttle_channel] = throttle_live_range
-        timeout_values[throttle_channel] = params.integer("throttle_neutral", low=0, high=MAX_DUTY)
+    live_ranges = [0] * CHANNELS
+    for channel, neutral, live_range in _read_neutrals(params):
+        timeout_values[channel], live_ranges[channel] = neutral, live_range
     pwm_min = params.integers("pwm_min", CHANNELS, 0, 0, MAX_DUTY)
     pwm_max = params.integers("pwm_max", CHANNELS, MAX_DUTY, 0, MAX_DUTY)
     return tuple(ChannelConfig(*settings)
                  for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max, live_ranges))
 
 
-def files_to_save(config: Pca9685Config, timeout_values) -> list[File]:
-    """Which of the timeout values in use are saved to which file."""
-    start, throttle_channel = config.timeout_value, config.throttle_channel
-    plain = [start[channel] if channel == throttle_channel else duty for channel, duty in enumerate(timeout_values)]
-    files = [File("save_to", config.save_to, {"timeout_value": plain})] if any(start) else []
-    if throttle_channel == NO_CHANNEL:
-        return files
-    neutral = {"throttle_neutral": timeout_values[throttle_channel]}
-    return [*files, File("throttle_save_to", config.throttle_save_to, neutral)]
+def _read_neutrals(params):
+    """Channel, neutral duty and live range of the steering and of the ESC, where they are given."""
+    steering = params.integer("steering/servo_channel", None, 0, CHANNELS - 1)
+    center = params.integer("steering/servo_center", None, 0, MAX_DUTY)
+    esc = params.integer("esc/servo/channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
+    neutral = params.integer("esc/servo/neutral", None, 0, MAX_DUTY)
+    given = [(steering, center, params.integer("live_range", LIVE_RANGE, 0, MAX_DUTY)),
+             (esc, neutral, params.integer("throttle_live_range", THROTTLE_LIVE_RANGE, 0, MAX_DUTY))]
+    given = [each for each in given if each[0] not in (None, NO_CHANNEL) and each[1] is not None]
+    if len(given) == 2 and steering == esc:
+        raise ConfigError("esc/servo/channel", esc, "a channel other than steering/servo_channel")
+    return given
 
 
 class SmbusBus:
@@ -199,7 +187,6 @@ class Pca9685:
         for topic in ("command", "/servo/cmdVector"):
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
         subscribe("servo/neutral", Int32MultiArray, inbox, self._on_neutral)
-        serve_saving(self._inbox, lambda: files_to_save(config, self._channels.timeout_values))
 
     def step(self, now_ns):
         """Handle all that arrived, expire commands, and then write: a slow bus must not replay stale commands."""
@@ -270,11 +257,11 @@ class Pca9685:
         for channel in followed.refused:
             self._warnings.warn("neutral", f"channel {channel} rests at {message.data[channel]} by servo/neutral, "
                                              f"its timeout value is {self._channels.timeout_values[channel]}: too far "
-                                             "to follow. Make the two agree in the YAML files")
+                                             "to follow. Start both nodes with the same YAML file")
         if followed.changed:
             self._warnings.warn("followed", f"the timeout value of {_listed(sorted(followed.changed))} follows "
-                                              f"servo/neutral, away from the YAML file's. To save it: rosservice call "
-                                              f"{rospy.resolve_name(self._inbox.resolve_name('~save'))}")
+                                              "servo/neutral, away from the YAML file's. To save it: ~save of the node "
+                                              "that was tuned")
 
     def _update(self):
         self._supervisor.update(self._channels.targets, time.monotonic_ns())

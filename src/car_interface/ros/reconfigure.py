@@ -21,12 +21,11 @@ from dynamic_reconfigure.server import Server
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.yaml_edit import Values
 from car_interface.ros.inbox import TOO_BUSY, Inbox
-from car_interface.ros.save_service import File, serve_saving
+from car_interface.ros.save_service import serve_saving
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 
 ANSWER_WITHIN_S = 2.0
 SETTLE_WITHIN_S = 5.0
-FOLLOWER = "pca9685/save"  # the servo board's node, whose timeout values follow the tuned ones
 
 
 class _Server(Server):
@@ -79,7 +78,6 @@ class ReconfigureServer:
         self._tuning = tuning
         self._apply = apply
         self._parameters = parameters
-        self._save_to = save_to
         self._serving = False
         self._has_set_parameters = False  # whether the parameter server has tuned values
         apply(tuning.active)
@@ -89,7 +87,7 @@ class ReconfigureServer:
                           self._server.update_topic.unregister):
             inbox.on_close(remove)
         self._serving = True
-        serve_saving(inbox, self._files, FOLLOWER)
+        serve_saving(inbox, save_to, self._values_to_save)
 
     def step(self, now_ns: int) -> None:
         """Step towards the accepted values. To be called at each timer tick, in the node's thread."""
@@ -134,12 +132,12 @@ class ReconfigureServer:
         if answer.problem:
             self._warnings.warn("live tuning", answer.problem)
 
-    def _files(self):
-        """The values for ~save: the accepted ones, once they are active."""
+    def _values_to_save(self):
+        """The accepted values, once they are active."""
         deadline_s = time.monotonic() + SETTLE_WITHIN_S
         while self._tuning.is_changing and time.monotonic() < deadline_s:
             time.sleep(0.01)
-        return [File("save_to", self._save_to, self._parameters(self._tuning.accepted))]
+        return self._parameters(self._tuning.accepted)
 
 
 def _limited(config_class, tuning):

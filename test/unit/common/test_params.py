@@ -207,6 +207,20 @@ def test_name_that_nobody_asked_for_is_refused_at_the_end(private, message):
         params.finish()
 
 
+def test_names_below_an_ignored_namespace_are_not_refused_and_not_listed():
+    params = Params({"a": {"x": 1, "b": {"y": 2}}, "other": 3})
+    assert params.integer("a/x") == 1
+    with pytest.raises(ConfigError, match=r"^unknown parameter other is 3; accepted: only a/x$"):
+        params.finish(ignored_namespaces=["a"])
+    Params({"a": {"x": 1, "b": {"y": 2}}}).finish(ignored_namespaces=["a"])
+
+
+@pytest.mark.parametrize("private", [{"a": 1}, {"ab": {"x": 1}}, {"b": {"a": {"x": 1}}}])
+def test_ignored_namespace_is_neither_a_value_nor_a_part_of_a_name(private):
+    with pytest.raises(ConfigError, match=r"^unknown parameter "):
+        Params(private).finish(ignored_namespaces=["a"])
+
+
 def test_name_that_the_namespace_lacks_is_looked_up_outwards_where_that_was_asked_for():
     around = {"servo_left": 3800, "m_turnrad_axis_servo": [1, 2], "input_timeout": 9.0, "k": 1.5}
     params = Params({}, around.get)
