@@ -46,9 +46,9 @@ settings.register_profile("fuzz", database=None, deadline=None, derandomize=True
                           suppress_health_check=list(HealthCheck))
 settings.load_profile("fuzz")
 
-WARM_UP = 500  # messages to each topic
-MESSAGES, READS = 1500, 1000
-MAX_GROWTH = 50_000  # bytes over MESSAGES: a leak of 34 bytes a message shows
+WARM_UP = 1000  # messages to each topic
+MESSAGES, READS = 3000, 1000
+MAX_GROWTH = 100_000  # bytes over MESSAGES: a leak of 34 bytes a message shows
 SETTLE_S = 1.0
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "config")
 PORT = f"/tmp/car_interface_fuzz_{os.getpid()}"
