@@ -237,3 +237,9 @@ def test_loopback_name_is_fine_while_the_master_is_here(network, monkeypatch):
     monkeypatch.setenv("ROS_IP", "localhost")
     _, (found,), _ = computer.probe_network("http://localhost:11311", answers)
     assert (found.level, found.what) == (OK, "ROS_IP, localhost: reached from this computer only")
+
+
+def test_master_whose_host_is_unknown_does_not_make_a_loopback_name_bad(network, monkeypatch):
+    monkeypatch.setenv("ROS_IP", "localhost")
+    _, (found,), _ = computer.probe_network("http://nowhere:11311", answers)
+    assert found.level == OK
