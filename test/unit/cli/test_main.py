@@ -14,7 +14,6 @@ from xml.etree import ElementTree
 import pytest
 
 from car_interface.cli import main as command_line
-from car_interface.cli import version as versions
 from car_interface.cli.main import MODULES, main
 from car_interface.common.errors import CarInterfaceError
 
@@ -190,22 +189,3 @@ def test_version_is_that_of_the_package(command_name, arguments, capsys):
         main(command_name, arguments)
     assert caught.value.code == 0
     assert capsys.readouterr().out == f"car_interface {setup_arguments()['version']}\n"
-
-
-def test_version_comes_from_the_metadata_where_there_is_no_package_xml(monkeypatch):
-    def missing(name):
-        raise CarInterfaceError(name)
-    monkeypatch.setattr(versions, "package_file", missing)
-    monkeypatch.setattr(versions.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
-    assert versions.version() == "1.2.3"
-
-
-def test_version_of_a_package_without_either_is_refused(monkeypatch):
-    def missing(name):
-        raise CarInterfaceError(name)
-    def unknown(name):
-        raise versions.metadata.PackageNotFoundError(name)
-    monkeypatch.setattr(versions, "package_file", missing)
-    monkeypatch.setattr(versions.metadata, "version", unknown)
-    with pytest.raises(CarInterfaceError, match=r"has neither package\.xml nor metadata"):
-        versions.version()

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import errno
-import grp
 import os
 import sys
 import types
@@ -11,7 +10,7 @@ import pytest
 
 from car_interface.doctor.checks import board
 from car_interface.doctor.checks.findings import BAD, OK
-from car_interface.doctor.probes import computer, devices
+from car_interface.doctor.probes import devices
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 
@@ -31,12 +30,6 @@ def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open_in_a_chroot_w
     monkeypatch.setattr(devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
     found, = devices.probe_port("/dev/null", 115200)
     assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
-
-
-def test_group_of_a_port_that_a_console_has_is_the_usual_one(monkeypatch):
-    monkeypatch.setattr(os, "stat", lambda path, **how: os.stat_result((0o20620, 3, 26, 1, 0, 5, 0, 0, 0, 0)))
-    monkeypatch.setattr(grp, "getgrgid", lambda number: grp.struct_group(("tty", "x", number, [])))
-    assert computer.group_of("/dev/ttyAMA0", "dialout") == "dialout"
 
 
 @pytest.fixture

@@ -1,0 +1,55 @@
+"""Options that several commands have in common."""
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+from car_interface.cli.options import add_namespace_argument, finite
+
+
+def parser():
+    made = argparse.ArgumentParser()
+    add_namespace_argument(made)
+    made.add_argument("--number", type=finite)
+    return made
+
+
+def test_namespace_is_the_root_by_default():
+    assert parser().parse_args([]).namespace == "/"
+
+
+@pytest.mark.parametrize("option", ["--ns", "--namespace"])
+def test_namespace_has_a_short_and_a_long_option(option):
+    assert parser().parse_args([option, "/car1"]).namespace == "/car1"
+
+
+def test_namespace_needs_a_name(capsys):
+    with pytest.raises(SystemExit) as caught:
+        parser().parse_args(["--ns"])
+    assert caught.value.code == 2 and "--ns/--namespace: expected one argument" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text, number", [("0", 0.0), ("-1.5", -1.5), (" 2 ", 2.0), ("1e3", 1000.0), ("+.25", 0.25)])
+def test_finite_number_is_read(text, number):
+    assert finite(text) == number
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "Infinity", "1e999"])
+def test_number_that_is_not_finite_is_refused_by_its_text(text):
+    with pytest.raises(argparse.ArgumentTypeError) as caught:
+        finite(text)
+    assert str(caught.value) == f"'{text}' is no finite number"
+
+
+@pytest.mark.parametrize("text", ["", "a", "1,5", "0x10"])
+def test_text_that_is_no_number_is_a_value_error(text):
+    with pytest.raises(ValueError):
+        finite(text)
+
+
+@pytest.mark.parametrize("text, message", [("inf", "'inf' is no finite number"), ("a", "invalid finite value: 'a'")])
+def test_parser_names_the_option_and_ends_with_2(text, message, capsys):
+    with pytest.raises(SystemExit) as caught:
+        parser().parse_args(["--number", text])
+    assert caught.value.code == 2 and f"argument --number: {message}" in capsys.readouterr().err

@@ -1,0 +1,67 @@
+"""The version of this package: where it comes from, and the option --version."""
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from car_interface.cli import version as versions
+from car_interface.common.errors import CarInterfaceError
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def missing_file(name):
+    raise CarInterfaceError(name)
+
+
+def test_version_is_the_one_in_package_xml():
+    assert versions.version() == ElementTree.parse(str(ROOT / "package.xml")).findtext("version")
+
+
+def test_package_xml_has_precedence_over_the_metadata(monkeypatch, tmp_path):
+    path = tmp_path / "package.xml"
+    path.write_text("<package><name>car_interface</name><version>4.5.6</version></package>", encoding="utf-8")
+    monkeypatch.setattr(versions, "package_file", {"package.xml": path}.__getitem__)
+    monkeypatch.setattr(versions.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
+    assert versions.version() == "4.5.6"
+
+
+def test_version_comes_from_the_metadata_where_there_is_no_package_xml(monkeypatch):
+    monkeypatch.setattr(versions, "package_file", missing_file)
+    monkeypatch.setattr(versions.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
+    assert versions.version() == "1.2.3"
+
+
+def test_version_of_a_package_without_either_is_refused(monkeypatch):
+    def unknown(name):
+        raise versions.metadata.PackageNotFoundError(name)
+    monkeypatch.setattr(versions, "package_file", missing_file)
+    monkeypatch.setattr(versions.metadata, "version", unknown)
+    with pytest.raises(CarInterfaceError, match=r"has neither package\.xml nor metadata"):
+        versions.version()
+
+
+@pytest.fixture
+def parser():
+    made = argparse.ArgumentParser()
+    made.add_argument("--version", action=versions.VersionAction)
+    return made
+
+
+def test_option_prints_name_and_version_and_ends_with_0(parser, monkeypatch, capsys):
+    monkeypatch.setattr(versions, "version", lambda: "7.8.9")
+    with pytest.raises(SystemExit) as caught:
+        parser.parse_args(["--version"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out == "car_interface 7.8.9\n"
+
+
+def test_version_is_looked_up_only_on_request(parser, monkeypatch):
+    def fails():
+        raise AssertionError("looked up")
+    monkeypatch.setattr(versions, "version", fails)
+    parser.parse_args([])
+    assert "print the version of car_interface and end" in parser.format_help()

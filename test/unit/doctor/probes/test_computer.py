@@ -1,0 +1,245 @@
+"""What the doctor reads from this computer, with fakes for its files, groups, kernel and network."""
+from __future__ import annotations
+
+import ctypes
+import grp
+import importlib.metadata
+import io
+import os
+import sys
+import time
+import types
+
+import pytest
+
+from car_interface.common.device_access import Membership
+from car_interface.doctor.checks.findings import BAD, OK, WARN
+from car_interface.doctor.probes import computer
+
+NOBODY = Membership("ann", False, frozenset(), frozenset(), frozenset({"dialout", "i2c", "input"}))
+MASTER = "http://car:11311"
+
+
+# --- groups ---
+
+
+def group_named(name, mode=0o20660):
+    """Fakes of os.stat and grp.getgrgid for a device of this group."""
+    return {"stat": lambda path, **how: os.stat_result((mode, 3, 26, 1, 0, 5, 0, 0, 0, 0)),
+            "getgrgid": lambda number: grp.struct_group((name, "x", number, []))}
+
+
+def test_group_of_a_device_is_read_from_it(monkeypatch):
+    fakes = group_named("gpio")
+    monkeypatch.setattr(os, "stat", fakes["stat"])
+    monkeypatch.setattr(grp, "getgrgid", fakes["getgrgid"])
+    assert computer.group_of("/dev/i2c-1", "i2c") == "gpio"
+
+
+def test_group_of_a_port_that_a_console_has_is_the_usual_one(monkeypatch):
+    fakes = group_named("tty", 0o20620)
+    monkeypatch.setattr(os, "stat", fakes["stat"])
+    monkeypatch.setattr(grp, "getgrgid", fakes["getgrgid"])
+    assert computer.group_of("/dev/ttyAMA0", "dialout") == "dialout"
+
+
+def test_group_of_an_absent_device_is_the_usual_one(tmp_path):
+    assert computer.group_of(str(tmp_path / "ttyACM0"), "dialout") == "dialout"
+
+
+def test_group_of_a_device_that_is_roots_is_the_usual_one(monkeypatch):
+    monkeypatch.setattr(os, "stat", lambda path, **how: os.stat_result((0o20600, 3, 26, 1, 0, 0, 0, 0, 0, 0)))
+    assert computer.group_of("/dev/ttyACM0", "dialout") == "dialout"
+
+
+def test_group_without_a_name_is_the_usual_one(monkeypatch):
+    def unknown(number):
+        raise KeyError(number)
+    monkeypatch.setattr(os, "stat", group_named("")["stat"])
+    monkeypatch.setattr(grp, "getgrgid", unknown)
+    assert computer.group_of("/dev/ttyACM0", "dialout") == "dialout"
+
+
+@pytest.fixture
+def member(monkeypatch):
+    """A user in no group, on a computer without a gamepad."""
+    monkeypatch.setattr(computer, "read_membership", lambda: NOBODY)
+    monkeypatch.setattr(computer, "group_of", lambda path, usual: usual)
+    monkeypatch.setattr(computer.glob, "glob", lambda pattern: [])
+
+
+def missing_groups(virtual_port=False, virtual_bus=False):
+    found = computer.probe_groups("/dev/ttyACM0", "/dev/i2c-1", virtual_port, virtual_bus)
+    return [(finding.level, finding.what) for finding in found]
+
+
+def test_port_and_bus_need_their_groups(member):
+    assert missing_groups() == [(BAD, "ann is not in dialout (the Teensy's port)"),
+                                (BAD, "ann is not in i2c (the servo board's bus)")]
+
+
+def test_virtual_devices_need_no_group(member):
+    assert missing_groups(virtual_bus=True) == [(BAD, "ann is not in dialout (the Teensy's port)")]
+    assert missing_groups(virtual_port=True) == [(BAD, "ann is not in i2c (the servo board's bus)")]
+    assert missing_groups(True, True) == [(OK, "none needed: the devices are virtual")]
+
+
+@pytest.mark.parametrize("readable, found", [(True, [(OK, "none needed: the devices are virtual")]),
+                                             (False, [(WARN, "ann is not in input (the gamepad)")])])
+def test_gamepad_needs_its_group_only_while_it_cannot_be_read(member, monkeypatch, readable, found):
+    monkeypatch.setattr(computer.glob, "glob", lambda pattern: ["/dev/input/js0"])
+    monkeypatch.setattr(os, "access", lambda path, mode: readable)
+    assert missing_groups(True, True) == found
+
+
+# --- clock ---
+
+
+def kernel(monkeypatch, state):
+    """A C library whose adjtimex returns ``state``; an exception = it is raised by loading it."""
+    def load(name, use_errno):
+        if isinstance(state, Exception):
+            raise state
+        return types.SimpleNamespace(adjtimex=lambda buffer: state)
+    monkeypatch.setattr(ctypes, "CDLL", load)
+    monkeypatch.setattr(time, "gmtime", lambda: time.struct_time((2026, 1, 1, 0, 0, 0, 3, 1, 0)))
+
+
+@pytest.mark.parametrize("state, level, what", [
+    (0, OK, "synchronised"),
+    (5, WARN, "not synchronised"),  # TIME_ERROR of adjtimex(2)
+    (-1, OK, "the kernel doesn't say"),
+    (OSError("no libc"), OK, "the kernel doesn't say"),
+    (AttributeError("adjtimex"), OK, "the kernel doesn't say"),
+], ids=["synchronised", "not_synchronised", "refused", "no_library", "no_function"])
+def test_clock_is_as_synchronised_as_the_kernel_has_it(monkeypatch, state, level, what):
+    kernel(monkeypatch, state)
+    (found,) = computer.probe_clock(False)
+    assert found.level == level and found.what.startswith(what)
+
+
+def test_wrong_year_and_sim_time_are_found(monkeypatch):
+    kernel(monkeypatch, 0)
+    monkeypatch.setattr(time, "gmtime", lambda: time.struct_time((1970, 1, 1, 0, 0, 0, 3, 1, 0)))
+    assert [finding.level for finding in computer.probe_clock(True)] == [BAD, WARN]
+
+
+# --- versions ---
+
+
+def test_versions_are_those_of_the_distributions(monkeypatch):
+    def version(distribution):
+        if distribution == "apart":
+            raise importlib.metadata.PackageNotFoundError(distribution)
+        return {"pyserial": "3.5"}[distribution]
+    modules = {"serial": types.ModuleType("serial"), "apart": types.SimpleNamespace(__version__="1.2"),
+               "built": types.ModuleType("built")}
+    monkeypatch.setattr(computer.importlib, "import_module", modules.__getitem__)
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    monkeypatch.setattr(computer, "LIBRARIES", (("serial", "pyserial", ""), ("apart", "apart", ""), ("built", "", ""),
+                                                ("absent", "absent", "install it")))
+    monkeypatch.setattr(sys, "version_info", (3, 8, 10, "final", 0))
+    found = [(finding.level, finding.what, finding.remedy) for finding in computer.probe_versions()]
+    assert found == [(OK, "Python 3.8.10, serial 3.5, apart 1.2, built", ""),
+                     (BAD, "absent can't be imported", "install it")]
+
+
+@pytest.mark.parametrize("error", [ImportError("no"), OSError("libfoo.so is missing"), SyntaxError("bad")])
+def test_library_that_fails_in_any_way_is_a_finding(monkeypatch, error):
+    def fails(name):
+        raise error
+    monkeypatch.setattr(computer.importlib, "import_module", fails)
+    assert [finding.level for finding in computer.probe_versions()] == [OK] + [BAD] * len(computer.LIBRARIES)
+
+
+# --- network ---
+
+
+@pytest.fixture
+def network(monkeypatch):
+    """Hosts by name, of which 10.0.0.1 and the loopback are this computer's; /proc/net is empty."""
+    hosts = {"car": ["10.0.0.1"], "other": ["10.0.0.2"], "localhost": ["127.0.0.1", "::1"]}
+    tables = {"/proc/net/tcp": "header\n"}
+
+    def getaddrinfo(host, port, **how):
+        if host not in hosts:
+            raise OSError("unknown host")
+        return [(0, 0, 0, "", (address, 0)) for address in hosts[host]]
+
+    def opened(path, encoding):
+        if path not in tables:
+            raise FileNotFoundError(path)
+        return io.StringIO(tables[path])
+    monkeypatch.setattr(computer.socket, "getaddrinfo", getaddrinfo)
+    monkeypatch.setattr(computer.socket, "gethostname", lambda: "car")
+    monkeypatch.setattr(computer, "_is_local", lambda address: address in ("10.0.0.1", "127.0.0.1", "::1"))
+    monkeypatch.setattr(computer, "open", opened, raising=False)
+    for name in ("ROS_HOSTNAME", "ROS_IP"):
+        monkeypatch.delenv(name, raising=False)
+    return types.SimpleNamespace(hosts=hosts, tables=tables)
+
+
+def answers():
+    return ""
+
+
+def no_answer():
+    return "Connection refused"
+
+
+def test_master_on_this_computer_that_answers_is_ok(network):
+    master, address, is_there = computer.probe_network(MASTER, answers)
+    assert is_there and [(one.level, one.what) for one in master] == [(OK, "http://car:11311 answers")]
+    assert [(one.level, one.what) for one in address] == [(OK, "this host's name, car")]
+
+
+def test_listening_address_is_read_from_the_kernels_table(network):
+    # 0x2C2F is port 11311; state 0A listens.
+    network.tables["/proc/net/tcp"] += "   0: 00000000:2C2F 00000000:0000 0A\n"
+    (found,), _, _ = computer.probe_network(MASTER, answers)
+    assert found.level == WARN and "listens on every interface" in found.what
+
+
+def test_master_that_does_not_answer_is_not_there(network):
+    (found,), _, is_there = computer.probe_network(MASTER, no_answer)
+    assert not is_there and (found.level, found.what.split(";")[0]) == (WARN, "none runs at http://car:11311")
+
+
+def test_master_on_another_host_is_named_and_needs_an_address_that_is_reached_from_there(network, monkeypatch):
+    monkeypatch.setenv("ROS_HOSTNAME", "localhost")
+    (master,), (address,), is_there = computer.probe_network("http://other:11311", answers)
+    assert is_there and (master.level, address.level) == (WARN, BAD)
+    assert "is on another host" in master.what and "nodes there can't reach those here" in address.what
+
+
+def test_master_whose_host_is_unknown_is_not_asked(network):
+    def asked():
+        raise AssertionError("asked")
+    (found,), _, is_there = computer.probe_network("http://nowhere:11311", asked)
+    assert not is_there and (found.level, found.what) == (BAD, "its host, nowhere, can't be found")
+
+
+@pytest.mark.parametrize("uri, what", [("", "ROS_MASTER_URI is not set"),
+                                       ("car:11311", "which is no master's address")])
+def test_uri_that_is_none_ends_the_probe(network, uri, what):
+    (found,), address, is_there = computer.probe_network(uri, answers)
+    assert found.level == BAD and what in found.what and address == [] and is_there is False
+
+
+@pytest.mark.parametrize("name, what", [("nowhere", "can't be looked up"), ("other", "isn't this computer's")])
+def test_own_name_that_leads_elsewhere_is_bad(network, monkeypatch, name, what):
+    monkeypatch.setenv("ROS_HOSTNAME", name)
+    _, (found,), _ = computer.probe_network(MASTER, answers)
+    assert found.level == BAD and what in found.what
+
+
+def test_loopback_name_is_fine_while_the_master_is_here(network, monkeypatch):
+    monkeypatch.setenv("ROS_IP", "localhost")
+    _, (found,), _ = computer.probe_network("http://localhost:11311", answers)
+    assert (found.level, found.what) == (OK, "ROS_IP, localhost: reached from this computer only")
+
+
+def test_master_whose_host_is_unknown_does_not_make_a_loopback_name_bad(network, monkeypatch):
+    monkeypatch.setenv("ROS_IP", "localhost")
+    _, (found,), _ = computer.probe_network("http://nowhere:11311", answers)
+    assert found.level == OK
