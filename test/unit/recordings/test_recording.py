@@ -73,20 +73,6 @@ def test_mcap_of_autoware_is_read_by_its_folder_and_by_its_file():
     assert topics(str(MCAP))["/odd"] == "tier4_vehicle_msgs/msg/Unheard"
 
 
-def test_autowares_messages_are_known_where_the_recording_has_no_definitions(tmp_path):
-    lateral, longitudinal, control = (
-        (f"autoware_control_msgs/{name}", (recording_root() / "msg" / f"{name}.msg").read_text(encoding="utf-8"))
-        for name in ("Lateral", "Longitudinal", "Control"))
-    command = Written(0.0, "/cmd", "autoware_control_msgs/Control", {"longitudinal": {"acceleration": 0.5}})
-    path = write_ros2(tmp_path / "a", [command], with_definitions=False, extra_types=[lateral, longitudinal, control])
-    (recorded,) = read(str(path), ["cmd"])
-    assert recorded.message.longitudinal.acceleration == 0.5
-
-
-def recording_root():
-    return Path(__file__).resolve().parents[3]
-
-
 @pytest.mark.parametrize("asked, namespace, found", [
     pytest.param("odom", "/car1", ["/car1/odom"], id="relative_name_below_the_namespace"),
     pytest.param("odom", "car1/", ["/car1/odom"], id="namespace_without_and_with_slashes"),
@@ -98,29 +84,6 @@ def recording_root():
 def test_name_is_looked_up_below_the_namespace_first(asked, namespace, found):
     recorded = ["/car1/odom", "/diagnostics", "/car1/servo/output", "/servo/output"]
     assert recording.absolute_names(recorded, [asked], namespace) == dict.fromkeys(found, asked)
-
-
-def test_messages_of_overlapping_chunks_come_by_time(tmp_path):
-    # Each connection is in order; the file has one after the other, as a bag has that tools put together.
-    path = write_ros1(tmp_path / "a.bag", VALUES + ODOMETRY, chunk_bytes=300)
-    recorded = list(read(str(path), ["odom", "generic/output/value"]))
-    assert [message.time_ns for message in recorded] == sorted(message.time_ns for message in recorded)
-    assert len(recorded) == 20
-
-
-def test_clock_that_was_set_back_leaves_the_order_of_recording(tmp_path):
-    back = [message._replace(time_s=message.time_s - 0.55, fields={"data": message.fields["data"] + 100})
-            for message in VALUES]
-    path = write_ros1(tmp_path / "a.bag", VALUES + [message for message in back if message.time_s >= 0],
-                      chunk_bytes=100)
-    assert data_of(read(str(path), ["generic/output/value"])) == [*range(10), 106, 107, 108, 109]
-
-
-@pytest.mark.parametrize("back_s, steps", [(0.9, 0), (1.1, 1)])
-def test_clock_was_set_where_time_goes_back_by_more_than_a_second(back_s, steps, tmp_path):
-    back = [message._replace(time_s=message.time_s + 5 - back_s) for message in VALUES[:3]]
-    path = write_ros1(tmp_path / "a.bag", [VALUES[0]._replace(time_s=5.0), *back])
-    assert contents(str(path)).steps_back == steps
 
 
 def test_reader_may_stop_in_the_middle(bag):

@@ -1,0 +1,226 @@
+"""The columns of a topic: their times, and the messages that are left out."""
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from car_interface.recordings.columns import (
+    CommandColumn,
+    ImuColumn,
+    OdomColumn,
+    OutputColumn,
+    ValueColumn,
+    message_stamp_ns,
+)
+from car_interface.recordings.recording import Recorded
+from car_interface.recordings.signals import IMU, ODOM, OUTPUT, VALUE, load
+from car_interface.recordings.timeline import Timeline
+from written_recordings import START_NS, Written, odometry, stamp, write_ros1, write_ros2
+
+ODOMETRY = [odometry(0.1 * index, x_m=0.2 * index, yaw_rad=0.5 * index, speed_mps=2.0) for index in range(20)]
+
+
+def vector(time_s, duties):
+    return Written(time_s, "/servo/output", "std_msgs/Int32MultiArray", {"data": duties})
+
+
+def duties(first, second=-1):
+    return [first, second] + [-1] * 14
+
+
+OUTPUTS = [vector(0.0, duties(5104)), vector(0.5, duties(3808)), vector(1.0, duties(3808, 4912))]
+
+
+def vectors(column, *rows):
+    """Adds (recording time in s, duties) to a column."""
+    for time_s, duties in rows:
+        column.add(Recorded(0, column.topic, SimpleNamespace(data=duties)), time_s, Timeline())
+    return column
+
+
+def values(column, *rows):
+    """Adds (recording time in s, stamp in s, number) to a column, on a time scale that begins at START_NS."""
+    timeline = Timeline()
+    timeline.recorded_s(START_NS)
+    for time_s, stamp_s, number in rows:
+        time_ns = START_NS + round(stamp_s * 1e9)
+        message = SimpleNamespace(stamp=SimpleNamespace(sec=time_ns // 10**9, nanosec=time_ns % 10**9), data=number)
+        column.add(Recorded(0, column.topic, message), time_s, timeline)
+    return column
+
+
+# --- whole recordings ---
+
+
+@pytest.mark.parametrize("write", (write_ros1, write_ros2), ids=("ROS 1", "ROS 2"))
+def test_odometry_counts_by_its_stamps_and_its_heading_is_unwrapped(tmp_path, write):
+    later = [message._replace(time_s=message.time_s + 0.03) for message in ODOMETRY]
+    odom = load(str(write(tmp_path / "a.bag", later)), [ODOM]).odom
+    assert odom.t_s == pytest.approx(0.1 * np.arange(20) - 0.03, abs=1e-6)
+    assert odom.x_m == pytest.approx(0.2 * np.arange(20))
+    assert odom.yaw_rad == pytest.approx(0.5 * np.arange(20))
+    assert set(odom.speed_mps) == {2.0}
+
+
+def test_unchanged_output_is_kept_now_and_then_only(tmp_path):
+    many = [vector(0.01 * index, duties(5104)) for index in range(200)]
+    output = load(str(write_ros1(tmp_path / "a.bag", many)), [OUTPUT]).output
+    assert 3 <= len(output.t_s) <= 5
+
+
+@pytest.mark.parametrize("bad, note", (
+    (odometry(0.55, x_m=math.nan), "/odom: 1 message with a number that is none: left out"),
+    (odometry(0.1)._replace(time_s=0.55), "/odom: 1 message with a stamp that doesn't rise: left out"),
+    (odometry(500.0)._replace(time_s=0.55),
+     "/odom: 1 message with a stamp seconds away from when it was recorded: recording time taken"),
+), ids=("not a number", "stamp back", "stamp far away"))
+def test_what_is_left_out_is_counted_with_its_topic(tmp_path, bad, note):
+    path = write_ros1(tmp_path / "a.bag", [*ODOMETRY[:6], bad, *ODOMETRY[6:]])
+    found = load(str(path), [ODOM], odom="/odom")
+    assert found.notes == (note,)
+    assert np.all(np.diff(found.odom.t_s) > 0) and np.all(np.isfinite(found.odom.x_m))
+
+
+def test_vector_of_another_length_is_left_out(tmp_path):
+    found = load(str(write_ros1(tmp_path / "a.bag", [vector(0.0, [1, 2]), *OUTPUTS[1:]])), [OUTPUT])
+    assert found.output.t_s == pytest.approx([0.5, 1.0])
+    assert found.notes == ("/servo/output: 1 message that don't have 16 duties: left out",)
+
+
+def test_message_without_a_stamp_counts_by_its_recording(tmp_path):
+    values = [Written(0.1 * index, "/generic/output/value", "car_interface/Float64Stamped", {"data": float(index)})
+              for index in range(5)]
+    found = load(str(write_ros1(tmp_path / "a.bag", values)), [VALUE])
+    assert found.value.t_s == pytest.approx(0.1 * np.arange(5))
+    assert found.value.value.tolist() == [0, 1, 2, 3, 4]
+
+
+def imu(time_s, pitch_rad=0.0, unknown=False):
+    covariance = [-1.0] + [0.0] * 8 if unknown else [0.01] * 9
+    return Written(time_s, "/imu/data", "sensor_msgs/Imu", {
+        "header": {"stamp": stamp(time_s)}, "angular_velocity": {"z": 0.3}, "linear_acceleration": {"x": 1.5},
+        "orientation": {"y": math.sin(pitch_rad / 2), "w": math.cos(pitch_rad / 2)},
+        "orientation_covariance": covariance})
+
+
+def test_imu_has_pitch_nose_down_unless_it_says_that_it_knows_none(tmp_path):
+    messages = [imu(0.0, 0.1), imu(0.1, -0.2), imu(0.2, 0.3, unknown=True)]
+    found = load(str(write_ros1(tmp_path / "a.bag", messages)), [IMU])
+    assert found.imu.pitch_rad[:2] == pytest.approx([0.1, -0.2]) and math.isnan(found.imu.pitch_rad[2])
+    assert set(found.imu.yaw_rate_radps) == {0.3} and set(found.imu.acceleration_mps2) == {1.5}
+
+
+# --- columns with stamps ---
+
+
+def test_stamp_up_to_two_seconds_from_the_recording_time_counts_and_others_do_not():
+    column = values(ValueColumn("v"), (0.0, -1.99, 1), (0.1, -2.2, 2), (3.0, 4.99, 3), (5.1, 7.2, 4))
+    assert column.build().t_s == pytest.approx([-1.99, 0.1, 4.99, 5.1])
+    assert column.notes() == [
+        "v: 2 messages with a stamp seconds away from when it was recorded: recording time taken"]
+
+
+def test_repeated_stamp_is_left_out():
+    column = values(ValueColumn("v"), (0.0, 0.0, 1), (0.1, 0.0, 2), (0.2, 0.2, 3))
+    assert column.build().value.tolist() == [1, 3]
+    assert column.notes() == ["v: 1 message with a stamp that doesn't rise: left out"]
+
+
+def test_each_reason_has_a_note_of_its_own():
+    column = values(ValueColumn("v"), (0.0, 0.0, 1), (0.1, 0.1, math.nan), (0.2, 0.2, math.inf), (0.3, 0.0, 2))
+    assert column.notes() == ["v: 2 messages with a number that is none: left out",
+                              "v: 1 message with a stamp that doesn't rise: left out"]
+
+
+@pytest.mark.parametrize("kind", [ImuColumn, OdomColumn, OutputColumn, CommandColumn, ValueColumn])
+def test_column_is_empty_until_a_message_can_be_used(kind):
+    column = kind("topic")
+    assert column.is_empty and column.notes() == []
+    column.finish(Timeline())
+    assert column.is_empty
+
+
+def test_message_that_can_not_be_used_leaves_a_column_empty():
+    assert values(ValueColumn("v"), (0.0, 0.0, math.nan)).is_empty
+    assert not values(ValueColumn("v"), (0.0, 0.0, 1.0)).is_empty
+    assert vectors(OutputColumn("o"), (0.0, [1] * 15), (0.1, [1] * 17), (0.2, [])).is_empty
+
+
+@pytest.mark.parametrize("orientation, unknown", [
+    pytest.param((0, 0, 0, 0), False, id="all_zero"),
+    pytest.param((0, 0.3, 0, 0.8), False, id="not_of_unit_length"),
+    pytest.param((0, 0, 0, 1), True, id="covariance_of_minus_1"),
+])
+def test_pitch_is_nan_without_an_orientation(orientation, unknown):
+    assert math.isnan(pitch_rad(orientation, unknown))
+
+
+@pytest.mark.parametrize("orientation, pitch", [
+    pytest.param((0, 0, 0, 1), 0.0, id="level"),
+    pytest.param((0, 0.5 ** 0.5, 0, 0.5 ** 0.5), math.pi / 2, id="nose_straight_down"),
+    pytest.param((0, -0.5, 0, 0.75 ** 0.5), -math.pi / 3, id="nose_up_60_degrees"),
+    pytest.param((0.5, 0, 0, 0.75 ** 0.5), 0.0, id="roll_only"),
+])
+def test_pitch_is_that_of_the_orientation(orientation, pitch):
+    assert pitch_rad(orientation) == pytest.approx(pitch, abs=1e-6)
+
+
+def pitch_rad(orientation, unknown=False):
+    x, y, z, w = orientation
+    column = ImuColumn("imu/data")
+    message = SimpleNamespace(
+        angular_velocity=SimpleNamespace(z=0.0), linear_acceleration=SimpleNamespace(x=0.0),
+        orientation=SimpleNamespace(x=x, y=y, z=z, w=w), orientation_covariance=[-1.0 if unknown else 0.0] * 9)
+    column.add(Recorded(0, "imu/data", message), 0.0, Timeline())
+    return column.build().pitch_rad[0]
+
+
+# --- columns of duties ---
+
+
+def test_output_that_does_not_change_has_a_row_each_half_second():
+    rows = [(0.1 * index, [5104] * 16) for index in range(11)]
+    assert vectors(OutputColumn("o"), *rows).build().t_s == pytest.approx([0.0, 0.5, 1.0])
+
+
+def test_output_that_changes_has_a_row_at_once():
+    output = vectors(OutputColumn("o"), (0.0, [1] * 16), (0.001, [2] * 16), (0.002, [1] * 16)).build()
+    assert output.t_s.tolist() == [0.0, 0.001, 0.002]
+    assert output.duties.shape == (3, 16) and output.duties[:, 15].tolist() == [1, 2, 1]
+
+
+def test_output_that_was_recorded_earlier_than_the_one_before_is_left_out():
+    column = vectors(OutputColumn("o"), (1.0, [1] * 16), (0.9, [2] * 16), (1.0, [3] * 16))
+    assert column.build().duties[:, 0].tolist() == [1, 3]
+    assert column.notes() == ["o: 1 message with a stamp that doesn't rise: left out"]
+
+
+@pytest.mark.parametrize("command, output", [
+    # A count of the PCA9685 is 16 duties: the nearest one, and full on for 4096 counts.
+    (0, 0), (7, 0), (8, 16), (5101, 5104), (65527, 65520), (65528, 65535), (65535, 65535),
+])
+def test_command_is_the_duty_of_the_nearest_count(command, output):
+    assert vectors(CommandColumn("c"), (0.0, [command] * 16)).build().duties.tolist() == [[output] * 16]
+
+
+@pytest.mark.parametrize("outside", [-1, -2, 65536])
+def test_command_outside_the_range_leaves_its_channel_unchanged(outside):
+    output = vectors(CommandColumn("c"), (0.0, [outside, 1600] + [-1] * 14),
+                     (0.1, [3200, outside] + [-1] * 14), (0.2, [outside, 4800] + [-1] * 14)).build()
+    assert output.duties[:, :3].tolist() == [[-1, 1600, -1], [3200, 1600, -1], [3200, 4800, -1]]
+
+
+# --- stamps ---
+
+
+@pytest.mark.parametrize("message, time_ns", [
+    (SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(secs=2, nsecs=5))), 2_000_000_005),
+    (SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=2, nanosec=5))), 2_000_000_005),
+    (SimpleNamespace(stamp=SimpleNamespace(sec=3, nanosec=0)), 3_000_000_000),
+    (SimpleNamespace(data=1.0), 0),
+], ids=["header_of_ros1", "header_of_ros2", "stamp_of_its_own", "no_stamp"])
+def test_stamp_of_a_message_is_in_nanoseconds(message, time_ns):
+    assert message_stamp_ns(message) == time_ns

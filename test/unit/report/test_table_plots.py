@@ -1,0 +1,53 @@
+"""Pictures of a steering calibration and of a value map."""
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import pytest
+
+from car_interface.report import table_plots
+from car_interface.report.table_plots import draw
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.throttle.value_map import ValueMap
+
+RADII_M = (1.0, 2.0, 5.0, 100.0)
+STEERING = SteeringCalibration(3800, 5100, 6700, 0, RADII_M, (3800, 4400, 4800, 5080), (6700, 5900, 5400, 5120))
+REVERSED = SteeringCalibration(6700, 5100, 3800, 0, RADII_M, (6700, 5900, 5400, 5120), (3800, 4400, 4800, 5080))
+MAP = ValueMap([0, 1], [0, 2], [[-1, -2], [3, 2.5]])
+TABLES = pytest.mark.parametrize("table", [
+    STEERING, REVERSED, MAP,
+    ValueMap([0, 1], [0, 2], [[1, 2], [3, 2.5]]),
+    ValueMap([0, 1, 2], list(range(20)), [[value - 1 for _ in range(20)] for value in range(3)]),
+], ids=["steering", "reversed_servo", "map", "map_without_0", "map_with_many_velocities"])
+
+
+@TABLES
+def test_every_table_can_be_drawn(table):
+    assert draw(table, "png", "a").startswith(b"\x89PNG\r\n")
+
+
+@pytest.mark.parametrize("kind, begin", [("svg", b"<?xml"), ("png", b"\x89PNG\r\n"), ("pdf", b"%PDF-")])
+@pytest.mark.parametrize("table", [STEERING, MAP], ids=["steering", "map"])
+def test_picture_is_a_file_of_the_kind_asked_for(table, kind, begin):
+    assert draw(table, kind, "a").startswith(begin)
+
+
+def test_svg_is_well_formed_and_the_same_each_time():
+    first = draw(STEERING, "svg", "a")
+    assert ElementTree.fromstring(first).tag == "{http://www.w3.org/2000/svg}svg"
+    assert draw(STEERING, "svg", "a") == first
+    assert draw(REVERSED, "svg", "a") != first
+
+
+def test_picture_has_the_files_name_without_its_folder():
+    assert draw(MAP, "svg", "/home/car/mine.csv") == draw(MAP, "svg", "mine.csv")
+    assert draw(MAP, "svg", "mine.csv") != draw(MAP, "svg", "other.csv")
+
+
+@pytest.mark.parametrize("axis", [RADII_M, [float(index) for index in range(1, 101)], [3.0, 3.01, 3.02, 300.0]],
+                         ids=["few", "many", "crowded"])
+def test_labels_below_radii_are_a_twelfth_of_the_axis_apart(axis):
+    shown = table_plots._labelled(list(axis))
+    assert set(shown) <= set(axis) and shown[-1] == axis[-1]
+    min_ratio = (axis[-1] / axis[0]) ** (1 / 12)
+    assert all(later / earlier >= min_ratio * (1 - 1e-9) for earlier, later in zip(shown, shown[1:]))
