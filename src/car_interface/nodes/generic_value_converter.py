@@ -175,7 +175,7 @@ class GenericValueConverter:
                     "servo/duty_table": list(trimmed(config, **values).duty_table)}
 
         return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, EscNeutralConfig,
-                                 settings.save_to, namespace="servo")
+                                 settings, namespace="servo")
 
     def step(self, now_ns):
         """Handle each message and its effect on the ESC; then the timers."""
