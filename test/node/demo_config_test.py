@@ -43,8 +43,10 @@ class DemoTest(unittest.TestCase):
         self.port = str(self.folder / "teensy")
 
     def launch(self, *arguments):
-        """The demo in a namespace of its own, so that nothing of an earlier one is taken for it."""
-        return start(self, "roslaunch", "car_interface", "demo.launch", f"port:={self.port}", *arguments)
+        """The demo; each in a namespace of its own, so that nothing of an earlier one is taken for it."""
+        demo = start(self, "roslaunch", "car_interface", "demo.launch", f"port:={self.port}", *arguments)
+        self.addCleanup(demo.end)
+        return demo
 
     def call(self, service):
         rospy.wait_for_service(service, 30)
