@@ -45,6 +45,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.ros_clock import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import subscribe
@@ -195,6 +196,7 @@ class CarSim:
         self._line = VirtualLine(config.port, self._firmware, config.firmware.seed, inbox)
         self._line.serve(time.monotonic_ns)
         self._timer = RateTimer(TRUTH_RATE_HZ, now_ns)
+        self._ros_clock = RosClock()
         self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
         self._collision_counts = rospy.Publisher("~collisions", Int32, queue_size=10, latch=True)
         self._collision_counts.publish(0)
@@ -243,7 +245,7 @@ class CarSim:
     def _publish_truth(self):
         vehicle = self._vehicle
         message = Odometry(child_frame_id="base_link")
-        message.header.stamp = rospy.Time.now()
+        message.header.stamp = self._ros_clock.stamp("truth", vehicle.time_ns)
         message.header.frame_id = "odom"
         message.pose.pose.position = Point(vehicle.pose.x_m, vehicle.pose.y_m, 0.0)
         half_yaw = vehicle.pose.yaw_rad / 2

@@ -42,6 +42,7 @@ from car_interface.msg import Control, Float64Stamped, SteeringState
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.reconfigure import ReconfigureServer
+from car_interface.ros.ros_clock import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
@@ -145,6 +146,7 @@ class GenericValueConverter:
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._diagnostics = Diagnostics(inbox, "none", {"converter": self._report}, now_ns)
+        self._ros_clock = RosClock()
         self._values = advertise("~output/value", Float64Stamped, inbox)
         if self._throttle is not None:
             self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
@@ -222,7 +224,8 @@ class GenericValueConverter:
             self._warnings.warn(conversion.cause, f"no output: {conversion.reason}")
             return
         self._counts["values"] += 1
-        self._values.publish(Float64Stamped(stamp=rospy.Time.now(), data=conversion.value))
+        self._values.publish(Float64Stamped(stamp=self._ros_clock.stamp("value", time.monotonic_ns()),
+                                             data=conversion.value))
 
     def _on_steering(self, message, now_ns):
         self._throttle.update_steering(message.source, now_ns)
