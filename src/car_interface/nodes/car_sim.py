@@ -102,6 +102,12 @@ def _read_steering(params):
         params.numbers("steering/k_pwmcmd_right_table_servo")))
 
 
+def _esc_channel(params):
+    """The ESC's channel by a car's files, whose −1 means that the car has none."""
+    channel = params.integer("esc/servo/channel", 1)
+    return channel if channel >= 0 else 1
+
+
 def _read_drive(params):
     """The ESC and the motor. A car's own ESC differs in its neutral."""
     drive = DriveConfig()
@@ -164,8 +170,7 @@ def read_config(params) -> CarSimConfig:
         port=params.text("port", "/tmp/car_sim_teensy"),
         steering_channel=params.integer(
             "steering_channel", params.integer("steering/servo_channel", 0), low=0, high=CHANNELS - 1),
-        throttle_channel=params.integer(
-            "throttle_channel", params.integer("esc/servo/channel", 1), low=0, high=CHANNELS - 1),
+        throttle_channel=params.integer("throttle_channel", _esc_channel(params), low=0, high=CHANNELS - 1),
         vehicle=vehicle,
         world=WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)),
         firmware=read_firmware(params, rng, seed, vehicle.pulse_phase),
