@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 import xmlrpc.client
-from typing import Any, Callable, Mapping
+from typing import Callable, Mapping
 
 import rosgraph
 import rospy
