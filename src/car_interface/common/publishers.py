@@ -13,6 +13,7 @@ from car_interface.common.units import NS_PER_S
 # A publisher that comes, sends once and goes, as ``rostopic pub -1`` does in 3 s, is shown but not logged.
 LASTING_NS = 5 * NS_PER_S
 LOG_PERIOD_NS = 10 * NS_PER_S
+REPORT = "command topics"  # on /diagnostics
 BY_HAND = ("rostopic_", "rqt_gui_py_node")  # how tools call their nodes
 
 
