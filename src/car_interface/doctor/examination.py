@@ -12,6 +12,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
 from car_interface.doctor.checks.car import Node, check_diagnostics, check_nodes, check_parameters, check_steering
 from car_interface.doctor.checks.findings import OK, WARN, Finding
+from car_interface.doctor.checks.gamepad import check_gamepad
 from car_interface.doctor.checks.port import check_link
 from car_interface.doctor.probes.computer import probe_clock, probe_groups, probe_network, probe_versions
 from car_interface.doctor.probes.devices import is_pseudo_terminal, probe_board, probe_port
@@ -19,13 +20,14 @@ from car_interface.doctor.probes.master import NODES, Master, read_parameters
 from car_interface.doctor.task import Task
 from car_interface.pca9685.registers import prescale_for
 from car_interface.teensy.link.health import LINK_REPORT
+from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
 
 VIRTUAL = "virtual"
 STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/dev/ttyAMA0", "/dev/i2c-1", 0x40
 USUAL_BAUD = 115200
 # Names and addresses, then the nodes, then all the rest at the same time: 9 s at most.
 NETWORK_S, SURVEY_S, PROBES_S = 2.0, 2.0, 4.5
-REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
+REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "teleop_logi")
 
 
 class Options(NamedTuple):
@@ -137,7 +139,7 @@ def examine(options: Options) -> Iterator[Finding]:
     board = None if virtual_bus else Task("bus", probe_board, car.bus, car.address, car.prescale,
                                           car.runs("pca9685") is not None, car.oscillator_hz)
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
-    topics = Task("topics", _listen_to_topics, car, hub, reporting) if reporting else None
+    topics = Task("topics", _listen_to_topics, master, car, hub, reporting) if reporting else None
 
     yield from versions.findings(deadline_s)
     yield from groups.findings(deadline_s)
@@ -159,8 +161,11 @@ def examine(options: Options) -> Iterator[Finding]:
     if topic_reports:
         if car.runs("turn_arb"):
             yield from check_steering(topic_reports.steering, car.runs("turn_arb").path)
-        yield from check_diagnostics(topic_reports.reports, options.namespace, reporting,
-                                     [f"{hub.path.strip('/')}: {LINK_REPORT}"] if hub and topic_reports.link else [])
+        covered = [f"{hub.path.strip('/')}: {LINK_REPORT}"] if hub and topic_reports.link else []
+        if topic_reports.gamepad:
+            yield from check_gamepad(topic_reports.gamepad)
+            covered.append(f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}")
+        yield from check_diagnostics(topic_reports.reports, options.namespace, reporting, covered)
 
 
 def _or(result_and_trouble, default):
@@ -173,10 +178,12 @@ def _read_all(master, car):
     return check_parameters([reading for reading in readings if reading is not None])
 
 
-def _listen_to_topics(car, hub, reporting):
-    from car_interface.doctor.probes.topics import listen  # it needs rospy, which may be what is missing
-    turn_arb = car.runs("turn_arb")
-    return listen(hub and hub.path, turn_arb and turn_arb.path, reporting)
+def _listen_to_topics(master, car, hub, reporting):
+    from car_interface.doctor.probes.gamepad import GamepadListener  # they need rospy, which may be what is missing
+    from car_interface.doctor.probes.topics import listen
+    turn_arb, teleop_logi = car.runs("turn_arb"), car.runs("teleop_logi")
+    return listen(hub and hub.path, turn_arb and turn_arb.path, reporting,
+                  teleop_logi and GamepadListener(master, teleop_logi))
 
 
 def _virtual_board(car):

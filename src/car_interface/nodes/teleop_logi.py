@@ -33,27 +33,16 @@ from car_interface.msg import TeleopState
 from car_interface.ros.diagnostics import ERROR, OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.teleop.gamepad import REPORT, Gamepad, GamepadConfig, remedy
+from car_interface.teleop.gamepad import REPORT, Gamepad, GamepadConfig, read_gamepad, remedy
 from car_interface.teleop.log_filter import RequestsLogFilter
 
 RATE_HZ = 50
 TICKS_PER_STATE = 5
-MAX_AXES = 64
 
 
 def read_config(params) -> GamepadConfig:
     """The node's configuration from its parameters."""
-    config = GamepadConfig(
-        steer_axis=params.integer("steer_axis", low=0, high=MAX_AXES - 1),
-        throttle_axis=params.integer("throttle_axis", low=0, high=MAX_AXES - 1),
-        manual_button=params.integer("manual_button", low=0, high=MAX_AXES - 1),
-        autonomous_button=params.integer("autonomous_button", low=0, high=MAX_AXES - 1),
-        steer_scale=params.number("steer_scale", 1.0, low=-1, high=1),
-        throttle_scale=params.number("throttle_scale", 1.0, low=-1, high=1),
-        steer_neutral=params.number("steer_neutral", 0.0, low=-1, high=1),
-        steer_deadband=params.number("steer_deadband", 0.001, low=0.0, high=0.4),
-        joy_timeout_s=params.timeout("joy_timeout", 0.25),
-    )
+    config = read_gamepad(params)
     params.finish()
     return config
 

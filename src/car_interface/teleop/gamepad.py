@@ -16,14 +16,16 @@ from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.interlock.motion_interlock import STARTED
 
 REARM_TEXT = "let go of the deadman, then hold it again"
+MAX_INDEX = 63  # of an axis or a button
 REPORT = "gamepad"  # teleop_logi's on /diagnostics
 # What to do about a gamepad that doesn't work. The switch is that of Logitech's F310 and F710, whose X mode has 8 axes
 # and 11 buttons, and whose D mode has 6 and 12, with the cross in the place of the right stick.
 MODE_REMEDY = ("Is the gamepad in another mode? A Logitech F710 or F310 needs its switch at X for the shipped indices. "
                "For another gamepad set teleop_logi's indices: rostopic echo {joy}")
 REMEDIES = {
-    causes.JOY_NEVER_RECEIVED: "See whether joy_node runs and finds the gamepad: rostopic info {joy}; ls /dev/input/js*",
-    causes.JOY_STALE: "See whether the gamepad is on, charged and in range, and joy_node runs: rostopic hz {joy}",
+    causes.JOY_NEVER_RECEIVED: ("See whether joy_node runs and finds the gamepad: rostopic info {joy}; "
+                                "ls /dev/input/js*"),
+    causes.JOY_STALE: "See whether the gamepad is on, charged and in range and joy_node runs: rostopic hz {joy}",
     causes.JOY_INCOMPLETE: MODE_REMEDY,
     causes.JOY_NOT_FINITE: "See what sends it: rostopic info {joy}; rostopic echo {joy}",
 }
@@ -61,6 +63,21 @@ class GamepadConfig:
     def __post_init__(self):
         if self.manual_button == self.autonomous_button:
             raise ConfigError("autonomous_button", self.autonomous_button, "a button other than manual_button's")
+
+
+def read_gamepad(params) -> GamepadConfig:
+    """The configuration from teleop_logi's parameters."""
+    return GamepadConfig(
+        steer_axis=params.integer("steer_axis", low=0, high=MAX_INDEX),
+        throttle_axis=params.integer("throttle_axis", low=0, high=MAX_INDEX),
+        manual_button=params.integer("manual_button", low=0, high=MAX_INDEX),
+        autonomous_button=params.integer("autonomous_button", low=0, high=MAX_INDEX),
+        steer_scale=params.number("steer_scale", 1.0, low=-1, high=1),
+        throttle_scale=params.number("throttle_scale", 1.0, low=-1, high=1),
+        steer_neutral=params.number("steer_neutral", 0.0, low=-1, high=1),
+        steer_deadband=params.number("steer_deadband", 0.001, low=0.0, high=0.4),
+        joy_timeout_s=params.timeout("joy_timeout", 0.25),
+    )
 
 
 class Requests(NamedTuple):
