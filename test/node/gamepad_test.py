@@ -172,7 +172,7 @@ class GamepadFails(unittest.TestCase):
         lines = output_of(executable("doctor"), "--ns", "one").splitlines()
         (line,) = [line for line in lines if "  gamepad  " in line]
         self.assertTrue(line.startswith(
-            "warn  gamepad     /one/joy was never heard: no node publishes it, so that no deadman can be held | "
+            "warn  gamepad     no node publishes /one/joy, so that no deadman can be held (joy was never heard) | "
             "remedy: Start joy_node: roslaunch car_interface car.launch gamepad:=true"), line)
 
 

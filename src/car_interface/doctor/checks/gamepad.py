@@ -76,7 +76,8 @@ def check_gamepad(gamepad: Gamepad) -> list[Finding]:
 def _nothing_came(gamepad):
     topic = gamepad.topic
     if not gamepad.publishers:
-        return Finding(WARN, SUBJECT, f"{topic} was never heard: no node publishes it, so that no deadman can be held",
+        said = f" ({gamepad.reason})" if gamepad.reason else ""
+        return Finding(WARN, SUBJECT, f"no node publishes {topic}, so that no deadman can be held{said}",
                        "Start joy_node: roslaunch car_interface car.launch gamepad:=true. With the virtual car: rosrun "
                        "car_interface keyboard_drive")
     return Finding(WARN, SUBJECT, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
