@@ -43,6 +43,9 @@ JOY_NEVER_RECEIVED = "joy never heard"
 JOY_NOT_FINITE = "joy not finite"
 JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
 
+# A node's start.
+PARAMETER_REFUSED = "parameter refused"
+
 LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
 # Causes for which the motion interlock inhibits steering and throttle.
 INHIBITS = LOCKS | {STARTING, HUMAN_STALE, HUMAN_NEVER_RECEIVED, HUMAN_ABSENT, NOT_REARMED}

@@ -4,15 +4,15 @@ from __future__ import annotations
 import threading
 import time
 import xmlrpc.client
-from typing import Any, Callable
+from typing import Callable
 
 import rosgraph
 import rospy
 
 from car_interface.ros.inbox import Inbox
+from car_interface.ros.xmlrpc_calls import TimeoutTransport
 
 POLL_S = 2.0
-ANSWER_WITHIN_S = 1.0
 GONE = ("the ROS master is gone: what is connected goes on, but no node that starts now can join, and one that ends is "
         "not replaced. Stop the car, then start the launch file again")
 ANOTHER = ("there is another ROS master now, which doesn't know these nodes. Stop the car, then start the launch file "
@@ -30,7 +30,7 @@ class MasterWatch:
     def __init__(self, inbox: Inbox, handler: Callable[[str, int], None]):
         self._inbox = inbox
         self._handler = handler
-        self._master = xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=_TimeoutTransport())
+        self._master = xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=TimeoutTransport())
         self._pid = None
         threading.Thread(target=self._watch, name="master watch", daemon=True).start()
 
@@ -46,10 +46,3 @@ class MasterWatch:
             return GONE
         self._pid = self._pid or pid
         return "" if pid == self._pid else ANOTHER
-
-
-class _TimeoutTransport(xmlrpc.client.Transport):
-    def make_connection(self, host: Any):
-        connection = super().make_connection(host)
-        connection.timeout = ANSWER_WITHIN_S
-        return connection
