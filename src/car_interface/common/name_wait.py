@@ -7,6 +7,7 @@ them restarted by roslaunch when it ends, would replace each other for ever. So 
 - A node that answers. It waits, however long that one runs.
 - A node that doesn't answer, on a computer that may not answer either. It waits for ``MAX_SILENCE_S``. A node that
   drives a car on a busy computer answers within that time; one that is frozen for longer doesn't drive it.
+- One that is about to register. It waits as long for that one to answer.
 """
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from typing import NamedTuple
 
 from car_interface.common.units import NS_PER_S
 
-FREE, RUNNING, SILENT, NO_MASTER = "free", "running", "silent", "no master"
+FREE, STARTING, RUNNING, SILENT, NO_MASTER = "free", "starting", "running", "silent", "no master"
 MAX_SILENCE_S = 10
 LOG_PERIOD_S = 10
 
@@ -23,8 +24,8 @@ class Holder(NamedTuple):
     """What has a node's name.
 
     Attributes:
-        state: FREE, RUNNING (it answers), SILENT (it is registered and doesn't answer), or NO_MASTER (which doesn't
-            answer; a node that was found before has ended).
+        state: FREE, STARTING (about to register, on this computer), RUNNING (it answers), SILENT (it is registered and
+            doesn't answer), or NO_MASTER (which doesn't answer; a node that was found before has ended).
         machine: where, for RUNNING and SILENT, e.g. ``127.0.0.1 (this computer)``.
         pid: the process there; 0 where unknown.
     """
@@ -57,18 +58,18 @@ class NameWait:
         if holder.state in (FREE, NO_MASTER):
             self._silent_since_ns = None
             return self._on_absence(holder.state, now_ns)
-        is_first, self._found = self._found is None, self._known(holder)
-        if is_first:
-            self._began_ns = now_ns
+        if holder.state != STARTING:
+            self._began_ns = now_ns if self._found is None else self._began_ns
+            self._found = self._known(holder)
         if holder.state == RUNNING:
             self._silent_since_ns = None
         elif self._silent_since_ns is None:
             self._silent_since_ns = now_ns
-        if self._silent_since_ns is not None and now_ns - self._silent_since_ns >= MAX_SILENCE_S * NS_PER_S:
+        elif now_ns - self._silent_since_ns >= MAX_SILENCE_S * NS_PER_S:
             self.may_register = True
-            return (f"{self._name} {self._found} hasn't answered for {MAX_SILENCE_S} s: taking over. If it is only "
-                    "frozen, the ROS master ends it when it wakes")
-        return self._waiting_text(holder.state, now_ns)
+            return (f"{self._name} {self._found or holder} hasn't answered for {MAX_SILENCE_S} s: taking over. If it "
+                    "is only frozen, the ROS master ends it when it wakes")
+        return "" if holder.state == STARTING else self._waiting_text(holder.state, now_ns)
 
     def _known(self, holder):
         """The same with the process of an earlier answer, which a silent one doesn't give."""

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import logging
+import socket
 import time
 import xmlrpc.client
 from typing import Sequence
@@ -11,28 +12,53 @@ import rosgraph
 from rosgraph.network import is_local_address
 from rosgraph.roslogging import RosStreamHandler
 
-from car_interface.common.name_wait import FREE, NO_MASTER, RUNNING, SILENT, Holder, NameWait
+from car_interface.common.name_wait import FREE, NO_MASTER, RUNNING, SILENT, STARTING, Holder, NameWait
 from car_interface.ros.xmlrpc_calls import call
 
 POLL_S = 0.5
+MAX_ADDRESS = 108  # characters of a Unix socket's address: unix(7)
 
 
-def wait_for_name(name: str) -> None:
+def wait_for_name(name: str) -> socket.socket:
     """Return when a node may register this name: at once unless another node has it and runs.
 
     A line about the wait goes to standard error in the format of ROS: rospy can't log before it has registered.
 
     Args:
         name: with its namespace.
+
+    Returns:
+        The claim to the name. To be closed when the node has registered.
     """
     wait, lookup = NameWait(name), NameLookup(name, rosgraph.get_master_uri())
     while True:
-        line = wait.update(lookup.holder(), time.monotonic_ns())
+        claim = _claim(name)
+        holder = lookup.holder()
+        if holder.state == FREE and claim is None:
+            holder = Holder(STARTING, "this computer")
+        line = wait.update(holder, time.monotonic_ns())
         if line:
             log_warning(line)
         if wait.may_register:
-            return
+            return claim or socket.socket(socket.AF_UNIX)
+        if claim is not None:
+            claim.close()
         time.sleep(POLL_S)
+
+
+def _claim(name):
+    """A socket that one process of this computer can have at a time, for a name at a master; ``None``: another has it.
+
+    Between two nodes that start at the same moment the master can't decide: each registers several things, and each
+    registration has the other node shut down, until neither is left.
+    """
+    claim = socket.socket(socket.AF_UNIX)
+    try:
+        claim.bind(f"\0car_interface {rosgraph.get_master_uri()} {name}"[:MAX_ADDRESS])
+    except OSError:
+        claim.close()
+        return None
+    return claim
 
 
 def own_name(default: str, arguments: Sequence[str]) -> str:

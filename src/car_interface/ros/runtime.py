@@ -69,12 +69,13 @@ def run(name: str, node_class) -> None:
 def _register(name):
     """Register with the master, once no other node has the name; end silently on a signal until then."""
     _on_end_signals(sys.exit)
-    wait_for_name(own_name(name, sys.argv))
+    claim = wait_for_name(own_name(name, sys.argv))
     _on_end_signals(lambda: sys.exit(1))
-    try:
-        rospy.init_node(name, disable_signals=True)
-    except rospy.ROSInitException:  # another node of the name looked at the same moment and registered a little later
-        sys.exit(0)
+    with claim:
+        try:
+            rospy.init_node(name, disable_signals=True)
+        except rospy.ROSInitException:  # a node of the name on another computer has registered a little later
+            sys.exit(0)
 
 
 def _on_end_signals(act):

@@ -28,7 +28,7 @@ def main() -> None:
         print(USAGE, end="", file=sys.stderr)
         sys.exit(2)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    wait_for_name(name)
+    wait_for_name(name).set_inheritable(True)  # the command has it until it ends
     try:
         os.execvp(command[0], command)
     except OSError as error:

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.common.name_wait import FREE, MAX_SILENCE_S, NO_MASTER, RUNNING, SILENT, Holder, NameWait
+from car_interface.common.name_wait import FREE, MAX_SILENCE_S, NO_MASTER, RUNNING, SILENT, STARTING, Holder, NameWait
 from car_interface.common.units import NS_PER_S
 
 HERE = "127.0.0.1 (this computer)"
@@ -63,6 +63,24 @@ def test_node_that_does_not_answer_is_replaced_after_ten_seconds(wait):
     assert logged[1][1] == ("/turn_arb on 127.0.0.1 (this computer) hasn't answered for 10 s: taking over. If it is "
                             "only frozen, the ROS master ends it when it wakes")
     assert wait.may_register
+
+
+ABOUT_TO = Holder(STARTING, "this computer")
+
+
+def test_node_that_is_about_to_register_is_waited_for_without_a_word(wait):
+    assert lines(wait, *[ABOUT_TO] * MAX_SILENCE_S) == [] and not wait.may_register
+    assert lines(wait, RUNS) == [(0, WAITS)]
+
+
+def test_node_that_gave_up_before_it_registered_is_not_mentioned(wait):
+    assert lines(wait, ABOUT_TO, NOBODY) == [] and wait.may_register
+
+
+def test_node_that_never_registers_is_replaced_after_ten_seconds(wait):
+    logged = lines(wait, *[ABOUT_TO] * (MAX_SILENCE_S + 1))
+    assert [second for second, _ in logged] == [MAX_SILENCE_S] and wait.may_register
+    assert logged[0][1].startswith("/turn_arb on this computer hasn't answered for 10 s: taking over.")
 
 
 def test_silence_is_counted_from_the_last_answer(wait):

@@ -120,7 +120,7 @@ def test_wait_ends_when_the_other_node_does(monkeypatch, capsys):
     with serving(**node("/turn_arb")) as uri, serving(
             lookupNode=lambda caller, name: (1, "", uri) if registered[0] else (-1, "unknown node", "")) as master_uri:
         monkeypatch.setenv("ROS_MASTER_URI", master_uri)
-        name_lookup.wait_for_name("/turn_arb")
+        name_lookup.wait_for_name("/turn_arb").close()
         assert capsys.readouterr().err == ""
         registered[0] = uri
         waiting = threading.Thread(target=name_lookup.wait_for_name, args=["/turn_arb"])
@@ -134,3 +134,18 @@ def test_wait_ends_when_the_other_node_does(monkeypatch, capsys):
     assert re.match(r"\[WARN\] \[\d+\.\d+\]: /turn_arb is already running on 127.0.0.1 \(this computer\), process 4711",
                     first)
     assert second.endswith("/turn_arb on 127.0.0.1 (this computer), process 4711 has ended: taking over")
+
+
+def test_of_two_that_look_at_the_same_moment_one_waits_until_the_other_is_registered(monkeypatch, capsys):
+    with serving(**master("")) as master_uri:
+        monkeypatch.setenv("ROS_MASTER_URI", master_uri)
+        claim = name_lookup.wait_for_name("/turn_arb")
+        name_lookup.wait_for_name("/other").close()
+        waiting = threading.Thread(target=lambda: name_lookup.wait_for_name("/turn_arb").close())
+        waiting.start()
+        waiting.join(0.2)
+        assert waiting.is_alive()
+        claim.close()
+        waiting.join(10)
+        assert not waiting.is_alive()
+    assert capsys.readouterr().err == ""
