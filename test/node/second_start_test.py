@@ -26,6 +26,7 @@ from witness import measured
 
 NODES = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "teleop_logi")
 LEFT_DUTY, LEFT, CENTER, OFF = 3800, 238, 319, 0  # counts of 3800, 5100
+LAUNCH_S = 60
 BOTH_S = 10  # how long both launch files run
 MAX_GAP_S = 0.1  # of commands at 100 Hz; a channel times out after 0.25 s
 RESPAWN_MS = 1500  # Python's start and rospy's, on a computer with other work; a silent node would add 10 s
@@ -82,17 +83,18 @@ class ALaunchFileStartedTwice(unittest.TestCase):
 
     def test_the_second_waits_undisturbing_and_takes_over_when_the_first_ends(self):
         first, chip = self.launch("first")
+        eventually(lambda: all(pid_of(f"/{name}") for name in NODES), "all nodes", LAUNCH_S)
         self.joy = Sender("/joy", Joy)
         self.addCleanup(self.joy.close)
         self.drive(chip)
-        eventually(lambda: all(pid_of(f"/{name}") for name in NODES), "all nodes")
         pids = {name: pid_of(f"/{name}") for name in NODES}
         commands = Topic("/servo/cmdVector", Int32MultiArray).connected()
         self.addCleanup(commands.close)
         commands.wait_for_count(10)
         second, second_chip = self.launch("second")
         for name, pid in pids.items():
-            line = second.wait_for_line(f"/{name} is already running")
+            line = second.stderr.wait_for(lambda line, name=name: f"/{name} is already running" in line,
+                                          within_s=LAUNCH_S).what
             self.assertRegex(line, rf"^\[WARN\] \[\d+\.\d+\]: /{name} is already running on \S+ \(this computer\), "
                              rf"process {pid}\. This node waits, and sends nothing, until that one ends; then it takes "
                              r"over\. If a launch file was started twice, end one of the two$")
