@@ -176,6 +176,21 @@ class ReadConfig(unittest.TestCase):
                     self.assertEqual([channel.timeout_value for channel in made.channels],
                                      [5100, 4915 if throttle == "true" else 0] + [0] * 14)
 
+    def test_launch_files_tell_a_node_that_it_is_respawned_and_have_joy_node_wait_for_its_name(self):
+        found = set()
+        for arguments in ([], ["one_process:=true"], ["display:=true"]):
+            loaded = roslaunch.config.load_config_default([(f"{PACKAGE}/launch/car.launch", arguments)], None,
+                                                          verbose=False)
+            for node in loaded.nodes:
+                with self.subTest(node=node.type, arguments=arguments):
+                    if node.package == "car_interface":
+                        self.assertEqual(dict(node.env_args).get("CAR_INTERFACE_RESPAWN") == "true", node.respawn)
+                    elif node.respawn:
+                        self.assertEqual((node.type, node.launch_prefix),
+                                         ("joy_node", "rosrun car_interface wait_for_name"))
+                    found.add(node.type)
+        self.assertLessEqual({"turn_arb", "car_nodes", "car_display", "joy_node"}, found)
+
     def test_accelerations_that_pass_through_need_no_map(self):
         made = read("generic_value_converter", {"use_value_ff": False})
         self.assertEqual((made.map_path, made.value_map, made.throttle), ("", None, None))
