@@ -48,6 +48,9 @@ WRONG_TYPE = "wrong type"  # its messages aren't received
 UNKNOWN_HOST = "unknown host"  # of the publisher: it can't be reached from here
 SECOND_PUBLISHER = "second publisher"  # the newest message counts, whoever sent it
 
+# A node's start.
+PARAMETER_REFUSED = "parameter refused"
+
 # The gamepad has to be set right: to let go and hold again doesn't help.
 JOY_UNUSABLE = frozenset({JOY_INCOMPLETE, JOY_NOT_FINITE})
 
