@@ -164,10 +164,11 @@ class GamepadFails(unittest.TestCase):
         self.check(fall_silent, SILENT)
 
     def test_gamepad_that_works_is_ok_for_the_doctor(self):
-        self.drive()
-        line = self.doctors_line()
-        self.assertRegex(line, r"^ok    gamepad     /joy: 8 axes, 11 buttons, \d\d\.\d times a second; "
-                               "manual deadman held$")
+        def attempt():
+            self.drive()
+            self.assertRegex(self.doctors_line(), r"^ok    gamepad     /joy: 8 axes, 11 buttons, \d\d\.\d times a "
+                                                  "second; manual deadman held$")
+        retried(attempt)  # a busy machine falls silent by itself
 
     def test_slow_gamepad_is_bad_for_the_doctor(self):
         slow = Repeater(period_s=0.4)
