@@ -341,4 +341,4 @@ class Recording:
 
 def main():
     """Run the node."""
-    run("demo_drive", DemoDrive, has_priority=False)
+    run("demo_drive", DemoDrive)
