@@ -291,6 +291,9 @@ class Driver:
     def __init__(self, target_mps, alternates):
         self._target_mps = target_mps
         self._e_stop = publisher("e_stop", Bool) if alternates else None
+        self._steers_s = 0.0  # when turn_arb last steered by gamepad or planner
+        if alternates:
+            rospy.Subscriber("turn_arb/state", SteeringState, self._on_steering)
         self._speed_mps = 0.0
         self._begun_s = time.monotonic()
         self._drives = False
@@ -306,12 +309,17 @@ class Driver:
     def _on_odometry(self, message):
         self._speed_mps = message.twist.twist.linear.x
 
+    def _on_steering(self, state):
+        if state.source in (SteeringState.TELEOP, SteeringState.PLANNER):
+            self._steers_s = time.monotonic()
+
     def publish(self):
         """Publish all inputs. Until the car drives the deadman is released and held every three seconds: topics connect
         in any order.
         """
         passed_s = time.monotonic() - self._begun_s
-        held = int(self._drives or passed_s % 3 > 0.3)
+        must_rearm = not self._drives or self._e_stop and time.monotonic() - self._steers_s > 3
+        held = int(not must_rearm or passed_s % 3 > 0.3)
         manual = held if self._e_stop and passed_s % (2 * TURN_S) > TURN_S else 0
         self._joy.publish(joy(held - manual, manual))
         if self._e_stop:

@@ -27,7 +27,6 @@ from .stage import Stage, TimedSubscriber
 from .whole_car import launch_cars
 
 LOOPS_PER_CORE = 4
-AS_JOY_NODE = ("rosrun", "car_interface", "wait_for_name")  # whose priority the sender of joy gets, too
 LOOP = "while True: pass"
 CAR = "/busy"
 CHANNELS = {"steering": 0, "ESC": 1}
@@ -46,8 +45,7 @@ def measure_busy(effort: Effort, stage: Stage) -> Iterator[Row]:
         for what, times_ms, floors_ms in reactions(effort.busy_reactions, stage, released):
             yield Row("busy", f"{loops} busy loops: {what} → /servo/cmdVector", "ms", Summary.of(times_ms),
                       (Target(MEDIAN), Target(P99), Target(WORST)), Summary.of(floors_ms))
-    processes = [*launch_cars(stage, [CAR], steering=("both", "__name:=driver"), prefix=AS_JOY_NODE),
-                 stage.actor("timer")]
+    processes = [*launch_cars(stage, [CAR], steering=("both",)), stage.actor("timer")]
     try:
         with busy(stage, loops):
             time.sleep(SETTLED_S)
@@ -63,7 +61,7 @@ def measure_busy(effort: Effort, stage: Stage) -> Iterator[Row]:
     for channel, values in gaps_ms.items():
         yield Row("busy", f"{loops} busy loops: commands of the {channel}, apart", "ms", Summary.of(values),
                   (Target(MEDIAN), Target(P99), Target(WORST)), floor if channel == "steering" else None,
-                  note="with the delays of this measurement, which has no priority itself")
+                  note="with the delays of this measurement itself")
 
 
 @contextmanager
@@ -117,7 +115,7 @@ class Watch:
         found, commands, bare = Counter(), self._commands.drain(), self._bare.drain()
         changes = [cause for _, cause in self._causes.drain()]
         for link, cause in LINKS.items():
-            found[link] = sum(now == cause != before for before, now in zip(["", *changes], changes))
+            found[link] = rises([change == cause for change in changes])
         other_causes = set(changes) - set(LINKS.values()) - {causes.TELEOP, causes.PLANNER}
         if other_causes:
             self.lines["other stops of the steering"] = ", ".join(sorted(other_causes))
@@ -130,9 +128,10 @@ class Watch:
         counts = {f"false timeouts of {link}": found[link] for link in LINKS}
         counts.update({f"false timeouts of the ESC's {link}": found[f"ESC {link}"] for link in ESC_LINKS})
         counts.update({
-            "false timeouts of joy": released.count(False), "other stops of the steering": len(other_causes),
+            "false timeouts of joy": rises([not human for human in released]),
+            "other stops of the steering": len(other_causes),
             "false timeouts of the board's channels": numbers["timeouts"],
-            "the chip's steering at its center": at_center.count(True),
+            "the chip's steering at its center": rises(at_center),
             "pings unanswered": max(0, numbers["pings unanswered"] - 1),  # one may be on its way
             "the link reopened": numbers["the link reopened"], "warnings": found["warnings"]})
         for subscriber in (*self._subscribers(), self._links, self._reports):
@@ -151,6 +150,11 @@ class Watch:
             link = next((link for link in ESC_LINKS if match.group(1).startswith(link)), match.group(1))
             found[f"ESC {link}"] += 1
             self.lines.setdefault(f"false timeouts of the ESC's {link}", text)
+
+
+def rises(values: list[bool]) -> int:
+    """Return how often a value became true."""
+    return sum(now and not before for before, now in zip([False, *values], values))
 
 
 def apart_ms(commands: list, channel: int) -> list[float]:

@@ -68,9 +68,9 @@ class Stage:
         """Start a node of this package by rosrun, which becomes the node: this is its process."""
         return self.start("rosrun", "car_interface", node, *arguments)
 
-    def actors(self, *roles: tuple[str, ...], prefix: tuple[str, ...] = ()) -> list[NodeProcess]:
+    def actors(self, *roles: tuple[str, ...]) -> list[NodeProcess]:
         """Start some of actor.py's roles, each with its arguments, and wait until all are ready."""
-        processes = [self.start(*prefix, sys.executable, ACTOR, *role) for role in roles]
+        processes = [self.start(sys.executable, ACTOR, *role) for role in roles]
         for process in processes:
             process.wait_for_info("^ready")
         return processes

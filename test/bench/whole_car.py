@@ -71,13 +71,8 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def launch_cars(stage: Stage, namespaces: list[str], nodes=(*FOUR, *OTHERS), arguments: dict | None = None,
-                steering: tuple[str, ...] = (), prefix: tuple[str, ...] = ()) -> list[NodeProcess]:
-    """Launch cars and wait until they drive.
-
-    Args:
-        arguments: of demo.launch.
-        steering, prefix: of the role that drives.
-    """
+                steering: tuple[str, ...] = ()) -> list[NodeProcess]:
+    """Launch cars, with these arguments of demo.launch, and wait until they drive; ``steering``: of the role drive."""
     more = "".join(f'<arg name="{name}" value="{value}"/>' for name, value in (arguments or {}).items())
     path = stage.path(f"{namespaces[0][1:]}.launch")
     with open(path, "w", encoding="utf-8") as file:
@@ -86,7 +81,7 @@ def launch_cars(stage: Stage, namespaces: list[str], nodes=(*FOUR, *OTHERS), arg
     launch = stage.start("roslaunch", path)
     eventually(lambda: all(pid_of(f"{ns}/{node}") for ns in namespaces for node in nodes), "the cars",
                PATIENCE_S)
-    drivers = stage.actors(*(("drive", str(SPEED_MPS), *steering, f"__ns:={ns}") for ns in namespaces), prefix=prefix)
+    drivers = stage.actors(*(("drive", str(SPEED_MPS), *steering, f"__ns:={ns}") for ns in namespaces))
     for driver in drivers:
         driver.stdout.wait_for(lambda line: line == "drives", within_s=PATIENCE_S)
     time.sleep(SETTLED_S)

@@ -21,8 +21,14 @@ from waiting import NodeProcess, Topic, config, eventually, executable, set_para
 
 REFUSED = "servo_left is 'x'; accepted: an integer from 0 to 65535"
 WAITS = "This node waits, and reads its parameters again in 1 s, later every 30 s"
+LAUNCH_S = 60
 RESPAWN_S = 2.5  # roslaunch's, with a respawn_delay of 1 s
 RESPAWNED = {"CAR_INTERFACE_RESPAWN": "true"}
+
+
+def wait_for_fatal(launch, text=""):
+    """The first FATAL line with a text; roslaunch takes its time on a busy computer."""
+    return launch.stderr.wait_for(lambda line: "FATAL" in line and text in line, within_s=LAUNCH_S).what
 
 
 def fatal_lines(process):
@@ -54,7 +60,7 @@ class Refused(unittest.TestCase):
 
     def test_under_respawn_it_says_so_once_and_starts_when_the_parameter_is_repaired(self):
         launch = self.launch(servo_left="x")
-        line = launch.wait_for_line("FATAL")
+        line = wait_for_fatal(launch)
         self.assertTrue(line.endswith(f"{REFUSED}. {WAITS}"), line)
         refused_s = time.monotonic()
         report = self.report("turn_arb", DiagnosticStatus.ERROR)
@@ -68,10 +74,10 @@ class Refused(unittest.TestCase):
         self.addCleanup(state.close)
 
         rospy.set_param("/turn_arb/servo_left", 70000)
-        line = launch.wait_for_line("FATAL.*70000")
+        line = wait_for_fatal(launch, "70000")
         self.assertTrue(line.endswith(f"servo_left is 70000; accepted: an integer from 0 to 65535. {WAITS}"), line)
         rospy.set_param("/turn_arb/servo_left", 3800)
-        launch.wait_for_info("the parameters are accepted now")
+        launch.stdout.wait_for(lambda line: "the parameters are accepted now" in line, within_s=LAUNCH_S)
         state.wait_for(lambda message: True)
         self.report("turn_arb", DiagnosticStatus.OK)
         self.assertEqual(len(fatal_lines(launch)), 2)
@@ -88,7 +94,7 @@ class Refused(unittest.TestCase):
 
     def test_a_signal_ends_its_wait(self):
         launch = self.launch(servo_left="x")
-        launch.wait_for_line("FATAL")
+        wait_for_fatal(launch)
         self.assertEqual(launch.end(), 0)
         self.assertFalse([line for line in launch.stderr.since() if "Traceback" in line or "escalating" in line])
 

@@ -29,7 +29,7 @@ LEFT_DUTY, LEFT, CENTER, OFF = 3800, 238, 319, 0  # counts of 3800, 5100
 LAUNCH_S = 60
 BOTH_S = 10  # how long both launch files run
 MAX_GAP_S = 0.1  # of commands at 100 Hz; a channel times out after 0.25 s
-RESPAWN_MS = 1500  # Python's start and rospy's, on a computer with other work; a silent node would add 10 s
+RESPAWN_MS = 5000  # Python's start and rospy's, on a computer with other work; a silent node would add 10 s
 BARE = os.path.join(PACKAGE, "test", "bench", "bare.py")
 
 
@@ -112,7 +112,7 @@ class ALaunchFileStartedTwice(unittest.TestCase):
             self.assertLess(gap_s, MAX_GAP_S)
             for name in NODES:
                 eventually(lambda name=name: len(self.waits_of(second, name)) > seen[name], f"{name} says it again")
-        measured(undisturbed)
+        measured(undisturbed, restore=lambda: self.drive(chip))
         self.assertIsNone(second_chip.counts(0))
         self.assertFalse([line for line in output_of(first) if "shutdown request" in line or "has died" in line])
 
@@ -193,8 +193,9 @@ class ANode(unittest.TestCase):
                 return len(waits) + len(ended) == 1 and pid_of("/turn_arb") in {
                     process.pid for process in both if process not in waits + ended}
             eventually(settled, "one of two")
-            codes = [process.end() for process in both]
-            self.assertEqual(codes, [0, 0])
+            registered = pid_of("/turn_arb")
+            waiting, running = sorted(both, key=lambda process, pid=registered: process.pid == pid)
+            self.assertEqual((waiting.end(), running.end()), (0, 0))
             lines = output_of(both[0]) + output_of(both[1])
             self.assertFalse([line for line in lines if "Traceback" in line or "Error" in line], lines)
 

@@ -227,4 +227,4 @@ def _turn_text(radius_m):
 
 def main():
     """Run the node."""
-    run("car_display", CarDisplay, has_priority=False)
+    run("car_display", CarDisplay)

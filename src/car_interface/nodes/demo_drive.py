@@ -349,4 +349,4 @@ class DemoDrive:
 
 def main():
     """Run the node."""
-    run("demo_drive", DemoDrive, has_priority=False)
+    run("demo_drive", DemoDrive)

@@ -28,7 +28,6 @@ from car_interface.ros.garbage import IdleCollector
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.logs import LogStream, LogThreads
 from car_interface.ros.name_lookup import own_name, wait_for_name
-from car_interface.ros.priority import raise_priority
 from car_interface.ros.refused_start import build_node
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -37,10 +36,8 @@ FLUSH_S = 0.5  # for the log lines of the shutdown
 SWITCH_INTERVAL_S = 0.0005  # how long one thread may delay the others; Python's default of 5 ms adds to the latency
 
 
-def run(name: str, node_class, has_priority: bool = True) -> None:
+def run(name: str, node_class) -> None:
     """Run a node as this process: start it, step it until it ends, shut it down.
-
-    With ``has_priority`` it runs before other programs, once it is built and where the user may.
 
     Exits with code 1 and one line on a bad parameter, and when a required device can't be used.
     """
@@ -57,7 +54,7 @@ def run(name: str, node_class, has_priority: bool = True) -> None:
     rospy.core.add_shutdown_hook(lambda reason: unregistered.set())  # called after rospy's own hooks
     failed = False
     try:
-        spin(node_class, inbox, IdleCollector(), has_priority)
+        spin(node_class, inbox, IdleCollector())
     except Exception as error:
         rospy.logfatal("%s", describe_error(error))
         failed = True
@@ -87,12 +84,11 @@ def _on_end_signals(act):
             signal.signal(number, lambda *_: act())
 
 
-def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None, has_priority: bool = False) -> None:
+def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None) -> None:
     """Run a node in this thread: read its parameters, build it, step it until it ends, shut it down.
 
     Args:
         collector: what collects garbage whenever the node is idle; ``None`` = another thread has that.
-        has_priority: raise the priority of the process once the node is built.
     """
     name = inbox.node_name
 
@@ -101,8 +97,6 @@ def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None, has_p
     node = build_node(build, inbox)
     if node is None:
         return
-    if has_priority:
-        raise_priority()
     try:
         while not inbox.ending:
             due_ns = node.step(time.monotonic_ns())

@@ -1,4 +1,4 @@
-"""The command wait_for_name: runs another package's node, once no other node of its name runs, with our priority.
+"""The command wait_for_name: runs another package's node, once no other node of its name runs.
 
 The nodes of this package wait by themselves. A launch file gives this one to a node that doesn't as its launch-prefix.
 """
@@ -9,7 +9,6 @@ import signal
 import sys
 
 from car_interface.ros.name_lookup import own_name, wait_for_name
-from car_interface.ros.priority import raise_priority
 
 USAGE = """usage: wait_for_name [-h] COMMAND [ARGUMENT ...] __name:=NAME
 
@@ -30,7 +29,6 @@ def main() -> None:
         sys.exit(2)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     wait_for_name(name).set_inheritable(True)  # the command has it until it ends
-    raise_priority()
     try:
         os.execvp(command[0], command)
     except OSError as error:
