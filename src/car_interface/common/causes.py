@@ -43,6 +43,12 @@ JOY_NEVER_RECEIVED = "joy never heard"
 JOY_NOT_FINITE = "joy not finite"
 JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
 
+# Servo board.
+GUARD_ABSENT = "guard absent"  # nothing would make the board safe if its node died
+GUARD_BLOCKED = "guard blocked"  # the guard can't reach the board
+NODE_STOOD_STILL = "node stood still"  # for so long that its guard acted
+FOREIGN_WRITE = "foreign write"  # another program wrote to the board
+
 LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
 # Causes for which the motion interlock inhibits steering and throttle.
 INHIBITS = LOCKS | {STARTING, HUMAN_STALE, HUMAN_NEVER_RECEIVED, HUMAN_ABSENT, NOT_REARMED}
