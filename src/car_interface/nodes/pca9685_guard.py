@@ -13,7 +13,7 @@ import signal
 import sys
 import time
 
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.pca9685 import guard_board
 from car_interface.pca9685.guard import ASSERT, CHECK, END, NOTHING, PROBE, SWITCH_OFF, Guard
 from car_interface.pca9685.guard_protocol import ACTING, OFF, SAFE, WATCHING
@@ -40,6 +40,7 @@ class GuardProcess:
         self._answer_fd = answer_fd
         self._log = log
         self._state = guard.state
+        self._generation = time.monotonic_ns() // NS_PER_MS
 
     def run(self) -> None:
         """Guard until the node has ended and the chip is safe, or another node has it."""
@@ -66,10 +67,12 @@ class GuardProcess:
         device, guard = self._device, self._guard
         try:
             device.open()
-            if action != PROBE and device.lock_holder() not in (0, self._node_pid):
+            if action != PROBE and self._is_replaced():
                 self._log("another node has the board")
                 guard.finish()
                 return
+            if action != PROBE or guard.node_has_reached:
+                device.claim(self._generation)
             self._transfer(action)
         except OSError as error:
             device.close()
@@ -80,6 +83,10 @@ class GuardProcess:
                 guard.finish()
         else:
             guard.succeeded(action, time.monotonic_ns())
+
+    def _is_replaced(self):
+        """Whether a node has the board that isn't this guard's, or had it and left it to a guard of its own."""
+        return self._device.lock_holder() not in (0, self._node_pid) or self._device.successor(self._generation)
 
     def _transfer(self, action):
         device, counts = self._device, self._guard.timeout_counts

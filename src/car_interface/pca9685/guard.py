@@ -36,7 +36,7 @@ GIVE_UP_NS = 600 * NS_PER_S  # a dead node's guard that can't reach the chip end
 
 # Actions. After each of them one of ``succeeded``, ``failed`` and ``finish`` is called.
 NOTHING = "nothing"
-PROBE = "probe"  # read a register, to know while the node lives that the guard can reach the chip
+PROBE = "probe"  # read a register while the node lives; claim the board as the newest guard if the node has reached it
 ASSERT = "assert"  # write the timeout values, and read them back
 CHECK = "check"  # read back, and write what differs from the timeout values
 SWITCH_OFF = "switch off"
@@ -65,7 +65,9 @@ class Guard:
         self._safe_ns = 0  # when the timeout values were verified first
         self._try_ns = 0
         self._retry_ns = FIRST_RETRY_NS
-        self._has_reached = False  # the node or the guard reached the chip at least once
+        self.node_has_reached = False  # the node reached the chip at least once
+        self._has_reached = False  # the node or the guard did
+        self._is_claimed = False  # older guards of the chip know of this one
         self._error = NOT_TRIED
         self._is_over = False
 
@@ -89,6 +91,7 @@ class Guard:
         self._last_ns = now_ns
         self._sequence = message.sequence
         self.timeout_counts = message.timeout_counts
+        self.node_has_reached |= message.has_reached
         self._has_reached |= message.has_reached
         self._limit_ns = ENDING_SILENCE_NS if message.kind == ENDING else self._silence_ns
         self._is_over |= message.kind == ENDED
@@ -103,7 +106,10 @@ class Guard:
         if self.state != WATCHING:
             return self._try_ns
         silent_ns = self._last_ns + self._limit_ns if self._has_reached else float("inf")
-        return min(silent_ns, self._try_ns if self._error else silent_ns)
+        return min(silent_ns, self._try_ns if self._must_probe() else silent_ns)
+
+    def _must_probe(self):
+        return self._error != 0 or self.node_has_reached and not self._is_claimed
 
     def action(self, now_ns: int) -> str:
         """What to do now."""
@@ -132,7 +138,7 @@ class Guard:
             return SWITCH_OFF if now_ns >= self._off_ns() else CHECK
         if self.state == OFF:
             return SWITCH_OFF
-        return PROBE if self.state == WATCHING and self._error else NOTHING
+        return PROBE if self.state == WATCHING and self._must_probe() else NOTHING
 
     def _off_ns(self):
         return max(self._since_ns + self._off_after_ns, self._safe_ns + MIN_NEUTRAL_NS)
@@ -142,6 +148,7 @@ class Guard:
         self._error = 0
         self._has_reached = True
         self._retry_ns = FIRST_RETRY_NS
+        self._is_claimed |= self.node_has_reached or action != PROBE
         if action == SWITCH_OFF:
             self.state = OFF
             self._try_ns = now_ns + OFF_CHECK_PERIOD_NS
@@ -163,5 +170,5 @@ class Guard:
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def finish(self) -> None:
-        """There is nothing left to guard: another node has the lock of the board, or the board is gone for good."""
+        """There is nothing left to guard: another node has the board, or it is gone for good."""
         self._is_over = True

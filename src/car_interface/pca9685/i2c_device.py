@@ -9,7 +9,7 @@ import os
 import struct
 from array import array
 
-from car_interface.common.file_lock import lock_holder
+from car_interface.common.file_lock import lock_generation, lock_holder, newer_generation
 
 I2C_SLAVE, I2C_SMBUS = 0x0703, 0x0720  # linux/i2c-dev.h
 _WRITE, _READ = 0, 1  # linux/i2c.h
@@ -55,6 +55,14 @@ class I2cDevice:
     def lock_holder(self) -> int:
         """The process that has locked this chip; 0 = none."""
         return lock_holder(self._fd, self._address)
+
+    def claim(self, generation: int) -> None:
+        """Let older guards of this chip know that there is a newer one."""
+        lock_generation(self._fd, self._address, generation)
+
+    def successor(self, generation: int) -> int:
+        """The process of a newer guard; 0 = none."""
+        return newer_generation(self._fd, self._address, generation)
 
     def is_gone(self, error: OSError) -> bool:
         """Whether an error means that there is no chip any more: never, as a bus on USB may come back."""

@@ -27,8 +27,6 @@ MINUTE_NS = 60 * NS_PER_S
 END_S = 0.3  # for a guard that was told to end
 READ_SIZE = 4096
 
-_predecessors: dict = {}  # by board: guards that this process has left to bring a board to safety
-
 
 class GuardLink:
     """One node's guard.
@@ -111,7 +109,6 @@ class GuardLink:
         process = self._process
         self._close()
         if not is_safe:
-            _predecessors[self._board] = process
             return
         try:
             process.wait(END_S)
@@ -124,10 +121,6 @@ class GuardLink:
 
     def _start(self, now_ns):
         self._start_ns = now_ns + RESTART_PAUSE_NS
-        predecessor = _predecessors.pop(self._board, None)
-        if predecessor is not None and predecessor.poll() is None:
-            predecessor.kill()  # its node's lock would look like ours to it
-            predecessor.wait()
         try:
             self._open()
         except OSError as error:

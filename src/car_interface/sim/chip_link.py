@@ -10,7 +10,7 @@ import os
 import socket
 import struct
 
-from car_interface.common.file_lock import lock_holder
+from car_interface.common.file_lock import lock_generation, lock_holder, newer_generation
 
 READ, WRITE, FAULT, LOG, OBSERVE = range(5)
 REQUEST = struct.Struct("=BBBd")  # operation, address, register; the value of a fault
@@ -74,6 +74,14 @@ class ChipLink:
     def lock_holder(self) -> int:
         """The process that has locked this chip; 0 = none."""
         return lock_holder(self.lock_fd(), self._address)
+
+    def claim(self, generation: int) -> None:
+        """Let older guards of this chip know that there is a newer one."""
+        lock_generation(self.lock_fd(), self._address, generation)
+
+    def successor(self, generation: int) -> int:
+        """The process of a newer guard; 0 = none."""
+        return newer_generation(self.lock_fd(), self._address, generation)
 
     def is_gone(self, error: OSError) -> bool:
         """Whether an error means that the chip's process has ended, and with it the chip."""

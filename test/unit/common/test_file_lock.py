@@ -7,13 +7,14 @@ import sys
 
 import pytest
 
-from car_interface.common.file_lock import NOBODY, lock_byte, lock_holder
+from car_interface.common.file_lock import NOBODY, lock_byte, lock_generation, lock_holder, newer_generation
 
 HOLD = """
 import os, sys
-from car_interface.common.file_lock import lock_byte
+from car_interface.common.file_lock import lock_byte, lock_generation
 fd = os.open(sys.argv[1], os.O_RDWR)
 lock_byte(fd, int(sys.argv[2]))
+lock_generation(fd, int(sys.argv[2]), 5000)
 print("locked", flush=True)
 sys.stdin.read()
 """
@@ -61,3 +62,18 @@ def test_lock_of_a_process_that_died_is_gone(fd, holder):
     holder.wait()
     assert lock_holder(fd, 64) == NOBODY
     lock_byte(fd, 64)
+
+
+def test_older_generation_finds_the_newer_one_of_its_address(fd, holder):
+    assert newer_generation(fd, 64, 4999) == newer_generation(fd, 64, 0) == holder.pid
+    assert newer_generation(fd, 64, 5000) == newer_generation(fd, 64, 5001) == NOBODY
+    assert newer_generation(fd, 63, 0) == newer_generation(fd, 65, 0) == NOBODY
+
+
+def test_own_generation_does_not_count_and_may_be_locked_again(fd, holder):
+    lock_generation(fd, 64, 5001)
+    lock_generation(fd, 64, 5001)
+    assert newer_generation(fd, 64, 4000) == holder.pid
+    holder.kill()
+    holder.wait()
+    assert newer_generation(fd, 64, 4000) == NOBODY

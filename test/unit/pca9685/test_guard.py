@@ -150,6 +150,24 @@ def test_node_that_never_reached_a_chip_has_nothing_to_guard(bench):
     assert bench.action() == END
 
 
+def test_guard_claims_the_chip_once_its_node_has_reached_it(bench):
+    bench.tell(has_reached=False)
+    bench.do(PROBE)
+    assert not bench.guard.node_has_reached
+    bench.tell(has_reached=True)
+    assert bench.action() == PROBE
+    assert bench.guard.node_has_reached
+    bench.guard.failed(PROBE, errno.ETIMEDOUT, bench.now_ns)
+    bench.wait(200)
+    bench.tell()
+    assert bench.action() == NOTHING
+    for _ in range(4):
+        bench.wait(200)
+        bench.tell()
+    bench.do(PROBE)
+    assert bench.action() == NOTHING
+
+
 def test_chip_that_only_the_guard_has_reached_is_guarded(bench):
     bench.tell(has_reached=False)
     bench.do(PROBE)
