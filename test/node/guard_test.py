@@ -17,9 +17,12 @@ import unittest
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32MultiArray
 
+from car_interface.nodes.pca9685 import Pca9685
 from car_interface.sim.chip_link import ChipLink
+from inbox_test import Built
 from virtual_car import HERE, guard_of
 from waiting import NodeProcess, Repeater, Sender, Topic, eventually, executable
 
@@ -256,21 +259,20 @@ class BesideItsNode(Guarded):
         self.assertIn(("cause", "guard absent"), [(pair.key, pair.value) for pair in status.values])
         self.assertEqual(process.end(), 0)
 
-    def test_output_of_a_node_that_is_started_again_begins_with_what_the_guard_left(self):
-        outputs = Topic("/heir/output", Int32MultiArray)
-        self.addCleanup(outputs.close)
-        process = self.start_virtual("heir", "_guard_off_after:=0.5")
+    def test_output_of_a_node_that_is_started_on_a_running_chip_begins_with_what_that_holds(self):
+        process = self.start_virtual("ancestor")
+        process.wait_for_info("running at")
         self.drive()
-        outputs.wait_for(lambda output: list(output.data[:2]) == DRIVING[:2])
+        self.chip.open()
+        eventually(lambda: self.chip.read(LED0, 8) == DRIVEN, "the command in the chip")
         process.send(signal.SIGKILL)
         process.wait_for_exit()
-        self.chip.open()
-        eventually(lambda: self.chip.read(LED0 + 3, 1) == b"\x10", "full off")
-        mark = outputs.mark()
-        heir = self.start_virtual("heir")
-        outputs.wait_for(lambda output: list(output.data[:2]) == DRIVING[:2], mark)
-        self.assertEqual(list(outputs.since(mark)[0].data), [0] * 16)
-        self.assertEqual(heir.end(), 0)
+        eventually(lambda: self.chip.read(LED0, 8) != DRIVEN, "the guard's timeout values")
+        heir = Built(Pca9685, {"device": "virtual", "virtual_chip": f"{self.folder}/chip", "guard": False})
+        heir.node.step(time.monotonic_ns())
+        heir.node.shut_down()
+        self.assertEqual([list(output.data) for output in heir.published["/servo/output"]],
+                         [TIMEOUT_VALUES, [0] * 16])
 
     def test_output_of_a_node_that_stood_still_tells_what_the_guard_wrote(self):
         outputs = Topic("/sleeper/output", Int32MultiArray)
@@ -300,6 +302,25 @@ class BesideItsNode(Guarded):
                               "Written anew. See which other program writes to it")
         eventually(lambda: self.chip.read(LED0, 4) == bytes((0, 0, 0x3F, 0x01)), "the timeout value")
         self.assertEqual(process.end(), 0)
+
+    def test_virtual_car_follows_the_chip_also_while_no_node_lives_and_stops_when_the_guard_acts(self):
+        truths = Topic("/follower/truth", Odometry)
+        self.addCleanup(truths.close)
+        follower = NodeProcess(executable("car_sim"), "__name:=follower", f"_port:={self.folder}/teensy",
+                               f"_virtual_chip:={self.folder}/chip", "/servo/output:=/nobody/output")
+        self.addCleanup(follower.clean_up)
+        process = self.start_virtual("leader", "_guard_off_after:=5.0")
+        self.drive()
+        truths.wait_for(lambda truth: truth.twist.twist.linear.x > 0.5)
+        self.guard_of(process)
+        self.chip.open()
+        process.send(signal.SIGKILL)
+        stopped = truths.wait_for(lambda truth: truth.twist.twist.linear.x == 0.0, truths.mark())
+        self.assertEqual(self.chip.read(LED0 + 4, 4), bytes((0, 0, 0x33, 0x01)))  # 307 counts: neutral, not off
+        self.chip.write(LED0 + 4, bytes((0, 0, 0x77, 0x01)))  # for 50 ms, until the guard has seen it
+        truths.wait_for(lambda truth: truth.twist.twist.linear.x > 0.0, truths.mark())
+        self.assertIsNotNone(stopped)
+        self.assertEqual(follower.end(), 0)
 
 
 if __name__ == "__main__":

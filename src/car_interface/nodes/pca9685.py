@@ -5,7 +5,7 @@ Subscribes:
     servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, which the timeout values follow.
 Publishes:
     /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at 1 Hz.
-    /diagnostics: the board, its faults and how often each channel timed out; 1 Hz.
+    /diagnostics: the board, its faults and how often each channel timed out; the guard; 1 Hz.
 Parameters:
     ~device /dev/i2c-1: the bus, by path or number; ``virtual`` = a chip in software.
     ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides these two.
@@ -17,7 +17,9 @@ Parameters:
     ~live_range 500, ~throttle_live_range 100 (duty): how far the timeout values of these two channels may follow
         servo/neutral; 0 = not at all.
     ~required false: true = end with exit code 1 when the board can't be used at start.
-The virtual chip has a service and another parameter: see ``ros.virtual_board``.
+    ~guard true: start a guard, which makes the board safe when this node dies or hangs; see ``nodes.pca9685_guard``.
+    ~guard_off_after 10 (s): so long after it began to act the guard switches every output off.
+The virtual chip has a service and parameters of its own: see ``ros.virtual_board``.
 """
 from __future__ import annotations
 

@@ -36,6 +36,7 @@ class GuardWatch:
         self._messages = guard_reader()
         self._sequence = 0
         self._sent_ns = -math.inf  # the newest sign of life
+        self._has_reached = False  # the chip, by then: before, there was nothing to stand still with
         self._answer_due_ns = math.inf
         self._state = WAITING
         self._interventions = self._acknowledged = 0
@@ -88,16 +89,15 @@ class GuardWatch:
 
     def stood_still_ns(self, now_ns: int) -> int:
         """For how long the node gave no sign of life, if that was too long for the guard; 0 = it wasn't."""
-        gap_ns = now_ns - self._sent_ns
-        if not SILENCE_NS <= gap_ns < math.inf:
+        if not self.is_late(now_ns):
             return 0
         self._acknowledge()
         self._answer_due_ns = max(self._answer_due_ns, now_ns + ANSWER_NS)  # it could not be heard
-        return int(gap_ns)
+        return int(now_ns - self._sent_ns)
 
     def is_late(self, now_ns: int) -> bool:
         """Whether the newest sign of life is so old that the guard acts."""
-        return now_ns - self._sent_ns >= SILENCE_NS
+        return self._has_reached and now_ns - self._sent_ns >= SILENCE_NS
 
     def _acknowledge(self):
         self._acknowledged = self._interventions
@@ -117,4 +117,5 @@ class GuardWatch:
         """
         self._sequence += 1
         self._sent_ns = now_ns
+        self._has_reached = has_reached
         return NodeMessage(kind, has_reached, self._sequence, self._acknowledged, timeout_counts).encode()

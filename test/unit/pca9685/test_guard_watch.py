@@ -63,7 +63,14 @@ def test_node_without_a_guard_obeys(bench):
 def test_first_step_is_no_standing_still(bench):
     assert bench.watch.stood_still_ns(bench.now_ns) == 0
     assert bench.watch.due_ns <= bench.now_ns
-    assert bench.watch.is_late(bench.now_ns)
+    assert not bench.watch.is_late(bench.now_ns)
+
+
+def test_node_that_had_not_reached_its_chip_before_did_not_stand_still(bench):
+    bench.watch.sign_of_life(bench.now_ns, COUNTS, False)
+    bench.wait(5000)  # it waited for the chip
+    assert bench.watch.stood_still_ns(bench.now_ns) == 0
+    assert not bench.watch.is_late(bench.now_ns)
 
 
 def test_signs_of_life_are_due_every_50_ms_and_carry_the_timeout_values(watched):
