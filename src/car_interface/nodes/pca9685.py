@@ -47,7 +47,7 @@ from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, subscribe
+from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.ros.virtual_board import VirtualBoardBus
 
 OUTPUT_RATE_HZ = 1
@@ -249,7 +249,7 @@ class Pca9685:
         except ValueError as error:
             self._warnings.warn("length", f"{error}: refused")
             return
-        self._senders.update(message._connection_header["callerid"], message.data, now_ns)
+        self._senders.update(sender_of(message), message.data, now_ns)
         self._dropped += not self._supervisor.running
         if accepted.refused:
             first = accepted.refused[0]
