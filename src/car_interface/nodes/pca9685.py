@@ -53,7 +53,7 @@ from car_interface.ros.guard_link import GuardLink
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise
+from car_interface.ros.topics import advertise, sender_of
 from car_interface.ros.virtual_board import VirtualBoardBus, chip_path
 
 OUTPUT_RATE_HZ = 1
@@ -227,7 +227,7 @@ class Pca9685:
         except ValueError as error:
             self._warnings.warn("length", f"{error}: refused")
             return
-        self._senders.update(message._connection_header["callerid"], message.data, now_ns)
+        self._senders.update(sender_of(message), message.data, now_ns)
         self._dropped += not self._supervisor.running
         if accepted.refused:
             first = accepted.refused[0]
