@@ -18,7 +18,7 @@ Parameters:
     ~live_range 500, ~throttle_live_range 100 (duty): how far the timeout values of these two channels may follow
         servo/neutral; 0 = not at all.
     ~required false: true = end with exit code 1 when the board can't be used at start.
-    ~guard true: start a guard, which makes the board safe when this node dies or hangs; see ``nodes.pca9685_guard``.
+    ~guard true: start a guard, which makes the board safe when this node dies or hangs; see ``ros.pca9685_guard``.
     ~guard_off_after 10 (s): so long after it began to act the guard switches every output off.
 The virtual chip has a service and parameters of its own: see ``ros.virtual_board``.
 """
