@@ -108,8 +108,9 @@ class Pca9685:
                if self._device == VIRTUAL else SmbusBus(self._device, self._address))
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
+        self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
         self._guard = GuardLink(bus.kind, bus.path, self._address, config.guard_off_after_ns if config.guard else None,
-                                self._name(), self._warnings)
+                                self._name(), self._warnings, inbox.node_name, self._outputs.resolved_name)
         self._supervisor = BoardSupervisor(bus.open, bus.close, self._make_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
@@ -117,7 +118,6 @@ class Pca9685:
         self._timeouts: Counter = Counter()  # by channel
         self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
         self._published = [UNCHANGED] * CHANNELS
-        self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
         # Several nodes publish on each, but no two of them command the same channel.
         self._senders = ChannelSenders()
         self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_conflicts)
