@@ -11,12 +11,12 @@ import unittest
 
 import rospy
 import rostest
+from car_interface.msg import TeleopState
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
 from car_interface.common import causes
-from car_interface.msg import TeleopState
 from waiting import Topic, rate_hz, start, start_node
 
 BUTTON, AXIS, INIT = 1, 2, 0x80  # linux/joystick.h

@@ -25,7 +25,9 @@ FROZEN_S = 3.0
 LATE_S = 0.25  # as a busy computer makes a step late
 # Sent while the node is frozen: the deadman is released and held again, and released in the end.
 MEANWHILE = (False, False, False, True, True, True, False)
-STOOD_STILL = r"WARN.*node stood still for \d\.\d\d s: what was sent meanwhile is dropped; what is sent from now on counts"
+STOOD_STILL = (r"WARN.*node stood still for \d\.\d\d s: what was sent meanwhile is dropped; what is sent from now on "
+               "counts")
+NOT_REARMED = "messages were dropped; let go once: publish false, then true"
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
 
 
@@ -130,8 +132,7 @@ class TurnArb(StandstillTest):
         process = self.start_turn_arb()
         self.arm()
         mark = self.freeze(process, meanwhile=())
-        self.states.wait_for(lambda state: state.reason == "messages were dropped; let go once: publish false, then true",
-                             self.states.mark())
+        self.states.wait_for(lambda state: state.reason == NOT_REARMED, self.states.mark())
         self.assertEqual(self.duties(0, mark), {CENTER})
         self.arm()
 
@@ -171,7 +172,7 @@ class OneProcess(StandstillTest):
                   "pca9685": {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"),
                               "esc": config("throttle.yaml"), "device": "virtual",
                               "virtual_chip": os.path.join(self.folder, "chip")},
-                  "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml"), "port": os.path.join(self.folder, "absent")},
+                  "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml"), "port": f"{self.folder}/absent"},
                   "generic_value_converter": {**config("generic_value_converter.yaml", "throttle.yaml"),
                                               "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}
         for part in PARTS:

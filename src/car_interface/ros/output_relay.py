@@ -68,8 +68,11 @@ class OutputRelay:
         """Join the ROS graph; that may take as long as there is no master."""
         while not rosgraph.is_master_online():
             time.sleep(MASTER_POLL_S)
-        rospy.init_node("pca9685_guard", disable_signals=True, disable_rosout=True)
-        self._publisher = rospy.Publisher("/servo/output", Int32MultiArray, queue_size=10, latch=True)
+        try:
+            rospy.init_node("pca9685_guard", disable_signals=True, disable_rosout=True)
+            self._publisher = rospy.Publisher("/servo/output", Int32MultiArray, queue_size=10, latch=True)
+        except Exception as error:  # the master has gone again in this moment
+            print(f"nobody publishes what the board holds: no ROS master ({error})", file=sys.stderr, flush=True)
 
     def _receive(self):
         """Wait for a while, and take all that the guard wrote."""
