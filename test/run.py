@@ -319,7 +319,8 @@ def main() -> int:
     if arguments.check:
         return 0
     if arguments.all:
-        os.environ.update(CAR_INTERFACE_ALL="1", CAR_INTERFACE_TRIALS="50")
+        os.environ["CAR_INTERFACE_ALL"] = "1"
+        os.environ.setdefault("CAR_INTERFACE_TRIALS", "50")
     os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}"
     adopt_descendants()
     return run(arguments.output, arguments.python, selected, arguments.all)
