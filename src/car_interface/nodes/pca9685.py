@@ -4,8 +4,8 @@ Subscribes:
     command, /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties 0..65535 of the PWM period, −1 = unchanged.
     servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, which the timeout values follow.
 Publishes:
-    /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at 1 Hz. While
-        the guard acts alone ``ros.output_relay`` publishes it.
+    /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at 1 Hz.
+        While the guard acts alone ``ros.output_relay`` publishes it.
     /diagnostics: the board, its faults and how often each channel timed out; the guard; who publishes on its topics;
         1 Hz.
 Parameters:
