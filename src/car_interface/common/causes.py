@@ -27,6 +27,9 @@ NO_RADIUS = "no radius"  # the planner requests 0
 
 # Throttle.
 DRIVING = "driving"
+MODE_STALE = "mode silent"
+MODE_UNKNOWN = "mode unknown"
+CONVERTING = "converting"  # the converter has a value for the newest command
 STEERING_STALE = "steering silent"
 STEERING_STOPPED = "steering stopped"
 COMMAND_STALE = "command silent"
@@ -47,8 +50,8 @@ LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
 # Causes for which the motion interlock inhibits steering and throttle.
 INHIBITS = LOCKS | {STARTING, HUMAN_STALE, HUMAN_NEVER_RECEIVED, HUMAN_ABSENT, NOT_REARMED}
 # An input arrived before and has stopped arriving.
-STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEERING_STALE, COMMAND_STALE,
-                   ODOMETRY_STALE, JOY_STALE})
+STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEERING_STALE, MODE_STALE,
+                   COMMAND_STALE, ODOMETRY_STALE, JOY_STALE})
 NOT_FINITE = frozenset({TELEOP_NOT_FINITE, PLANNER_NOT_FINITE, COMMAND_NOT_FINITE, ODOMETRY_NOT_FINITE,
                         JOY_NOT_FINITE})
 # Something worked and failed, as opposed to an operator who stopped the car or has not started it yet.
