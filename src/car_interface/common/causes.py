@@ -46,6 +46,10 @@ JOY_NEVER_RECEIVED = "joy never heard"
 JOY_NOT_FINITE = "joy not finite"
 JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
 
+# Publishers of a topic that a node obeys.
+WRONG_TYPE = "wrong type"  # its messages aren't received
+SECOND_PUBLISHER = "second publisher"  # the newest message counts, whoever sent it
+
 LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
 # Causes for which the motion interlock inhibits steering and throttle.
 INHIBITS = LOCKS | {STARTING, HUMAN_STALE, HUMAN_NEVER_RECEIVED, HUMAN_ABSENT, NOT_REARMED}

@@ -8,7 +8,7 @@ Publishes:
     ~output/value (Float64Stamped): one for each command that can be converted.
     With servo/channel set /servo/cmdVector (std_msgs/Int32MultiArray) at 50 Hz: the ESC's duty, all others −1; and
         servo/neutral (the same, latched): its neutral, for the servo board's timeout value.
-    /diagnostics: whether commands are converted, and why not; 1 Hz.
+    /diagnostics: whether commands are converted, and why not, and who else publishes on its topics; 1 Hz.
 Parameters:
     ~csv_path_value_map: the absolute path of the map; required unless it isn't used.  ~allow_plateaus false.
     ~max_value 3.0, ~min_value −5.0: limits of the output.
@@ -39,6 +39,7 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, one_channel
 from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.msg import Control, Float64Stamped, SteeringState
+from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.reconfigure import ReconfigureServer
@@ -144,7 +145,9 @@ class GenericValueConverter:
         now_ns = time.monotonic_ns()
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
-        self._diagnostics = Diagnostics(inbox, "none", {"converter": self._report}, now_ns)
+        self._command_topics = CommandTopics(inbox)
+        self._diagnostics = Diagnostics(inbox, "none", {"converter": self._report, **self._command_topics.reports},
+                                        now_ns)
         self._values = advertise("~output/value", Float64Stamped, inbox)
         if self._throttle is not None:
             self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
@@ -158,6 +161,7 @@ class GenericValueConverter:
                         for name in ("~input/odometry", "~input/control_cmd")))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
         subscribe("~input/control_cmd", Control, inbox, self._on_command)
+        self._command_topics.start(self._diagnostics.report_now)
 
     def _offer_tuning(self, settings):
         """Have the ESC's neutral tuned while the car drives."""

@@ -5,7 +5,7 @@ Subscribes:
     servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, which the timeout values follow.
 Publishes:
     /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at 1 Hz.
-    /diagnostics: the board, its faults and how often each channel timed out; 1 Hz.
+    /diagnostics: the board, its faults and how often each channel timed out, and who publishes on its topics; 1 Hz.
 Parameters:
     ~device /dev/i2c-1: the bus, by path or number; ``virtual`` = a chip in software.
     ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides these two.
@@ -32,6 +32,7 @@ import smbus2
 from std_msgs.msg import Int32MultiArray
 
 from car_interface.common.errors import ConfigError, DeviceError
+from car_interface.common.publishers import Publisher, second_publisher
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_S
@@ -39,7 +40,9 @@ from car_interface.pca9685.board import Board
 from car_interface.pca9685.bus_errors import explain
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
+from car_interface.pca9685.senders import ChannelSenders
 from car_interface.pca9685.supervisor import DISCONNECTED, MISMATCH, RETRIED, RUNNING, BoardSupervisor
+from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
@@ -53,6 +56,8 @@ MAX_TIMEOUT_MS = 3_600_000
 VIRTUAL = "virtual"
 LIVE_RANGE, THROTTLE_LIVE_RANGE = 500, 100  # duty, as those of turn_arb and generic_value_converter
 NO_CHANNEL = -1
+COMMANDS = ("command", "/servo/cmdVector")
+NEUTRALS = "servo/neutral"
 
 
 @dataclass(frozen=True)
@@ -179,14 +184,19 @@ class Pca9685:
         self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
         self._published = [UNCHANGED] * CHANNELS
         self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
-        self._diagnostics = Diagnostics(inbox, self._name(), {"servo board": self._report}, now_ns)
+        # Several nodes publish on each, but no two of them command the same channel.
+        self._senders = ChannelSenders()
+        self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_conflicts)
+        self._diagnostics = Diagnostics(inbox, self._name(),
+                                        {"servo board": self._report, **self._command_topics.reports}, now_ns)
         if config.required:
             self._open_or_end(now_ns)
         bus.serve(inbox)
         inbox.on_overflow(lambda now_ns: self._channels.make_safe())
-        for topic in ("command", "/servo/cmdVector"):
+        for topic in COMMANDS:
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
-        subscribe("servo/neutral", Int32MultiArray, inbox, self._on_neutral)
+        subscribe(NEUTRALS, Int32MultiArray, inbox, self._on_neutral)
+        self._command_topics.start(self._diagnostics.report_now)
 
     def step(self, now_ns):
         """Handle all that arrived, expire commands, and then write: a slow bus must not replay stale commands."""
@@ -239,6 +249,7 @@ class Pca9685:
         except ValueError as error:
             self._warnings.warn("length", f"{error}: refused")
             return
+        self._senders.update(message._connection_header["callerid"], message.data, now_ns)
         self._dropped += not self._supervisor.running
         if accepted.refused:
             first = accepted.refused[0]
@@ -246,6 +257,13 @@ class Pca9685:
                                              f"{first} is no duty; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
         if accepted.clamped:
             self._warnings.warn("clamped", f"{_listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
+
+    def _channel_conflicts(self, now_ns, topics):
+        """The channels that several nodes command, as faults of the command topics."""
+        known = {publisher.node: publisher for topic in topics for publisher in topic.publishers}
+        return [second_publisher(_listed(channels), f"{len(nodes)} nodes command {_listed(channels)}",
+                                 [known.get(node) or Publisher(node, "an unknown machine", "") for node in nodes])
+                for nodes, channels in self._senders.conflicts(now_ns).items()]
 
     def _on_neutral(self, message, now_ns):
         """Let timeout values follow the neutrals of the nodes that command the channels."""

@@ -8,6 +8,7 @@ Publishes, at 50 Hz and at once when the deadman changes:
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman; never
         exactly neutral under the manual one, where the planner would steer then.
     /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 under the autonomous deadman.
+    /diagnostics: who publishes on its topic; 1 Hz.
 Parameters:
     ~steer_axis, ~throttle_axis, ~manual_button, ~autonomous_button: indices into the Joy message; required.
     ~steer_scale 1.0, ~throttle_scale 1.0: −1 inverts an axis.
@@ -24,6 +25,8 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
 from car_interface.common.rate_timer import RateTimer
+from car_interface.ros.command_topics import CommandTopics
+from car_interface.ros.diagnostics import Diagnostics
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import subscribe
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig
@@ -56,12 +59,16 @@ class TeleopLogi:
         self._gamepad = Gamepad(read_config(params))
         self._inbox = inbox
         self._published = None
-        self._timer = RateTimer(RATE_HZ, time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        self._timer = RateTimer(RATE_HZ, now_ns)
+        self._command_topics = CommandTopics(inbox)
+        self._diagnostics = Diagnostics(inbox, "none", self._command_topics.reports, now_ns)
         self._human = rospy.Publisher("/teleop_logi/human_in_loop", Bool, queue_size=10)
         self._steering = rospy.Publisher("/teleop_logi/tele_steer_req", Float32, queue_size=10)
         self._throttle = rospy.Publisher("/teleop_logi/tele_throt_req", Float32, queue_size=10)
         inbox.on_overflow(lambda now_ns: self._gamepad.mark_stale())
         subscribe("joy", Joy, inbox, self._on_joy)
+        self._command_topics.start(self._diagnostics.report_now)
 
     def step(self, now_ns):
         """Handle each message; then the timer."""
@@ -70,6 +77,7 @@ class TeleopLogi:
             self._publish_if_deadman_changed(arrival_ns)
         if self._timer.is_due(now_ns):
             self._publish(self._gamepad.requests(now_ns))
+        self._diagnostics.step(now_ns)
         return self._timer.due_ns
 
     def shut_down(self):

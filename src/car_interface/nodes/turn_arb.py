@@ -10,7 +10,7 @@ Publishes:
     ~state (SteeringState, latched): source, cause, duty and ages; on every change and 10 times a second.
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the center, for the servo board's timeout value; −1
         elsewhere.
-    /diagnostics: a summary of the same; 1 Hz.
+    /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
 Parameters (those of the original are also looked up in the namespaces around the node's):
     servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
     k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
@@ -39,9 +39,9 @@ from car_interface.common.live_parameters import Tuning, TuningSettings, read_tu
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import one_channel
 from car_interface.msg import SteeringState
+from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
-from car_interface.ros.master_watch import MasterWatch
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
@@ -105,14 +105,16 @@ class TurnArb:
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
         self._states = advertise("~state", SteeringState, inbox, latch=True)
-        self._diagnostics = Diagnostics(inbox, "none", {"steering": self._report}, now_ns)
+        self._command_topics = CommandTopics(inbox)
+        self._diagnostics = Diagnostics(inbox, "none", {"steering": self._report, **self._command_topics.reports},
+                                        now_ns)
         self._master_fault = ""
-        MasterWatch(inbox, self._on_master)
         inbox.on_overflow(self._on_overflow)
         subscribe_interlock(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
         self._reconfigure = self._offer_tuning(config)
+        self._command_topics.start(self._diagnostics.report_now, self._on_master)
 
     def step(self, now_ns):
         """Handle what arrived; then the timer."""

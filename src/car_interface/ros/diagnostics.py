@@ -73,6 +73,10 @@ class Diagnostics:
         """When the next report is due."""
         return self._timer.due_ns
 
+    def report_now(self) -> None:
+        """Have the next ``step`` report."""
+        self._timer.due_ns = 0
+
     def step(self, now_ns: int) -> None:
         """Report if it is due."""
         if self._timer.is_due(now_ns):

@@ -40,6 +40,7 @@ class Inbox:
 
     def __init__(self, node_name: str | None = None, limit: int = INBOX_LIMIT):
         self.ending = False
+        self.subscribers: list[rospy.Subscriber] = []  # of the node's topics
         self._node_name = node_name
         self._close_actions: list[Callable[[], None]] = []
         self._open_requests: set[Future] = set()  # service calls that wait for an answer

@@ -57,4 +57,5 @@ def has_subscribers(publisher: rospy.Publisher) -> bool:
 def _subscribe(topic, message_type, inbox, receive, queue_size=10):
     subscriber = rospy.Subscriber(inbox.resolve_name(topic), message_type, receive, queue_size=queue_size,
                                   tcp_nodelay=True)
+    inbox.subscribers.append(subscriber)
     inbox.on_close(subscriber.unregister)

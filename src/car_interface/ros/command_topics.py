@@ -1,0 +1,61 @@
+"""A node's report on who publishes on the topics that it obeys: on /diagnostics and, if it lasts, in the log."""
+from __future__ import annotations
+
+import time
+from typing import Callable
+
+import rospy
+
+from car_interface.common.publishers import CommandTopic, Fault, FaultLog, find_faults
+from car_interface.ros.diagnostics import ERROR, OK, WARN
+from car_interface.ros.inbox import Inbox
+from car_interface.ros.master_watch import MasterWatch
+
+COMMAND_TOPICS = "command topics"  # the report on /diagnostics
+
+
+class CommandTopics:
+    """Watches the publishers of all topics that a node subscribes to.
+
+    Args:
+        inbox: the node's.
+        shared: topics on which several nodes may publish.
+        more_faults: what else the node finds, called with ``now_ns`` and the topics.
+    """
+
+    def __init__(self, inbox: Inbox, shared: tuple[str, ...] = (),
+                 more_faults: Callable[[int, list[CommandTopic]], list[Fault]] | None = None):
+        self._inbox = inbox
+        self._shared = shared
+        self._more_faults = more_faults or (lambda now_ns, topics: [])
+        self._topics: list[CommandTopic] = []
+        self._log = FaultLog()
+        self.reports = {COMMAND_TOPICS: self._report}
+
+    def start(self, report_now: Callable[[], None], on_fault: Callable[[str, int], None] | None = None) -> None:
+        """Begin, once the node has subscribed to its topics.
+
+        Args:
+            report_now: has the node's reports published at once.
+            on_fault: as ``MasterWatch`` takes it.
+        """
+        def on_topics(topics, now_ns):
+            self._topics = topics
+            report_now()
+        MasterWatch(self._inbox, on_fault, on_topics, self._shared)
+
+    def _report(self, status):
+        """For /diagnostics: each fault with its remedy, and all publishers."""
+        now_ns = time.monotonic_ns()
+        faults = [fault for topic in self._topics for fault in find_faults(topic)]
+        faults += self._more_faults(now_ns, self._topics)
+        for fault in self._log.update(faults, now_ns):
+            rospy.logwarn("%s", fault.text)
+        status.summary(OK, "each has the publishers that it should have")
+        for fault in faults:
+            status.mergeSummary(ERROR if self._log.is_lasting(fault, now_ns) else WARN, fault.reason)
+        status.add("cause", ", ".join(dict.fromkeys(fault.cause for fault in faults)))
+        status.add("remedy", ". ".join(dict.fromkeys(fault.remedy for fault in faults)))
+        for topic in self._topics:
+            status.add(topic.name, ", ".join(map(str, topic.publishers)) or "no publisher")
+        return status

@@ -1,0 +1,128 @@
+"""Finds out who publishes on a topic, from where, and with which message type.
+
+The master knows the names only, and of the types only the first that was registered for a topic. Those whose messages
+arrive have a connection to this process, which says the rest. The others are asked: a TCPROS handshake with the MD5
+``*`` is answered with the publisher's type. See http://wiki.ros.org/ROS/TCPROS.
+"""
+from __future__ import annotations
+
+import io
+import socket
+import time
+import xmlrpc.client
+from typing import Any, Callable, Iterable, NamedTuple
+from urllib.parse import urlsplit
+
+import rospy
+from rosgraph.network import read_ros_handshake_header, write_ros_handshake_header
+
+from car_interface.common.publishers import Publisher
+from car_interface.common.units import NS_PER_S
+
+ANSWER_WITHIN_S = 1.0
+HEADER_SIZE = 65536
+# A publisher that is asked gets a subscriber for a moment, so it's not asked each time.
+ASK_AGAIN_NS = 4 * NS_PER_S
+ASK_SILENT_AGAIN_NS = 10 * NS_PER_S  # one that let the question time out
+
+
+class TimeoutTransport(xmlrpc.client.Transport):
+    """XML-RPC with a time limit."""
+
+    def make_connection(self, host: Any):
+        """As the base class does."""
+        connection = super().make_connection(host)
+        connection.timeout = ANSWER_WITHIN_S
+        return connection
+
+
+class _Answer(NamedTuple):
+    """What a publisher said: itself, or ``None`` if it's gone or silent; and until when that counts."""
+
+    publisher: Publisher | None
+    until_ns: int
+
+
+class PublisherLookup:
+    """Knows the publishers of this process's topics.
+
+    Args:
+        node_uri: asks the master where a node answers; empty = the master doesn't know it. It may raise anything.
+    """
+
+    def __init__(self, node_uri: Callable[[str], str]):
+        self._node_uri = node_uri
+        self._answers: dict[tuple[str, str], _Answer] = {}  # by topic and node
+        self._asked: set[tuple[str, str]] = set()
+
+    def begin(self) -> None:
+        """Begin anew: forget the answers of those that aren't listed any more."""
+        self._answers = {key: answer for key, answer in self._answers.items() if key in self._asked}
+        self._asked = set()
+
+    def publishers(self, subscription: Any, listed: Iterable[str]) -> list[Publisher]:
+        """All of a topic, sorted.
+
+        Args:
+            subscription: rospy's object behind a Subscriber.
+            listed: the names that the master has.
+        """
+        connected = {connection.callerid_pub: Publisher(connection.callerid_pub, _machine(connection.endpoint_id),
+                                                        subscription.type)
+                     for connection in subscription.connections if _is_connected(connection)}
+        others = (self._ask(subscription, node) for node in set(listed) - set(connected))
+        return sorted([*connected.values(), *filter(None, others)])
+
+    def _ask(self, subscription, node):
+        """A publisher without a connection; ``None`` = it's gone, or doesn't answer."""
+        key = subscription.resolved_name, node
+        self._asked.add(key)
+        now_ns = time.monotonic_ns()
+        if key not in self._answers or now_ns >= self._answers[key].until_ns:
+            self._answers[key] = self._ask_now(subscription, node, now_ns)
+        return self._answers[key].publisher
+
+    def _ask_now(self, subscription, node, now_ns):
+        try:
+            uri = self._node_uri(node)
+            header = ask_type(uri, subscription.resolved_name)
+            # Another name for the same fields is received.
+            is_same = header["md5sum"] == subscription.data_class._md5sum
+            publisher = Publisher(node, _machine(uri), subscription.type if is_same else header["type"])
+            return _Answer(publisher, now_ns + ASK_AGAIN_NS)
+        except ConnectionRefusedError:
+            return _Answer(None, now_ns)  # it was killed, and may be back soon
+        except socket.timeout:
+            return _Answer(None, now_ns + ASK_SILENT_AGAIN_NS)
+        except Exception:  # whatever it answers
+            return _Answer(None, now_ns + ASK_AGAIN_NS)
+
+
+def ask_type(uri: str, topic: str) -> dict[str, str]:
+    """What a node says of a topic that it publishes: ``type``, ``md5sum`` and more.
+
+    Raises:
+        OSError: it can't be reached.
+        LookupError: it doesn't publish that.
+    """
+    # Not this node's name: the publisher would take the question for its new connection, and drop the old one.
+    caller = f"{rospy.get_name()}_asks_type"
+    with xmlrpc.client.ServerProxy(uri, transport=TimeoutTransport()) as node:
+        code, message, protocol = node.requestTopic(caller, topic, [["TCPROS"]])
+    if code != 1 or not protocol:
+        raise LookupError(message)
+    with socket.create_connection((protocol[1], protocol[2]), timeout=ANSWER_WITHIN_S) as connection:
+        write_ros_handshake_header(connection, {"topic": topic, "md5sum": "*", "type": "*", "callerid": caller})
+        header = read_ros_handshake_header(connection, io.BytesIO(), HEADER_SIZE)
+    if "error" in header:
+        raise LookupError(header["error"])
+    return header
+
+
+def _is_connected(connection):
+    """Whether a publisher has accepted rospy's connection."""
+    return connection.socket is not None and not connection.done and "type" in (connection.header or {})
+
+
+def _machine(uri):
+    return urlsplit(uri).hostname or uri

@@ -1,0 +1,84 @@
+"""Who may publish on a topic that a node obeys: the right type, and nobody else."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.common import causes
+from car_interface.common.publishers import CommandTopic, FaultLog, Publisher, find_faults, second_publisher
+from car_interface.common.units import NS_PER_S
+
+FLOAT, DOUBLE = "std_msgs/Float32", "std_msgs/Float64"
+PLANNER = Publisher("/planner", "car", FLOAT)
+LAPTOPS = Publisher("/planner", "laptop", DOUBLE)
+BY_HAND = Publisher("/rostopic_12_34", "laptop", FLOAT)
+TELEOP = Publisher("/teleop_logi", "car", FLOAT)
+
+
+def topic(*publishers, is_shared=False):
+    return CommandTopic("/av_turnrad_req", FLOAT, publishers, is_shared)
+
+
+@pytest.mark.parametrize("publishers", [(), (PLANNER,)], ids=["nobody", "one_of_the_right_type"])
+def test_nobody_or_one_of_the_right_type_is_no_fault(publishers):
+    assert find_faults(topic(*publishers)) == []
+
+
+def test_wrong_type_is_told_with_node_machine_and_both_types():
+    fault, = find_faults(topic(LAPTOPS))
+    assert (fault.cause, fault.subject) == (causes.WRONG_TYPE, "/av_turnrad_req")
+    assert fault.text == ("/planner on laptop publishes std_msgs/Float64 on /av_turnrad_req, which takes "
+                          "std_msgs/Float32: none of its messages is received. Have /planner publish "
+                          "std_msgs/Float32, or publish on another topic")
+
+
+def test_publisher_of_the_wrong_type_is_no_second_one():
+    assert [fault.cause for fault in find_faults(topic(PLANNER, LAPTOPS))] == [causes.WRONG_TYPE]
+
+
+def test_second_publisher_is_told_with_all_nodes_and_machines_and_the_one_started_by_hand_is_to_be_ended():
+    fault, = find_faults(topic(TELEOP, BY_HAND))
+    assert fault.cause == causes.SECOND_PUBLISHER
+    assert fault.text == ("2 nodes publish on /av_turnrad_req, /rostopic_12_34 on laptop and /teleop_logi on car: the "
+                          "newest message counts, so that each undoes what the other commands. End all but the one "
+                          "that shall command: rosnode kill /rostopic_12_34")
+
+
+def test_of_two_nodes_none_is_named_as_the_wrong_one():
+    fault = second_publisher("channel 0", "2 nodes command channel 0", [PLANNER, TELEOP])
+    assert fault.reason.startswith("2 nodes command channel 0, /planner on car and /teleop_logi on car: ")
+    assert fault.remedy == "End all but the one that shall command: rosnode kill ends a node"
+
+
+def test_shared_topic_may_have_several_publishers_of_the_right_type():
+    causes_found = [fault.cause for fault in find_faults(topic(TELEOP, PLANNER, LAPTOPS, is_shared=True))]
+    assert causes_found == [causes.WRONG_TYPE]
+
+
+# --- what is logged ---
+
+WRONG, SECOND = (find_faults(topic(LAPTOPS))[0], find_faults(topic(TELEOP, BY_HAND))[0])
+
+
+def test_wrong_type_is_logged_at_once_and_then_every_ten_seconds():
+    log = FaultLog()
+    logged = [second for second in range(25) if log.update([WRONG], second * NS_PER_S)]
+    assert logged == [0, 10, 20]
+
+
+def test_second_publisher_is_logged_once_it_has_lasted():
+    log = FaultLog()
+    assert [second for second in range(20) if log.update([SECOND], second * NS_PER_S)] == [5, 15]
+    assert log.is_lasting(SECOND, 20 * NS_PER_S)
+
+
+def test_publisher_that_comes_and_goes_is_never_logged():
+    log = FaultLog()
+    present = [second % 5 < 4 for second in range(60)]
+    assert not any(log.update([SECOND] if is_there else [], second * NS_PER_S)
+                   for second, is_there in enumerate(present))
+
+
+def test_wrong_type_that_comes_and_goes_is_logged_every_ten_seconds_at_most():
+    log = FaultLog()
+    logged = [second for second in range(22) if log.update([WRONG] if second % 2 else [], second * NS_PER_S)]
+    assert logged == [1, 11, 21]
