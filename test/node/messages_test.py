@@ -35,6 +35,7 @@ def test_md5_is_that_of_old_recordings(name):
         ),
         ("Float64Stamped", "stamp data"),
         ("SteeringState", "stamp source cause reason duty turn_radius e_stop_age human_age teleop_age planner_age"),
+        ("TeleopState", "stamp human_in_loop cause reason joy_age"),
     ],
 )
 def test_fields_are_in_the_promised_order(name, fields):

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import math
 import signal
+import time
 import unittest
 
 import rosnode
 import rospy
 import rostest
+from car_interface.msg import TeleopState
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
-from waiting import Repeater, Sender, Topic, delete_param, rate_hz, retried, start_node
+from waiting import Repeater, Sender, Topic, delete_param, eventually, rate_hz, retried, start_node
 from witness import measured
 
 STEER, THROTTLE, MANUAL, AUTONOMOUS = 0, 4, 4, 5  # as config/teleop_logi.yaml has them
 
+REARM = "let go of the deadman, then hold it again"
+WRONG_MODE = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
+MODE_REMEDY = ("Is the gamepad in another mode? A Logitech F710 or F310 needs its switch at X for the shipped indices. "
+               "For another gamepad set teleop_logi's indices: rostopic echo /joy")
 GIVEN = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5}
 
 
@@ -37,6 +45,9 @@ class TeleopByItsTopics(unittest.TestCase):
         cls.human = Topic("/teleop_logi/human_in_loop", Bool).connected()
         cls.steering = Topic("/teleop_logi/tele_steer_req", Float32).connected()
         cls.throttle = Topic("/teleop_logi/tele_throt_req", Float32).connected()
+        cls.states = Topic("/teleop_logi/state", TeleopState).connected()
+        cls.reports = Topic("/diagnostics", DiagnosticArray).connected()
+        cls.log = Topic("/rosout", Log).connected()
         cls.joy = Sender("/joy", Joy)
 
     def setUp(self):
@@ -142,6 +153,98 @@ class TeleopByItsTopics(unittest.TestCase):
             self.wait_for_requests(0.0, 0.0)
 
 
+    # --- what is wrong is said ---
+
+    def wait_for_cause(self, cause, mark):
+        return self.states.wait_for(lambda state: state.cause == cause, mark).what
+
+    def report(self):
+        """The next report of the gamepad on /diagnostics."""
+        return self.reports.wait_for(lambda array: array.status[0].name == "teleop_logi: gamepad",
+                                     self.reports.mark()).what.status[0]
+
+    def drive(self):
+        """Hold the manual deadman; where the log goes on after the line that says so."""
+        mark = self.log.mark()
+        self.press(manual=1)
+        self.wait_for_human(True)
+        driving = self.log.wait_for(lambda line: line.msg == "human in loop: True (manual deadman held)", mark)
+        return mark + self.log.heard_since(mark).index(driving) + 1
+
+    def lines(self, mark, count):
+        """Level and text of this node's log lines from a place on, as soon as there are so many; no more come."""
+        def ours():
+            return [(line.level, line.msg) for line in self.log.since(mark) if line.name == "/teleop_logi"]
+        eventually(lambda: len(ours()) >= count, f"{count} log lines")
+        self.states.wait_for_count(5, self.states.mark())  # half a second, for more to come
+        self.assertEqual(len(ours()), count, ours())
+        return ours()
+
+    def test_gamepad_in_the_wrong_mode_is_named_in_state_log_and_diagnostics(self):
+        log, states = self.drive(), self.states.mark()
+        self.hold(manual=1, axes=4)
+        state = self.wait_for_cause("joy incomplete", states)
+        self.assertEqual((state.human_in_loop, state.reason), (False, WRONG_MODE))
+        self.assertLess(state.joy_age, 1.0)
+        report = self.report()
+        self.assertEqual((report.level, report.message), (DiagnosticStatus.ERROR, f"{WRONG_MODE}. {MODE_REMEDY}"))
+        values = {pair.key: pair.value for pair in report.values}
+        self.assertEqual((values["cause"], values["axes, buttons"]), ("joy incomplete", "4, 11"))
+        self.assertEqual(self.lines(log, 1), [(Log.WARN, f"human in loop: False ({WRONG_MODE}). {MODE_REMEDY}")])
+
+    def test_axis_that_is_no_number_is_named_in_state_log_and_diagnostics(self):
+        log, states = self.drive(), self.states.mark()
+        self.hold(throttle=math.nan, manual=1)
+        reason = "the gamepad's throttle_axis 4 is nan, no number to act on"
+        remedy = "See what sends it: rostopic info /joy; rostopic echo /joy"
+        self.assertEqual(self.wait_for_cause("joy not finite", states).reason, reason)
+        report = self.report()
+        self.assertEqual((report.level, report.message), (DiagnosticStatus.ERROR, f"{reason}. {remedy}"))
+        self.assertEqual(self.lines(log, 1), [(Log.WARN, f"human in loop: False ({reason}). {remedy}")])
+
+    def test_silence_of_0_27_s_with_the_button_held_on_is_named_once(self):
+        def attempt():
+            log, states = self.drive(), self.states.mark()
+            self.inputs.drop()
+            self.joy.publish(joy(manual=1))
+            time.sleep(0.27)  # what is tested
+            self.hold(manual=1)
+            self.assertRegex(self.wait_for_cause("joy silent", states).reason, r"^joy silent for 0\.2[5-8] s$")
+            state = self.wait_for_cause("not re-armed", states)
+            self.assertEqual(state.reason, f"the gamepad was silent; {REARM}")
+            report = self.report()
+            self.assertEqual((report.level, report.message),
+                             (DiagnosticStatus.WARN, f"the gamepad was silent; {REARM}"))
+            (first, silent), second = self.lines(log, 2)
+            self.assertEqual(first, Log.WARN)
+            self.assertRegex(silent, r"^human in loop: False \(joy silent for 0\.2\d s\)\. See whether the gamepad is on, "
+                                     "charged and in range, and joy_node runs: rostopic hz /joy$")
+            self.assertEqual(second, (Log.WARN, f"human in loop: False (the gamepad was silent; {REARM})"))
+        measured(attempt)
+
+    def test_state_comes_10_times_a_second_is_latched_and_ok_at_rest(self):
+        def attempt():
+            self.assertAlmostEqual(rate_hz(self.states, over_s=1.0), 10, delta=1)
+        self.hold()
+        retried(attempt)
+        late = Topic("/teleop_logi/state", TeleopState)
+        self.addCleanup(late.close)
+        state = late.wait_for(lambda _: True).what
+        self.assertEqual(state._connection_header["latching"], "1")
+        self.assertEqual((state.cause, state.reason), ("no deadman", "no deadman is held"))
+        self.assertAlmostEqual(state.stamp.to_sec(), time.time(), delta=5)
+        report = self.report()
+        self.assertEqual((report.level, report.message), (DiagnosticStatus.OK, "no deadman is held"))
+
+    def test_deadmen_are_named_when_they_change(self):
+        log = self.drive()
+        self.hold(autonomous=1)
+        self.log.wait_for(lambda line: line.msg == "human in loop: True (autonomous deadman held)", log)
+        self.hold()
+        self.log.wait_for(lambda line: line.msg == "human in loop: False (no deadman is held)"
+                          and line.level == Log.INFO, log)
+
+
 class TeleopByItself(unittest.TestCase):
     def test_a_deadman_that_is_held_at_its_start_counts_once_it_was_let_go(self):
         """One that was started anew while the deadman is held must not have the car drive on."""
@@ -163,6 +266,24 @@ class TeleopByItself(unittest.TestCase):
         inputs.hold(gamepad, joy())
         inputs.hold(gamepad, joy(manual=1))
         human.wait_for(lambda message: message.data)
+        self.assertEqual(process.end(), 0)
+
+    def test_gamepad_that_was_never_heard_is_a_warning_with_the_remedy_in_its_namespace(self):
+        for key, value in GIVEN.items():
+            rospy.set_param(f"/car7/teleop_logi/{key}", value)
+        self.addCleanup(delete_param, "/car7/teleop_logi")
+        states = Topic("/car7/teleop_logi/state", TeleopState)
+        reports = Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(states.close)
+        self.addCleanup(reports.close)
+        process = start_node(self, "teleop_logi", "__ns:=/car7", name="teleop_logi")
+        state = states.wait_for(lambda _: True).what
+        self.assertEqual((state.human_in_loop, state.cause, state.reason, state.joy_age),
+                         (False, "joy never heard", "joy was never heard", math.inf))
+        report = reports.wait_for(lambda array: array.status[0].name == "car7/teleop_logi: gamepad").what.status[0]
+        self.assertEqual((report.level, report.message), (
+            DiagnosticStatus.WARN, "joy was never heard. See whether joy_node runs and finds the gamepad: rostopic info "
+                                   "/car7/joy; ls /dev/input/js*"))
         self.assertEqual(process.end(), 0)
 
     def test_each_index_is_required_and_named(self):

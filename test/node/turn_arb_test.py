@@ -16,7 +16,7 @@ import rospkg
 import rospy
 import rostest
 import yaml
-from car_interface.msg import SteeringState
+from car_interface.msg import SteeringState, TeleopState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Bool, Float32, Int32MultiArray
@@ -141,6 +141,38 @@ class TurnArbByItsTopics(unittest.TestCase):
         self.assertEqual((values["age of e_stop"], values["locked"], values["duty"]), ("never heard", "False", "5100"))
         self.assertEqual(values["cause"], "human silent")
         self.assertRegex(values["age of human_in_loop"], r"\d\.\d\d s")
+
+    def test_gamepad_s_reason_is_quoted_while_the_deadman_is_false(self):
+        """In state, log and /diagnostics; an old teleop without that topic leaves them as they were."""
+        reason = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
+        explain = Sender("/teleop_logi/state", TeleopState)
+        reports = Topic("/diagnostics", DiagnosticArray)
+        for each in (explain, reports):
+            self.addCleanup(each.close)
+        self.let_human_in(teleop=1.0)
+        self.wait_for_duty(LEFT, self.commands.mark())
+        states, log = self.states.mark(), self.log.mark()
+        self.inputs.hold(self.human, False)
+        self.inputs.hold(explain, TeleopState(cause="joy incomplete", reason=reason))
+        state = self.wait_for_state(SteeringState.NO_HUMAN, re.escape(f"human_in_loop is false: {reason}"), states).what
+        self.assertEqual((state.cause, state.duty), ("human absent", CENTER))
+        self.log.wait_for(lambda line: line.msg == f"NO_HUMAN: human_in_loop is false: {reason}", log)
+        reports.wait_for(lambda array: array.status[0].message == f"NO_HUMAN: human_in_loop is false: {reason}",
+                         reports.mark())
+        self.inputs.drop(explain)
+        self.wait_for_state(SteeringState.NO_HUMAN, "human_in_loop is false")
+
+    def test_gamepad_s_state_grants_nothing(self):
+        explain = Sender("/teleop_logi/state", TeleopState)
+        self.addCleanup(explain.close)
+        self.addCleanup(self.inputs.drop)
+        self.inputs.hold(self.teleop, 1.0)
+        self.inputs.hold(self.human, False)
+        self.wait_for_state(SteeringState.NO_HUMAN, "human_in_loop is false")
+        mark = self.commands.mark()
+        self.inputs.hold(explain, TeleopState(human_in_loop=True, cause="manual", reason="manual deadman held"))
+        self.assertEqual({steering_of(vector) for vector in self.commands.wait_for_count(50, mark)}, {CENTER})
+        self.assertEqual(self.states.since()[-1].reason, "human_in_loop is false")
 
     def test_releasing_the_deadman_centers_at_once(self):
         def attempt():

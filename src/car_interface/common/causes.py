@@ -49,6 +49,8 @@ JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
 # Publishers of a topic that a node obeys.
 WRONG_TYPE = "wrong type"  # its messages aren't received
 SECOND_PUBLISHER = "second publisher"  # the newest message counts, whoever sent it
+# The gamepad has to be set right: to let go and hold again doesn't help.
+JOY_UNUSABLE = frozenset({JOY_INCOMPLETE, JOY_NOT_FINITE})
 
 LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
 # Causes for which the motion interlock inhibits steering and throttle.

@@ -21,6 +21,8 @@ HUMAN_TIMEOUT_S = 0.5
 STARTED = "this node has just started"
 # How to re-arm, in the state message, the log and /diagnostics.
 REARM_REASON = "let go once: publish false, then true"
+EXPLANATION_TIMEOUT_S = 0.5  # teleop_logi sends its state 10 times a second
+MAX_EXPLANATION = 300  # characters
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ class MotionInterlock:
         self._config = config
         self._human = TimedInput("human_in_loop", config.human_timeout_s)
         self._e_stop = TimedInput("e_stop", config.e_stop_timeout_s)
+        self._explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._rearm_reason = "" if config.grant_at_start else STARTED  # why the deadman must be released first
         # Why e_stop's first message is awaited, and since when: a lock that is on may take a while to arrive.
         self._wait_reason = "" if config.grant_at_start else STARTED
@@ -80,6 +83,10 @@ class MotionInterlock:
         self._human.update(bool(present), now_ns)
         if not present and self._lock(now_ns) is None and not self._waits_for_e_stop(now_ns):
             self._rearm_reason = ""
+
+    def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
+        """Why the deadman is what it is, by who watches it. Only quoted when it is false; it permits nothing."""
+        self._explanation.update("" if present else " ".join(reason.split())[:MAX_EXPLANATION], now_ns)
 
     def update_e_stop(self, locked: bool, now_ns: int) -> None:
         """The emergency stop: true = stop, false = not now."""
@@ -107,7 +114,7 @@ class MotionInterlock:
             return Inhibit(False, causes.HUMAN_STALE if self._human.was_received else causes.HUMAN_NEVER_RECEIVED,
                            self._human.stale_reason(now_ns))
         if not self._human.value:
-            return Inhibit(False, causes.HUMAN_ABSENT, "human_in_loop is false")
+            return Inhibit(False, causes.HUMAN_ABSENT, self._absent_reason(now_ns))
         if self._rearm_reason:
             return Inhibit(False, causes.NOT_REARMED, f"{self._rearm_reason}; {REARM_REASON}")
         return None
@@ -119,6 +126,10 @@ class MotionInterlock:
     def e_stop_age_s(self, now_ns: int) -> float:
         """Seconds since the emergency stop's last message; inf = never received."""
         return self._e_stop.age_s(now_ns)
+
+    def _absent_reason(self, now_ns):
+        is_explained = not self._explanation.is_stale(now_ns) and self._explanation.value
+        return f"human_in_loop is false: {self._explanation.value}" if is_explained else "human_in_loop is false"
 
     def _lock(self, now_ns):
         if not self._e_stop.was_received:

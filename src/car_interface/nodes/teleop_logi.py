@@ -8,7 +8,9 @@ Publishes, at 50 Hz and at once when the deadman changes:
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman; never
         exactly neutral under the manual one, where the planner would steer then.
     /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 under the autonomous deadman.
-    /diagnostics: who publishes on its topic; 1 Hz.
+    ~state (TeleopState, latched): whether a human holds a deadman, cause, reason, age of joy; when the cause changes
+        and 10 times a second. For people: nothing that drives follows it.
+    /diagnostics: the same with the remedy, and who publishes on its topic; 1 Hz.
 Parameters:
     ~steer_axis, ~throttle_axis, ~manual_button, ~autonomous_button: indices into the Joy message; required.
     ~steer_scale 1.0, ~throttle_scale 1.0: −1 inverts an axis.
@@ -19,19 +21,24 @@ Parameters:
 from __future__ import annotations
 
 import time
+from collections import Counter
 
 import rospy
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
+from car_interface.common import causes
 from car_interface.common.rate_timer import RateTimer
+from car_interface.msg import TeleopState
 from car_interface.ros.command_topics import CommandTopics
-from car_interface.ros.diagnostics import Diagnostics
+from car_interface.ros.diagnostics import ERROR, OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
-from car_interface.ros.topics import subscribe
-from car_interface.teleop.gamepad import Gamepad, GamepadConfig
+from car_interface.ros.topics import advertise, subscribe
+from car_interface.teleop.gamepad import REPORT, Gamepad, GamepadConfig, remedy
+from car_interface.teleop.log_filter import RequestsLogFilter
 
 RATE_HZ = 50
+TICKS_PER_STATE = 5
 MAX_AXES = 64
 
 
@@ -61,11 +68,17 @@ class TeleopLogi:
         self._published = None
         now_ns = time.monotonic_ns()
         self._timer = RateTimer(RATE_HZ, now_ns)
+        self._ticks = 0
+        self._log_filter = RequestsLogFilter()
+        self._losses = Counter()  # by cause
+        self._topic = rospy.resolve_name("joy")
         self._command_topics = CommandTopics(inbox)
-        self._diagnostics = Diagnostics(inbox, "none", self._command_topics.reports, now_ns)
         self._human = rospy.Publisher("/teleop_logi/human_in_loop", Bool, queue_size=10)
         self._steering = rospy.Publisher("/teleop_logi/tele_steer_req", Float32, queue_size=10)
         self._throttle = rospy.Publisher("/teleop_logi/tele_throt_req", Float32, queue_size=10)
+        self._states = advertise("~state", TeleopState, inbox, latch=True)
+        self._diagnostics = Diagnostics(inbox, "none", {REPORT: self._report, **self._command_topics.reports},
+                                        now_ns)
         inbox.on_overflow(lambda now_ns: self._gamepad.mark_stale())
         subscribe("joy", Joy, inbox, self._on_joy)
         self._command_topics.start(self._diagnostics.report_now)
@@ -73,10 +86,11 @@ class TeleopLogi:
     def step(self, now_ns):
         """Handle each message; then the timer."""
         for handler, message, arrival_ns in self._inbox.drain():
+            self._publish_if_changed(arrival_ns)  # a silence that this message ends, however short it was
             handler(message, arrival_ns)
-            self._publish_if_deadman_changed(arrival_ns)
+            self._publish_if_changed(arrival_ns)
         if self._timer.is_due(now_ns):
-            self._publish(self._gamepad.requests(now_ns))
+            self._tick(now_ns)
         self._diagnostics.step(now_ns)
         return self._timer.due_ns
 
@@ -88,12 +102,20 @@ class TeleopLogi:
     def _on_joy(self, message, now_ns):
         self._gamepad.update(message.axes, message.buttons, now_ns)
 
-    def _publish_if_deadman_changed(self, now_ns):
+    def _tick(self, now_ns):
         requests = self._gamepad.requests(now_ns)
-        if self._published is None or requests.human_in_loop != self._published.human_in_loop:
-            self._publish(requests)
+        has_changed = self._publish(requests, now_ns)
+        self._ticks += 1
+        if self._ticks % TICKS_PER_STATE == 0 and not has_changed:
+            self._publish_state(requests, now_ns)
 
-    def _publish(self, requests):
+    def _publish_if_changed(self, now_ns):
+        requests = self._gamepad.requests(now_ns)
+        if self._published is None or requests.cause != self._published.cause:
+            self._publish(requests, now_ns)
+
+    def _publish(self, requests, now_ns):
+        """Publish the requests, and the state when the cause is another one than before; whether it is."""
         before, self._published = self._published, requests
         # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
@@ -102,10 +124,45 @@ class TeleopLogi:
         self._throttle.publish(requests.throttle)
         if requests.human_in_loop:
             self._human.publish(True)
-        if before is None or (before.human_in_loop, before.must_rearm) != (requests.human_in_loop,
-                                                                            requests.must_rearm):
-            log = rospy.logwarn if requests.must_rearm else rospy.loginfo
-            log("human in loop: %s (%s)", requests.human_in_loop, requests.reason)
+        has_changed = before is None or before.cause != requests.cause
+        if has_changed:
+            self._publish_state(requests, now_ns)
+            self._losses.update({requests.cause} & causes.LOSSES)
+        if self._log_filter.is_new(requests, now_ns):
+            self._log(requests)
+        return has_changed
+
+    def _publish_state(self, requests, now_ns):
+        self._states.publish(TeleopState(
+            stamp=rospy.Time.now(), human_in_loop=requests.human_in_loop, cause=requests.cause, reason=requests.reason,
+            joy_age=self._gamepad.joy_age_s(now_ns)))
+
+    def _log(self, requests):
+        is_loss = requests.cause in causes.LOSSES
+        advice = remedy(requests.cause, self._topic) if is_loss else ""
+        log = rospy.logwarn if is_loss else rospy.loginfo
+        log("human in loop: %s (%s)%s", requests.human_in_loop, requests.reason, advice and f". {advice}")
+
+    def _report(self, status):
+        """Cause, remedy and what the gamepad sends, for /diagnostics."""
+        now_ns = time.monotonic_ns()
+        requests = self._gamepad.requests(now_ns)
+        advice = remedy(requests.cause, self._topic)
+        status.summary(_level(requests.cause), requests.reason + (advice and f". {advice}"))
+        status.add("cause", requests.cause)
+        status.add("human in loop", requests.human_in_loop)
+        status.add("age of joy", age_text(self._gamepad.joy_age_s(now_ns)))
+        status.add("axes, buttons", f"{self._gamepad.axes}, {self._gamepad.buttons}")
+        for cause, count in sorted(self._losses.items()):
+            status.add(f"times {cause}", count)
+        return status
+
+
+def _level(cause):
+    """How bad a cause is: an error needs more than to let go of the deadman and to hold it again."""
+    if cause in causes.JOY_UNUSABLE:
+        return ERROR
+    return WARN if cause in causes.LOSSES or cause == causes.JOY_NEVER_RECEIVED else OK
 
 
 def main():

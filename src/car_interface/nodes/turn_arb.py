@@ -5,6 +5,7 @@ Subscribes:
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left.
     av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 = no request.
+    teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the steering channel.
     ~state (SteeringState, latched): source, cause, duty and ages; on every change and 10 times a second.
@@ -38,7 +39,7 @@ from car_interface.common import causes
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import one_channel
-from car_interface.msg import SteeringState
+from car_interface.msg import SteeringState, TeleopState
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
@@ -46,7 +47,7 @@ from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, subscribe_changes
+from car_interface.ros.topics import advertise, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.params import read_arbiter, read_calibration
@@ -57,6 +58,7 @@ LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a 
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
 # rospy sends in a thread of its own, which needs the interpreter: state and log wait until the command was sent.
 REPORT_AFTER_NS = 500_000
+LOG_AFTER_NS = 20_000_000  # teleop_logi's state, which a line may quote, arrives after its human_in_loop
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,7 @@ class TurnArb:
         self._command = self._commanded_duty = None  # the command message, and the duty in it
         self._pending = []  # decisions whose command was published, but not yet state and log line
         self._report_ns = 0
+        self._unlogged = []  # decisions without a log line yet, and when it is due
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
         self._states = advertise("~state", SteeringState, inbox, latch=True)
@@ -113,6 +116,7 @@ class TurnArb:
         subscribe_interlock(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
+        subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state)
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now, self._on_master)
 
@@ -122,7 +126,7 @@ class TurnArb:
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
         elif self._pending and now_ns >= self._report_ns:
-            self._report_pending()
+            self._report_pending(now_ns)
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
 
@@ -150,6 +154,9 @@ class TurnArb:
         self._arbiter.update_planner(message.data, now_ns)
         if not math.isfinite(message.data):
             self._warnings.warn(causes.PLANNER_NOT_FINITE, f"av_turnrad_req is {message.data}: taken for no request")
+
+    def _on_teleop_state(self, message, now_ns):
+        self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
 
     def _decide(self, now_ns):
         """Publish at once when the decision has changed; whether it has."""
@@ -188,19 +195,27 @@ class TurnArb:
         if not self._decide(now_ns):
             self._publish_command(self._decision)
         if self._ticks % TICKS_PER_STATE == 0:
-            self._report_pending()
+            self._report_pending(now_ns)
             self._publish_state(self._arbiter.decide(now_ns))
+        self._log_due(now_ns)
         if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
             self._neutrals.publish(self._neutral)
 
-    def _report_pending(self):
-        """Publish and log the decisions whose commands were sent."""
+    def _report_pending(self, now_ns):
+        """Publish the decisions whose commands were sent, and have those of another kind logged."""
         for before, decision in self._pending:
             self._publish_state(decision)
             if before is None or (before.source, before.cause) != (decision.source, decision.cause):
-                log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
-                log("%s: %s", SOURCE_NAMES[decision.source], decision.reason)
+                self._unlogged.append((now_ns + LOG_AFTER_NS, decision))
         self._pending.clear()
+
+    def _log_due(self, now_ns):
+        while self._unlogged and now_ns >= self._unlogged[0][0]:
+            _, decision = self._unlogged.pop(0)
+            newest = self._arbiter.decide(now_ns)
+            reason = newest.reason if newest.cause == decision.cause == causes.HUMAN_ABSENT else decision.reason
+            log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
+            log("%s: %s", SOURCE_NAMES[decision.source], reason)
 
     def _report(self, status):
         """Source, cause and ages, for /diagnostics."""

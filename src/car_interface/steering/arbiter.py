@@ -103,6 +103,10 @@ class SteeringArbiter:
         """The deadman: true while a human holds it."""
         self._interlock.update_human(present, now_ns)
 
+    def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
+        """Why the deadman is what it is, by teleop_logi; only quoted in a decision's reason."""
+        self._interlock.explain_human(present, reason, now_ns)
+
     def update_teleop(self, steering: float, now_ns: int) -> None:
         """The gamepad's steering, −1 right to +1 left."""
         self._teleop.update(steering, now_ns)

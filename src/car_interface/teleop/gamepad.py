@@ -16,6 +16,17 @@ from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.interlock.motion_interlock import STARTED
 
 REARM_TEXT = "let go of the deadman, then hold it again"
+REPORT = "gamepad"  # teleop_logi's on /diagnostics
+# What to do about a gamepad that doesn't work. The switch is that of Logitech's F310 and F710, whose X mode has 8 axes
+# and 11 buttons, and whose D mode has 6 and 12, with the cross in the place of the right stick.
+MODE_REMEDY = ("Is the gamepad in another mode? A Logitech F710 or F310 needs its switch at X for the shipped indices. "
+               "For another gamepad set teleop_logi's indices: rostopic echo {joy}")
+REMEDIES = {
+    causes.JOY_NEVER_RECEIVED: "See whether joy_node runs and finds the gamepad: rostopic info {joy}; ls /dev/input/js*",
+    causes.JOY_STALE: "See whether the gamepad is on, charged and in range, and joy_node runs: rostopic hz {joy}",
+    causes.JOY_INCOMPLETE: MODE_REMEDY,
+    causes.JOY_NOT_FINITE: "See what sends it: rostopic info {joy}; rostopic echo {joy}",
+}
 # Distance from neutral of the request of a stick at rest: in deadbands, and its minimum. A servo doesn't resolve it.
 REST_DEADBANDS, MIN_REST = 2, 0.002
 
@@ -67,6 +78,16 @@ class Requests(NamedTuple):
         return self.cause == causes.NOT_REARMED
 
 
+def remedy(cause: str, topic: str) -> str:
+    """What to do about a cause; empty when there is nothing to do, or the reason says it.
+
+    Args:
+        cause: one of ``common.causes``.
+        topic: the gamepad's, with its namespace.
+    """
+    return REMEDIES.get(cause, "").format(joy=topic)
+
+
 class Gamepad:
     """Converts the gamepad's newest message to requests."""
 
@@ -74,11 +95,13 @@ class Gamepad:
         self._config = config
         self._joy = TimedInput("joy", config.joy_timeout_s)
         self._rearm_reason = STARTED  # why the deadmen must be released first; empty: they were
+        self.axes = self.buttons = 0  # how many the newest message had
 
     def update(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """A message: axes −1..1, buttons 0 or 1."""
         if self._joy.was_received and self._joy.is_stale(now_ns):
             self._rearm_reason = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
+        self.axes, self.buttons = len(axes), len(buttons)
         self._joy.update(self._read(axes, buttons), now_ns)
 
     def mark_stale(self) -> None:
@@ -92,24 +115,28 @@ class Gamepad:
             return self._released(cause, self._joy.stale_reason(now_ns))
         return self._joy.value
 
+    def joy_age_s(self, now_ns: int) -> float:
+        """Seconds since the last message; inf = never received."""
+        return self._joy.age_s(now_ns)
+
     def _released(self, cause, reason):
         return Requests(False, self._config.steer_neutral, 0.0, cause, reason)
 
     def _read(self, axes, buttons):
         config = self._config
-        for name, index, there in (("steer_axis", config.steer_axis, axes),
-                                   ("throttle_axis", config.throttle_axis, axes),
-                                   ("manual_button", config.manual_button, buttons),
-                                   ("autonomous_button", config.autonomous_button, buttons)):
-            if index >= len(there):
-                self._rearm_reason = f"the gamepad had no {name}"
-                return self._released(causes.JOY_INCOMPLETE,
-                                      f"the gamepad has no {name} {index}: it has {len(there)} of them")
+        missing = missing_index(config, len(axes), len(buttons))
+        if missing is not None:
+            name, reason = missing
+            self._rearm_reason = f"the gamepad had no {name}"
+            return self._released(causes.JOY_INCOMPLETE, reason)
+        for name, index, scale in (("steer_axis", config.steer_axis, config.steer_scale),
+                                   ("throttle_axis", config.throttle_axis, config.throttle_scale)):
+            if not math.isfinite(scale * axes[index]):
+                self._rearm_reason = f"the gamepad's {name} was {axes[index]}"
+                return self._released(causes.JOY_NOT_FINITE,
+                                      f"the gamepad's {name} {index} is {axes[index]}, no number to act on")
         steering = config.steer_scale * axes[config.steer_axis]
         throttle = config.throttle_scale * axes[config.throttle_axis]
-        if not (math.isfinite(steering) and math.isfinite(throttle)):
-            self._rearm_reason = "an axis of the gamepad was no number"
-            return self._released(causes.JOY_NOT_FINITE, "an axis of the gamepad isn't a number")
         if not (buttons[config.manual_button] or buttons[config.autonomous_button]):
             self._rearm_reason = ""
             return self._released(causes.NO_DEADMAN, "no deadman is held")
@@ -126,6 +153,19 @@ class Gamepad:
         if abs(steering - neutral) >= rest:
             return steering
         return neutral + (rest if neutral <= 0 else -rest)
+
+
+def missing_index(config: GamepadConfig, axes: int, buttons: int) -> tuple[str, str] | None:
+    """The first configured axis or button that a message with so many of them lacks: parameter and reason."""
+    for name, index, count, singular, plural in (
+            ("steer_axis", config.steer_axis, axes, "axis", "axes"),
+            ("throttle_axis", config.throttle_axis, axes, "axis", "axes"),
+            ("manual_button", config.manual_button, buttons, "button", "buttons"),
+            ("autonomous_button", config.autonomous_button, buttons, "button", "buttons")):
+        if index >= count:
+            found = {0: f"no {plural}", 1: f"1 {singular} (0)"}.get(count, f"{count} {plural} (0 to {count - 1})")
+            return name, f"the gamepad has {found}, but {name} is {index}"
+    return None
 
 
 def _unit(x):

@@ -247,3 +247,56 @@ def test_after_a_start_that_grants_nothing_nothing_but_letting_go_brings_control
 def test_start_that_grants_nothing_never_grants_what_the_other_one_refuses(events):
     if after(*events) is not None:
         assert after(*events, **NOTHING_GRANTED) is not None
+
+
+# --- why the deadman isn't held, by who watches it ---
+
+GAMEPAD = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
+
+
+def absent(present=False, reason=GAMEPAD, age_ns=0):
+    """The reason of a deadman that is false, with an explanation so old."""
+    interlock = MotionInterlock(InterlockConfig())
+    interlock.explain_human(present, reason, NOW - age_ns)
+    interlock.update_human(False, NOW)
+    return interlock.inhibit(NOW).reason
+
+
+def test_explanation_is_quoted_while_the_deadman_is_false():
+    assert absent() == f"human_in_loop is false: {GAMEPAD}"
+
+
+@pytest.mark.parametrize("age_ms, is_quoted", [(500, True), (501, False)])
+def test_explanation_that_is_old_is_not_quoted(age_ms, is_quoted):
+    """A latched message outlives the node that sent it."""
+    assert (GAMEPAD in absent(age_ns=age_ms * MS)) is is_quoted
+
+
+def test_without_an_explanation_the_reason_is_as_it_was():
+    assert after(LET_GO).reason == "human_in_loop is false"
+
+
+def test_explanation_that_contradicts_the_deadman_is_not_quoted():
+    assert absent(present=True, reason="manual deadman held") == "human_in_loop is false"
+
+
+def test_explanation_of_anything_becomes_one_line_of_bounded_length():
+    assert absent(reason="a\n b") == "human_in_loop is false: a b"
+    assert len(absent(reason="x" * 10_000)) == len("human_in_loop is false: ") + 300
+
+
+@given(st.lists(st.tuples(st.sampled_from([HOLD, LET_GO, E_STOP, RUN, SILENCE, DROPPED]), st.booleans(), st.text()),
+                max_size=12))
+def test_explanation_never_changes_what_is_permitted(steps):
+    plain, explained = MotionInterlock(InterlockConfig()), MotionInterlock(InterlockConfig())
+    now_ns = NOW
+    for (kind, value), present, text in steps:
+        now_ns += value if kind == "silence" else 10 * MS
+        explained.explain_human(present, text, now_ns)
+        for interlock in (plain, explained):
+            if kind == "dropped":
+                interlock.mark_stale(now_ns)
+            elif kind != "silence":
+                (interlock.update_human if kind == "human" else interlock.update_e_stop)(value, now_ns)
+        inhibits = [interlock.inhibit(now_ns) for interlock in (plain, explained)]
+        assert inhibits[0] == inhibits[1] or [inhibit[:2] for inhibit in inhibits] == [(False, "human absent")] * 2

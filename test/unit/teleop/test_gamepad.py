@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
-from car_interface.teleop.gamepad import Gamepad, GamepadConfig
+from car_interface.teleop.gamepad import Gamepad, GamepadConfig, missing_index, remedy
 
 S = 1_000_000_000
 NOW = 1000 * S
@@ -49,23 +49,24 @@ def requests(axes, buttons, age_s=0.1, **changes):
     pytest.param([1.5, -7.0], MANUAL, True, 1.0, -1.0,
                  causes.MANUAL, "manual deadman held", id="axes_beyond_1_are_clamped"),
     pytest.param([math.nan, 0.0], MANUAL, False, 0.0, 0.0,
-                 causes.JOY_NOT_FINITE, "an axis of the gamepad isn't a number", id="steering_that_is_nan_releases"),
+                 causes.JOY_NOT_FINITE, "the gamepad's steer_axis 0 is nan, no number to act on",
+                 id="steering_that_is_nan_releases"),
     pytest.param([0.0, math.inf], MANUAL, False, 0.0, 0.0,
-                 causes.JOY_NOT_FINITE, "an axis of the gamepad isn't a number",
+                 causes.JOY_NOT_FINITE, "the gamepad's throttle_axis 1 is inf, no number to act on",
                  id="throttle_that_is_infinite_releases"),
     pytest.param([math.nan, 0.0], AUTONOMOUS, False, 0.0, 0.0,
-                 causes.JOY_NOT_FINITE, "an axis of the gamepad isn't a number",
+                 causes.JOY_NOT_FINITE, "the gamepad's steer_axis 0 is nan, no number to act on",
                  id="so_it_does_with_the_autonomous_deadman"),
     pytest.param([], MANUAL, False, 0.0, 0.0,
-                 causes.JOY_INCOMPLETE, "the gamepad has no steer_axis 0: it has 0 of them", id="no_axes_release"),
+                 causes.JOY_INCOMPLETE, "the gamepad has no axes, but steer_axis is 0", id="no_axes_release"),
     pytest.param([0.5], MANUAL, False, 0.0, 0.0,
-                 causes.JOY_INCOMPLETE, "the gamepad has no throttle_axis 1: it has 1 of them",
+                 causes.JOY_INCOMPLETE, "the gamepad has 1 axis (0), but throttle_axis is 1",
                  id="a_missing_axis_releases"),
     pytest.param([0.5, 0.5], [], False, 0.0, 0.0,
-                 causes.JOY_INCOMPLETE, "the gamepad has no manual_button 0: it has 0 of them",
+                 causes.JOY_INCOMPLETE, "the gamepad has no buttons, but manual_button is 0",
                  id="no_buttons_release"),
     pytest.param([0.5, 0.5], [1], False, 0.0, 0.0,
-                 causes.JOY_INCOMPLETE, "the gamepad has no autonomous_button 1: it has 1 of them",
+                 causes.JOY_INCOMPLETE, "the gamepad has 1 button (0), but autonomous_button is 1",
                  id="a_missing_button_releases_even_if_the_other_is_held"),
 ])
 def test_message_is_read_as_requests(axes, buttons, human, steering, throttle, cause, reason):
@@ -195,3 +196,42 @@ def test_after_dropped_messages_nothing_is_held_until_all_deadmen_were_let_go():
     gamepad.update([0.5, 0.5], NONE, NOW)
     gamepad.update([0.5, 0.5], MANUAL, NOW)
     assert gamepad.requests(NOW).human_in_loop
+
+
+def test_gamepad_in_another_mode_is_described_with_the_axes_that_it_has():
+    shipped = config(steer_axis=0, throttle_axis=4, manual_button=4, autonomous_button=5)
+    assert missing_index(shipped, 4, 12) == (
+        "throttle_axis", "the gamepad has 4 axes (0 to 3), but throttle_axis is 4")
+    assert missing_index(shipped, 5, 5) == (
+        "autonomous_button", "the gamepad has 5 buttons (0 to 4), but autonomous_button is 5")
+    assert missing_index(shipped, 8, 11) is None
+
+
+def test_axis_that_was_no_number_is_named_until_all_deadmen_were_let_go():
+    gamepad = gamepad_at_rest(throttle_axis=4)
+    gamepad.update([0.0, 0.0, 0.0, 0.0, math.nan], MANUAL, NOW)
+    gamepad.update([0.0] * 5, MANUAL, NOW)
+    assert gamepad.requests(NOW).reason == (
+        "the gamepad's throttle_axis was nan; let go of the deadman, then hold it again")
+
+
+@pytest.mark.parametrize("cause, words", [
+    (causes.JOY_NEVER_RECEIVED, "whether joy_node runs and finds the gamepad: rostopic info /car1/joy"),
+    (causes.JOY_STALE, "whether the gamepad is on, charged and in range"),
+    (causes.JOY_INCOMPLETE, "A Logitech F710 or F310 needs its switch at X"),
+    (causes.JOY_NOT_FINITE, "See what sends it: rostopic info /car1/joy"),
+])
+def test_cause_that_letting_go_does_not_cure_has_a_remedy(cause, words):
+    assert words in remedy(cause, "/car1/joy")
+
+
+@pytest.mark.parametrize("cause", [causes.MANUAL, causes.AUTONOMOUS, causes.NO_DEADMAN, causes.NOT_REARMED])
+def test_cause_that_needs_none_or_says_it_itself_has_no_remedy(cause):
+    assert remedy(cause, "/joy") == ""
+
+
+def test_age_and_size_of_the_newest_message_are_known():
+    gamepad = Gamepad(config())
+    assert gamepad.joy_age_s(NOW) == math.inf
+    gamepad.update([0.0] * 8, [0] * 11, NOW)
+    assert (gamepad.axes, gamepad.buttons, gamepad.joy_age_s(NOW + S)) == (8, 11, 1.0)

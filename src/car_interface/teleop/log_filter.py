@@ -1,0 +1,30 @@
+"""Which changes of the gamepad's requests deserve a line in the log."""
+from __future__ import annotations
+
+from car_interface.common.units import NS_PER_S
+from car_interface.teleop.gamepad import Requests
+
+PERIOD_NS = 10 * NS_PER_S
+
+
+class RequestsLogFilter:
+    """Finds changes of the cause.
+
+    Where a human comes or goes each is new. Changes among the causes without a human are new at most once in 10 s each:
+    a gamepad at the edge of its range comes and goes several times a second. The one that lasts becomes new in the end.
+    """
+
+    def __init__(self):
+        self._logged: Requests | None = None
+        self._next_ns: dict[str, int] = {}  # by cause
+
+    def is_new(self, requests: Requests, now_ns: int) -> bool:
+        """Whether to log ``requests`` at ``now_ns``; if so, the next ones are compared with them."""
+        logged = self._logged
+        if logged is not None and logged.cause == requests.cause:
+            return False
+        without_human = logged is not None and not (logged.human_in_loop or requests.human_in_loop)
+        if without_human and now_ns < self._next_ns.get(requests.cause, now_ns):
+            return False
+        self._logged, self._next_ns[requests.cause] = requests, now_ns + PERIOD_NS
+        return True

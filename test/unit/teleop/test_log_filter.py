@@ -1,0 +1,48 @@
+"""Which changes of the gamepad's requests are logged. Time is passed in."""
+from __future__ import annotations
+
+from car_interface.common import causes
+from car_interface.teleop.gamepad import Requests
+from car_interface.teleop.log_filter import RequestsLogFilter
+
+S = 1_000_000_000
+MANUAL = Requests(True, 0.0, 0.0, causes.MANUAL, "")
+AUTONOMOUS = Requests(True, 0.0, 0.0, causes.AUTONOMOUS, "")
+RELEASED = Requests(False, 0.0, 0.0, causes.NO_DEADMAN, "")
+STALE = Requests(False, 0.0, 0.0, causes.JOY_STALE, "")
+NOT_REARMED = Requests(False, 0.0, 0.0, causes.NOT_REARMED, "")
+
+
+def logged(*steps):
+    """The causes that are logged, of (requests, time in s)."""
+    log_filter = RequestsLogFilter()
+    return [requests.cause for requests, time_s in steps if log_filter.is_new(requests, round(time_s * S))]
+
+
+def test_first_requests_are_logged_and_the_same_cause_is_not_again():
+    assert logged((RELEASED, 0), (RELEASED, 0.02), (RELEASED, 80)) == [causes.NO_DEADMAN]
+
+
+def test_silence_with_the_button_held_is_one_line_for_each_cause():
+    steps = [(MANUAL, 0), (STALE, 0.25), *((NOT_REARMED, 0.27 + 0.02 * step) for step in range(4000))]
+    assert logged(*steps) == [causes.MANUAL, causes.JOY_STALE, causes.NOT_REARMED]
+
+
+def test_human_who_comes_and_goes_is_logged_each_time():
+    steps = [(MANUAL, 0), (RELEASED, 1), (AUTONOMOUS, 2), (MANUAL, 3), (RELEASED, 4)]
+    assert logged(*steps) == [requests.cause for requests, _ in steps]
+
+
+def test_loss_is_logged_each_time_that_it_takes_control_away():
+    steps = [(MANUAL, 0), (STALE, 1), (RELEASED, 2), (MANUAL, 3), (STALE, 4)]
+    assert logged(*steps)[-1] == causes.JOY_STALE
+
+
+def test_gamepad_that_comes_and_goes_without_a_human_is_logged_every_10_s():
+    steps = [((STALE, RELEASED)[step % 2], 0.3 * step) for step in range(100)]  # for 30 s
+    assert logged(*steps) == [causes.JOY_STALE, causes.NO_DEADMAN] * 3
+
+
+def test_cause_that_lasts_is_logged_in_the_end():
+    steps = [(STALE, 0), (RELEASED, 0.3), (STALE, 0.6), *((STALE, 0.6 + 0.1 * step) for step in range(100))]
+    assert logged(*steps) == [causes.JOY_STALE, causes.NO_DEADMAN, causes.JOY_STALE]
