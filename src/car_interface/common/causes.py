@@ -37,6 +37,20 @@ COMMAND_NOT_FINITE = "command not finite"
 ODOMETRY_STALE = "odometry silent"
 ODOMETRY_NOT_FINITE = "odometry not finite"
 
+# ESC: what it is made to do, or why something else than requested.
+ESC_ARMING = "esc arming"
+ESC_MOTION = "esc motion"  # the car moved against the ESC's state: a wrong profile, a hill
+NO_THROTTLE = "no throttle"  # neutral is requested
+BRAKING = "braking"
+HOLDING = "holding"  # a brake at standstill
+STOPPING = "stopping"
+REVERSING = "reversing"
+REVERSE_PENDING = "reverse pending"  # the ESC needs a brake or neutral first
+REVERSE_REFUSED = "reverse refused"
+BRAKE_UNCERTAIN = "brake uncertain"  # the ESC could take it for reverse
+AT_STANDSTILL = "at standstill"  # where a brake doesn't become reverse
+REQUEST_NOT_FINITE = "request not finite"
+
 # Gamepad.
 MANUAL = "manual"  # the manual deadman is held
 AUTONOMOUS = "autonomous"  # the autonomous deadman is held
@@ -59,6 +73,6 @@ INHIBITS = LOCKS | {STARTING, HUMAN_STALE, HUMAN_NEVER_RECEIVED, HUMAN_ABSENT, N
 STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEERING_STALE, MODE_STALE,
                    COMMAND_STALE, ODOMETRY_STALE, JOY_STALE})
 NOT_FINITE = frozenset({TELEOP_NOT_FINITE, PLANNER_NOT_FINITE, COMMAND_NOT_FINITE, ODOMETRY_NOT_FINITE,
-                        JOY_NOT_FINITE})
+                        REQUEST_NOT_FINITE, JOY_NOT_FINITE})
 # Something worked and failed, as opposed to an operator who stopped the car or has not started it yet.
-LOSSES = STALE | NOT_FINITE | {NOT_REARMED, JOY_INCOMPLETE}
+LOSSES = STALE | NOT_FINITE | {NOT_REARMED, JOY_INCOMPLETE, ESC_MOTION}
