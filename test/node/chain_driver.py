@@ -22,9 +22,9 @@ PERIOD_S = 0.02
 
 
 def joy(value):
-    """Steering with the manual deadman held, as config/teleop_logi.yaml has the F710; 0 = all let go."""
+    """Both sticks with the manual deadman held, as config/teleop_logi.yaml has the F710; 0 = all let go."""
     axes, buttons = [0.0] * 6, [0] * 11
-    axes[0] = float(value)
+    axes[0] = axes[4] = float(value)
     buttons[4] = int(axes[0] != 0)
     return Joy(axes=axes, buttons=buttons)
 

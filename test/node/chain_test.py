@@ -67,7 +67,7 @@ class ChainTest(unittest.TestCase):
         self.car.sent(self.rest, "acceleration", "1.0")
         if request is None:
             self.car.sent(self.rest, "human", "0")
-            for node in ("turn_arb", "generic_value_converter"):
+            for node in ("turn_arb", "throttle_arb"):
                 self.car.processes[node].wait_for_info("human_in_loop is false")
             self.car.sent(self.rest, "human", "0")  # one that comes after both began to count them
             self.car.sent(self.rest, "human", "1")
@@ -262,6 +262,42 @@ class Losses(ChainTest):
             self.car.turn_arb().wait_for_info("NO_HUMAN|TELEOP|NEUTRAL")
             self.arm()
 
+    def test_converter(self):
+        """It commands nothing itself: throttle_arb stops without its values, and drives on when they come back."""
+        self.drive(Car(self))
+        for title, number in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
+            times = []
+            for _ in range(TRIALS):
+                process = self.car.processes["generic_value_converter"]
+                fault_ns = int(process.send(number) * 1e9)
+                esc_ns = self.car.chip.wait_for(1, lambda counts: counts == ESC_NEUTRAL, fault_ns)
+                times.append((esc_ns - fault_ns) / 1e6)
+                self.assertEqual(self.car.chip.counts(0), LEFT)
+                if number == signal.SIGSTOP:
+                    process.send(signal.SIGCONT)
+                else:
+                    process.wait_for_exit()
+                    self.car.converter()
+                self.wait_until_driving()
+            self.report(f"generic_value_converter {title}", "ESC", times, 550)
+
+    def test_throttle_arb(self):
+        self.drive(Car(self))
+        for title, number in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
+            times = []
+            for _ in range(TRIALS):
+                process = self.car.processes["throttle_arb"]
+                fault_ns = int(process.send(number) * 1e9)
+                esc_ns = self.car.chip.wait_for(1, lambda counts: counts == ESC_NEUTRAL, fault_ns)
+                times.append((esc_ns - fault_ns) / 1e6)
+                if number == signal.SIGSTOP:
+                    process.send(signal.SIGCONT)
+                else:
+                    process.wait_for_exit()
+                    self.car.throttle_arb().wait_for_info("NO_HUMAN|TELEOP|NEUTRAL")
+                self.arm()
+            self.report(f"throttle_arb {title}", "ESC", times, 300)
+
     def test_human_silent(self):
         self.drive(Car(self))
 
@@ -318,16 +354,16 @@ class Restarts(ChainTest):
     @staticmethod
     def refusals_of(process):
         """How many of its parts say that the deadman has to be let go, for it is held since before the start."""
-        return sum("this node has just started; let go" in line
+        return sum("this node has just started; let go once" in line
                    for line in process.stdout.since() + process.stderr.since())
 
     def test_turn_arb(self):
         self.drive(Car(self))
         self.restart("turn_arb", self.BOTH, self.car.turn_arb, self.arm, 300)
 
-    def test_converter(self):
+    def test_throttle_arb(self):
         self.drive(Car(self))
-        self.restart("generic_value_converter", self.ESC, self.car.converter, self.arm, 300)
+        self.restart("throttle_arb", self.ESC, self.car.throttle_arb, self.arm, 300)
 
     def test_one_process(self):
         """The chip goes on pulsing until the process is there again."""

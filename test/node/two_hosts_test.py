@@ -107,7 +107,7 @@ class LinkIsCut(unittest.TestCase):
     def hold(self, car, pad):
         """Let go and hold again; then the car follows."""
         car.sent(pad, "human", "0")
-        for node in ("turn_arb", "generic_value_converter"):
+        for node in ("turn_arb", "throttle_arb"):
             eventually(lambda node=node: "human_in_loop is false" in self.says(car, node), f"{node} to hear of it")
         car.sent(pad, "human", "0")  # one that comes after both began to count them
         car.sent(pad, "human", "1")

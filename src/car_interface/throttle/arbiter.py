@@ -1,8 +1,8 @@
 """Who drives the throttle, and with what request.
 
 Consumes emergency stop, deadman, turn_arb's state, the gamepad's throttle and mode, the planner's value and odometry,
-each with its arrival on the monotonic clock, and answers with an ``Arbitration``. Pure: ``now_ns`` is passed in. Whether
-a request behind neutral brakes or reverses, or is withheld, is decided afterwards by the ESC's rules (``throttle.esc``).
+each with its arrival on the monotonic clock, and answers with an ``Arbitration``. Pure: ``now_ns`` is passed in.
+Whether a request behind neutral brakes or reverses, or is withheld, is decided by the ESC's rules (``throttle.esc``).
 
 A request is a fraction of the duty between the ESC's neutral and each end: 1 full forward, −1 full brake or reverse.
 """
@@ -29,8 +29,8 @@ class ArbiterConfig:
     Attributes:
         stick: how the gamepad's throttle is read.
         interlock: the rules of emergency stop and deadman.
-        steering_timeout_s, teleop_timeout_s, mode_timeout_s, command_timeout_s, odometry_timeout_s: an input (turn_arb's
-            state, the gamepad's throttle and mode, the planner's value, odometry) that is older is stale; 0 = never.
+        steering_timeout_s, teleop_timeout_s, mode_timeout_s, command_timeout_s, odometry_timeout_s: an older input
+            (turn_arb's state, the gamepad's throttle and mode, the planner's value, odometry) is stale; 0 = never.
     """
 
     stick: StickConfig = field(default_factory=StickConfig)
@@ -99,6 +99,10 @@ class ThrottleArbiter:
         """The deadman: true while a human holds it."""
         self._interlock.update_human(present, now_ns)
         self._human.update(bool(present), now_ns)
+
+    def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
+        """Why the deadman is what it is, by teleop_logi; only quoted in a reason."""
+        self._interlock.explain_human(present, reason, now_ns)
 
     def update_steering(self, source: int, reason: str, now_ns: int) -> None:
         """Who steers, and why: of turn_arb's state."""
@@ -197,8 +201,9 @@ class ThrottleArbiter:
         request = shaped(throttle, self._stick.deadband, self._stick.expo)
         if not (request or human_drives):
             return None
-        return Arbitration(TELEOP, causes.TELEOP, f"tele_throt_req is {throttle:.3f}, scaled by {self.scale:g}", request,
-                           request * self.scale, request * self._stick.brake_scale, False)
+        reason = f"tele_throt_req is {throttle:.3f}, scaled by {self.scale:g}"
+        return Arbitration(TELEOP, causes.TELEOP, reason, request, request * self.scale,
+                           request * self._stick.brake_scale, False)
 
     def _by_planner(self, now_ns):
         trouble = self._no_value

@@ -11,10 +11,10 @@ from car_interface.doctor.checks.car import Node, Reading
 
 CALLER = "/doctor"
 ANSWER_WITHIN_S = 1.0
-NODES = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "teleop_logi", "car_sim")
 # These may be parts of one process, which the master then knows by this name alone.
+PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb")
 ONE_PROCESS = "car_nodes"
-PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
+NODES = (*PARTS, "teleop_logi", "car_sim")
 
 
 class Master:
@@ -59,7 +59,7 @@ class Master:
         """Whether a node is registered, and whether it answers."""
         path = f"{namespace.rstrip('/')}/{name}"
         uri = self._uri_of(path)
-        if uri is None and name in PARTS:
+        if uri is None and name in PARTS and (name != "throttle_arb" or self._drives_esc(namespace)):
             uri = self._uri_of(f"{namespace.rstrip('/')}/{ONE_PROCESS}")
         if uri is None:
             return Node(name, path, False, False)
@@ -68,6 +68,10 @@ class Master:
         except Exception:  # whatever is wrong with the answer: there is none
             return Node(name, path, True, False)
         return Node(name, path, True, True)
+
+    def _drives_esc(self, namespace):
+        """Whether the one process has throttle_arb, which is there on request only."""
+        return self.parameter(f"{namespace.rstrip('/')}/{ONE_PROCESS}/throttle") is True
 
     def _uri_of(self, path):
         """A node's, ``None`` when there is no such node."""
