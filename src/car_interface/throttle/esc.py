@@ -171,6 +171,9 @@ class Esc:
         return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
 
     def _pull(self, value, request, now_ns):
+        if self.config.calibration_drive and request.is_human:
+            state = BRAKING if self._motion.rolls_forward(now_ns) else REVERSE
+            return value, state, causes.CALIBRATION_DRIVE, "calibration drive: the ESC gets each pull as it is"
         means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
         if means_reverse and self._may_reverse(request, now_ns):
             return self._reverse(value, now_ns)
