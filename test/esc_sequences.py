@@ -68,11 +68,12 @@ class Chip:
 
     def __init__(self, rng, esc):
         self._rng, self._esc = rng, esc
-        self.duty = esc.neutral_duty
+        self.neutral = 16 * round(esc.neutral_duty / 16)
+        self.duty = self.neutral
         self._command_ns = 0
         self._commands = collections.deque()
         self._messages = collections.deque()
-        self._newest = esc.neutral_duty
+        self._newest = self.neutral
         self._published = None
         self._published_ns = 0
         self.guard_until_ns = self.dead_until_ns = 0
@@ -97,7 +98,7 @@ class Chip:
         if now_ns < self.dead_until_ns:
             self.duty = None
         elif now_ns < self.guard_until_ns or now_ns - self._command_ns > 250 * MS:
-            self.duty = 16 * round(self._esc.neutral_duty / 16)
+            self.duty = self.neutral
         else:
             self.duty = self._newest
         if self.duty != self._published or now_ns - self._published_ns >= 1000 * MS:
@@ -179,7 +180,8 @@ class Drive:
         self.car.step(TICK_NS / 1e9, motor)
         if self.speed != UNKNOWN and now_ns >= self._mute_until_ns and now_ns % (20 * MS) == 0:
             noise = rng.gauss(0, 0.01) if self.car.wheel_mps else 0.0
-            self._speeds.append((now_ns + rng.randrange(1, 40) * MS, self.car.wheel_mps + noise))
+            last_ns = self._speeds[-1][0] if self._speeds else 0
+            self._speeds.append((max(last_ns, now_ns + rng.randrange(1, 40) * MS), self.car.wheel_mps + noise))
         alive = now_ns >= self._node_back_ns
         for fraction in arrived:
             if alive:
@@ -212,8 +214,13 @@ class Drive:
             self._mute_until_ns = now_ns + rng.randrange(100, 3000) * MS
 
     def _judge(self, motor, now_ns):
-        if self._meant:
+        # Nothing that is sent arrives at an ESC without pulses, nor comes from a node that is away.
+        is_cut_off = self.chip.duty is None or now_ns < self._node_back_ns and self.chip.duty != self.chip.neutral
+        if self._meant or is_cut_off:
             self._intended_ns = now_ns
+        if is_cut_off:
+            self._stopped_ns = None
+            return
         if not self.request.is_stop:
             self._stopped_ns = None
         elif self._stopped_ns is None:
@@ -305,7 +312,9 @@ class Drive:
     def _want_reverse(self):
         self._faults = False
         self._node_back_ns = self.chip.guard_until_ns = self.chip.dead_until_ns = 0
-        self.stop(2.0)
+        self.stop(1.0)
+        while self.car.speed_mps:
+            self.stop(0.1)
         self.arm()
         if self.rng.random() < 0.7:
             self.stick(0.5, self.rng.uniform(0.3, 1.0))

@@ -50,6 +50,7 @@ REVERSE_REFUSED = "reverse refused"
 BRAKE_UNCERTAIN = "brake uncertain"  # the ESC could take it for reverse
 AT_STANDSTILL = "at standstill"  # where a brake doesn't become reverse
 REQUEST_NOT_FINITE = "request not finite"
+CALIBRATION_DRIVE = "calibration drive"  # the ESC gets a person's pulls as they are
 
 # Gamepad.
 MANUAL = "manual"  # the manual deadman is held

@@ -112,7 +112,7 @@ class Esc:
     # --- arming ---
 
     def _update_arming(self, request, now_ns):
-        if self._history.has_no_pulse():
+        if self._history.had_no_pulse():
             self._disarm(causes.ESC_ARMING, NO_PULSE, now_ns)
         against = self._check.check(self._motion.speed_mps(now_ns), self._state == REVERSE, now_ns)
         if against and self._state != ARMING:
@@ -129,6 +129,7 @@ class Esc:
         self._state = ARMING
         self._arming_cause, self._arming_reason = cause, reason
         self._armed_after_ns, self._was_released = now_ns, False
+        self._check = MotionCheck(self.config)
         self._brake_is_proven = self._brake_is_proven and cause != causes.ESC_MOTION
         self._pulls = Pulls(self.config.dead_band_reverse)
 
@@ -162,7 +163,7 @@ class Esc:
         backward = self._motion.rolls_backward(now_ns)
         if request.gear == REVERSE_GEAR:
             # A brake while it rolls backward. Below the margin the next push would drive forward.
-            if backward and self._motion.least_speed_mps(now_ns) > self.config.brake_margin_mps:
+            if backward and self._is_fast_enough(now_ns):
                 return value, BRAKING, causes.BRAKING, "it rolls backward"
             return 0.0, NEUTRAL, causes.AT_STANDSTILL, "a brake in reverse gear doesn't drive forward"
         if backward:
@@ -170,6 +171,9 @@ class Esc:
         return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
 
     def _pull(self, value, request, now_ns):
+        if self.config.calibration_drive and request.is_human:
+            state = BRAKING if self._motion.rolls_forward(now_ns) else REVERSE
+            return value, state, causes.CALIBRATION_DRIVE, "calibration drive: the ESC gets each pull as it is"
         means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
         if means_reverse and self._may_reverse(request, now_ns):
             return self._reverse(value, now_ns)
@@ -197,8 +201,12 @@ class Esc:
         return self._is_fast(now_ns)
 
     def _is_fast(self, now_ns):
-        return (self._motion.rolls_forward(now_ns)
-                and self._motion.least_speed_mps(now_ns) > self.config.brake_margin_mps)
+        return self._motion.rolls_forward(now_ns) and self._is_fast_enough(now_ns)
+
+    def _is_fast_enough(self, now_ns):
+        """Whether it is faster than the margin: twice that to begin a brake, since the age of a speed varies."""
+        margin_mps = self.config.brake_margin_mps * (1 if self._state == BRAKING else 2)
+        return self._motion.least_speed_mps(now_ns) > margin_mps
 
     def _brake_cause(self, state, means_reverse):
         if state == BRAKING:

@@ -17,6 +17,7 @@ UNVERIFIED = "unverified"
 PROFILES = (BRAKE_THEN_REVERSE, BRAKE_BECOMES_REVERSE, DIRECT_REVERSE, FORWARD_ONLY, UNVERIFIED)
 
 NAMESPACE = "esc/"
+FLAGS = ("profile_measured", "calibration_drive")
 # ROS parameter and accepted range of each number.
 NUMBERS = {
     "arming_time_s": ("arming_time", 0.1, 10.0),
@@ -50,6 +51,8 @@ class EscConfig:
             could take amiss.
         profile_measured: calibrate_esc saw it. Then a stop brakes without odometry, too, where the profile is sure to
             brake. Otherwise this waits until the car was once seen to stand still under a held brake.
+        calibration_drive: a person's pulls go to the ESC as they are, so that calibrate_esc sees what it makes of them:
+            a brake may become reverse. No stop brakes meanwhile; the deadman and the motion check hold.
         arming_time_s: how long neutral is held before anything else. ESCs find their neutral within a second of
             power-up; BARC's cars wait as long.
         dwell_s: neutral of this length lets an ESC change to reverse. Nobody publishes it: BARC found 0.125 s to be the
@@ -75,6 +78,7 @@ class EscConfig:
 
     profile: str = UNVERIFIED
     profile_measured: bool = False
+    calibration_drive: bool = False
     arming_time_s: float = 1.0
     dwell_s: float = 0.5
     dead_band_forward: float = 0.08
@@ -92,10 +96,13 @@ class EscConfig:
     def __post_init__(self):
         if self.profile not in PROFILES:
             raise ConfigError(NAMESPACE + "profile", self.profile, "one of " + ", ".join(PROFILES))
-        if not isinstance(self.profile_measured, bool):
-            raise ConfigError(NAMESPACE + "profile_measured", self.profile_measured, "true or false")
+        for field in FLAGS:
+            if not isinstance(getattr(self, field), bool):
+                raise ConfigError(NAMESPACE + field, getattr(self, field), "true or false")
         if self.profile_measured and self.profile == UNVERIFIED:
             raise ConfigError(NAMESPACE + "profile_measured", True, "false, while esc/profile is unverified")
+        if self.calibration_drive and self.profile != UNVERIFIED:
+            raise ConfigError(NAMESPACE + "calibration_drive", True, f"false, or esc/profile {UNVERIFIED}")
         for field, (name, low, high) in NUMBERS.items():
             value = getattr(self, field)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
@@ -117,5 +124,5 @@ def read_esc(params) -> EscConfig:
     defaults = {field.name: field.default for field in fields(EscConfig)}
     numbers = {field: params.number(NAMESPACE + name, defaults[field], low, high)
                for field, (name, low, high) in NUMBERS.items()}
-    return EscConfig(profile=params.choice(NAMESPACE + "profile", UNVERIFIED, PROFILES),
-                     profile_measured=params.flag(NAMESPACE + "profile_measured", False), **numbers)
+    flags = {field: params.flag(NAMESPACE + field, False) for field in FLAGS}
+    return EscConfig(profile=params.choice(NAMESPACE + "profile", UNVERIFIED, PROFILES), **flags, **numbers)

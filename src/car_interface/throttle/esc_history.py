@@ -66,6 +66,7 @@ class EscHistory:
         self._forget_ns = round(config.reverse_after_neutral_s * NS_PER_S)
         self._sent, self._held = _Account(config), _Account(config)
         self._held_ns: int | None = None  # when the board's last message came
+        self._missed = False
         self._drove = False  # it has seen forward, and since then no more than one pull
         self._braked = self._unlocked = False
 
@@ -73,6 +74,7 @@ class EscHistory:
         """What the board holds; ``None`` = no pulse."""
         self._look(now_ns)
         self._held_ns = now_ns
+        self._missed = self._missed or fraction is None
         self._held.update(fraction, now_ns)
         self._look(now_ns)
 
@@ -89,9 +91,10 @@ class EscHistory:
             self._held.since_ns = self._held_ns
             self._held.side = FAINT
 
-    def has_no_pulse(self) -> bool:
-        """Whether the board said that it gives no pulse."""
-        return self._held_ns is not None and self._held.side is None
+    def had_no_pulse(self) -> bool:
+        """Whether the board said, now or since the last call, that it gives no pulse."""
+        missed, self._missed = self._missed, False
+        return missed or self._held_ns is not None and self._held.side is None
 
     def is_known(self, now_ns: int) -> bool:
         """Whether it is known what the board holds."""

@@ -87,13 +87,14 @@ class MeasuredMotion:
 class MotionCheck:
     """Compares the measured speed with what the ESC's state allows.
 
-    Backward is allowed in reverse, and after it until the car has come to a standstill, if it gets no faster.
+    Backward is allowed in reverse, and after it until the car has come to a standstill, if it gets no faster. The same
+    holds at the beginning: it may have been in reverse before.
     """
 
     def __init__(self, config: EscConfig):
         self._config = config
         self._since_ns: int | None = None
-        self._max_backward_mps = 0.0
+        self._max_backward_mps = math.inf
 
     def check(self, speed_mps: float | None, is_reverse: bool, now_ns: int) -> str:
         """Why the motion contradicts the state for too long; empty = it does not."""
