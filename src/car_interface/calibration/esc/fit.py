@@ -87,7 +87,8 @@ def fit(drive: EscDrive) -> EscFit:
     data = sampled(drive)
     if data is None:
         return EscFit(None, None, None, None, None, None, None, (),
-                      ("nothing: the recording needs the servo board's output and odom",))
+                      ("nothing is known: the recording needs odom and the servo board's output, with servo/neutral "
+                       "in it",))
     seen: list = []
     missing: list = []
     found = pulls(data)
