@@ -359,7 +359,8 @@ def failures(result):
     return ""
 
 
-def _chunk(seeds):
+def run_all(seeds):
+    """Runs the drives of some seeds: (what failed, totals)."""
     found, totals = [], collections.Counter()
     for seed in seeds:
         result = run(seed)
@@ -379,7 +380,7 @@ def run_many(number, first=0):
     found, totals = [], collections.Counter()
     chunks = [range(begin, min(begin + 250, first + number)) for begin in range(first, first + number, 250)]
     with multiprocessing.Pool(os.cpu_count()) as pool:
-        for texts, counts in pool.imap_unordered(_chunk, chunks):
+        for texts, counts in pool.imap_unordered(run_all, chunks):
             found += texts
             totals.update(counts)
     return sorted(found), totals

@@ -295,7 +295,6 @@ class Esc:
         if state == REVERSE and (self._motion.stands(now_ns) or self._motion.rolls_backward(now_ns)):
             self._saw_speed_in_reverse = True
         self._fraction, self._state = fraction, state
-        self._motion.update_brake(state in (BRAKING, HOLD), now_ns)
         self._history.update_sent(fraction, now_ns)
         self._look_for_proof(now_ns)
         return EscDecision(fraction, state, cause, reason, *self._stop_guarantee(now_ns))

@@ -10,8 +10,8 @@ from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 
 STANDSTILL_MPS = 0.1
-# Locked wheels read 0 while the car slides. 3 m/s² is a slow slide, on dust: the car may be sliding for the speed that
-# it had when braking began, divided by this.
+# Locked wheels read 0 while the car slides, under a brake or a strong drag brake. A slide on dust still slows it by
+# 3 m/s²: after any measured speed the car may slide for no longer than that speed divided by this.
 SLIDE_MPS2 = 3.0
 MAX_DECELERATION_MPS2 = 8.0  # rubber on dry asphalt, 0.8 g
 ACTUATION_NS = 40_000_000  # from a decision to the end of the last pulse before it: a period of 20 ms, and a timer tick
@@ -23,7 +23,6 @@ class MeasuredMotion:
     def __init__(self, config: EscConfig):
         self._speed = TimedInput("odom", config.speed_timeout_s)
         self._arrival_ns = 0
-        self._brake_began_ns: int | None = None
         self._slides_until_ns = -math.inf
 
     def update(self, speed_mps: float, now_ns: int) -> None:
@@ -33,20 +32,13 @@ class MeasuredMotion:
             return
         self._speed.update(speed_mps, now_ns)
         self._arrival_ns = now_ns
-        if self._brake_began_ns is not None:
-            self._expect_slide(self._brake_began_ns, speed_mps)
+        if abs(speed_mps) >= STANDSTILL_MPS:
+            slides_until_ns = now_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
+            self._slides_until_ns = max(self._slides_until_ns, slides_until_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped: the speed is unknown until the next."""
         self._speed.mark_stale()
-
-    def update_brake(self, brakes: bool, now_ns: int) -> None:
-        """Whether the ESC is made to brake from now on."""
-        if not brakes:
-            self._brake_began_ns = None
-        elif self._brake_began_ns is None:
-            self._brake_began_ns = now_ns
-            self._expect_slide(now_ns, self._speed.value or 0.0)
 
     def speed_mps(self, now_ns: int) -> float | None:
         """The speed; ``None`` = unknown."""
@@ -78,10 +70,6 @@ class MeasuredMotion:
             return 0.0
         age_s = (now_ns - self._arrival_ns + ACTUATION_NS) / NS_PER_S
         return max(0.0, abs(speed_mps) - MAX_DECELERATION_MPS2 * age_s)
-
-    def _expect_slide(self, began_ns, speed_mps):
-        until_ns = began_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
-        self._slides_until_ns = max(self._slides_until_ns, until_ns)
 
 
 class MotionCheck:

@@ -27,13 +27,15 @@ class EscDrive(NamedTuple):
         duty_s, duty: when the servo board's duty for the ESC changed, and to what, (N,) each; rising times. Less than 1
             = no pulse.
         speed_s, speed_mps: the odometry, (M,) each; forward positive, rising times.
-        full_forward, full_reverse: the duties of the ends.
+        neutral, full_forward, full_reverse: the duties of the centered stick and of the ends, in the configuration that
+            was used.
     """
 
     duty_s: np.ndarray
     duty: np.ndarray
     speed_s: np.ndarray
     speed_mps: np.ndarray
+    neutral: float
     full_forward: float
     full_reverse: float
 
@@ -43,9 +45,8 @@ class Sampled(NamedTuple):
 
     t_s: np.ndarray
     duty: np.ndarray
-    fraction: np.ndarray  # of the way from the resting duty to the end; NaN without a pulse
+    fraction: np.ndarray  # of the way from neutral to the end; NaN without a pulse
     speed_mps: np.ndarray
-    resting: float  # the duty of the centered stick
 
 
 class Pull(NamedTuple):
@@ -65,7 +66,7 @@ class Pull(NamedTuple):
 
 
 def sampled(drive: EscDrive) -> Sampled | None:
-    """The drive each STEP_S; ``None`` where it is too short."""
+    """The drive each STEP_S; ``None`` where it is too short, or never in neutral."""
     if not len(drive.duty_s) or len(drive.speed_s) < 2:
         return None
     begin_s = max(drive.duty_s[0], drive.speed_s[0])
@@ -74,14 +75,11 @@ def sampled(drive: EscDrive) -> Sampled | None:
         return None
     index = np.searchsorted(drive.duty_s, t_s, side="right") - 1
     duty = np.asarray(drive.duty, float)[index]
-    pulses = duty >= 1
-    if not pulses.any():
+    span = np.where(duty > drive.neutral, drive.full_forward - drive.neutral, drive.neutral - drive.full_reverse)
+    fraction = np.where(duty >= 1, (duty - drive.neutral) / span, np.nan)
+    if not (np.abs(fraction) <= NEUTRAL_BAND).any():
         return None
-    values, counts = np.unique(duty[pulses], return_counts=True)
-    resting = float(values[counts.argmax()])
-    span = np.where(duty > resting, drive.full_forward - resting, resting - drive.full_reverse)
-    fraction = np.where(pulses, (duty - resting) / np.where(span == 0, 1.0, span), np.nan)
-    return Sampled(t_s, duty, fraction, np.interp(t_s, drive.speed_s, drive.speed_mps), resting)
+    return Sampled(t_s, duty, fraction, np.interp(t_s, drive.speed_s, drive.speed_mps))
 
 
 def pulls(drive: Sampled) -> list[Pull]:

@@ -10,7 +10,7 @@ from car_interface.sim import esc as virtual
 from car_interface.sim.esc_car import EscCar, EscCarConfig
 
 MS = 1_000_000
-FULL_FORWARD, FULL_REVERSE = 6554.0, 3277.0
+NEUTRAL, FULL_FORWARD, FULL_REVERSE = 4912.0, 6554.0, 3277.0
 
 
 class Person:
@@ -22,7 +22,7 @@ class Person:
         resting: the duty that the centered stick gives.
     """
 
-    def __init__(self, esc: virtual.VirtualEscConfig, car: EscCarConfig = EscCarConfig(), seed=0, resting=4912.0):
+    def __init__(self, esc: virtual.VirtualEscConfig, car: EscCarConfig = EscCarConfig(), seed=0, resting=NEUTRAL):
         self.rng = random.Random(seed)
         self._esc, self.car = virtual.VirtualEsc(esc, self.rng.randrange(20) * MS), EscCar(car)
         self._resting, self._now_ns = resting, 0
@@ -103,7 +103,7 @@ class Person:
 
     def recorded(self) -> EscDrive:
         duty, speed = np.array(self._duty), np.array(self._speed)
-        return EscDrive(duty[:, 0], duty[:, 1], speed[:, 0], speed[:, 1], FULL_FORWARD, FULL_REVERSE)
+        return EscDrive(duty[:, 0], duty[:, 1], speed[:, 0], speed[:, 1], self._resting, FULL_FORWARD, FULL_REVERSE)
 
 
 def random_esc(seed) -> tuple[virtual.VirtualEscConfig, EscCarConfig]:
