@@ -11,10 +11,8 @@ import struct
 import subprocess
 import tempfile
 import termios
-import time
 import unittest
 from fcntl import ioctl
-from typing import NamedTuple
 from xmlrpc.client import ServerProxy
 
 import rosgraph
@@ -24,11 +22,9 @@ import rostest
 from car_interface.msg import LinkStatus, SteeringState
 from car_interface.srv import InjectFault
 
+from doctor_run import BAD, OK, WARN, check_order, examine, run
 from waiting import PATIENCE_S, Topic, eventually, executable, retried, start, start_node
 
-OK, WARN, BAD = "ok", "warn", "bad"
-CODES = {OK: 0, WARN: 1, BAD: 2}
-MOST_S = 10.0
 NOWHERE = "http://127.0.0.1:1"
 HOLDER = """
 import fcntl, os, sys
@@ -37,33 +33,6 @@ fcntl.flock(port, fcntl.LOCK_EX)
 print("open", flush=True)
 sys.stdin.read()
 """
-
-
-class Examination(NamedTuple):
-    """What one run of the doctor showed."""
-
-    code: int
-    lines: list
-    errors: str
-    took_s: float
-
-    def of(self, subject: str) -> list:
-        """Level and text of each finding about a subject."""
-        found = [re.match(r"(ok|warn|bad) +(\S+) +(.*)", line) for line in self.lines[:-1]]
-        return [(match.group(1), match.group(3)) for match in found if match.group(2) == subject]
-
-
-def run(*command, env=None, cwd=None) -> subprocess.CompletedProcess:
-    """Run a program to its end, in pipes."""
-    return subprocess.run(command, env=env, cwd=cwd, stdin=subprocess.DEVNULL, capture_output=True, text=True,
-                          timeout=60, check=False)
-
-
-def examine(*options, cwd=None, **environment) -> Examination:
-    """Run the doctor as a user does, in a pipe."""
-    began_s = time.monotonic()
-    done = run(executable("doctor"), *options, env={**os.environ, **environment}, cwd=cwd)
-    return Examination(done.returncode, done.stdout.splitlines(), done.stderr, time.monotonic() - began_s)
 
 
 def pid_of(node):
@@ -88,27 +57,11 @@ class DoctorTest(unittest.TestCase):
 
     def check(self, examination, subject, level, words="", remedy=""):
         """A finding with this level and these words is there; the whole is in order."""
-        shown = "\n".join([*examination.lines, examination.errors])
+        shown = str(examination)
         self.assertIn(level, [found for found, _ in examination.of(subject)], shown)
         texts = [text for found, text in examination.of(subject) if found == level]
         self.assertTrue(any(words in text and remedy in text.partition(" | remedy: ")[2] for text in texts), shown)
-        self.check_order(examination)
-
-    def check_order(self, examination):
-        """Every line has its level, its remedy where one is due; the last one sums up; the exit code is the worst."""
-        shown = "\n".join([*examination.lines, examination.errors])
-        self.assertNotIn("Traceback", shown)
-        self.assertEqual(examination.errors, "")
-        levels = []
-        for line in examination.lines[:-1]:
-            self.assertRegex(line, r"^(ok  |warn|bad )  \S+ +\S", shown)
-            levels.append(line[:4].strip())
-            self.assertEqual(" | remedy: " in line, levels[-1] != OK, line)
-        counts = ", ".join(f"{levels.count(level)} {level}" for level in (BAD, WARN, OK) if level in levels)
-        self.assertTrue(examination.lines[-1].startswith(f"{counts}: "), shown)
-        self.assertEqual(examination.code, max(CODES[level] for level in levels), shown)
-        self.assertLess(examination.took_s, MOST_S)
-
+        check_order(self, examination)
 
     def replace_param(self, path, value):
         """Set a parameter until the test ends."""
@@ -282,7 +235,9 @@ class BrokenSetUps(DoctorTest):
         self.addCleanup(inject, "plug", 0)
         inject("unplug", 0)
         self.links.wait_for(lambda link: link.state == "port absent", self.links.mark())
-        self.check(examine(), "Teensy", BAD, "there is no such port")
+        examination = examine()
+        self.check(examination, "port", BAD, "there is no such port")
+        self.assertEqual([level for level, _ in examination.of("port")], [BAD])
 
     def test_frozen_nodes_are_bad_and_do_not_hold_it_up(self):
         pids = [pid_of(node) for node in ("/turn_arb", "/teensy_sensor_hub", "/pca9685")]

@@ -63,6 +63,7 @@ JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
 
 # Publishers of a topic that a node obeys.
 WRONG_TYPE = "wrong type"  # its messages aren't received
+UNKNOWN_HOST = "unknown host"  # of the publisher: it can't be reached from here
 SECOND_PUBLISHER = "second publisher"  # the newest message counts, whoever sent it
 # The gamepad has to be set right: to let go and hold again doesn't help.
 JOY_UNUSABLE = frozenset({JOY_INCOMPLETE, JOY_NOT_FINITE})

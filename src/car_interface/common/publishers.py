@@ -1,7 +1,8 @@
 """Who publishes on a topic that a node obeys, and whether they may: the right message type, and nobody else.
 
-Pure: what is known of the publishers in, faults out. ROS itself says neither: a node with another message type is
-ignored, and of two nodes that publish on one topic each message counts, so that they undo each other's.
+Pure: what is known of the publishers in, faults out. ROS itself says nothing: a node with another message type, or on a
+host whose name can't be looked up, is ignored, and of two nodes that publish on one topic each message counts, so that
+they undo each other's.
 """
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ from car_interface.common.units import NS_PER_S
 # A publisher that comes, sends once and goes, as ``rostopic pub -1`` does in 3 s, is shown but not logged.
 LASTING_NS = 5 * NS_PER_S
 LOG_PERIOD_NS = 10 * NS_PER_S
+REPORT = "command topics"  # on /diagnostics
 BY_HAND = ("rostopic_", "rqt_gui_py_node")  # how tools call their nodes
 
 
@@ -22,7 +24,8 @@ class Publisher(NamedTuple):
     Attributes:
         node: its name, with its namespace.
         machine: the host that it runs on, as it tells others to call it.
-        type: the type of its messages, such as ``std_msgs/Bool``.
+        type: the type of its messages, such as ``std_msgs/Bool``; empty = it can't be asked, as its machine's name
+            can't be looked up.
     """
 
     node: str
@@ -72,12 +75,19 @@ class Fault(NamedTuple):
 
 def find_faults(topic: CommandTopic) -> list[Fault]:
     """What is wrong with the publishers of a topic; nothing when there are none."""
-    wrong = sorted(publisher for publisher in topic.publishers if publisher.type != topic.type)
+    lost = sorted(publisher for publisher in topic.publishers if not publisher.type)
+    wrong = sorted(publisher for publisher in topic.publishers if publisher.type not in ("", topic.type))
     right = sorted(publisher for publisher in topic.publishers if publisher.type == topic.type)
     found = [Fault(causes.WRONG_TYPE, topic.name,
                    f"{publisher} publishes {publisher.type} on {topic.name}, which takes {topic.type}: none of its "
                    "messages is received", f"Have {publisher.node} publish {topic.type}, or publish on another topic")
              for publisher in wrong]
+    found += [Fault(causes.UNKNOWN_HOST, topic.name,
+                    f"{publisher.node} publishes on {topic.name} from a computer that it calls {publisher.machine}, "
+                    "which can't be looked up here: none of its messages is received",
+                    f"Where {publisher.node} runs, set ROS_IP to that computer's address, and start it again; if it has "
+                    "ended: rosnode cleanup")
+              for publisher in lost]
     if len(right) > 1 and not topic.is_shared:
         found.append(second_publisher(topic.name, f"{len(right)} nodes publish on {topic.name}", right))
     return found
@@ -110,6 +120,6 @@ class FaultLog:
         return list(due.values())
 
     def is_lasting(self, fault: Fault, now_ns: int) -> bool:
-        """Whether a fault is no passing one. A wrong type never is."""
+        """Whether a fault is no passing one: a second publisher may be."""
         since_ns = self._since_ns.get((fault.cause, fault.subject), now_ns)
-        return fault.cause == causes.WRONG_TYPE or now_ns - since_ns >= LASTING_NS
+        return fault.cause != causes.SECOND_PUBLISHER or now_ns - since_ns >= LASTING_NS

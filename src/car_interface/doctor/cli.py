@@ -6,7 +6,7 @@ alone that a node or another program uses.
 
 Options:
     --port, --i2c, --address: the devices; by default those that the nodes' parameters name, else those of car.launch.
-    --ns: the car's namespace; by default ROS_NAMESPACE.
+    --ns: the car's namespace; by default ROS_NAMESPACE, else that of the car that runs.
 """
 from __future__ import annotations
 
@@ -33,11 +33,13 @@ def read_options(arguments: list[str]) -> Options:
     parser.add_argument("--port", help="the Teensy's serial port")
     parser.add_argument("--i2c", help=f"the servo board's bus: a path, a number, or {VIRTUAL}")
     parser.add_argument("--address", type=lambda text: int(text, 0), help="the servo board's address, such as 0x40")
-    parser.add_argument("--ns", default=os.environ.get("ROS_NAMESPACE", "/"), help="the car's namespace")
+    parser.add_argument("--ns", default=os.environ.get("ROS_NAMESPACE"),
+                        help="the car's namespace; by default that of the car that runs")
     options = parser.parse_args([argument for argument in arguments if ":=" not in argument])
     if options.address is not None and options.address not in ADDRESSES:
         parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{ADDRESSES[0]:02x} to 0x{ADDRESSES[-1]:02x}")
-    return Options(options.port, options.i2c, options.address, "/" + options.ns.strip("/"))
+    namespace = None if options.ns is None else "/" + options.ns.strip("/")
+    return Options(options.port, options.i2c, options.address, namespace)
 
 
 def show(findings: Iterator[Finding]) -> int:

@@ -6,12 +6,10 @@ from typing import Callable
 
 import rospy
 
-from car_interface.common.publishers import CommandTopic, Fault, FaultLog, find_faults
+from car_interface.common.publishers import REPORT, CommandTopic, Fault, FaultLog, find_faults
 from car_interface.ros.diagnostics import ERROR, OK, WARN
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.master_watch import MasterWatch
-
-COMMAND_TOPICS = "command topics"  # the report on /diagnostics
 
 
 class CommandTopics:
@@ -30,7 +28,7 @@ class CommandTopics:
         self._more_faults = more_faults or (lambda now_ns, topics: [])
         self._topics: list[CommandTopic] = []
         self._log = FaultLog()
-        self.reports = {COMMAND_TOPICS: self._report}
+        self.reports = {REPORT: self._report}
 
     def start(self, report_now: Callable[[], None], on_fault: Callable[[str, int], None] | None = None) -> None:
         """Begin, once the node has subscribed to its topics.

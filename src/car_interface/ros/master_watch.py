@@ -66,7 +66,11 @@ class MasterWatch:
             topics = [topic for topic in found if topic is not None]
             if topics != self._topics:
                 self._topics = topics
-                self._inbox.put(self._on_topics, topics)
+                self._inbox.put(self._on_topics, topics, on_drop=self._forget)
+
+    def _forget(self):
+        """The node's inbox dropped what was found: pass it on again."""
+        self._topics = []
 
     def _look_up(self, subscriber, listed, lookup):
         subscription = subscriber.impl  # None once it's closed

@@ -23,6 +23,7 @@ from car_interface.ros.diagnostics import OK, WARN
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, has_subscribers, subscribe
 from car_interface.steering.monitor import SteeringCheck
+from car_interface.teensy.link.health import CLOCK_REPORT
 from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.clock import ClockConfig
 from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
@@ -195,7 +196,7 @@ class MeasurementPublisher:
     @property
     def reports(self) -> dict:
         """What goes to /diagnostics, by name."""
-        return {"Teensy clock": self._report_clock, "Teensy records": self._report_records,
+        return {CLOCK_REPORT: self._report_clock, "Teensy records": self._report_records,
                 "steering by the wheels": self._report_steering}
 
     def _report_clock(self, status):

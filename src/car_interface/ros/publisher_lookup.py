@@ -24,6 +24,7 @@ HEADER_SIZE = 65536
 # A publisher that is asked gets a subscriber for a moment, so it's not asked each time.
 ASK_AGAIN_NS = 4 * NS_PER_S
 ASK_SILENT_AGAIN_NS = 10 * NS_PER_S  # one that let the question time out
+SLOW_NS = NS_PER_S // 2
 
 
 class TimeoutTransport(xmlrpc.client.Transport):
@@ -54,9 +55,11 @@ class PublisherLookup:
         self._node_uri = node_uri
         self._answers: dict[tuple[str, str], _Answer] = {}  # by topic and node
         self._asked: set[tuple[str, str]] = set()
+        self._was_slow = False  # somebody let a question time out: the others are asked the next time
 
     def begin(self) -> None:
         """Begin anew: forget the answers of those that aren't listed any more."""
+        self._was_slow = False
         self._answers = {key: answer for key, answer in self._answers.items() if key in self._asked}
         self._asked = set()
 
@@ -78,11 +81,16 @@ class PublisherLookup:
         key = subscription.resolved_name, node
         self._asked.add(key)
         now_ns = time.monotonic_ns()
-        if key not in self._answers or now_ns >= self._answers[key].until_ns:
-            self._answers[key] = self._ask_now(subscription, node, now_ns)
-        return self._answers[key].publisher
+        answer = self._answers.get(key)
+        if answer is None or now_ns >= answer.until_ns:
+            if self._was_slow:
+                return answer and answer.publisher
+            self._answers[key] = answer = self._ask_now(subscription, node, now_ns)
+            self._was_slow = time.monotonic_ns() - now_ns >= SLOW_NS
+        return answer.publisher
 
     def _ask_now(self, subscription, node, now_ns):
+        uri = ""
         try:
             uri = self._node_uri(node)
             header = ask_type(uri, subscription.resolved_name)
@@ -92,6 +100,8 @@ class PublisherLookup:
             return _Answer(publisher, now_ns + ASK_AGAIN_NS)
         except ConnectionRefusedError:
             return _Answer(None, now_ns)  # it was killed, and may be back soon
+        except socket.gaierror:
+            return _Answer(Publisher(node, _machine(uri), ""), now_ns + ASK_SILENT_AGAIN_NS)
         except socket.timeout:
             return _Answer(None, now_ns + ASK_SILENT_AGAIN_NS)
         except Exception:  # whatever it answers

@@ -31,6 +31,19 @@ def test_wrong_type_is_told_with_node_machine_and_both_types():
                           "std_msgs/Float32, or publish on another topic")
 
 
+def test_publisher_on_a_computer_whose_name_is_unknown_is_told_with_the_remedy():
+    fault, = find_faults(topic(Publisher("/planner", "laptop", "")))
+    assert fault.cause == causes.UNKNOWN_HOST
+    assert fault.text == ("/planner publishes on /av_turnrad_req from a computer that it calls laptop, which can't be "
+                          "looked up here: none of its messages is received. Where /planner runs, set ROS_IP to that "
+                          "computer's address, and start it again; if it has ended: rosnode cleanup")
+
+
+def test_publisher_whose_messages_do_not_arrive_is_no_second_one():
+    assert [fault.cause for fault in find_faults(topic(PLANNER, Publisher("/other", "laptop", "")))] == [
+        causes.UNKNOWN_HOST]
+
+
 def test_publisher_of_the_wrong_type_is_no_second_one():
     assert [fault.cause for fault in find_faults(topic(PLANNER, LAPTOPS))] == [causes.WRONG_TYPE]
 

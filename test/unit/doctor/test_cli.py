@@ -13,7 +13,7 @@ from car_interface.doctor.examination import Options
 
 def test_options_by_default_name_nothing_but_the_namespace(monkeypatch):
     monkeypatch.delenv("ROS_NAMESPACE", raising=False)
-    assert read_options([]) == Options(None, None, None, "/")
+    assert read_options([]) == Options(None, None, None, None)
     monkeypatch.setenv("ROS_NAMESPACE", "car1/")
     assert read_options([]).namespace == "/car1"
 

@@ -107,3 +107,43 @@ def check_versions(python: str, libraries: Iterable[Library]) -> list[Finding]:
         else:
             good.append(f"{library.name} {library.version}".strip())
     return [Finding(OK, "versions", ", ".join(good)), *found]
+
+
+# --- packages that a part of the work needs ---
+
+INSTALL_TOOLS = "docs/recordings.md, Install the tools"
+
+
+def check_tools(missing: Sequence[str], environment: str) -> list[Finding]:
+    """Whether the commands for recordings can run.
+
+    Args:
+        missing: the libraries that this Python lacks.
+        environment: the command of a virtual environment that has them; empty = there is none.
+    """
+    if not missing:
+        return [Finding(OK, "packages", "the tools for recordings have theirs")]
+    if environment:
+        return [Finding(OK, "packages", f"the tools for recordings are in {environment}")]
+    return [Finding(WARN, "packages", f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing for "
+                                      f"bag_report, check_map and the calibration; driving needs none of it",
+                    f"rosdep install, or on Debian a virtual environment: {INSTALL_TOOLS}")]
+
+
+def check_joy(is_installed: bool, is_published: bool, distribution: str) -> list[Finding]:
+    """Whether a gamepad's messages can come.
+
+    Args:
+        is_installed: the ROS package joy, whose joy_node reads the gamepad.
+        is_published: somebody publishes the car's joy topic.
+        distribution: ROS_DISTRO.
+    """
+    if is_installed:
+        return [Finding(OK, "packages", "joy, for the gamepad, is installed")]
+    if is_published:
+        return [Finding(OK, "packages", "joy isn't installed here, but somebody publishes the gamepad's messages")]
+    remedy = (f"sudo apt install ros-{distribution}-joy" if distribution == "noetic" else
+              "Debian has no package of it: start car.launch with gamepad:=false, and publish joy from another "
+              "computer, as the README says under 'Launch'")
+    return [Finding(WARN, "packages", "the ROS package joy, whose joy_node reads the gamepad, is missing, and nobody "
+                                      "publishes joy", remedy)]

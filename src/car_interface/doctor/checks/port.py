@@ -6,14 +6,15 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common.device_access import SETUP_COMMAND
 from car_interface.common.units import NS_PER_MS
+from car_interface.doctor.checks.car import ABSENT, Node, restart_remedy
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.console import PROGRAMS, removal_remedy
-from car_interface.teensy.link.health import FINE, WAITING
+from car_interface.teensy.link.health import FINE, PORT_FAULTS, WAITING
 from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.session import Session
 
-HUB = "teensy_sensor_hub"
+HUBS = ("teensy_sensor_hub", "car_nodes")  # the processes that the hub may be
 MAX_NAMES = 3
 PING_PERIOD_NS = 300 * NS_PER_MS
 SONARS_WITHIN_NS = 2500 * NS_PER_MS  # a round of all six takes 0.6 s at most, unless their wait was set longer
@@ -28,8 +29,9 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
         return []
     names = [f"{name} (process {pid})" for pid, name in holders]
     programs = [name for _, name in holders]
-    if HUB in programs:
-        return [Finding(WARN, "port", f"{path}: {names[programs.index(HUB)]} has it open, but doesn't answer under "
+    hub = next((name for name, program in zip(names, programs) if program in HUBS), None)
+    if hub is not None:
+        return [Finding(WARN, "port", f"{path}: {hub} has it open, but doesn't answer under "
                                       "this master and namespace",
                         "See the nodes above; or run the doctor with that node's ROS_MASTER_URI, and --ns")]
     if "ModemManager" in programs:
@@ -64,21 +66,39 @@ class Link(NamedTuple):
     """What the doctor needs of the hub's ~link topic."""
 
     level: int
+    state: str
     description: str
     next_step: str
     round_trip_s: float
     firmware_checksum: str
 
 
-def check_link(link: Link | None, node: str) -> list[Finding]:
-    """The link as the running hub reports it; ``None`` = no message came."""
+def check_link(link: Link | None, port: str, node: Node) -> list[Finding]:
+    """Port and link as the running hub reports them; ``None`` = no message came."""
     if link is None:
-        return [Finding(BAD, "Teensy", f"{node} is registered, but its topic link is silent",
-                        f"See whether it hangs: rosnode ping {node}")]
+        return [Finding(BAD, "Teensy", f"{node.path} runs, but its topic link is silent: it hangs",
+                        restart_remedy(node.process))]
+    if link.state in PORT_FAULTS:
+        return [Finding(min(link.level, BAD), "port", f"{port}: {link.description}",
+                        link.next_step or f"rostopic echo {node.path}/link")]
+    return [Finding(OK, "port", f"{port} is {node.path}'s"), _check_teensy(link, node)]
+
+
+def _check_teensy(link, node):
     if link.level != OK:
-        return [Finding(min(link.level, BAD), "Teensy", link.description,
-                        link.next_step or f"rostopic echo {node}/link")]
-    return [Finding(OK, "Teensy", f"{link.description}; {_describe_pong(link.round_trip_s, link.firmware_checksum)}")]
+        return Finding(min(link.level, BAD), "Teensy", link.description,
+                       link.next_step or f"rostopic echo {node.path}/link")
+    return Finding(OK, "Teensy", f"{link.description}; {_describe_pong(link.round_trip_s, link.firmware_checksum)}")
+
+
+def check_virtual_port(port: str, simulator: str, hub_runs: bool) -> list[Finding]:
+    """A virtual Teensy's port while car_sim, which makes it, doesn't run; ``simulator`` is its state."""
+    if simulator != ABSENT:
+        return [Finding(BAD, "port", f"{port}: nothing comes from the virtual Teensy: car_sim, which is behind this "
+                                     "port, doesn't answer", "See the nodes above")]
+    return [Finding(BAD if hub_runs else WARN, "port", f"{port}: there is no virtual Teensy: car_sim, which makes this "
+                                                       "port, doesn't run",
+                    "roslaunch car_interface demo.launch; or give the real port by --port")]
 
 
 def _describe_pong(round_trip_s, checksum):

@@ -6,6 +6,7 @@ import glob
 import grp
 import importlib
 import importlib.metadata
+import importlib.util
 import os
 import socket
 import sys
@@ -19,6 +20,8 @@ from car_interface.doctor.checks.computer import (
     Need,
     check_clock,
     check_groups,
+    check_joy,
+    check_tools,
     check_versions,
 )
 from car_interface.doctor.checks.findings import BAD, WARN
@@ -42,9 +45,19 @@ LIBRARIES = (
     ("car_interface.msg", "", "Build the workspace and source it: catkin_make && source devel/setup.bash"),
     ("diagnostic_updater", "diagnostic_updater",
      "sudo apt install ros-noetic-diagnostic-updater (Debian: python3-diagnostic-updater)"),
+    ("dynamic_reconfigure", "dynamic_reconfigure",
+     "sudo apt install ros-noetic-dynamic-reconfigure (Debian: python3-dynamic-reconfigure)"),
     ("serial", "pyserial", "sudo apt install python3-serial"),
     ("smbus2", "smbus2", "sudo apt install python3-smbus2 (Ubuntu 20.04: pip3 install smbus2)"),
 )
+
+# Definitions of messages that nodes import.
+MESSAGES = ("diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs",
+            "visualization_msgs")
+# What the commands for recordings import, and where docs/recordings.md has them installed.
+TOOLS = {"matplotlib": "matplotlib", "numpy": "numpy", "rosbags": "rosbags", "scipy": "scipy", "tqdm": "tqdm",
+         "yaml": "PyYAML"}
+TOOLS_ENVIRONMENT = "~/car_tools/bin/car-interface"
 
 
 def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool):
@@ -87,7 +100,38 @@ def probe_versions():
     """Python and what nodes import."""
     return check_versions(".".join(map(str, sys.version_info[:3])),
                           [Library(name, _version(name, distribution), remedy)
-                           for name, distribution, remedy in LIBRARIES])
+                           for name, distribution, remedy in LIBRARIES] + _missing_messages())
+
+
+def _missing_messages():
+    return [Library(name, None, f"sudo apt install ros-noetic-{name.replace('_', '-')} (Debian: "
+                                f"python3-{name.replace('_', '-')})") for name in MESSAGES if not _is_installed(name)]
+
+
+def _is_installed(name):
+    try:
+        return importlib.util.find_spec(name) is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def probe_packages(joy_is_published: bool, is_virtual: bool):
+    """What isn't needed to drive every car: the ROS package joy, and the libraries of the tools for recordings."""
+    environment = TOOLS_ENVIRONMENT if os.path.exists(os.path.expanduser(TOOLS_ENVIRONMENT)) else ""
+    missing = [distribution for name, distribution in TOOLS.items() if not _is_installed(name)]
+    found = check_tools(missing, environment)
+    if not is_virtual:
+        found += check_joy(_has_ros_package("joy"), joy_is_published, os.environ.get("ROS_DISTRO", ""))
+    return found
+
+
+def _has_ros_package(name):
+    import rospkg  # it comes with ROS, which may be what is missing
+    try:
+        rospkg.RosPack().get_path(name)
+    except rospkg.ResourceNotFound:
+        return False
+    return True
 
 
 def _version(name, distribution):

@@ -7,16 +7,16 @@ import select
 import stat
 import time
 
-from car_interface.common.errors import DeviceError
 from car_interface.common.processes import openers
 from car_interface.common.units import NS_PER_S
 from car_interface.doctor.checks.board import Bus, check_bus, check_chip, check_no_answer, find_others, read_registers
 from car_interface.doctor.checks.findings import BAD, OK, Finding
-from car_interface.doctor.checks.port import HUB, TeensyProbe, check_holders, is_terminal
+from car_interface.doctor.checks.port import HUBS, TeensyProbe, check_holders, is_terminal
 from car_interface.doctor.probes.computer import group_of
 from car_interface.teensy.link.console import PSEUDO_TERMINALS, consoles
+from car_interface.teensy.link.health import BUSY
 
-I2C_MAJOR = 89  # Documentation/admin-guide/devices.txt of the kernel
+MEMORY_MAJOR, I2C_MAJOR = 1, 89  # Documentation/admin-guide/devices.txt of the kernel
 LIST_PORTS = "See which there are: ls /dev/serial/by-id /dev/ttyA*"
 
 
@@ -34,13 +34,14 @@ def probe_port(port: str, baud: int):
     holders = openers(port) or consoles(port) if is_real else []
     if holders:
         return check_holders(port, holders)
-    from car_interface.teensy.link.port import SerialLink  # it needs pyserial, which may be what is missing
+    from car_interface.teensy.link.port import PortError, SerialLink  # it needs pyserial, which may be what is missing
     link = SerialLink(port, baud)
     try:
         link.open()
         teensy = _probe(link, baud)
-    except DeviceError as error:
-        hubs = [holder for holder in openers(port) if holder[1] == HUB]
+    except PortError as error:
+        # Any process may have something else open at this path, such as /dev/null.
+        hubs = [holder for holder in openers(port) if holder[1] in HUBS] if error.state == BUSY else []
         return check_holders(port, hubs) or [Finding(BAD, "port", f"{port}: {error.cause}", error.remedy)]
     finally:
         link.close()
@@ -60,6 +61,8 @@ def _subsystem(path):
         pass  # pseudo-terminals aren't in there, and in a chroot nothing may be
     if not _is_character_device(path):
         return None
+    if os.major(number) == MEMORY_MAJOR:
+        return "mem"
     try:
         with open("/proc/tty/drivers", encoding="ascii", errors="replace") as file:
             return "tty" if is_terminal(os.major(number), os.minor(number), file.read()) else "unknown"

@@ -3,18 +3,30 @@ from __future__ import annotations
 
 import importlib
 import xmlrpc.client
-from typing import Any
+from typing import Any, NamedTuple
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
-from car_interface.doctor.checks.car import Node, Reading
+from car_interface.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
 
 CALLER = "/doctor"
 ANSWER_WITHIN_S = 1.0
-# These may be parts of one process, which the master then knows by this name alone.
+# These may be parts of ONE_PROCESS.
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb")
-ONE_PROCESS = "car_nodes"
-NODES = (*PARTS, "teleop_logi", "car_sim")
+NODES = (*PARTS, "teleop_logi", SIMULATOR)
+ON_REQUEST = "throttle_arb"  # the one of them that ONE_PROCESS may be without
+
+
+class Graph(NamedTuple):
+    """The ROS graph.
+
+    Attributes:
+        publishers: the names of the nodes that publish, by topic.
+        nodes: the names of all nodes that publish, subscribe or serve.
+    """
+
+    publishers: dict
+    nodes: frozenset
 
 
 class Master:
@@ -55,30 +67,39 @@ class Master:
         except LookupError:
             return None
 
-    def node(self, name: str, namespace: str) -> Node:
-        """Whether a node is registered, and whether it answers."""
+    def graph(self) -> Graph:
+        """Who publishes, subscribes and serves."""
+        publishers, *others = ([(name, tuple(nodes)) for name, nodes in kind] for kind in self.ask("getSystemState"))
+        everybody = (nodes for kind in (publishers, *others) for _, nodes in kind)
+        return Graph(dict(publishers), frozenset(node for nodes in everybody for node in nodes))
+
+    def node(self, name: str, namespace: str, graph: Graph) -> Node:
+        """What a node does. Where it isn't itself, ONE_PROCESS may be it."""
         path = f"{namespace.rstrip('/')}/{name}"
-        uri = self._uri_of(path)
-        if uri is None and name in PARTS and (name != "throttle_arb" or self._drives_esc(namespace)):
-            uri = self._uri_of(f"{namespace.rstrip('/')}/{ONE_PROCESS}")
-        if uri is None:
-            return Node(name, path, False, False)
+        own = Node(name, path, self._state(path, graph), path)
+        if own.runs or name not in PARTS or name == ON_REQUEST and f"{path}/state" not in graph.publishers:
+            return own
+        process = f"{namespace.rstrip('/')}/{ONE_PROCESS}"
+        state = self._state(process, graph)
+        return own if state == ABSENT else Node(name, path, state, process)
+
+    def _state(self, path, graph):
+        """The state of a process.
+
+        The master also remembers nodes that have ended, by a subscription to a parameter that they made when they
+        logged their last line: what counts is the graph.
+        """
+        if path not in graph.nodes:
+            return ABSENT
         try:
-            ask(uri, "getPid", CALLER)
+            ask(self.ask("lookupNode", path), "getPid", CALLER)
+        except LookupError:  # it has ended meanwhile
+            return ABSENT
+        except ConnectionRefusedError:
+            return KILLED
         except Exception:  # whatever is wrong with the answer: there is none
-            return Node(name, path, True, False)
-        return Node(name, path, True, True)
-
-    def _drives_esc(self, namespace):
-        """Whether the one process has throttle_arb, which is there on request only."""
-        return self.parameter(f"{namespace.rstrip('/')}/{ONE_PROCESS}/throttle") is True
-
-    def _uri_of(self, path):
-        """A node's, ``None`` when there is no such node."""
-        try:
-            return self.ask("lookupNode", path)
-        except LookupError:
-            return None
+            return SILENT
+        return RUNNING
 
     def search_parents(self, path: str, name: str) -> Any:
         """A parameter from the nearest of the namespaces around a node; ``None`` when none has it."""
@@ -105,14 +126,14 @@ def read_parameters(master: Master, node: Node) -> Reading | None:
     """Read what the server holds for a node as the node does; ``None`` when that is nothing and it doesn't run."""
     private = master.parameter(node.path)
     if not isinstance(private, dict):
-        if not node.registered:
+        if node.state == ABSENT:
             return None
         private = {}
     try:
         module = importlib.import_module(f"car_interface.nodes.{node.name}")
         module.read_config(Params(private, lambda name: master.search_parents(node.path, name)))
     except CarInterfaceError as error:
-        return Reading(node.path, str(error), node.registered)
+        return Reading(node.path, str(error), node.state != ABSENT)
     except ImportError as error:
-        return Reading(node.path, f"it can't be imported ({error})", node.registered)
-    return Reading(node.path, "", node.registered)
+        return Reading(node.path, f"it can't be imported ({error})", node.state != ABSENT)
+    return Reading(node.path, "", node.state != ABSENT)

@@ -36,7 +36,8 @@ class _Listener:
     def on_reports(self, array):
         with self._lock:
             for status in array.status:
-                self.reports[status.name] = Report(status.name, _level(status.level), status.message)
+                remedy = next((value.value for value in status.values if value.key == "remedy"), "")
+                self.reports[status.name] = Report(status.name, _level(status.level), status.message, remedy)
 
     def reporters(self):
         """The nodes whose reports came."""
@@ -85,7 +86,7 @@ def _link(links):
     if not links:
         return None
     link = links[-1]
-    return Link(link.level, link.words, link.next_step, link.round_trip, link.firmware_checksum)
+    return Link(link.level, link.state, link.words, link.next_step, link.round_trip, link.firmware_checksum)
 
 
 def _steering(states):

@@ -15,10 +15,12 @@ OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
 # What a port that can't be opened suffers from.
 ABSENT, NO_PERMISSION, BUSY, NO_PORT, FAILING = (
     "port absent", "no permission", "port busy", "not a serial port", "port fails")
+PORT_FAULTS = frozenset({ABSENT, NO_PERMISSION, BUSY, NO_PORT, FAILING})
 # How one that is open does.
 WAITING, SILENT, NO_FRAMES, BAD_CHECKSUMS, NO_PONGS, REBOOTED, FINE = (
     "waiting", "silent", "no frames", "bad checksums", "no pongs", "rebooted", "fine")
 LINK_REPORT = "Teensy link"  # the report on /diagnostics that says the same as the topic link
+CLOCK_REPORT = "Teensy clock"  # the one about its clock, which no ping reaches while the link has a fault
 SONAR_FAULT = "sonar fault"  # of a link that is fine
 
 SHORTEST_SPAN_NS = 800 * NS_PER_MS  # counters that stand closer together say too little: 5 frames a second may be all

@@ -4,68 +4,126 @@ from __future__ import annotations
 import pytest
 
 from car_interface.doctor.checks.car import (
+    ABSENT,
+    KILLED,
     NODE_ROLES,
+    RUNNING,
+    SILENT,
     Node,
     Reading,
     Report,
     Steering,
+    check_command_topics,
     check_diagnostics,
     check_nodes,
     check_parameters,
+    check_several,
     check_steering,
+    find_cars,
 )
 from car_interface.doctor.checks.findings import BAD, OK, WARN
+
+PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
+TURN_ARB = Node("turn_arb", "/turn_arb", RUNNING, "/car_nodes")
 
 # --- nodes ---
 
 
-def nodes(silent=(), missing=(), namespace=""):
-    return [Node(name, f"{namespace}/{name}", name not in missing, name not in (*silent, *missing))
+def nodes(namespace="", rest=RUNNING, process="", **states):
+    """Those of a car in these states, the others as ``rest`` says."""
+    return [Node(name, f"{namespace}/{name}", states.get(name, rest),
+                 f"{namespace}/{process}" if process and name in PARTS else f"{namespace}/{name}")
             for name in (*NODE_ROLES, "car_sim")]
 
 
 def test_nodes_that_all_answer_are_ok():
     found, = check_nodes(nodes(), "/")
-    assert found.level == OK and "turn_arb, pca9685" in found.what
+    assert found.level == OK and found.what == ("turn_arb, pca9685, teensy_sensor_hub, generic_value_converter, "
+                                                "teleop_logi, car_sim run in /")
 
 
-def test_no_node_at_all_is_how_it_is_before_the_launch():
-    found, = check_nodes(nodes(missing=(*NODE_ROLES, "car_sim")), "/car1")
-    assert (found.level, found.what) == (OK, "none of this package's runs in /car1")
+def test_nodes_in_one_process_are_told_with_its_name():
+    found, = check_nodes(nodes(process="car_nodes", namespace="/car1"), "/car1")
+    assert found.level == OK
+    assert found.what.endswith("run in /car1; turn_arb, pca9685, teensy_sensor_hub, generic_value_converter in one "
+                               "process, /car1/car_nodes")
+
+
+@pytest.mark.parametrize("others, words", [
+    ([], "none of this package's runs in /car1"),
+    (["/", "/car2"], "none of this package's runs in /car1; there is one in / and /car2"),
+], ids=["none", "elsewhere"])
+def test_no_node_at_all_is_how_it_is_before_the_launch(others, words):
+    found, = check_nodes(nodes(rest=ABSENT), "/car1", others)
+    assert (found.level, found.what) == (OK, words)
 
 
 def test_missing_node_is_a_warning_that_says_what_is_missing_with_it():
-    _, found = check_nodes(nodes(missing=["turn_arb", "teleop_logi"]), "/")
+    _, found = check_nodes(nodes(turn_arb=ABSENT, teleop_logi=ABSENT, car_sim=ABSENT), "/")
     assert found.level == WARN
     assert "turn_arb (nobody steers), teleop_logi (no gamepad, no deadman)" in found.what
+    assert "roslaunch car_interface car.launch, or" in found.remedy
+
+
+def test_remedy_launches_the_virtual_car_where_there_is_one_and_in_its_namespace():
+    _, found = check_nodes(nodes("/car1", turn_arb=ABSENT), "/car1")
+    assert "roslaunch car_interface demo.launch ns:=/car1, or" in found.remedy
 
 
 def test_car_without_simulator_misses_nothing():
-    assert [found.level for found in check_nodes(nodes(missing=["car_sim"]), "/")] == [OK]
+    assert [found.level for found in check_nodes(nodes(car_sim=ABSENT), "/")] == [OK]
 
 
 def test_registered_node_that_does_not_answer_is_bad():
-    _, found = check_nodes(nodes(silent=["pca9685"], namespace="/car1"), "/car1")
-    assert found.level == BAD and "/car1/pca9685 is registered, but doesn't answer" in found.what
+    _, found = check_nodes(nodes("/car1", pca9685=SILENT), "/car1")
+    assert found.level == BAD and "/car1/pca9685 is registered, but doesn't answer: it hangs, or" in found.what
+
+
+def test_process_that_does_not_answer_is_told_once_for_all_its_nodes():
+    found = check_nodes(nodes(process="car_nodes", **dict.fromkeys(PARTS, SILENT)), "/")
+    assert [finding.level for finding in found] == [OK, BAD]
+    assert found[1].what.startswith("/car_nodes is registered, but doesn't answer")
+
+
+def test_killed_nodes_are_one_finding_and_not_said_to_hang():
+    _, found = check_nodes(nodes(pca9685=KILLED, turn_arb=KILLED), "/")
+    assert found.level == BAD
+    assert found.what == ("/turn_arb, /pca9685: killed or crashed; the master still lists them, but nothing answers "
+                          "there")
+    assert found.remedy == ("Start the launch file again: roslaunch car_interface demo.launch. To clear the list: "
+                            "rosnode cleanup")
 
 
 def test_nodes_of_which_none_answers_are_told_one_by_one():
-    assert [found.level for found in check_nodes(nodes(silent=(*NODE_ROLES, "car_sim")), "/")] == [BAD] * 6
+    assert [found.level for found in check_nodes(nodes(rest=SILENT), "/")] == [BAD] * 6
+
+
+def test_cars_are_found_by_the_names_of_their_nodes():
+    assert find_cars(["/rosout", "/car1/turn_arb", "/car1/pca9685", "/a/b/car_nodes", "/teleop_logi", "/joy"]) == [
+        "/", "/a/b", "/car1"]
+    assert find_cars(["/rosout"]) == []
+
+
+def test_several_cars_are_a_warning_that_says_how_to_look_at_one():
+    found, = check_several(["/car1", "/car2"])
+    assert (found.level, found.what) == (WARN, "there are 2 cars, in /car1 and /car2: none was looked at")
+    assert "doctor --ns /car1" in found.remedy
 
 
 # --- steering ---
 
 
 def test_who_drives_and_why_is_told():
-    found, = check_steering(Steering("PLANNER", "the planner asks", 4000, True), "/turn_arb")
+    found, = check_steering(Steering("PLANNER", "the planner asks", 4000, True), TURN_ARB)
     assert (found.level, found.what) == (OK, "PLANNER: the planner asks; duty 4000")
 
 
 @pytest.mark.parametrize("steering", [None, Steering("PLANNER", "the planner asks", 4000, False)],
                          ids=["silent", "latched_by_a_node_that_hangs_now"])
 def test_turn_arb_that_says_nothing_is_bad(steering):
-    found, = check_steering(steering, "/turn_arb")
-    assert found.level == BAD and "/turn_arb" in found.what and found.remedy
+    found, = check_steering(steering, TURN_ARB)
+    assert found.level == BAD and "/turn_arb says nothing" in found.what
+    assert found.remedy == "Stop the car, then rosnode kill /car_nodes: roslaunch starts it again"
 
 
 # --- reports ---
@@ -100,6 +158,50 @@ def test_reports(reports, namespace, reporting, told, levels):
 def test_complaint_is_told_in_the_nodes_own_words():
     found, = check_diagnostics([BOARD], "/", ["/pca9685"])
     assert found.what == "pca9685: servo board: nothing answers. Check power" and "rostopic echo" in found.remedy
+
+
+def test_remedy_of_a_report_is_told_with_it():
+    found, = check_diagnostics([BOARD._replace(remedy="Plug it in")], "/", ["/pca9685"])
+    assert found.remedy == "Plug it in"
+
+
+# --- command topics ---
+
+TOPICS = Report("turn_arb: command topics", OK, "each has the publishers that it should have")
+WRONG = Report("turn_arb: command topics", BAD, "/planner on car publishes std_msgs/Float64 on /av", "Have /planner")
+SECOND = Report("turn_arb: command topics", WARN, "2 nodes publish on /human", "End all but one")
+
+
+def test_command_topics_that_are_in_order_are_one_line():
+    found, = check_command_topics([TOPICS, TOPICS._replace(name="pca9685: command topics"), STEERING], "/")
+    assert (found.level, found.subject) == (OK, "topics")
+
+
+def test_no_report_about_command_topics_is_nothing_to_tell():
+    assert check_command_topics([STEERING], "/") == []
+
+
+@pytest.mark.parametrize("report", [WRONG, SECOND], ids=["wrong_type", "second_publisher"])
+def test_fault_of_a_command_topic_is_bad_and_told_with_its_remedy(report):
+    found, = check_command_topics([report], "/")
+    assert found == (BAD, "topics", f"{report.message} (reported by turn_arb)", report.remedy)
+
+
+def test_fault_that_several_nodes_report_is_told_once():
+    found, = check_command_topics([SECOND, SECOND._replace(name="generic_value_converter: command topics")], "/")
+    assert found.what == "2 nodes publish on /human (reported by turn_arb, generic_value_converter)"
+
+
+def test_fault_of_another_car_s_topics_is_left_out():
+    assert check_command_topics([WRONG._replace(name="car1/turn_arb: command topics")], "/") == []
+
+
+def test_reports_about_command_topics_are_not_told_twice():
+    assert [found.level for found in check_diagnostics([STEERING, WRONG], "/", ["/turn_arb"])] == [OK]
+
+
+def test_node_that_reports_on_its_topics_only_does_report():
+    assert check_diagnostics([TOPICS], "/", ["/turn_arb"]) == []
 
 
 # --- parameters ---

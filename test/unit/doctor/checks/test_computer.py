@@ -10,6 +10,8 @@ from car_interface.doctor.checks.computer import (
     Need,
     check_clock,
     check_groups,
+    check_joy,
+    check_tools,
     check_versions,
 )
 from car_interface.doctor.checks.findings import BAD, OK, WARN
@@ -101,3 +103,38 @@ def test_missing_library_is_bad_and_its_remedy_is_what_installs_it():
     fine, missing = check_versions("3.11.2", [Library("serial", None, "install it")])
     assert (fine.level, fine.what) == (OK, "Python 3.11.2")
     assert (missing.level, missing.what, missing.remedy) == (BAD, "serial can't be imported", "install it")
+
+
+# --- packages ---
+
+
+def test_tools_that_have_their_libraries_are_ok():
+    found, = check_tools([], "")
+    assert (found.level, found.subject) == (OK, "packages")
+
+
+@pytest.mark.parametrize("missing, words", [
+    (["rosbags"], "rosbags is missing for bag_report, check_map and the calibration; driving needs none of it"),
+    (["matplotlib", "rosbags"], "matplotlib, rosbags are missing for bag_report"),
+], ids=["one", "two"])
+def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, words):
+    found, = check_tools(missing, "")
+    assert found.level == WARN and found.what.startswith(words)
+    assert found.remedy == "rosdep install, or on Debian a virtual environment: docs/recordings.md, Install the tools"
+
+
+def test_tools_in_a_virtual_environment_lack_nothing():
+    found, = check_tools(["rosbags"], "~/car_tools/bin/car-interface")
+    assert (found.level, found.what) == (OK, "the tools for recordings are in ~/car_tools/bin/car-interface")
+
+
+@pytest.mark.parametrize("is_installed, is_published, distribution, level, remedy", [
+    (True, False, "noetic", OK, ""),
+    (False, True, "debian", OK, ""),
+    (False, False, "noetic", WARN, "sudo apt install ros-noetic-joy"),
+    (False, False, "debian", WARN, "gamepad:=false"),
+], ids=["installed", "from_another_computer", "missing_on_ubuntu", "missing_on_debian"])
+def test_joy_is_missing_only_if_nobody_publishes_it(is_installed, is_published, distribution, level, remedy):
+    found, = check_joy(is_installed, is_published, distribution)
+    assert found.level == level and remedy in found.remedy
+    assert level == OK or found.what.startswith("the ROS package joy, whose joy_node reads the gamepad, is missing")

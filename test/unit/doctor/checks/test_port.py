@@ -5,10 +5,19 @@ import random
 
 import pytest
 
+from car_interface.doctor.checks.car import ABSENT, RUNNING, SILENT, Node
 from car_interface.doctor.checks.findings import BAD, OK, WARN
-from car_interface.doctor.checks.port import Link, TeensyProbe, check_holders, check_link, is_terminal
+from car_interface.doctor.checks.port import (
+    Link,
+    TeensyProbe,
+    check_holders,
+    check_link,
+    check_virtual_port,
+    is_terminal,
+)
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.teensy.link.health import FINE, PORT_FAULTS
 
 MS = 1_000_000
 
@@ -21,9 +30,11 @@ MS = 1_000_000
         ([(5, "agetty")], BAD, "agetty (process 5)", "disable --now serial-getty@tty0 (on a Jetson: nvgetty)"),
         ([(5, "agetty")], BAD, "agetty (process 5)", "console= out of the kernel's command line, and reboot"),
         ([(4, "car_sim"), (5, "teensy_sensor_hub")], WARN, "/dev/tty0: teensy_sensor_hub (process 5)", "--ns"),
+        ([(5, "car_nodes")], WARN, "/dev/tty0: car_nodes (process 5) has it open, but doesn't answer", "--ns"),
         ([(pid, "a") for pid in range(5)], BAD, "a (process 2) and 2 more", "fuser"),
     ],
-    ids=["any", "modem_manager", "console", "console_that_the_kernel_asks_for", "hub_elsewhere", "many"],
+    ids=["any", "modem_manager", "console", "console_that_the_kernel_asks_for", "hub_elsewhere",
+         "hub_in_one_process_elsewhere", "many"],
 )
 def test_port_that_another_program_has_is_told(holders, level, words, remedy):
     found, = check_holders("/dev/tty0", holders)
@@ -144,8 +155,11 @@ def test_teensy_whose_receiver_is_out_of_step_is_brought_back():
     assert found.level == OK and took_ms < 1000
 
 
-def link(level=OK, words="fine: 22 frames a second", next_step="", round_trip_s=0.004):
-    return Link(level, words, next_step, round_trip_s, "shipped")
+HUB = Node("teensy_sensor_hub", "/teensy_sensor_hub", RUNNING, "/car_nodes")
+
+
+def link(level=OK, words="fine: 22 frames a second", next_step="", round_trip_s=0.004, state=FINE):
+    return Link(level, state, words, next_step, round_trip_s, "shipped")
 
 
 @pytest.mark.parametrize(
@@ -154,12 +168,34 @@ def link(level=OK, words="fine: 22 frames a second", next_step="", round_trip_s=
         (link(), OK, "fine: 22 frames a second; pong after 4.0 ms (shipped checksum)", ""),
         (link(round_trip_s=float("nan")), OK, "no pong yet", ""),
         (link(WARN, "the Teensy rebooted", "Check its power"), WARN, "rebooted", "Check its power"),
-        (link(BAD, "there is no such port", "Plug it in"), BAD, "no such port", "Plug it in"),
-        (link(WARN, "nothing is known yet"), WARN, "nothing is known", "rostopic echo /hub/link"),
-        (None, BAD, "/hub is registered, but its topic link is silent", "rosnode ping /hub"),
+        (link(BAD, "nothing comes from it", "Check the power"), BAD, "nothing comes", "Check the power"),
+        (link(WARN, "nothing is known yet"), WARN, "nothing is known", "rostopic echo /teensy_sensor_hub/link"),
     ],
-    ids=["fine", "no_pong", "warning", "error", "no_next_step", "silent_hub"],
+    ids=["fine", "no_pong", "warning", "error", "no_next_step"],
 )
-def test_link_is_told_as_the_hub_sees_it(status, level, words, remedy):
-    found, = check_link(status, "/hub")
+def test_link_over_an_open_port_is_told_as_the_hub_sees_it(status, level, words, remedy):
+    port, found = check_link(status, "/dev/tty0", HUB)
+    assert (port.level, port.subject, port.what) == (OK, "port", "/dev/tty0 is /teensy_sensor_hub's")
+    assert (found.level, found.subject) == (level, "Teensy") and words in found.what and remedy in found.remedy
+
+
+@pytest.mark.parametrize("state", sorted(PORT_FAULTS))
+def test_port_that_the_hub_cannot_open_is_not_told_to_be_fine(state):
+    found, = check_link(link(BAD, "there is no such port", "Plug it in", state=state), "/dev/tty0", HUB)
+    assert found == (BAD, "port", "/dev/tty0: there is no such port", "Plug it in")
+
+
+def test_hub_that_says_nothing_of_its_link_hangs_and_its_process_is_named():
+    found, = check_link(None, "/dev/tty0", HUB)
+    assert (found.level, found.what) == (BAD, "/teensy_sensor_hub runs, but its topic link is silent: it hangs")
+    assert found.remedy == "Stop the car, then rosnode kill /car_nodes: roslaunch starts it again"
+
+
+@pytest.mark.parametrize("simulator, hub_runs, level, words, remedy", [
+    (ABSENT, False, WARN, "car_sim, which makes this port, doesn't run", "demo.launch"),
+    (ABSENT, True, BAD, "car_sim, which makes this port, doesn't run", "demo.launch"),
+    (SILENT, True, BAD, "car_sim, which is behind this port, doesn't answer", "See the nodes above"),
+], ids=["nothing_runs", "hub_without_simulator", "simulator_hangs"])
+def test_port_of_a_virtual_teensy_is_not_to_be_plugged_in(simulator, hub_runs, level, words, remedy):
+    found, = check_virtual_port("/tmp/teensy", simulator, hub_runs)
     assert found.level == level and words in found.what and remedy in found.remedy

@@ -138,10 +138,13 @@ def test_versions_are_those_of_the_distributions(monkeypatch):
     monkeypatch.setattr(importlib.metadata, "version", version)
     monkeypatch.setattr(computer, "LIBRARIES", (("serial", "pyserial", ""), ("apart", "apart", ""), ("built", "", ""),
                                                 ("absent", "absent", "install it")))
+    monkeypatch.setattr(computer, "MESSAGES", ("json", "no_such_msgs"))
     monkeypatch.setattr(sys, "version_info", (3, 8, 10, "final", 0))
     found = [(finding.level, finding.what, finding.remedy) for finding in computer.probe_versions()]
     assert found == [(OK, "Python 3.8.10, serial 3.5, apart 1.2, built", ""),
-                     (BAD, "absent can't be imported", "install it")]
+                     (BAD, "absent can't be imported", "install it"),
+                     (BAD, "no_such_msgs can't be imported",
+                      "sudo apt install ros-noetic-no-such-msgs (Debian: python3-no-such-msgs)")]
 
 
 @pytest.mark.parametrize("error", [ImportError("no"), OSError("libfoo.so is missing"), SyntaxError("bad")])
@@ -149,7 +152,34 @@ def test_library_that_fails_in_any_way_is_a_finding(monkeypatch, error):
     def fails(name):
         raise error
     monkeypatch.setattr(computer.importlib, "import_module", fails)
+    monkeypatch.setattr(computer, "MESSAGES", ())
     assert [finding.level for finding in computer.probe_versions()] == [OK] + [BAD] * len(computer.LIBRARIES)
+
+
+# --- packages ---
+
+
+@pytest.mark.parametrize("is_virtual, joy, levels", [
+    (False, True, [OK, OK]), (False, False, [OK, WARN]), (True, False, [OK])],
+    ids=["joy_is_installed", "joy_is_missing", "virtual_car_needs_none"])
+def test_packages_are_those_of_the_tools_and_joy_for_a_car_with_hardware(is_virtual, joy, levels, monkeypatch):
+    monkeypatch.setattr(computer, "TOOLS", {"json": "json"})
+    monkeypatch.setattr(computer, "_has_ros_package", {"joy": joy}.__getitem__)
+    assert [finding.level for finding in computer.probe_packages(False, is_virtual)] == levels
+
+
+def test_missing_library_of_a_tool_is_told_by_the_name_under_which_it_is_installed(monkeypatch):
+    monkeypatch.setattr(computer, "TOOLS", {"json": "json", "no_such_library": "NoSuchLibrary"})
+    monkeypatch.setattr(computer, "TOOLS_ENVIRONMENT", "/nowhere")
+    found, = computer.probe_packages(False, True)
+    assert found.level == WARN and found.what.startswith("NoSuchLibrary is missing for bag_report")
+
+
+def test_virtual_environment_of_the_documentation_is_noticed(monkeypatch, tmp_path):
+    monkeypatch.setattr(computer, "TOOLS", {"no_such_library": "NoSuchLibrary"})
+    monkeypatch.setattr(computer, "TOOLS_ENVIRONMENT", str(tmp_path))
+    found, = computer.probe_packages(False, True)
+    assert (found.level, found.what) == (OK, f"the tools for recordings are in {tmp_path}")
 
 
 # --- network ---

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import sys
 import types
@@ -9,7 +10,7 @@ import types
 import pytest
 
 from car_interface.doctor.checks import board
-from car_interface.doctor.checks.findings import BAD, OK
+from car_interface.doctor.checks.findings import BAD, OK, WARN
 from car_interface.doctor.probes import devices
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
@@ -30,6 +31,36 @@ def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open_in_a_chroot_w
     monkeypatch.setattr(devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
     found, = devices.probe_port("/dev/null", 115200)
     assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
+
+
+def test_dev_null_is_no_port_even_where_the_kernel_s_lists_cannot_be_read(monkeypatch):
+    """Any process may have it open: as its standard input."""
+    def unreadable(*arguments, **keywords):
+        raise FileNotFoundError(arguments[0])
+    monkeypatch.setattr(os, "readlink", unreadable)
+    monkeypatch.setattr(devices, "open", unreadable, raising=False)
+    monkeypatch.setattr(devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
+    found, = devices.probe_port("/dev/null", 115200)
+    assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
+
+
+def test_folder_in_which_a_hub_works_is_no_port_that_it_has_open(monkeypatch, tmp_path):
+    monkeypatch.setattr(devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
+    found, = devices.probe_port(str(tmp_path), 115200)
+    assert (found.level, found.what) == (BAD, f"{tmp_path}: this is a directory, not a serial port")
+
+
+@pytest.mark.parametrize("hub", ["teensy_sensor_hub", "car_nodes"])
+def test_port_that_a_hub_has_locked_is_the_hub_s(hub, monkeypatch):
+    near, far = os.openpty()
+    fcntl.flock(far, fcntl.LOCK_EX)
+    try:
+        monkeypatch.setattr(devices, "openers", lambda path: [(6, "car_sim"), (7, hub)])
+        found, = devices.probe_port(os.ttyname(far), 115200)
+    finally:
+        os.close(near)
+        os.close(far)
+    assert found.level == WARN and f"{hub} (process 7) has it open" in found.what
 
 
 @pytest.fixture

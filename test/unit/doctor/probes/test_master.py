@@ -1,0 +1,128 @@
+"""What the doctor makes of a master's and a node's answers; both are small XML-RPC servers here."""
+from __future__ import annotations
+
+import socket
+import threading
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+from car_interface.doctor.checks.car import ABSENT, KILLED, RUNNING, SILENT
+from car_interface.doctor.probes import master as probe
+from car_interface.doctor.probes.master import Graph, Master
+
+
+def uri_of(listener):
+    """That of what listens there."""
+    return f"http://127.0.0.1:{listener.getsockname()[1]}"
+
+
+class Server:
+    """Answers one question after the other; as a master or a node."""
+
+    def __init__(self, **answers):
+        self._server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        for name, answer in answers.items():
+            self._server.register_function(answer, name)
+        self.uri = uri_of(self._server.socket)
+        threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
+
+    def close(self):
+        self._server.shutdown()
+        self._server.server_close()
+
+
+@pytest.fixture
+def served():
+    """Starts servers, which end with the test."""
+    servers = []
+
+    def serve(**answers):
+        servers.append(Server(**answers))
+        return servers[-1].uri
+    yield serve
+    for server in servers:
+        server.close()
+
+
+@pytest.fixture
+def node(served):
+    """A node that answers."""
+    return served(getPid=lambda caller: [1, "", 7])
+
+
+@pytest.fixture
+def refused():
+    """Where nothing listens any more."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return uri_of(listener)
+
+
+@pytest.fixture
+def silent(monkeypatch):
+    """What takes connections and never answers."""
+    monkeypatch.setattr(probe, "ANSWER_WITHIN_S", 0.1)
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen(5)
+        yield uri_of(listener)
+
+
+@pytest.fixture
+def master(served):
+    """Makes a master that knows these nodes by name, and says of which of them the graph consists."""
+    def make(uris, graph):
+        def look_up(caller, name):
+            return [1, "", uris[name]] if name in uris else [-1, f"unknown node [{name}]", ""]
+        state = [[["/rosout", list(graph)]], [], []]
+        return Master(served(lookupNode=look_up, getSystemState=lambda caller: [1, "", state]))
+    return make
+
+
+def look(master, name="turn_arb", namespace="/"):
+    return master.node(name, namespace, master.graph())
+
+
+def test_graph_is_who_publishes_subscribes_and_serves(served):
+    state = [[["/joy", ["/pad", "/other"]]], [["/joy", ["/teleop_logi"]]], [["/turn_arb/save", ["/turn_arb"]]]]
+    graph = Master(served(getSystemState=lambda caller: [1, "", state])).graph()
+    assert graph == Graph({"/joy": ("/pad", "/other")}, frozenset({"/pad", "/other", "/teleop_logi", "/turn_arb"}))
+
+
+def test_node_that_answers_runs(master, node):
+    assert look(master({"/car1/turn_arb": node}, ["/car1/turn_arb"]), namespace="/car1") == (
+        "turn_arb", "/car1/turn_arb", RUNNING, "/car1/turn_arb")
+
+
+def test_node_that_the_graph_does_not_have_is_absent_although_the_master_can_look_it_up(master, refused):
+    """As every node is after it ended in order."""
+    assert look(master({"/turn_arb": refused}, [])).state == ABSENT
+
+
+def test_node_of_the_graph_where_nothing_listens_was_killed(master, refused):
+    assert look(master({"/turn_arb": refused}, ["/turn_arb"])).state == KILLED
+
+
+def test_node_that_takes_the_question_and_does_not_answer_is_silent(master, silent):
+    assert look(master({"/turn_arb": silent}, ["/turn_arb"])).state == SILENT
+
+
+def test_node_whose_host_cannot_be_found_is_silent(master):
+    assert look(master({"/turn_arb": "http://no-such-host.invalid:1"}, ["/turn_arb"])).state == SILENT
+
+
+@pytest.mark.parametrize("name, process", [("turn_arb", "/car_nodes"), ("teleop_logi", "/teleop_logi")])
+def test_four_of_the_nodes_may_be_parts_of_one_process(name, process, master, node):
+    found = look(master({"/car_nodes": node}, ["/car_nodes"]), name)
+    assert (found.path, found.process, found.runs) == (f"/{name}", process, name == "turn_arb")
+
+
+def test_process_that_runs_counts_more_than_what_an_earlier_node_left(master, node, refused):
+    found = look(master({"/car_nodes": node, "/turn_arb": refused}, ["/car_nodes", "/turn_arb"]))
+    assert (found.state, found.process) == (RUNNING, "/car_nodes")
+
+
+def test_process_that_was_killed_is_named(master, refused):
+    found = look(master({"/car_nodes": refused}, ["/car_nodes"]))
+    assert (found.state, found.process) == (KILLED, "/car_nodes")
