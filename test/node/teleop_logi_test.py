@@ -14,7 +14,7 @@ from car_interface.msg import TeleopState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Float32
+from std_msgs.msg import Bool, Float32, Int8, String
 
 from waiting import Repeater, Sender, Topic, delete_param, eventually, rate_hz, retried, start_node
 from witness import measured
@@ -25,6 +25,7 @@ REARM = "let go of the deadman, then hold it again"
 WRONG_MODE = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
 MODE_REMEDY = ("Is the gamepad in another mode? A Logitech F710 or F310 needs its switch at X for the shipped indices. "
                "For another gamepad set teleop_logi's indices: rostopic echo /joy")
+NEVER_REMEDY = "See whether joy_node runs and finds the gamepad: rostopic info /car7/joy; ls /dev/input/js*"
 GIVEN = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5}
 
 
@@ -37,6 +38,12 @@ def joy(steering=0.0, throttle=0.0, manual=0, autonomous=0, axes=8, buttons=11):
     if buttons > AUTONOMOUS:
         message.buttons[AUTONOMOUS] = autonomous
     return message
+
+
+def gamepad_report(reports, name, mark=0):
+    """The next report of this name."""
+    array = reports.wait_for(lambda array: name in [status.name for status in array.status], mark).what
+    return next(status for status in array.status if status.name == name)
 
 
 class TeleopByItsTopics(unittest.TestCase):
@@ -89,6 +96,22 @@ class TeleopByItsTopics(unittest.TestCase):
         self.press(steering=1.0, throttle=1.0, autonomous=1)
         self.wait_for_human(True)
         self.wait_for_requests(0.0, 0.0)
+
+    def test_mode_and_the_buttons_of_the_scale_are_published(self):
+        modes = Topic("/teleop_logi/mode", String).connected()
+        buttons = Topic("/teleop_logi/scale_button", Int8).connected()
+        for topic in (modes, buttons):
+            self.addCleanup(topic.close)
+        for held in ("autonomous", "manual"):
+            self.press(**{held: 1})
+            modes.wait_for(lambda message, held=held: message.data == held, modes.mark())
+        for button, value in ((3, 1), (0, -1)):  # Y and A
+            message = joy()
+            message.buttons[button] = 1
+            self.inputs.hold(self.joy, message)
+            buttons.wait_for(lambda message, value=value: message.data == value, buttons.mark())
+        self.hold()
+        buttons.wait_for(lambda message: message.data == 0, buttons.mark())
 
     def test_both_deadmen_mean_that_the_human_steers(self):
         self.press(steering=-0.5, manual=1, autonomous=1)
@@ -160,8 +183,7 @@ class TeleopByItsTopics(unittest.TestCase):
 
     def report(self):
         """The next report of the gamepad on /diagnostics."""
-        return self.reports.wait_for(lambda array: array.status[0].name == "teleop_logi: gamepad",
-                                     self.reports.mark()).what.status[0]
+        return gamepad_report(self.reports, "teleop_logi: gamepad", self.reports.mark())
 
     def drive(self):
         """Hold the manual deadman; where the log goes on after the line that says so."""
@@ -217,8 +239,8 @@ class TeleopByItsTopics(unittest.TestCase):
                              (DiagnosticStatus.WARN, f"the gamepad was silent; {REARM}"))
             (first, silent), second = self.lines(log, 2)
             self.assertEqual(first, Log.WARN)
-            self.assertRegex(silent, r"^human in loop: False \(joy silent for 0\.2\d s\)\. See whether the gamepad is on, "
-                                     "charged and in range, and joy_node runs: rostopic hz /joy$")
+            self.assertRegex(silent, r"^human in loop: False \(joy silent for 0\.2\d s\)\. See whether the gamepad is "
+                                     "on, charged and in range and joy_node runs: rostopic hz /joy$")
             self.assertEqual(second, (Log.WARN, f"human in loop: False (the gamepad was silent; {REARM})"))
         measured(attempt)
 
@@ -280,10 +302,9 @@ class TeleopByItself(unittest.TestCase):
         state = states.wait_for(lambda _: True).what
         self.assertEqual((state.human_in_loop, state.cause, state.reason, state.joy_age),
                          (False, "joy never heard", "joy was never heard", math.inf))
-        report = reports.wait_for(lambda array: array.status[0].name == "car7/teleop_logi: gamepad").what.status[0]
+        report = gamepad_report(reports, "car7/teleop_logi: gamepad")
         self.assertEqual((report.level, report.message), (
-            DiagnosticStatus.WARN, "joy was never heard. See whether joy_node runs and finds the gamepad: rostopic info "
-                                   "/car7/joy; ls /dev/input/js*"))
+            DiagnosticStatus.WARN, f"joy was never heard. {NEVER_REMEDY}"))
         self.assertEqual(process.end(), 0)
 
     def test_each_index_is_required_and_named(self):

@@ -55,6 +55,8 @@ CALIBRATION_DRIVE = "calibration drive"  # the ESC gets a person's pulls as they
 # Gamepad.
 MANUAL = "manual"  # the manual deadman is held
 AUTONOMOUS = "autonomous"  # the autonomous deadman is held
+HUMAN_THROTTLE = "human_throttle"  # the third deadman is held, and this is its mode
+HUMAN_STEERING = "human_steering"  # likewise
 NO_DEADMAN = "no deadman"
 JOY_STALE = "joy silent"
 JOY_NEVER_RECEIVED = "joy never heard"

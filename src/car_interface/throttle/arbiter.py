@@ -15,7 +15,7 @@ from typing import NamedTuple
 from car_interface.common import causes
 from car_interface.common.drive_modes import HUMAN_DRIVES, MODES
 from car_interface.common.staleness import TimedInput
-from car_interface.interlock.motion_interlock import InterlockConfig, MotionInterlock
+from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
 from car_interface.throttle.stick import Scale, StickConfig, shaped
 
@@ -75,6 +75,7 @@ class ThrottleArbiter:
         self._interlock = MotionInterlock(config.interlock)
         self._human = TimedInput("human_in_loop", config.interlock.human_timeout_s)
         self._steering = TimedInput("turn_arb's state", config.steering_timeout_s)
+        self._explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._teleop = TimedInput("tele_throt_req", config.teleop_timeout_s)
         self._mode = TimedInput("mode", config.mode_timeout_s)
         self._planner = TimedInput("the planner's value", config.command_timeout_s)
@@ -101,8 +102,9 @@ class ThrottleArbiter:
         self._human.update(bool(present), now_ns)
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
-        """Why the deadman is what it is, by teleop_logi; only quoted in a reason."""
+        """Why deadman and requests are what they are, by teleop_logi; only quoted in a reason."""
         self._interlock.explain_human(present, reason, now_ns)
+        self._explanation.update(" ".join(reason.split()), now_ns)
 
     def update_steering(self, source: int, reason: str, now_ns: int) -> None:
         """Who steers, and why: of turn_arb's state."""
@@ -197,7 +199,9 @@ class ThrottleArbiter:
             return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns))
         throttle = self._teleop.value
         if not math.isfinite(throttle):
-            return _stop(NEUTRAL, causes.TELEOP_NOT_FINITE, f"tele_throt_req is {throttle}, no number to act on")
+            explanation = "" if self._explanation.is_stale(now_ns) else f": {self._explanation.value}"
+            return _stop(NEUTRAL, causes.TELEOP_NOT_FINITE,
+                         f"tele_throt_req is {throttle}, no number to act on{explanation}")
         request = shaped(throttle, self._stick.deadband, self._stick.expo)
         if not (request or human_drives):
             return None

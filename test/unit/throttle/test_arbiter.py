@@ -153,6 +153,14 @@ def test_reason_of_turn_arb_is_quoted():
     assert arbiter.decide(NOW).reason == "turn_arb says NO_HUMAN: human_in_loop is false: no deadman is held"
 
 
+def test_reason_of_teleop_logi_is_quoted_where_the_throttle_can_t_be_read():
+    arbiter = arbiter_with(teleop=(NAN, 0.1), mode=(MANUAL, 0.1))
+    arbiter.explain_human(True, "manual deadman held, but throttle_axis is -1", NOW)
+    assert arbiter.decide(NOW).reason == ("tele_throt_req is nan, no number to act on: "
+                                          "manual deadman held, but throttle_axis is -1")
+    assert arbiter.decide(NOW + S // 10).reason.endswith("-1")
+
+
 def test_gamepad_that_was_received_and_is_silent_does_not_hand_over_to_the_planner():
     decision = decide(teleop=(0.0, 0.51), planner=(0.7, 0.1))
     assert (decision.source, decision.cause) == (NEUTRAL, "teleop silent")
