@@ -12,7 +12,7 @@ from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
-from waiting import PATIENCE_S, Repeater, Sender, Topic, eventually, rate_hz, retried, set_params, start_node
+from waiting import PATIENCE_S, Repeater, Sender, Topic, eventually, rate_hz, retried, set_params, start, start_node
 
 LINE, HEAD, WORDS = 0, 1, 2  # ids of what shows the steering
 FRONT_LEFT, FRONT_RIGHT = 2, 3  # of the wheels
@@ -144,6 +144,17 @@ class CarDisplayTest(unittest.TestCase):
         node = start_node(self, "car_display", name="odd_car")
         self.assertEqual(node.wait_for_exit(), 1)
         node.wait_for_line(r"wheelbase is 0; accepted: a number above 0")
+
+    def test_computer_without_a_screen_logs_one_line_instead_of_rviz_and_the_markers_are_there(self):
+        launch = start(self, "env", "-u", "DISPLAY", "-u", "QT_QPA_PLATFORM", "roslaunch", "car_interface",
+                       "display.launch", "ns:=blind")
+        self.addCleanup(launch.end)
+        line = launch.wait_for_line("no rviz")
+        self.assertEqual(line, (
+            "[WARN] no rviz: there is no screen (DISPLAY isn't set). The car's markers are published all the same: on "
+            "a computer with a screen and this master, roslaunch car_interface display.launch"))
+        Topic("/blind/car_display/markers", MarkerArray).wait_for(lambda message: True)
+        self.assertNotIn("Traceback", "\n".join(launch.stderr.since() + launch.stdout.since()))
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import importlib
 import os
 import tempfile
 import unittest
+from unittest import mock
 
 import roslaunch
 import rostest
@@ -47,9 +48,10 @@ DEFAULTS = {
         "settings.ping_period_s": 1.0, "settings.odom_frame": "odom", "settings.odom_rate_hz": 50.0}),
     "teleop_logi": (BUTTONS, {"steer_scale": 1.0, "steer_neutral": 0.0, "joy_timeout_s": 0.25}),
     "car_sim": ({}, {"port": "/tmp/car_sim_teensy", "steering_channel": 0, "throttle_channel": 1,
-                     "vehicle.wheelbase_m": 0.324, "firmware.sonar_pulse_end_us": 38_000}),
+                     "vehicle.wheelbase_m": 0.324, "firmware.sonar_pulse_end_us": 38_000, "collides": True}),
+    "gamepad_joy": ({}, {"dev": "/dev/input/js0", "deadzone": 0.05, "autorepeat_hz": 20.0, "coalesce_s": 0.001}),
     "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
-    "demo_drive": ({}, {"bag_dir": None}),
+    "demo_drive": ({}, {"bag_dir": None, "steering_channel": 0, "throttle_channel": 1, "autonomous_button": 5}),
 }
 # Node, what is given besides the required ones, and how the one line begins.
 REFUSALS = [
@@ -184,6 +186,32 @@ class ReadConfig(unittest.TestCase):
                     made = read("pca9685", values)
                     self.assertEqual([channel.timeout_value for channel in made.channels],
                                      [5100, 4915 if throttle == "true" else 0] + [0] * 14)
+
+    def test_simulated_car_has_what_a_car_s_files_say_and_its_own_parameters_go_before_them(self):
+        files = {"steering": {**config("turn_arb.yaml"), "servo_channel": 7}, "esc": {"servo": {"channel": 9,
+                 "neutral": 5000}}, "wheels": {**config("teensy_sensor_hub.yaml"), "wheel_diameter": 0.12}}
+        made = read("car_sim", files)
+        self.assertEqual((made.steering_channel, made.throttle_channel), (7, 9))
+        self.assertEqual((made.vehicle.wheel_diameter_m, made.vehicle.drive.neutral_duty), (0.12, 5000))
+        self.assertEqual(made.vehicle.steering.center_duty, 5100)
+        self.assertEqual(dict(made.vehicle.steering.curve)[3800], 1 / 0.97)
+        mixed = read("car_sim", {**files, "wheel_diameter": 0.1, "steering_channel": 2})
+        self.assertEqual((mixed.vehicle.wheel_diameter_m, mixed.steering_channel), (0.1, 2))
+        self.assertEqual(read("car_sim", {"esc": {"servo": {"channel": -1}}}).throttle_channel, 1)
+
+    def test_gamepad_driver_is_joy_on_noetic_and_this_package_s_elsewhere_unless_it_is_named(self):
+        def started(distribution, *arguments):
+            with mock.patch.dict(os.environ, {"ROS_DISTRO": distribution}):
+                loaded = roslaunch.config.load_config_default([(f"{PACKAGE}/launch/car.launch", [*arguments])], None,
+                                                              verbose=False)
+            return [(node.package, node.type) for node in loaded.nodes if node.name == "joy_node"]
+        ours, theirs = [("car_interface", "gamepad_joy")], [("joy", "joy_node")]
+        for distribution, arguments, expected in (
+                ("noetic", [], theirs), ("Debian", [], ours), ("", [], ours), ("Debian", ["joy_driver:=joy"], theirs),
+                ("noetic", ["joy_driver:=gamepad_joy"], ours), ("noetic", ["gamepad:=false"], []),
+                ("Debian", ["gamepad:=false"], [])):
+            with self.subTest(distribution=distribution, arguments=arguments):
+                self.assertEqual(started(distribution, *arguments), expected)
 
     def test_accelerations_that_pass_through_need_no_map(self):
         made = read("generic_value_converter", {"use_value_ff": False})

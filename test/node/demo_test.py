@@ -23,6 +23,7 @@ import rostest
 
 from car_interface.recordings.recording import read
 from car_interface.recordings.replay import TOPICS, replay
+from car_interface.recordings.signals import PARTS, load
 from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionMeasurement
 from waiting import start_node
 
@@ -93,6 +94,8 @@ class TwoCarsDrive(unittest.TestCase):
                                 ("/teensy_distance", 200), ("/teensy_pong", 20), ("/turn_arb/state", 200),
                                 ("/joy", 500), ("/odom", 500), ("/teensy_clock", 20), ("/sonar/rear_left", 30)):
             self.assertGreater(counts.get(topic, 0), at_least, topic)
+        # What a calibration would print of messages that it leaves out: "…: 3 messages with a stamp that doesn't rise".
+        self.assertEqual(load(path, PARTS[:2], optional=PARTS).notes, ())
         self.check_replay(path)
         self.check_report(path)
 
@@ -135,6 +138,7 @@ class TwoCarsDrive(unittest.TestCase):
                                      ".map(svg => svg.dataset.plot)")
             words = browser.evaluate("document.querySelector('.verdict').textContent")
         self.assertEqual((plots, browser.complaints), (["who", "steering", "path", "speed", "link"], []))
+        self.assertNotIn("can't tell", words)
         self.assertRegex(words, r"^The gamepad drove for \d+\.\d s and the planner for \d+\.\d s\.")
 
 

@@ -82,7 +82,8 @@ def test_readme_lists_every_argument_of_car_launch():
 def test_readme_and_recordings_name_the_debian_package_of_every_dependency():
     # Those of ROS's own tools come with ros-core; rosbags, which Debian doesn't package, by pip.
     other_names = {"message_runtime": "ros-message-runtime", "rviz": "rviz", "python3-rosbags-pip": "rosbags",
-                   **dict.fromkeys(("rosbag", "roslaunch", "rosgraph", "rospy", "python3-rospkg"), "ros-core")}
+                   **dict.fromkeys(("rosbag", "roslaunch", "rosgraph", "roslib", "rospy", "python3-rospkg"),
+                                   "ros-core")}
     package = ElementTree.parse(str(ROOT / "package.xml")).getroot()
     keys = [tag.text for tag in package.findall("exec_depend") if "== noetic" not in tag.get("condition", "")]
     debian = {key: other_names.get(key) or "python3-" + re.sub("^python3-", "", key).replace("_", "-") for key in keys}

@@ -22,16 +22,19 @@ class TuningSettings:
     Attributes:
         max_offset: the largest change of a value from the one at start, in duty; 0 = no tuning.
         save_to: the YAML file that values are saved to; ``None`` = nowhere.
+        saves_to_package: whether that may be one of the package's own; the demo's may not.
     """
 
     max_offset: int
     save_to: str | None = None
+    saves_to_package: bool = True
 
 
 def read_tuning(params, max_offset: int) -> TuningSettings:
-    """The settings from ~live_range (with this default) and ~save_to."""
+    """The settings from ~live_range (with this default), ~save_to and ~save_to_package."""
     return TuningSettings(max_offset=params.integer("live_range", max_offset, low=0, high=MAX_DUTY),
-                          save_to=params.path("save_to", None))
+                          save_to=params.path("save_to", None),
+                          saves_to_package=params.flag("save_to_package", True))
 
 
 class Answer(NamedTuple):

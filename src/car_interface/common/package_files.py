@@ -4,6 +4,7 @@ Their place differs between a checkout (which a devel space points into), a catk
 """
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from car_interface.common.errors import CarInterfaceError
@@ -22,3 +23,12 @@ def package_file(name: str) -> Path:
                 return place / name
     raise CarInterfaceError(f"{name} of car_interface is missing beside {Path(__file__).resolve().parent}: "
                             "install the package again")
+
+
+def is_package_file(path: str, folder: str = "config") -> bool:
+    """Whether ``path`` leads, by any links, into one of this package's own folders."""
+    try:
+        own = os.path.realpath(str(package_file(folder)))
+    except CarInterfaceError:
+        return False
+    return os.path.realpath(path).startswith(own + os.sep)

@@ -7,15 +7,20 @@ Subscribes:
     /servo/output (std_msgs/Int32MultiArray): what the servo board holds.
 Publishes:
     ~truth (nav_msgs/Odometry, 50 Hz): where the car really is, in odom, and how fast.
+    ~collisions (std_msgs/Int32, latched): how often it ran into a wall, a box or a post.
 Service:
     ~inject_fault (InjectFault): makes the Teensy and its line misbehave; see ``virtual_line``.
 Parameters:
     ~port /tmp/car_sim_teensy: where to put the link to the pseudo-terminal.
     ~steering_channel 0, ~throttle_channel 1: of the servo board.
     ~start [0, 0, 0]: x and y in m, yaw in rad.
+    ~steering, ~esc, ~wheels: what turn_arb.yaml, throttle.yaml and teensy_sensor_hub.yaml of a car say, as demo.launch
+        loads them with config:=; the simulated car has its channels, its servo, its ESC's neutral and its wheels then.
+        What the parameters below say goes before that.
     ~wheelbase 0.324, ~track 0.296, ~wheel_diameter 0.095 (m), ~pulses_per_revolution 20.
     ~steering_duties, ~steering_curvatures: the true steering, rising duties and curvatures in 1/m, left positive.
     ~forward_acceleration, ~reverse_acceleration, ~brake_deceleration (m/s²): the true drive train.
+    ~collisions true: walls, boxes and posts stop the car; false = it drives through them.
     ~temperature 20 (°C): of the air that the sonars' sound travels through.
     ~wheel_pulses: where the rear wheels (left, right) stand at the start, in pulses: how far to the next ones, and
         the levels of their hall pins, which the Teensy takes for 00 (0.25 and 0.75: they are).
@@ -29,21 +34,24 @@ from __future__ import annotations
 import math
 import random
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import rospy
 from geometry_msgs.msg import Point, Quaternion, Vector3
 from nav_msgs.msg import Odometry
-from std_msgs.msg import Int32MultiArray
+from std_msgs.msg import Int32, Int32MultiArray
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS, UNCHANGED
+from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.ros_clock import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import subscribe
 from car_interface.ros.virtual_line import VirtualLine
+from car_interface.sim.calibrated_car import steering_curve
+from car_interface.sim.collision import Collisions
 from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
@@ -60,7 +68,7 @@ MAX_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes 
 
 def read_vehicle(params, rng) -> VehicleConfig:
     """The car's configuration from the node's parameters, and by chance where they leave it open."""
-    steering, drive = SteeringConfig(), DriveConfig()
+    steering = _read_steering(params)
     duties, curvatures = zip(*steering.curve)
     duties = params.numbers("steering_duties", list(duties))
     curvatures = params.numbers("steering_curvatures", list(curvatures))
@@ -73,17 +81,44 @@ def read_vehicle(params, rng) -> VehicleConfig:
     if len(wheel_pulses) != 2:
         raise ConfigError("wheel_pulses", wheel_pulses, "two numbers: left, right")
     return VehicleConfig(
-        steering=SteeringConfig(curve=tuple(zip(duties, curvatures))),
-        drive=DriveConfig(
-            forward_mps2=params.number("forward_acceleration", drive.forward_mps2, above=0.0, high=100),
-            reverse_mps2=params.number("reverse_acceleration", drive.reverse_mps2, above=0.0, high=100),
-            brake_mps2=params.number("brake_deceleration", drive.brake_mps2, above=0.0, high=100)),
-        wheelbase_m=params.number("wheelbase", 0.324, above=0.0),
-        track_m=params.number("track", 0.296, above=0.0),
-        wheel_diameter_m=params.number("wheel_diameter", 0.095, above=0.0),
-        pulses_per_revolution=params.integer("pulses_per_revolution", 20, low=1),
+        steering=replace(steering, curve=tuple(zip(duties, curvatures))),
+        drive=_read_drive(params),
+        wheelbase_m=params.number("wheelbase", params.number("wheels/wheelbase", 0.324), above=0.0),
+        track_m=params.number("track", params.number("wheels/track", 0.296), above=0.0),
+        wheel_diameter_m=params.number("wheel_diameter", params.number("wheels/wheel_diameter", 0.095), above=0.0),
+        pulses_per_revolution=params.integer(
+            "pulses_per_revolution", params.integer("wheels/pulses_per_revolution", 20), low=1),
         pulse_phase=tuple(wheel_pulses),
         start=Pose(*start))
+
+
+def _read_steering(params):
+    """The servo and the steering: their own, or near those of a car's calibration."""
+    center = params.number("steering/servo_center", None)
+    if center is None:
+        return SteeringConfig()
+    return SteeringConfig(center_duty=center, curve=steering_curve(
+        center, params.numbers("steering/m_turnrad_axis_servo"), params.numbers("steering/k_pwmcmd_left_table_servo"),
+        params.numbers("steering/k_pwmcmd_right_table_servo")))
+
+
+def _esc_channel(params):
+    """The ESC's channel by a car's files, whose −1 means that the car has none."""
+    channel = params.integer("esc/servo/channel", 1)
+    return channel if channel >= 0 else 1
+
+
+def _read_drive(params):
+    """The ESC and the motor. A car's own ESC differs in its neutral."""
+    drive = DriveConfig()
+    shift = params.number("esc/servo/neutral", drive.neutral_duty, low=0, high=MAX_DUTY) - drive.neutral_duty
+    return DriveConfig(
+        full_reverse_duty=drive.full_reverse_duty + shift,
+        neutral_duty=drive.neutral_duty + shift,
+        full_forward_duty=drive.full_forward_duty + shift,
+        forward_mps2=params.number("forward_acceleration", drive.forward_mps2, above=0.0, high=100),
+        reverse_mps2=params.number("reverse_acceleration", drive.reverse_mps2, above=0.0, high=100),
+        brake_mps2=params.number("brake_deceleration", drive.brake_mps2, above=0.0, high=100))
 
 
 def read_firmware(params, rng, seed, wheel_pulses) -> FirmwareConfig:
@@ -110,6 +145,7 @@ class CarSimConfig:
         vehicle: the car.
         world: what its sonars see.
         firmware: its Teensy.
+        collides: whether what its sonars see also stops it.
     """
 
     port: str
@@ -118,6 +154,7 @@ class CarSimConfig:
     vehicle: VehicleConfig
     world: WorldConfig
     firmware: FirmwareConfig
+    collides: bool
 
 
 def read_config(params) -> CarSimConfig:
@@ -131,12 +168,17 @@ def read_config(params) -> CarSimConfig:
     vehicle = read_vehicle(params, rng)
     config = CarSimConfig(
         port=params.text("port", "/tmp/car_sim_teensy"),
-        steering_channel=params.integer("steering_channel", 0, low=0, high=CHANNELS - 1),
-        throttle_channel=params.integer("throttle_channel", 1, low=0, high=CHANNELS - 1),
+        steering_channel=params.integer(
+            "steering_channel", params.integer("steering/servo_channel", 0), low=0, high=CHANNELS - 1),
+        throttle_channel=params.integer("throttle_channel", _esc_channel(params), low=0, high=CHANNELS - 1),
         vehicle=vehicle,
         world=WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)),
-        firmware=read_firmware(params, rng, seed, vehicle.pulse_phase))
-    params.finish()
+        firmware=read_firmware(params, rng, seed, vehicle.pulse_phase),
+        collides=params.flag("collisions", True))
+    params.finish(ignored_namespaces=("steering", "esc", "wheels"))
+    if config.collides and not World(config.world).obstacles.is_free(vehicle.start):
+        raise ConfigError("start", list(vehicle.start), "a place where the car touches no wall, box or post, or "
+                                                        "collisions: false")
     return config
 
 
@@ -147,8 +189,10 @@ class CarSim:
         config = read_config(params)
         now_ns = time.monotonic_ns()
         self._steering_channel, self._throttle_channel = config.steering_channel, config.throttle_channel
-        self._vehicle = Vehicle(config.vehicle, now_ns)
         world = World(config.world)
+        self._collisions = Collisions(world.obstacles)
+        self._reported_collisions = 0
+        self._vehicle = Vehicle(config.vehicle, now_ns, self._collisions if config.collides else None)
         self._firmware = TeensyFirmware(
             config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [UNCHANGED] * CHANNELS
@@ -157,7 +201,10 @@ class CarSim:
         self._line = VirtualLine(config.port, self._firmware, config.firmware.seed, inbox)
         self._line.serve(time.monotonic_ns)
         self._timer = RateTimer(TRUTH_RATE_HZ, now_ns)
+        self._ros_clock = RosClock()
         self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
+        self._collision_counts = rospy.Publisher("~collisions", Int32, queue_size=10, latch=True)
+        self._collision_counts.publish(0)
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
         rospy.loginfo("a virtual Teensy is on %s (seed %d)", config.port, config.firmware.seed)
 
@@ -167,6 +214,7 @@ class CarSim:
         for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
         self._line.step(now_ns)
+        self._report_collisions()
         if self._timer.is_due(now_ns):
             self._publish_truth()
         return now_ns + STEP_NS
@@ -190,10 +238,19 @@ class CarSim:
             for pulse in vehicle.step(min(STEP_NS, now_ns - vehicle.time_ns), steering, throttle):
                 self._firmware.wheel_pulse(pulse.side, pulse.direction, pulse.at_ns)
 
+    def _report_collisions(self):
+        """Publish and log each collision once."""
+        count = self._collisions.count
+        if count != self._reported_collisions:
+            self._reported_collisions = count
+            self._collision_counts.publish(count)
+            rospy.logwarn("the car ran into something at %.2f m/s and stands, its wheels stalled (collision %d): drive "
+                          "it out the way it came", abs(self._collisions.speed_mps), count)
+
     def _publish_truth(self):
         vehicle = self._vehicle
         message = Odometry(child_frame_id="base_link")
-        message.header.stamp = rospy.Time.now()
+        message.header.stamp = self._ros_clock.stamp("truth", vehicle.time_ns)
         message.header.frame_id = "odom"
         message.pose.pose.position = Point(vehicle.pose.x_m, vehicle.pose.y_m, 0.0)
         half_yaw = vehicle.pose.yaw_rad / 2

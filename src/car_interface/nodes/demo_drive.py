@@ -8,13 +8,12 @@ Publishes:
 Subscribes to the topics of the car's nodes.
 Parameters:
     ~bag_dir: absolute path of a folder for a bag of all topics; none = no recording.
+    ~steering, ~esc, ~gamepad: what turn_arb.yaml, throttle.yaml and teleop_logi.yaml of the car say, as demo.launch
+        loads them: the channels of the servo board, and the gamepad's axis and buttons.
 """
 from __future__ import annotations
 
 import math
-import os
-import signal
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -25,8 +24,9 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
-from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.errors import CarInterfaceError
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.units import NS_PER_S, yaw_rad
 from car_interface.msg import (
     Control,
@@ -40,6 +40,7 @@ from car_interface.msg import (
     TeensyClock,
     Wheel,
 )
+from car_interface.ros.bag_recording import BagRecording
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import subscribe
 from car_interface.sim.demo_script import (
@@ -61,9 +62,7 @@ from car_interface.teensy.link.protocol import SONARS
 RATE_HZ = 50
 READY_WITHIN_S = 30
 LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
-STEER_AXIS, MANUAL_BUTTON, AUTONOMOUS_BUTTON = 0, 4, 5  # as config/teleop_logi.yaml has them
-AXES, BUTTONS = 8, 11
-STEERING_CHANNEL, THROTTLE_CHANNEL = 0, 1  # as config/turn_arb.yaml and config/throttle.yaml have them
+AXES, BUTTONS, MAX_INDEX = 8, 11, 63
 SETTLING_NS = NS_PER_S // 10  # after a change of stage the source isn't checked
 # Tolerance of odometry at the end: as a ratio of the distance, and in degrees over some 34 m.
 ODOMETRY_RATIO, ODOMETRY_DEG = 0.01, 2.0
@@ -72,7 +71,8 @@ ODOMETRY_RATIO, ODOMETRY_DEG = 0.01, 2.0
 class Watch:
     """Records what the checks need."""
 
-    def __init__(self):
+    def __init__(self, steering_channel, throttle_channel):
+        self._steering_channel, self._throttle_channel = steering_channel, throttle_channel
         self.messages = Counter()
         self.pose = self.state = self.output = self.link = self.odometry = None
         self.yaw_rad = self.speed_mps = self.distance_m = 0.0
@@ -104,7 +104,7 @@ class Watch:
     def on_output(self, message, now_ns):
         """The servo board's output."""
         self.output = message.data
-        driven = (message.data[STEERING_CHANNEL], message.data[THROTTLE_CHANNEL])
+        driven = self.duties
         if self.stage == NOBODY:
             self.rest = driven
         elif self.let_go_ns is not None and self.neutral_ns is None and driven == self.rest:
@@ -129,12 +129,17 @@ class Watch:
         error_rad = math.remainder(by_wheels_rad - self.yaw_rad, 2 * math.pi)
         return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(error_rad))
 
+    @property
+    def duties(self):
+        """The servo board's output for steering and ESC."""
+        return self.output[self._steering_channel], self.output[self._throttle_channel]
+
     def missing(self):
         """The topics without a message so far; empty when the car is ready."""
         seen = {
             "car_sim/truth": self.pose,
             "turn_arb/state": self.state,
-            "/servo/output": self.output and self.output[STEERING_CHANNEL] >= 0,
+            "/servo/output": self.output and self.duties[0] >= 0,
             "odom": self.odometry,
             "the Teensy's link": self.link and self.link.pongs,
         }
@@ -143,9 +148,22 @@ class Watch:
 
 @dataclass(frozen=True)
 class DemoDriveConfig:
-    """What the node's parameters say: where a bag is recorded; ``None`` = nowhere."""
+    """What the node's parameters say.
+
+    Attributes:
+        bag_dir: where a bag is recorded; ``None`` = nowhere.
+        steering_channel, throttle_channel: of the servo board.
+        steer_axis, manual_button, autonomous_button: of the gamepad that it plays.
+        steer_scale: the car's factor of that axis; −1 inverts it.
+    """
 
     bag_dir: str | None
+    steering_channel: int
+    throttle_channel: int
+    steer_axis: int
+    manual_button: int
+    autonomous_button: int
+    steer_scale: float
 
 
 def read_config(params) -> DemoDriveConfig:
@@ -154,8 +172,15 @@ def read_config(params) -> DemoDriveConfig:
     Raises:
         ConfigError: naming the parameter.
     """
-    config = DemoDriveConfig(bag_dir=params.path("bag_dir", None))
-    params.finish()
+    config = DemoDriveConfig(
+        bag_dir=params.path("bag_dir", None),
+        steering_channel=params.integer("steering/servo_channel", 0, 0, CHANNELS - 1),
+        throttle_channel=params.integer("esc/servo/channel", 1, 0, CHANNELS - 1),
+        steer_axis=params.integer("gamepad/steer_axis", 0, 0, MAX_INDEX),
+        manual_button=params.integer("gamepad/manual_button", 4, 0, MAX_INDEX),
+        autonomous_button=params.integer("gamepad/autonomous_button", 5, 0, MAX_INDEX),
+        steer_scale=params.number("gamepad/steer_scale", 1.0, -1.0, 1.0) or 1.0)
+    params.finish(ignored_namespaces=("steering", "esc", "gamepad"))
     return config
 
 
@@ -163,9 +188,10 @@ class DemoDrive:
     """Runs the script and checks the result."""
 
     def __init__(self, params, inbox):
-        bag_dir = read_config(params).bag_dir
+        config = self._config = read_config(params)
+        bag_dir = config.bag_dir
         self._inbox = inbox
-        self._watch = Watch()
+        self._watch = Watch(config.steering_channel, config.throttle_channel)
         self._drive = None
         self._yaw_rad = 0.0
         now_ns = time.monotonic_ns()
@@ -175,7 +201,7 @@ class DemoDrive:
         self._joy = rospy.Publisher("joy", Joy, queue_size=10)
         self._radius = rospy.Publisher("av_turnrad_req", Float32, queue_size=10)
         self._control = rospy.Publisher("control/command/control_cmd", Control, queue_size=10)
-        self._recording = Recording(bag_dir) if bag_dir else None
+        self._recording = BagRecording(bag_dir) if bag_dir else None
         self._watch_topics()
 
     def _watch_topics(self):
@@ -248,11 +274,13 @@ class DemoDrive:
             stamp=rospy.Time.now(), longitudinal=Longitudinal(acceleration=orders.acceleration_mps2)))
 
     def _publish_joy(self, orders):
-        message = Joy(axes=[0.0] * AXES, buttons=[0] * BUTTONS)
+        config = self._config
+        message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1),
+                      buttons=[0] * max(BUTTONS, config.manual_button + 1, config.autonomous_button + 1))
         message.header.stamp = rospy.Time.now()
-        message.axes[STEER_AXIS] = orders.steering
-        message.buttons[MANUAL_BUTTON] = int(orders.manual)
-        message.buttons[AUTONOMOUS_BUTTON] = int(orders.autonomous)
+        message.axes[config.steer_axis] = max(-1.0, min(1.0, orders.steering / config.steer_scale))
+        message.buttons[config.manual_button] = int(orders.manual)
+        message.buttons[config.autonomous_button] = int(orders.autonomous)
         self._joy.publish(message)
 
     def _show(self, now_ns):
@@ -264,7 +292,7 @@ class DemoDrive:
         nearest = f"{nearest_m:4.2f} m" if nearest_m < math.inf else "free"
         text = (f"{(now_ns - self._started_ns) / NS_PER_S:5.1f} s  {STAGE_NAMES[watch.stage]:<21} "
                 f"{SOURCE_NAMES[watch.state.source]:<8} "
-                f"steering {watch.output[STEERING_CHANNEL]:5d}  ESC {watch.output[THROTTLE_CHANNEL]:5d}  "
+                f"steering {watch.duties[0]:5d}  ESC {watch.duties[1]:5d}  "
                 f"{watch.speed_mps:5.2f} m/s  at {watch.pose[0]:+5.2f} {watch.pose[1]:+5.2f}  nearest {nearest}")
         print(("\r\x1b[K" if sys.stdout.isatty() else "") + text, end=end, flush=True)
 
@@ -317,26 +345,6 @@ class DemoDrive:
         yield "not every sonar was heard", len(watch.sonar_m) == len(SONARS)
         yield "pings went unanswered", link.pongs >= link.pings - 1
         yield "there were bad frames", link.bad_frames + link.malformed_frames == 0
-
-
-class Recording:
-    """A ``rosbag record`` of all topics, in a file of its own under ``folder``."""
-
-    def __init__(self, folder: str):
-        try:
-            os.makedirs(folder, exist_ok=True)
-        except OSError as error:
-            raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
-        self._path = os.path.join(folder, time.strftime("car_%Y-%m-%d_%H-%M-%S.bag"))
-        self._process = subprocess.Popen(["rosrun", "rosbag", "record", "--all", "--quiet", "-O", self._path],
-                                         stdout=subprocess.DEVNULL)
-
-    def stop(self) -> str:
-        """Close the bag; its path."""
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
-        self._process.wait()
-        return self._path
 
 
 def main():

@@ -29,6 +29,7 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import Control, ConverterState, Float64Stamped
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.ros.ros_clock import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe
@@ -101,6 +102,7 @@ class GenericValueConverter:
         self._command_topics = CommandTopics(inbox)
         self._diagnostics = Diagnostics(inbox, "none", {"converter": self._report, **self._command_topics.reports},
                                         now_ns)
+        self._ros_clock = RosClock()
         self._values = advertise("~output/value", Float64Stamped, inbox)
         self._states = advertise("~state", ConverterState, inbox, latch=True)
         inbox.on_overflow(self._on_overflow)
@@ -143,7 +145,8 @@ class GenericValueConverter:
             self._warnings.warn(conversion.cause, f"no output: {conversion.reason}")
             return
         self._counts["values"] += 1
-        self._values.publish(Float64Stamped(stamp=rospy.Time.now(), data=conversion.value))
+        self._values.publish(Float64Stamped(stamp=self._ros_clock.stamp("value", time.monotonic_ns()),
+                                            data=conversion.value))
         if before.value is None:
             self._publish_state()
 

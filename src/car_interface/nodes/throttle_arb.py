@@ -212,8 +212,8 @@ class ThrottleArb:
             return {"servo/neutral": values["neutral"],
                     "servo/duty_table": list(trimmed(calibration, **values).duty_table)}
 
-        return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, EscNeutralConfig,
-                                 settings.save_to, namespace="servo")
+        return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, EscNeutralConfig, settings,
+                                 namespace="servo")
 
     def _tick(self, now_ns):
         self._ticks += 1

@@ -187,7 +187,7 @@ class TurnArb:
                     "k_pwmcmd_right_table_servo": list(scaled.right_duties)}
 
         return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, SteeringTrimConfig,
-                                 settings.save_to)
+                                 settings)
 
     def _tick(self, now_ns):
         self._ticks += 1

@@ -6,6 +6,7 @@ import time
 from html import escape
 
 from car_interface.common.units import NS_PER_S
+from car_interface.report.coverage import QUESTIONS
 from car_interface.report.faults import ERROR, WARN
 from car_interface.report.figures import DRIVER_COLOURS, DRIVER_NAMES
 from car_interface.report.html import counted, document, moment_text, range_text, section, span_text, table, times_text
@@ -57,12 +58,14 @@ def _figures(drive):
         driven_s = drive.steering.source_s[TELEOP] + drive.steering.source_s[PLANNER]
         yield span_text(driven_s), "somebody drove"
     faults = drive.faults
-    yield str(sum(fault.times for fault in faults.entries) + faults.dropped), "faults and timeouts"
+    times = sum(fault.times for fault in faults.entries) + faults.dropped
+    yield str(times) if times or not _is_blind(drive) else "unknown", "faults and timeouts"
 
 
 def _verdict(drive):
     """The drive in a sentence or two, as HTML."""
     parts, faults, source_s = [], drive.faults.entries, drive.steering.source_s
+    gaps = drive.coverage.gaps()
     if drive.steering.episodes:
         drove = [f"the {DRIVER_NAMES[source]} for {span_text(source_s[source])}"
                  for source in (TELEOP, PLANNER) if source_s[source]]
@@ -78,9 +81,29 @@ def _verdict(drive):
                      'see <a href="#faults">below</a>.</span>')
     elif faults:
         parts.append('There were no errors; the warnings are listed <a href="#faults">below</a>.')
-    else:
+    elif not gaps:
         parts.append('<span class="good">Nothing went wrong that this recording shows.</span>')
+    elif not _is_blind(drive):
+        parts.append("What was recorded shows no fault.")
+    if gaps:
+        parts.append(f'<span class="warn">{_gaps_text(drive)}</span>')
     return " ".join(parts)
+
+
+def _is_blind(drive):
+    """Whether nothing was recorded that could tell of a fault."""
+    gaps = drive.coverage.gaps()
+    return len(gaps) == len(QUESTIONS) and all(math.isnan(gap.start_s) for gap in gaps)
+
+
+def _gaps_text(drive):
+    """The questions that the recording can't answer, and what it lacks for them."""
+    duration_s, lacking = drive.duration_s, []
+    for gap in drive.coverage.gaps():
+        when = "" if math.isnan(gap.start_s) else (f" from {moment_text(gap.start_s, duration_s)} to "
+                                                   f"{moment_text(gap.end_s, duration_s)}")
+        lacking.append(f"no {gap.lacks}{when} ({gap.asks})")
+    return escape(f"What this recording can't tell: {'; '.join(lacking)}.", quote=False)
 
 
 def _steering_lines(steering):
@@ -187,11 +210,12 @@ def _faults(drive):
         often = f' <span class="faint">({times_text(fault.times)})</span>' if fault.times > 1 else ""
         rows.append((moment_text(fault.start_s, drive.duration_s), lasted, LEVELS[fault.level], escape(fault.where),
                      escape(fault.what) + often))
-    body = table(("at", "for", "", "who says so", "what"), rows, numbers=2) if rows else "<p>None.</p>\n"
+    gaps = f'<p class="warn">{_gaps_text(drive)}</p>\n' if drive.coverage.gaps() else ""
+    none = "None was recorded." if gaps else "None."
+    body = table(("at", "for", "", "who says so", "what"), rows, numbers=2) if rows else f"<p>{none}</p>\n"
     dropped = drive.faults.dropped
     return section("faults", "Timeouts and faults", text, body,
-                   f'<p class="faint">{dropped} more are not kept.</p>\n' if dropped else "",
-                   _missing(drive, "/diagnostics", "turn_arb/state", "teensy_sensor_hub/link"))
+                   f'<p class="faint">{dropped} more are not kept.</p>\n' if dropped else "", gaps)
 
 
 def _steering(drive, plots):

@@ -7,6 +7,7 @@ from functools import partial
 from car_interface.common.units import NS_PER_S
 from car_interface.recordings.recording import NoRecording, absolute_names, contents, other_version, read
 from car_interface.report import motion, steering_state, teensy_link
+from car_interface.report.coverage import Coverage
 from car_interface.report.downsample import Trace
 from car_interface.report.faults import WARN, FaultLog, NodeReports
 from car_interface.report.motion import MotionWatch
@@ -48,6 +49,7 @@ class Summary:
         traces: a Trace for each of TRACES.
         steering, motion, sonars, teensy: see their classes.
         faults: what went wrong.
+        coverage: which questions the recording can't answer.
     """
 
     path: str
@@ -62,6 +64,7 @@ class Summary:
     sonars: SonarWatch
     teensy: TeensyWatch
     faults: FaultLog
+    coverage: Coverage
 
 
 def summarize(path: str, namespace: str = "/", odom: str = "odom", progress: bool = False) -> Summary:
@@ -86,7 +89,7 @@ def summarize(path: str, namespace: str = "/", odom: str = "odom", progress: boo
         raise NoRecording(f"{path} has no message of {odom}, turn_arb/state or /servo/output"
                           + _elsewhere(with_messages, namespace))
     summary = _empty(path, namespace, has, {"odom" if name == odom else name for name in names.values()})
-    handlers = _handlers(summary)
+    handlers = summary.coverage.watched(_handlers(summary))
     for recorded in read(path, types, namespace, progress):
         name = "odom" if recorded.topic == odom else recorded.topic
         try:
@@ -109,7 +112,8 @@ def _empty(path, namespace, has, present):
     steering = SteeringWatch(traces, faults, duration_s)
     moves = MotionWatch(traces, faults, steering, has.start_ns)
     return Summary(path, namespace, has.start_ns, duration_s, has.topics, present, traces, steering, moves,
-                   SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults)
+                   SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
+                   Coverage(namespace, duration_s))
 
 
 def _handlers(summary):

@@ -20,6 +20,7 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import SteeringState, TeensyClock
 from car_interface.ros.diagnostics import OK, WARN
+from car_interface.ros.ros_clock import RosClock
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, has_subscribers, subscribe
 from car_interface.steering.monitor import SteeringCheck
@@ -39,8 +40,6 @@ MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0]
           "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
 MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's a warning
 SLOWEST_ODOM_HZ = 0.1
-SAME_OFFSET_NS = 200_000  # the system's clock is slewed by 0.5 ms a second at most
-SET_BACK_NS = NS_PER_S // 2  # a clock that goes back by more was set on purpose
 
 
 class Settings(NamedTuple):
@@ -260,41 +259,6 @@ class MeasurementPublisher:
         twist.twist.linear.x, twist.twist.angular.z = motion.speed_mps, motion.yaw_rate_radps
         twist.covariance = _covariance(motion.speed_variance, 0, 0, UNMEASURED, 0, motion.yaw_rate_variance)
         return message
-
-
-class RosClock:
-    """Monotonic times as ROS times, for messages whose stamps rise strictly.
-
-    ROS time is the computer's clock, which gets slewed and set: setting it disturbs nothing that is measured. Both are
-    read one after the other, never at the same time, so that their difference is kept until it has changed by more than
-    the reading can be off. Otherwise two messages a moment apart could be stamped in the wrong order.
-    """
-
-    def __init__(self):
-        self._offset_ns = None
-        self._newest_ns: dict = {}  # stamp of each kind of message
-
-    def stamp(self, kind, time_ns: int) -> rospy.Time:
-        """The ROS time of a monotonic one, later than that of the ``kind``'s message before, unless the clock was set.
-
-        Before ROS time began, as while /use_sim_time waits for a /clock, it is 0: no message carries less.
-        """
-        before_ns = time.monotonic_ns()
-        ros_ns = rospy.Time.now().to_nsec()
-        after_ns = time.monotonic_ns()
-        offset_ns = ros_ns - (before_ns + after_ns) // 2
-        # The longer a thread is held up between the readings, the larger the error.
-        if (self._offset_ns is None
-                or abs(offset_ns - self._offset_ns) > SAME_OFFSET_NS + after_ns - before_ns):
-            self._offset_ns = offset_ns
-        stamp_ns = self._offset_ns + time_ns
-        if stamp_ns <= 0:
-            return rospy.Time()
-        newest_ns = self._newest_ns.get(kind)
-        if newest_ns is not None and newest_ns - SET_BACK_NS < stamp_ns <= newest_ns:
-            stamp_ns = newest_ns + 1
-        self._newest_ns[kind] = stamp_ns
-        return rospy.Time(nsecs=stamp_ns)
 
 
 def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) -> MeasurementConfig:

@@ -18,7 +18,7 @@ from typing import Callable, Mapping
 import rospy
 from dynamic_reconfigure.server import Server
 
-from car_interface.common.live_parameters import Tuning
+from car_interface.common.live_parameters import Tuning, TuningSettings
 from car_interface.common.yaml_edit import Values
 from car_interface.ros.inbox import TOO_BUSY, Inbox
 from car_interface.ros.save_service import serve_saving
@@ -66,13 +66,13 @@ class ReconfigureServer:
         parameters: all parameters that result from such values, by their names in the node's namespace and in its file;
             called in any thread.
         config_class: the class that catkin made of a .cfg file.
-        save_to: the file; ``None`` = nowhere.
+        settings: where values are saved.
         namespace: of dynamic_reconfigure's parameters, below the node's.
     """
 
     def __init__(self, inbox: Inbox, warnings: ThrottledWarnings, tuning: Tuning,
                  apply: Callable[[Mapping[str, int]], None], parameters: Callable[[Mapping[str, int]], Values],
-                 config_class, save_to: str | None, namespace: str = ""):
+                 config_class, settings: TuningSettings, namespace: str = ""):
         self._inbox = inbox
         self._warnings = warnings
         self._tuning = tuning
@@ -87,7 +87,7 @@ class ReconfigureServer:
                           self._server.update_topic.unregister):
             inbox.on_close(remove)
         self._serving = True
-        serve_saving(inbox, save_to, self._values_to_save)
+        serve_saving(inbox, settings, self._values_to_save)
 
     def step(self, now_ns: int) -> None:
         """Step towards the accepted values. To be called at each timer tick, in the node's thread."""

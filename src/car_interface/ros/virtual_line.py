@@ -17,6 +17,7 @@ import tty
 
 from car_interface.common.errors import ConfigError
 from car_interface.ros.faults import serve_faults
+from car_interface.ros.port_claim import PortClaim
 from car_interface.sim.line import MAX_S, NS_PER_S, BadLine
 from car_interface.sim.teensy_sonars import SONAR_CONDITIONS
 
@@ -36,10 +37,12 @@ class VirtualLine:
         inbox: woken when the program writes.
 
     Raises:
-        ConfigError: when something other than a link is at ``path``, or no link can be put there.
+        ConfigError: when another car_sim that runs uses ``path``, something other than a link is there, or no link can
+            be put there.
     """
 
     def __init__(self, path: str, firmware, seed: int, inbox):
+        self._claim = PortClaim(path)  # also while it's unplugged
         self._path = path
         self._firmware = firmware
         self._inbox = inbox
@@ -81,6 +84,10 @@ class VirtualLine:
 
     def close(self) -> None:
         """Take the port away."""
+        self._hang_up()
+        self._claim.close()
+
+    def _hang_up(self):
         self._watch(False)
         if self._terminal is not None:
             self._terminal.close()
@@ -101,7 +108,7 @@ class VirtualLine:
         self._plug_ns = now_ns + round(duration_s * NS_PER_S) if duration_s else NEVER_NS
         if self._terminal is not None:
             self._unplugged_from = self._terminal.name
-            self.close()
+            self._hang_up()
 
     def _plug(self):
         """The system gives out the lowest free name; another one is what a port often has when it comes back."""

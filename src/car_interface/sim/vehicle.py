@@ -5,24 +5,28 @@ curves are the truth that calibration tables only approximate: they are near the
 purpose not equal to them.
 
 REP-103 throughout: metres, radians, seconds, x forward, y left, left turns positive. The pose is that of the middle of
-the rear axle. Nothing slips and nothing collides. On request there is play in the steering, the ground slopes and the
-battery sags, as with real cars: the default car has none of it.
+the rear axle. Nothing slips. On request there is play in the steering, the ground slopes and the battery sags, as with
+real cars: the default car has none of it.
+
+Among obstacles the car stops dead at what it runs into, without a bounce, and can be driven out the way it came. Its
+wheels stall: full throttle pushes it with 5.6 m/s², and tires hold some 7.8 m/s² on a dry floor (0.8 g) before they
+slip. So odometry agrees with the truth. The wheels of a car with a stronger motor would spin; these don't.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from car_interface.common.units import NS_PER_S
 from car_interface.sim.checks import require
+from car_interface.sim.collision import Collisions
+from car_interface.sim.drive_train import DriveConfig, is_pulse, true_acceleration_mps2
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 
 GRAVITY_MPS2 = 9.81
-# 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.
-SHORTEST_PULSE, MAX_PULSE = 1638, 8192
 ARRIVED_DUTY = 0.01  # a creeping servo never quite arrives; from here on it has
 
 
@@ -50,9 +54,9 @@ class SteeringConfig:
     """How the servo moves and where its positions steer.
 
     Attributes:
-        curve: (duty, curvature in 1/m, left positive), duties rising, curvatures falling. Linear in between,
-            saturated at the ends, where the wheels are at their stops: 0.97 m is the tightest left turn, 1.03 m the
-            tightest right one.
+        curve: (duty, curvature in 1/m, left positive), duties rising, curvatures falling, or rising with a servo that
+            is built in the other way round. Linear in between, saturated at the ends, where the wheels are at their
+            stops: by default 0.97 m is the tightest left turn, 1.03 m the tightest right one.
         center_duty: where the servo stands at power-up. It steers 1.3e-3 1/m to the right: this car has to be trimmed.
         rate_duty_per_s: the fastest that the servo turns: 60° (2185 duty, 90° being 1 ms) in 0.17 s.
         lag_s: time constant with which it creeps up to a near target.
@@ -76,58 +80,13 @@ class SteeringConfig:
     def __post_init__(self):
         duties, curvatures = zip(*self.curve)
         rising = all(low < high for low, high in zip(duties, duties[1:]))
-        falling = all(left > right for left, right in zip(curvatures, curvatures[1:]))
-        require(len(self.curve) > 1 and rising and falling, "steering curve", self.curve, "rising duty, falling 1/m")
+        steps = [after - before for before, after in zip(curvatures, curvatures[1:])]
+        one_way = all(step < 0 for step in steps) or all(step > 0 for step in steps)
+        require(len(self.curve) > 1 and rising and one_way, "steering curve", self.curve,
+                "rising duty, falling 1/m (or rising, for a reversed servo)")
         require(self.rate_duty_per_s > 0, "rate_duty_per_s", self.rate_duty_per_s, "more than 0")
         require(self.lag_s > 0, "lag_s", self.lag_s, "more than 0")
         require(self.backlash_duty >= 0, "backlash_duty", self.backlash_duty, "0 or more")
-
-
-@dataclass(frozen=True)
-class DriveConfig:
-    """What the ESC's duty does to the speed.
-
-    Attributes:
-        full_reverse_duty, neutral_duty, full_forward_duty: 1.0, 1.5 and 2.0 ms at 50 Hz.
-        neutral_band_duty: so far from neutral the ESC does nothing.
-        forward_mps2: of full throttle at standstill, before drag.
-        reverse_mps2: of full reverse at standstill, before drag.
-        brake_mps2: of the full duty against the way the car rolls, before drag.
-        thrust_halves_mps: at this speed the motor has half its thrust.
-        drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
-            With the defaults full throttle ends at 14 m/s.
-        sag: ratio of the thrust that is lost while the battery empties, from half of it above the thrust that the other
-            attributes state to half of it below. Brakes don't need the battery.
-        sag_over_s: how long that takes; the thrust stays as it is after that.
-    """
-
-    full_reverse_duty: float = 3277.0
-    neutral_duty: float = 4915.0
-    full_forward_duty: float = 6554.0
-    neutral_band_duty: float = 25.0
-    forward_mps2: float = 5.6
-    reverse_mps2: float = 3.6
-    brake_mps2: float = 7.0
-    thrust_halves_mps: float = 9.4
-    drag_mps2: float = 0.35
-    drag_per_s: float = 0.08
-    drag_per_m: float = 0.004
-    sag: float = 0.0
-    sag_over_s: float = 300.0
-
-    def __post_init__(self):
-        low, high = self.neutral_duty - self.neutral_band_duty, self.neutral_duty + self.neutral_band_duty
-        require(
-            self.full_reverse_duty < low <= high < self.full_forward_duty,
-            "neutral_duty", self.neutral_duty, "with its band between full reverse and full forward",
-        )  # fmt: skip
-        require(self.thrust_halves_mps > 0, "thrust_halves_mps", self.thrust_halves_mps, "more than 0")
-        require(0 <= self.sag < 1, "sag", self.sag, "0 to less than 1")
-        require(self.sag_over_s > 0, "sag_over_s", self.sag_over_s, "more than 0")
-
-    def thrust(self, elapsed_s: float) -> float:
-        """The ratio of the stated thrust that the battery gives so long after the start."""
-        return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
 
 
 @dataclass(frozen=True)
@@ -146,7 +105,7 @@ class VehicleConfig:
     """
 
     steering: SteeringConfig = SteeringConfig()
-    drive: DriveConfig = DriveConfig()
+    drive: DriveConfig = field(default_factory=DriveConfig)
     wheelbase_m: float = 0.324
     track_m: float = 0.296
     wheel_diameter_m: float = 0.095
@@ -175,6 +134,7 @@ class Vehicle:
     Args:
         config: what it is like.
         start_ns: the true time at the start; pulses are stamped on this scale.
+        collisions: what it may run into; ``None`` = nothing.
 
     Attributes:
         time_ns: true time now.
@@ -186,8 +146,10 @@ class Vehicle:
         travel_m: signed way so far.
     """
 
-    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0):
+    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0,
+                 collisions: Collisions | None = None):
         self.config = config
+        self._collisions = collisions
         self.time_ns = start_ns
         self.pose = config.start
         self.speed_mps = 0.0
@@ -240,7 +202,15 @@ class Vehicle:
         dt_s = dt_ns / NS_PER_S
         curvature_per_m = self._turn_servo(dt_s, steering_duty)
         speed_mps, distance_m, moving_s = self._accelerate(dt_s, esc_duty)
-        pulses = self._roll(distance_m, moving_s, speed_mps, curvature_per_m) if distance_m else []
+        pulses = []
+        if distance_m:
+            pose = self._pose_after(distance_m, curvature_per_m)
+            if self._collisions is not None and self._collisions.blocks(pose, distance_m, self.speed_mps):
+                speed_mps = 0.0
+                self.acceleration_mps2 = -self.speed_mps / dt_s
+            else:
+                self.pose = pose
+                pulses = self._roll(distance_m, moving_s, speed_mps, curvature_per_m)
         self.time_ns += dt_ns
         self.speed_mps = speed_mps
         return pulses
@@ -283,17 +253,20 @@ class Vehicle:
         self.acceleration_mps2 = (after_mps - before_mps) / dt_s
         return after_mps, (before_mps + after_mps) / 2 * moving_s, moving_s
 
-    def _roll(self, distance_m: float, moving_s: float, speed_mps: float, curvature_per_m: float) -> list[Pulse]:
-        """Moves along an arc and returns the pulses on it."""
+    def _pose_after(self, distance_m: float, curvature_per_m: float) -> Pose:
+        """The pose at the end of an arc."""
         x_m, y_m, yaw_rad = self.pose
         turn_rad = distance_m * curvature_per_m
         # The chord of an arc: its length is way · sin(h)/h, its direction the mean of both headings (h: half the turn).
         half_rad = turn_rad / 2
         chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
         direction_rad = yaw_rad + half_rad
-        self.pose = Pose(
+        return Pose(
             x_m + chord_m * math.cos(direction_rad), y_m + chord_m * math.sin(direction_rad), yaw_rad + turn_rad
         )
+
+    def _roll(self, distance_m: float, moving_s: float, speed_mps: float, curvature_per_m: float) -> list[Pulse]:
+        """Turns the wheels along an arc and returns the pulses on it."""
         self.travel_m += distance_m
         widening = self._half_track_m * curvature_per_m
         acceleration_mps2 = (speed_mps - self.speed_mps) / moving_s
@@ -326,53 +299,3 @@ class Vehicle:
         speed_mps = self.speed_mps
         root_mps = math.sqrt(max(0.0, speed_mps * speed_mps + 2.0 * acceleration_mps2 * distance_m))
         return int(2.0 * distance_m / (speed_mps + math.copysign(root_mps, distance_m)) * NS_PER_S)
-
-
-def is_pulse(duty: int) -> bool:
-    """Whether a servo or an ESC takes ``duty`` for a command; neither 0 (off) nor -1 (never set) nor 65535 (on) is."""
-    return SHORTEST_PULSE <= duty <= MAX_PULSE
-
-
-def throttle(duty: int, drive: DriveConfig) -> float | None:
-    """What the ESC makes of a duty: -1 (full reverse) to 1 (full forward), 0 in its neutral band, None without one."""
-    if not is_pulse(duty):
-        return None
-    beyond = duty - drive.neutral_duty
-    if abs(beyond) <= drive.neutral_band_duty:
-        return 0.0
-    if beyond > 0:
-        full = drive.full_forward_duty - drive.neutral_duty
-        return min(1.0, (beyond - drive.neutral_band_duty) / (full - drive.neutral_band_duty))
-    full = drive.neutral_duty - drive.full_reverse_duty
-    return max(-1.0, (beyond + drive.neutral_band_duty) / (full - drive.neutral_band_duty))
-
-
-def true_acceleration_mps2(
-    esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
-) -> float:
-    """The car's acceleration: what a value map for this car should say, and says only nearly.
-
-    Duty against the way the car rolls brakes. At standstill reverse drives backward (no double tap), and a push
-    below the static drag moves nothing.
-
-    Args:
-        esc_duty: of the ESC's channel.
-        speed_mps: backward negative.
-        drive: the car's drive train.
-        thrust: the ratio of its thrust that the battery gives.
-        downhill_mps2: what the ground adds, forward positive; 0 on the level.
-    """
-    command = throttle(esc_duty, drive) or 0.0
-    speed = abs(speed_mps)
-    drag_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m)
-    if command * speed_mps < 0.0:
-        push_mps2 = command * drive.brake_mps2
-    else:
-        full_mps2 = drive.forward_mps2 if command > 0.0 else drive.reverse_mps2
-        push_mps2 = command * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
-    push_mps2 += downhill_mps2
-    if speed_mps:
-        return push_mps2 - math.copysign(drag_mps2, speed_mps)
-    if abs(push_mps2) <= drag_mps2:
-        return 0.0
-    return push_mps2 - math.copysign(drag_mps2, push_mps2)

@@ -1,6 +1,7 @@
 """The room that the car's six sonars see: walls, boxes, posts, and the time that sound takes to them and back.
 
-Consumes the car's pose, produces echo times. Flat, as the sonars' cones are low; everything in it reflects.
+Consumes the car's pose, produces echo times. Flat, as the sonars' cones are low; everything in it reflects, and
+everything in it stops the car.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from typing import Sequence
 
 from car_interface.sim.checks import require
+from car_interface.sim.collision import Obstacles
 
 SENSOR_NAMES = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
 
@@ -96,6 +98,11 @@ class World:
         self._posts = [(post.x_m, post.y_m, post.radius_m) for post in config.posts]
         self._us_per_m = 2e6 / speed_of_sound_mps(config.temperature_c)
         self._angles_rad = _spread(config.cone_rad, config.rays)
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """What a car can run into."""
+        return Obstacles(self._segments, self._posts)
 
     def echo_us(self, pose: Sequence[float], sensor: int) -> int:
         """Microseconds from a sonar's ping to its echo, as a car that stands still would measure them.

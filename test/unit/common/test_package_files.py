@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from car_interface.common.errors import CarInterfaceError
-from car_interface.common.package_files import package_file
+from car_interface.common.package_files import is_package_file, package_file
 
 ROOT = Path(__file__).resolve().parents[3]
 TABLE = ROOT / "config" / "turn_arb.yaml"
@@ -33,3 +33,10 @@ def test_files_of_the_package_are_found_where_it_is_installed(modules, tmp_path)
     done = subprocess.run([sys.executable, "-B", "-c", code], env={"PYTHONPATH": str(tmp_path / modules)},
                           capture_output=True, text=True, check=False)
     assert (done.stdout.strip(), done.stderr) == (str(tmp_path.resolve() / "share/car_interface/msg"), "")
+
+
+def test_file_of_the_package_is_one_by_any_way_to_it(tmp_path):
+    (tmp_path / "link").symlink_to(ROOT)
+    assert is_package_file(str(TABLE)) and is_package_file(str(tmp_path / "link/config/../config/turn_arb.yaml"))
+    assert is_package_file(str(ROOT / "config" / "none_yet.yaml"))
+    assert not is_package_file(str(tmp_path / "config/turn_arb.yaml")) and not is_package_file(str(ROOT / "config_2/a"))

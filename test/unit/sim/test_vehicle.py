@@ -10,16 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
+from car_interface.sim.drive_train import DriveConfig, true_acceleration_mps2
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from car_interface.sim.vehicle import (
-    DriveConfig,
-    Pose,
-    SteeringConfig,
-    Vehicle,
-    VehicleConfig,
-    throttle,
-    true_acceleration_mps2,
-)
+from car_interface.sim.vehicle import Pose, SteeringConfig, Vehicle, VehicleConfig
 
 MS, S = 1_000_000, 1_000_000_000
 LEFT_DUTY, CENTER, RIGHT_DUTY = 3800, 5100, 6700
@@ -130,20 +123,7 @@ def test_servo_never_overshoots(dt_ns, duty):
     assert min(CENTER, duty) <= positions[-1] <= max(CENTER, duty)
 
 
-# Throttle
-
-
-@pytest.mark.parametrize(
-    ("duty", "expected"),
-    [(NEUTRAL, 0), (4930, 0), (4900, 0), (FULL, 1), (8000, 1), (REVERSE, -1), (1700, -1), (5747, 0.5), (4084, -0.5)],
-)
-def test_throttle_of_a_duty_is_linear_beyond_the_neutral_band(duty, expected):
-    assert throttle(duty, DriveConfig()) == pytest.approx(expected, abs=0.001)
-
-
-@pytest.mark.parametrize("duty", [NEVER_SET, OFF, 65535])
-def test_throttle_without_pulse_is_none(duty):
-    assert throttle(duty, DriveConfig()) is None
+# Speed
 
 
 @pytest.mark.parametrize("esc_duty", [NEUTRAL, OFF, NEVER_SET])
@@ -178,21 +158,6 @@ def test_car_braked_stops_and_then_drives_backward():
     standing = speeds.index(0.0)
     assert speeds[:standing] == sorted(speeds[:standing], reverse=True)
     assert all(speed < 0 for speed in speeds[standing + 1 :])
-
-
-def test_brake_is_stronger_than_coasting_and_reverse_weaker_than_forward():
-    assert true_acceleration_mps2(REVERSE, 5) < true_acceleration_mps2(NEUTRAL, 5) < 0
-    assert true_acceleration_mps2(FULL, 0) > -true_acceleration_mps2(REVERSE, 0) > 0
-
-
-def test_thrust_below_the_static_drag_moves_nothing():
-    assert true_acceleration_mps2(5000, 0) == 0.0 < true_acceleration_mps2(5200, 0)
-
-
-@given(st.integers(REVERSE, FULL), st.integers(REVERSE, FULL), st.floats(0, 14))
-def test_more_duty_never_accelerates_less(one, other, speed_mps):
-    low, high = sorted((one, other))
-    assert true_acceleration_mps2(low, speed_mps) <= true_acceleration_mps2(high, speed_mps)
 
 
 def test_step_does_what_the_true_acceleration_says():
@@ -388,7 +353,7 @@ def test_value_map_is_near_the_truth_but_not_it():
     ("kind", "name", "value", "accepted"),
     [
         (SteeringConfig, "curve", ((4000, 1.0), (3900, 0.0)), "rising duty, falling 1/m"),
-        (SteeringConfig, "curve", ((4000, 0.0), (5000, 1.0)), "rising duty, falling 1/m"),
+        (SteeringConfig, "curve", ((4000, 0.0), (5000, 1.0), (6000, 0.5)), "rising duty, falling 1/m"),
         (SteeringConfig, "rate_duty_per_s", 0, "more than 0"),
         (SteeringConfig, "lag_s", 0, "more than 0"),
         (DriveConfig, "neutral_duty", 7000, "between full reverse and full forward"),

@@ -1,0 +1,111 @@
+"""The virtual car's ESC, motor, brakes and drag: what a duty does to the speed.
+
+Pure: a duty and a speed in, an acceleration out. Its numbers are the truth that a value map only approximates.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from car_interface.sim.checks import require
+
+# 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.
+SHORTEST_PULSE, MAX_PULSE = 1638, 8192
+
+
+@dataclass(frozen=True)
+class DriveConfig:
+    """What the ESC's duty does to the speed.
+
+    Attributes:
+        full_reverse_duty, neutral_duty, full_forward_duty: 1.0, 1.5 and 2.0 ms at 50 Hz.
+        neutral_band_duty: so far from neutral the ESC does nothing.
+        forward_mps2: of full throttle at standstill, before drag.
+        reverse_mps2: of full reverse at standstill, before drag.
+        brake_mps2: of the full duty against the way the car rolls, before drag.
+        thrust_halves_mps: at this speed the motor has half its thrust.
+        drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
+            With the defaults full throttle ends at 14 m/s.
+        sag: ratio of the thrust that is lost while the battery empties, from half of it above the thrust that the other
+            attributes state to half of it below. Brakes don't need the battery.
+        sag_over_s: how long that takes; the thrust stays as it is after that.
+    """
+
+    full_reverse_duty: float = 3277.0
+    neutral_duty: float = 4915.0
+    full_forward_duty: float = 6554.0
+    neutral_band_duty: float = 25.0
+    forward_mps2: float = 5.6
+    reverse_mps2: float = 3.6
+    brake_mps2: float = 7.0
+    thrust_halves_mps: float = 9.4
+    drag_mps2: float = 0.35
+    drag_per_s: float = 0.08
+    drag_per_m: float = 0.004
+    sag: float = 0.0
+    sag_over_s: float = 300.0
+
+    def __post_init__(self):
+        low, high = self.neutral_duty - self.neutral_band_duty, self.neutral_duty + self.neutral_band_duty
+        require(
+            self.full_reverse_duty < low <= high < self.full_forward_duty,
+            "neutral_duty", self.neutral_duty, "with its band between full reverse and full forward",
+        )  # fmt: skip
+        require(self.thrust_halves_mps > 0, "thrust_halves_mps", self.thrust_halves_mps, "more than 0")
+        require(0 <= self.sag < 1, "sag", self.sag, "0 to less than 1")
+        require(self.sag_over_s > 0, "sag_over_s", self.sag_over_s, "more than 0")
+
+    def thrust(self, elapsed_s: float) -> float:
+        """The ratio of the stated thrust that the battery gives so long after the start."""
+        return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
+
+
+def is_pulse(duty: int) -> bool:
+    """Whether a servo or an ESC takes ``duty`` for a command; neither 0 (off) nor -1 (never set) nor 65535 (on) is."""
+    return SHORTEST_PULSE <= duty <= MAX_PULSE
+
+
+def throttle(duty: int, drive: DriveConfig) -> float | None:
+    """What the ESC makes of a duty: -1 (full reverse) to 1 (full forward), 0 in its neutral band, None without one."""
+    if not is_pulse(duty):
+        return None
+    beyond = duty - drive.neutral_duty
+    if abs(beyond) <= drive.neutral_band_duty:
+        return 0.0
+    if beyond > 0:
+        full = drive.full_forward_duty - drive.neutral_duty
+        return min(1.0, (beyond - drive.neutral_band_duty) / (full - drive.neutral_band_duty))
+    full = drive.neutral_duty - drive.full_reverse_duty
+    return max(-1.0, (beyond + drive.neutral_band_duty) / (full - drive.neutral_band_duty))
+
+
+def true_acceleration_mps2(
+    esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
+) -> float:
+    """The car's acceleration: what a value map for this car should say, and says only nearly.
+
+    Duty against the way the car rolls brakes. At standstill reverse drives backward (no double tap), and a push
+    below the static drag moves nothing.
+
+    Args:
+        esc_duty: of the ESC's channel.
+        speed_mps: backward negative.
+        drive: the car's drive train.
+        thrust: the ratio of its thrust that the battery gives.
+        downhill_mps2: what the ground adds, forward positive; 0 on the level.
+    """
+    command = throttle(esc_duty, drive) or 0.0
+    speed = abs(speed_mps)
+    drag_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m)
+    if command * speed_mps < 0.0:
+        push_mps2 = command * drive.brake_mps2
+    else:
+        full_mps2 = drive.forward_mps2 if command > 0.0 else drive.reverse_mps2
+        push_mps2 = command * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
+    push_mps2 += downhill_mps2
+    if speed_mps:
+        return push_mps2 - math.copysign(drag_mps2, speed_mps)
+    if abs(push_mps2) <= drag_mps2:
+        return 0.0
+    return push_mps2 - math.copysign(drag_mps2, push_mps2)

@@ -1,0 +1,105 @@
+"""The Linux joystick interface (/dev/input/js*): bytes in, the state of a gamepad's axes and buttons out.
+
+Sources: Linux, Documentation/input/joydev/joystick-api.rst and include/uapi/linux/joystick.h, for the events; the ROS
+package joy, for scale, sign, dead zone and pacing of the messages.
+"""
+from __future__ import annotations
+
+import math
+import struct
+from typing import NamedTuple
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.units import NS_PER_S
+
+# struct js_event: __u32 time in ms; __s16 value; __u8 type; __u8 number, in the computer's own byte order.
+EVENT = struct.Struct("=IhBB")
+BUTTON, AXIS, INIT = 0x01, 0x02, 0x80  # INIT is added to the others' bits: the state when the device was opened
+MAX_VALUE = 32767  # of an axis, to either side
+MAX_INPUTS = 64  # axes or buttons; no gamepad has more, and a message must not grow by a number that is wrong
+
+
+class Change(NamedTuple):
+    """One change of the gamepad's state: the state after it, and whether it must be published at once."""
+
+    axes: tuple[float, ...]
+    buttons: tuple[int, ...]
+    is_urgent: bool  # a button; an axis or the initial state waits for what comes with it
+
+
+class Joystick:
+    """The state of a gamepad.
+
+    Args:
+        deadzone: so far from its middle an axis is 0, 0 to less than 1; beyond it the axis rises from 0.
+
+    Attributes:
+        axes: −1..1; left and forward are positive, as in sensor_msgs/Joy of the package joy.
+        buttons: 0 or 1.
+        ignored: events of no known kind, or of an input with a number that no gamepad has.
+    """
+
+    def __init__(self, deadzone: float = 0.05):
+        if not 0 <= deadzone < 1:
+            raise ConfigError("deadzone", deadzone, "a number from 0 to less than 1")
+        self.axes: list[float] = []
+        self.buttons: list[int] = []
+        self.ignored = 0
+        self._deadzone = deadzone
+        self._rest = b""  # the beginning of an event
+
+    def receive(self, data: bytes) -> list[Change]:
+        """What the bytes that were read from the device change, in order; an event may be split over two reads."""
+        data = self._rest + data
+        whole = len(data) - len(data) % EVENT.size
+        self._rest = data[whole:]
+        changes = []
+        for _, value, bits, number in EVENT.iter_unpack(data[:whole]):
+            is_initial, kind = bool(bits & INIT), bits & ~INIT
+            if kind not in (BUTTON, AXIS) or number >= MAX_INPUTS:
+                self.ignored += 1
+                continue
+            if kind == BUTTON:
+                _put(self.buttons, number, int(value != 0), 0)
+            else:
+                _put(self.axes, number, self._scaled(value), 0.0)
+            changes.append(Change(tuple(self.axes), tuple(self.buttons), kind == BUTTON and not is_initial))
+        return changes
+
+    def _scaled(self, value):
+        """The kernel's axes are negative to the left and forward."""
+        ratio = min(abs(value) / MAX_VALUE, 1.0)
+        beyond = max(0.0, ratio - self._deadzone) / (1.0 - self._deadzone)
+        return math.copysign(beyond, -value) if beyond else 0.0
+
+
+class Pacing:
+    """When the gamepad's state is published: a button at once, axes together after a moment, the same state again.
+
+    Args:
+        coalesce_s: an axis waits so long for others.
+        autorepeat_hz: the state is published this often without a change; 0 = never.
+    """
+
+    def __init__(self, coalesce_s: float, autorepeat_hz: float):
+        self._coalesce_ns = round(coalesce_s * NS_PER_S)
+        self._repeat_ns = NS_PER_S / autorepeat_hz if autorepeat_hz else math.inf
+        self.due_ns = math.inf  # of the next message; inf = there is nothing to publish
+
+    def changed(self, now_ns: int) -> None:
+        """A change that isn't urgent."""
+        self.due_ns = min(self.due_ns, now_ns + self._coalesce_ns)
+
+    def published(self, now_ns: int) -> None:
+        """The state was published."""
+        self.due_ns = now_ns + self._repeat_ns
+
+    def stop(self) -> None:
+        """The device is gone: its last state must not be repeated."""
+        self.due_ns = math.inf
+
+
+def _put(values, index, value, empty):
+    """Set a value in a list that grows as far as needed."""
+    values.extend([empty] * (index + 1 - len(values)))
+    values[index] = value

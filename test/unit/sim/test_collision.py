@@ -1,0 +1,167 @@
+"""What stops the virtual car: its outline against walls, boxes and posts."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.common.errors import ConfigError
+from car_interface.sim.collision import Collisions, Obstacles, Outline
+from car_interface.sim.demo_script import DONE, Drive, DriveConfig
+from car_interface.sim.vehicle import ORIGIN, Pose, Vehicle, VehicleConfig
+from car_interface.sim.world import World
+
+MS, S = 1_000_000, 1_000_000_000
+STRAIGHT, NEUTRAL, FORWARD, REVERSE = 5070, 4915, 5400, 4400
+OUTLINE = Outline(rear_m=0.1, front_m=0.5, width_m=0.4)
+WALL_M = 2.0  # an endless one across x
+
+
+def wall_ahead():
+    return Obstacles([(WALL_M, -50.0, 0.0, 100.0)], [], OUTLINE)
+
+
+def car_before(obstacles, start=ORIGIN):
+    collisions = Collisions(obstacles)
+    return Vehicle(VehicleConfig(start=start), 0, collisions), collisions
+
+
+def drive(vehicle, seconds, esc_duty, steering_duty=STRAIGHT):
+    """Drives and returns every pulse on the way."""
+    pulses = []
+    for _ in range(round(seconds * S / (2 * MS))):
+        pulses += vehicle.step(2 * MS, steering_duty, esc_duty)
+    return pulses
+
+
+# Geometry
+
+
+@pytest.mark.parametrize(("pose", "free"), [
+    pytest.param((1.49, 0.0, 0.0), True, id="nose_before_the_wall"),
+    pytest.param((1.51, 0.0, 0.0), False, id="nose_in_the_wall"),
+    pytest.param((2.11, 0.0, 0.0), True, id="tail_behind_the_wall"),
+    pytest.param((2.09, 0.0, 0.0), False, id="tail_in_the_wall"),
+    pytest.param((1.89, 0.0, math.pi), True, id="tail_before_the_wall_backward"),
+    pytest.param((1.91, 0.0, math.pi), False, id="tail_in_the_wall_backward"),
+    pytest.param((1.79, 0.0, math.pi / 2), True, id="side_beside_the_wall"),
+    pytest.param((1.81, 0.0, math.pi / 2), False, id="side_in_the_wall"),
+    pytest.param((1.51, 0.0, math.radians(45)), False, id="only_a_corner_in_the_wall"),
+    pytest.param((1.50, 0.0, math.radians(80)), True, id="turned_away"),
+])
+def test_outline_meets_a_wall_where_it_reaches(pose, free):
+    assert wall_ahead().is_free(pose) is free
+
+
+@pytest.mark.parametrize(("post", "free"), [
+    ((0.65, 0.0, 0.1), True), ((0.59, 0.0, 0.1), False),  # before the nose
+    ((0.2, 0.31, 0.1), True), ((0.2, 0.29, 0.1), False),  # beside it
+    ((0.58, 0.28, 0.1), True), ((0.56, 0.26, 0.1), False),  # off the corner: 0.113 and 0.085 m from it
+    ((0.2, 0.0, 0.01), False),  # below the car
+])
+def test_outline_meets_a_post_where_it_reaches(post, free):
+    assert Obstacles([], [post], OUTLINE).is_free((0.0, 0.0, 0.0)) is free
+
+
+def test_box_that_is_smaller_than_the_car_is_met_too():
+    sides = [(0.2, 0.0, 0.05, 0.0), (0.25, 0.0, 0.0, 0.05), (0.25, 0.05, -0.05, 0.0), (0.2, 0.05, 0.0, -0.05)]
+    assert not Obstacles(sides, [], OUTLINE).is_free((0.0, 0.0, 0.0))
+    assert Obstacles(sides, [], OUTLINE).is_free((0.0, 0.4, 0.0))
+
+
+@given(st.floats(-5.5, 5.5), st.floats(-4.5, 4.5), st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi),
+       st.floats(0.0, 0.999))
+def test_car_that_moves_less_than_its_clearance_touches_nothing(x_m, y_m, yaw_rad, direction_rad, ratio):
+    obstacles = World().obstacles
+    clear_m = obstacles.clearance_m((x_m, y_m, yaw_rad))
+    if clear_m > 0:
+        moved_m = ratio * clear_m
+        assert obstacles.is_free((x_m + moved_m * math.cos(direction_rad), y_m + moved_m * math.sin(direction_rad),
+                                  yaw_rad))
+
+
+def test_outline_that_no_car_has_is_refused():
+    with pytest.raises(ConfigError, match="width_m is 0; accepted: more than 0"):
+        Outline(width_m=0)
+
+
+# The car
+
+
+def test_car_that_runs_into_a_wall_stands_before_it_and_its_wheels_stall():
+    vehicle, collisions = car_before(wall_ahead())
+    drive(vehicle, 4, FORWARD)
+    assert vehicle.pose.x_m == pytest.approx(WALL_M - OUTLINE.front_m, abs=0.005) and vehicle.speed_mps == 0.0
+    assert vehicle.pose.x_m < WALL_M - OUTLINE.front_m
+    assert collisions.count == 1 and 1.0 < collisions.speed_mps < 3.0
+    assert drive(vehicle, 2, FORWARD) == []
+    assert vehicle.travel_m == pytest.approx(math.hypot(vehicle.pose.x_m, vehicle.pose.y_m), rel=1e-3)
+
+
+def test_car_that_keeps_pushing_has_one_collision_and_a_second_one_after_it_drove_away():
+    vehicle, collisions = car_before(wall_ahead())
+    drive(vehicle, 6, FORWARD)
+    assert collisions.count == 1
+    assert drive(vehicle, 1, REVERSE) != [] and vehicle.speed_mps < -0.3
+    assert collisions.count == 1
+    drive(vehicle, 6, FORWARD)
+    assert collisions.count == 2 and vehicle.speed_mps == 0.0
+
+
+def test_car_that_backs_into_a_wall_has_a_negative_speed_at_the_collision():
+    vehicle, collisions = car_before(wall_ahead(), Pose(WALL_M - 1.0, 0.0, math.pi))
+    drive(vehicle, 4, REVERSE)
+    assert vehicle.pose.x_m == pytest.approx(WALL_M - OUTLINE.rear_m, abs=0.005)
+    assert collisions.count == 1 and collisions.speed_mps < -0.5
+
+
+def test_car_that_hit_a_wall_on_a_turn_comes_out_the_way_it_came():
+    vehicle, collisions = car_before(wall_ahead())
+    drive(vehicle, 4, FORWARD, 3830)
+    assert collisions.count == 1 and vehicle.speed_mps == 0.0
+    assert drive(vehicle, 1, REVERSE, 3830) != [] and vehicle.speed_mps < -0.3
+
+
+def test_car_without_obstacles_drives_on():
+    vehicle = Vehicle(VehicleConfig())
+    drive(vehicle, 10, FORWARD)
+    assert vehicle.pose.x_m > 10
+
+
+def test_car_stays_in_the_default_room_however_it_is_driven():
+    vehicle, collisions = car_before(World().obstacles)
+    duties = [3800, 5070, 6700, 5500, 4500]
+    for turn in range(40):
+        drive(vehicle, 1.0, 6554 if turn % 4 else 3277, duties[turn % 5])
+        assert World().obstacles.is_free(vehicle.pose)
+    assert collisions.count > 3
+
+
+def test_scripted_demo_touches_nothing():
+    """With the human's and the planner's circles as the shipped tables steer them."""
+    vehicle, collisions = car_before(World().obstacles)
+    script, now_ns = Drive(DriveConfig(), 0), 0
+    nearest_m = math.inf
+    while script.stage != DONE:
+        orders = script.orders(now_ns, vehicle.pose.yaw_rad, vehicle.speed_mps)
+        steering = 3824 if orders.manual else (3824 if orders.radius_m > 0 else 6670) if orders.autonomous else 5100
+        driving = orders.manual or orders.autonomous
+        esc = NEUTRAL + (25 + round(150 * (orders.acceleration_mps2 + 0.5)) if driving else 0)
+        for _ in range(10):
+            vehicle.step(2 * MS, steering, esc)
+            now_ns += 2 * MS
+        nearest_m = min(nearest_m, World().obstacles.clearance_m(vehicle.pose))
+    assert vehicle.travel_m > 25 and collisions.count == 0 and nearest_m > 0.1
+
+
+def test_collisions_cost_little_far_from_everything():
+    looked = []
+
+    class Watched(Obstacles):
+        def is_free(self, pose):
+            looked.append(pose)
+            return super().is_free(pose)
+    vehicle, _ = car_before(Watched([(100.0, -50.0, 0.0, 100.0)], []))
+    drive(vehicle, 4, FORWARD)
+    assert len(looked) < 10

@@ -1,0 +1,44 @@
+"""What a duty of the virtual ESC does to the car's speed."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.sim.drive_train import DriveConfig, is_pulse, throttle, true_acceleration_mps2
+
+REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
+OFF, NEVER_SET = 0, -1
+
+
+@pytest.mark.parametrize(
+    ("duty", "expected"),
+    [(NEUTRAL, 0), (4930, 0), (4900, 0), (FULL, 1), (8000, 1), (REVERSE, -1), (1700, -1), (5747, 0.5), (4084, -0.5)],
+)
+def test_throttle_of_a_duty_is_linear_beyond_the_neutral_band(duty, expected):
+    assert throttle(duty, DriveConfig()) == pytest.approx(expected, abs=0.001)
+
+
+@pytest.mark.parametrize("duty", [NEVER_SET, OFF, 65535])
+def test_throttle_without_pulse_is_none(duty):
+    assert throttle(duty, DriveConfig()) is None
+
+
+def test_brake_is_stronger_than_coasting_and_reverse_weaker_than_forward():
+    assert true_acceleration_mps2(REVERSE, 5) < true_acceleration_mps2(NEUTRAL, 5) < 0
+    assert true_acceleration_mps2(FULL, 0) > -true_acceleration_mps2(REVERSE, 0) > 0
+
+
+def test_thrust_below_the_static_drag_moves_nothing():
+    assert true_acceleration_mps2(5000, 0) == 0.0 < true_acceleration_mps2(5200, 0)
+
+
+@given(st.integers(REVERSE, FULL), st.integers(REVERSE, FULL), st.floats(0, 14))
+def test_more_duty_never_accelerates_less(one, other, speed_mps):
+    low, high = sorted((one, other))
+    assert true_acceleration_mps2(low, speed_mps) <= true_acceleration_mps2(high, speed_mps)
+
+
+@pytest.mark.parametrize(("duty", "expected"), [(OFF, False), (NEVER_SET, False), (65535, False), (1637, False),
+                                                (1638, True), (NEUTRAL, True), (8192, True), (8193, False)])
+def test_pulse_is_between_half_a_millisecond_and_two_and_a_half(duty, expected):
+    assert is_pulse(duty) is expected
