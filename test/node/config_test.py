@@ -52,9 +52,13 @@ DEFAULTS = {
     "gamepad_joy": ({}, {"dev": "/dev/input/js0", "deadzone": 0.05, "autorepeat_hz": 20.0, "coalesce_s": 0.001}),
     "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
     "demo_drive": ({}, {"bag_dir": None, "steering_channel": 0, "throttle_channel": 1, "autonomous_button": 5}),
+    "keyboard_drive": ({}, {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5,
+                            "steer_scale": 1.0, "acceleration_mps2": 1.0, "input_devices": "/dev/input/event*"}),
 }
 # Node, what is given besides the required ones, and how the one line begins.
 REFUSALS = [
+    ("keyboard_drive", {"manual_button": 5}, "autonomous_button is 5; accepted: a button other than manual_button's"),
+    ("keyboard_drive", {"acceleration": 50}, "acceleration is 50; accepted: a number from 0 to 5"),
     ("turn_arb", {"servo_left": "x"}, "servo_left is 'x'; accepted: an integer from 0 to 65535"),
     ("turn_arb", {"k_pwmcmd_left_table_servo": [1, 2]},
      "k_pwmcmd_left_table_servo is [1.0, 2.0]; accepted: 15 numbers"),

@@ -211,6 +211,16 @@ class NodesThatLoseMessages(unittest.TestCase):
         node.hear("joy", held)
         self.assertIs(node.newest("/teleop_logi/human_in_loop"), True)
 
+    def test_teleop_logi_publishes_a_silence_that_ended_before_its_next_tick(self):
+        node = Built(TeleopLogi, {**config("teleop_logi.yaml"), "joy_timeout": 0.05})
+        released, held = (Joy(axes=[0.0] * 8, buttons=[0] * 4 + [pressed] + [0] * 6) for pressed in (0, 1))
+        node.hear("joy", released)
+        node.hear("joy", held)
+        time.sleep(0.06)  # what is tested; the node's thread has no turn meanwhile
+        node.hear("joy", held)
+        causes = [state.cause for state in node.published["~state"]]
+        self.assertEqual(causes[-3:], ["manual", "joy silent", "not re-armed"])
+
     def test_pca9685_has_each_channel_at_its_timeout_value_until_a_new_command(self):
         node = Built(Pca9685, {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "timeout": 0,
                                "device": "virtual"})

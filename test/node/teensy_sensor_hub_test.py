@@ -14,7 +14,6 @@ import select
 import signal
 import struct
 import tempfile
-import termios
 import threading
 import tty
 import unittest
@@ -30,6 +29,7 @@ from car_interface.srv import SetSonarSequence, SetSonarWait
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from terminal import Terminal
 from waiting import PATIENCE_S, Record, Topic, eventually, retried, start_node
 
 FILLER = bytes(39)
@@ -183,61 +183,6 @@ class Line:
         body = unescaped(segment)
         if self.answers and body.startswith(PING_HEADER):
             self.send(frame_from_teensy(bytes.fromhex("01020200") + body[4:8] + bytes(4)))
-
-
-class Terminal:
-    """A program that is the foreground process of a terminal of its own."""
-
-    def __init__(self, *command):
-        self.lines = Record(f"terminal of {command[0]}")
-        self.pid, self._master = pty.fork()
-        if self.pid == 0:
-            os.execvp(command[0], command)
-        self.settings_before = self.settings()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def settings(self):
-        """The terminal's, as termios has them."""
-        return termios.tcgetattr(self._master)
-
-    def wait_for_line(self, pattern):
-        """The first line in which the pattern is found."""
-        return self.lines.wait_for(lambda line: re.search(pattern, line)).what
-
-    def type(self, keys):
-        """As if typed."""
-        os.write(self._master, keys)
-
-    def wait_for_exit(self):
-        """The exit code; −n for signal n."""
-        _, status = eventually(self._ended, f"the end of {self.lines.name}")
-        return os.WEXITSTATUS(status) if os.WIFEXITED(status) else -os.WTERMSIG(status)
-
-    def clean_up(self):
-        """Leave nothing behind, however the test ended."""
-        if self.pid is not None:
-            os.kill(self.pid, signal.SIGKILL)
-            self.wait_for_exit()
-        os.close(self._master)
-
-    def _ended(self):
-        pid, status = os.waitpid(self.pid, os.WNOHANG)
-        if not pid:
-            return None
-        self.pid = None
-        return pid, status
-
-    def _read(self):
-        rest = b""
-        while True:
-            try:
-                data = os.read(self._master, 4096)
-            except OSError:  # the program has ended
-                return
-            *lines, rest = (rest + data).split(b"\n")
-            for line in lines:
-                self.lines.add(line.decode(errors="replace").rstrip("\r"))
 
 
 class HubUnderRoslaunch(unittest.TestCase):

@@ -24,6 +24,7 @@ from car_interface.doctor.checks.car import (
     find_cars,
 )
 from car_interface.doctor.checks.findings import OK, WARN, Finding
+from car_interface.doctor.checks.gamepad import check_gamepad
 from car_interface.doctor.checks.port import check_link, check_virtual_port
 from car_interface.doctor.probes.computer import (
     probe_clock,
@@ -37,6 +38,7 @@ from car_interface.doctor.probes.master import NODES, Graph, Master, read_parame
 from car_interface.doctor.task import Task
 from car_interface.pca9685.registers import prescale_for
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
+from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
 
 VIRTUAL = "virtual"
 STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/dev/ttyAMA0", "/dev/i2c-1", 0x40
@@ -183,7 +185,7 @@ def examine(options: Options) -> Iterator[Finding]:
     board = None if virtual_bus else Task("bus", probe_board, car.bus, car.address, car.prescale,
                                           car.runs("pca9685") is not None, car.oscillator_hz)
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
-    topics = Task("topics", _listen_to_topics, car, hub, reporting) if reporting else None
+    topics = Task("topics", _listen_to_topics, master, car, hub, reporting) if reporting else None
 
     yield from versions.findings(deadline_s)
     yield from packages.findings(deadline_s)
@@ -207,7 +209,11 @@ def examine(options: Options) -> Iterator[Finding]:
         if car.runs("turn_arb"):
             yield from check_steering(topic_reports.steering, car.runs("turn_arb"))
         yield from check_command_topics(topic_reports.reports, car.namespace)
-        yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, _covered(hub, topic_reports.link))
+        covered = _covered(hub, topic_reports.link)
+        if topic_reports.gamepad:
+            yield from check_gamepad(topic_reports.gamepad)
+            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}"]
+        yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, covered)
 
 
 def _or(result_and_trouble, default):
@@ -226,10 +232,12 @@ def _read_all(master, car):
     return check_parameters([reading for reading in readings if reading is not None])
 
 
-def _listen_to_topics(car, hub, reporting):
-    from car_interface.doctor.probes.topics import listen  # it needs rospy, which may be what is missing
-    turn_arb = car.runs("turn_arb")
-    return listen(hub and hub.path, turn_arb and turn_arb.path, reporting)
+def _listen_to_topics(master, car, hub, reporting):
+    from car_interface.doctor.probes.gamepad import GamepadListener  # they need rospy, which may be what is missing
+    from car_interface.doctor.probes.topics import listen
+    turn_arb, teleop_logi = car.runs("turn_arb"), car.runs("teleop_logi")
+    return listen(hub and hub.path, turn_arb and turn_arb.path, reporting,
+                  teleop_logi and GamepadListener(master, teleop_logi))
 
 
 def _virtual_board(car, has_master):

@@ -90,7 +90,8 @@ class NodeReports:
 
     Args:
         faults: where they go.
-        present: the recorded topics; what turn_arb and the hub report in topics of their own isn't added twice.
+        present: the recorded topics; what turn_arb, the hub and teleop_logi report in topics of their own isn't added
+            twice.
         log_type: the type of /rosout, such as rosgraph_msgs/msg/Log.
     """
 
@@ -98,13 +99,15 @@ class NodeReports:
         self._faults = faults
         self._has_state = "turn_arb/state" in present
         self._has_link = "teensy_sensor_hub/link" in present
+        self._has_gamepad = "teleop_logi/state" in present
         self._warning, self._error = LOG_LEVELS.get(log_type.split("/")[0], LOG_LEVELS["rosgraph_msgs"])
 
     def on_diagnostics(self, time_s: float, message: Any) -> None:
         """diagnostic_msgs/DiagnosticArray."""
         for status in message.status:
             node, _, report = status.name.partition(": ")
-            if report == "steering" and self._has_state or report == "Teensy link" and self._has_link:
+            if report == "steering" and self._has_state or report == "Teensy link" and self._has_link \
+                    or report == "gamepad" and self._has_gamepad:
                 continue
             self._faults.update_condition(time_s, status.name, min(_integer(status.level), ERROR), node.strip("/"),
                                           status.message)
@@ -112,7 +115,9 @@ class NodeReports:
     def on_log(self, time_s: float, message: Any) -> None:
         """rosgraph_msgs/Log or rcl_interfaces/Log."""
         node = message.name.strip("/")
-        if message.level >= self._warning and not (node.endswith("turn_arb") and self._has_state):
+        is_known = node.endswith("turn_arb") and self._has_state or \
+            self._has_gamepad and message.msg.startswith("human in loop: ")
+        if message.level >= self._warning and not is_known:
             level = ERROR if message.level >= self._error else WARN
             self._faults.add_repeated(time_s, level, node, message.msg)
 

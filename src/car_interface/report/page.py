@@ -5,6 +5,7 @@ import math
 import time
 from html import escape
 
+from car_interface.common import causes
 from car_interface.common.units import NS_PER_S
 from car_interface.report.coverage import QUESTIONS
 from car_interface.report.faults import ERROR, WARN
@@ -71,10 +72,12 @@ def _verdict(drive):
                  for source in (TELEOP, PLANNER) if source_s[source]]
         text = " and ".join(drove).replace("for", "drove for", 1) if drove else "nobody drove"
         parts.append(text[0].upper() + text[1:] + ".")
-        stops = sum(fault.where == "turn_arb" for fault in faults)
+        stops = [stop for stop in _stops(drive.steering.episodes)
+                 if stop.source == LOCKED or stop.cause in causes.LOSSES]
         if stops:
-            parts.append(f'<span class="warn">The car was stopped {times_text(stops)} because something was lost or '
-                         "locked.</span>")
+            what = escape(counted(stop.cause or stop.reason for stop in stops))
+            parts.append(f'<span class="warn">The car was stopped {times_text(len(stops))} because something was lost '
+                         f"or locked: {what}.</span>")
     errors = sum(fault.level == ERROR for fault in faults)
     if errors:
         parts.append(f'<span class="bad">{errors} {"fault needs" if errors == 1 else "faults need"} somebody to look: '
@@ -114,10 +117,15 @@ def _steering_lines(steering):
     total = sum(steering.source_s.values()) or 1
     yield "Who drove", ", ".join(f"{DRIVER_NAMES.get(source, source)} {seconds / total:.0%}"
                                  for source, seconds in steering.source_s.most_common())
-    stops = [episode for before, episode in zip(episodes, episodes[1:])
-             if before.source in (TELEOP, PLANNER) and episode.source in (LOCKED, NO_HUMAN, NEUTRAL)]
-    causes = escape(counted(stop.cause or stop.reason for stop in stops))
-    yield "Went neutral", times_text(len(stops)) + (f": {causes}" if stops else "")
+    stops = _stops(episodes)
+    why = escape(counted(stop.cause or stop.reason for stop in stops))
+    yield "Went neutral", times_text(len(stops)) + (f": {why}" if stops else "")
+
+
+def _stops(episodes):
+    """The episodes in which nobody drove any more."""
+    return [episode for before, episode in zip(episodes, episodes[1:])
+            if before.source in (TELEOP, PLANNER) and episode.source in (LOCKED, NO_HUMAN, NEUTRAL)]
 
 
 def _motion_lines(drive):
@@ -202,8 +210,8 @@ def _driver(source):
 
 
 def _faults(drive):
-    text = ("Losses, refusals, resets and warnings with their times: from turn_arb, the Teensy's link, /diagnostics "
-            "and the nodes' logs.")
+    text = ("Losses, refusals, resets and warnings with their times: from turn_arb, teleop_logi, the Teensy's link, "
+            "/diagnostics and the nodes' logs.")
     rows = []
     for fault in drive.faults.entries:
         lasted = span_text(fault.end_s - fault.start_s) if math.isfinite(fault.end_s) else ""

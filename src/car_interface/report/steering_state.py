@@ -8,6 +8,7 @@ from typing import Any, Mapping, NamedTuple
 from car_interface.common import causes
 from car_interface.report.downsample import Trace
 from car_interface.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
+from car_interface.report.gamepad import GamepadWatch
 from car_interface.report.old_reasons import cause_of
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN
 
@@ -34,6 +35,7 @@ class SteeringWatch:
         traces: those of TRACES are written to.
         faults: losses and locks are added.
         duration_s: of the recording.
+        gamepad: knows why a deadman was false.
 
     Attributes:
         episodes: up to MAX_ENTRIES; more are counted as dropped faults.
@@ -45,8 +47,8 @@ class SteeringWatch:
         unchanged_since_s: when turn_arb's duty last changed.
     """
 
-    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float):
-        self._traces, self._faults, self._duration_s = traces, faults, duration_s
+    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float, gamepad: GamepadWatch):
+        self._traces, self._faults, self._duration_s, self._gamepad = traces, faults, duration_s, gamepad
         self.episodes: list = []
         self.source_s: Counter = Counter()
         self.source = UNKNOWN_DRIVER
@@ -102,11 +104,15 @@ class SteeringWatch:
         if self._current is None:
             return
         episode = self._current._replace(end_s=time_s)
+        loss = self._gamepad.loss_at(episode.start_s) if episode.cause == causes.HUMAN_ABSENT else None
+        if loss is not None:  # the gamepad's own fault is another line of the table of faults
+            episode = episode._replace(cause=loss.cause, reason=f"human_in_loop is false: {loss.reason}")
         self.source_s[episode.source] += time_s - episode.start_s
         if len(self.episodes) < MAX_ENTRIES:
             self.episodes.append(episode)
         else:
             self._faults.dropped += 1
-        if episode.source == LOCKED or episode.source in (NO_HUMAN, NEUTRAL) and episode.cause in causes.LOSSES:
+        is_loss = episode.source in (NO_HUMAN, NEUTRAL) and episode.cause in causes.LOSSES and loss is None
+        if episode.source == LOCKED or is_loss:
             level = ERROR if episode.source == LOCKED else WARN
             self._faults.add(Fault(episode.start_s, time_s, level, "turn_arb", episode.reason))

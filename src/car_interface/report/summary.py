@@ -10,6 +10,7 @@ from car_interface.report import motion, steering_state, teensy_link
 from car_interface.report.coverage import Coverage
 from car_interface.report.downsample import Trace
 from car_interface.report.faults import WARN, FaultLog, NodeReports
+from car_interface.report.gamepad import GamepadWatch
 from car_interface.report.motion import MotionWatch
 from car_interface.report.sonars import SonarWatch
 from car_interface.report.steering_state import SteeringWatch
@@ -19,6 +20,7 @@ from car_interface.report.teensy_link import TeensyWatch
 SONARS = tuple(f"sonar/{end}_{side}" for end in ("front", "rear") for side in ("right", "middle", "left"))
 TYPES = {
     "turn_arb/state": "car_interface/SteeringState",
+    "teleop_logi/state": "car_interface/TeleopState",
     "/servo/output": "std_msgs/Int32MultiArray",
     "av_turnrad_req": "std_msgs/Float32",
     "/teleop_logi/tele_steer_req": "std_msgs/Float32",
@@ -47,7 +49,7 @@ class Summary:
         topics: what it has: a recordings.recording.Topic by name.
         present: those of TYPES that were recorded.
         traces: a Trace for each of TRACES.
-        steering, motion, sonars, teensy: see their classes.
+        gamepad, steering, motion, sonars, teensy: see their classes.
         faults: what went wrong.
         coverage: which questions the recording can't answer.
     """
@@ -59,6 +61,7 @@ class Summary:
     topics: dict
     present: set
     traces: dict
+    gamepad: GamepadWatch
     steering: SteeringWatch
     motion: MotionWatch
     sonars: SonarWatch
@@ -100,6 +103,7 @@ def summarize(path: str, namespace: str = "/", odom: str = "odom", progress: boo
         times = "once" if has.steps_back == 1 else f"{has.steps_back} times"
         summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
     summary.steering.finish()
+    summary.gamepad.finish()
     summary.motion.finish()
     summary.faults.finish()
     return summary
@@ -109,9 +113,10 @@ def _empty(path, namespace, has, present):
     duration_s = (has.end_ns - has.start_ns) / NS_PER_S
     traces = {name: Trace(0.0, duration_s) for name in TRACES}
     faults = FaultLog()
-    steering = SteeringWatch(traces, faults, duration_s)
+    gamepad = GamepadWatch(faults, duration_s)
+    steering = SteeringWatch(traces, faults, duration_s, gamepad)
     moves = MotionWatch(traces, faults, steering, has.start_ns)
-    return Summary(path, namespace, has.start_ns, duration_s, has.topics, present, traces, steering, moves,
+    return Summary(path, namespace, has.start_ns, duration_s, has.topics, present, traces, gamepad, steering, moves,
                    SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
                    Coverage(namespace, duration_s))
 
@@ -123,6 +128,7 @@ def _handlers(summary):
     nodes = NodeReports(summary.faults, summary.present, log_type)
     return {
         "turn_arb/state": steering.on_state,
+        "teleop_logi/state": summary.gamepad.on_state,
         "/servo/output": steering.on_output,
         "av_turnrad_req": steering.on_planner,
         "/teleop_logi/tele_steer_req": steering.on_gamepad,

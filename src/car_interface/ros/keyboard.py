@@ -49,9 +49,14 @@ class Keys:
             waiting, _, _ = select.select([self._fd], [], [], 0)  # reading a terminal blocks until a key is typed
             if not waiting:
                 return ""
-            return os.read(self._fd, 64).decode("ascii", "ignore") or None
+            data = os.read(self._fd, 64)
+            return data.decode("ascii", "ignore") if data else None
         except OSError:
             return None
+
+    def is_closed(self) -> bool:
+        """Whether the terminal hung up, as opposed to being another program's for a while."""
+        return not os.isatty(self._fd)
 
     def restore(self) -> None:
         """Restore the terminal's mode."""

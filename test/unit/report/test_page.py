@@ -53,7 +53,7 @@ def test_page_is_well_formed_loads_nothing_and_lets_no_text_of_the_recording_in(
 
 @pytest.mark.parametrize("words", [
     "The gamepad drove for 15.0 s and the planner for 20.0 s.",
-    "The car was stopped once because something was lost or locked.", "3 faults need somebody to look",
+    "The car was stopped once because something was lost or locked: planner silent.", "3 faults need somebody to look",
     "<tr><th>Went neutral</th><td>once: planner silent</td></tr>", "52.5 m", "1.50 m/s",
     "left 10% wider than the tables say", "0.80 m, front middle, at 10.20 s",
     "5310 frames, 2 corrupt (0.04%); 59 of 60 pings answered; the Teensy started anew once",

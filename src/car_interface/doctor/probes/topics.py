@@ -10,7 +10,9 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 
 from car_interface.doctor.checks.car import Report, Steering
+from car_interface.doctor.checks.gamepad import Gamepad
 from car_interface.doctor.checks.port import Link
+from car_interface.doctor.probes.gamepad import GamepadListener
 from car_interface.msg import LinkStatus, SteeringState
 from car_interface.steering.arbiter import source_name
 
@@ -24,6 +26,7 @@ class TopicReports(NamedTuple):
     link: Link | None
     steering: Steering | None
     reports: list
+    gamepad: Gamepad | None = None
 
 
 class _Listener:
@@ -50,13 +53,14 @@ def _level(level):
     return level[0] if isinstance(level, bytes) else level
 
 
-def listen(hub: str | None, turn_arb: str | None, reporting) -> TopicReports:
+def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadListener | None = None) -> TopicReports:
     """Listen until everything that is expected has come, at most for ``LISTEN_S``.
 
     Args:
         hub: the Teensy hub's path; ``None`` when it doesn't run.
         turn_arb: turn_arb's; likewise.
         reporting: the paths of the nodes that report on /diagnostics.
+        gamepad: listens to the gamepad; ``None`` when teleop_logi doesn't run.
     """
     logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes becomes a finding
     rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
@@ -67,14 +71,18 @@ def listen(hub: str | None, turn_arb: str | None, reporting) -> TopicReports:
     if turn_arb:
         rospy.Subscriber(f"{turn_arb}/state", SteeringState, listener.states.append)
     rospy.Subscriber("/diagnostics", DiagnosticArray, listener.on_reports)
+    if gamepad:
+        gamepad.start()
     wanted = {path.strip("/") for path in reporting}
     deadline_s = time.monotonic() + LISTEN_S
     while time.monotonic() < deadline_s:
         has_link, has_state = listener.links or not hub, len(listener.states) > 1 or not turn_arb
-        if has_link and has_state and wanted <= listener.reporters():
+        has_gamepad = not gamepad or gamepad.is_done()
+        if has_link and has_state and has_gamepad and wanted <= listener.reporters():
             break
         time.sleep(POLL_S)
-    return TopicReports(_link(listener.links), _steering(listener.states), list(listener.reports.values()))
+    return TopicReports(_link(listener.links), _steering(listener.states), list(listener.reports.values()),
+                        gamepad and gamepad.result())
 
 
 def leave() -> None:

@@ -1,0 +1,134 @@
+"""Keys → steering, throttle and deadmen. Pure: characters of a terminal and presses of a keyboard in, with ``now_ns``.
+
+A terminal says which key is pressed, and repeats the newest one, but not when a key is released. A keyboard's own
+events say that, but not whether they are meant for this program. So a key counts from its character on, until the
+keyboard reports its release. Without such events it may count for HOLD_NS after its newest character.
+"""
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from car_interface.common.units import NS_PER_S
+
+LEFT, RIGHT, FORWARD, BACKWARD = "left", "right", "forward", "backward"
+MANUAL, AUTONOMOUS, RELEASE, QUIT = "manual", "autonomous", "release", "quit"
+CHARACTERS = {"a": LEFT, "d": RIGHT, "w": FORWARD, "s": BACKWARD, "m": MANUAL, "p": AUTONOMOUS, " ": RELEASE, "q": QUIT}
+ARROWS = {"D": LEFT, "C": RIGHT, "A": FORWARD, "B": BACKWARD}  # how their sequences end (ECMA-48, cursor keys)
+SEQUENCE = re.compile(r"\x1b[\[O][0-9;]*([A-Za-z~])|\x1b(?![\[O])|(.)", re.S)
+CUT_SEQUENCE = re.compile(r"\x1b([\[O][0-9;]{0,8})?$")
+
+HOLD_NS = 7 * NS_PER_S // 10  # longer than the delay before a key repeats: 0.25 s on a console, 0.5 to 0.66 s under X
+PAIR_NS = 3 * NS_PER_S // 10  # between a press and its character at most
+STEERING_PER_S = 4.0  # a quarter of a second from the centre to the end, so that a touch steers a little
+
+
+def help_text(has_releases: bool) -> str:
+    """What the keys do, for the start of a program."""
+    hold = "hold M" if has_releases else ("press M, then hold another key: this terminal doesn't say when a key is "
+                                         f"released, so each counts for {HOLD_NS / NS_PER_S:g} s")
+    return ("M        deadman: you drive\n"
+            "P        deadman: the planner drives\n"
+            "W A S D  or the arrows: faster, left, slower, right\n"
+            "space    let go of everything\n"
+            "Q        quit\n"
+            f"To drive: {hold}.")
+
+
+class KeyReader:
+    """Finds keys in what a terminal sends, whose escape sequences may be cut anywhere."""
+
+    def __init__(self):
+        self._rest = ""
+
+    def feed(self, text: str) -> list[str]:
+        """The keys that ``text`` completes, in order; characters that mean nothing are left out."""
+        text = self._rest + text
+        cut = CUT_SEQUENCE.search(text)
+        self._rest = cut.group(0) if cut else ""
+        found = []
+        for match in SEQUENCE.finditer(text[:cut.start()] if cut else text):
+            arrow, character = match.groups()
+            found.append(ARROWS.get(arrow) if arrow else CHARACTERS.get((character or "").lower()))
+        return [key for key in found if key]
+
+
+class Controls(NamedTuple):
+    """What the held keys ask for."""
+
+    steering: float = 0.0  # −1 right .. +1 left
+    throttle: float = 0.0  # −1 .. +1
+    manual: bool = False
+    autonomous: bool = False
+
+
+class Keyboard:
+    """The keys that are held.
+
+    Args:
+        counts_without_release: a key whose release nothing reports counts for HOLD_NS after each of its characters.
+    """
+
+    def __init__(self, counts_without_release: bool):
+        self._counts_without_release = counts_without_release
+        self._down: dict[int, int] = {}  # codes of the keyboard, and when each was pressed
+        self._released_ns = -PAIR_NS  # when the newest release was
+        self._codes: dict[str, int] = {}  # of the keys that count until their release
+        self._typed_ns: dict[str, int] = {}  # of those that count for a time
+        self._steering = 0.0
+        self._steered_ns: int | None = None  # when ``controls`` was last called
+
+    def press(self, code: int, now_ns: int) -> None:
+        """The keyboard reports a press. It counts once its character was typed."""
+        self._down[code] = now_ns
+
+    def release(self, code: int, now_ns: int) -> None:
+        """The keyboard reports a release."""
+        if self._down.pop(code, None) is not None:
+            self._released_ns = now_ns
+        self._codes = {key: held for key, held in self._codes.items() if held != code}
+
+    def type(self, key: str, now_ns: int) -> bool:
+        """The terminal sends a key, at first or repeated; whether it counts."""
+        if key == RELEASE:
+            self.release_all()
+            return True
+        if key in self._codes:
+            return True
+        pressed = [(at_ns, code) for code, at_ns in self._down.items()
+                   if code not in self._codes.values() and now_ns - at_ns <= PAIR_NS]
+        if pressed:
+            self._codes[key] = max(pressed)[1]
+            self._typed_ns.pop(key, None)
+            return True
+        if now_ns - self._released_ns <= PAIR_NS:  # a character of a key that was released meanwhile
+            return True
+        if self._counts_without_release:
+            # Only the newest key repeats: those of the deadman end when another one is held.
+            held = self._held(now_ns)
+            self._typed_ns.update({held_key: now_ns for held_key in (MANUAL, AUTONOMOUS) if held_key in held})
+            self._typed_ns[key] = now_ns
+        return self._counts_without_release
+
+    def release_all(self) -> None:
+        """Nothing is held until it is pressed anew."""
+        self._down.clear()
+        self._codes.clear()
+        self._typed_ns.clear()
+        self._steering = 0.0
+
+    def controls(self, now_ns: int) -> Controls:
+        """What the held keys ask for; nothing without a deadman. The steering depends on the calls before."""
+        held = self._held(now_ns)
+        step = 0.0 if self._steered_ns is None else STEERING_PER_S * (now_ns - self._steered_ns) / NS_PER_S
+        self._steered_ns = now_ns
+        if not held & {MANUAL, AUTONOMOUS}:
+            self._steering = 0.0
+            return Controls()
+        target = (LEFT in held) - (RIGHT in held)
+        self._steering = max(self._steering - step, min(self._steering + step, target))
+        return Controls(self._steering, float((FORWARD in held) - (BACKWARD in held)), MANUAL in held,
+                        AUTONOMOUS in held)
+
+    def _held(self, now_ns):
+        return set(self._codes) | {key for key, at_ns in self._typed_ns.items() if now_ns - at_ns <= HOLD_NS}

@@ -1,0 +1,71 @@
+"""A program in a terminal of its own: what it shows, what is typed, and the terminal's settings."""
+from __future__ import annotations
+
+import os
+import pty
+import re
+import signal
+import termios
+import threading
+
+from waiting import Record, eventually
+
+
+class Terminal:
+    """A program that is the foreground process of a terminal of its own.
+
+    Args:
+        command: program and arguments.
+        env: what its environment has besides, or in place of, the test's.
+    """
+
+    def __init__(self, *command: str, env: dict[str, str] | None = None):
+        self.lines = Record(f"terminal of {command[0]}")
+        self.pid, self._master = pty.fork()
+        if self.pid == 0:
+            os.execvpe(command[0], command, {**os.environ, **(env or {})})
+        self.settings_before = self.settings()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def settings(self):
+        """The terminal's, as termios has them."""
+        return termios.tcgetattr(self._master)
+
+    def wait_for_line(self, pattern, since=0):
+        """The first line, from ``since`` on, in which the pattern is found."""
+        return self.lines.wait_for(lambda line: re.search(pattern, line), since).what
+
+    def type(self, keys):
+        """As if typed."""
+        os.write(self._master, keys)
+
+    def wait_for_exit(self):
+        """The exit code; −n for signal n."""
+        _, status = eventually(self._ended, f"the end of {self.lines.name}")
+        return os.WEXITSTATUS(status) if os.WIFEXITED(status) else -os.WTERMSIG(status)
+
+    def clean_up(self):
+        """Leave nothing behind, however the test ended."""
+        if self.pid is not None:
+            os.kill(self.pid, signal.SIGKILL)
+            self.wait_for_exit()
+        os.close(self._master)
+
+    def _ended(self):
+        pid, status = os.waitpid(self.pid, os.WNOHANG)
+        if not pid:
+            return None
+        self.pid = None
+        return pid, status
+
+    def _read(self):
+        rest = b""
+        while True:
+            try:
+                data = os.read(self._master, 4096)
+            except OSError:  # the program has ended
+                return
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                self.lines.add(line.decode(errors="replace").rstrip("\r"))
