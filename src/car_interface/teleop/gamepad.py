@@ -110,7 +110,7 @@ class Requests(NamedTuple):
 
     @property
     def mode(self) -> str:
-        """Who steers and who drives: one of ``common.drive_modes``. Without a deadman the human's, whom it waits for."""
+        """Who steers and who drives: one of ``common.drive_modes``. Without a deadman the human's."""
         return self.cause if self.cause in MODES else MANUAL
 
     @property
