@@ -53,7 +53,7 @@ DEFAULTS = {
     "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
     "demo_drive": ({}, {"bag_dir": None, "steering_channel": 0, "throttle_channel": 1, "autonomous_button": 5}),
     "keyboard_drive": ({}, {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5,
-                            "steer_scale": 1.0, "acceleration_mps2": 1.0, "input_devices": "/dev/input/event*"}),
+                            "steer_scale": 1.0, "input_devices": "/dev/input/event*"}),
 }
 # Node, what is given besides the required ones, and how the one line begins.
 REFUSALS = [

@@ -15,7 +15,7 @@ import unittest
 import rosnode
 import rospy
 import rostest
-from car_interface.msg import Control, Float64Stamped, SteeringState, Wheel
+from car_interface.msg import Control, Float64Stamped, SteeringState, ThrottleState, Wheel
 from car_interface.srv import InjectFault
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Bool, Empty, Float32, Int32MultiArray
@@ -171,7 +171,8 @@ class Drives(AProcess):
         self.topics = {"turn_arb": self.topic("/turn_arb/state", SteeringState),
                        "pca9685": self.topic("/servo/output", Int32MultiArray),
                        "teensy_sensor_hub": self.topic("/teensy_wheel", Wheel),
-                       "generic_value_converter": self.topic("/generic_value_converter/output/value", Float64Stamped)}
+                       "generic_value_converter": self.topic("/generic_value_converter/output/value", Float64Stamped),
+                       "throttle_arb": self.topic("/throttle_arb/state", ThrottleState)}
         self.arm()
 
     def sender(self, name, message_type):
@@ -191,8 +192,8 @@ class Drives(AProcess):
             self.wait_until_neutral(time.monotonic_ns())
             self.repeater.hold(self.human, Bool(True))
             now_ns = time.monotonic_ns()
-            self.chip.wait_for(0, lambda counts: counts == LEFT, now_ns, 3.0)
-            self.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, now_ns, 3.0)
+            self.chip.wait_for(0, lambda counts: counts == LEFT, now_ns, 5.0)
+            self.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, now_ns, 5.0)
         retried(attempt)
 
     def wait_until_neutral(self, since_ns):
