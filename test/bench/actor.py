@@ -12,8 +12,9 @@
                         ten times 115200 baud, "stop" ends it and prints what was sent
     count [TOPIC...]    counts teensy_wheel and teensy_distance, and subscribes to the topics; "connected" prints when
                         both are connected, "report" prints the count since the last report
-    drive SPEED         drives a car in circles as gamepad and planner, with all its topics subscribed to; prints
-                        "drives" when it does
+    drive SPEED [both]  drives a car in circles as gamepad and planner, with all its topics subscribed to; prints
+                        "drives" when it does. With "both" the gamepad steers every other ten seconds, and e_stop is
+                        published
 """
 from __future__ import annotations
 
@@ -45,6 +46,7 @@ WHEELS, SONAR = 7, 6  # the firmware's commands
 MAX_SONAR_FRAME = 26  # bytes, each escaped
 DATA = Path(__file__).resolve().parents[1] / "data"
 RADIUS_M = 1.6  # as the demo drives
+TURN_S = 10  # for which the gamepad, then the planner steers
 SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
 
 
@@ -103,8 +105,8 @@ def odometry():
     return message
 
 
-def joy(autonomous=1):
-    return Joy(axes=[0.0] * 8, buttons=[0] * 5 + [autonomous] + [0] * 5)
+def joy(autonomous=1, manual=0):
+    return Joy(axes=[float(manual)] + [0.0] * 7, buttons=[0] * 4 + [manual, autonomous] + [0] * 5)
 
 
 class Deadman:
@@ -286,8 +288,12 @@ def count(*topics):
 class Driver:
     """Holds the autonomous deadman and commands a circle at a speed; subscribes to what the demo's drive does."""
 
-    def __init__(self, target_mps):
+    def __init__(self, target_mps, alternates):
         self._target_mps = target_mps
+        self._e_stop = publisher("e_stop", Bool) if alternates else None
+        self._steers_s = 0.0  # when turn_arb last steered by gamepad or planner
+        if alternates:
+            rospy.Subscriber("turn_arb/state", SteeringState, self._on_steering)
         self._speed_mps = 0.0
         self._begun_s = time.monotonic()
         self._drives = False
@@ -303,12 +309,21 @@ class Driver:
     def _on_odometry(self, message):
         self._speed_mps = message.twist.twist.linear.x
 
+    def _on_steering(self, state):
+        if state.source in (SteeringState.TELEOP, SteeringState.PLANNER):
+            self._steers_s = time.monotonic()
+
     def publish(self):
         """Publish all inputs. Until the car drives the deadman is released and held every three seconds: topics connect
         in any order.
         """
         passed_s = time.monotonic() - self._begun_s
-        self._joy.publish(joy(int(self._drives or passed_s % 3 > 0.3)))
+        must_rearm = not self._drives or self._e_stop and time.monotonic() - self._steers_s > 3
+        held = int(not must_rearm or passed_s % 3 > 0.3)
+        manual = held if self._e_stop and passed_s % (2 * TURN_S) > TURN_S else 0
+        self._joy.publish(joy(held - manual, manual))
+        if self._e_stop:
+            self._e_stop.publish(False)
         self._radius.publish(RADIUS_M)
         acceleration = max(-2.0, min(2.0, 1.5 * (self._target_mps - self._speed_mps)))
         self._commands.publish(Control(stamp=rospy.Time.now(), longitudinal=Longitudinal(acceleration=acceleration)))
@@ -317,8 +332,8 @@ class Driver:
             print("drives", flush=True)
 
 
-def drive(speed_mps):
-    driver = Driver(float(speed_mps))
+def drive(speed_mps, alternates=""):
+    driver = Driver(float(speed_mps), alternates == "both")
     ready()
     at_50_hz(driver.publish)
 

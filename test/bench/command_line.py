@@ -11,6 +11,7 @@ import traceback
 from typing import Iterator, NamedTuple
 
 from .bus import measure_bus
+from .busy import measure_busy
 from .core import measure_decode, measure_encode, measure_lookup
 from .effort import FULL, QUICK, Effort
 from .meters import OthersMeter
@@ -26,7 +27,7 @@ GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measu
           "decode": measure_decode, "encode": measure_encode, "serial": measure_serial, "line": measure_line,
           "lookup": measure_lookup, "bus": measure_bus, "start": measure_start, "memory": measure_memory,
           "car": measure_car}
-ON_REQUEST = {"one_process": measure_one_process}
+ON_REQUEST = {"one_process": measure_one_process, "busy": measure_busy}
 WITHOUT_ROS = {"decode", "encode", "lookup"}
 LOOP_STEPS = 200_000
 DISTURBED_PERCENT = 10  # of a core, used by other programs: above it they lengthen latencies
@@ -50,7 +51,7 @@ def read_arguments() -> argparse.Namespace:
                         help="fewer trials, one car: within a minute; too few to judge a p99")
     parser.add_argument("--only", action="append", choices=(*GROUPS, *ON_REQUEST), metavar="NAME",
                         help=f"measure this only; may be given again. One of {', '.join(GROUPS)}, or "
-                        f"{', '.join(ON_REQUEST)}, which is not measured otherwise")
+                        f"{', '.join(ON_REQUEST)}, which are not measured otherwise")
     parser.add_argument("--json", metavar="FILE", default=os.environ.get("CAR_INTERFACE_BENCH_JSON"),
                         help="where to write the figures as JSON")
     return parser.parse_args()

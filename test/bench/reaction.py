@@ -99,7 +99,15 @@ def trials(inputs: SteeringInputs, count: int, kind: list[Step], wait_for: Calla
 
 
 def measure_reaction(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure from the publication of an input to the callback with the new duty, over lasting TCP_NODELAY connections.
+    """Measure from the publication of an input to the callback with the new duty, over lasting connections."""
+    for what, times_ms, floors_ms in reactions(effort.reactions, stage, steps()):
+        yield Row("reaction", f"reaction: {what} → /servo/cmdVector", "ms", Summary.of(times_ms), REACTION,
+                  Summary.of(floors_ms))
+
+
+def reactions(count: int, stage: Stage, kinds: list[tuple[str, list[Step]]]
+              ) -> Iterator[tuple[str, list[float], list[float]]]:
+    """Yield each kind with its latencies to /servo/cmdVector and those of bare rospy, ms; both with TCP_NODELAY.
 
     The first reaction of each kind is not counted: its connections may not be complete yet.
     """
@@ -117,10 +125,9 @@ def measure_reaction(effort: Effort, stage: Stage) -> Iterator[Row]:
         def wait_for(duty, since_ns):
             return duties.first(lambda value: value == duty, since_ns)
         hold_deadman(inputs, lambda: any(value == LEFT for _, value in duties.drain()))
-        for what, kind in steps():
-            times_ms, floors_ms = trials(inputs, effort.reactions + 1, kind, wait_for, floor)
-            yield Row("reaction", f"reaction: {what} → /servo/cmdVector", "ms", Summary.of(times_ms[1:]), REACTION,
-                      Summary.of(floors_ms[1:]))
+        for what, kind in kinds:
+            times_ms, floors_ms = trials(inputs, count + 1, kind, wait_for, floor)
+            yield what, times_ms[1:], floors_ms[1:]
         for subscriber in (duties, relayed):
             subscriber.close()
         inputs.close()

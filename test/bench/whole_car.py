@@ -70,9 +70,9 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
         stage.end(*processes)
 
 
-def launch_cars(stage: Stage, namespaces: list[str], nodes=(*FOUR, *OTHERS), arguments: dict | None = None
-                ) -> list[NodeProcess]:
-    """Launch cars, with these arguments of demo.launch, and wait until they drive."""
+def launch_cars(stage: Stage, namespaces: list[str], nodes=(*FOUR, *OTHERS), arguments: dict | None = None,
+                steering: tuple[str, ...] = ()) -> list[NodeProcess]:
+    """Launch cars, with these arguments of demo.launch, and wait until they drive; ``steering``: of the role drive."""
     more = "".join(f'<arg name="{name}" value="{value}"/>' for name, value in (arguments or {}).items())
     path = stage.path(f"{namespaces[0][1:]}.launch")
     with open(path, "w", encoding="utf-8") as file:
@@ -81,7 +81,7 @@ def launch_cars(stage: Stage, namespaces: list[str], nodes=(*FOUR, *OTHERS), arg
     launch = stage.start("roslaunch", path)
     eventually(lambda: all(pid_of(f"{ns}/{node}") for ns in namespaces for node in nodes), "the cars",
                PATIENCE_S)
-    drivers = stage.actors(*(("drive", str(SPEED_MPS), f"__ns:={ns}") for ns in namespaces))
+    drivers = stage.actors(*(("drive", str(SPEED_MPS), *steering, f"__ns:={ns}") for ns in namespaces))
     for driver in drivers:
         driver.stdout.wait_for(lambda line: line == "drives", within_s=PATIENCE_S)
     time.sleep(SETTLED_S)

@@ -22,7 +22,7 @@ from typing import ClassVar
 
 import rostest
 
-from virtual_car import DRIVER, HERE, PYTHONPATH38, Car
+from virtual_car import DRIVER, HERE, PYTHONPATH38, Car, guard_has_chip, guard_of
 from waiting import PATIENCE_S, eventually, retried, skip
 from witness import measured
 
@@ -38,7 +38,9 @@ MESSAGE_TRIALS = 10 * TRIALS
 HOUR_S = 3600
 FAKETIME_MS = 100  # libfaketime makes its programs late by up to this, with its clock left alone too
 ATTEMPT_S = 3.0
-ONE_PROCESS_BACK_MS = 5000  # Python, four nodes: what an idle machine needs three times
+GUARDED_MS = 350  # the guard waits for 250 ms
+GUARD_TOLD_MS, GUARD_BACK_MS = 1000, 1000
+RIGHT = 419  # counts of 6700
 
 
 class ChainTest(unittest.TestCase):
@@ -322,6 +324,103 @@ class Losses(ChainTest):
         self.report("pca9685 ended (SIGTERM), then off", "servo", off, 300)
 
 
+class Guarded(ChainTest):
+    """The process that drives the servo board dies or hangs: its guard makes the chip safe."""
+
+    def servo_node(self):
+        """Start pca9685 again, and wait until the car drives."""
+        self.car.node("pca9685", "_device:=virtual", f"_virtual_log:={self.car.chip.path}")
+        self.wait_until_driving()
+
+    def send(self, name, number):
+        """Send a signal to a process; when, ns."""
+        return int(self.car.processes[name].send(number) * 1e9)
+
+    def kill(self, name):
+        killed_ns = self.send(name, signal.SIGKILL)
+        self.car.processes[name].wait_for_exit()
+        return killed_ns
+
+    def thaw(self, name):
+        """Have a frozen process go on; the human lets go of the deadman and holds it again."""
+        self.send(name, signal.SIGCONT)
+        self.arm()
+
+    def test_servo_node_killed(self):
+        self.drive(Car(self))
+        self.measure("pca9685 killed", lambda: self.kill("pca9685"), self.servo_node, GUARDED_MS)
+
+    def test_servo_node_killed_and_nobody_starts_it_again(self):
+        self.drive(Car(self))
+        off = []
+        for _ in range(TRIALS):
+            self.neutral_ms(self.kill("pca9685"))
+            self.car.node("pca9685", "_device:=virtual", f"_virtual_log:={self.car.chip.path}", "_guard_off_after:=1.0")
+            self.wait_until_driving()
+            killed_ns = self.kill("pca9685")
+            self.neutral_ms(killed_ns)
+            off_ns = [self.car.chip.wait_for(channel, lambda counts: counts == 0, killed_ns) for channel in (0, 1)]
+            off.append((max(off_ns) - killed_ns) / 1e6)
+            self.assertGreaterEqual(off[-1], 1000)
+            self.servo_node()
+        self.report("pca9685 killed, guard_off_after 1 s: off", "servo, ESC", off, 1250)
+
+    def test_servo_node_frozen(self):
+        self.drive(Car(self))
+        self.measure("pca9685 frozen", lambda: self.send("pca9685", signal.SIGSTOP), lambda: self.thaw("pca9685"),
+                     GUARDED_MS)
+
+    def test_servo_node_thawed_obeys_nothing_that_was_sent_while_it_was_frozen(self):
+        self.drive(Car(self))
+        chip, times = self.car.chip, []
+        for _ in range(TRIALS):
+            process = self.car.processes["pca9685"]
+            frozen_ns = self.send("pca9685", signal.SIGSTOP)
+            self.neutral_ms(frozen_ns)
+            for value in ("-1.0", "0.0"):  # to the right, and back to the center
+                sent_ns = self.car.sent(self.rest, "steering", value)
+                eventually(lambda sent_ns=sent_ns: time.monotonic_ns() - sent_ns > 0.7e9, "0.7 s")
+            thawed_ns = self.send("pca9685", signal.SIGCONT)
+            times.append((chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, thawed_ns) - thawed_ns) / 1e6)
+            process.wait_for_line("node stood still for 1.*commands count from now on")
+            eventually(lambda thawed_ns=thawed_ns: time.monotonic_ns() - thawed_ns > 0.5e9, "0.5 s")
+            given = set(chip.values_since(0, frozen_ns))
+            self.assertLessEqual(given, {CENTER}, "what was sent before reached the servo")
+            self.car.sent(self.rest, "steering", "1.0")
+            self.wait_until_driving()
+        self.report("pca9685 thawed: obeys what is sent from then on", "ESC", times, 1000)
+
+    def test_one_process_frozen(self):
+        self.drive(Car(self), one_process=True)
+        self.measure("car_nodes frozen", lambda: self.send("car_nodes", signal.SIGSTOP),
+                     lambda: self.thaw("car_nodes"), GUARDED_MS)
+
+    def test_guard_killed_and_then_the_node(self):
+        self.drive(Car(self))
+        for title, number in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
+            told, back, times = [], [], []
+            for _ in range(TRIALS):
+                process = self.car.processes["pca9685"]
+                guard = eventually(lambda process=process: guard_of(process.pid), "a guard")
+                eventually(lambda process=process: guard_has_chip(guard_of(process.pid)), "the guard has the chip")
+                began_ns = time.monotonic_ns()
+                eventually(lambda began_ns=began_ns: time.monotonic_ns() - began_ns > 0.3e9, "its node knows that")
+                marks = process.stderr.mark(), process.stdout.mark()
+                lost_s = time.monotonic()
+                os.kill(guard, number)
+                report = process.stderr.wait_for(lambda line: "guard absent" in line, marks[0])
+                another = process.stdout.wait_for(lambda line: "watches again" in line, marks[1])
+                told.append(1e3 * (report.at_s - lost_s))
+                back.append(1e3 * (another.at_s - lost_s))
+                self.assertNotEqual(guard_of(process.pid), guard)
+                times.append(self.neutral_ms(self.kill("pca9685")))
+                self.servo_node()
+            self.report(f"guard {title}: told", "log", told, GUARD_TOLD_MS)
+            self.report(f"guard {title}: another one watches", "log", back, GUARD_BACK_MS)
+            self.report(f"guard {title}, then pca9685 killed", "servo", [servo for servo, _ in times], GUARDED_MS)
+            self.report(f"guard {title}, then pca9685 killed", "ESC", [esc for _, esc in times], GUARDED_MS)
+
+
 class Restarts(ChainTest):
     """A node that dies and is started again at once while the deadman is held: nothing moves until it was let go."""
 
@@ -366,9 +465,9 @@ class Restarts(ChainTest):
         self.restart("throttle_arb", self.ESC, self.car.throttle_arb, self.arm, 300)
 
     def test_one_process(self):
-        """The chip goes on pulsing until the process is there again."""
+        """The guard acts until the process is there again."""
         self.drive(Car(self), one_process=True)
-        self.restart("car_nodes", self.BOTH, self.car.one_process, self.arm, ONE_PROCESS_BACK_MS)
+        self.restart("car_nodes", self.BOTH, self.car.one_process, self.arm, GUARDED_MS)
 
     def test_teleop_logi(self):
         car = self.car = Car(self)
@@ -401,7 +500,7 @@ class MasterLost(ChainTest):
             self.car.processes["turn_arb"].wait_for_line("WARN.*the ROS master is gone.*")
             self.assertEqual(set(self.car.chip.values_since(0, killed_ns)), set())
             self.car.sent(self.rest, "steering", "-1.0")
-            self.car.chip.wait_for(0, lambda counts: counts == 419, killed_ns)  # 6700
+            self.car.chip.wait_for(0, lambda counts: counts == RIGHT, killed_ns)
             self.car.sent(self.rest, "steering", "1.0")
             self.wait_until_driving()
             for _ in range(min(TRIALS, 10)):
@@ -474,7 +573,7 @@ class TeensyUnplugged(ChainTest):
             esc_ns = car.chip.wait_for(1, lambda counts: counts == ESC_NEUTRAL, fault_ns)
             times.append((esc_ns - fault_ns) / 1e6)
             car.sent(self.rest, "steering", "-1.0")
-            car.chip.wait_for(0, lambda counts: counts == 419, fault_ns)
+            car.chip.wait_for(0, lambda counts: counts == RIGHT, fault_ns)
             car.sent(self.rest, "steering", "1.0")
             car.processes["car_sim"].wait_for_exit()
             self.assertTrue(hub.runs())
@@ -502,7 +601,7 @@ class Suite(unittest.TestSuite):
     def __init__(self):
         loader = unittest.TestLoader()
         super().__init__(loader.loadTestsFromTestCase(case)
-                         for case in (Messages, Losses, Restarts, MasterLost, ClockStepped, TeensyUnplugged))
+                         for case in (Messages, Losses, Guarded, Restarts, MasterLost, ClockStepped, TeensyUnplugged))
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from rosgraph_msgs.msg import Log
 from waiting import Topic, config, eventually, retried, set_params, start, start_node
 
 WITHIN_S = 2.0
+START_S = 60.0  # for a program to start, on a busy machine
 OK, WARN, ERROR = range(3)
 FINE = "each has the publishers that it should have"
 CARS = ("", "/one")
@@ -55,7 +56,7 @@ class CommandTopicsTest(unittest.TestCase):
         """Publish as its user does, from a process of its own; its name, and when the master knew it, s."""
         before = set(self.publishers(topic))
         process = start(self, "env", *env, "rostopic", "pub", *(options or ("-r", "10")), topic, message_type, message)
-        name, = eventually(lambda: set(self.publishers(topic)) - before, f"a publisher of {topic}")
+        name, = eventually(lambda: set(self.publishers(topic)) - before, f"a publisher of {topic}", START_S)
         return process, name, time.monotonic()
 
     def publishers(self, topic):
@@ -85,8 +86,9 @@ class CommandTopicsTest(unittest.TestCase):
     def test_healthy_cars_have_nothing_to_report(self):
         for namespace in CARS:
             for node in ("turn_arb", "pca9685", "generic_value_converter", "teleop_logi"):
-                self.reports.wait_until(f"{namespace}/{node}", lambda status: True, 0)
-                self.assertEqual(self.reports.newest(f"{namespace}/{node}"), FINE)
+                path = f"{namespace}/{node}"
+                self.reports.wait_until(path, lambda status: status.message == FINE, 0, START_S)
+                self.assertEqual(self.reports.newest(path), FINE)
 
     def test_wrong_type_is_reported_with_node_machine_and_both_types(self):
         for namespace in CARS:

@@ -191,6 +191,21 @@ class ReadConfig(unittest.TestCase):
                     self.assertEqual([channel.timeout_value for channel in made.channels],
                                      [5100, 4915 if throttle == "true" else 0] + [0] * 14)
 
+    def test_launch_files_tell_a_node_that_it_is_respawned_and_have_joy_node_wait_for_its_name(self):
+        found = set()
+        for arguments in (["joy_driver:=joy"], ["joy_driver:=gamepad_joy", "one_process:=true"], ["display:=true"]):
+            loaded = roslaunch.config.load_config_default([(f"{PACKAGE}/launch/car.launch", arguments)], None,
+                                                          verbose=False)
+            for node in loaded.nodes:
+                with self.subTest(node=node.type, arguments=arguments):
+                    if node.package == "car_interface":
+                        self.assertEqual(dict(node.env_args).get("CAR_INTERFACE_RESPAWN") == "true", node.respawn)
+                    elif node.respawn:
+                        self.assertEqual((node.type, node.launch_prefix),
+                                         ("joy_node", "rosrun car_interface wait_for_name"))
+                    found.add(node.type)
+        self.assertLessEqual({"turn_arb", "car_nodes", "car_display", "joy_node", "gamepad_joy"}, found)
+
     def test_simulated_car_has_what_a_car_s_files_say_and_its_own_parameters_go_before_them(self):
         files = {"steering": {**config("turn_arb.yaml"), "servo_channel": 7}, "esc": {"servo": {"channel": 9,
                  "neutral": 5000}}, "wheels": {**config("teensy_sensor_hub.yaml"), "wheel_diameter": 0.12}}

@@ -79,7 +79,7 @@ NODES = {
     "teleop_logi": (teleop_logi.TeleopLogi, lambda: config("teleop_logi.yaml")),
     "pca9685": (pca9685.Pca9685, lambda: {
         **config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
-        "device": "virtual"}),
+        "device": "virtual", "guard": False}),  # a guard outlives nodes that end as these do
     "teensy_sensor_hub": (teensy_sensor_hub.TeensySensorHub,
                           lambda: {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml"), "port": PORT}),
     "car_display": (car_display.CarDisplay, dict),

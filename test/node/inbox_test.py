@@ -223,7 +223,7 @@ class NodesThatLoseMessages(unittest.TestCase):
 
     def test_pca9685_has_each_channel_at_its_timeout_value_until_a_new_command(self):
         node = Built(Pca9685, {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "timeout": 0,
-                               "device": "virtual"})
+                               "device": "virtual", "guard": False})
         left = Int32MultiArray(data=[LEFT] + [-1] * 15)
         node.hear("/servo/cmdVector", left)
         self.assertEqual(node.newest("/servo/output").data[0], 3808)

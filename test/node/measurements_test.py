@@ -136,7 +136,7 @@ class MeasurementsTest(unittest.TestCase):
     def test_without_a_rate_odometry_comes_with_each_report(self):
         with tempfile.TemporaryDirectory() as folder:
             port = f"_port:={folder}/teensy"
-            start_node(self, "car_sim", "__ns:=each", port)
+            start_node(self, "car_sim", "__ns:=each", port, "_collisions:=false")
             start_node(self, "teensy_sensor_hub", "__ns:=each", port, "_publish_tf:=false", "_odom_rate:=0")
             wheels, odom = Topic("/each/teensy_wheel", Wheel).connected(), Topic("/each/odom", Odometry).connected()
             clock = Topic("/each/teensy_clock", TeensyClock).connected()

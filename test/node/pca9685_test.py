@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import shlex
+import shutil
 import signal
 import tempfile
 import time
@@ -17,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32MultiArray
 
+from car_interface.sim.chip_link import ChipLink
 from waiting import (
     PATIENCE_S,
     Repeater,
@@ -291,13 +293,27 @@ class Pca9685ByItself(unittest.TestCase):
         self.assertEqual(process.end(signal.SIGTERM), 0)
         self.assertEqual(outputs.since()[-1].data, (0,) * 16)
 
-    def test_a_chip_that_cannot_be_reached_at_exit_is_said_to_go_on_pulsing(self):
-        process, outputs = self.start("ended_in_vain", "_device:=virtual")
-        outputs.wait_for(lambda output: output.data == (0,) * 16)
-        inject("/ended_in_vain", "power", 0)
+    def test_a_chip_that_cannot_be_reached_at_exit_is_said_to_go_on_pulsing_until_the_guard_reaches_it(self):
+        folder, log = tempfile.mkdtemp(), self.log_path()
+        self.addCleanup(shutil.rmtree, folder)
+        chip = ChipLink(os.path.join(folder, "chip"), 0x40)
+        self.addCleanup(chip.close)
+        process, outputs = self.start("ended_in_vain", "_device:=virtual", "_timeout:=60000", "_timeout_value:=4912",
+                                      f"_virtual_chip:={folder}/chip", f"_virtual_log:={log}", "_guard_off_after:=0.5")
+        Sender("/ended_in_vain/cmdVector", Int32MultiArray).publish(vector([6000]))
+        outputs.wait_for(lambda output: output.data[0] == 6000)
+        chip.open()
+        chip.inject("nack", 100_000)
         process.wait_for_line("was lost: nothing answers at this address")
         self.assertEqual(process.end(signal.SIGTERM), 1)
-        process.wait_for_line("FATAL.*can't be switched off and goes on pulsing what it was last told. Cut its power")
+        process.wait_for_line("FATAL.*can't be switched off and goes on pulsing what it was last told. Cut its power; "
+                              "its guard goes on trying for 10 minutes")
+        ended_ns = time.monotonic_ns()
+        chip.inject("nack", 0)
+        eventually(lambda: "fd 10" in writes(log, ended_ns), "full off")
+        written = writes(log, ended_ns)
+        self.assertEqual(list(written), ["06 " + "00003301" * 8, "26 " + "00003301" * 8, "fd 10"])
+        self.assertGreater(written["fd 10"] - written["26 " + "00003301" * 8], 0.1e9)
 
     def test_a_chip_that_lost_its_power_is_noticed_idle_or_driven_and_told_again(self):
         log = self.log_path()

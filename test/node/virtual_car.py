@@ -193,3 +193,22 @@ class Car:
         mark = driver.stdout.mark()
         driver.tell(f"{name} {value}")
         return int(driver.stdout.wait_for(lambda line: line.startswith(f"{name} {value} "), mark).what.split()[2])
+
+
+def guard_of(pid):
+    """The process id of a node's guard, or None."""
+    for name in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{name}/stat", encoding="utf-8") as stat, open(f"/proc/{name}/cmdline", "rb") as command:
+                parent = int(stat.read().rpartition(")")[2].split()[1])
+                if parent == pid and b"pca9685_guard" in command.read():
+                    return int(name)
+        except OSError:
+            continue  # it has just ended
+    return None
+
+
+def guard_has_chip(pid):
+    """Whether a guard is connected to its virtual chip."""
+    folder = f"/proc/{pid}/fd"
+    return pid and any(os.readlink(os.path.join(folder, fd)).startswith("socket:") for fd in os.listdir(folder))

@@ -18,7 +18,7 @@ SCRIPTS = sorted((ROOT / "scripts").iterdir())
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
 # Scripts that are run by hand and end by themselves; those for recordings and tables need no ROS.
 OFFLINE = {"bag_report", "calibrate_steering", "calibrate_value_map", "check_map"}
-TOOLS = {"doctor", "keyboard_drive", "setup_hardware"} | OFFLINE  # started by hand
+TOOLS = {"doctor", "keyboard_drive", "setup_hardware", "wait_for_name"} | OFFLINE  # started by hand
 NODES = [script for script in SCRIPTS if script.name not in OFFLINE]
 NODE_TESTS = sorted((ROOT / "test" / "node").glob("*.test"))
 # The rosdep keys of libraries that are not called like their key.
@@ -79,7 +79,8 @@ def listed_in_cmake(command: str) -> list[str]:
 
 def module_of(script: Path) -> str:
     """Returns the module below car_interface whose main() a script calls."""
-    return {"doctor": "doctor.cli", "setup_hardware": "host_setup.cli"}.get(script.name, f"nodes.{script.name}")
+    return {"doctor": "doctor.cli", "setup_hardware": "host_setup.cli",
+            "wait_for_name": "ros.wait_for_name"}.get(script.name, f"nodes.{script.name}")
 
 
 # --- scripts ---

@@ -67,6 +67,16 @@ JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
 WRONG_TYPE = "wrong type"  # its messages aren't received
 UNKNOWN_HOST = "unknown host"  # of the publisher: it can't be reached from here
 SECOND_PUBLISHER = "second publisher"  # the newest message counts, whoever sent it
+
+# A node's start.
+PARAMETER_REFUSED = "parameter refused"
+
+# Servo board.
+GUARD_ABSENT = "guard absent"  # nothing would make the board safe if its node died
+GUARD_BLOCKED = "guard blocked"  # the guard can't reach the board
+NODE_STOOD_STILL = "node stood still"  # for so long that its guard acted
+FOREIGN_WRITE = "foreign write"  # another program wrote to the board
+
 # The gamepad has to be set right: to let go and hold again doesn't help.
 JOY_UNUSABLE = frozenset({JOY_INCOMPLETE, JOY_NOT_FINITE})
 

@@ -85,8 +85,8 @@ def find_faults(topic: CommandTopic) -> list[Fault]:
     found += [Fault(causes.UNKNOWN_HOST, topic.name,
                     f"{publisher.node} publishes on {topic.name} from a computer that it calls {publisher.machine}, "
                     "which can't be looked up here: none of its messages is received",
-                    f"Where {publisher.node} runs, set ROS_IP to that computer's address, and start it again; if it has "
-                    "ended: rosnode cleanup")
+                    f"Where {publisher.node} runs, set ROS_IP to that computer's address, and start it again; if it "
+                    "has ended: rosnode cleanup")
               for publisher in lost]
     if len(right) > 1 and not topic.is_shared:
         found.append(second_publisher(topic.name, f"{len(right)} nodes publish on {topic.name}", right))

@@ -3,6 +3,8 @@
 It turns what the servo board holds into motion and answers as the Teensy does, byte by byte, on a pseudo-terminal. The
 true steering and drive-train curves are its own; the tables of the other nodes only come near them.
 
+It follows the virtual servo board's chip itself, also while no pca9685 node lives; without one, /servo/output.
+
 Subscribes:
     /servo/output (std_msgs/Int32MultiArray): what the servo board holds.
 Publishes:
@@ -12,6 +14,7 @@ Service:
     ~inject_fault (InjectFault): makes the Teensy and its line misbehave; see ``virtual_line``.
 Parameters:
     ~port /tmp/car_sim_teensy: where to put the link to the pseudo-terminal.
+    ~virtual_chip: the socket of the virtual servo board's chip; by default that of the node pca9685 in its namespace.
     ~steering_channel 0, ~throttle_channel 1: of the servo board.
     ~start [0, 0, 0]: x and y in m, yaw in rad.
     ~steering, ~esc, ~wheels: what turn_arb.yaml, throttle.yaml and teensy_sensor_hub.yaml of a car say, as demo.launch
@@ -48,10 +51,12 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.chip_follower import ChipFollower
 from car_interface.ros.ros_clock import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import subscribe
+from car_interface.ros.virtual_board import chip_path
 from car_interface.ros.virtual_line import VirtualLine
 from car_interface.sim.calibrated_car import steering_curve
 from car_interface.sim.collision import Collisions
@@ -158,6 +163,7 @@ class CarSimConfig:
 
     Attributes:
         port: where the link to the Teensy's pseudo-terminal appears.
+        virtual_chip: the socket of the servo board's chip; ``None`` = the default.
         steering_channel, throttle_channel: of /servo/output, 0..15.
         vehicle: the car.
         world: what its sonars see.
@@ -166,6 +172,7 @@ class CarSimConfig:
     """
 
     port: str
+    virtual_chip: str | None
     steering_channel: int
     throttle_channel: int
     vehicle: VehicleConfig
@@ -185,6 +192,7 @@ def read_config(params) -> CarSimConfig:
     vehicle = read_vehicle(params, rng)
     config = CarSimConfig(
         port=params.text("port", "/tmp/car_sim_teensy"),
+        virtual_chip=params.path("virtual_chip", None),
         steering_channel=params.integer(
             "steering_channel", params.integer("steering/servo_channel", 0), low=0, high=CHANNELS - 1),
         throttle_channel=params.integer("throttle_channel", _esc_channel(params), low=0, high=CHANNELS - 1),
@@ -212,7 +220,8 @@ class CarSim:
         self._vehicle = Vehicle(config.vehicle, now_ns, self._collisions if config.collides else None)
         self._firmware = TeensyFirmware(
             config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
-        self._outputs = [UNCHANGED] * CHANNELS
+        self._outputs = [UNCHANGED] * CHANNELS  # by the topic
+        self._chip = ChipFollower(config.virtual_chip or chip_path(f"{rospy.get_namespace()}pca9685"), inbox)
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
         self._line = VirtualLine(config.port, self._firmware, config.firmware.seed, inbox)
@@ -230,6 +239,7 @@ class CarSim:
         self._move(now_ns)
         for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
+        self._chip.step(now_ns)
         self._line.step(now_ns)
         self._report_collisions()
         if self._timer.is_due(now_ns):
@@ -239,6 +249,7 @@ class CarSim:
     def shut_down(self):
         """Take the link to the pseudo-terminal away."""
         self._line.close()
+        self._chip.close()
 
     def _on_output(self, message, now_ns):
         if len(message.data) != CHANNELS:
@@ -247,7 +258,8 @@ class CarSim:
         self._outputs = message.data
 
     def _move(self, now_ns):
-        steering, throttle = self._outputs[self._steering_channel], self._outputs[self._throttle_channel]
+        outputs = self._chip.duties or self._outputs
+        steering, throttle = outputs[self._steering_channel], outputs[self._throttle_channel]
         vehicle = self._vehicle
         if now_ns - vehicle.time_ns > MAX_CATCH_UP_NS:
             vehicle.time_ns = now_ns - STEP_NS

@@ -5,7 +5,8 @@ Subscribes:
     servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, which the timeout values follow.
 Publishes:
     /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at 1 Hz.
-    /diagnostics: the board, its faults and how often each channel timed out, and who publishes on its topics; 1 Hz.
+    /diagnostics: the board, its faults and how often each channel timed out; the guard; who publishes on its topics;
+        1 Hz.
 Parameters:
     ~device /dev/i2c-1: the bus, by path or number; ``virtual`` = a chip in software.
     ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides these two.
@@ -17,127 +18,57 @@ Parameters:
     ~live_range 500, ~throttle_live_range 100 (duty): how far the timeout values of these two channels may follow
         servo/neutral; 0 = not at all.
     ~required false: true = end with exit code 1 when the board can't be used at start.
-The virtual chip has a service and another parameter: see ``ros.virtual_board``.
+    ~guard true: start a guard, which makes the board safe when this node dies or hangs; see ``nodes.pca9685_guard``.
+    ~guard_off_after 10 (s): so long after it began to act the guard switches every output off.
+The virtual chip has a service and parameters of its own: see ``ros.virtual_board``.
 """
 from __future__ import annotations
 
-import fcntl
 import os
 import time
 from collections import Counter
-from dataclasses import dataclass
 
 import rospy
 import smbus2
 from std_msgs.msg import Int32MultiArray
 
-from car_interface.common.errors import ConfigError, DeviceError
+from car_interface.common.causes import FOREIGN_WRITE, NODE_STOOD_STILL
+from car_interface.common.errors import DeviceError
+from car_interface.common.file_lock import lock_byte
 from car_interface.common.publishers import Publisher, second_publisher
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_S
 from car_interface.pca9685.board import Board
 from car_interface.pca9685.bus_errors import explain
-from car_interface.pca9685.channels import ChannelConfig, Channels
-from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, duty_of_counts, frequency_for, prescale_for
+from car_interface.pca9685.channels import Channels
+from car_interface.pca9685.config import VIRTUAL, read_config
+from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for
 from car_interface.pca9685.senders import ChannelSenders
-from car_interface.pca9685.supervisor import DISCONNECTED, MISMATCH, RETRIED, RUNNING, BoardSupervisor
+from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
+from car_interface.ros.backlog import Subscription
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
+from car_interface.ros.guard_link import GuardLink
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, subscribe
-from car_interface.ros.virtual_board import VirtualBoardBus
+from car_interface.ros.topics import advertise
+from car_interface.ros.virtual_board import VirtualBoardBus, chip_path
 
 OUTPUT_RATE_HZ = 1
 SWITCH_OFF_TIMEOUT_NS = NS_PER_S  # how long a node that ends tries to switch the chip off
-MAX_TIMEOUT_MS = 3_600_000
-VIRTUAL = "virtual"
-LIVE_RANGE, THROTTLE_LIVE_RANGE = 500, 100  # duty, as those of turn_arb and generic_value_converter
-NO_CHANNEL = -1
 COMMANDS = ("command", "/servo/cmdVector")
 NEUTRALS = "servo/neutral"
-
-
-@dataclass(frozen=True)
-class Pca9685Config:
-    """The node's configuration.
-
-    Attributes:
-        device: the bus's path, or ``VIRTUAL``.
-        address: the chip's, 0x40..0x7f.
-        prescale: the chip's register, 3..255.
-        oscillator_hz: the chip's clock.
-        channels: limits and failsafe of each of the sixteen.
-        required: end when the board can't be used at start.
-        virtual_log: the virtual chip's log; ``None`` = none.
-    """
-
-    device: str
-    address: int
-    prescale: int
-    oscillator_hz: float
-    channels: tuple[ChannelConfig, ...]
-    required: bool
-    virtual_log: str | None
-
-
-def read_config(params) -> Pca9685Config:
-    """Read the node's configuration from its parameters, without side effects.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    device = params.text_or_integer("device", "/dev/i2c-1")
-    frequency_hz = params.number("frequency", 50.0, above=0.0)
-    oscillator_hz = params.number("oscillator_hz", 25e6, low=1e6, high=50e6)
-    prescale = params.integer("prescale", None, low=PRESCALE_MIN, high=PRESCALE_MAX)
-    config = Pca9685Config(
-        device=f"/dev/i2c-{device}" if isinstance(device, int) else device,
-        address=params.integer("address", 0x40, low=0x40, high=0x7F),
-        prescale=prescale_for(frequency_hz, oscillator_hz) if prescale is None else prescale,
-        oscillator_hz=oscillator_hz,
-        channels=_read_channels(params),
-        required=params.flag("required", False),
-        virtual_log=params.path("virtual_log", None) if device == VIRTUAL else None)
-    params.finish(ignored_namespaces=("steering", "esc"))
-    Channels(config.channels)  # checks the limits
-    return config
-
-
-def _read_channels(params):
-    """Limits and failsafe of each of the sixteen."""
-    timeouts_ms = params.integers("timeout", CHANNELS, 250, 0, MAX_TIMEOUT_MS)
-    timeout_values = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
-    live_ranges = [0] * CHANNELS
-    for channel, neutral, live_range in _read_neutrals(params):
-        timeout_values[channel], live_ranges[channel] = neutral, live_range
-    pwm_min = params.integers("pwm_min", CHANNELS, 0, 0, MAX_DUTY)
-    pwm_max = params.integers("pwm_max", CHANNELS, MAX_DUTY, 0, MAX_DUTY)
-    return tuple(ChannelConfig(*settings)
-                 for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max, live_ranges))
-
-
-def _read_neutrals(params):
-    """Channel, neutral duty and live range of the steering and of the ESC, where they are given."""
-    steering = params.integer("steering/servo_channel", None, 0, CHANNELS - 1)
-    center = params.integer("steering/servo_center", None, 0, MAX_DUTY)
-    esc = params.integer("esc/servo/channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
-    neutral = params.integer("esc/servo/neutral", None, 0, MAX_DUTY)
-    given = [(steering, center, params.integer("live_range", LIVE_RANGE, 0, MAX_DUTY)),
-             (esc, neutral, params.integer("throttle_live_range", THROTTLE_LIVE_RANGE, 0, MAX_DUTY))]
-    given = [each for each in given if each[0] not in (None, NO_CHANNEL) and each[1] is not None]
-    if len(given) == 2 and steering == esc:
-        raise ConfigError("esc/servo/channel", esc, "a channel other than steering/servo_channel")
-    return given
 
 
 class SmbusBus:
     """A bus of the kernel, opened by smbus2. A lock on the address excludes a second pca9685 node."""
 
-    def __init__(self, device: str, address: int):
-        self._device = device
+    kind = "i2c"
+
+    def __init__(self, path: str, address: int):
+        self.path = path
         self._address = address
 
     def open(self) -> smbus2.SMBus:
@@ -148,9 +79,9 @@ class SmbusBus:
         """
         bus = smbus2.SMBus()  # in two steps: a device that is no I2C bus fails after it was opened
         try:
-            bus.open(self._device)
+            bus.open(self.path)
             # A node that ends must not switch off the chip of its successor.
-            fcntl.lockf(bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, self._address)
+            lock_byte(bus.fd, self._address)
         except OSError:
             bus.close()
             raise
@@ -173,13 +104,16 @@ class Pca9685:
         self._channels = Channels(config.channels)
         self._device, self._address = config.device, config.address
         self._prescale, self._oscillator_hz = config.prescale, config.oscillator_hz
-        bus = (VirtualBoardBus(self._address, config.virtual_log) if self._device == VIRTUAL
-               else SmbusBus(self._device, self._address))
+        bus = (VirtualBoardBus(config.virtual_chip or chip_path(inbox.node_name), self._address, config.virtual_log)
+               if self._device == VIRTUAL else SmbusBus(self._device, self._address))
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
+        self._guard = GuardLink(bus.kind, bus.path, self._address, config.guard_off_after_ns if config.guard else None,
+                                self._name(), self._warnings)
         self._supervisor = BoardSupervisor(bus.open, bus.close, self._make_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
+        self._held_back = 0  # commands that arrived before the guard had left the chip to this node again
         self._timeouts: Counter = Counter()  # by channel
         self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
         self._published = [UNCHANGED] * CHANNELS
@@ -187,38 +121,76 @@ class Pca9685:
         # Several nodes publish on each, but no two of them command the same channel.
         self._senders = ChannelSenders()
         self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_conflicts)
-        self._diagnostics = Diagnostics(inbox, self._name(),
-                                        {"servo board": self._report, **self._command_topics.reports}, now_ns)
+        self._diagnostics = Diagnostics(inbox, self._name(), {
+            "servo board": self._report,
+            "guard": lambda status: self._guard.report(status, time.monotonic_ns()),
+            **self._command_topics.reports}, now_ns)
         if config.required:
             self._open_or_end(now_ns)
         bus.serve(inbox)
         inbox.on_overflow(lambda now_ns: self._channels.make_safe())
-        for topic in COMMANDS:
-            subscribe(topic, Int32MultiArray, inbox, self._on_command)
-        subscribe(NEUTRALS, Int32MultiArray, inbox, self._on_neutral)
+        self._subscriptions = [Subscription(topic, Int32MultiArray, inbox, handler) for topic, handler in (
+            *((topic, self._on_command) for topic in COMMANDS), (NEUTRALS, self._on_neutral))]
         self._command_topics.start(self._diagnostics.report_now)
 
     def step(self, now_ns):
         """Handle all that arrived, expire commands, and then write: a slow bus must not replay stale commands."""
+        self._follow_guard(now_ns)
         self._inbox.dispatch()
-        expired = self._channels.expire(time.monotonic_ns())
+        self._expire(time.monotonic_ns())
         self._update()
-        if expired:
-            self._timeouts.update(expired)
-            self._warnings.warn(f"timeout of {expired}", f"no command for {_listed(expired)}: now at timeout value")
         self._publish(self._timer.is_due(now_ns))
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._diagnostics.due_ns, self._channels.next_deadline_ns(),
-                   self._supervisor.next_due_ns())
+                   self._supervisor.next_due_ns(), self._guard.due_ns)
+
+    def _follow_guard(self, now_ns):
+        """Give the guard its sign of life. After standing still: begin anew, and only then acknowledge."""
+        self._guard.receive(now_ns)
+        still_ns = self._guard.watch.stood_still_ns(now_ns)
+        if self._guard.watch.was_overruled() or still_ns:
+            self._begin_anew(still_ns)
+        self._guard.step(time.monotonic_ns(), self._timeout_counts(), self._supervisor.ever_ran)
+
+    def _begin_anew(self, still_ns):
+        """Timeout values, and no command that was sent before."""
+        self._channels.make_safe()
+        for subscription in self._subscriptions:
+            subscription.renew()
+        lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
+        self._warnings.warn(NODE_STOOD_STILL, f"{NODE_STOOD_STILL}{lasted}: {self._name()} is at its timeout values; "
+                                              "commands count from now on")
+        self._supervisor.read_back(time.monotonic_ns())
+        self._publish()  # what the guard wrote
+        self._update()
+
+    def _timeout_counts(self):
+        return [counts_of_duty(duty) for duty in self._channels.timeout_values]
+
+    def _targets(self):
+        """What the chip should hold now. The supervisor asks at each attempt to write."""
+        now_ns = time.monotonic_ns()
+        if self._guard.watch.is_late(now_ns):
+            self._channels.make_safe()  # a transfer took so long that the guard acts
+        self._expire(now_ns)
+        return self._channels.targets
+
+    def _expire(self, now_ns):
+        expired = self._channels.expire(now_ns)
+        if expired:
+            self._timeouts.update(expired)
+            self._warnings.warn(f"timeout of {expired}", f"no command for {_listed(expired)}: now at timeout value")
 
     def shut_down(self):
         """Timeout values for a whole period, then every output off: an ESC sees neutral before it sees nothing."""
-        if not self._supervisor.ever_ran:
-            return
+        is_safe = not self._supervisor.ever_ran
         try:
-            self._switch_off()
+            if not is_safe:
+                self._switch_off()
+                is_safe = True
         finally:
             self._supervisor.close()
+            self._guard.end(time.monotonic_ns(), self._timeout_counts(), is_safe)
         time.sleep(0.02)  # rospy sends in a thread of its own
 
     def _switch_off(self):
@@ -237,13 +209,19 @@ class Pca9685:
     def _retry(self, action):
         """Repeat ``action``, which returns whether it succeeded, for up to a second."""
         deadline_ns = time.monotonic_ns() + SWITCH_OFF_TIMEOUT_NS
-        while not action():
+        while True:
+            self._guard.leave_to_node(time.monotonic_ns(), self._timeout_counts())
+            if action():
+                return
             if time.monotonic_ns() >= deadline_ns:
                 raise DeviceError(self._name(), "it can't be switched off and goes on pulsing what it was last told",
-                                  "Cut its power")
+                                  "Cut its power" + self._guard.outlook())
             time.sleep(0.02)
 
     def _on_command(self, message, now_ns):
+        if self._guard.watch.holds:
+            self._held_back += 1
+            return
         try:
             accepted = self._channels.command(message.data, now_ns)
         except ValueError as error:
@@ -282,7 +260,7 @@ class Pca9685:
                                               "that was tuned")
 
     def _update(self):
-        self._supervisor.update(self._channels.targets, time.monotonic_ns())
+        self._supervisor.update(self._targets, time.monotonic_ns())
         self._publish()
 
     def _make_board(self, bus):
@@ -290,7 +268,7 @@ class Pca9685:
 
     def _open_or_end(self, now_ns):
         try:
-            self._supervisor.open(self._channels.targets, now_ns)
+            self._supervisor.open(self._targets, now_ns)
         except OSError as error:
             raise DeviceError(self._name(), *self._explain(error)) from error
 
@@ -299,12 +277,17 @@ class Pca9685:
 
     def _on_board_event(self, event, error):
         """Log an event of bus or chip, with cause and remedy."""
-        if event == RUNNING:
+        if event == FOUND:
+            self._publish()
+        elif event == RUNNING:
             self._fault = None
             rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
                           frequency_for(self._prescale, self._oscillator_hz), self._prescale)
         elif event == RETRIED:
             self._warnings.warn(event, f"{self._name()}: {error}; tried again")
+        elif event == FOREIGN:
+            self._warnings.warn(event, f"{FOREIGN_WRITE} to {self._name()}: {error}. Written anew. See which other "
+                                       "program writes to it")
         elif event == MISMATCH:
             self._warnings.warn(event, f"{self._name()} has forgotten what it was told ({error}): it lost its power, "
                                          "or another program writes to it. Initialising it anew")
@@ -327,7 +310,10 @@ class Pca9685:
         status.add("failed transfers", tally.errors)
         status.add("reopened", tally.reopenings)
         status.add("initialised anew after a loss of power", tally.reinitialisations)
+        status.add("channels that another program wrote", tally.foreign_writes)
         status.add("commands dropped while it was away", self._dropped)
+        status.add("commands dropped after this node stood still",
+                   self._held_back + sum(subscription.dropped for subscription in self._subscriptions))
         status.add("timeout values", " ".join(map(str, self._channels.timeout_values)))
         for channel, count in sorted(self._timeouts.items()):
             status.add(f"timeouts of channel {channel}", count)

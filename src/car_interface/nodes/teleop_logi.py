@@ -14,7 +14,7 @@ Publishes, at 50 Hz and at once when the deadman changes:
     /teleop_logi/scale_button (std_msgs/Int8): 1 or −1 while the button for more or less speed by hand is pressed.
     ~state (TeleopState, latched): whether a human holds a deadman, cause, reason, age of joy; when the cause changes
         and 10 times a second. For people: nothing that drives follows it.
-    /diagnostics: the same with the remedy, and who publishes on its topic; 1 Hz.
+    /diagnostics: the same with the remedy, and who else publishes on its topic; 1 Hz.
 Parameters:
     ~steer_axis, ~throttle_axis (−1 = none), ~manual_button, ~autonomous_button: indices into the Joy message; required.
     ~third_button −1 (none), ~third_mode human_steering: another deadman.

@@ -8,7 +8,7 @@ Subscribes:
     teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the steering channel.
-    ~state (SteeringState, latched): source, cause, duty and ages; on every change and 10 times a second.
+    ~state (SteeringState, latched): source, cause, duty and ages; on every change and 20 times a second.
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the center, for the servo board's timeout value; −1
         elsewhere.
     /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
@@ -53,7 +53,7 @@ from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.params import read_arbiter, read_calibration
 
 RATE_HZ = 100
-TICKS_PER_STATE, TICKS_PER_NEUTRAL = 10, 100
+TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 100  # the converter waits 0.25 s for a state
 LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a servo's travel
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
 # rospy sends in a thread of its own, which needs the interpreter: state and log wait until the command was sent.

@@ -8,26 +8,43 @@ from typing import Callable
 
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.pca9685.channels import blocks
-from car_interface.pca9685.registers import COUNTS, frequency_for, register_bytes
+from car_interface.pca9685.registers import (
+    ALL_LED_OFF_H,
+    AUTO_INCREMENT,
+    COUNTS,
+    EXTCLK,
+    FULL_BIT,
+    LED0_ON_L,
+    MODE1,
+    MODE2,
+    PRE_SCALE,
+    RESTART,
+    SLEEP,
+    counts_of_registers,
+    frequency_for,
+    register_bytes,
+)
 
-MODE1, MODE2, LED0_ON_L, ALL_LED_OFF_H, PRE_SCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
-RESTART, EXTCLK, AUTO_INCREMENT, SLEEP = 0x80, 0x40, 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
 TOTEM_POLE = 0x04  # MODE2: outputs drive both ways, not inverted (data sheet 7.3.2)
-FULL_OFF = 0x10
 OSCILLATOR_START_S = 500e-6  # after SLEEP is cleared (data sheet 7.3.1.1)
-CHANNELS_PER_BLOCK = 32 // 4  # an SMBus block write carries at most 32 bytes
+CHANNELS_PER_BLOCK = 32 // 4  # an SMBus block transfer carries at most 32 bytes
+UNUSED_PER_CHECK = 4  # of the channels that are off
 
 
 class BoardMismatch(OSError):
     """The chip answers, but its registers were changed: it lost its power, or another program writes to it."""
 
 
+class ForeignWrite(BoardMismatch):
+    """Channels hold what this node didn't write: its guard did, or another program."""
+
+
 class Board:
     """One PCA9685.
 
     Args:
-        bus: has ``read_byte_data(address, register)``, ``write_byte_data(address, register, value)`` and
-            ``write_i2c_block_data(address, register, values)``.
+        bus: has ``read_byte_data(address, register)``, ``write_byte_data(address, register, value)``,
+            ``read_i2c_block_data(address, register, length)`` and ``write_i2c_block_data(address, register, values)``.
         address: 7-bit I²C address, 0x40..0x7f.
         prescale: PRE_SCALE, 3..255.
         oscillator_hz: the chip's clock, nominally 25 MHz.
@@ -41,16 +58,18 @@ class Board:
         self._pause = pause
         self.period_s = 1.0 / frequency_for(prescale, oscillator_hz)
         self._held: list[int | None] = [None] * CHANNELS
+        self._next_unused = 0  # of the channels that are off: the one at which the next check begins
 
     @property
     def held(self) -> list[int | None]:
-        """The counts last written to each channel; ``None`` = unknown."""
+        """The counts last written to or read from each channel; ``None`` = unknown."""
         return list(self._held)
 
     def initialise(self) -> None:
         """Set frequency and auto-increment.
 
-        A chip that already runs so is not put to sleep, so that a node restarted while driving interrupts no pulse.
+        A chip that already runs so is not put to sleep, so that a node restarted while driving interrupts no pulse;
+        what its channels hold is read back.
         Otherwise every output is switched off and the last pulse ends before the chip sleeps: the prescale can only be
         written asleep (data sheet 7.3.5), and a SLEEP in the middle of a pulse makes an ESC jump.
 
@@ -59,14 +78,43 @@ class Board:
         """
         self._held = [None] * CHANNELS
         self._start()
-        self.check()
+        self._check_mode()
+        self.read_back()
 
     def check(self) -> None:
-        """Read back whether the chip still runs as ``initialise`` left it.
+        """Read back whether the chip runs as ``initialise`` left it, and whether its channels hold what was written.
+
+        Those that are on are read each time, and four of the others: no command is written meanwhile, and 32 bytes take
+        3 ms at 100 kHz.
 
         Raises:
-            BoardMismatch: it doesn't.
+            BoardMismatch: it doesn't run so.
+            ForeignWrite: a channel holds something else; ``held`` knows it then.
         """
+        self._check_mode()
+        before = self.held
+        used = [channel for channel, counts in enumerate(before) if counts]
+        unused = [channel for channel, counts in enumerate(before) if not counts]
+        turn = sorted(unused, key=lambda channel: (channel < self._next_unused, channel))[:UNUSED_PER_CHECK]
+        if turn:
+            self._next_unused = (turn[-1] + 1) % CHANNELS
+        self._read_channels([*used, *turn])
+        foreign = [f"channel {channel} holds {found} counts, not {written}"
+                   for channel, (written, found) in enumerate(zip(before, self._held)) if written not in (None, found)]
+        if foreign:
+            raise ForeignWrite("; ".join(foreign))
+
+    def read_back(self) -> None:
+        """Read what all channels hold."""
+        self._read_channels(range(CHANNELS))
+
+    def _read_channels(self, channels):
+        for run in blocks(dict.fromkeys(channels, 0), CHANNELS_PER_BLOCK):
+            data = self._bus.read_i2c_block_data(self._address, LED0_ON_L + 4 * run[0], 4 * len(run))
+            for index, channel in enumerate(run):
+                self._held[channel] = counts_of_registers(data[4 * index: 4 * index + 4])
+
+    def _check_mode(self):
         mode1, prescale = self._read(MODE1), self._read(PRE_SCALE)
         # EXTCLK stays set until the power is off; RESTART is cleared by the first write to a channel.
         if mode1 & ~(RESTART | EXTCLK) != AUTO_INCREMENT or prescale != self._prescale:
@@ -102,7 +150,7 @@ class Board:
     def all_off(self) -> None:
         """Set the full-off bit of all channels in one transfer; the current pulse still ends regularly (7.3.3)."""
         self._held = [None] * CHANNELS  # until the transfer is known to have worked
-        self._write(ALL_LED_OFF_H, FULL_OFF)
+        self._write(ALL_LED_OFF_H, FULL_BIT)
         self._held = [0] * CHANNELS
 
     def _max_period_s(self):

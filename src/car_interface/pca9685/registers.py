@@ -1,4 +1,4 @@
-"""Duties, counts, register bytes and the prescale of a PCA9685. Pure arithmetic.
+"""Duties, counts, registers and the prescale of a PCA9685. Pure arithmetic.
 
 A duty is 0..65535 of the PWM period. The chip divides the period into 4096 counts; 0 counts stand for its full-off bit
 and 4096 for its full-on bit (data sheet 7.3.3), so that neither limit has a glitch of one count.
@@ -10,6 +10,8 @@ from car_interface.common.servo_channels import MAX_DUTY
 
 COUNTS = 4096
 DUTY_PER_COUNT = 16  # 65536 / 4096
+MODE1, MODE2, LED0_ON_L, ALL_LED_OFF_H, PRE_SCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
+RESTART, EXTCLK, AUTO_INCREMENT, SLEEP = 0x80, 0x40, 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
 FULL_BIT = 0x10  # bit 4 of LEDn_ON_H: full on; of LEDn_OFF_H: full off
 PRESCALE_MIN, PRESCALE_MAX = 3, 255  # 3 is forced by the hardware (data sheet 7.3.5)
 
@@ -31,6 +33,16 @@ def register_bytes(counts: int) -> bytes:
     if counts >= COUNTS:
         return bytes((0, FULL_BIT, 0, 0))
     return bytes((0, 0, counts & 0xFF, counts >> 8))
+
+
+def counts_of_registers(registers) -> int:
+    """The counts, 0..4096, for which the pin is high, by a channel's ON_L, ON_H, OFF_L, OFF_H (data sheet 7.3.3)."""
+    on_low, on_high, off_low, off_high = registers
+    if off_high & FULL_BIT:  # full off wins over full on
+        return 0
+    if on_high & FULL_BIT:
+        return COUNTS
+    return ((off_high % 16 * 256 + off_low) - (on_high % 16 * 256 + on_low)) % COUNTS
 
 
 def prescale_for(frequency_hz: float, oscillator_hz: float = 25e6) -> int:

@@ -1,8 +1,8 @@
 """Keeps one PCA9685 at its targets, and recovers from faults of bus and chip.
 
 A failed transfer is repeated once; when that fails too, the bus is reopened and the chip initialised again, with
-growing pauses. Twice a second the chip's mode is read back: after a loss of power it has its reset values and still
-acknowledges every write.
+growing pauses. Twice a second the chip is read back: after a loss of power it has its reset values and still
+acknowledges every write, and what another program wrote to its channels is found.
 
 Pure: the bus is opened by a function that is passed in, and so is ``now_ns``.
 """
@@ -13,7 +13,7 @@ from typing import Callable, Sequence
 
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.units import NS_PER_MS
-from car_interface.pca9685.board import Board, BoardMismatch
+from car_interface.pca9685.board import Board, BoardMismatch, ForeignWrite
 from car_interface.pca9685.channels import differences
 
 CHECK_PERIOD_NS = 500 * NS_PER_MS
@@ -21,6 +21,11 @@ FIRST_RETRY_NS, LAST_RETRY_NS = 100 * NS_PER_MS, 2000 * NS_PER_MS
 
 # Events for ``on_event``.
 RETRIED, DISCONNECTED, ABSENT, RUNNING, MISMATCH = "retried", "lost", "absent", "running", "mismatch"
+FOUND = "found"  # the chip was initialised, and ``held`` is what its channels hold before the first write
+FOREIGN = "foreign"  # another program wrote to channels: they are written anew
+
+# Asked for at each attempt to write, so that a repetition after a slow failure doesn't write what is stale by then.
+Targets = Callable[[], Sequence[int]]
 
 
 @dataclass
@@ -30,6 +35,7 @@ class BoardTally:
     errors: int = 0  # failed transfers, first attempts and repetitions
     reopenings: int = 0  # recoveries of bus and chip
     reinitialisations: int = 0  # of a chip that answered and had been reset
+    foreign_writes: int = 0  # checks that found channels which another program had written
 
 
 class BoardSupervisor:
@@ -75,7 +81,7 @@ class BoardSupervisor:
         """When ``update`` must be called even if no target changes."""
         return self._next_try_ns if self._board is None else self._next_check_ns
 
-    def update(self, targets: Sequence[int], now_ns: int) -> None:
+    def update(self, targets: Targets, now_ns: int) -> None:
         """Open, check or write, whatever is due. Errors of the bus are handled here."""
         if self._board is None:
             if now_ns >= self._next_try_ns:
@@ -89,7 +95,7 @@ class BoardSupervisor:
         except OSError as error:
             self._disconnect(error, now_ns)
 
-    def open(self, targets: Sequence[int], now_ns: int) -> None:
+    def open(self, targets: Targets, now_ns: int) -> None:
         """Open bus and chip now, and write every target.
 
         Raises:
@@ -99,17 +105,26 @@ class BoardSupervisor:
             self._bus = self._open_bus()
             board = self._make_board(self._bus)
             board.initialise()
-            board.write(differences(board.held, targets))
+            self._board = board
+            self._on_event(FOUND, None)
+            board.write(differences(board.held, targets()))
         except OSError:
             self.tally.errors += 1
             self._close()
             raise
-        self._board = board
         self.tally.reopenings += self._was_running
         self._was_running = True
         self._retry_ns = FIRST_RETRY_NS
         self._next_check_ns = now_ns + CHECK_PERIOD_NS
         self._on_event(RUNNING, None)
+
+    def read_back(self, now_ns: int) -> None:
+        """Read what all channels hold, where another program may have written."""
+        if self._board is not None:
+            try:
+                self._repeat(self._board.read_back)
+            except OSError as error:
+                self._disconnect(error, now_ns)
 
     def all_off(self, now_ns: int) -> bool:
         """Switch every output off; whether the chip acknowledged."""
@@ -139,14 +154,17 @@ class BoardSupervisor:
     def _check(self):
         try:
             self._repeat(self._board.check)
+        except ForeignWrite as found:
+            self.tally.foreign_writes += 1
+            self._on_event(FOREIGN, found)
         except BoardMismatch as mismatch:
             self._on_event(MISMATCH, mismatch)
             self._board.initialise()
             self.tally.reinitialisations += 1
 
     def _write(self, targets):
-        if differences(self._board.held, targets):
-            self._repeat(lambda: self._board.write(differences(self._board.held, targets)))
+        if differences(self._board.held, targets()):
+            self._repeat(lambda: self._board.write(differences(self._board.held, targets())))
 
     def _repeat(self, transfer):
         """Call ``transfer``, and once more when it fails."""

@@ -25,6 +25,7 @@ class Question(NamedTuple):
 
 QUESTIONS = (
     Question("who drove, and why the car stopped", (Source("turn_arb/state"),)),
+    Question("why the gamepad's deadman was released", (Source("teleop_logi/state"),)),
     Question("errors of the Teensy's link",
              (Source("teensy_sensor_hub/link"), Source(DIAGNOSTICS, "teensy_sensor_hub: Teensy link"))),
     Question("errors of the servo board", (Source(DIAGNOSTICS, "pca9685: servo board"),)),

@@ -9,8 +9,7 @@ from car_interface.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLo
 
 NODE = "teleop_logi"
 NEVER_AFTER_S = 5.0  # a gamepad that isn't heard for so long from the start on is missing
-# teleop_logi's and turn_arb's messages of the same moment are recorded in any order, this far apart.
-BEFORE_S, AFTER_S = 0.05, 0.2
+APART_S = 1.0  # a release may be recorded so long before or after turn_arb's state that follows it, on a busy computer
 
 
 class Loss(NamedTuple):
@@ -33,20 +32,28 @@ class GamepadWatch:
     def __init__(self, faults: FaultLog, duration_s: float):
         self._faults, self._duration_s = faults, duration_s
         self._losses: list[Loss] = []  # up to MAX_ENTRIES
+        self._releases: list[Loss] = []  # what ended each time of a held deadman, a loss or not; likewise
         self._current: Loss | None = None  # the cause that lasts, a loss or not
+        self._was_held = False
 
     def on_state(self, time_s: float, message: Any) -> None:
         """car_interface/TeleopState."""
         if self._current is None or self._current.cause != message.cause:
             self._end_current(time_s)
             self._current = Loss(time_s, math.inf, message.cause, message.reason)
+        if self._was_held and not message.human_in_loop and len(self._releases) < MAX_ENTRIES:
+            self._releases.append(self._current)
+        self._was_held = message.human_in_loop
 
     def loss_at(self, time_s: float) -> Loss | None:
-        """The first of the losses that began or lasted at a time; ``None`` = there was none."""
+        """The loss for which the deadman was false from a time on; ``None`` = there was none, or it was let go."""
+        near = [release for release in self._releases if abs(release.start_s - time_s) <= APART_S]
+        if near:
+            release = min(near, key=lambda release: abs(release.start_s - time_s))
+            return release if release.cause in causes.LOSSES else None
         current = self._current
         losses = [*self._losses, current] if current is not None and current.cause in causes.LOSSES else self._losses
-        return next((loss for loss in losses
-                     if loss.start_s <= time_s + AFTER_S and loss.end_s >= time_s - BEFORE_S), None)
+        return next((loss for loss in losses if loss.start_s <= time_s <= loss.end_s), None)
 
     def finish(self) -> None:
         """Close what lasts."""

@@ -49,7 +49,7 @@ class CommandTopics:
         faults += self._more_faults(now_ns, self._topics)
         for fault in self._log.update(faults, now_ns):
             rospy.logwarn("%s", fault.text)
-        status.summary(OK, "each has the publishers that it should have")
+        status.summary(OK, "each has the publishers that it should have" if self._topics else "not looked at yet")
         for fault in faults:
             status.mergeSummary(ERROR if self._log.is_lasting(fault, now_ns) else WARN, fault.reason)
         status.add("cause", ", ".join(dict.fromkeys(fault.cause for fault in faults)))

@@ -80,7 +80,11 @@ class Diagnostics:
     def step(self, now_ns: int) -> None:
         """Report if it is due."""
         if self._timer.is_due(now_ns):
-            self._updater.force_update()
+            self.force()
+
+    def force(self) -> None:
+        """Report now."""
+        self._updater.force_update()
 
 
 def age_text(age_s: float) -> str:

@@ -15,7 +15,8 @@ import rospy
 
 from car_interface.common.publishers import CommandTopic
 from car_interface.ros.inbox import Inbox
-from car_interface.ros.publisher_lookup import PublisherLookup, TimeoutTransport
+from car_interface.ros.publisher_lookup import PublisherLookup
+from car_interface.ros.xmlrpc_calls import TimeoutTransport
 
 POLL_S = 1.0
 GONE = ("the ROS master is gone: what is connected goes on, but no node that starts now can join, and one that ends is "

@@ -18,23 +18,13 @@ from rosgraph.network import read_ros_handshake_header, write_ros_handshake_head
 
 from car_interface.common.publishers import Publisher
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.xmlrpc_calls import ANSWER_WITHIN_S, TimeoutTransport
 
-ANSWER_WITHIN_S = 1.0
 HEADER_SIZE = 65536
 # A publisher that is asked gets a subscriber for a moment, so it's not asked each time.
 ASK_AGAIN_NS = 4 * NS_PER_S
 ASK_SILENT_AGAIN_NS = 10 * NS_PER_S  # one that let the question time out
 SLOW_NS = NS_PER_S // 2
-
-
-class TimeoutTransport(xmlrpc.client.Transport):
-    """XML-RPC with a time limit."""
-
-    def make_connection(self, host: Any):
-        """As the base class does."""
-        connection = super().make_connection(host)
-        connection.timeout = ANSWER_WITHIN_S
-        return connection
 
 
 class _Answer(NamedTuple):

@@ -6,6 +6,9 @@ inbox. ``shut_down`` is called last, while topics still work.
 
 That thread is the process's main one, or one of several in ``car_nodes``. A node class needn't know which: it makes its
 topics and services by the functions of ``topics``, which resolve their names by the inbox.
+
+While another node of its name runs, a node waits before it registers. Where roslaunch would start it again, it also
+waits while its parameters are refused.
 """
 from __future__ import annotations
 
@@ -21,9 +24,13 @@ import rospy
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
+from car_interface.ros.garbage import IdleCollector
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.logs import LogStream, LogThreads
+from car_interface.ros.name_lookup import own_name, wait_for_name
+from car_interface.ros.refused_start import build_node
 
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SHUT_DOWN_S = 2.0
 FLUSH_S = 0.5  # for the log lines of the shutdown
 SWITCH_INTERVAL_S = 0.0005  # how long one thread may delay the others; Python's default of 5 ms adds to the latency
@@ -36,23 +43,18 @@ def run(name: str, node_class) -> None:
     """
     sys.stdout, sys.stderr = LogStream(sys.stdout), LogStream(sys.stderr)
     logging.raiseExceptions = False  # a full disk must not end the node
-    try:
-        rospy.init_node(name, disable_signals=True)
-    except KeyboardInterrupt:  # while it waited for the master
-        sys.exit(1)
+    _register(name)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     logs = LogThreads()
     inbox = Inbox()
     ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores SIGHUP
-            signal.signal(number, lambda *_: inbox.end())
+    _on_end_signals(inbox.end)
     rospy.on_shutdown(lambda: _end_and_wait(inbox, ended))
     unregistered = threading.Event()
     rospy.core.add_shutdown_hook(lambda reason: unregistered.set())  # called after rospy's own hooks
     failed = False
     try:
-        spin(node_class, inbox)
+        spin(node_class, inbox, IdleCollector())
     except Exception as error:
         rospy.logfatal("%s", describe_error(error))
         failed = True
@@ -64,13 +66,43 @@ def run(name: str, node_class) -> None:
     sys.exit(1 if failed else 0)
 
 
-def spin(node_class, inbox: Inbox) -> None:
-    """Run a node in this thread: read its parameters, build it, step it until it ends, shut it down."""
+def _register(name):
+    """Register with the master, once no other node has the name; end silently on a signal until then."""
+    _on_end_signals(sys.exit)
+    claim = wait_for_name(own_name(name, sys.argv))
+    _on_end_signals(lambda: sys.exit(1))
+    with claim:
+        try:
+            rospy.init_node(name, disable_signals=True)
+        except rospy.ROSInitException:  # a node of the name on another computer has registered a little later
+            sys.exit(0)
+
+
+def _on_end_signals(act):
+    for number in END_SIGNALS:
+        if signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores SIGHUP
+            signal.signal(number, lambda *_: act())
+
+
+def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None) -> None:
+    """Run a node in this thread: read its parameters, build it, step it until it ends, shut it down.
+
+    Args:
+        collector: what collects garbage whenever the node is idle; ``None`` = another thread has that.
+    """
     name = inbox.node_name
-    node = node_class(Params(rospy.get_param(name, {}), lambda wanted: _search_parents(name, wanted)), inbox)
+
+    def build():
+        return node_class(Params(rospy.get_param(name, {}), lambda wanted: _search_parents(name, wanted)), inbox)
+    node = build_node(build, inbox)
+    if node is None:
+        return
     try:
         while not inbox.ending:
-            inbox.wait_until(node.step(time.monotonic_ns()))
+            due_ns = node.step(time.monotonic_ns())
+            if collector is not None and inbox.is_empty:
+                collector.step(time.monotonic_ns(), due_ns)
+            inbox.wait_until(due_ns)
     finally:
         node.shut_down()
 

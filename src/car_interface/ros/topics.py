@@ -23,9 +23,10 @@ def serve(name: str, service_type, inbox: Inbox, handler: Callable[[Any, Future]
     inbox.on_close(rospy.Service(inbox.resolve_name(name), service_type, handle).shutdown)
 
 
-def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10) -> None:
+def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10
+              ) -> rospy.Subscriber:
     """Subscribe so that ``handler(message, arrival_ns)`` runs in the node's thread, for each message, in order."""
-    _subscribe(topic, message_type, inbox, lambda message: inbox.put(handler, message), queue_size)
+    return _subscribe(topic, message_type, inbox, lambda message: inbox.put(handler, message), queue_size)
 
 
 def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None],
@@ -59,3 +60,4 @@ def _subscribe(topic, message_type, inbox, receive, queue_size=10):
                                   tcp_nodelay=True)
     inbox.subscribers.append(subscriber)
     inbox.on_close(subscriber.unregister)
+    return subscriber

@@ -1,86 +1,158 @@
-"""A PCA9685 in software for the pca9685 node, with faults that a service injects.
+"""A PCA9685 in software for the pca9685 node: a process of its own, which goes on pulsing when the node dies.
 
 Service:
     ~inject_fault (InjectFault): ``nack`` (number of the next transfers that fail), ``hold`` (the bus is held down, 1 or
         0), ``power`` (of the chip, 1 or 0), ``brownout`` (its registers are reset), ``address`` (its new address).
-Parameter:
+Parameters:
+    ~virtual_chip: the absolute path of the chip's socket. Its default differs by user, master, and name of the node:
+        two cars share none.
     ~virtual_log: the absolute path of a file to which each write to the chip is appended: monotonic time in ns,
         address, register and bytes.
 """
 from __future__ import annotations
 
+import errno
+import hashlib
+import os
+import subprocess
+import tempfile
 import time
-from typing import TextIO
 
+import rosgraph
+
+from car_interface.common import small_process
 from car_interface.common.errors import ConfigError
+from car_interface.common.file_lock import lock_byte
 from car_interface.ros.faults import serve_faults
-from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.sim.chip_link import FAULTS, ChipLink
+
+START_S = 5.0  # for the chip's process
+MAX_SOCKET_PATH = 107  # unix(7), without the final zero
+
+
+def chip_path(node_name: str) -> str:
+    """Where the chip of a pca9685 node listens, by the node's name with its namespace."""
+    folder = os.path.join(tempfile.gettempdir(), f"car_interface-{os.getuid()}")
+    name = node_name.strip("/").replace("/", "-")
+    digest = hashlib.sha256(f"{rosgraph.get_master_uri()} {node_name}".encode()).hexdigest()[:10]
+    return os.path.join(folder, f"{name[-40:]}-{digest}")
 
 
 class VirtualBoardBus:
-    """Opens and closes as a real bus does; the chip on it keeps its state.
+    """Opens and closes as a real bus does; starts the chip if it isn't there. The chip keeps its state.
 
     Args:
+        path: of the chip's socket.
         address: the chip's.
         log_path: that of ~virtual_log; ``None`` = no log.
 
     Raises:
-        ConfigError: the log can't be written.
+        ConfigError: path or log can't be used.
     """
 
-    def __init__(self, address: int, log_path: str | None = None):
+    kind = "virtual"
+
+    def __init__(self, path: str, address: int, log_path: str | None = None):
+        if len(os.fsencode(path)) > MAX_SOCKET_PATH:
+            raise ConfigError("virtual_chip", path, f"a path of at most {MAX_SOCKET_PATH} bytes")
+        _check_log(log_path)
+        self.path = path
         self._address = address
-        self._chip = VirtualPca9685()
-        self._log = _open_log(log_path)
-        self._bus = VirtualBus({address: self._chip}, time.sleep, self._log_write)
+        self._log_path = log_path
+        self._link = ChipLink(path, address)
+        self._process: subprocess.Popen | None = None
 
-    def open(self) -> VirtualBus:
-        """The bus."""
-        return self._bus
+    def open(self) -> VirtualSmbus:
+        """The bus.
 
-    def close(self, bus: VirtualBus) -> None:
-        """Nothing to close."""
+        Raises:
+            OSError: the chip can't be started, or another node has the lock.
+        """
+        self._connect()
+        try:
+            lock_byte(self._link.lock_fd(), self._address)
+        except OSError:
+            self._link.close()
+            raise
+        if self._log_path is not None:
+            self._link.log_to(self._log_path)
+        return VirtualSmbus(self._link)
+
+    def close(self, bus: VirtualSmbus) -> None:
+        """Disconnect."""
+        self._link.close()
 
     def serve(self, inbox) -> None:
         """Offer the faults."""
-        serve_faults(inbox, {
-            "nack": self._nack,
-            "hold": self._hold,
-            "power": self._power,
-            "brownout": lambda value: self._chip.power_up(),
-            "address": self._set_address,
-        })
+        serve_faults(inbox, {fault: lambda value, fault=fault: self._inject(fault, value) for fault in FAULTS})
 
-    def _nack(self, transfers):
-        if transfers < 0:
-            raise ConfigError("nack", transfers, "how many transfers shall fail, at least 0")
-        self._bus.nacks_left = int(transfers)
+    def _inject(self, fault, value):
+        if fault == "nack" and value < 0:
+            raise ConfigError("nack", value, "how many transfers shall fail, at least 0")
+        if fault == "address" and not 0 <= value <= 0x7F:
+            raise ConfigError("address", value, "0 to 127")
+        link = ChipLink(self.path, self._address)  # the node's may be closed
+        try:
+            link.open()
+            link.inject(fault, value)
+        except OSError as error:
+            raise ConfigError(fault, value, f"a virtual chip that runs ({error})") from error
+        finally:
+            link.close()
 
-    def _hold(self, on):
-        self._bus.held = bool(on)
+    def _connect(self):
+        deadline_s = time.monotonic() + START_S
+        while True:
+            try:
+                self._link.open()
+                return
+            except (FileNotFoundError, ConnectionRefusedError):
+                if time.monotonic() > deadline_s:
+                    raise OSError(errno.ENXIO, "the virtual chip's process doesn't start") from None
+            self._start()
+            time.sleep(0.01)
 
-    def _power(self, on):
-        if on:
-            self._chip.power_up()
-            self._bus.attach(self._address, self._chip)
-        else:
-            self._bus.remove(self._address)
-
-    def _set_address(self, address):
-        has_power = self._bus.remove(self._address) is not None
-        self._address = int(address)
-        if has_power:
-            self._bus.attach(self._address, self._chip)
-
-    def _log_write(self, address, register, data):
-        if self._log is not None:
-            self._log.write(f"{time.monotonic_ns()} {address:02x} {register:02x} {bytes(data).hex()}\n")
+    def _start(self):
+        """Start the chip's process; it ends by itself when another one serves the path."""
+        if self._process is not None and self._process.poll() is None:
+            return
+        folder = os.path.dirname(self.path)
+        os.makedirs(folder, mode=0o700, exist_ok=True)
+        if folder == os.path.dirname(chip_path("")) and os.stat(folder).st_uid != os.getuid():
+            raise PermissionError(errno.EACCES, "is another user's", folder)
+        self._process = subprocess.Popen(
+            small_process.command("sim.chip_server", self.path, str(self._address)), stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, cwd="/")
 
 
-def _open_log(path) -> TextIO | None:
+class VirtualSmbus:
+    """The methods of ``smbus2.SMBus`` that the board uses, over a link to a chip."""
+
+    def __init__(self, link: ChipLink):
+        self._link = link
+
+    def read_byte_data(self, address: int, register: int) -> int:
+        """As smbus2."""
+        return self._link.read(register, 1)[0]
+
+    def read_i2c_block_data(self, address: int, register: int, length: int) -> list[int]:
+        """As smbus2: at most 32 bytes."""
+        return list(self._link.read(register, length))
+
+    def write_byte_data(self, address: int, register: int, value: int) -> None:
+        """As smbus2."""
+        self._link.write(register, bytes((value,)))
+
+    def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
+        """As smbus2: at most 32 bytes."""
+        self._link.write(register, bytes(data))
+
+
+def _check_log(path) -> None:
     if path is None:
-        return None
+        return
     try:
-        return open(path, "a", buffering=1, encoding="ascii")
+        with open(path, "a", encoding="ascii"):
+            pass
     except OSError as error:
         raise ConfigError("virtual_log", path, f"a file that can be written ({error.strerror})") from error

@@ -144,6 +144,10 @@ class VirtualBus:
         """Take the chip at an address, if there is one, off the bus, as a loose wire does."""
         return self._chips.pop(address, None)
 
+    def has(self, address: int) -> bool:
+        """Whether a chip is on the bus at an address."""
+        return address in self._chips
+
     def attach(self, address: int, chip: VirtualPca9685) -> None:
         """Put a chip on the bus."""
         self._chips[address] = chip

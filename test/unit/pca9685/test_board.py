@@ -5,7 +5,7 @@ import errno
 
 import pytest
 
-from car_interface.pca9685.board import Board
+from car_interface.pca9685.board import Board, BoardMismatch, ForeignWrite
 from car_interface.pca9685.channels import differences
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
@@ -22,6 +22,7 @@ class Bench:
     def __init__(self):
         self.chip = VirtualPca9685()
         self.log = []
+        self.reads = []  # (register, length) of each block
         self.transfers = []  # bytes on the wire of each write, address and register included
         self._bus = VirtualBus({ADDRESS: self.chip},
                                on_write=lambda address, register, data: self.transfers.append(2 + len(data)))
@@ -32,6 +33,10 @@ class Bench:
 
     def read_byte_data(self, address, register):
         return self._bus.read_byte_data(address, register)
+
+    def read_i2c_block_data(self, address, register, length):
+        self.reads.append((register, length))
+        return self._bus.read_i2c_block_data(address, register, length)
 
     def write_byte_data(self, address, register, value):
         self._note(register, [value])
@@ -115,7 +120,7 @@ def test_chip_that_already_runs_so_is_neither_put_to_sleep_nor_interrupted(runni
     board.initialise()
     assert running.high_counts()[:2] == [CENTER, 4096]
     assert running.writes() == [(MODE1, [AUTO_INCREMENT]), (MODE2, [0x04])]
-    assert board.held == [None] * 16  # so that every channel is written anew
+    assert board.held == [CENTER, 4096] + [0] * 14  # what is published before the first write
 
 
 def test_chip_that_runs_without_auto_increment_gets_it(running):
@@ -209,6 +214,56 @@ def test_all_off_is_one_transfer_and_does_not_sleep(running):
     assert not running.chip.read(MODE1, 1)[0] & SLEEP
 
 
+def test_check_of_a_chip_that_holds_what_was_written_changes_nothing(running):
+    running.board.write({0: CENTER, 7: 4096})
+    held = running.board.held
+    running.log.clear()
+    for _ in range(8):
+        running.board.check()
+    assert running.board.held == held
+    assert running.log == []
+
+
+@pytest.mark.parametrize("channel, checks", [
+    pytest.param(0, 1, id="a_channel_that_is_on_in_the_next_check"),
+    pytest.param(2, 1, id="one_of_the_first_four_that_are_off_in_the_next_check"),
+    pytest.param(15, 4, id="the_last_one_that_is_off_in_the_fourth_check"),
+])
+def test_foreign_write_is_found_and_known(running, channel, checks):
+    running.board.write({0: CENTER, 1: 307})
+    written = {0: CENTER, 1: 307}.get(channel, 0)
+    running.chip.write(LED0_ON_L + 4 * channel, [0, 0, 0x10, 0x01])
+    for _ in range(checks - 1):
+        running.board.check()
+    with pytest.raises(ForeignWrite, match=f"^channel {channel} holds 272 counts, not {written}$"):
+        running.board.check()
+    assert running.board.held[channel] == 272
+    running.board.check()
+
+
+def test_check_reads_what_is_on_and_four_of_the_others_so_that_a_command_waits_for_3_ms_at_most(running):
+    running.board.write({0: CENTER, 1: 307})
+    for _ in range(5):
+        running.reads.clear()
+        running.board.check()
+        assert sum(length for _, length in running.reads) == 4 * (2 + 4)
+
+
+def test_chip_that_lost_its_power_is_a_mismatch_and_no_foreign_write(running):
+    running.board.write({0: CENTER})
+    running.chip.power_up()
+    with pytest.raises(BoardMismatch, match="MODE1 is 0x11") as caught:
+        running.board.check()
+    assert not isinstance(caught.value, ForeignWrite)
+
+
+def test_read_back_learns_what_another_program_wrote(running):
+    running.chip.write(0xFD, [0x00])
+    running.chip.write(LED0_ON_L + 4 * 9, [0, 0x10, 0, 0])
+    running.board.read_back()
+    assert running.board.held == [0] * 9 + [4096] + [0] * 6
+
+
 def test_list_of_what_is_held_is_a_copy(running):
     running.board.held[0] = 1234
     assert running.board.held[0] == 0
@@ -275,7 +330,7 @@ def test_all_off_not_acknowledged_leaves_every_channel_unknown(failing):
     assert board.held == [None] * 16
 
 
-@pytest.mark.parametrize("works_for", range(8))
+@pytest.mark.parametrize("works_for", range(12))
 def test_initialisation_that_fails_at_any_transfer_passes_the_error_on_and_can_be_repeated(works_for):
     bus = FailingBus(VirtualPca9685())
     Board(bus, ADDRESS, 122, 25e6, lambda seconds: None).initialise()

@@ -9,7 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for, prescale_for, register_bytes
+from car_interface.pca9685.registers import (
+    counts_of_duty,
+    counts_of_registers,
+    duty_of_counts,
+    frequency_for,
+    prescale_for,
+    register_bytes,
+)
 
 
 @pytest.mark.parametrize("duty, counts", [
@@ -99,3 +106,20 @@ def test_prescale_for_any_frequency_is_no_worse_than_its_neighbours(frequency_hz
 def test_prescale_for_frequency_out_of_reach_is_refused(frequency_hz):
     with pytest.raises(ConfigError, match=r"frequency is .*; accepted: 23.8 to 1526 Hz with this oscillator"):
         prescale_for(frequency_hz)
+
+
+@pytest.mark.parametrize("registers, counts", [
+    pytest.param((0x99, 0x01, 0xCC, 0x04), 0x4CC - 0x199, id="pulse_with_a_delay"),  # data sheet 7.3.3, example 1
+    pytest.param((0xFF, 0x0E, 0x32, 0x0B), 0xB32 - 0xEFF + 4096, id="pulse_across_the_period_s_end"),
+    pytest.param((0, 0x10, 0, 0), 4096, id="full_on"),
+    pytest.param((0, 0, 0, 0x10), 0, id="full_off"),
+    pytest.param((0, 0x10, 0, 0x10), 0, id="full_off_wins"),
+    pytest.param((0, 0, 0x3F, 0x11), 0, id="full_off_over_an_old_pulse"),
+])
+def test_counts_of_registers(registers, counts):
+    assert counts_of_registers(bytes(registers)) == counts_of_registers(list(registers)) == counts
+
+
+@given(st.integers(0, 4096))
+def test_registers_of_counts_give_the_counts_back(counts):
+    assert counts_of_registers(register_bytes(counts)) == counts

@@ -4,7 +4,16 @@ from __future__ import annotations
 import pytest
 
 from car_interface.pca9685.board import Board, BoardMismatch
-from car_interface.pca9685.supervisor import ABSENT, DISCONNECTED, MISMATCH, RETRIED, RUNNING, BoardSupervisor
+from car_interface.pca9685.supervisor import (
+    ABSENT,
+    DISCONNECTED,
+    FOREIGN,
+    FOUND,
+    MISMATCH,
+    RETRIED,
+    RUNNING,
+    BoardSupervisor,
+)
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 MS = 1_000_000
@@ -44,7 +53,7 @@ class Bench:
 
     def update(self, targets, after_ms=0):
         self.now_ns += after_ms * MS
-        self.supervisor.update(targets, self.now_ns)
+        self.supervisor.update(targets if callable(targets) else lambda: targets, self.now_ns)
 
     def update_when_due(self, targets):
         """Go on until an update is due; how many ms that took."""
@@ -64,7 +73,7 @@ def bench():
 @pytest.fixture
 def running(bench):
     bench.update(NEUTRAL)
-    assert bench.events == [RUNNING]
+    assert bench.events == [FOUND, RUNNING]
     bench.events.clear()
     bench.writes.clear()
     return bench
@@ -73,7 +82,7 @@ def running(bench):
 def test_first_call_opens_and_brings_every_channel_to_its_target(bench):
     bench.update(NEUTRAL)
     assert bench.supervisor.running
-    assert bench.events == [RUNNING]
+    assert bench.events == [FOUND, RUNNING]
     assert bench.pulses() == NEUTRAL
     assert bench.supervisor.held == NEUTRAL
 
@@ -166,6 +175,51 @@ def test_chip_that_lost_its_power_is_noticed_within_half_a_second(running, drive
     assert running.supervisor.tally.reinitialisations == 1
 
 
+def test_what_a_running_chip_holds_is_known_before_it_is_changed(running):
+    running.update(LEFT, 1)
+    running.supervisor.close()
+    found = []
+    running.supervisor = BoardSupervisor(running._open, running._close, running._board,
+                                         lambda event, error: found.append((event, running.supervisor.held)))
+    running.update(NEUTRAL, 1)
+    assert found == [(FOUND, LEFT), (RUNNING, NEUTRAL)]
+
+
+def test_channel_that_another_program_wrote_is_reported_and_written_anew(running):
+    running.chip.write(0x06, [0, 0, 0, 0x08])
+    running.update_when_due(NEUTRAL)
+    assert running.events == [FOREIGN]
+    assert running.pulses() == NEUTRAL
+    assert running.supervisor.tally.foreign_writes == 1
+
+
+def test_what_another_program_wrote_is_known_after_reading_back(running):
+    running.chip.write(0x06, [0, 0, 0, 0x08])
+    running.supervisor.read_back(running.now_ns)
+    assert running.supervisor.held == [2048] + [0] * 15
+    running.bus.nacks_left = 2
+    running.supervisor.read_back(running.now_ns)
+    assert not running.supervisor.running
+    running.supervisor.read_back(running.now_ns)
+
+
+def test_repetition_after_a_failure_writes_what_is_wanted_by_then(running):
+    wanted = [LEFT]
+
+    def targets():
+        return wanted[0]
+
+    def fail_slowly(register, data, write=running.chip.write):
+        wanted[0] = NEUTRAL[:1] + [307] + [0] * 14  # it took so long that the command has expired
+        running.chip.write = write
+        raise TimeoutError(110, "Connection timed out")
+    running.chip.write = fail_slowly
+    running.update(targets, 1)
+    assert running.events == [RETRIED]
+    assert running.pulses() == wanted[0]
+    assert LEFT[0] not in [write[2][2] + 256 * write[2][3] for write in running.writes]
+
+
 def test_chip_that_is_fine_is_asked_twice_a_second_and_not_written_to(running):
     for _ in range(4):
         assert running.update_when_due(NEUTRAL) == 500
@@ -178,7 +232,7 @@ def test_chip_that_does_not_keep_its_prescale_counts_as_absent(bench):
     bench.update(NEUTRAL)
     assert bench.events == [ABSENT]
     with pytest.raises(BoardMismatch, match="MODE1 is 0x11 and PRE_SCALE 30, not 0x20 and 121"):
-        bench.supervisor.open(NEUTRAL, NOW)
+        bench.supervisor.open(lambda: NEUTRAL, NOW)
 
 
 def test_all_off_is_repeated_once_and_tells_whether_it_worked(running):

@@ -77,7 +77,7 @@ def test_gamepad_that_is_unusable_is_an_error_with_its_reason(cause, reason, tmp
 
 def test_deadman_that_is_let_go_is_no_loss(tmp_path):
     seen, text = report(tmp_path, drive())
-    assert "stopped" not in text and seen.faults.entries == []
+    assert "The car was stopped" not in text and seen.faults.entries == []
     assert "Went neutral once: human absent" in " ".join(text.split())
 
 
@@ -115,7 +115,8 @@ def states(*steps):
     faults = FaultLog()
     watch = GamepadWatch(faults, 60.0)
     for time_s, cause, reason in steps:
-        watch.on_state(time_s, SimpleNamespace(cause=cause, reason=reason))
+        watch.on_state(time_s, SimpleNamespace(
+            cause=cause, reason=reason, human_in_loop=cause in (causes.MANUAL, causes.AUTONOMOUS)))
     return watch, faults
 
 
@@ -132,15 +133,18 @@ def test_gamepad_that_comes_a_moment_after_its_node_is_none():
 
 
 @pytest.mark.parametrize("time_s, cause", [
-    pytest.param(9.7, None, id="before"),
-    pytest.param(9.9, causes.JOY_STALE, id="recorded_before_it"),
-    pytest.param(10.1, causes.JOY_STALE, id="recorded_after_it"),
-    pytest.param(10.5, causes.NOT_REARMED, id="while_the_next_lasts"),
-    pytest.param(12.3, None, id="after"),
+    pytest.param(8.9, None, id="before"),
+    pytest.param(9.5, causes.JOY_STALE, id="recorded_before_it_by_a_busy_computer"),
+    pytest.param(10.02, causes.JOY_STALE, id="recorded_after_it_while_the_next_lasts"),
+    pytest.param(11.5, causes.NOT_REARMED, id="while_the_next_lasts"),
+    pytest.param(14.0, None, id="after"),
+    pytest.param(20.0, None, id="let_go_and_switched_off_at_once"),
+    pytest.param(22.0, causes.JOY_STALE, id="while_it_is_off"),
 ])
 def test_loss_is_found_by_its_time(time_s, cause):
-    watch, _ = states((0.0, causes.MANUAL, ""), (10.0, causes.JOY_STALE, ""), (10.1, causes.NOT_REARMED, ""),
-                      (12.0, causes.NO_DEADMAN, ""))
+    watch, _ = states((0.0, causes.MANUAL, ""), (10.0, causes.JOY_STALE, ""), (10.01, causes.NOT_REARMED, ""),
+                      (12.0, causes.NO_DEADMAN, ""), (15.0, causes.MANUAL, ""), (20.0, causes.NO_DEADMAN, ""),
+                      (20.3, causes.JOY_STALE, ""))
     found = watch.loss_at(time_s)
     assert (found and found.cause) == cause
 

@@ -12,7 +12,8 @@ ROOT = Path(__file__).resolve().parents[3]
 SCRIPTS = sorted((ROOT / "scripts").iterdir())
 NODES = [script for script in SCRIPTS if '"nodes.' in script.read_text(encoding="utf-8")]
 COMMANDS = [script for script in SCRIPTS if script not in NODES]
-LIBRARIES = {"setup_hardware": "rospkg"}  # ROS's own, which an interpreter for unit tests may lack
+# ROS's own, which an interpreter for unit tests may lack.
+LIBRARIES = {"setup_hardware": "rospkg", "wait_for_name": "rosgraph"}
 
 
 def run(script, *arguments, flags=(), path=""):

@@ -1,0 +1,52 @@
+"""POSIX locks on a file: whoever drives a device holds one, and the kernel drops it when its holder dies.
+
+A device on a bus is locked by the byte of its address. Its guards lock a byte by their time of start, so that an older
+one finds a newer one. A process loses its locks when it closes any of its descriptors of that file.
+"""
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+
+NOBODY = 0
+MAX_GENERATION = 1 << 44  # ms: 550 years
+_FLOCK = struct.Struct("hhqqi")  # struct flock with 64-bit offsets: type, whence, start, length, pid
+
+
+def lock_byte(fd: int, offset: int) -> None:
+    """Lock one byte.
+
+    Raises:
+        OSError: EAGAIN or EACCES: another process has it.
+    """
+    fcntl.lockf(fd, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, offset)
+
+
+def lock_holder(fd: int, offset: int, length: int = 1) -> int:
+    """A process that has locked one of the bytes; ``NOBODY``, too, for the one that asks.
+
+    Raises:
+        OSError: the file can't be locked.
+    """
+    wanted = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, offset, length, 0)
+    lock_type, _, _, _, pid = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_GETLK, wanted))
+    return NOBODY if lock_type == fcntl.F_UNLCK else pid
+
+
+def lock_generation(fd: int, address: int, generation: int) -> None:
+    """Lock the byte of a generation, 0..MAX_GENERATION − 1, at an address above 0.
+
+    Raises:
+        OSError: the file can't be locked.
+    """
+    lock_byte(fd, address * MAX_GENERATION + generation)
+
+
+def newer_generation(fd: int, address: int, generation: int) -> int:
+    """A process that has locked a newer generation at an address, or ``NOBODY``.
+
+    Raises:
+        OSError: the file can't be locked.
+    """
+    return lock_holder(fd, address * MAX_GENERATION + generation + 1, MAX_GENERATION - generation - 1)

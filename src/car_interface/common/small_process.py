@@ -1,0 +1,29 @@
+"""Runs a module's ``main`` in an interpreter of its own without site packages: it starts quickly and stays small.
+
+As a program: ``python3 -S -I small_process.py MODULE ARGUMENT...``. Neither the user's environment nor the folder that
+it runs in decides what it imports: the package is found by the place of this file.
+"""
+from __future__ import annotations
+
+import os
+import sys
+
+
+def command(module: str, *arguments: str) -> list:
+    """The command that runs ``main`` of ``car_interface.<module>``, on this interpreter."""
+    options = ["-B"] if sys.dont_write_bytecode else []
+    if sys.pycache_prefix is not None:
+        options += ["-X", f"pycache_prefix={sys.pycache_prefix}"]
+    return [sys.executable, "-S", "-I", *options, os.path.abspath(__file__), f"car_interface.{module}", *arguments]
+
+
+def main() -> None:
+    """Run the module that the command line names; its ``main`` finds its arguments in ``sys.argv[1:]``."""
+    sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))))
+    del sys.argv[0]
+    __import__(sys.argv[0])
+    sys.modules[sys.argv[0]].main()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""The guard of a servo board: a small process beside the pca9685 node, which acts when that is dead or frozen.
+
+The node starts it, see ``ros.guard_link``; it is no ROS node. ``pca9685.guard`` decides, ``pca9685.guard_board``
+writes. It has a session of its own and ignores the signals that end a node: the node tells it when all is well. Its
+arguments: ``i2c`` and the bus's path, or ``virtual`` and the chip's socket; the chip's address, the node's process, the
+time to full off in ns, and the descriptors of the two pipes.
+"""
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import time
+
+from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.pca9685 import guard_board
+from car_interface.pca9685.guard import ASSERT, CHECK, END, NOTHING, PROBE, SWITCH_OFF, Guard
+from car_interface.pca9685.guard_protocol import ACTING, OFF, SAFE, WATCHING
+
+MAX_WAIT_S = 60.0
+EVENTS = {WATCHING: "the node is back", SAFE: "every channel is at its timeout value", OFF: "every output is off"}
+
+
+class GuardProcess:
+    """Reads the node's pipe, does what the guard decides, and answers.
+
+    Args:
+        device: the chip, as ``pca9685.i2c_device.I2cDevice``.
+        node_pid: whose lock doesn't stop the guard.
+        node_fd, answer_fd: the two pipes.
+        log: called with a line.
+    """
+
+    def __init__(self, device, guard: Guard, node_pid: int, node_fd: int, answer_fd: int, log):
+        self._device = device
+        self._guard = guard
+        self._node_pid = node_pid
+        self._node_fd = node_fd
+        self._answer_fd = answer_fd
+        self._log = log
+        self._state = guard.state
+        self._generation = time.monotonic_ns() // NS_PER_MS
+
+    def run(self) -> None:
+        """Guard until the node has ended and the chip is safe, or another node has it."""
+        while True:
+            is_heard = self._receive()
+            action = self._guard.action(time.monotonic_ns())
+            if action == END:
+                return
+            self._report(is_heard)  # before a transfer, which may last
+            if action != NOTHING:
+                self._do(action)
+                self._report(False)
+
+    def _receive(self):
+        """Wait for the node or for the time; whether the node wrote something."""
+        wait_s = (self._guard.next_due_ns() - time.monotonic_ns()) / NS_PER_S
+        watched = [] if self._guard.node_is_dead else [self._node_fd]
+        if not select.select(watched, [], [], max(0.0, min(wait_s, MAX_WAIT_S)))[0]:
+            return False
+        self._guard.receive(os.read(self._node_fd, 4096), time.monotonic_ns())
+        return True
+
+    def _do(self, action):
+        device, guard = self._device, self._guard
+        try:
+            device.open()
+            if action != PROBE and self._is_replaced():
+                self._log("another node has the board")
+                guard.finish()
+                return
+            if action != PROBE or guard.node_has_reached:
+                device.claim(self._generation)
+            self._transfer(action)
+        except OSError as error:
+            device.close()
+            if guard.is_acting:
+                self._log(f"it can't be reached: {error}")
+            guard.failed(action, error.errno, time.monotonic_ns())
+            if guard.node_is_dead and device.is_gone(error):
+                guard.finish()
+        else:
+            guard.succeeded(action, time.monotonic_ns())
+
+    def _is_replaced(self):
+        """Whether a node has the board that isn't this guard's, or had it and left it to a guard of its own."""
+        return self._device.lock_holder() not in (0, self._node_pid) or self._device.successor(self._generation)
+
+    def _transfer(self, action):
+        device, counts = self._device, self._guard.timeout_counts
+        if action == PROBE:
+            guard_board.probe(device)
+        elif action == ASSERT:
+            guard_board.write_counts(device, counts)
+        elif action == CHECK and guard_board.keep_counts(device, counts):
+            self._log("a channel held something else: brought back to its timeout value")
+        elif action == SWITCH_OFF:
+            guard_board.switch_off(device)
+
+    def _report(self, is_heard):
+        """Answer a sign of life, and tell the node and the log of a new state."""
+        state = self._guard.state
+        if state != self._state:
+            if state == ACTING and self._state == WATCHING:
+                self._log("the node is " + ("dead" if self._guard.node_is_dead else "silent"))
+            elif self._state >= ACTING and state in EVENTS:
+                self._log(EVENTS[state])
+        if is_heard or state != self._state:
+            try:
+                os.write(self._answer_fd, self._guard.status())
+            except OSError:
+                pass  # it is dead, or frozen for long
+        self._state = state
+
+
+def make_device(kind: str, path: str, address: int):
+    """The chip at an address of a bus, or behind the socket of a virtual one. Only what is needed is imported."""
+    if kind == "virtual":
+        from car_interface.sim.chip_link import ChipLink
+        return ChipLink(path, address)
+    from car_interface.pca9685.i2c_device import I2cDevice
+    return I2cDevice(path, address)
+
+
+class Log:
+    """Writes lines to the standard error, which the node has made a file; none twice in succession."""
+
+    def __init__(self, name: str):
+        self._name = name
+        self._last = ""
+
+    def write(self, text: str) -> None:
+        """Write a line, with the time."""
+        if text == self._last:
+            return
+        self._last = text
+        try:
+            print(time.strftime("%Y-%m-%d %H:%M:%S"), f"{self._name}: {text}", file=sys.stderr, flush=True)
+        except OSError:
+            pass
+
+
+def main() -> None:
+    """Run the guard."""
+    kind, path = sys.argv[1:3]
+    address, node_pid, off_after_ns, node_fd, answer_fd = map(int, sys.argv[3:8])
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    os.set_blocking(answer_fd, False)
+
+    log = Log(f"guard of 0x{address:02x} on {path}, node {node_pid}")
+    GuardProcess(make_device(kind, path, address), Guard(off_after_ns), node_pid, node_fd, answer_fd, log.write).run()

@@ -1,0 +1,93 @@
+"""What a guard does to the chip: over any device with ``read(register, length)`` and ``write(register, data)``.
+
+Errors of the bus (OSError) pass through to the caller. It never wakes or initialises a chip: one that sleeps, as after
+a loss of power, pulses nothing.
+"""
+from __future__ import annotations
+
+import errno
+
+from car_interface.common.servo_channels import CHANNELS
+from car_interface.pca9685.registers import (
+    ALL_LED_OFF_H,
+    AUTO_INCREMENT,
+    FULL_BIT,
+    LED0_ON_L,
+    MODE1,
+    RESTART,
+    SLEEP,
+    counts_of_registers,
+    register_bytes,
+)
+
+BLOCK = 32  # bytes that an SMBus block transfer carries: eight channels
+CHANNELS_PER_BLOCK = BLOCK // 4
+OFF = (0,) * CHANNELS
+
+
+def probe(device) -> None:
+    """Read a register."""
+    device.read(MODE1, 1)
+
+
+def write_counts(device, counts) -> None:
+    """Bring every channel to its counts, 0..4096, and verify that by reading back.
+
+    Raises:
+        OSError: of the bus; EIO: the chip doesn't hold what was written.
+    """
+    if not _is_awake(device):
+        return
+    _write_all(device, counts)
+    _verify(device, counts)
+
+
+def keep_counts(device, counts) -> bool:
+    """Bring the channels to these counts if they hold others; whether they did.
+
+    Raises:
+        OSError: as ``write_counts``.
+    """
+    if not _is_awake(device) or _read_all(device) == list(counts):
+        return False
+    _write_all(device, counts)
+    _verify(device, counts)
+    return True
+
+
+def switch_off(device) -> None:
+    """Set the full-off bit of all channels, unless they are off, and verify it.
+
+    Raises:
+        OSError: as ``write_counts``.
+    """
+    if _is_awake(device) and _read_all(device) != list(OFF):
+        device.write(ALL_LED_OFF_H, bytes((FULL_BIT,)))
+        _verify(device, OFF)
+
+
+def _is_awake(device):
+    """Whether the chip pulses; one that does gets auto-increment, which block transfers need."""
+    mode1 = device.read(MODE1, 1)[0]
+    if mode1 & SLEEP:
+        return False
+    if not mode1 & AUTO_INCREMENT:
+        device.write(MODE1, bytes((mode1 & ~RESTART | AUTO_INCREMENT,)))
+    return True
+
+
+def _write_all(device, counts):
+    for first in range(0, CHANNELS, CHANNELS_PER_BLOCK):
+        block = counts[first: first + CHANNELS_PER_BLOCK]
+        device.write(LED0_ON_L + 4 * first, b"".join(register_bytes(each) for each in block))
+
+
+def _read_all(device):
+    registers = b"".join(bytes(device.read(LED0_ON_L + 4 * first, BLOCK))
+                         for first in range(0, CHANNELS, CHANNELS_PER_BLOCK))
+    return [counts_of_registers(registers[4 * channel: 4 * channel + 4]) for channel in range(CHANNELS)]
+
+
+def _verify(device, counts):
+    if _read_all(device) != list(counts):
+        raise OSError(errno.EIO, "the chip doesn't hold what was written")

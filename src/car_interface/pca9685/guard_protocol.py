@@ -1,0 +1,90 @@
+"""What the pca9685 node and its guard write into the two pipes between them. Both run on one computer.
+
+From the node: signs of life with the timeout values; the last of them says that it has ended and left the chip safe.
+From the guard: its state, as the answer to each sign of life and whenever the state changes.
+"""
+from __future__ import annotations
+
+import struct
+
+from car_interface.common.servo_channels import CHANNELS
+
+# Kinds of a node's messages.
+ALIVE, ENDING, ENDED = 0, 1, 2
+
+# States of the guard.
+WAITING = 0  # for the node's first sign of life
+WATCHING = 1
+ACTING = 2  # the node is silent or dead; the timeout values are not verified yet
+SAFE = 3  # the chip holds the timeout values, by reading back
+OFF = 4  # every output is off, by reading back
+
+NOT_TRIED = -1  # as ``error`` of a guard that has not reached for the chip yet
+
+# Kind; whether the node has reached its chip, 0 or 1; sequence number; the newest intervention of which it knows;
+# counts of the timeout values, 0..4096.
+_NODE = struct.Struct(f"=BBII{CHANNELS}H")
+# State; sequence number of the last sign of life; number of interventions; errno of the last attempt on the chip, 0 =
+# it worked.
+_GUARD = struct.Struct("=BIIi")
+
+
+class NodeMessage:
+    """One message of the node; the attributes are those of ``_NODE``."""
+
+    def __init__(self, kind, has_reached, sequence, acknowledged, timeout_counts):
+        self.kind = kind
+        self.has_reached = has_reached
+        self.sequence = sequence
+        self.acknowledged = acknowledged
+        self.timeout_counts = timeout_counts
+
+    def encode(self) -> bytes:
+        """The bytes: fewer than PIPE_BUF, so that a pipe takes all or none of them."""
+        return _NODE.pack(self.kind, self.has_reached, self.sequence, self.acknowledged, *self.timeout_counts)
+
+
+class GuardMessage:
+    """One message of the guard; the attributes are those of ``_GUARD``."""
+
+    def __init__(self, state, sequence, interventions, error):
+        self.state = state
+        self.sequence = sequence
+        self.interventions = interventions
+        self.error = error
+
+    def encode(self) -> bytes:
+        """The bytes."""
+        return _GUARD.pack(self.state, self.sequence, self.interventions, self.error)
+
+
+class MessageReader:
+    """Messages out of the bytes of a pipe.
+
+    Args:
+        decode: makes a message of one structure's fields.
+    """
+
+    def __init__(self, structure, decode):
+        self._structure = structure
+        self._decode = decode
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list:
+        """The messages that are complete with these bytes, oldest first."""
+        self._buffer += data
+        size = self._structure.size
+        whole = len(self._buffer) // size * size
+        complete, self._buffer = self._buffer[:whole], self._buffer[whole:]
+        return [self._decode(*fields) for fields in self._structure.iter_unpack(complete)]
+
+
+def node_reader() -> MessageReader:
+    """Reads what the node wrote."""
+    return MessageReader(_NODE, lambda kind, has_reached, sequence, acknowledged, *counts: NodeMessage(
+        kind, bool(has_reached), sequence, acknowledged, counts))
+
+
+def guard_reader() -> MessageReader:
+    """Reads what the guard wrote."""
+    return MessageReader(_GUARD, GuardMessage)

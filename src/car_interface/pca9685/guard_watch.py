@@ -1,0 +1,121 @@
+"""The node's view of its guard: is it there, has it acted, and may commands be obeyed?
+
+A node that stood still for longer than the guard waits was overruled: the guard has brought the chip to its timeout
+values. It obeys again once the guard has answered a sign of life that came after that, so that the guard's last write
+comes before the node's first.
+
+Pure: bytes of the guard's pipe and ``now_ns`` in.
+"""
+from __future__ import annotations
+
+import math
+from typing import Sequence
+
+from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.pca9685.guard import SILENCE_NS
+from car_interface.pca9685.guard_protocol import ALIVE, NOT_TRIED, WAITING, WATCHING, NodeMessage, guard_reader
+
+PERIOD_NS = 50 * NS_PER_MS  # of the signs of life: a fifth of what the guard waits
+ANSWER_NS = 400 * NS_PER_MS  # a guard that doesn't answer for so long hangs
+BUSY_NS = 3 * NS_PER_S  # one that starts, or may wait for a transfer on a bus that is held
+
+
+class GuardWatch:
+    """What the node knows of its guard.
+
+    Attributes:
+        is_present: a guard runs and answers, as far as is known.
+        error: errno of the guard's last attempt on the chip; 0 = it worked, NOT_TRIED = none yet.
+        interventions: how often guards have acted, as far as the node knows.
+    """
+
+    def __init__(self):
+        self.is_present = False
+        self.error = NOT_TRIED
+        self.interventions = 0
+        self._messages = guard_reader()
+        self._sequence = 0
+        self._sent_ns = -math.inf  # the newest sign of life
+        self._has_reached = False  # the chip, by then: before, there was nothing to stand still with
+        self._answer_due_ns = math.inf
+        self._state = WAITING
+        self._interventions = self._acknowledged = 0
+        self._obeys_from = 0  # the sign of life that the guard must have answered
+
+    @property
+    def due_ns(self) -> float:
+        """When the next sign of life is due."""
+        return self._sent_ns + PERIOD_NS
+
+    @property
+    def watches(self) -> bool:
+        """Whether the guard is there and has heard from the node."""
+        return self.is_present and self._state == WATCHING
+
+    @property
+    def holds(self) -> bool:
+        """Whether commands must be ignored, since the guard may still be writing."""
+        return self.is_present and self._obeys_from > 0
+
+    def start(self, now_ns: int) -> None:
+        """A new guard was started."""
+        self.is_present = True
+        self.error = NOT_TRIED
+        self._messages = guard_reader()
+        self._answer_due_ns = now_ns + BUSY_NS
+        self._state = WAITING
+        self._interventions = self._acknowledged = self._obeys_from = 0
+
+    def lose(self) -> None:
+        """The guard is gone."""
+        self.is_present = False
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Take bytes of the guard's pipe."""
+        for message in self._messages.feed(data):
+            is_busy = message.state != WATCHING or message.error != 0
+            self._answer_due_ns = now_ns + (BUSY_NS if is_busy else ANSWER_NS)
+            self.interventions += message.interventions - self._interventions
+            self._state, self._interventions, self.error = message.state, message.interventions, message.error
+            if message.state == WATCHING and message.sequence >= self._obeys_from:
+                self._obeys_from = 0
+
+    def was_overruled(self) -> bool:
+        """Whether the guard has acted since it was last asked, or said that it did."""
+        is_new = self.is_present and self._interventions != self._acknowledged
+        if is_new:
+            self._acknowledge()
+        return is_new
+
+    def stood_still_ns(self, now_ns: int) -> int:
+        """For how long the node gave no sign of life, if that was too long for the guard; 0 = it wasn't."""
+        if not self.is_late(now_ns):
+            return 0
+        self._acknowledge()
+        self._answer_due_ns = max(self._answer_due_ns, now_ns + ANSWER_NS)  # it could not be heard
+        return int(now_ns - self._sent_ns)
+
+    def is_late(self, now_ns: int) -> bool:
+        """Whether the newest sign of life is so old that the guard acts."""
+        return self._has_reached and now_ns - self._sent_ns >= SILENCE_NS
+
+    def _acknowledge(self):
+        self._acknowledged = self._interventions
+        self._obeys_from = self._sequence + 1
+
+    def hangs(self, now_ns: int) -> bool:
+        """Whether the guard owes an answer for too long."""
+        return self.is_present and now_ns > self._answer_due_ns
+
+    def sign_of_life(self, now_ns: int, timeout_counts: Sequence[int], has_reached: bool, kind: int = ALIVE) -> bytes:
+        """The bytes to write into the guard's pipe now.
+
+        Args:
+            timeout_counts: of each channel, 0..4096.
+            has_reached: whether the chip was ever reached, so that it may be pulsing.
+            kind: ALIVE, ENDING or ENDED.
+        """
+        self._sequence += 1
+        self._sent_ns = now_ns
+        self._has_reached = has_reached
+        return NodeMessage(kind, has_reached, self._sequence, self._acknowledged, timeout_counts).encode()

@@ -1,0 +1,84 @@
+"""One chip on an I²C bus of Linux, by the kernel's SMBus calls: all that the guard needs, without smbus2 and ctypes.
+
+The calls are those that smbus2 makes for the node, so the guard works on every adapter that the node works on.
+"""
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+from array import array
+
+from car_interface.common.file_lock import lock_generation, lock_holder, newer_generation
+
+I2C_SLAVE, I2C_SMBUS = 0x0703, 0x0720  # linux/i2c-dev.h
+_WRITE, _READ = 0, 1  # linux/i2c.h
+_BLOCK_DATA = 8  # I2C_SMBUS_I2C_BLOCK_DATA: so many bytes as the first one says
+_REQUEST = struct.Struct("BBIP")  # struct i2c_smbus_ioctl_data: direction, register, size, pointer to the data
+_DATA_SIZE = 34  # union i2c_smbus_data: a length, up to 32 bytes, and one more
+
+
+class I2cDevice:
+    """A chip on a bus; opened when it is first needed, and again after ``close``.
+
+    Args:
+        path: of the bus.
+        address: of the chip, 7 bits. A lock on this byte of the bus's file is its node's.
+    """
+
+    def __init__(self, path: str, address: int):
+        self._path = path
+        self._address = address
+        self._fd = -1
+
+    def open(self) -> None:
+        """Open the bus, unless it is open.
+
+        Raises:
+            OSError: it can't be opened, or is no I²C bus.
+        """
+        if self._fd >= 0:
+            return
+        self._fd = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            fcntl.ioctl(self._fd, I2C_SLAVE, self._address)
+        except OSError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the bus."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def lock_holder(self) -> int:
+        """The process that has locked this chip; 0 = none."""
+        return lock_holder(self._fd, self._address)
+
+    def claim(self, generation: int) -> None:
+        """Let older guards of this chip know that there is a newer one."""
+        lock_generation(self._fd, self._address, generation)
+
+    def successor(self, generation: int) -> int:
+        """The process of a newer guard; 0 = none."""
+        return newer_generation(self._fd, self._address, generation)
+
+    def is_gone(self, error: OSError) -> bool:
+        """Whether an error means that there is no chip any more: never, as a bus on USB may come back."""
+        return False
+
+    def read(self, register: int, length: int) -> bytes:
+        """Read 1..32 registers, in one transfer."""
+        data = array("B", bytes((length,)).ljust(_DATA_SIZE, b"\0"))
+        self._transfer(_READ, register, data)
+        return data[1: 1 + length].tobytes()
+
+    def write(self, register: int, values: bytes) -> None:
+        """Write 1..32 registers, in one transfer."""
+        data = array("B", (bytes((len(values),)) + values).ljust(_DATA_SIZE, b"\0"))
+        self._transfer(_WRITE, register, data)
+
+    def _transfer(self, direction, register, data):
+        pointer, _ = data.buffer_info()
+        fcntl.ioctl(self._fd, I2C_SMBUS, _REQUEST.pack(direction, register, _BLOCK_DATA, pointer))

@@ -1,0 +1,213 @@
+"""The pca9685 node's link to its guard: starts the process, gives it signs of life, and sees whether it is there.
+
+``nodes/pca9685_guard.py`` is the guard. It is started anew when it dies or hangs.
+"""
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import time
+from typing import Sequence
+
+import rospy
+
+from car_interface.common import small_process
+from car_interface.common.causes import GUARD_ABSENT, GUARD_BLOCKED
+from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.pca9685.guard import GIVE_UP_NS
+from car_interface.pca9685.guard_protocol import ALIVE, ENDED, ENDING, NOT_TRIED
+from car_interface.pca9685.guard_watch import GuardWatch
+from car_interface.ros.diagnostics import ERROR, OK, WARN
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+
+RESTART_PAUSE_NS = 500 * NS_PER_MS  # between two starts
+SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics tells of a guard that was lost and is back
+MINUTE_NS = 60 * NS_PER_S
+END_S = 0.3  # for a guard that was told to end
+READ_SIZE = 4096
+
+
+class GuardLink:
+    """One node's guard.
+
+    Args:
+        kind, path: ``i2c`` and the bus, or ``virtual`` and the socket of a virtual chip.
+        address: the chip's.
+        off_after_ns: when the guard switches everything off; ``None`` = there is no guard.
+        board: the board's name, for log lines.
+        warnings: the node's.
+    """
+
+    def __init__(self, kind: str, path: str, address: int, off_after_ns: int | None, board: str,
+                 warnings: ThrottledWarnings):
+        self.watch = GuardWatch()
+        self._board = (kind, path, address)
+        self._off_after_ns = off_after_ns
+        self._board_name = board
+        self._warnings = warnings
+        self._process: subprocess.Popen | None = None
+        self._pipes: list[io.FileIO] = []  # to and from the guard
+        self._start_ns = 0  # not before
+        self._fault = "it has not been started yet"  # why there is none
+        self._lost_ns = 0  # when it was lost last
+        self._losses = 0
+        self._is_reported = True  # the log knows whether it is there
+
+    @property
+    def due_ns(self) -> float:
+        """When ``step`` must be called next."""
+        return self.watch.due_ns
+
+    @property
+    def pid(self) -> int:
+        """Of the guard's process; 0 = there is none."""
+        return self._process.pid if self._process else 0
+
+    def receive(self, now_ns: int) -> None:
+        """Take what the guard has written, and see whether it is there."""
+        if self._process is None:
+            return
+        while True:
+            try:
+                data = os.read(self._pipes[1].fileno(), READ_SIZE)
+            except BlockingIOError:
+                break
+            if not data:
+                self._lose(now_ns, f"it has ended ({self._exit_text()})")
+                return
+            self.watch.receive(data, now_ns)
+        if not self._is_reported and self.watch.watches:
+            self._is_reported = True
+            rospy.loginfo("the guard of %s watches again after %.2f s", self._board_name,
+                          (now_ns - self._lost_ns) / NS_PER_S)
+
+    def step(self, now_ns: int, timeout_counts: Sequence[int], has_reached: bool) -> None:
+        """Start the guard if there is none, and give a sign of life if one is due.
+
+        Args:
+            timeout_counts: of each channel, 0..4096.
+            has_reached: whether the node ever reached its chip, so that it may be pulsing.
+        """
+        if self._process is not None and self.watch.hangs(now_ns):
+            self._lose(now_ns, "it doesn't answer")
+        if self._process is None and self._off_after_ns is not None and now_ns >= self._start_ns:
+            self._start(now_ns)
+        if now_ns >= self.watch.due_ns:
+            self._write(self.watch.sign_of_life(now_ns, timeout_counts, has_reached, ALIVE))
+
+    def leave_to_node(self, now_ns: int, timeout_counts: Sequence[int]) -> None:
+        """Have the guard leave the chip to this node, which makes it safe now, for as long as it lives."""
+        self._write(self.watch.sign_of_life(now_ns, timeout_counts, True, ENDING))
+
+    def end(self, now_ns: int, timeout_counts: Sequence[int], is_safe: bool) -> None:
+        """End the guard, or, with a chip that isn't safe, leave it to the guard to go on trying."""
+        if self._process is None:
+            return
+        if is_safe:
+            self._write(self.watch.sign_of_life(now_ns, timeout_counts, True, ENDED))
+        process = self._process
+        self._close()
+        if not is_safe:
+            return
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()  # it hangs, and there is nothing left to guard
+
+    def outlook(self) -> str:
+        """What to add to the report of a node that ends without having reached its board."""
+        return f"; its guard goes on trying for {GIVE_UP_NS // MINUTE_NS} minutes" if self.watch.is_present else ""
+
+    def _start(self, now_ns):
+        self._start_ns = now_ns + RESTART_PAUSE_NS
+        try:
+            self._open()
+        except OSError as error:
+            self._lose(now_ns, f"it can't be started ({error.strerror or error})")
+            return
+        self.watch.start(time.monotonic_ns())
+
+    def _open(self):
+        guard_in, node_out = os.pipe()
+        node_in, guard_out = os.pipe()
+        # Closed by the garbage collector at the latest: a part of car_nodes may end by an error anywhere.
+        ends = [io.FileIO(fd) for fd in (guard_in, guard_out)]
+        self._pipes = [io.FileIO(node_out, "w"), io.FileIO(node_in)]
+        os.set_blocking(node_out, False)
+        os.set_blocking(node_in, False)
+        arguments = (*self._board, os.getpid(), self._off_after_ns, guard_in, guard_out)
+        command = small_process.command("nodes.pca9685_guard", *map(str, arguments))
+        with _open_log() as log:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log,
+                pass_fds=(guard_in, guard_out), start_new_session=True, cwd="/")
+        for end in ends:
+            end.close()
+
+    def _write(self, data):
+        if self._process is not None:
+            try:
+                os.write(self._pipes[0].fileno(), data)
+            except OSError:
+                pass  # it is dead, or hangs: told by its answers
+
+    def _exit_text(self):
+        try:
+            code = self._process.wait(0.01)
+        except subprocess.TimeoutExpired:
+            return "its pipe is closed"
+        return f"killed by signal {-code}" if code < 0 else f"exit code {code}"
+
+    def _lose(self, now_ns, fault):
+        if self._process is not None:
+            self._process.kill()
+            self._close()
+        self.watch.lose()
+        self._fault = fault
+        self._losses += 1
+        if self._is_reported:
+            self._is_reported = False
+            self._lost_ns = now_ns
+            self._warnings.warn(fault, f"{self._absence()}. Starting it anew")
+
+    def _absence(self):
+        return (f"{GUARD_ABSENT}: {self._fault}. Until there is one {self._board_name} goes on pulsing if this node "
+                "dies or hangs")
+
+    def _close(self):
+        for pipe in self._pipes:
+            pipe.close()
+        self._pipes = []
+        self._process = None
+
+    def report(self, status, now_ns: int):
+        """Its state, for /diagnostics."""
+        if self._off_after_ns is None:
+            status.summary(OK, "off (guard: false): the board goes on pulsing if this node dies or hangs")
+            return status
+        if not self.watch.is_present:
+            status.summary(ERROR, self._absence())
+            status.add("cause", GUARD_ABSENT)
+        elif self.watch.error not in (0, NOT_TRIED):
+            status.summary(WARN, f"{GUARD_BLOCKED}: it can't reach the board ({os.strerror(self.watch.error)})")
+            status.add("cause", GUARD_BLOCKED)
+        elif self._losses and now_ns - self._lost_ns < SHOWN_NS:
+            status.summary(WARN, f"it was lost ({self._fault}) and started anew")
+            status.add("cause", GUARD_ABSENT)
+        else:
+            status.summary(OK, "watches" if self.watch.watches else "starts")
+        status.add("process", self.pid)
+        status.add("acted", self.watch.interventions)
+        status.add("started anew", self._losses)
+        status.add("full off after", f"{self._off_after_ns / NS_PER_S:g} s")
+        return status
+
+
+def _open_log():
+    """The file beside the node's log in which the guard writes what it did."""
+    path = os.environ.get("ROS_LOG_FILENAME")
+    try:
+        return open(f"{os.path.splitext(path)[0]}-guard.log" if path else os.devnull, "ab")
+    except OSError:
+        return open(os.devnull, "ab")

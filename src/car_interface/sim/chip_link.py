@@ -1,0 +1,146 @@
+"""A connection to the process of a virtual PCA9685: what an open I²C bus is to a real one.
+
+Requests and answers are packets of a Unix socket. A request is an operation, an address, a register or the number of a
+fault, and data; an answer is an errno and data. The clients of one chip take turns, as on a bus.
+"""
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import struct
+
+from car_interface.common.file_lock import lock_generation, lock_holder, newer_generation
+
+READ, WRITE, FAULT, LOG, OBSERVE = range(5)
+REQUEST = struct.Struct("=BBBd")  # operation, address, register; the value of a fault
+ANSWER = struct.Struct("=i")
+OUTPUTS = struct.Struct("=16H")  # what an observer is sent: the counts, 0..4096, for which each pin is high
+FAULTS = ("nack", "hold", "power", "brownout", "address")
+MAX_PACKET = 1024
+ANSWER_S = 3.0  # a bus that is held fails after one second
+
+
+def lock_path(path: str) -> str:
+    """The file that stands for the bus's where locks are concerned."""
+    return f"{path}.lock"
+
+
+class ChipLink:
+    """One client of a chip; connected when it is first needed, and again after ``close``.
+
+    Args:
+        path: of the chip's socket.
+        address: of the chip, 7 bits. A lock on this byte of ``lock_path`` is its node's.
+    """
+
+    def __init__(self, path: str, address: int):
+        self._path = path
+        self._address = address
+        self._socket = None
+        self._lock_fd = -1
+
+    def open(self) -> None:
+        """Connect, unless it is connected.
+
+        Raises:
+            OSError: there is no such chip.
+        """
+        if self._socket is not None:
+            return
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._socket.settimeout(ANSWER_S)
+            self._socket.connect(self._path)
+        except OSError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Disconnect."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+        if self._lock_fd >= 0:
+            os.close(self._lock_fd)
+            self._lock_fd = -1
+
+    def lock_fd(self) -> int:
+        """The descriptor on which a node takes its lock, opened when it is first asked for: see ``file_lock``."""
+        if self._lock_fd < 0:
+            self._lock_fd = os.open(lock_path(self._path), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        return self._lock_fd
+
+    def lock_holder(self) -> int:
+        """The process that has locked this chip; 0 = none."""
+        return lock_holder(self.lock_fd(), self._address)
+
+    def claim(self, generation: int) -> None:
+        """Let older guards of this chip know that there is a newer one."""
+        lock_generation(self.lock_fd(), self._address, generation)
+
+    def successor(self, generation: int) -> int:
+        """The process of a newer guard; 0 = none."""
+        return newer_generation(self.lock_fd(), self._address, generation)
+
+    def is_gone(self, error: OSError) -> bool:
+        """Whether an error means that the chip's process has ended, and with it the chip."""
+        return error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENXIO)
+
+    def read(self, register: int, length: int) -> bytes:
+        """Read 1..32 registers, in one transfer."""
+        return self.transfer(READ, self._address, register, bytes((length,)))
+
+    def write(self, register: int, values: bytes) -> None:
+        """Write 1..32 registers, in one transfer."""
+        self.transfer(WRITE, self._address, register, bytes(values))
+
+    def inject(self, fault: str, value: float) -> None:
+        """Have the chip or its bus fail."""
+        self.transfer(FAULT, self._address, FAULTS.index(fault), value=value)
+
+    def log_to(self, path: str) -> None:
+        """Have each write to the chip, of whichever client, appended to a file."""
+        self.transfer(LOG, self._address, 0, os.fsencode(path))
+
+    def observe(self) -> int:
+        """Have the pins' state sent, now and whenever it changes; the descriptor to wait for."""
+        self.transfer(OBSERVE, self._address, 0)
+        self._socket.setblocking(False)
+        return self._socket.fileno()
+
+    def changes(self) -> list:
+        """What an observer was sent since the last call, oldest first: 16 counts each.
+
+        Raises:
+            OSError: the chip is gone.
+        """
+        found = []
+        while True:
+            try:
+                packet = self._socket.recv(MAX_PACKET)
+            except BlockingIOError:
+                return found
+            if not packet:
+                raise ConnectionResetError(errno.ECONNRESET, "the chip is gone")
+            found.append(OUTPUTS.unpack(packet))
+
+    def transfer(self, operation: int, address: int, register: int, data: bytes = b"", value: float = 0.0) -> bytes:
+        """Make a request; the data of its answer.
+
+        Raises:
+            OSError: as of a real bus; ENXIO: the chip's process is gone.
+        """
+        try:
+            self._socket.send(REQUEST.pack(operation, address, register, value) + data)
+            answer = self._socket.recv(MAX_PACKET)
+        except socket.timeout as error:
+            raise OSError(errno.ETIMEDOUT, "Connection timed out") from error
+        except OSError as error:
+            raise OSError(errno.ENXIO, "the virtual chip is gone") from error
+        if not answer:
+            raise OSError(errno.ENXIO, "the virtual chip is gone")
+        number = ANSWER.unpack_from(answer)[0]
+        if number:
+            raise OSError(number, os.strerror(number))
+        return answer[ANSWER.size:]

@@ -1,0 +1,199 @@
+"""A virtual PCA9685 as a process of its own, so that it goes on pulsing when its node dies, as a real one does.
+
+It serves a Unix socket, see ``chip_link``, and ends some seconds after its last client has gone. Its first client
+starts it by ``common.small_process``; its arguments are the socket's path and the chip's address.
+"""
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import signal
+import socket
+import sys
+import time
+
+from car_interface.common.file_lock import lock_byte
+from car_interface.sim.chip_link import (
+    ANSWER,
+    FAULT,
+    FAULTS,
+    LOG,
+    MAX_PACKET,
+    OBSERVE,
+    OUTPUTS,
+    READ,
+    REQUEST,
+    WRITE,
+    lock_path,
+)
+from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+
+LINGER_S = 3.0  # after the last client: roslaunch starts a node again, and a guard is a client, too
+SERVER_LOCK = 0x100  # a byte of the lock file that is no address
+HELD_S = 1.0  # a transfer on a bus that is held fails after the kernel's timeout
+
+
+class ChipServer:
+    """Serves one chip.
+
+    Args:
+        listener: a listening socket.
+        address: the chip's, 7 bits.
+    """
+
+    def __init__(self, listener: socket.socket, address: int):
+        self._listener = listener
+        self._address = address
+        self._chip = VirtualPca9685()
+        self._bus = VirtualBus({address: self._chip}, on_write=self._log_write)
+        self._log_fd = -1
+        self._clients = {}  # sockets by descriptor
+        self._observers = set()  # descriptors
+        self._waiting = []  # transfers while the bus is held: (descriptor, packet)
+        self._fails_s = 0.0  # when the first of them fails
+        self._outputs = self._pins()
+
+    def run(self, clock=time.monotonic) -> None:
+        """Serve until all clients have been gone for a while."""
+        poll = select.poll()
+        poll.register(self._listener, select.POLLIN)
+        alone_since_s = clock()
+        while self._clients or clock() - alone_since_s < LINGER_S:
+            for fd, _ in poll.poll(self._wait_ms(clock())):
+                if fd == self._listener.fileno():
+                    client, _ = self._listener.accept()
+                    client.setblocking(False)
+                    self._clients[client.fileno()] = client
+                    poll.register(client, select.POLLIN)
+                elif not self._serve(fd, clock()):
+                    poll.unregister(fd)
+                    self._drop(fd)
+            self._fail_waiting(clock())
+            if self._clients:
+                alone_since_s = clock()
+
+    def _wait_ms(self, now_s):
+        left_s = max(0.0, self._fails_s - now_s) if self._waiting else LINGER_S
+        return 1000 * left_s + 1
+
+    def _drop(self, fd):
+        self._clients.pop(fd).close()
+        self._observers.discard(fd)
+        self._waiting = [each for each in self._waiting if each[0] != fd]
+
+    def _serve(self, fd, now_s):
+        """Answer one request; whether the client is still there."""
+        try:
+            packet = self._clients[fd].recv(MAX_PACKET)
+        except OSError:
+            packet = b""
+        if not packet:
+            return False
+        if self._bus.held and packet[0] in (READ, WRITE):
+            if not self._waiting:
+                self._fails_s = now_s + HELD_S
+            self._waiting.append((fd, packet))
+            return True
+        self._answer(fd, packet)
+        return True
+
+    def _fail_waiting(self, now_s):
+        """On a bus that is held transfers fail one after the other, each after a second."""
+        while self._waiting and now_s >= self._fails_s:
+            fd, _ = self._waiting.pop(0)
+            self._send(fd, ANSWER.pack(errno.ETIMEDOUT))
+            if not self._bus.held:  # it was let go meanwhile: those that waited for their turn go through
+                for waiting_fd, packet in self._waiting:
+                    self._answer(waiting_fd, packet)
+                self._waiting.clear()
+            self._fails_s += HELD_S
+
+    def _answer(self, fd, packet):
+        try:
+            data, number = self._handle(fd, packet), 0
+        except OSError as error:
+            data, number = b"", error.errno or errno.EIO
+        self._send(fd, ANSWER.pack(number) + data)
+        outputs = self._pins()
+        if outputs != self._outputs:
+            self._outputs = outputs
+            for observer in tuple(self._observers):
+                self._send(observer, OUTPUTS.pack(*outputs))
+        elif packet[0] == OBSERVE:
+            self._send(fd, OUTPUTS.pack(*outputs))
+
+    def _send(self, fd, packet):
+        with contextlib.suppress(OSError):  # it is dropped when its end is seen
+            self._clients[fd].send(packet)
+
+    def _handle(self, fd, packet):
+        operation, address, register, value = REQUEST.unpack_from(packet)
+        data = packet[REQUEST.size:]
+        if operation == READ:
+            return bytes(self._bus.read_i2c_block_data(address, register, data[0]))
+        if operation == WRITE:
+            self._bus.write_i2c_block_data(address, register, list(data))
+        elif operation == FAULT:
+            self._inject(FAULTS[register], value)
+        elif operation == LOG:
+            self._open_log(os.fsdecode(data))
+        elif operation == OBSERVE:
+            self._observers.add(fd)
+        return b""
+
+    def _inject(self, fault, value):
+        if fault == "nack":
+            self._bus.nacks_left = int(value)
+        elif fault == "hold":
+            self._bus.held = bool(value)
+        elif fault == "brownout":
+            self._chip.power_up()
+        elif fault == "power" and value:
+            self._chip.power_up()
+            self._bus.attach(self._address, self._chip)
+        elif fault == "power":
+            self._bus.remove(self._address)
+        elif fault == "address":
+            has_power = self._bus.remove(self._address) is not None
+            self._address = int(value)
+            if has_power:
+                self._bus.attach(self._address, self._chip)
+
+    def _pins(self):
+        """What the pins do; without power nothing."""
+        has_power = self._bus.has(self._address)
+        return tuple(self._chip.high_counts(channel) if has_power else 0 for channel in range(16))
+
+    def _open_log(self, path):
+        if self._log_fd >= 0:
+            os.close(self._log_fd)
+        self._log_fd = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+
+    def _log_write(self, address, register, data):
+        if self._log_fd >= 0:
+            line = f"{time.monotonic_ns()} {address:02x} {register:02x} {bytes(data).hex()}\n"
+            os.write(self._log_fd, line.encode("ascii"))
+
+
+def main() -> None:
+    """Serve a chip, unless another process serves it."""
+    path, address = sys.argv[1], int(sys.argv[2])
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # it ends after its last client
+    lock_fd = os.open(lock_path(path), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        lock_byte(lock_fd, SERVER_LOCK)
+        if not os.path.samestat(os.fstat(lock_fd), os.stat(lock_path(path))):
+            return  # that of a process which has just ended: whoever starts this one tries again
+    except OSError:
+        return
+    with contextlib.suppress(FileNotFoundError):
+        os.unlink(path)  # of a process that was killed
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(path)
+        listener.listen(16)
+        ChipServer(listener, address).run()
+        os.unlink(path)
+        os.unlink(lock_path(path))

@@ -1,0 +1,126 @@
+"""What a guard writes to the chip, on the register model: verified, and nothing to a chip that sleeps."""
+from __future__ import annotations
+
+import errno
+
+import pytest
+
+from car_interface.pca9685 import guard_board
+from car_interface.sim.pca9685_chip import VirtualPca9685
+
+AWAKE, ASLEEP = 0x20, 0x30  # MODE1 with auto-increment
+LED0, ALL_LED_OFF_H = 0x06, 0xFD
+COUNTS = (319, 307, 4096) + (0,) * 13
+
+
+class Device:
+    """A chip as the guard has it, whose transfers are counted and may fail."""
+
+    def __init__(self):
+        self.chip = VirtualPca9685()
+        self.chip.write(0x00, [AWAKE])
+        self.chip.write(LED0, [0, 0, 0xEE, 0, 0, 0, 0x77, 1])
+        self.writes = []
+        self.works_for = None
+
+    def read(self, register, length):
+        self._count()
+        assert length <= 32
+        return bytes(self.chip.read(register, length))
+
+    def write(self, register, values):
+        self._count()
+        assert len(values) <= 32
+        self.writes.append((register, len(values)))
+        self.chip.write(register, list(values))
+
+    def _count(self):
+        if self.works_for is not None:
+            if not self.works_for:
+                raise OSError(errno.EREMOTEIO, "Remote I/O error")
+            self.works_for -= 1
+
+    def pulses(self):
+        return tuple(self.chip.high_counts(channel) for channel in range(16))
+
+
+@pytest.fixture
+def device():
+    return Device()
+
+
+def test_timeout_values_go_to_every_channel_in_two_transfers(device):
+    guard_board.write_counts(device, COUNTS)
+    assert device.pulses() == COUNTS
+    assert device.writes == [(LED0, 32), (LED0 + 32, 32)]
+
+
+def test_timeout_values_that_the_chip_does_not_hold_are_an_error(device):
+    device.chip.write = lambda register, data: None
+    with pytest.raises(OSError, match="the chip doesn't hold what was written"):
+        guard_board.write_counts(device, COUNTS)
+    with pytest.raises(OSError, match="the chip doesn't hold what was written"):
+        guard_board.switch_off(device)
+
+
+def test_chip_that_holds_the_timeout_values_is_only_read(device):
+    guard_board.write_counts(device, COUNTS)
+    device.writes.clear()
+    assert not guard_board.keep_counts(device, COUNTS)
+    assert device.writes == []
+
+
+def test_channel_that_was_changed_is_brought_back(device):
+    guard_board.write_counts(device, COUNTS)
+    device.chip.write(LED0 + 4 * 15, [0, 0, 1, 0])
+    assert guard_board.keep_counts(device, COUNTS)
+    assert device.pulses() == COUNTS
+
+
+def test_full_off_is_one_bit_in_one_transfer_and_written_once(device):
+    guard_board.write_counts(device, COUNTS)
+    device.writes.clear()
+    guard_board.switch_off(device)
+    guard_board.switch_off(device)
+    assert device.pulses() == (0,) * 16
+    assert device.writes == [(ALL_LED_OFF_H, 1)]
+    assert device.chip.read(0x00, 1) == [AWAKE]  # not put to sleep
+
+
+def test_timeout_values_after_full_off_pulse_again(device):
+    guard_board.switch_off(device)
+    assert guard_board.keep_counts(device, COUNTS)
+    assert device.pulses() == COUNTS
+
+
+@pytest.mark.parametrize("act", [
+    pytest.param(lambda device: guard_board.write_counts(device, COUNTS), id="write"),
+    pytest.param(lambda device: guard_board.keep_counts(device, COUNTS), id="keep"),
+    pytest.param(guard_board.switch_off, id="switch_off"),
+    pytest.param(guard_board.probe, id="probe"),
+])
+def test_chip_that_sleeps_as_after_a_loss_of_power_is_not_written_to(device, act):
+    device.chip.power_up()
+    act(device)
+    assert device.writes == []
+    assert device.pulses() == (0,) * 16
+
+
+def test_chip_without_auto_increment_gets_it_first(device):
+    device.chip.write(0x00, [0x01])
+    guard_board.write_counts(device, COUNTS)
+    assert device.pulses() == COUNTS
+    assert device.writes[0] == (0x00, 1)
+    assert device.chip.read(0x00, 1) == [0x21]
+
+
+@pytest.mark.parametrize("act, transfers", [(guard_board.write_counts, 5), (guard_board.keep_counts, 3)],
+                         ids=["write", "keep"])
+def test_error_of_any_transfer_is_passed_on(device, act, transfers):
+    guard_board.write_counts(device, COUNTS)
+    for works_for in range(transfers):
+        device.works_for = works_for
+        with pytest.raises(OSError, match="Remote I/O error"):
+            act(device, COUNTS)
+    device.works_for = transfers
+    act(device, COUNTS)

@@ -1,0 +1,39 @@
+"""The two pipes between node and guard: what goes in comes out, however the bytes are split."""
+from __future__ import annotations
+
+import select
+
+import pytest
+
+from car_interface.pca9685.guard_protocol import (
+    ALIVE,
+    ENDED,
+    SAFE,
+    GuardMessage,
+    NodeMessage,
+    guard_reader,
+    node_reader,
+)
+
+COUNTS = (*range(0, 4095, 273), 4096)
+NODE = [(ALIVE, True, 1, 0, COUNTS), (ENDED, False, 2 ** 32 - 1, 7, (0,) * 16)]
+GUARD = [(SAFE, 1, 2, 0), (0, 0, 0, -1), (4, 2 ** 32 - 1, 2 ** 32 - 1, 121)]
+
+
+def fields(message):
+    return tuple(vars(message).values())
+
+
+@pytest.mark.parametrize("size", [1, 7, 1000], ids="in_pieces_of_{}".format)
+@pytest.mark.parametrize("reader, kind, cases", [(node_reader, NodeMessage, NODE), (guard_reader, GuardMessage, GUARD)],
+                         ids=["node", "guard"])
+def test_messages_come_out_as_they_went_in(reader, kind, cases, size):
+    data = b"".join(kind(*case).encode() for case in cases)
+    messages = reader()
+    found = [message for start in range(0, len(data), size) for message in messages.feed(data[start: start + size])]
+    assert [fields(message) for message in found] == cases
+
+
+def test_messages_are_small_enough_for_a_pipe_to_take_all_or_none_of_one():
+    for message in (NodeMessage(*NODE[0]), GuardMessage(*GUARD[0])):
+        assert len(message.encode()) <= select.PIPE_BUF

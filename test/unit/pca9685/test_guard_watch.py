@@ -1,0 +1,181 @@
+"""What a node knows of its guard, and when it may obey commands again after it stood still."""
+from __future__ import annotations
+
+import errno
+
+import pytest
+
+from car_interface.pca9685.guard_protocol import ACTING, ALIVE, NOT_TRIED, SAFE, WATCHING, GuardMessage, node_reader
+from car_interface.pca9685.guard_watch import GuardWatch
+
+MS = 1_000_000
+NOW = 1000_000 * MS
+COUNTS = (319, 307) + (0,) * 14
+
+
+class Bench:
+    """A node's watch, a clock, and the guard's part."""
+
+    def __init__(self):
+        self.watch = GuardWatch()
+        self.now_ns = NOW
+        self.sent = node_reader()
+        self.newest = None
+
+    def wait(self, ms):
+        self.now_ns += round(ms * MS)
+
+    def live(self, ms=0):
+        self.wait(ms)
+        self.newest, = self.sent.feed(self.watch.sign_of_life(self.now_ns, COUNTS, True))
+        return self.newest
+
+    def answer(self, state=WATCHING, interventions=0, error=0, sequence=None):
+        sequence = self.newest.sequence if sequence is None else sequence
+        self.watch.receive(GuardMessage(state, sequence, interventions, error).encode(), self.now_ns)
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+@pytest.fixture
+def watched(bench):
+    bench.watch.start(bench.now_ns)
+    bench.live()
+    bench.answer()
+    assert bench.watch.watches
+    return bench
+
+
+def test_node_without_a_guard_obeys(bench):
+    assert not bench.watch.is_present
+    assert not bench.watch.watches
+    assert not bench.watch.holds
+    assert bench.watch.error == NOT_TRIED
+    bench.live()
+    bench.wait(1000)
+    assert bench.watch.stood_still_ns(bench.now_ns) == 1000 * MS
+    assert not bench.watch.holds
+
+
+def test_first_step_is_no_standing_still(bench):
+    assert bench.watch.stood_still_ns(bench.now_ns) == 0
+    assert bench.watch.due_ns <= bench.now_ns
+    assert not bench.watch.is_late(bench.now_ns)
+
+
+def test_node_that_had_not_reached_its_chip_before_did_not_stand_still(bench):
+    bench.watch.sign_of_life(bench.now_ns, COUNTS, False)
+    bench.wait(5000)  # it waited for the chip
+    assert bench.watch.stood_still_ns(bench.now_ns) == 0
+    assert not bench.watch.is_late(bench.now_ns)
+
+
+def test_signs_of_life_are_due_every_50_ms_and_carry_the_timeout_values(watched):
+    assert watched.watch.due_ns == watched.now_ns + 50 * MS
+    message = watched.live(50)
+    assert (message.kind, message.has_reached, message.timeout_counts) == (ALIVE, True, COUNTS)
+    assert message.sequence == 2
+
+
+def test_guard_that_answers_each_sign_is_there(watched):
+    for _ in range(100):
+        watched.live(50)
+        watched.answer()
+        assert not watched.watch.hangs(watched.now_ns)
+        assert not watched.watch.was_overruled()
+        assert watched.watch.stood_still_ns(watched.now_ns) == 0
+
+
+def test_guard_that_does_not_answer_for_400_ms_hangs(watched):
+    for _ in range(8):
+        watched.live(50)
+    assert not watched.watch.hangs(watched.now_ns)
+    watched.wait(1)
+    assert watched.watch.hangs(watched.now_ns)
+
+
+def test_guard_that_starts_has_3_s(bench):
+    bench.watch.start(bench.now_ns)
+    bench.wait(3000)
+    assert not bench.watch.hangs(bench.now_ns)
+    bench.wait(1)
+    assert bench.watch.hangs(bench.now_ns)
+
+
+@pytest.mark.parametrize("state, error", [(WATCHING, NOT_TRIED), (WATCHING, errno.ETIMEDOUT), (ACTING, 0), (SAFE, 0)])
+def test_guard_that_may_wait_for_a_held_bus_has_3_s(watched, state, error):
+    watched.answer(state, error=error)
+    watched.wait(3000)
+    assert not watched.watch.hangs(watched.now_ns)
+    watched.wait(1)
+    assert watched.watch.hangs(watched.now_ns)
+
+
+def test_node_that_stood_still_for_250_ms_knows_it(watched):
+    watched.wait(249)
+    assert not watched.watch.is_late(watched.now_ns)
+    assert watched.watch.stood_still_ns(watched.now_ns) == 0
+    watched.wait(1)
+    assert watched.watch.is_late(watched.now_ns)
+    assert watched.watch.stood_still_ns(watched.now_ns) == 250 * MS
+    watched.live()
+    assert watched.watch.stood_still_ns(watched.now_ns) == 0
+
+
+def test_node_that_stood_still_obeys_when_the_guard_has_answered_a_newer_sign_of_life(watched):
+    watched.wait(3000)
+    watched.answer(SAFE, interventions=1)  # what waited in the pipe
+    assert watched.watch.stood_still_ns(watched.now_ns)
+    assert watched.watch.holds
+    assert watched.live().acknowledged == 1
+    watched.answer(SAFE, interventions=1, sequence=1)
+    assert watched.watch.holds
+    watched.answer(WATCHING, interventions=1, sequence=1)  # the guard hadn't read the newer sign
+    assert watched.watch.holds
+    watched.answer(WATCHING, interventions=1)
+    assert not watched.watch.holds
+    assert watched.watch.interventions == 1
+
+
+def test_node_that_stood_still_does_not_take_its_guard_for_dead(watched):
+    watched.wait(3000)
+    assert watched.watch.stood_still_ns(watched.now_ns)
+    assert not watched.watch.hangs(watched.now_ns)
+    watched.wait(401)
+    assert watched.watch.hangs(watched.now_ns)
+
+
+def test_node_learns_that_it_was_overruled_though_it_did_not_notice_that_it_stood_still(watched):
+    watched.live(240)
+    watched.answer(ACTING, interventions=1)
+    assert watched.watch.was_overruled()
+    assert not watched.watch.was_overruled()
+    assert watched.watch.holds
+    watched.live()
+    watched.answer(WATCHING, interventions=1)
+    assert not watched.watch.holds
+
+
+def test_intervention_after_the_node_was_back_is_noticed_too(watched):
+    watched.wait(300)
+    assert watched.watch.stood_still_ns(watched.now_ns)
+    assert watched.live().acknowledged == 0
+    watched.answer(ACTING, interventions=1)
+    assert watched.watch.was_overruled()
+    assert watched.live().acknowledged == 1
+
+
+def test_node_whose_guard_is_lost_obeys_and_a_new_guard_begins_anew(watched):
+    watched.wait(300)
+    assert watched.watch.stood_still_ns(watched.now_ns)
+    watched.watch.lose()
+    assert not watched.watch.holds
+    assert not watched.watch.hangs(watched.now_ns + 10_000 * MS)
+    watched.watch.start(watched.now_ns)
+    assert not watched.watch.holds
+    assert not watched.watch.was_overruled()
+    assert watched.watch.error == NOT_TRIED
+    assert watched.live().acknowledged == 0

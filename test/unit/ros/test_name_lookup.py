@@ -1,0 +1,151 @@
+"""Who has a node's name, asked of servers that answer as the ROS master and as nodes do."""
+from __future__ import annotations
+
+import os
+import re
+import socket
+import threading
+from contextlib import contextmanager
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+pytest.importorskip("rosgraph")
+
+from car_interface.common.name_wait import FREE, NO_MASTER, RUNNING, SILENT, Holder
+from car_interface.ros import name_lookup, xmlrpc_calls
+from car_interface.ros.name_lookup import NameLookup, own_name
+
+HERE = "127.0.0.1 (this computer)"
+PID = os.getpid()
+
+
+@contextmanager
+def serving(**methods):
+    """A server with these methods; its URI."""
+    with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as server:
+        for name, method in methods.items():
+            server.register_function(method, name)
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_address[1]}/"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def master(node_uri):
+    """The methods of a master that knows /turn_arb at an address, or no node at all."""
+    def lookup(caller, name):
+        return (1, "", node_uri) if node_uri and name == "/turn_arb" else (-1, "unknown node", "")
+    return {"lookupNode": lookup}
+
+
+def node(name):
+    """The methods of a node of rospy; those of roscpp have no getName."""
+    methods = {"getPid": lambda caller: (1, "", 4711)}
+    return {**methods, "getName": lambda caller: (1, "", name)} if name else methods
+
+
+def refusing():
+    """An address at which nothing listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"http://127.0.0.1:{probe.getsockname()[1]}/"
+
+
+@pytest.fixture(autouse=True)
+def impatience(monkeypatch):
+    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 0.1)
+    monkeypatch.setattr(name_lookup, "POLL_S", 0.01)
+
+
+def holder(node_uri):
+    with serving(**master(node_uri)) as master_uri:
+        return NameLookup("/turn_arb", master_uri).holder()
+
+
+def test_name_that_the_master_does_not_know_is_free():
+    assert holder("") == Holder(FREE)
+
+
+def test_registration_of_a_killed_process_is_free():
+    assert holder(refusing()) == Holder(FREE)
+
+
+@pytest.mark.parametrize("name", ["/turn_arb", ""], ids=["rospy", "roscpp"])
+def test_node_that_answers_is_running(name):
+    with serving(**node(name)) as uri:
+        assert holder(uri) == Holder(RUNNING, HERE, 4711)
+
+
+def test_node_of_another_name_on_a_dead_ones_port_is_not_it():
+    with serving(**node("/teleop_logi")) as uri:
+        assert holder(uri) == Holder(FREE)
+
+
+def test_node_that_accepts_and_does_not_answer_is_silent():
+    with socket.create_server(("127.0.0.1", 0)) as frozen:
+        assert holder(f"http://127.0.0.1:{frozen.getsockname()[1]}/") == Holder(SILENT, HERE)
+
+
+def test_node_on_an_unknown_computer_is_silent():
+    assert holder("http://no-such-computer.invalid:1/") == Holder(SILENT, "no-such-computer.invalid")
+
+
+def test_master_that_is_not_there_yet_knows_no_name():
+    assert NameLookup("/turn_arb", refusing()).holder() == Holder(NO_MASTER)
+
+
+def test_node_is_asked_when_the_master_is_gone():
+    with serving(**node("/turn_arb")) as uri:
+        with serving(**master(uri)) as master_uri:
+            lookup = NameLookup("/turn_arb", master_uri)
+            assert lookup.holder().state == RUNNING
+        assert lookup.holder().state == RUNNING
+    assert lookup.holder() == Holder(NO_MASTER)
+
+
+@pytest.mark.parametrize(("arguments", "namespace", "name"), [
+    ([], "", "/turn_arb"), (["__name:=other"], "", "/other"), (["__ns:=car2", "a:=b"], "", "/car2/turn_arb"),
+    ([], "/car1", "/car1/turn_arb"), (["__ns:=/a/b", "__name:=c"], "/car1", "/a/b/c")])
+def test_own_name_is_that_of_ros(monkeypatch, arguments, namespace, name):
+    monkeypatch.setenv("ROS_NAMESPACE", namespace)
+    assert own_name("turn_arb", ["turn_arb", *arguments]) == name
+
+
+def test_wait_ends_when_the_other_node_does(monkeypatch, capsys):
+    registered = [""]
+    with serving(**node("/turn_arb")) as uri, serving(
+            lookupNode=lambda caller, name: (1, "", uri) if registered[0] else (-1, "unknown node", "")) as master_uri:
+        monkeypatch.setenv("ROS_MASTER_URI", master_uri)
+        name_lookup.wait_for_name("/turn_arb").close()
+        assert capsys.readouterr().err == ""
+        registered[0] = uri
+        waiting = threading.Thread(target=name_lookup.wait_for_name, args=["/turn_arb"])
+        waiting.start()
+        waiting.join(0.2)
+        assert waiting.is_alive()
+        registered[0] = ""
+        waiting.join(10)
+        assert not waiting.is_alive()
+    first, second = capsys.readouterr().err.splitlines()
+    assert re.match(r"\[WARN\] \[\d+\.\d+\]: /turn_arb is already running on 127.0.0.1 \(this computer\), process 4711",
+                    first)
+    assert second.endswith("/turn_arb on 127.0.0.1 (this computer), process 4711 has ended: taking over")
+
+
+def test_of_two_that_look_at_the_same_moment_one_waits_until_the_other_is_registered(monkeypatch, capsys):
+    with serving(**master("")) as master_uri:
+        monkeypatch.setenv("ROS_MASTER_URI", master_uri)
+        claim = name_lookup.wait_for_name("/turn_arb")
+        name_lookup.wait_for_name("/other").close()
+        waiting = threading.Thread(target=lambda: name_lookup.wait_for_name("/turn_arb").close())
+        waiting.start()
+        waiting.join(0.2)
+        assert waiting.is_alive()
+        claim.close()
+        waiting.join(10)
+        assert not waiting.is_alive()
+    assert capsys.readouterr().err == ""
