@@ -328,9 +328,9 @@ class Guarded(ChainTest):
     """The process that drives the servo board dies or hangs: its guard makes the chip safe."""
 
     def servo_node(self):
-        """Start pca9685 again, and wait until the car drives."""
+        """Start pca9685 again; the human lets go of the deadman and holds it, as the machine may have been late."""
         self.car.node("pca9685", "_device:=virtual", f"_virtual_log:={self.car.chip.path}")
-        self.wait_until_driving()
+        self.arm()
 
     def send(self, name, number):
         """Send a signal to a process; when, ns."""
@@ -356,7 +356,7 @@ class Guarded(ChainTest):
         for _ in range(TRIALS):
             self.neutral_ms(self.kill("pca9685"))
             self.car.node("pca9685", "_device:=virtual", f"_virtual_log:={self.car.chip.path}", "_guard_off_after:=1.0")
-            self.wait_until_driving()
+            self.arm()
             killed_ns = self.kill("pca9685")
             self.neutral_ms(killed_ns)
             off_ns = [self.car.chip.wait_for(channel, lambda counts: counts == 0, killed_ns) for channel in (0, 1)]
@@ -382,7 +382,7 @@ class Guarded(ChainTest):
                 eventually(lambda sent_ns=sent_ns: time.monotonic_ns() - sent_ns > 0.7e9, "0.7 s")
             thawed_ns = self.send("pca9685", signal.SIGCONT)
             times.append((chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, thawed_ns) - thawed_ns) / 1e6)
-            process.wait_for_line("node stood still for 1.*commands count from now on")
+            process.wait_for_line("node stood still for .*commands count from now on")
             eventually(lambda thawed_ns=thawed_ns: time.monotonic_ns() - thawed_ns > 0.5e9, "0.5 s")
             given = set(chip.values_since(0, frozen_ns))
             self.assertLessEqual(given, {CENTER}, "what was sent before reached the servo")
@@ -444,7 +444,8 @@ class Restarts(ChainTest):
             refused_ns = time.monotonic_ns()
             eventually(lambda: time.monotonic_ns() - refused_ns > 1e9, "a second")
             for channel, neutral in channels:
-                self.assertLessEqual(set(self.car.chip.values_since(channel, neutral_ns[channel])), {neutral},
+                self.assertLessEqual(set(self.car.chip.values_since(channel, neutral_ns[channel])),
+                                     {neutral, 0} if name == "car_nodes" else {neutral},  # its guard switches off
                                      f"{name} drove on by itself")
             rearm()
         for channel, times_ms in times.items():

@@ -12,7 +12,9 @@ import time
 import unittest
 from html import unescape
 from typing import NamedTuple
+from xmlrpc.client import ServerProxy
 
+import rosgraph
 import rosnode
 import rospy
 import rostest
@@ -98,10 +100,21 @@ class GamepadFails(unittest.TestCase):
 
     def record(self):
         """Record the arbiters' states until the returned function is called; it returns the path."""
-        path = os.path.join(self.folder, "drive.bag")
+        path, name = os.path.join(self.folder, "drive.bag"), f"recorder_{time.monotonic_ns()}"
         recorder = start(self, find_node("rosbag", "record")[0], "-q", "-O", path, "/turn_arb/state",
-                         "/teleop_logi/state", "/diagnostics", "/rosout", "__name:=recorder")
-        eventually(lambda: "/recorder" in rosnode.get_node_names(), "the recorder")
+                         "/teleop_logi/state", "/diagnostics", "/rosout", f"__name:={name}")
+
+        def connections():
+            """The topics that the recorder receives, as it says itself; none before it is there."""
+            try:
+                uri = rosnode.get_api_uri(rosgraph.Master(rospy.get_name()), f"/{name}", skip_cache=True)
+                if not uri:
+                    return set()
+                _, _, infos = ServerProxy(uri).getBusInfo(rospy.get_name())
+            except (OSError, rosnode.ROSNodeException):
+                return set()
+            return {info[4] for info in infos if info[5]}
+        eventually(lambda: {"/turn_arb/state", "/teleop_logi/state"} <= connections(), "the recorder's connections")
         self.states.wait_for_count(5, self.states.mark())
 
         def stop():

@@ -271,7 +271,7 @@ class BesideItsNode(Guarded):
         heir = Built(Pca9685, {"device": "virtual", "virtual_chip": f"{self.folder}/chip", "guard": False})
         heir.node.step(time.monotonic_ns())
         heir.node.shut_down()
-        self.assertEqual([list(output.data) for output in heir.published["/servo/output"]],
+        self.assertEqual([list(output.data) for output in heir.published["/servo/output"]][:2],
                          [TIMEOUT_VALUES, [0] * 16])
 
     def test_output_of_a_node_that_stood_still_tells_what_the_guard_wrote(self):

@@ -211,4 +211,7 @@ def guard_of(pid):
 def guard_has_chip(pid):
     """Whether a guard is connected to its virtual chip."""
     folder = f"/proc/{pid}/fd"
-    return pid and any(os.readlink(os.path.join(folder, fd)).startswith("socket:") for fd in os.listdir(folder))
+    try:
+        return any(os.readlink(os.path.join(folder, fd)).startswith("socket:") for fd in os.listdir(folder))
+    except OSError:
+        return False  # it is opening or closing files, or has ended

@@ -18,7 +18,7 @@ Parameters:
     ~live_range 500, ~throttle_live_range 100 (duty): how far the timeout values of these two channels may follow
         servo/neutral; 0 = not at all.
     ~required false: true = end with exit code 1 when the board can't be used at start.
-    ~guard true: start a guard, which makes the board safe when this node dies or hangs; see ``nodes.pca9685_guard``.
+    ~guard true: start a guard, which makes the board safe when this node dies or hangs; see ``ros.pca9685_guard``.
     ~guard_off_after 10 (s): so long after it began to act the guard switches every output off.
 The virtual chip has a service and parameters of its own: see ``ros.virtual_board``.
 """
@@ -53,7 +53,7 @@ from car_interface.ros.guard_link import GuardLink
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise
+from car_interface.ros.topics import advertise, sender_of
 from car_interface.ros.virtual_board import VirtualBoardBus, chip_path
 
 OUTPUT_RATE_HZ = 1
@@ -227,7 +227,7 @@ class Pca9685:
         except ValueError as error:
             self._warnings.warn("length", f"{error}: refused")
             return
-        self._senders.update(message._connection_header["callerid"], message.data, now_ns)
+        self._senders.update(sender_of(message), message.data, now_ns)
         self._dropped += not self._supervisor.running
         if accepted.refused:
             first = accepted.refused[0]

@@ -1,6 +1,6 @@
 """The pca9685 node's link to its guard: starts the process, gives it signs of life, and sees whether it is there.
 
-``nodes/pca9685_guard.py`` is the guard. It is started anew when it dies or hangs.
+``ros.pca9685_guard`` is the guard. It is started anew when it dies or hangs.
 """
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class GuardLink:
         os.set_blocking(node_out, False)
         os.set_blocking(node_in, False)
         arguments = (*self._board, os.getpid(), self._off_after_ns, guard_in, guard_out)
-        command = small_process.command("nodes.pca9685_guard", *map(str, arguments))
+        command = small_process.command("ros.pca9685_guard", *map(str, arguments))
         with _open_log() as log:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log,

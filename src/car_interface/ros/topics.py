@@ -55,6 +55,11 @@ def has_subscribers(publisher: rospy.Publisher) -> bool:
     return publisher.get_num_connections() > 0
 
 
+def sender_of(message: Any) -> str:
+    """The name of the node that sent a message; empty when it didn't come over a connection."""
+    return (getattr(message, "_connection_header", None) or {}).get("callerid", "")
+
+
 def _subscribe(topic, message_type, inbox, receive, queue_size=10):
     subscriber = rospy.Subscriber(inbox.resolve_name(topic), message_type, receive, queue_size=queue_size,
                                   tcp_nodelay=True)
