@@ -58,7 +58,7 @@ DEFAULTS = {
 # Node, what is given besides the required ones, and how the one line begins.
 REFUSALS = [
     ("keyboard_drive", {"manual_button": 5}, "autonomous_button is 5; accepted: a button other than manual_button's"),
-    ("keyboard_drive", {"acceleration": 50}, "acceleration is 50; accepted: a number from 0 to 5"),
+    ("keyboard_drive", {"steer_scale": 50}, "steer_scale is 50; accepted: a number from -1 to 1"),
     ("turn_arb", {"servo_left": "x"}, "servo_left is 'x'; accepted: an integer from 0 to 65535"),
     ("turn_arb", {"k_pwmcmd_left_table_servo": [1, 2]},
      "k_pwmcmd_left_table_servo is [1.0, 2.0]; accepted: 15 numbers"),

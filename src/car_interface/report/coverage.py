@@ -29,7 +29,8 @@ QUESTIONS = (
     Question("errors of the Teensy's link",
              (Source("teensy_sensor_hub/link"), Source(DIAGNOSTICS, "teensy_sensor_hub: Teensy link"))),
     Question("errors of the servo board", (Source(DIAGNOSTICS, "pca9685: servo board"),)),
-    Question("why the throttle stopped", (Source(DIAGNOSTICS, "generic_value_converter: converter"),)),
+    Question("why the throttle stopped",
+             (Source("throttle_arb/state"), Source(DIAGNOSTICS, "generic_value_converter: converter"))),
     Question("warnings in the nodes' logs", (Source("/rosout", has_pauses=True),)),
 )
 
