@@ -38,6 +38,9 @@ MESSAGE_TRIALS = 10 * TRIALS
 HOUR_S = 3600
 FAKETIME_MS = 100  # libfaketime makes its programs late by up to this, with its clock left alone too
 ATTEMPT_S = 3.0
+SPEEDS_MPS = (2, 5, 10)
+STOP_MPS2 = 0.5 * 7.0  # of esc/stop_brake and of the virtual car's brake; drag adds to it
+STANDS_WITHIN_S = 40.0
 GUARDED_MS = 350  # the guard waits for 250 ms
 GUARD_TOLD_MS, GUARD_BACK_MS = 1000, 1000
 RIGHT = 419  # counts of 6700
@@ -560,6 +563,65 @@ class ClockStepped(ChainTest):
         self.step_the_clock(True)
 
 
+class StoppingDistances(ChainTest):
+    """The virtual car's way from letting go of the deadman to standstill, on a floor without walls."""
+
+    def distances_m(self, *arguments):
+        """Pairs: the speed in m/s when the deadman was let go, at least each of SPEEDS_MPS, and the distance."""
+        car = self.car = Car(self)
+        port = os.path.join(car.folder, "teensy")
+        car.load_actors()
+        car.node("pca9685", "_device:=virtual", f"_virtual_log:={car.chip.path}")
+        car.node("car_sim", f"_port:={port}", "_collisions:=false", "_esc_kind:=brake_then_reverse")
+        car.node("teensy_sensor_hub", f"_port:={port}")
+        car.turn_arb()
+        car.throttle_arb("odom", "_human_scale:=1.0", *arguments)
+        self.rest = car.driver("rest", "human", "throttle")
+        self.truth = car.start("truth", sys.executable, DRIVER, "truth")
+        return [self.distance_m(speed_mps) for speed_mps in SPEEDS_MPS]
+
+    def distance_m(self, speed_mps):
+        def is_driving():
+            self.car.sent(self.rest, "throttle", "0")
+            self.car.sent(self.rest, "human", "0")
+            time.sleep(0.2)  # a hand: let go, and hold again
+            self.car.sent(self.rest, "human", "1")
+            self.car.sent(self.rest, "throttle", "1.0")
+            self.wait_for_speed(lambda mps: mps > 0.3, ATTEMPT_S)
+        retried(is_driving)
+        self.wait_for_speed(lambda mps: mps >= speed_mps)
+        mark = self.truth.stdout.mark()
+        self.car.sent(self.rest, "human", "0")
+        self.wait_for_speed(lambda mps: mps == 0.0, within_s=STANDS_WITHIN_S)
+        samples = [tuple(map(float, line.split()[1:])) for line in self.truth.stdout.since(mark)]
+        self.assertGreaterEqual(min(mps for mps, _ in samples), 0.0, "it rolled backward")
+        return samples[0][0], sum((before + after) / 2 * (at_ns - before_ns) / 1e9
+                                  for (before, before_ns), (after, at_ns) in zip(samples, samples[1:]))
+
+    def wait_for_speed(self, wanted, within_s=PATIENCE_S):
+        self.truth.stdout.wait_for(lambda line: line.startswith("truth") and wanted(float(line.split()[1])),
+                                   self.truth.stdout.mark(), within_s)
+
+    def report_distances(self, title, distances_m):
+        for speed_mps, distance_m in distances_m:
+            row = f"{title} from {speed_mps:.1f} m/s | car | 1 | {distance_m:.2f} m"
+            print(row, flush=True)
+            self.rows.append(row)
+
+    def test_with_an_esc_that_is_known_to_brake(self):
+        distances_m = self.distances_m("_esc/profile:=brake_then_reverse", "_esc/profile_measured:=true")
+        self.report_distances("let go, the stop brakes", distances_m)
+        for speed_mps, distance_m in distances_m:
+            braked_m = speed_mps ** 2 / (2 * STOP_MPS2)
+            self.assertLess(distance_m, 1.15 * braked_m + 0.1 * speed_mps + 0.3)
+
+    def test_with_an_esc_that_nobody_has_verified(self):
+        distances_m = self.distances_m()
+        self.report_distances("let go, coasting (esc/profile: unverified)", distances_m)
+        for speed_mps, distance_m in distances_m:
+            self.assertGreater(distance_m, 2 * speed_mps ** 2 / (2 * STOP_MPS2))
+
+
 class TeensyUnplugged(ChainTest):
     def test_throttle_stops_and_steering_goes_on(self):
         """The converter's odometry is that of the wheels, as on a car."""
@@ -602,7 +664,8 @@ class Suite(unittest.TestSuite):
     def __init__(self):
         loader = unittest.TestLoader()
         super().__init__(loader.loadTestsFromTestCase(case)
-                         for case in (Messages, Losses, Guarded, Restarts, MasterLost, ClockStepped, TeensyUnplugged))
+                         for case in (Messages, Losses, Guarded, Restarts, MasterLost, ClockStepped,
+                                      StoppingDistances, TeensyUnplugged))
 
 
 if __name__ == "__main__":

@@ -160,10 +160,10 @@ class Car:
                          f"generic_value_converter/input/odometry:={odometry}",
                          f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
 
-    def throttle_arb(self, odometry="localization/kinematic_state"):
+    def throttle_arb(self, odometry="localization/kinematic_state", *arguments):
         """Start throttle_arb; its parameters are there."""
         return self.node("throttle_arb", "throttle_arb/input/value:=generic_value_converter/output/value",
-                         f"throttle_arb/input/odometry:={odometry}")
+                         f"throttle_arb/input/odometry:={odometry}", *arguments)
 
     def load_one_process(self):
         """The parameters of car_nodes. Its Teensy is absent."""

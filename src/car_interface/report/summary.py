@@ -122,8 +122,8 @@ def _empty(path, namespace, has, present):
     steering = SteeringWatch(traces, faults, duration_s, gamepad)
     moves = MotionWatch(traces, faults, steering, has.start_ns)
     return Summary(path, namespace, has.start_ns, duration_s, has.topics, present, traces, gamepad, steering,
-                   ThrottleWatch(traces, faults, duration_s), moves, SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
-                   Coverage(namespace, duration_s))
+                   ThrottleWatch(traces, faults, duration_s), moves, SonarWatch(moves, has.start_ns),
+                   TeensyWatch(traces, faults), faults, Coverage(namespace, duration_s))
 
 
 def _handlers(summary):

@@ -40,15 +40,16 @@ def test_episode_ends_with_source_cause_or_an_unusual_state_of_the_esc():
 
 
 @pytest.mark.parametrize("changes, level", [
-    pytest.param({"source": NEUTRAL, "cause": "command silent", "reason": "the planner's value silent for 0.52 s"}, WARN,
-                 id="a_planner_that_falls_silent"),
+    pytest.param({"source": NEUTRAL, "cause": "command silent", "reason": "the planner's value silent for 0.52 s"},
+                 WARN, id="a_planner_that_falls_silent"),
     pytest.param({"esc": "ARMING", "esc_cause": "esc motion", "esc_reason": "it rolled backward at 1.0 m/s"}, ERROR,
                  id="motion_against_the_esc_s_state"),
     pytest.param({"source": NO_HUMAN, "cause": "human silent", "reason": "human_in_loop silent for 0.51 s"}, None,
                  id="what_turn_arb_says_too"),
     pytest.param({"source": NO_HUMAN, "cause": "human absent", "reason": "human_in_loop is false"}, None,
                  id="letting_go"),
-    pytest.param({"esc": "ARMING", "esc_cause": "esc arming", "esc_reason": "let go of the deadman"}, None, id="arming"),
+    pytest.param({"esc": "ARMING", "esc_cause": "esc arming", "esc_reason": "let go of the deadman"}, None,
+                 id="arming"),
 ])
 def test_losses_are_faults_unless_turn_arb_reports_them(changes, level):
     _, faults = watched((0.0, {}), (5.0, changes), (6.0, {}))
