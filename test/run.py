@@ -31,7 +31,7 @@ MESSAGES = TEST / "node" / "messages_test.py"
 # Node tests that measure times down to milliseconds: at most two of them run at a time, and no other node test.
 TIMED = ("captures", "chain", "demo", "serial_faults", "teleop_logi", "turn_arb")
 MAX_TIMED = 2
-LONG = ("chain", "one_process", "fuzz", "live")  # the longest begin first
+LONG = ("chain", "one_process", "fuzz", "doctor_situations", "live")  # the longest begin first
 STEP_LIMIT_S = 3600  # far longer than any step takes: a hanging one ends
 END_S = 15.0  # for an interrupted step to end its processes
 POLL_S = 0.2

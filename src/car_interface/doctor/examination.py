@@ -245,9 +245,9 @@ def _virtual_board(car, has_master):
     if not has_master:
         return Finding(OK, "bus", "virtual: the chip is a piece of software; whether it runs only a master can tell")
     if node:
-        return Finding(OK, "bus", f"virtual: the chip is a piece of software in {node.path}")
+        return Finding(OK, "bus", f"virtual: the chip is a piece of software that {node.path} writes to")
     if car.state("pca9685") != ABSENT:
         return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node doesn't answer",
                        "See the nodes above")
-    return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node that it's part of "
+    return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node that starts it "
                                 "doesn't run", "roslaunch car_interface demo.launch; or give the real bus by --i2c")

@@ -25,10 +25,11 @@ class Question(NamedTuple):
 
 QUESTIONS = (
     Question("who drove, and why the car stopped", (Source("turn_arb/state"),)),
-    Question("why the gamepad's deadman was released", (Source("teleop_logi/state"),)),
     Question("errors of the Teensy's link",
              (Source("teensy_sensor_hub/link"), Source(DIAGNOSTICS, "teensy_sensor_hub: Teensy link"))),
     Question("errors of the servo board", (Source(DIAGNOSTICS, "pca9685: servo board"),)),
+    Question("why the gamepad released the deadman",
+             (Source("teleop_logi/state"), Source(DIAGNOSTICS, "teleop_logi: gamepad"))),
     Question("why the throttle stopped",
              (Source("throttle_arb/state"), Source(DIAGNOSTICS, "generic_value_converter: converter"))),
     Question("warnings in the nodes' logs", (Source("/rosout", has_pauses=True),)),

@@ -13,7 +13,7 @@ from written_recordings import Written, drive, odometry, write_ros1
 DURATION_S = 30
 ALL_IS_WELL = "Nothing went wrong that this recording shows."
 REPORTS = ("turn_arb: steering", "teensy_sensor_hub: Teensy link", "pca9685: servo board",
-           "generic_value_converter: converter")
+           "teleop_logi: gamepad", "generic_value_converter: converter")
 
 
 def log(time_s=1.0):
@@ -71,6 +71,7 @@ def test_recording_of_odometry_alone_can_tell_nothing(tmp_path):
     assert ("What this recording can't tell: no /turn_arb/state (who drove, and why the car stopped); "
             "no /teensy_sensor_hub/link (errors of the Teensy's link); "
             "no /diagnostics of pca9685 (errors of the servo board); "
+            "no /teleop_logi/state (why the gamepad released the deadman); "
             "no /throttle_arb/state (why the throttle stopped); "
             "no /rosout (warnings in the nodes' logs).") in words
 
@@ -79,6 +80,7 @@ def test_recording_of_odometry_alone_can_tell_nothing(tmp_path):
     pytest.param(["/turn_arb/state"], "no /turn_arb/state (who drove, and why the car stopped).", id="who_drove"),
     pytest.param(["/rosout"], "no /rosout (warnings in the nodes' logs).", id="logs"),
     pytest.param(["/diagnostics"], "no /diagnostics of pca9685 (errors of the servo board); "
+                 "no /teleop_logi/state (why the gamepad released the deadman); "
                  "no /throttle_arb/state (why the throttle stopped).", id="diagnostics"),
     pytest.param(["/teensy_sensor_hub/link", "/diagnostics"],
                  "no /teensy_sensor_hub/link (errors of the Teensy's link); no /diagnostics of pca9685", id="link"),
@@ -138,6 +140,6 @@ def test_table_of_faults_does_not_say_none_where_nothing_could_tell(tmp_path):
 def test_gaps_of_an_empty_recording_are_all_questions(tmp_path):
     seen = summarize(str(write_ros1(tmp_path / "a.bag", [odometry(0.0)])))
     gaps = seen.coverage.gaps()
-    assert len(gaps) == 5 and all(math.isnan(gap.start_s) for gap in gaps)
+    assert len(gaps) == 6 and all(math.isnan(gap.start_s) for gap in gaps)
     assert gaps[0]._replace(start_s=0.0, end_s=0.0) == Gap(
         "who drove, and why the car stopped", "/turn_arb/state", 0.0, 0.0)

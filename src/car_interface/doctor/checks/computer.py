@@ -142,8 +142,8 @@ def check_joy(is_installed: bool, is_published: bool, distribution: str) -> list
         return [Finding(OK, "packages", "joy, for the gamepad, is installed")]
     if is_published:
         return [Finding(OK, "packages", "joy isn't installed here, but somebody publishes the gamepad's messages")]
-    remedy = (f"sudo apt install ros-{distribution}-joy" if distribution == "noetic" else
-              "Debian has no package of it: start car.launch with gamepad:=false, and publish joy from another "
-              "computer, as the README says under 'Launch'")
+    if distribution != "noetic":
+        return [Finding(OK, "packages", "joy isn't installed: gamepad_joy of this package reads the gamepad")]
     return [Finding(WARN, "packages", "the ROS package joy, whose joy_node reads the gamepad, is missing, and nobody "
-                                      "publishes joy", remedy)]
+                                      "publishes joy",
+                    "sudo apt install ros-noetic-joy, or start car.launch with joy_driver:=gamepad_joy")]

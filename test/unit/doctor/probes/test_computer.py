@@ -163,6 +163,7 @@ def test_library_that_fails_in_any_way_is_a_finding(monkeypatch, error):
     (False, True, [OK, OK]), (False, False, [OK, WARN]), (True, False, [OK])],
     ids=["joy_is_installed", "joy_is_missing", "virtual_car_needs_none"])
 def test_packages_are_those_of_the_tools_and_joy_for_a_car_with_hardware(is_virtual, joy, levels, monkeypatch):
+    monkeypatch.setenv("ROS_DISTRO", "noetic")
     monkeypatch.setattr(computer, "TOOLS", {"json": "json"})
     monkeypatch.setattr(computer, "_has_ros_package", {"joy": joy}.__getitem__)
     assert [finding.level for finding in computer.probe_packages(False, is_virtual)] == levels
