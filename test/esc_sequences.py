@@ -1,7 +1,7 @@
 """Random drives of virtual ESCs through the ESC's state machine, with all that goes wrong between them.
 
-``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each has
-a seed, and the seed is all that it depends on: ``python3 test/esc_sequences.py --seed 17`` shows one.
+``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each
+has a seed, and the seed is all that it depends on: ``python3 test/esc_sequences.py --seed 17`` shows one.
 
 A drive is a script of a person and a planner (forward, coast, pulls, stops with the stick kept where it is, a planner's
 hold of a stopped car, gears, a reverse button) through a world with delays, lost speed, a guard that puts the chip to
@@ -355,7 +355,8 @@ def failures(result):
     if f"({MATCHING})" in kind and result.unintended:
         return f"seed {result.seed}, {kind}: reverse that nobody meant at {result.unintended[0]}"
     if kind.endswith(f" {KNOWN}") and result.longest_ns > MAX_WRONG_NS:
-        return f"seed {result.seed}, {kind}: driven backward for {result.longest_ns / 1e9:.2f} s: {result.unintended[0]}"
+        seconds = result.longest_ns / 1e9
+        return f"seed {result.seed}, {kind}: driven backward for {seconds:.2f} s: {result.unintended[0]}"
     return ""
 
 

@@ -59,7 +59,7 @@ class Esc:
     loss of power and motion against the state lead back there.
     """
 
-    def __init__(self, config: EscConfig = EscConfig()):
+    def __init__(self, config: EscConfig):
         self.config = config
         self._history = EscHistory(config)
         self._motion = MeasuredMotion(config)

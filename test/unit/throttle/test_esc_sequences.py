@@ -4,9 +4,9 @@ What holds: with the right profile, no push backward that nobody meant, known sp
 reversal; with a wrong profile or none, no stop that becomes reverse; with speed, a wrong profile pushes the car
 backward for no more than half a second.
 
-What can't hold: with a wrong profile and no speed, a person's or a planner's own pull may be reverse for as long as it
-is held. Without pulses an ESC does for a while what it did, and a node that is away is obeyed until the board's timeout.
-A guard's neutral must be on /servo/output sooner than the ESC's dwell (0.1 s): here it is within 0.06 s.
+What can't hold: with a wrong profile and no speed, a person's or a planner's own pull may be reverse for as long as
+it is held. Without pulses an ESC does for a while what it did, and a node that is away is obeyed until the board's
+timeout. A guard's neutral must be on /servo/output sooner than the ESC's dwell (0.1 s): here it is within 0.06 s.
 """
 from __future__ import annotations
 
