@@ -313,8 +313,9 @@ class Drive:
         self._faults = False
         self._node_back_ns = self.chip.guard_until_ns = self.chip.dead_until_ns = 0
         self.stop(1.0)
-        while self.car.speed_mps:
-            self.stop(0.1)
+        for _ in range(300):
+            if self.car.speed_mps:
+                self.stop(0.1)
         self.arm()
         if self.rng.random() < 0.7:
             self.stick(0.5, self.rng.uniform(0.3, 1.0))
@@ -323,8 +324,9 @@ class Drive:
         way = self.rng.randrange(3)
         if way == 0:
             self.stick(value, self.rng.uniform(0.1, 1.0))
-            while abs(self.car.speed_mps) > 0:
-                self.stick(value, 0.05)
+            for _ in range(200):
+                if self.car.speed_mps:
+                    self.stick(value, 0.05)
             self.stick(0.0, self.rng.uniform(0.1, 1.0))
         before_m, began = self.car.place_m, self.car.speed_mps
         for _ in range(60):

@@ -103,6 +103,14 @@ def test_board_that_lost_its_power_means_arming_again():
     assert car.stick(0.5).state == FORWARD
 
 
+def test_pulls_before_arming_is_over_do_not_count():
+    car = Car(armed=False)
+    car.stop(0.1)
+    car.stick(-0.5, 0.2, speed=0.0)
+    car.stick(0.0, 1.2, speed=0.0)
+    assert car.stick(-0.5, 2.0, speed=0.0)[:2] == (0.0, NEUTRAL)
+
+
 # --- requests ---
 
 
