@@ -265,10 +265,10 @@ class Esc:
     def _stop(self, now_ns, cause=causes.STOPPING, prefix=""):
         if self._stop_began_ns is None:
             self._stop_began_ns = now_ns
-        if now_ns - self._stop_began_ns > self.config.stop_brake_time_s * NS_PER_S:
-            return 0.0, NEUTRAL, cause, f"{prefix}it has braked for {self.config.stop_brake_time_s:g} s"
         if self._state == REVERSE or not self._stop_brakes(now_ns):
             return 0.0, NEUTRAL, cause, f"{prefix}it stops in neutral"
+        if now_ns - self._stop_began_ns > self.config.stop_brake_time_s * NS_PER_S:
+            return 0.0, NEUTRAL, cause, f"{prefix}it has braked for {self.config.stop_brake_time_s:g} s"
         return -self.config.stop_brake, BRAKING, cause, f"{prefix}it brakes"
 
     def _stop_brakes(self, now_ns):
