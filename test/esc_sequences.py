@@ -271,7 +271,7 @@ class Drive:
 
     def act(self):
         rng = self.rng
-        kind = rng.randrange(14)
+        kind = rng.randrange(18)
         stick = self.request.value if self.request.is_human else 0.0
         if kind <= 2:
             self.stick(rng.uniform(0.1, 1.0), rng.uniform(0.1, 2.0))
@@ -297,8 +297,37 @@ class Drive:
             self.gear(-rng.uniform(0.1, 1.0), REVERSE_GEAR, rng.uniform(0.1, 2.5), rng.random() < 0.5)
         elif kind == 12:
             self.gear(rng.uniform(0.1, 0.6), rng.choice((DRIVE, REVERSE_GEAR)), rng.uniform(0.1, 1.0), False)
-        else:
+        elif kind == 13:
             self.arm()
+        elif kind <= 15:
+            self._pull_again()
+        else:
+            self._pull_after_a_coast()
+
+    def _pull_again(self):
+        """A pull, something that makes the next one a first, and that."""
+        rng = self.rng
+        self.stick(-rng.uniform(0.3, 1.0), rng.uniform(0.3, 1.0))
+        self.stick(0.0, rng.uniform(0.05, 0.8))
+        way = rng.randrange(3)
+        if way == 0:
+            self.stop(rng.uniform(0.02, 0.8))
+        elif way == 1:
+            self.stick(rng.uniform(0.1, 0.4), rng.uniform(0.05, 0.8))
+        else:
+            self.gear(rng.choice((0.0, 0.2)), DRIVE, rng.uniform(0.05, 0.8), False)
+        if rng.random() < 0.7:
+            self.stick(0.0, rng.uniform(0.02, 1.0))
+        self.stick(-rng.uniform(0.3, 1.0), rng.uniform(0.5, 2.5))
+
+    def _pull_after_a_coast(self):
+        """Forward, a while in neutral, and a brake or a stop; some ESCs have forgotten by then that they drove."""
+        rng = self.rng
+        self.stick(rng.uniform(0.15, 0.5), rng.uniform(0.3, 1.0))
+        self.stick(0.0, rng.uniform(0.5, 4.0))
+        if rng.random() < 0.5:
+            self.stick(-rng.uniform(0.3, 1.0), rng.uniform(0.5, 2.0))
+        self.stop(rng.uniform(0.5, 1.5), self.request.value)
 
     def drive(self):
         """A random drive, then, if it must be possible, a reversal without faults."""
