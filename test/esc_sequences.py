@@ -1,7 +1,7 @@
 """Random drives of virtual ESCs through the ESC's state machine, with all that goes wrong between them.
 
-``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each has
-a seed, and the seed is all that it depends on: ``python3 test/esc_sequences.py --seed 17`` shows one.
+``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each
+has a seed, and the seed is all that it depends on: ``python3 test/esc_sequences.py --seed 17`` shows one.
 
 A drive is a script of a person and a planner (forward, coast, pulls, stops with the stick kept where it is, a planner's
 hold of a stopped car, gears, a reverse button) through a world with delays, lost speed, a guard that puts the chip to
@@ -271,7 +271,7 @@ class Drive:
 
     def act(self):
         rng = self.rng
-        kind = rng.randrange(14)
+        kind = rng.randrange(18)
         stick = self.request.value if self.request.is_human else 0.0
         if kind <= 2:
             self.stick(rng.uniform(0.1, 1.0), rng.uniform(0.1, 2.0))
@@ -297,8 +297,37 @@ class Drive:
             self.gear(-rng.uniform(0.1, 1.0), REVERSE_GEAR, rng.uniform(0.1, 2.5), rng.random() < 0.5)
         elif kind == 12:
             self.gear(rng.uniform(0.1, 0.6), rng.choice((DRIVE, REVERSE_GEAR)), rng.uniform(0.1, 1.0), False)
-        else:
+        elif kind == 13:
             self.arm()
+        elif kind <= 15:
+            self._pull_again()
+        else:
+            self._pull_after_a_coast()
+
+    def _pull_again(self):
+        """A pull, something that makes the next one a first, and that."""
+        rng = self.rng
+        self.stick(-rng.uniform(0.3, 1.0), rng.uniform(0.3, 1.0))
+        self.stick(0.0, rng.uniform(0.05, 0.8))
+        way = rng.randrange(3)
+        if way == 0:
+            self.stop(rng.uniform(0.02, 0.8))
+        elif way == 1:
+            self.stick(rng.uniform(0.1, 0.4), rng.uniform(0.05, 0.8))
+        else:
+            self.gear(rng.choice((0.0, 0.2)), DRIVE, rng.uniform(0.05, 0.8), False)
+        if rng.random() < 0.7:
+            self.stick(0.0, rng.uniform(0.02, 1.0))
+        self.stick(-rng.uniform(0.3, 1.0), rng.uniform(0.5, 2.5))
+
+    def _pull_after_a_coast(self):
+        """Forward, a while in neutral, and a brake or a stop; some ESCs have forgotten by then that they drove."""
+        rng = self.rng
+        self.stick(rng.uniform(0.15, 0.5), rng.uniform(0.3, 1.0))
+        self.stick(0.0, rng.uniform(0.5, 4.0))
+        if rng.random() < 0.5:
+            self.stick(-rng.uniform(0.3, 1.0), rng.uniform(0.5, 2.0))
+        self.stop(rng.uniform(0.5, 1.5), self.request.value)
 
     def drive(self):
         """A random drive, then, if it must be possible, a reversal without faults."""
@@ -313,8 +342,9 @@ class Drive:
         self._faults = False
         self._node_back_ns = self.chip.guard_until_ns = self.chip.dead_until_ns = 0
         self.stop(1.0)
-        while self.car.speed_mps:
-            self.stop(0.1)
+        for _ in range(300):
+            if self.car.speed_mps:
+                self.stop(0.1)
         self.arm()
         if self.rng.random() < 0.7:
             self.stick(0.5, self.rng.uniform(0.3, 1.0))
@@ -323,8 +353,9 @@ class Drive:
         way = self.rng.randrange(3)
         if way == 0:
             self.stick(value, self.rng.uniform(0.1, 1.0))
-            while abs(self.car.speed_mps) > 0:
-                self.stick(value, 0.05)
+            for _ in range(200):
+                if self.car.speed_mps:
+                    self.stick(value, 0.05)
             self.stick(0.0, self.rng.uniform(0.1, 1.0))
         before_m, began = self.car.place_m, self.car.speed_mps
         for _ in range(60):
@@ -355,7 +386,8 @@ def failures(result):
     if f"({MATCHING})" in kind and result.unintended:
         return f"seed {result.seed}, {kind}: reverse that nobody meant at {result.unintended[0]}"
     if kind.endswith(f" {KNOWN}") and result.longest_ns > MAX_WRONG_NS:
-        return f"seed {result.seed}, {kind}: driven backward for {result.longest_ns / 1e9:.2f} s: {result.unintended[0]}"
+        seconds = result.longest_ns / 1e9
+        return f"seed {result.seed}, {kind}: driven backward for {seconds:.2f} s: {result.unintended[0]}"
     return ""
 
 

@@ -210,8 +210,8 @@ def _driver(source):
 
 
 def _faults(drive):
-    text = ("Losses, refusals, resets and warnings with their times: from the arbiters, teleop_logi, the Teensy's link, "
-            "/diagnostics and the nodes' logs.")
+    text = ("Losses, refusals, resets and warnings with their times: from the arbiters, teleop_logi, the Teensy's "
+            "link, /diagnostics and the nodes' logs.")
     rows = []
     for fault in drive.faults.entries:
         lasted = span_text(fault.end_s - fault.start_s) if math.isfinite(fault.end_s) else ""
@@ -240,8 +240,8 @@ def _steering(drive, plots):
 
 def _throttle(drive, plots):
     profile = f" Kind of the ESC: {escape(drive.throttle.profile)}." if drive.throttle.profile else ""
-    text = ("As throttle_arb reports: what was asked, by stick or planner, and what the ESC was given; 1 is full forward, "
-            f"−1 full brake or reverse.{profile}")
+    text = ("As throttle_arb reports: what was asked, by stick or planner, and what the ESC was given; 1 is full "
+            f"forward, −1 full brake or reverse.{profile}")
     rows = [(moment_text(episode.start_s, drive.duration_s), span_text(episode.end_s - episode.start_s),
              _driver(episode.source), escape(episode.esc), escape(episode.reason))
             for episode in drive.throttle.episodes]

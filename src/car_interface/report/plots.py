@@ -33,7 +33,6 @@ from car_interface.report.figures import (
 )
 from car_interface.report.summary import Summary
 
-
 ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
 
 

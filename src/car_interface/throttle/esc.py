@@ -4,7 +4,12 @@ Consumes requests (fractions −1..1), what the servo board held, and the measur
 answers with a fraction, the state, the cause and the reason. It never blocks: where an ESC needs time in neutral, the
 answers are neutral until then. Pure: ``now_ns`` is passed in. The duty for a fraction is the caller's table.
 
-What is certain, and what is not, stands with the rules: see ``_brakes`` and ``_stop``.
+What is certain to be a brake, and what is not, stands with the rules: see ``_brakes`` and ``_stop_brakes``.
+
+What it can't see: an ESC that is switched on, or recalibrated, later than the board: its memory begins anew, and its
+first pull may be reverse. A hill on which the car rolls in neutral: that is told, and neutral is all there is against
+it. A board that gives no pulses and has not said so yet. And with a wrong profile and without speed, that a person's
+own pull drives the car backward.
 """
 from __future__ import annotations
 
@@ -59,7 +64,7 @@ class Esc:
     loss of power and motion against the state lead back there.
     """
 
-    def __init__(self, config: EscConfig = EscConfig()):
+    def __init__(self, config: EscConfig):
         self.config = config
         self._history = EscHistory(config)
         self._motion = MeasuredMotion(config)
@@ -99,6 +104,7 @@ class Esc:
         self._pulls.update(request)
         self._update_arming(request, now_ns)
         if self._state == ARMING:
+            self._pulls = Pulls(self.config.dead_band_reverse)  # none counts from before
             answer = (0.0, ARMING, self._arming_cause, self._arming_text(request, now_ns))
         elif request.is_stop:
             answer = self._stop(now_ns)
@@ -259,10 +265,10 @@ class Esc:
     def _stop(self, now_ns, cause=causes.STOPPING, prefix=""):
         if self._stop_began_ns is None:
             self._stop_began_ns = now_ns
-        if now_ns - self._stop_began_ns > self.config.stop_brake_time_s * NS_PER_S:
-            return 0.0, NEUTRAL, cause, f"{prefix}it has braked for {self.config.stop_brake_time_s:g} s"
         if self._state == REVERSE or not self._stop_brakes(now_ns):
             return 0.0, NEUTRAL, cause, f"{prefix}it stops in neutral"
+        if now_ns - self._stop_began_ns > self.config.stop_brake_time_s * NS_PER_S:
+            return 0.0, NEUTRAL, cause, f"{prefix}it has braked for {self.config.stop_brake_time_s:g} s"
         return -self.config.stop_brake, BRAKING, cause, f"{prefix}it brakes"
 
     def _stop_brakes(self, now_ns):

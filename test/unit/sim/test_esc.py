@@ -58,7 +58,8 @@ def test_second_pull(config, neutral_s, rolls_mps, expected):
 @pytest.mark.parametrize("second_pull, expected", [(virtual.BRAKES, BRAKE), (virtual.BRAKES_AND_TURNS, BACKWARD)])
 def test_second_pull_that_began_rolling_and_is_held_at_standstill(second_pull, expected):
     config = virtual.vxl(second_pull=second_pull)
-    assert play(config, [*BRAKED, (NEUTRAL, 0.5, 1.0), (BACK, 0.2, 1.0), (BACK, 0.3, STOPPED)])[-2:] == [BRAKE, expected]
+    steps = [*BRAKED, (NEUTRAL, 0.5, 1.0), (BACK, 0.2, 1.0), (BACK, 0.3, STOPPED)]
+    assert play(config, steps)[-2:] == [BRAKE, expected]
 
 
 def test_esc_that_forgets_reverses_at_the_first_pull_after_its_time_in_neutral():

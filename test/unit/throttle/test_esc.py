@@ -103,6 +103,14 @@ def test_board_that_lost_its_power_means_arming_again():
     assert car.stick(0.5).state == FORWARD
 
 
+def test_pulls_before_arming_is_over_do_not_count():
+    car = Car(armed=False)
+    car.stop(0.1)
+    car.stick(-0.5, 0.2, speed=0.0)
+    car.stick(0.0, 1.2, speed=0.0)
+    assert car.stick(-0.5, 2.0, speed=0.0)[:2] == (0.0, NEUTRAL)
+
+
 # --- requests ---
 
 
@@ -353,8 +361,9 @@ def test_stop_after_a_long_coast_trusts_no_esc_to_remember():
 def test_stop_brakes_no_longer_than_its_time_and_not_at_standstill():
     car = Car(profile_measured=True, stop_brake_time_s=1.0)
     car.stick(0.5, 0.5)
-    assert car.stop(0.96).fraction == -0.5 and car.stop(0.1).fraction == 0.0
-    assert car.decision.reason == "it has braked for 1 s"
+    answers = [car.stop()[::3] for _ in range(60)]
+    assert answers[50] == (-0.5, "it brakes")
+    assert answers[51] == (0.0, "it has braked for 1 s") and answers[52] == (0.0, "it stops in neutral")
     standing = Car(profile_measured=True)
     standing.drive_and_brake_to_standstill()
     assert standing.stop(speed=0.0).fraction == 0.0

@@ -59,7 +59,8 @@ def test_dwell_of_0_is_refused():
     ({"profile_measured": True}, "esc/profile_measured is True; accepted: false, while esc/profile is unverified"),
     ({"calibration_drive": True, "profile": "forward_only"},
      "esc/calibration_drive is True; accepted: false, or esc/profile unverified"),
-    ({"stop_brake": 0.05}, "esc/stop_brake is 0.05; accepted: 0 .a stop coasts., or at least esc/dead_band_reverse 0.08"),
+    ({"stop_brake": 0.05},
+     "esc/stop_brake is 0.05; accepted: 0 .a stop coasts., or at least esc/dead_band_reverse 0.08"),
     ({"reverse_after_neutral_s": 0.3}, "esc/reverse_after_neutral is 0.3; accepted: 0 .never., or at least esc/dwell"),
 ])
 def test_contradiction_is_refused(changes, text):

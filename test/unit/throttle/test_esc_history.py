@@ -68,7 +68,7 @@ def test_esc_that_forgets_is_not_certain_to_brake_after_its_time():
                  id="again_and_again"),
     pytest.param([*BRAKES, ("both", 0.0, 300), ("both", 0.4, 20)], False, id="not_after_forward"),
     pytest.param([*BRAKES, ("both", 0.0, 300), ("held", None, 20), ("held", 0.0, 500)], False, id="nor_a_loss"),
-    pytest.param([("sent", -0.5, 400), ("sent", 0.0, 300)], True, id="by_what_was_sent_if_the_board_never_said_anything"),
+    pytest.param([("sent", -0.5, 400), ("sent", 0.0, 300)], True, id="by_what_was_sent_if_the_board_said_nothing"),
 ])
 def test_reverse_is_unlocked(steps, unlocked):
     history, now_ns = played(steps)

@@ -55,6 +55,8 @@ MAX_JUMP = 0.03  # a stick that moved farther within SET_OFF_S doesn't show wher
 COAST_MPS = (0.4, 2.0)
 PUSHED_MPS = (0.1, 1.0)  # where a motor's thrust is still that at standstill
 
+NOTHING_KNOWN = "nothing is known: the recording needs odom and the servo board's output, with servo/neutral in it"
+
 
 @dataclass(frozen=True)
 class EscFit:
@@ -87,8 +89,7 @@ def fit(drive: EscDrive) -> EscFit:
     data = sampled(drive)
     if data is None:
         return EscFit(None, None, None, None, None, None, None, (),
-                      ("nothing is known: the recording needs odom and the servo board's output, with servo/neutral "
-                       "in it",))
+                      (NOTHING_KNOWN,))
     seen: list = []
     missing: list = []
     found = pulls(data)
@@ -181,8 +182,8 @@ def _dwell(found, seen, missing):
     short = [pull.neutral_s for pull in seconds if pull.outcome == HELD]
     _, low, high = NUMBERS["dwell_s"]
     if not enough or min(enough) > high or short and max(short) >= min(enough):
-        missing.append(f"esc/dwell: after a brake, center the stick for less than {high:g} s and pull back for a second; "
-                       "several times, each a little quicker")
+        missing.append(f"esc/dwell: after a brake, center the stick for less than {high:g} s and pull back for a "
+                       "second; several times, each a little quicker")
         return None
     dwell_s = max(low, min(enough))
     seen.append(f"esc/dwell: {min(enough):.2f} s of neutral were enough"
@@ -196,8 +197,8 @@ def _forget(found, seen, missing):
     braked = [pull.since_forward_s for pull in firsts if pull.outcome == HELD]
     forgot = [pull.since_forward_s for pull in firsts if pull.outcome == BACKWARD]
     if forgot and braked and max(braked) < min(forgot) and max(braked) >= FRESH_S:
-        seen.append(f"esc/reverse_after_neutral: after {min(forgot):.1f} s in neutral the first pull was reverse, after "
-                    f"{max(braked):.1f} s a brake")
+        seen.append(f"esc/reverse_after_neutral: after {min(forgot):.1f} s in neutral the first pull was reverse, "
+                    f"after {max(braked):.1f} s a brake")
         return round(float(max(braked)), 2)
     if braked and not forgot and max(braked) >= LONG_COAST_S:
         seen.append(f"esc/reverse_after_neutral: after {max(braked):.1f} s in neutral the first pull was a brake")

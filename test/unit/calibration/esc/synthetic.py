@@ -22,9 +22,9 @@ class Person:
         resting: the duty that the centered stick gives.
     """
 
-    def __init__(self, esc: virtual.VirtualEscConfig, car: EscCarConfig = EscCarConfig(), seed=0, resting=NEUTRAL):
+    def __init__(self, esc: virtual.VirtualEscConfig, car: EscCarConfig | None = None, seed=0, resting=NEUTRAL):
         self.rng = random.Random(seed)
-        self._esc, self.car = virtual.VirtualEsc(esc, self.rng.randrange(20) * MS), EscCar(car)
+        self._esc, self.car = virtual.VirtualEsc(esc, self.rng.randrange(20) * MS), EscCar(car or EscCarConfig())
         self._resting, self._now_ns = resting, 0
         self._duty: list = []
         self._speed: list = []
@@ -60,7 +60,8 @@ class Person:
         self.center()
 
     def forward(self):
-        self.hold(self.rng.uniform(0.3, 0.5), 10, lambda speed, top=self.rng.uniform(1.5, 2.5): speed > top)
+        fraction, top_mps = self.rng.uniform(0.3, 0.5), self.rng.uniform(1.5, 2.5)
+        self.hold(fraction, 10, lambda speed: speed > top_mps)
 
     def brake(self, strength=None):
         """Forward, pull back, hold until it has stood for a second, or rolls backward."""

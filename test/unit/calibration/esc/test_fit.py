@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.esc.synthetic import FULL_FORWARD, FULL_REVERSE, NEUTRAL, Person, random_esc
-from car_interface.calibration.esc.fit import EscFit, fit
+from car_interface.calibration.esc.fit import NOTHING_KNOWN, EscFit, fit
 from car_interface.calibration.esc.pulls import EscDrive
 from car_interface.sim import esc as virtual
 from car_interface.throttle.esc_config import EscConfig
@@ -88,21 +88,26 @@ BRAKE_HINT = ("the profile: drive forward, pull back by half, and hold until the
               "times")
 SECOND_HINT = ("the profile: after a brake, center the stick for half a second and pull back by half for a second; "
                "three times")
+DWELL_HINT = ("esc/dwell: after a brake, center the stick for less than 0.5 s and pull back for a second; several "
+              "times, each a little quicker")
+FORGET_HINT = ("esc/reverse_after_neutral: drive forward, center the stick, and after 6 s pull back by half for a "
+               "second")
+FORWARD_HINT = ("esc/dead_band_forward: from standstill, push the stick so slowly that the car just sets off; three "
+                "times")
+REVERSE_HINT = ("esc/dead_band_reverse: from standstill, pull the stick so slowly that the car just sets off; three "
+                "times")
+COAST_HINT = "esc/drag_deceleration: drive forward, center the stick until the car stands; three times"
 
 
 @pytest.mark.parametrize("actions, hint", [
     ([("forward", 3)], BRAKE_HINT),
     ([("brake", 1), ("reverse", 1, 0.7)], SECOND_HINT),
     ([("brake", 4)], SECOND_HINT),
-    ([("reverse", 3, 0.8)], "esc/dwell: after a brake, center the stick for less than 0.5 s and pull back for a second; "
-                            "several times, each a little quicker"),
-    ([("reverse", 3, 0.8)], "esc/reverse_after_neutral: drive forward, center the stick, and after 6 s pull back by "
-                            "half for a second"),
-    ([("reverse", 3, 0.8)], "esc/dead_band_forward: from standstill, push the stick so slowly that the car just sets "
-                            "off; three times"),
-    ([("set_off", 3, 1), ("reverse", 3, 0.8)], "esc/dead_band_reverse: from standstill, pull the stick so slowly that "
-                                               "the car just sets off; three times"),
-    ([("brake", 3)], "esc/drag_deceleration: drive forward, center the stick until the car stands; three times"),
+    ([("reverse", 3, 0.8)], DWELL_HINT),
+    ([("reverse", 3, 0.8)], FORGET_HINT),
+    ([("reverse", 3, 0.8)], FORWARD_HINT),
+    ([("set_off", 3, 1), ("reverse", 3, 0.8)], REVERSE_HINT),
+    ([("brake", 3)], COAST_HINT),
 ])
 def test_what_the_drive_does_not_show_is_refused_with_what_to_drive(actions, hint):
     assert hint in driven(*actions).missing
@@ -127,5 +132,4 @@ def test_brakes_that_contradict_each_other_name_no_profile():
 
 def test_empty_recording_shows_nothing():
     found = fit(EscDrive(*[np.zeros(0)] * 4, NEUTRAL, FULL_FORWARD, FULL_REVERSE))
-    assert found == EscFit(*[None] * 7, (), ("nothing is known: the recording needs odom and the servo board's "
-                                              "output, with servo/neutral in it",))
+    assert found == EscFit(*[None] * 7, (), (NOTHING_KNOWN,))
