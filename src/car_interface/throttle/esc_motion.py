@@ -10,6 +10,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 
 STANDSTILL_MPS = 0.1
+MAX_SPEED_MPS = 100.0  # no such car is faster
 # Locked wheels read 0 while the car slides, under a brake or a strong drag brake. A slide on dust still slows it by
 # 3 m/s²: after any measured speed the car may slide for no longer than that speed divided by this.
 SLIDE_MPS2 = 3.0
@@ -26,8 +27,8 @@ class MeasuredMotion:
         self._slides_until_ns = -math.inf
 
     def update(self, speed_mps: float, now_ns: int) -> None:
-        """A speed that has arrived; one that is not finite makes the speed unknown."""
-        if not math.isfinite(speed_mps):
+        """A speed that has arrived; one that is not finite, or no car's, makes the speed unknown."""
+        if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._speed.mark_stale()
             return
         self._speed.update(speed_mps, now_ns)

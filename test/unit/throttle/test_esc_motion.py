@@ -37,6 +37,11 @@ def test_standstill_is_below_a_tenth_of_a_meter_a_second(speed_mps, stands, forw
     assert (measured.stands(0), measured.rolls_forward(0), measured.rolls_backward(0)) == (stands, forward, backward)
 
 
+@pytest.mark.parametrize("speed_mps", [100.1, -100.1, 1e308, -1e308, math.inf])
+def test_speed_that_no_car_has_is_unknown(speed_mps):
+    assert motion(1.0, speed_mps).speed_mps(100 * MS) is None
+
+
 def test_locked_wheels_are_no_standstill_until_the_car_must_have_stopped():
     locked = motion(1.0, 3.0, 0.0)  # 3 m/s ÷ 3 m/s²: a second after it was measured
     assert locked.rolls_forward(200 * MS) and not locked.stands(200 * MS)
