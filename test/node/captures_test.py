@@ -249,8 +249,9 @@ class CapturesTest(unittest.TestCase):
             dx, dy = end.x_m - start.x_m, end.y_m - start.y_m
             position = odoms[-1].pose.pose.position
             off_m = math.hypot(position.x - (cos * dx + sin * dy), position.y - (cos * dy - sin * dx))
-            # How long the Teensy was away the hub knows by its bytes' arrival only: what came late adds to that.
-            late_m = 1.5 * player.latest_s * len(player.reboots_us)
+            # How long the Teensy was away the hub knows by its bytes' arrival only: what came late adds to that,
+            # and on such a machine the hub reads it about as late.
+            late_m = 3.0 * player.latest_s * len(player.reboots_us)
             self.assertLessEqual(off_m, max(0.04, 0.005 * player.capture.distance_m()) + late_m)
             orientation = odoms[-1].pose.pose.orientation
             yaw = 2 * math.atan2(orientation.z, orientation.w) - (end.yaw_rad - start.yaw_rad)

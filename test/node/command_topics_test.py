@@ -68,7 +68,8 @@ class CommandTopicsTest(unittest.TestCase):
         mark = self.reports.mark()
         process, name, began_s = self.publish(topic, message_type, message)
         try:
-            status, at_s = self.reports.wait_until(node, lambda status: status.level != OK, mark)
+            status, at_s = self.reports.wait_until(  # a machine is known up to a second after a node's first command
+                node, lambda status: status.level != OK and "an unknown machine" not in status.message, mark)
             for wanted in (*words, f"{name} on 127.0.0.1"):
                 self.assertIn(wanted, status.message)
             if level is not None:

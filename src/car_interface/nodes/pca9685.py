@@ -123,7 +123,7 @@ class Pca9685:
         self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_conflicts)
         self._diagnostics = Diagnostics(inbox, self._name(), {
             "servo board": self._report,
-            "guard": lambda status: self._guard.report(status, time.monotonic_ns()),
+            "guard": lambda status: self._guard.report(status, time.monotonic_ns(), self._supervisor.running),
             **self._command_topics.reports}, now_ns)
         if config.required:
             self._open_or_end(now_ns)

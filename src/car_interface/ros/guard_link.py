@@ -181,15 +181,15 @@ class GuardLink:
         self._pipes = []
         self._process = None
 
-    def report(self, status, now_ns: int):
-        """Its state, for /diagnostics."""
+    def report(self, status, now_ns: int, board_runs: bool):
+        """Its state, for /diagnostics. A board that the node can't reach either is the node's own report."""
         if self._off_after_ns is None:
             status.summary(OK, "off (guard: false): the board goes on pulsing if this node dies or hangs")
             return status
         if not self.watch.is_present:
             status.summary(ERROR, self._absence())
             status.add("cause", GUARD_ABSENT)
-        elif self.watch.error not in (0, NOT_TRIED):
+        elif board_runs and self.watch.error not in (0, NOT_TRIED):
             status.summary(WARN, f"{GUARD_BLOCKED}: it can't reach the board ({os.strerror(self.watch.error)})")
             status.add("cause", GUARD_BLOCKED)
         elif self._losses and now_ns - self._lost_ns < SHOWN_NS:

@@ -32,6 +32,7 @@ from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 LINGER_S = 3.0  # after the last client: roslaunch starts a node again, and a guard is a client, too
 SERVER_LOCK = 0x100  # a byte of the lock file that is no address
+MODE1, SLEEP, LED0, BLOCK = 0x00, 0x10, 0x06, 32  # data sheet, table 4
 HELD_S = 1.0  # a transfer on a bus that is held fails after the kernel's timeout
 
 
@@ -170,6 +171,10 @@ class ChipServer:
         if self._log_fd >= 0:
             os.close(self._log_fd)
         self._log_fd = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        if not self._chip.read(MODE1, 1)[0] & SLEEP:  # what it holds by then, as if it were written now
+            for first in (LED0, LED0 + BLOCK):
+                self._log_write(self._address, first, b"".join(
+                    bytes(self._chip.read(register, 1)) for register in range(first, first + BLOCK)))
 
     def _log_write(self, address, register, data):
         if self._log_fd >= 0:

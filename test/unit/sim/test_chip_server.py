@@ -187,10 +187,13 @@ def test_observer_notices_that_the_chip_is_gone(server, link):
 def test_log_has_each_write_of_every_client_with_the_time(server, link):
     log = f"{server.path}.log"
     link.log_to(log)
+    with open(log, encoding="ascii") as file:
+        held = [line.split()[1:] for line in file.read().splitlines()]
+    assert held == [["40", "06", "00000010" * 8], ["40", "26", "00000010" * 8]]
     before_ns = time.monotonic_ns()
     server.connect().write(0x06, bytes((0, 0, 0x3F, 1)))
     with open(log, encoding="ascii") as file:
-        time_ns, *rest = file.read().split()
+        time_ns, *rest = file.read().splitlines()[-1].split()
     assert before_ns < int(time_ns) < time.monotonic_ns()
     assert rest == ["40", "06", "00003f01"]
 
