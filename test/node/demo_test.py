@@ -137,7 +137,7 @@ class TwoCarsDrive(unittest.TestCase):
                                      ".filter(svg => svg.getBoundingClientRect().height > 80)"
                                      ".map(svg => svg.dataset.plot)")
             words = browser.evaluate("document.querySelector('.verdict').textContent")
-        self.assertEqual((plots, browser.complaints), (["who", "steering", "path", "speed", "link"], []))
+        self.assertEqual((plots, browser.complaints), (["who", "steering", "throttle", "path", "speed", "link"], []))
         self.assertNotIn("can't tell", words)
         self.assertRegex(words, r"^The gamepad drove for \d+\.\d s and the planner for \d+\.\d s\.")
 
