@@ -14,8 +14,9 @@ import rosgraph
 import rospy
 
 from car_interface.common.publishers import CommandTopic
+from car_interface.common.units import NS_PER_S
 from car_interface.ros.inbox import Inbox
-from car_interface.ros.publisher_lookup import PublisherLookup
+from car_interface.ros.publisher_lookup import CONNECTING_NS, PublisherLookup
 from car_interface.ros.xmlrpc_calls import TimeoutTransport
 
 POLL_S = 1.0
@@ -106,7 +107,7 @@ class _ProcessWatch:
             for watch in self._watches:
                 if not watch.has_ended:
                     watch.update(fault, listed, lookup)
-            time.sleep(POLL_S)
+            time.sleep(CONNECTING_NS / NS_PER_S if lookup.is_waiting else POLL_S)
 
 
 _PROCESS_WATCH = _ProcessWatch()

@@ -25,6 +25,9 @@ HEADER_SIZE = 65536
 ASK_AGAIN_NS = 4 * NS_PER_S
 ASK_SILENT_AGAIN_NS = 10 * NS_PER_S  # one that let the question time out
 SLOW_NS = NS_PER_S // 2
+# A publisher that has just registered is about to be connected. Asked before that, it would take the question for its
+# first subscriber, and may send what it sends once to nobody else.
+CONNECTING_NS = 3 * NS_PER_S // 10
 
 
 class _Answer(NamedTuple):
@@ -45,11 +48,14 @@ class PublisherLookup:
         self._node_uri = node_uri
         self._answers: dict[tuple[str, str], _Answer] = {}  # by topic and node
         self._asked: set[tuple[str, str]] = set()
+        self._first_seen_ns: dict[tuple[str, str], int] = {}
+        self.is_waiting = False  # for connections: look again after CONNECTING_NS
         self._was_slow = False  # somebody let a question time out: the others are asked the next time
 
     def begin(self) -> None:
         """Begin anew: forget the answers of those that aren't listed any more."""
-        self._was_slow = False
+        self._was_slow = self.is_waiting = False
+        self._first_seen_ns = {key: at_ns for key, at_ns in self._first_seen_ns.items() if key in self._asked}
         self._answers = {key: answer for key, answer in self._answers.items() if key in self._asked}
         self._asked = set()
 
@@ -71,6 +77,9 @@ class PublisherLookup:
         key = subscription.resolved_name, node
         self._asked.add(key)
         now_ns = time.monotonic_ns()
+        if now_ns - self._first_seen_ns.setdefault(key, now_ns) < CONNECTING_NS:
+            self.is_waiting = True
+            return None
         answer = self._answers.get(key)
         if answer is None or now_ns >= answer.until_ns:
             if self._was_slow:
