@@ -262,6 +262,9 @@ class DemoDrive:
 
     def _wait_until_ready(self, now_ns):
         missing = self._watch.missing()
+        recording = self._recording
+        if not missing and recording and not recording.has_subscribed(rospy.resolve_name("teensy_clock")):
+            missing = ["the recorder of the bag"]
         if not missing:
             self._drive = Drive(DriveConfig(), now_ns)
             self._started_ns = now_ns

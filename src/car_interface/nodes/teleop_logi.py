@@ -2,7 +2,7 @@
 
 Subscribes:
     joy (sensor_msgs/Joy).
-Publishes, at 50 Hz and at once when the deadman changes:
+Publishes, at 50 Hz (mode and scale_button: 10 Hz) and at once when they or the deadman change:
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is fresh; a button
         that is held at the start counts after all were released.
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman; never
@@ -104,9 +104,12 @@ class TeleopLogi:
     def _tick(self, now_ns):
         requests = self._gamepad.requests(now_ns)
         has_changed = self._publish(requests, now_ns)
-        self._publish_scale_button(now_ns, repeat=True)
         self._ticks += 1
-        if self._ticks % TICKS_PER_STATE == 0 and not has_changed:
+        repeats = self._ticks % TICKS_PER_STATE == 0
+        self._publish_scale_button(now_ns, repeats)
+        if repeats:
+            self._modes.publish(requests.mode)
+        if repeats and not has_changed:
             self._publish_state(requests, now_ns)
 
     def _publish_if_changed(self, now_ns):
@@ -120,7 +123,8 @@ class TeleopLogi:
         # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
             self._human.publish(False)
-        self._modes.publish(requests.mode)
+        if before is None or requests.mode != before.mode:
+            self._modes.publish(requests.mode)
         self._steering.publish(requests.steering)
         self._throttle.publish(requests.throttle)
         if requests.human_in_loop:
@@ -133,9 +137,9 @@ class TeleopLogi:
             self._log(requests)
         return has_changed
 
-    def _publish_scale_button(self, now_ns, repeat=False):
+    def _publish_scale_button(self, now_ns, repeats=False):
         before, self._scale_button = self._scale_button, self._gamepad.scale_button(now_ns)
-        if repeat or self._scale_button != before:
+        if repeats or self._scale_button != before:
             self._scale_buttons.publish(self._scale_button)
 
     def _publish_state(self, requests, now_ns):

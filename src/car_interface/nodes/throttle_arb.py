@@ -1,4 +1,4 @@
-"""The throttle_arb node: decides who drives and what the ESC gets, at 50 Hz and at once on a change.
+"""The throttle_arb node: decides who drives and what the ESC gets, at once on a change and within 40 ms anyhow.
 
 Subscribes:
     /e_stop (std_msgs/Bool): true = locked: stop, whoever requests what.
@@ -86,6 +86,7 @@ class ThrottleArb:
         self._now_ns = now_ns  # of the newest decision
         self._decision = None
         self._command = self._commanded_duty = None  # the command message, and the duty in it
+        self._was_commanded = False  # since the last tick
         self._pending = []  # decisions whose command was published, but not yet state and log line
         self._report_ns = 0
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
@@ -107,11 +108,12 @@ class ThrottleArb:
         subscribe_changes("/teleop_logi/scale_button", Int8, inbox, self._on_scale_button, self._decide)
         for topic, message_type, handler in (
                 ("~input/value", Float64Stamped, self._on_value),
-                ("~input/odometry", Odometry, self._on_odometry),
                 ("generic_value_converter/state", ConverterState, self._on_converter),
                 ("turn_arb/state", SteeringState, self._on_steering),
                 ("/servo/output", Int32MultiArray, self._on_output)):
             subscribe(topic, message_type, inbox, self._deciding(handler))
+        # The timer's rate is enough for a speed, and saves 40 decisions a second.
+        subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state)
 
     def step(self, now_ns):
@@ -218,8 +220,10 @@ class ThrottleArb:
     def _tick(self, now_ns):
         self._ticks += 1
         self._reconfigure.step(now_ns)
-        if not self._decide(now_ns):
+        # A planner's values change the duty as often as the timer ticks: both together would double every command.
+        if not self._decide(now_ns) and not self._was_commanded:
             self._publish_command(self._decision)
+        self._was_commanded = False
         if self._ticks % TICKS_PER_STATE == 0:
             self._report_pending()
             self._publish_state(self._control.decide(self._now_ns))
@@ -231,6 +235,7 @@ class ThrottleArb:
             self._commanded_duty = decision.duty
             self._command = duty_vector(one_channel(self._channel, decision.duty))
         self._commands.publish(self._command)
+        self._was_commanded = True
 
     def _report_pending(self):
         """Publish and log the decisions whose commands were sent."""
