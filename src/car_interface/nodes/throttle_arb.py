@@ -108,12 +108,11 @@ class ThrottleArb:
         subscribe_changes("/teleop_logi/scale_button", Int8, inbox, self._on_scale_button, self._decide)
         for topic, message_type, handler in (
                 ("~input/value", Float64Stamped, self._on_value),
+                ("~input/odometry", Odometry, self._on_odometry),
                 ("generic_value_converter/state", ConverterState, self._on_converter),
                 ("turn_arb/state", SteeringState, self._on_steering),
                 ("/servo/output", Int32MultiArray, self._on_output)):
             subscribe(topic, message_type, inbox, self._deciding(handler))
-        # The timer's rate is enough for a speed, and saves 40 decisions a second.
-        subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state)
 
     def step(self, now_ns):
