@@ -16,6 +16,7 @@ from waiting import PATIENCE_S, NodeProcess, eventually, executable
 PACKAGE = rospkg.RosPack().get_path("car_interface")
 HERE = os.path.dirname(os.path.abspath(__file__))
 DRIVER = os.path.join(HERE, "chain_driver.py")
+START_WITHIN_S = 60  # of a program on a machine with much other work
 PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")  # one that can import rospy, with its PYTHONPATH
 PYTHONPATH38 = os.environ.get("CAR_INTERFACE_PYTHONPATH38")
 
@@ -185,7 +186,7 @@ class Car:
     def driver(self, name, *names):
         """Start a chain_driver that may publish these names."""
         process = self.start(name, sys.executable, DRIVER, name, ",".join(names))
-        process.wait_for_info("^ready")
+        process.stdout.wait_for(lambda line: line.startswith("ready"), within_s=START_WITHIN_S)
         return process
 
     def sent(self, driver, name, value):
