@@ -32,6 +32,7 @@ MESSAGES = TEST / "node" / "messages_test.py"
 TIMED = ("captures", "chain", "demo", "serial_faults", "teleop_logi", "turn_arb")
 MAX_TIMED = 2
 LONG = ("chain", "one_process", "fuzz", "doctor_situations", "live")  # the longest begin first
+MAX_REPEATED = 3  # more failed node tests than this have one cause: repeating them would only take time
 STEP_LIMIT_S = 3600  # far longer than any step takes: a hanging one ends
 END_S = 15.0  # for an interrupted step to end its processes
 POLL_S = 0.2
@@ -132,7 +133,7 @@ class Runner:
     """
 
     def __init__(self, output: Path, unit_steps: Iterable[Step]):
-        self.tallies: list[Tally] = []
+        self.tallies: dict[str, Tally] = {}  # by step
         self._results, self._logs = output / "results", output / "log" / "test"
         self._unit_steps = list(unit_steps)
         self._running: list[Running] = []
@@ -164,7 +165,7 @@ class Runner:
         folder, logs = self._results / step.name, self._logs / step.name
         (folder / "exit_code").write_text(str(code), encoding="ascii")
         result = tally(folder)
-        self.tallies.append(result)
+        self.tallies[step.name] = result
         print_line(step.title, took_s, str(result))
         if result.failures:
             print(*result.lines(), end_of_log(folder / "log", 60), sep="\n", flush=True)
@@ -253,11 +254,11 @@ def messages_step(results: Path, path: Path) -> Step:
                 PYTEST_ENVIRONMENT)
 
 
-def node_step(results: Path, path: Path) -> Step:
+def node_step(results: Path, path: Path, name: str) -> Step:
     """Return the step of one node test."""
-    folder = results / path.name
+    folder = results / name
     command = ("rostest", f"--pkgdir={ROOT}", "--package=car_interface", f"--results-base-dir={folder}", str(path))
-    return Step(path.name, path.name, command, {"CAR_INTERFACE_TABLE": str(folder / "table")})
+    return Step(name, name, command, {"CAR_INTERFACE_TABLE": str(folder / "table")})
 
 
 def run_node_tests(runner: Runner, results: Path, selected: Selection, everything: bool) -> None:
@@ -266,7 +267,7 @@ def run_node_tests(runner: Runner, results: Path, selected: Selection, everythin
         runner.begin(messages_step(results, path))
     for path in selected.shared:
         runner.wait_for_room()
-        runner.begin(node_step(results, path))
+        runner.begin(node_step(results, path, path.name))
     runner.wait_for_node_tests(0)
     if not selected.timed:
         return
@@ -277,12 +278,34 @@ def run_node_tests(runner: Runner, results: Path, selected: Selection, everythin
         runner.set_unit_policy(os.SCHED_IDLE)
     for path in selected.timed:
         runner.wait_for_node_tests(0 if everything else MAX_TIMED - 1)
-        runner.begin(node_step(results, path))
+        runner.begin(node_step(results, path, path.name))
     runner.wait_for_node_tests(0)
     runner.set_unit_policy(os.SCHED_OTHER)
 
 
-def run(output: Path, pythons: list[str], selected: Selection, everything: bool) -> int:
+def repeat_failed(runner: Runner, results: Path, paths: Iterable[Path]) -> list[str]:
+    """Run the node tests that failed once more, each alone; return the failures of those that pass then.
+
+    A program that was kept from running for seconds by others looks like one that is broken. What is broken fails
+    again, and what passes is named: it depends on time where it shouldn't, in the test or in the code.
+    """
+    failed = [path for path in paths if runner.tallies[path.name].failures]
+    if len(failed) > MAX_REPEATED:
+        return []
+    runner.wait_for_unit_tests()
+    unsteady: list[str] = []
+    for path in failed:
+        again = node_step(results, path, f"{path.stem}-again.test")
+        runner.begin(again)
+        runner.wait_for_node_tests(0)
+        second = runner.tallies.pop(again.name)
+        if not second.failures:
+            unsteady += runner.tallies[path.name].failures
+            runner.tallies[path.name] = second
+    return unsteady
+
+
+def run(output: Path, pythons: list[str], selected: Selection, everything: bool, repeats: bool) -> int:
     """Run the selected tests, print the results and their sum; return the exit code."""
     results, begun_s = output / "results", time.monotonic()
     runnable = [python for python in pythons if os.access(python, os.X_OK)]
@@ -291,6 +314,7 @@ def run(output: Path, pythons: list[str], selected: Selection, everything: bool)
                              for python in runnable if selected.unit])
     try:
         run_node_tests(runner, results, selected, everything)
+        unsteady = repeat_failed(runner, results, [*selected.shared, *selected.timed]) if repeats else []
         runner.wait_for_unit_tests()
     finally:
         runner.end()
@@ -299,8 +323,8 @@ def run(output: Path, pythons: list[str], selected: Selection, everything: bool)
     if tables:
         print(f"\nfault | at | trials | median ms | p99 ms | worst ms\n{tables}", end="")
     # A Python that could not be prepared counts as a skipped test.
-    total = Tally.sum([*runner.tallies, Tally(skipped=len(pythons) - len(runnable))])
-    print("", *total.lines(), total, sep="\n")
+    total = Tally.sum([*runner.tallies.values(), Tally(skipped=len(pythons) - len(runnable))])
+    print("", *(f"UNSTEADY, passed alone: {failure}" for failure in unsteady), *total.lines(), total, sep="\n")
     return 1 if total.failures else 0
 
 
@@ -322,7 +346,9 @@ def main() -> int:
         os.environ.update(CAR_INTERFACE_ALL="1", CAR_INTERFACE_TRIALS="50")
     os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}"
     adopt_descendants()
-    return run(arguments.output, arguments.python, selected, arguments.all)
+    # Who asks for one test, or for figures, wants to see it fail.
+    repeats = not arguments.names and not arguments.all
+    return run(arguments.output, arguments.python, selected, arguments.all, repeats)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,12 @@ import unittest
 
 import rospy
 import rostest
+from car_interface.msg import TeleopState
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
+from car_interface.common import causes
 from waiting import Topic, rate_hz, start, start_node
 
 BUTTON, AXIS, INIT = 1, 2, 0x80  # linux/joystick.h
@@ -59,10 +61,13 @@ class GamepadJoyTest(unittest.TestCase):
     def test_launched_with_teleop_logi_a_deadman_counts_until_it_is_released_or_the_gamepad_is_unplugged(self):
         pad = Pad(self.path)
         human = Topic("/debian/teleop_logi/human_in_loop", Bool)
+        states = Topic("/debian/teleop_logi/state", TeleopState)
         launch = start(self, "roslaunch", "car_interface", "teleop_logi.launch", "ns:=debian", "gamepad:=true",
                        "joy_driver:=gamepad_joy", f"joy_device:={self.path}")
         self.addCleanup(launch.end)
         human.wait_for(lambda message: not message.data, within_s=30)
+        # A deadman that is held when teleop_logi first hears the gamepad doesn't count.
+        states.wait_for(lambda message: message.cause == causes.NO_DEADMAN)
         joys = Topic("/debian/joy", Joy).connected()
         at_rest = joys.wait_for(lambda message: True).what
         self.assertEqual((list(at_rest.axes), list(at_rest.buttons)), ([0.0] * 8, [0] * 11))
@@ -79,6 +84,7 @@ class GamepadJoyTest(unittest.TestCase):
         mark = joys.mark()
         pad.send(1, BUTTON | INIT, LB)
         joys.wait_for(lambda message: message.buttons[LB] == 1, mark)
+        states.wait_for(lambda message: message.joy_age < 0.1, states.mark())
         mark = human.mark()
         self.assertFalse(any(message.data for message in human.wait_for_count(25, mark)))
         pad.send(0, BUTTON, LB)

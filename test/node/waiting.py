@@ -28,7 +28,7 @@ def _add_and_name_subtest(result, test, subtest, error):
 xmlrunner._XMLTestResult.addSubTest = _add_and_name_subtest
 
 PACKAGE = rospkg.RosPack().get_path("car_interface")
-PATIENCE_S = 15.0  # a machine with other work to do; a test that passes waits for a fraction of this
+PATIENCE_S = 45.0  # where others keep both CPUs busy nodes take 20 s to start; else a fraction of it passes
 POLL_S = 0.005
 # rospy's words about another process that connected and ended, as /rosout's does with a node that ends at once.
 CALLER_GONE = "Inbound TCP/IP connection failed"

@@ -87,7 +87,11 @@ class Clock:
         monkeypatch.setattr(run, "descendants", lambda *_: [])
         monkeypatch.setattr(run, "print_line", lambda *_: None)
         monkeypatch.setattr(run.Runner, "set_unit_policy", lambda _, policy: self.log.append(f"policy {policy}"))
-        monkeypatch.setattr(run, "tally", lambda _: run.Tally(1))
+        self.failing: set[str] = set()
+        monkeypatch.setattr(run, "tally", self._tally)
+
+    def _tally(self, folder):
+        return run.Tally(0, (f"{folder.name}: too late",)) if folder.name in self.failing else run.Tally(1)
 
     def _start(self, *command, **_):
         name = Path(command[-1]).stem
@@ -159,3 +163,35 @@ def test_on_a_busy_machine_node_tests_run_one_at_a_time(monkeypatch, tmp_path):
     runner = run.Runner(tmp_path, [])
     run.run_node_tests(runner, tmp_path, run.Selection([], [], shared, []), everything=False)
     assert at_work(clock.log) == 1
+
+
+def run_and_repeat(clock, folder, names):
+    """What is unsteady, and what failed in the end, of node tests that fail as the clock says."""
+    for name in clock.failing:
+        (folder / "results" / name).mkdir(parents=True)
+        (folder / "results" / name / "log").write_text("")
+    paths = [Path(f"{name}.test") for name in names]
+    runner = run.Runner(folder, [])
+    run.run_node_tests(runner, folder, run.Selection([], [], paths, []), everything=False)
+    unsteady = run.repeat_failed(runner, folder, paths)
+    return unsteady, run.Tally.sum(runner.tallies.values())
+
+
+def test_failed_node_test_that_passes_alone_counts_as_passed_and_is_named(monkeypatch, tmp_path):
+    clock = Clock(monkeypatch, {})
+    clock.failing = {"b.test"}
+    assert run_and_repeat(clock, tmp_path, "abc") == (["b.test: too late"], run.Tally(3))
+    assert clock.log[-2:] == ["b", "b ended"]
+
+
+def test_failed_node_test_that_fails_alone_as_well_stays_failed(monkeypatch, tmp_path):
+    clock = Clock(monkeypatch, {})
+    clock.failing = {"b.test", "b-again.test"}
+    assert run_and_repeat(clock, tmp_path, "abc") == ([], run.Tally(2, ("b.test: too late",)))
+
+
+def test_many_failed_node_tests_are_not_repeated(monkeypatch, tmp_path):
+    clock = Clock(monkeypatch, {})
+    clock.failing = {f"{name}.test" for name in "abcd"}
+    unsteady, total = run_and_repeat(clock, tmp_path, "abcde")
+    assert unsteady == [] and len(total.failures) == 4 and clock.log.count("a") == 1
