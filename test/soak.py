@@ -29,7 +29,7 @@ from car_interface.srv import InjectFault
 from soak_car import CENTER, ESC, ESC_NEUTRAL, RADIUS_M, STEERING, STOPPED_WITHIN_S, Inputs, Observer
 from std_srvs.srv import Trigger
 
-NODES = ("/turn_arb", "/pca9685", "/generic_value_converter", "/teensy_sensor_hub", "/teleop_logi")
+NODES = ("/turn_arb", "/throttle_arb", "/pca9685", "/generic_value_converter", "/teensy_sensor_hub", "/teleop_logi")
 RECOVERED_WITHIN_S = 15.0
 DRIVES_FOR_S = 1.5  # between two faults
 WARM_UP_RATIO = 0.4  # of the time: nodes are killed only until then, and what grows afterwards is a leak

@@ -300,7 +300,8 @@ class Driver:
         rospy.Subscriber("odom", Odometry, self._on_odometry)
         for topic in ("car_sim/truth", "turn_arb/state", "servo/output", "servo/cmdVector", "teensy_wheel",
                       "teensy_distance", "teensy_pong", "teensy_clock", "teensy_error", "teensy_sensor_hub/link",
-                      "teleop_logi/human_in_loop", "teleop_logi/tele_steer_req", "teleop_logi/tele_throt_req",
+                      "throttle_arb/state", "teleop_logi/human_in_loop", "teleop_logi/tele_steer_req",
+                      "teleop_logi/tele_throt_req",
                       "generic/output/value", *(f"sonar/{name}" for name in SONARS)):
             rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None)
         self._joy, self._radius = publisher("joy", Joy), publisher("av_turnrad_req", Float32)

@@ -34,7 +34,7 @@ CENTER = 5104  # of the steering, on the chip
 SETTLED_S = 3.0  # after the car drives: all connections are made
 LINKS = {"human_in_loop": causes.HUMAN_STALE, "tele_steer_req": causes.TELEOP_STALE,
          "av_turnrad_req": causes.PLANNER_STALE, "e_stop": causes.E_STOP_STALE}
-ESC_LINKS = ("turn_arb's state", "control_cmd", "odometry", "human_in_loop", "e_stop")
+ESC_LINKS = ("turn_arb's state", "tele_throt_req", "mode", "the planner's value", "odometry", "human_in_loop", "e_stop")
 
 
 def measure_busy(effort: Effort, stage: Stage) -> Iterator[Row]:
@@ -149,8 +149,8 @@ class Watch:
         if causes.NODE_STOOD_STILL in text:
             found["standstills"] += 1
             self.lines.setdefault("nodes that stood still", f"{name}: {text}")
-        match = re.search(r"throttle neutral: (.*?) silent", text)
-        if match:
+        match = re.search(r"^[A-Z_]+: (.*?) silent", text)
+        if match and name == f"{CAR}/throttle_arb":
             link = next((link for link in ESC_LINKS if match.group(1).startswith(link)), match.group(1))
             found[f"ESC {link}"] += 1
             self.lines.setdefault(f"false timeouts of the ESC's {link}", text)

@@ -1,4 +1,4 @@
-"""The four nodes as four processes and as one, in turns: memory and CPU of a driving car, latency to the chip."""
+"""The five nodes as five processes and as one, in turns: memory and CPU of a driving car, latency to the chip."""
 from __future__ import annotations
 
 import time
@@ -13,16 +13,17 @@ from .meters import CpuMeter, pss_mb, rss_mb
 from .reaction import COUNTS, LEFT, SteeringInputs, hold_deadman, steps
 from .rows import MEDIAN, P99, WORST, Row, Summary, Target
 from .stage import PACKAGE, Stage, TimedSubscriber
-from .whole_car import FOUR, OTHERS, launch_cars, pid_of
+from .whole_car import FOUR, launch_cars, pid_of
 
 ONE = ("car_nodes",)
-LAYOUTS = {"four processes": FOUR, "one process": ONE}
-MAX_RATIO = 0.5  # of the memory of four processes
+FIVE = (*FOUR, "throttle_arb")
+LAYOUTS = {"five processes": FIVE, "one process": ONE}
+MAX_RATIO = 0.5  # of the memory of five processes
 ROUNDS = 3
 
 
 def measure_one_process(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure rounds: a whole car by demo.launch, then the latency of the nodes alone, as four processes and as one."""
+    """Measure rounds: a whole car by demo.launch, then the latency of the nodes alone, as five processes and as one."""
     rounds = ROUNDS if effort.drive_s > 5 else 1
     used: dict = {layout: {"RSS": [], "PSS": [], "CPU": []} for layout in LAYOUTS}
     times_ms: dict = {layout: {} for layout in LAYOUTS}
@@ -30,10 +31,10 @@ def measure_one_process(effort: Effort, stage: Stage) -> Iterator[Row]:
         for layout, nodes in LAYOUTS.items():
             drive(effort, stage, f"/layout{index}{len(nodes)}", nodes, used[layout])
             react(max(10, effort.chip_reactions // rounds), stage, nodes, times_ms[layout])
-    four, one = used.values()
+    five, one = used.values()
     for what, unit in (("RSS", "MB"), ("PSS", "MB"), ("CPU", "% of core")):
-        for layout, values in (("four processes", four[what]), ("one process", one[what])):
-            bound = MAX_RATIO * Summary.of(four[what]).median if what != "CPU" and layout == "one process" else None
+        for layout, values in (("five processes", five[what]), ("one process", one[what])):
+            bound = MAX_RATIO * Summary.of(five[what]).median if what != "CPU" and layout == "one process" else None
             yield Row("one_process", f"car that drives, {layout}: {what}", unit, Summary.of(values),
                       (Target(MEDIAN, high=bound and round(bound, 1)),))
     for layout, kinds in times_ms.items():
@@ -45,7 +46,7 @@ def measure_one_process(effort: Effort, stage: Stage) -> Iterator[Row]:
 def drive(effort: Effort, stage: Stage, namespace: str, nodes: tuple, used: dict) -> None:
     """Measure one car that drives circles, at the full rate of its wheels' reports."""
     one_process = {"one_process": str(nodes is ONE).lower()}
-    processes = launch_cars(stage, [namespace], (*nodes, *OTHERS), one_process)
+    processes = launch_cars(stage, [namespace], (*nodes, "teleop_logi", "car_sim"), one_process)
     try:
         pids = [pid_of(f"{namespace}/{node}") for node in nodes]
         meters = [CpuMeter(pid) for pid in pids]
@@ -58,14 +59,16 @@ def drive(effort: Effort, stage: Stage, namespace: str, nodes: tuple, used: dict
 
 
 def react(count: int, stage: Stage, nodes: tuple, times_ms: dict) -> None:
-    """Measure the latency of the four nodes with a full line, without other subscribers."""
+    """Measure the latency of the nodes with a full line, without other subscribers."""
     log, port = stage.path(f"chip{len(nodes)}"), stage.path("teensy")
     for node, *files in (("turn_arb", "turn_arb.yaml"), ("pca9685", "pca9685.yaml"),
                          ("pca9685/steering", "turn_arb.yaml"),
                          ("teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml"),
-                         ("generic_value_converter", "generic_value_converter.yaml", "throttle.yaml")):
+                         ("generic_value_converter", "generic_value_converter.yaml"),
+                         ("throttle_arb", "throttle.yaml")):
         stage.load(f"/{node}", *files)
     for name, value in (("pca9685/device", "virtual"), ("pca9685/virtual_log", log), ("teensy_sensor_hub/port", port),
+                        ("car_nodes/throttle", True),
                         ("generic_value_converter/csv_path_value_map", f"{PACKAGE}/config/value_map.csv")):
         rospy.set_param(name, value)
     line = stage.actor("line", port)

@@ -16,7 +16,7 @@ from .rows import Row, Summary, Target
 from .stage import Stage, TimedSubscriber
 
 FOUR = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
-OTHERS = ("teleop_logi", "car_sim")
+OTHERS = ("throttle_arb", "teleop_logi", "car_sim")
 PATIENCE_S = 60
 SETTLED_S = 1.0
 SPEED_MPS = 3.0  # at which the wheels' pulses cause the highest rate of reports, one in 5 ms

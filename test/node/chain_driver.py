@@ -4,7 +4,7 @@
 Its standard input takes lines: ``NAME VALUE`` publishes a value now and at 50 Hz from then on, ``NAME -`` lets the
 name fall silent. For each first publication it prints ``NAME VALUE`` and the monotonic time just before, in ns. Told
 ``relay`` on its command line it passes relay/in on to relay/out, and as ``sink`` it prints when something arrives
-there: what two hops take by themselves.
+there: what two hops take by themselves. As ``truth`` it prints the speed of the virtual car, and when that was.
 """
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ PERIOD_S = 0.02
 
 
 def joy(value):
-    """Steering with the manual deadman held, as config/teleop_logi.yaml has the F710; 0 = all let go."""
+    """Both sticks with the manual deadman held, as config/teleop_logi.yaml has the F710; 0 = all let go."""
     axes, buttons = [0.0] * 6, [0] * 11
-    axes[0] = float(value)
+    axes[0] = axes[4] = float(value)
     buttons[4] = int(axes[0] != 0)
     return Joy(axes=axes, buttons=buttons)
 
@@ -48,6 +48,7 @@ KINDS = {
     "e_stop": ("/e_stop", Bool, lambda value: Bool(value == "1")),
     "steering": ("/teleop_logi/tele_steer_req", Float32, lambda value: Float32(float(value))),
     "radius": ("/av_turnrad_req", Float32, lambda value: Float32(float(value))),
+    "throttle": ("/teleop_logi/tele_throt_req", Float32, lambda value: Float32(float(value))),
     "joy": ("/joy", Joy, joy),
     "acceleration": ("/control/command/control_cmd", Control, control),
     "odometry": ("/localization/kinematic_state", Odometry, odometry),
@@ -97,6 +98,11 @@ def sink():
                      tcp_nodelay=True)
 
 
+def truth():
+    rospy.Subscriber("/car_sim/truth", Odometry, lambda message: print(
+        "truth", message.twist.twist.linear.x, message.header.stamp.to_nsec(), flush=True), tcp_nodelay=True)
+
+
 if __name__ == "__main__":
     role = sys.argv[1]
     rospy.init_node(role, disable_signals=True)
@@ -105,7 +111,9 @@ if __name__ == "__main__":
         relay()
     elif role == "sink":
         sink()
-    driver = Driver(sys.argv[2].split(",") if len(sys.argv) > 2 and role not in ("relay", "sink") else ())
+    elif role == "truth":
+        truth()
+    driver = Driver(sys.argv[2].split(",") if len(sys.argv) > 2 and role not in ("relay", "sink", "truth") else ())
     print("ready", flush=True)
     for each_line in sys.stdin:
         driver.obey(each_line)

@@ -40,6 +40,10 @@ MESSAGE_TRIALS = 10 * TRIALS
 HOUR_S = 3600
 FAKETIME_MS = 100  # libfaketime makes its programs late by up to this, with its clock left alone too
 ATTEMPT_S = 3.0
+# By a stick: a push of less than the dwell is braked to the margin only, then it coasts. At 0.4, 2 m/s takes longer.
+SPEEDS_MPS = {2: "0.4", 5: "1.0", 10: "1.0"}
+STOP_MPS2 = 0.5 * 7.0  # of esc/stop_brake and of the virtual car's brake; drag adds to it
+STANDS_WITHIN_S = 40.0
 GUARDED_MS = 350  # the guard waits for 250 ms
 GUARD_TOLD_MS, GUARD_BACK_MS = 1000, 1000
 RIGHT = 419  # counts of 6700
@@ -71,7 +75,7 @@ class ChainTest(unittest.TestCase):
         self.car.sent(self.rest, "acceleration", "1.0")
         if request is None:
             self.car.sent(self.rest, "human", "0")
-            for node in ("turn_arb", "generic_value_converter"):
+            for node in ("turn_arb", "throttle_arb"):
                 self.car.processes[node].wait_for_info("human_in_loop is false")
             self.car.sent(self.rest, "human", "0")  # one that comes after both began to count them
             self.car.sent(self.rest, "human", "1")
@@ -90,7 +94,12 @@ class ChainTest(unittest.TestCase):
     def wait_until_driving(self, within_s=PATIENCE_S):
         now_ns = time.monotonic_ns()
         self.car.chip.wait_for(0, lambda counts: counts == LEFT, now_ns, within_s)
-        self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, now_ns, within_s)
+        try:
+            self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, now_ns, within_s)
+        except AssertionError as error:
+            node = self.car.processes.get("throttle_arb", self.car.processes.get("car_nodes"))
+            raise AssertionError(f"{error}; {node.name} logged {node.stdout.since()[-4:]}, "
+                                 f"{node.stderr.since()[-4:]}") from error
 
     def neutral_ms(self, fault_ns):
         """From a fault to the servo and to the ESC at neutral, ms."""
@@ -266,6 +275,42 @@ class Losses(ChainTest):
             self.car.turn_arb().wait_for_info("NO_HUMAN|TELEOP|NEUTRAL")
             self.arm()
 
+    def test_converter(self):
+        """It commands nothing itself: throttle_arb stops without its values, and drives on when they come back."""
+        self.drive(Car(self))
+        for title, number in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
+            times = []
+            for _ in range(TRIALS):
+                process = self.car.processes["generic_value_converter"]
+                fault_ns = int(process.send(number) * 1e9)
+                esc_ns = self.car.chip.wait_for(1, lambda counts: counts == ESC_NEUTRAL, fault_ns)
+                times.append((esc_ns - fault_ns) / 1e6)
+                self.assertEqual(self.car.chip.counts(0), LEFT)
+                if number == signal.SIGSTOP:
+                    process.send(signal.SIGCONT)
+                else:
+                    process.wait_for_exit()
+                    self.car.converter()
+                self.wait_until_driving()
+            self.report(f"generic_value_converter {title}", "ESC", times, 550)
+
+    def test_throttle_arb(self):
+        self.drive(Car(self))
+        for title, number in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
+            times = []
+            for _ in range(TRIALS):
+                process = self.car.processes["throttle_arb"]
+                fault_ns = int(process.send(number) * 1e9)
+                esc_ns = self.car.chip.wait_for(1, lambda counts: counts == ESC_NEUTRAL, fault_ns)
+                times.append((esc_ns - fault_ns) / 1e6)
+                if number == signal.SIGSTOP:
+                    process.send(signal.SIGCONT)
+                else:
+                    process.wait_for_exit()
+                    self.car.throttle_arb().wait_for_info("NO_HUMAN|TELEOP|NEUTRAL")
+                self.arm()
+            self.report(f"throttle_arb {title}", "ESC", times, 300)
+
     def test_human_silent(self):
         self.drive(Car(self))
 
@@ -284,8 +329,11 @@ class Losses(ChainTest):
             center.append((neutral_ns - fault_ns) / 1e6)
             off.append((self.car.chip.wait_for(0, lambda counts: counts == 0, neutral_ns) - fault_ns) / 1e6)
             self.assertEqual(process.wait_for_exit(), 0)
+            now_ns = time.monotonic_ns()
             self.car.node("pca9685", "_device:=virtual", f"_virtual_log:={self.car.chip.path}")
-            self.wait_until_driving()
+            self.car.chip.wait_for(0, lambda counts: counts == LEFT, now_ns)
+            self.assertEqual(self.car.chip.counts(1), ESC_NEUTRAL)  # it had no pulse: armed again by letting go
+            self.arm()
         self.report("pca9685 ended (SIGTERM)", "servo", center, 100)
         self.report("pca9685 ended (SIGTERM), then off", "servo", off, 300)
 
@@ -420,16 +468,16 @@ class Restarts(ChainTest):
     @staticmethod
     def refusals_of(process):
         """How many of its parts say that the deadman has to be let go, for it is held since before the start."""
-        return sum("this node has just started; let go" in line
+        return sum(re.search("this node has just started; let go (once|of the deadman, then)", line) is not None
                    for line in process.stdout.since() + process.stderr.since())
 
     def test_turn_arb(self):
         self.drive(Car(self))
         self.restart("turn_arb", self.BOTH, self.car.turn_arb, self.arm, 300)
 
-    def test_converter(self):
+    def test_throttle_arb(self):
         self.drive(Car(self))
-        self.restart("generic_value_converter", self.ESC, self.car.converter, self.arm, 300)
+        self.restart("throttle_arb", self.ESC, self.car.throttle_arb, self.arm, 300)
 
     def test_one_process(self):
         """The guard acts until the process is there again."""
@@ -526,6 +574,67 @@ class ClockStepped(ChainTest):
         self.step_the_clock(True)
 
 
+class StoppingDistances(ChainTest):
+    """The virtual car's way from letting go of the deadman to standstill, on a floor without walls."""
+
+    def start_car(self, *arguments):
+        """The virtual car, its ESC and what drives it by hand."""
+        car = self.car = Car(self)
+        port = os.path.join(car.folder, "teensy")
+        car.load_actors()
+        car.node("pca9685", "_device:=virtual", f"_virtual_log:={car.chip.path}")
+        car.node("car_sim", f"_port:={port}", "_collisions:=false", "_esc_kind:=brake_then_reverse")
+        car.node("teensy_sensor_hub", f"_port:={port}")
+        car.turn_arb()
+        car.throttle_arb("odom", "_human_scale:=1.0", *arguments)
+        self.rest = car.driver("rest", "human", "throttle")
+        self.truth = car.start("truth", sys.executable, DRIVER, "truth")
+
+    def measure_distances(self, title, check):
+        """Stop from each of SPEEDS_MPS; ``check`` gets the speed when the deadman was let go, m/s, and the way, m."""
+        for wanted_mps in SPEEDS_MPS:
+            def attempt(wanted_mps=wanted_mps):
+                speed_mps, distance_m = self.distance_m(wanted_mps)
+                check(speed_mps, distance_m)
+                return speed_mps, distance_m
+            speed_mps, distance_m = measured(attempt)
+            row = f"{title} from {speed_mps:.1f} m/s | car | 1 | {distance_m:.2f} m"
+            print(row, flush=True)
+            self.rows.append(row)
+
+    def distance_m(self, speed_mps):
+        def is_driving():
+            self.car.sent(self.rest, "throttle", "0")
+            self.car.sent(self.rest, "human", "0")
+            time.sleep(0.2)  # a hand: let go, and hold again
+            self.car.sent(self.rest, "human", "1")
+            self.car.sent(self.rest, "throttle", SPEEDS_MPS[speed_mps])
+            self.wait_for_speed(lambda mps: mps > 0.3, ATTEMPT_S)
+        retried(is_driving)
+        self.wait_for_speed(lambda mps: mps >= speed_mps)
+        mark = self.truth.stdout.mark()
+        self.car.sent(self.rest, "human", "0")
+        self.wait_for_speed(lambda mps: mps == 0.0, within_s=STANDS_WITHIN_S)
+        samples = [tuple(map(float, line.split()[1:])) for line in self.truth.stdout.since(mark)]
+        self.assertGreaterEqual(min(mps for mps, _ in samples), 0.0, "it rolled backward")
+        return samples[0][0], sum((before + after) / 2 * (at_ns - before_ns) / 1e9
+                                  for (before, before_ns), (after, at_ns) in zip(samples, samples[1:]))
+
+    def wait_for_speed(self, wanted, within_s=PATIENCE_S):
+        self.truth.stdout.wait_for(lambda line: line.startswith("truth") and wanted(float(line.split()[1])),
+                                   self.truth.stdout.mark(), within_s)
+
+    def test_with_an_esc_that_is_known_to_brake(self):
+        self.start_car("_esc/profile:=brake_then_reverse", "_esc/profile_measured:=true")
+        self.measure_distances("let go, the stop brakes", lambda speed_mps, distance_m: self.assertLess(
+            distance_m, 1.15 * speed_mps ** 2 / (2 * STOP_MPS2) + 0.1 * speed_mps + 0.3))
+
+    def test_with_an_esc_that_nobody_has_verified(self):
+        self.start_car()
+        self.measure_distances("let go, coasting (esc/profile: unverified)", lambda speed_mps, distance_m:
+                               self.assertGreater(distance_m, speed_mps ** 2 / STOP_MPS2))
+
+
 class TeensyUnplugged(ChainTest):
     def test_throttle_stops_and_steering_goes_on(self):
         """The converter's odometry is that of the wheels, as on a car."""
@@ -566,7 +675,7 @@ class Suite(unittest.TestSuite):
     """All of it, as rostest wants it."""
 
     def __init__(self):
-        cases = (Messages, Losses, Guarded, Restarts, MasterLost, ClockStepped, TeensyUnplugged)
+        cases = (Messages, Losses, Guarded, Restarts, MasterLost, ClockStepped, StoppingDistances, TeensyUnplugged)
         tests = (test for case in cases for test in unittest.TestLoader().loadTestsFromTestCase(case))
         super().__init__(test for test in tests if any(word in test.id() for word in CHOSEN))
 

@@ -31,10 +31,15 @@ DEFAULTS = {
         "arbiter.teleop_timeout_s": 0.5, "arbiter.interlock.human_timeout_s": 0.5,
         "arbiter.interlock.e_stop_timeout_s": 1.0, "arbiter.interlock.e_stop_required": False,
         "arbiter.interlock.grant_at_start": True, "tuning.max_offset": 500, "tuning.save_to": None}),
-    "generic_value_converter": ({**MAP, **ESC}, {
+    "generic_value_converter": (MAP, {
         "conversion.min_value": -5.0, "conversion.max_value": 3.0, "conversion.odometry_timeout_s": 0.5,
-        "map_path": MAP["csv_path_value_map"], "throttle.channel": 1, "throttle.command_timeout_s": 0.5,
-        "throttle.steering_timeout_s": 0.25, "throttle.interlock.grant_at_start": True, "tuning.max_offset": 100}),
+        "map_path": MAP["csv_path_value_map"]}),
+    "throttle_arb": (ESC, {
+        "calibration.channel": 1, "calibration.neutral": 4915, "arbiter.stick.human_scale": 0.3,
+        "arbiter.stick.brake_scale": 1.0, "arbiter.command_timeout_s": 0.5, "arbiter.teleop_timeout_s": 0.5,
+        "arbiter.steering_timeout_s": 0.25, "arbiter.odometry_timeout_s": 0.5,
+        "arbiter.interlock.grant_at_start": True, "esc.profile": "unverified", "esc.arming_time_s": 1.0,
+        "tuning.max_offset": 100}),
     "pca9685": ({}, {
         "device": "/dev/i2c-1", "address": 0x40, "prescale": 121, "oscillator_hz": 25e6,
         "channels": (ChannelConfig(live_range=0),) * 16, "required": False, "virtual_log": None}),
@@ -48,12 +53,12 @@ DEFAULTS = {
     "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
     "demo_drive": ({}, {"bag_dir": None, "steering_channel": 0, "throttle_channel": 1, "autonomous_button": 5}),
     "keyboard_drive": ({}, {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5,
-                            "steer_scale": 1.0, "acceleration_mps2": 1.0, "input_devices": "/dev/input/event*"}),
+                            "steer_scale": 1.0, "input_devices": "/dev/input/event*"}),
 }
 # Node, what is given besides the required ones, and how the one line begins.
 REFUSALS = [
     ("keyboard_drive", {"manual_button": 5}, "autonomous_button is 5; accepted: a button other than manual_button's"),
-    ("keyboard_drive", {"acceleration": 50}, "acceleration is 50; accepted: a number from 0 to 5"),
+    ("keyboard_drive", {"steer_scale": 50}, "steer_scale is 50; accepted: a number from -1 to 1"),
     ("turn_arb", {"servo_left": "x"}, "servo_left is 'x'; accepted: an integer from 0 to 65535"),
     ("turn_arb", {"k_pwmcmd_left_table_servo": [1, 2]},
      "k_pwmcmd_left_table_servo is [1.0, 2.0]; accepted: 15 numbers"),
@@ -68,10 +73,16 @@ REFUSALS = [
      "csv_path_value_map is '/nowhere.csv'; accepted: a file that can be read"),
     ("generic_value_converter", {"max_value": -9}, "min_value is -5.0; accepted: at most max_value -9.0"),
     ("generic_value_converter", {"min_value": 8, "max_value": 9}, f"{MAP['csv_path_value_map']}, value map has values"),
-    ("generic_value_converter", {"servo": {**ESC["servo"], "duty_table": [1, 2]}},
+    ("throttle_arb", {"servo": {**ESC["servo"], "duty_table": [1, 2]}},
      "servo/duty_table is [1.0, 2.0]; accepted: 3 numbers"),
-    ("generic_value_converter", {"servo": {**ESC["servo"], "neutral": 1}}, "servo/neutral is 1; accepted: a duty"),
-    ("generic_value_converter", {"servo": {**ESC["servo"], "value_axis": [3, 2, 1]}},
+    ("throttle_arb", {"servo": {**ESC["servo"], "neutral": 1}}, "servo/neutral is 1; accepted: a duty"),
+    ("throttle_arb", {"servo": {**ESC["servo"], "duty_table": [3277, 6554, 4915]}},
+     "servo/duty_table is [3277.0, 6554.0, 4915.0]; accepted: duties that only rise, or only fall"),
+    ("throttle_arb", {"servo": {**ESC["servo"], "channel": -1}}, "servo/channel is -1; accepted: an integer from 0"),
+    ("throttle_arb", {"esc": {"dwell": 0}}, "esc/dwell is 0; accepted: a number from 0.1 to 0.5"),
+    ("throttle_arb", {"human_scale": 3}, "human_scale is 3; accepted: a number from 0 to 1"),
+    ("throttle_arb", {"esc": {"profile": "hobby"}}, "esc/profile is 'hobby'; accepted: one of brake_then_reverse, "),
+    ("throttle_arb", {"servo": {**ESC["servo"], "value_axis": [3, 2, 1]}},
      "servo/value_axis[1] is 2.0; accepted: more than"),
     ("pca9685", {"address": 0x80}, "address is 128; accepted: an integer from 64 to 127"),
     ("pca9685", {"pwm_min": 5000, "pwm_max": 4000}, "pwm_min[0] is 5000; accepted: at most pwm_max[0] 4000"),
@@ -119,7 +130,8 @@ class ReadConfig(unittest.TestCase):
                 ("pca9685", {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"),
                              "esc": config("throttle.yaml")}),
                 ("teensy_sensor_hub", config("teensy_sensor_hub.yaml", "sonars.yaml")),
-                ("generic_value_converter", {**config("generic_value_converter.yaml", "throttle.yaml"), **MAP})):
+                ("generic_value_converter", {**config("generic_value_converter.yaml"), **MAP}),
+                ("throttle_arb", config("throttle.yaml"))):
             with self.subTest(node):
                 self.assertTrue(dataclasses.is_dataclass(read(node, values)))
 
@@ -139,10 +151,7 @@ class ReadConfig(unittest.TestCase):
             for missing in required:
                 with self.subTest(node=node, missing=missing):
                     rest = {name: value for name, value in required.items() if name != missing}
-                    if missing == "servo":  # there is no ESC
-                        self.assertIsNone(read(node, rest).throttle)
-                        continue
-                    with self.assertRaisesRegex(ConfigError, f"^{missing} is missing; accepted: "):
+                    with self.assertRaisesRegex(ConfigError, f"^{missing}(/channel)? is missing; accepted: "):
                         read(node, rest)
 
     def test_unknown_parameter_is_named_with_those_that_are_known(self):
@@ -168,7 +177,7 @@ class ReadConfig(unittest.TestCase):
                         for channel in read("pca9685", {**others, **given}).channels]
                 self.assertEqual(made, [expected.get(channel, (100, 0)) for channel in range(16)])
 
-    def test_launch_files_give_the_board_the_files_of_turn_arb_and_of_the_converter(self):
+    def test_launch_files_give_the_board_the_files_of_turn_arb_and_of_throttle_arb(self):
         for launch, more in (("pca9685.launch", []), ("car_nodes.launch", []), ("car.launch", ["gamepad:=false"])):
             for throttle in ("false", "true"):
                 with self.subTest(launch=launch, throttle=throttle):
@@ -225,7 +234,7 @@ class ReadConfig(unittest.TestCase):
 
     def test_accelerations_that_pass_through_need_no_map(self):
         made = read("generic_value_converter", {"use_value_ff": False})
-        self.assertEqual((made.map_path, made.value_map, made.throttle), ("", None, None))
+        self.assertEqual((made.map_path, made.value_map), ("", None))
 
     def test_reading_opens_and_makes_nothing(self):
         with tempfile.TemporaryDirectory() as folder:

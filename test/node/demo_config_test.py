@@ -98,7 +98,7 @@ class DemoWithThePackagesFiles(DemoTest):
                 ns = f"shipped{number}"
                 named = [f"config:={shown}"] if arguments else []
                 demo = self.launch(f"ns:={ns}", "drive:=false", *named, *arguments)
-                for node, name in (("turn_arb", "turn_arb"), ("generic_value_converter", "throttle")):
+                for node, name in (("turn_arb", "turn_arb"), ("throttle_arb", "throttle")):
                     answer = self.call(f"/{ns}/{node}/save")
                     self.assertFalse(answer.success)
                     self.assertEqual(answer.message, (

@@ -22,7 +22,7 @@ NOWHERE = "http://127.0.0.1:1"
 CALLER = "/doctor_situations_test"
 # What depends on the computer that the tests run on, and no situation changes.
 COMPUTERS = ("clock", "groups", "versions", "packages", "gamepad")
-FOUR = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
+FIVE = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb")
 HOLDER = """
 import fcntl, os, sys
 port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
@@ -156,7 +156,7 @@ class FourProcesses(Situations):
         cls.addClassCleanup(cls.graph.clean_up)
         cls.port = os.path.join(cls.graph.folder, "teensy")
         cls.launch = cls.graph.launch("demo.launch", "drive:=false", f"port:={cls.port}")
-        cls.graph.wait_for(*(f"/{node}" for node in (*FOUR, "teleop_logi", "car_sim")))
+        cls.graph.wait_for(*(f"/{node}" for node in (*FIVE, "teleop_logi", "car_sim")))
 
     def call(self, service, text):
         """Call a service of a node."""
@@ -246,7 +246,7 @@ class OneProcess(Situations):
         cls.graph.wait_for("/car_nodes", "/teleop_logi", "/car_sim")
 
     def test_01_healthy_car(self):
-        self.look(also_fine=(*HEALTHY, ("nodes", f"{', '.join(FOUR)} in one process, /car_nodes"),
+        self.look(also_fine=(*HEALTHY, ("nodes", f"{', '.join(FIVE)} in one process, /car_nodes"),
                              ("port", "/teensy_sensor_hub's"), ("Teensy", "fine")))
 
     def test_02_process_that_drives_the_car_is_not_to_be_ended(self):
@@ -367,7 +367,7 @@ class Demo(Situations):
         type(self).graph = Graph()
         self.addCleanup(self.graph.clean_up)
         self.graph.launch("demo.launch", f"port:={self.graph.folder}/teensy")
-        self.graph.wait_for("/demo_drive", *(f"/{node}" for node in FOUR))
+        self.graph.wait_for("/demo_drive", *(f"/{node}" for node in FIVE))
         self.look(also_fine=(("nodes", "run in /"), ("Teensy", "fine"), ("topics", "has the publishers")))
 
 

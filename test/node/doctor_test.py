@@ -211,12 +211,13 @@ class BrokenSetUps(DoctorTest):
     def test_bad_parameters_are_told_as_the_node_would(self):
         for path, value in (("/turn_arb/servo_left", 99999), ("/pca9685/frequnecy", 60),
                             ("/teensy_sensor_hub/ping_period", "soon"), ("/teleop_logi/steer_axis", 3000),
-                            ("/generic_value_converter/odometry_timeout", -1), ("/car_sim/wheelbase", 0)):
+                            ("/generic_value_converter/odometry_timeout", -1), ("/car_sim/wheelbase", 0),
+                            ("/throttle_arb/esc/profile", "xl5")):
             self.replace_param(path, value)
         examination = examine()
         for words in ("/turn_arb: it will not start again with these: servo_left is 99999",
                       "unknown parameter frequnecy is 60", "ping_period is 'soon'", "odometry_timeout is -1",
-                      "steer_axis is 3000", "wheelbase is 0"):
+                      "steer_axis is 3000", "wheelbase is 0", "esc/profile is 'xl5'"):
             self.check(examination, "parameters", BAD, words, "YAML")
         self.assertNotIn(OK, [level for level, _ in examination.of("parameters")])
 

@@ -37,6 +37,7 @@ from car_interface.nodes import (
     pca9685,
     teensy_sensor_hub,
     teleop_logi,
+    throttle_arb,
     turn_arb,
 )
 from car_interface.ros import measurement_publisher, runtime
@@ -68,13 +69,13 @@ def config(name):
 
 def converter_config(**more):
     files = [name for name in os.listdir(CONFIG) if name.endswith(".csv")]
-    return {**config("generic_value_converter.yaml"), **config("throttle.yaml"),
-            "csv_path_value_map": os.path.join(CONFIG, files[0]), **more}
+    return {**config("generic_value_converter.yaml"), "csv_path_value_map": os.path.join(CONFIG, files[0]), **more}
 
 
 NODES = {
     "turn_arb": (turn_arb.TurnArb, lambda: config("turn_arb.yaml")),
     "generic_value_converter": (generic_value_converter.GenericValueConverter, converter_config),
+    "throttle_arb": (throttle_arb.ThrottleArb, lambda: config("throttle.yaml")),
     "teleop_logi": (teleop_logi.TeleopLogi, lambda: config("teleop_logi.yaml")),
     "pca9685": (pca9685.Pca9685, lambda: {
         **config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
@@ -97,6 +98,7 @@ READERS = {
     "turn_arb": (turn_arb.read_config, lambda: config("turn_arb.yaml")),
     "teleop_logi": (teleop_logi.read_config, lambda: config("teleop_logi.yaml")),
     "generic_value_converter": (generic_value_converter.read_config, converter_config),
+    "throttle_arb": (throttle_arb.read_config, lambda: config("throttle.yaml")),
     "pca9685": (pca9685.read_config, lambda: {
         **config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
         "steering/servo_channel": 0, "steering/servo_center": 5100, "esc/servo/channel": 1,
@@ -352,7 +354,7 @@ add_tests("with_any_parameters_starts_or_refuses_with_an_error_of_ours", FuzzTes
 add_tests("fed_messages_of_any_content_lives_on_and_is_no_larger", FuzzTest.check_messages,
           NODES)
 add_tests("with_services_asked_anything_answers_in_words", FuzzTest.check_services,
-          ["turn_arb", "generic_value_converter", "teensy_sensor_hub", "pca9685", "car_sim"])
+          ["turn_arb", "throttle_arb", "teensy_sensor_hub", "pca9685", "car_sim"])
 
 if __name__ == "__main__":
     runtime.logging.raiseExceptions = False

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import rospy
 import rostest
-from car_interface.msg import Control, SteeringState
+from car_interface.msg import Control, Float64Stamped, SteeringState
 from nav_msgs.msg import Odometry
-from std_msgs.msg import Bool, Float32, Int32MultiArray
+from std_msgs.msg import Bool, Float32, Int32MultiArray, String
 
 from virtual_car import HERE, PACKAGE
 from waiting import Repeater, Sender, config, eventually, set_params, start
@@ -51,7 +51,7 @@ class Garbage(unittest.TestCase):
             senders[topic] = Sender(topic, type(message))
             self.addCleanup(senders[topic].close)
             self.repeater.hold(senders[topic], message)
-        human = Sender("/teleop_logi/human_in_loop", Bool) if "pca9685" not in node else None
+        human = Sender("/teleop_logi/human_in_loop", Bool) if "_arb" in node else None
 
         def collected():
             if human is not None:
@@ -80,12 +80,19 @@ class Garbage(unittest.TestCase):
         self.check("pca9685:Pca9685", {"/servo/cmdVector": Int32MultiArray(data=[5000] * 16)})
 
     def test_generic_value_converter(self):
-        set_params(self, "/generic_value_converter", {
-            **config("generic_value_converter.yaml", "throttle.yaml"),
-            "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"})
+        set_params(self, "/generic_value_converter", {**config("generic_value_converter.yaml"),
+                                                      "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"})
         name = "/generic_value_converter/input"
         self.check("generic_value_converter:GenericValueConverter", {
-            f"{name}/control_cmd": Control(), f"{name}/odometry": Odometry(),
+            f"{name}/control_cmd": Control(), f"{name}/odometry": Odometry()})
+
+    def test_throttle_arb(self):
+        set_params(self, "/throttle_arb", config("throttle.yaml"))
+        name = "/throttle_arb/input"
+        self.check("throttle_arb:ThrottleArb", {
+            f"{name}/value": Float64Stamped(data=1.0), f"{name}/odometry": Odometry(),
+            "/teleop_logi/tele_throt_req": Float32(0.5), "/teleop_logi/mode": String("manual"),
+            "/servo/output": Int32MultiArray(data=[4912] * 16),
             "/turn_arb/state": SteeringState(source=SteeringState.TELEOP)})
 
     def test_car_nodes_collects_between_the_steps_of_all_its_nodes(self):

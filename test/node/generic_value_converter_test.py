@@ -1,29 +1,26 @@
 #!/usr/bin/env python3
-"""generic_value_converter by its topics: started by its launch file, with the map and the ESC that it ships with."""
+"""generic_value_converter by its topics: started by its launch file, with the map that it ships with."""
 from __future__ import annotations
 
 import csv
 import math
 import os
 import re
-import signal
 import tempfile
 import unittest
 
 import rospkg
 import rospy
 import rostest
-from car_interface.msg import Control, Float64Stamped, SteeringState
+from car_interface.msg import Control, ConverterState, Float64Stamped
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
-from std_msgs.msg import Bool, Int32MultiArray
 
-from waiting import Repeater, Sender, Topic, delete_param, rate_hz, retried, set_params, start_node
+from waiting import Repeater, Sender, Topic, delete_param, retried, start_node
 
 NAN, INF = math.nan, math.inf
 LOWEST, HIGHEST = -5.0, 3.0  # the shipped min_value and max_value
-NEUTRAL = 4915
 DAY_S = 86_400
 TOLERANCE = 1e-9
 
@@ -76,12 +73,8 @@ class ConverterTest(unittest.TestCase):
     def setUpClass(cls):
         cls.values = Topic("/generic/output/value", Float64Stamped).connected()
         cls.log = Topic("/rosout", Log).connected(2)
-        cls.vectors = Topic("/servo/cmdVector", Int32MultiArray).connected()
         cls.command = Sender("/control/command/control_cmd", Control)
         cls.odometry = Sender("/odom", Odometry)
-        cls.e_stop = Sender("/e_stop", Bool)
-        cls.human = Sender("/teleop_logi/human_in_loop", Bool)
-        cls.steering = Sender("/turn_arb/state", SteeringState)
 
     def setUp(self):
         self.inputs = Repeater(period_s=0.04)
@@ -135,7 +128,9 @@ class Conversion(ConverterTest):
         self.inputs.drop(self.odometry)
         self.wait_for_warning(r"no output: odometry silent for \d+\.\d\d s")
         mark = self.values.mark()
-        self.vectors.wait_for_count(20, self.vectors.mark())  # 0.4 s: ten more commands have come
+        commands = Topic("/control/command/control_cmd", Control)
+        self.addCleanup(commands.close)
+        commands.wait_for_count(10)
         self.assertEqual(self.values.since(mark), [])
         self.inputs.hold(self.odometry, odometry(1.0))
         self.wait_for_value(HIGHEST)
@@ -173,31 +168,37 @@ class Conversion(ConverterTest):
         self.expect_last_value(acceleration, value)
 
 
-class Throttle(ConverterTest):
-    """The ESC on channel 1: driven only while everything is as it must be."""
+class State(ConverterTest):
+    """What throttle_arb stops by at once, and what people read."""
 
-    def drive(self):
-        """All that it takes, and wait until the ESC is driven."""
-        self.inputs.hold(self.e_stop, Bool(False))
-        self.inputs.hold(self.steering, SteeringState(source=SteeringState.TELEOP))
+    def setUp(self):
+        super().setUp()
+        self.states = Topic("/generic_value_converter/state", ConverterState).connected()
+        self.addCleanup(self.states.close)
+
+    def wait_for_state(self, cause, mark):
+        return self.states.wait_for(lambda state: state.cause == cause, mark).what
+
+    def test_state_has_the_value_or_why_there_is_none(self):
         self.inputs.hold(self.odometry, odometry(1.0))
         self.inputs.hold(self.command, control(100.0))
-        self.inputs.hold(self.human, Bool(False))  # what was lost comes back only by letting go and holding again
-        self.vectors.wait_for_count(5, self.vectors.mark())  # by then all topics have been heard
-        self.inputs.hold(self.human, Bool(True))
-        self.wait_for_duty(6554)
+        state = self.wait_for_state("converting", self.states.mark())
+        self.assertEqual((state.value, state.reason), (HIGHEST, "the value is 3.000"))
+        mark = self.states.mark()
+        self.inputs.hold(self.command, control(NAN))
+        state = self.wait_for_state("command not finite", mark)
+        self.assertTrue(math.isnan(state.value))
+        self.assertEqual(state.reason, "the commanded acceleration is nan")
+        mark = self.states.mark()
+        self.inputs.hold(self.command, control(100.0))
+        self.wait_for_state("converting", mark)
+        self.inputs.drop(self.odometry)
+        self.assertRegex(self.wait_for_state("odometry silent", mark).reason, r"odometry silent for \d\.\d\d s")
 
-    def wait_for_duty(self, duty):
-        return self.vectors.wait_for(lambda vector: vector.data[1] == duty, self.vectors.mark())
-
-    def test_esc_gets_the_value_by_the_duty_table_at_50_hz_and_others_are_left_alone(self):
-        self.drive()
-        retried(lambda: self.assertAlmostEqual(rate_hz(self.vectors, over_s=1.0), 50, delta=2))
-        self.assertEqual(self.vectors.since()[-1].data, (-1, 6554) + (-1,) * 14)
-        self.inputs.hold(self.command, control(-100.0))
-        self.wait_for_duty(3277)
-        self.inputs.hold(self.command, control(1.479))  # 1.2 at 1 m/s: 4915 + 1.2 / 3 · 1639
-        self.wait_for_duty(5571)
+    def test_state_comes_once_a_second_while_nothing_changes(self):
+        mark = self.states.mark()
+        times = [state.stamp.to_sec() for state in self.states.wait_for_count(3, mark)]
+        retried(lambda: self.assertAlmostEqual(times[-1] - times[-2], 1.0, delta=0.3))
 
     def test_diagnostics_carry_the_cause(self):
         reports = Topic("/diagnostics", DiagnosticArray)
@@ -208,38 +209,13 @@ class Throttle(ConverterTest):
                 return (array.status[0].name == "generic_value_converter: converter"
                         and {pair.key: pair.value for pair in array.status[0].values}["cause"] == cause)
             return reports.wait_for(is_of_cause, reports.mark()).what.status[0]
-        self.drive()
-        self.assertEqual(status("driving").level, DiagnosticStatus.OK)
-        self.inputs.hold(self.human, Bool(False))
-        self.assertEqual(status("human absent").level, DiagnosticStatus.OK)
-        self.inputs.drop(self.steering)
-        self.inputs.hold(self.human, Bool(True))
-        self.assertEqual(status("steering silent").level, DiagnosticStatus.WARN)
-
-    def test_whatever_is_lost_means_neutral(self):
-        stopped = SteeringState(source=SteeringState.NO_HUMAN)
-        locked = SteeringState(source=SteeringState.LOCKED)
-        faults = [
-            ("the human lets go", lambda: self.inputs.hold(self.human, Bool(False))),
-            ("the human falls silent", lambda: self.inputs.drop(self.human)),
-            ("turn_arb sees no human", lambda: self.inputs.hold(self.steering, stopped)),
-            ("turn_arb is locked", lambda: self.inputs.hold(self.steering, locked)),
-            ("turn_arb falls silent", lambda: self.inputs.drop(self.steering)),
-            ("commands fall silent", lambda: self.inputs.drop(self.command)),
-            ("a command is no number", lambda: self.inputs.hold(self.command, control(NAN))),
-            ("odometry falls silent", lambda: self.inputs.drop(self.odometry)),
-            ("odometry is no number", lambda: self.inputs.hold(self.odometry, odometry(NAN))),
-            ("the lock is on", lambda: self.inputs.hold(self.e_stop, Bool(True))),
-            ("the lock falls silent", lambda: self.inputs.drop(self.e_stop)),
-        ]
-        for name, break_it in faults:
-            with self.subTest(name):
-                self.drive()
-                break_it()
-                self.wait_for_duty(NEUTRAL)
-                mark = self.vectors.mark()
-                for vector in self.vectors.wait_for_count(10, mark):
-                    self.assertEqual(vector.data[1], NEUTRAL)
+        self.inputs.hold(self.odometry, odometry(1.0))
+        self.inputs.hold(self.command, control(1.0))
+        self.assertEqual(status("converting").level, DiagnosticStatus.OK)
+        self.inputs.hold(self.command, control(NAN))
+        no_number = status("command not finite")
+        self.assertEqual((no_number.level, no_number.message),
+                         (DiagnosticStatus.WARN, "no output: the commanded acceleration is nan"))
 
 
 class ConverterByItself(unittest.TestCase):
@@ -292,22 +268,10 @@ class ConverterByItself(unittest.TestCase):
         self.assertEqual(process.end(), 0)
         self.assertEqual(process.stderr.since(), [])
 
-    def test_an_esc_that_is_driven_gets_neutral_when_the_node_ends(self):
-        set_params(self, "/ending", {"convert_value_cmd": False, "servo": {
-            "channel": 1, "neutral": NEUTRAL, "value_axis": [LOWEST, 0.0, HIGHEST],
-            "duty_table": [3277, NEUTRAL, 6554]}})
-        process = start_node(self, "generic_value_converter", "/servo/cmdVector:=ending/cmdVector",
-                             "/teleop_logi/human_in_loop:=ending/human", "turn_arb/state:=ending/state", name="ending")
-        vectors = Topic("/ending/cmdVector", Int32MultiArray)
-        inputs = Repeater()
-        self.addCleanup(inputs.end)
-        inputs.hold(Sender("/ending/state", SteeringState), SteeringState(source=SteeringState.PLANNER))
-        inputs.hold(Sender("/ending/input/odometry", Odometry), odometry(1.0))
-        inputs.hold(Sender("/ending/input/control_cmd", Control), control(100.0))
-        inputs.hold(Sender("/ending/human", Bool), Bool(True))
-        vectors.wait_for(lambda vector: vector.data[1] == 6554)
-        self.assertEqual(process.end(signal.SIGTERM), 0)
-        self.assertEqual(vectors.since()[-1].data[1], NEUTRAL)
+    def test_parameters_of_the_esc_are_refused_by_name(self):
+        """They are throttle_arb's."""
+        self.expect_refusals([(("_convert_value_cmd:=false", "_servo/channel:=1"),
+                               ("unknown parameter servo/channel is 1",))])
 
 
 if __name__ == "__main__":

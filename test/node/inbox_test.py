@@ -11,7 +11,7 @@ from unittest import mock
 
 import rospy
 import rostest
-from car_interface.msg import Control, SteeringState
+from car_interface.msg import Float64Stamped, SteeringState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dynamic_reconfigure.msg import Config, IntParameter
 from dynamic_reconfigure.srv import Reconfigure
@@ -20,10 +20,10 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from car_interface.common.params import Params
-from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.teleop_logi import TeleopLogi
+from car_interface.nodes.throttle_arb import ThrottleArb
 from car_interface.nodes.turn_arb import TurnArb
 from car_interface.ros.inbox import Inbox
 from waiting import Repeater, Sender, Topic, config, eventually, set_params, start
@@ -173,22 +173,23 @@ class NodesThatLoseMessages(unittest.TestCase):
         node.hear("/teleop_logi/human_in_loop", Bool(True))
         self.assertEqual(node.newest("/servo/cmdVector").data[0], 3930)
 
-    def test_converter_has_the_esc_at_neutral_until_the_deadman_was_let_go(self):
-        node = Built(GenericValueConverter, {
-            **config("throttle.yaml"), "convert_value_cmd": False, "grant_at_start": True, "e_stop_timeout": 0,
-            "human_timeout": 0, "steering_timeout": 0, "command_timeout": 0, "odometry_timeout": 0})
-        command = Control()
-        command.longitudinal.acceleration = 100.0
+    def test_throttle_arb_has_the_esc_at_neutral_until_the_deadman_was_let_go(self):
+        node = Built(ThrottleArb, {
+            **config("throttle.yaml"), "grant_at_start": True, "e_stop_timeout": 0, "human_timeout": 0,
+            "steering_timeout": 0, "command_timeout": 0, "odometry_timeout": 0})
 
         def all_heard(*deadman):
             node.hear("turn_arb/state", SteeringState(source=SteeringState.TELEOP))
             node.hear("~input/odometry", Odometry())
-            node.hear("~input/control_cmd", command)
+            node.hear("~input/value", Float64Stamped(data=100.0))
             for held in deadman:
                 node.hear("/teleop_logi/human_in_loop", Bool(held))
-        all_heard(True)
-        node.beat()
-        self.assertEqual(node.newest("/servo/cmdVector").data[1], ESC_FULL)
+        all_heard(False, True)
+
+        def is_driven():
+            node.beat()
+            return node.newest("/servo/cmdVector").data[1] == ESC_FULL
+        eventually(is_driven, "the ESC to be armed")
         node.flood("~input/odometry", Odometry())
         self.assertEqual(node.newest("/servo/cmdVector").data[1], ESC_NEUTRAL)
         all_heard(True)

@@ -41,9 +41,8 @@ LAUNCH = """<launch>
     <arg name="throttle_config" value="{folder}/throttle.yaml"/>
     <arg name="throttle" value="true"/><arg name="device" value="virtual"/>
   </include>
-  <include file="$(find car_interface)/launch/generic_value_converter.launch">
-    <arg name="ns" value="tuned"/><arg name="config" value="{folder}/generic_value_converter.yaml"/>
-    <arg name="throttle_config" value="{folder}/throttle.yaml"/><arg name="throttle" value="true"/>
+  <include file="$(find car_interface)/launch/throttle_arb.launch">
+    <arg name="ns" value="tuned"/><arg name="config" value="{folder}/throttle.yaml"/>
   </include>
 </launch>
 """
@@ -93,7 +92,7 @@ class LiveTest(unittest.TestCase):
         for channel in (STEERS, DRIVES):
             self.neutrals.wait_for(lambda vector, channel=channel: vector.data[channel] >= 0, mark)
         self.steering = self.client("/tuned/turn_arb")
-        self.esc = self.client("/tuned/generic_value_converter/servo")
+        self.esc = self.client("/tuned/throttle_arb/servo")
         self.outputs.wait_for_count(1, outputs_mark)
 
     def client(self, name):
@@ -279,13 +278,13 @@ class LiveTest(unittest.TestCase):
         self.assertLessEqual(max(after - before for before, after in zip(duties, duties[1:])), 6)
         log_mark = self.log.mark()
         self.assertEqual(self.esc.update_configuration({"neutral": 6000})["neutral"], NEUTRAL + 100)
-        self.wait_for_log("/tuned/generic_value_converter", "neutral 6000 is beyond 4815 to 5015: clamped", log_mark)
+        self.wait_for_log("/tuned/throttle_arb", "neutral 6000 is beyond 4815 to 5015: clamped", log_mark)
         self.wait_for_duty(DRIVES, NEUTRAL + 100)
         self.wait_for_output(DRIVES, NEUTRAL + 100, 0)
 
         def attempt():
             mark = self.outputs.mark()
-            self.kill("generic_value_converter")
+            self.kill("throttle_arb")
             self.commands.wait_for(lambda vector: vector.data[DRIVES] == NEUTRAL + 100, self.commands.mark())
             self.assertEqual({vector.data[DRIVES] for vector in self.outputs.since(mark)} - {counts_16(NEUTRAL + 100)},
                              set())
@@ -312,7 +311,7 @@ class LiveTest(unittest.TestCase):
         self.assertRegex(answer.message, rf"^saved to {self.folder}/turn_arb.yaml, the old one is "
                                          rf"{self.folder}/turn_arb.yaml.bak-[\d-]+$")
         self.esc.update_configuration({"neutral": NEUTRAL + 35})
-        answer = self.save("generic_value_converter")
+        answer = self.save("throttle_arb")
         self.assertTrue(answer.success, answer.message)
 
         steering, throttle = self.values("turn_arb.yaml"), self.values("throttle.yaml")
@@ -329,10 +328,10 @@ class LiveTest(unittest.TestCase):
         for name in ("sonars.yaml", "pca9685.yaml"):
             self.assertEqual((self.folder / name).read_text(encoding="utf-8"), texts[name])
 
-        before = {**rospy.get_param("/tuned/turn_arb"), **rospy.get_param("/tuned/generic_value_converter")}
+        before = {**rospy.get_param("/tuned/turn_arb"), **rospy.get_param("/tuned/throttle_arb")}
         self.end()
         self.launch()
-        after = {**rospy.get_param("/tuned/turn_arb"), **rospy.get_param("/tuned/generic_value_converter")}
+        after = {**rospy.get_param("/tuned/turn_arb"), **rospy.get_param("/tuned/throttle_arb")}
         self.assertEqual(after, before)
         self.assertEqual(rospy.get_param("/tuned/pca9685/steering"), yaml.safe_load(
             (self.folder / "turn_arb.yaml").read_text(encoding="utf-8")))
@@ -345,7 +344,7 @@ class LiveTest(unittest.TestCase):
         self.states.wait_for(lambda state: state.source == SteeringState.PLANNER and state.duty == 5150,
                              self.states.mark())
         self.wait_for_duty(DRIVES, 4950)
-        for node in ("turn_arb", "generic_value_converter"):
+        for node in ("turn_arb", "throttle_arb"):
             self.assertTrue(self.save(node).success)
             self.assertEqual(len(self.asides(f"{node}.yaml" if node == "turn_arb" else "throttle.yaml")), 1)
 

@@ -15,7 +15,7 @@ import unittest
 import rosnode
 import rospy
 import rostest
-from car_interface.msg import Control, Float64Stamped, SteeringState, Wheel
+from car_interface.msg import Control, Float64Stamped, SteeringState, ThrottleState, Wheel
 from car_interface.srv import InjectFault
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Bool, Empty, Float32, Int32MultiArray
@@ -35,7 +35,7 @@ from waiting import (
     start_node,
 )
 
-PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
+PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb")
 FAULTY = os.path.join(HERE, "faulty_car_nodes.py")
 REMAPPED = ("/servo/output", "/servo/cmdVector", "/teleop_logi/human_in_loop", "/teleop_logi/tele_steer_req",
             "/teleop_logi/tele_throt_req")
@@ -92,6 +92,7 @@ class TheSameCar(unittest.TestCase):
         self.assertIn("pca9685: servo board", names["one"])
         self.assertIn("teensy_sensor_hub: Teensy link", names["one"])
         self.assertIn("generic_value_converter: converter", names["one"])
+        self.assertIn("throttle_arb: throttle", names["one"])
 
     def test_latecomer_hears_where_both_channels_rest(self):
         """A topic latches one message in a process, and in the one two parts publish."""
@@ -106,7 +107,8 @@ class TheSameCar(unittest.TestCase):
             doctor = start_node(self, "doctor", "--ns", "/one")
             doctor.wait_for_exit()
             shown = "\n".join(doctor.stdout.since())
-            self.assertRegex(shown, "turn_arb, pca9685, teensy_sensor_hub, generic_value_converter, .* run in /one")
+            self.assertRegex(shown, "turn_arb, pca9685, teensy_sensor_hub, generic_value_converter, throttle_arb, .* "
+                                    "run in /one")
             self.assertNotIn("not running", shown)
             self.assertNotIn("doesn't report", shown)
         retried(attempt)
@@ -134,12 +136,14 @@ class AProcess(unittest.TestCase):
                   "pca9685": {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"),
                               "esc": config("throttle.yaml"), "device": "virtual", "virtual_log": self.chip.path},
                   "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml", "sonars.yaml"), "port": self.port},
-                  "generic_value_converter": {**config("generic_value_converter.yaml", "throttle.yaml"),
-                                              "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}
+                  "generic_value_converter": {**config("generic_value_converter.yaml"),
+                                              "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
+                  "throttle_arb": config("throttle.yaml")}
         for part, more in changes.items():
             values[part].update(more)
         for part in PARTS:
             set_params(self, f"{namespace}/{part}", values[part])
+        set_params(self, f"{namespace}/car_nodes", {"throttle": True})
 
 
 class Drives(AProcess):
@@ -151,7 +155,8 @@ class Drives(AProcess):
         start_node(self, "car_sim", f"_port:={self.port}").wait_for_info("a virtual Teensy")
         self.process = start(self, sys.executable, FAULTY,
                              "generic_value_converter/input/control_cmd:=control/command/control_cmd",
-                             "generic_value_converter/input/odometry:=odom")
+                             "generic_value_converter/input/odometry:=odom", "throttle_arb/input/odometry:=odom",
+                             "throttle_arb/input/value:=generic_value_converter/output/value")
         self.repeater = Repeater(0.02)
         self.addCleanup(self.repeater.end)
         # Two parts hear each of the first two, but by one connection: they are in one process.
@@ -166,7 +171,8 @@ class Drives(AProcess):
         self.topics = {"turn_arb": self.topic("/turn_arb/state", SteeringState),
                        "pca9685": self.topic("/servo/output", Int32MultiArray),
                        "teensy_sensor_hub": self.topic("/teensy_wheel", Wheel),
-                       "generic_value_converter": self.topic("/generic_value_converter/output/value", Float64Stamped)}
+                       "generic_value_converter": self.topic("/generic_value_converter/output/value", Float64Stamped),
+                       "throttle_arb": self.topic("/throttle_arb/state", ThrottleState)}
         self.arm()
 
     def sender(self, name, message_type):
@@ -186,8 +192,8 @@ class Drives(AProcess):
             self.wait_until_neutral(time.monotonic_ns())
             self.repeater.hold(self.human, Bool(True))
             now_ns = time.monotonic_ns()
-            self.chip.wait_for(0, lambda counts: counts == LEFT, now_ns, 3.0)
-            self.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, now_ns, 3.0)
+            self.chip.wait_for(0, lambda counts: counts == LEFT, now_ns, 5.0)
+            self.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, now_ns, 5.0)
         retried(attempt)
 
     def wait_until_neutral(self, since_ns):
@@ -336,7 +342,8 @@ class Drives(AProcess):
 class Parameters(AProcess):
     def test_a_bad_one_of_any_part_ends_it_with_one_line(self):
         for part, name, value in (("turn_arb", "servo_left", "x"), ("pca9685", "timeout", -1),
-                                  ("teensy_sensor_hub", "baud", 0), ("generic_value_converter", "max_valeu", 1)):
+                                  ("teensy_sensor_hub", "baud", 0), ("generic_value_converter", "max_valeu", 1),
+                                  ("throttle_arb", "human_scale", 2)):
             self.set_params("/bad", **{part: {name: value}})
             process = start_node(self, "car_nodes", "__ns:=bad")
             self.assertEqual(process.wait_for_exit(), 1)

@@ -326,8 +326,10 @@ class Pca9685ByItself(unittest.TestCase):
                 if driven:
                     inputs.hold(Sender("/forgetful/cmdVector", Int32MultiArray), vector([6000]))
                     outputs.wait_for(lambda output: output.data[0] == 6000)
-                lost_ns = time.monotonic_ns()
+                lost_ns, mark = time.monotonic_ns(), outputs.mark()
                 inject("/forgetful", "brownout", 0)
+                # throttle_arb arms its ESC again by this
+                outputs.wait_for(lambda output: output.data == (0,) * 16, mark)
                 eventually(lambda since_ns=lost_ns: "fe 79" in writes(log, since_ns), "the prescale anew")
                 eventually(lambda since_ns=lost_ns: any(write.startswith("26 ") for write in writes(log, since_ns)),
                            "channels 8 to 15 anew")

@@ -480,7 +480,7 @@ class TurnArbParameters(unittest.TestCase):
                          "throttle:=true", "gamepad:=false", f"one_process:={one_process}"],
                         stdout=subprocess.PIPE, check=True).stdout
                     params = yaml.safe_load(dumped)
-                    for node in ("turn_arb", "generic_value_converter"):
+                    for node in ("turn_arb", "throttle_arb"):
                         self.assertIs(params[f"/{node}/grant_at_start"], grants)
 
     def test_the_originals_parameters_are_found_in_the_root_namespace(self):

@@ -106,9 +106,13 @@ class LinkIsCut(unittest.TestCase):
 
     def hold(self, car, pad):
         """Let go and hold again; then the car follows."""
+        nodes = {node: car.processes[node] for node in ("turn_arb", "throttle_arb")}
+        records = {node: [(record, record.mark()) for record in (process.stdout, process.stderr)]
+                   for node, process in nodes.items()}
         car.sent(pad, "human", "0")
-        for node in ("turn_arb", "generic_value_converter"):
-            eventually(lambda node=node: "human_in_loop is false" in self.says(car, node), f"{node} to hear of it")
+        for node, marks in records.items():
+            eventually(lambda marks=marks: any("human_in_loop is false" in line for record, mark in marks
+                                               for line in record.since(mark)), f"{node} to hear of it")
         car.sent(pad, "human", "0")  # one that comes after both began to count them
         car.sent(pad, "human", "1")
         now_ns = time.monotonic_ns()

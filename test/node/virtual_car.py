@@ -16,6 +16,7 @@ from waiting import PATIENCE_S, NodeProcess, eventually, executable
 PACKAGE = rospkg.RosPack().get_path("car_interface")
 HERE = os.path.dirname(os.path.abspath(__file__))
 DRIVER = os.path.join(HERE, "chain_driver.py")
+START_WITHIN_S = 60  # of a program on a machine with much other work
 PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")  # one that can import rospy, with its PYTHONPATH
 PYTHONPATH38 = os.environ.get("CAR_INTERFACE_PYTHONPATH38")
 
@@ -133,19 +134,21 @@ class Car:
                        env={**os.environ, **self._env}, stdout=subprocess.DEVNULL)
 
     def load_actors(self):
-        """The parameters of the three nodes between the senders and the chip."""
+        """The parameters of the four nodes between the senders and the chip."""
         self.load("/turn_arb", "turn_arb.yaml")
         self.load("/pca9685", "pca9685.yaml")
         self.load("/pca9685/steering", "turn_arb.yaml")
         self.load("/pca9685/esc", "throttle.yaml")
-        self.load("/generic_value_converter", "generic_value_converter.yaml", "throttle.yaml")
+        self.load("/generic_value_converter", "generic_value_converter.yaml")
+        self.load("/throttle_arb", "throttle.yaml")
 
     def actors(self, odometry="localization/kinematic_state"):
-        """The three nodes between the senders and the chip."""
+        """The four nodes between the senders and the chip."""
         self.load_actors()
         self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
         self.turn_arb()
         self.converter(odometry)
+        self.throttle_arb(odometry)
 
     def turn_arb(self):
         """Start turn_arb; its parameters are there."""
@@ -158,11 +161,17 @@ class Car:
                          f"generic_value_converter/input/odometry:={odometry}",
                          f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
 
+    def throttle_arb(self, odometry="localization/kinematic_state", *arguments):
+        """Start throttle_arb; its parameters are there."""
+        return self.node("throttle_arb", "throttle_arb/input/value:=generic_value_converter/output/value",
+                         f"throttle_arb/input/odometry:={odometry}", *arguments)
+
     def load_one_process(self):
         """The parameters of car_nodes. Its Teensy is absent."""
         self.load_actors()
         self.load("/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
         for name, value in (("/pca9685/device", "virtual"), ("/pca9685/virtual_log", self.chip.path),
+                            ("/car_nodes/throttle", "true"),
                             ("/teensy_sensor_hub/port", os.path.join(self.folder, "absent")),
                             ("/generic_value_converter/csv_path_value_map", f"{PACKAGE}/config/value_map.csv")):
             self._rosparam("set", name, value)
@@ -170,12 +179,14 @@ class Car:
     def one_process(self):
         """Start car_nodes; its parameters are there."""
         return self.node("car_nodes", "generic_value_converter/input/control_cmd:=control/command/control_cmd",
-                         "generic_value_converter/input/odometry:=localization/kinematic_state")
+                         "generic_value_converter/input/odometry:=localization/kinematic_state",
+                         "throttle_arb/input/value:=generic_value_converter/output/value",
+                         "throttle_arb/input/odometry:=localization/kinematic_state")
 
     def driver(self, name, *names):
         """Start a chain_driver that may publish these names."""
         process = self.start(name, sys.executable, DRIVER, name, ",".join(names))
-        process.wait_for_info("^ready")
+        process.stdout.wait_for(lambda line: line.startswith("ready"), within_s=START_WITHIN_S)
         return process
 
     def sent(self, driver, name, value):

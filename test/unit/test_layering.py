@@ -29,6 +29,7 @@ MAY_IMPORT = {
     "recordings": PARTS,
     "report": (*PARTS, "recordings"),
     "calibration": ("common",),
+    "calibration/esc": (*PARTS, "recordings", "calibration"),
     "calibration/steering": (*PARTS, "recordings", "calibration"),
     "calibration/value_map": (*PARTS, "recordings", "calibration"),
     "cli": (*PARTS, "recordings", "report", "calibration", "calibration/steering", "calibration/value_map"),

@@ -27,6 +27,9 @@ NO_RADIUS = "no radius"  # the planner requests 0
 
 # Throttle.
 DRIVING = "driving"
+MODE_STALE = "mode silent"
+MODE_UNKNOWN = "mode unknown"
+CONVERTING = "converting"  # the converter has a value for the newest command
 STEERING_STALE = "steering silent"
 STEERING_STOPPED = "steering stopped"
 COMMAND_STALE = "command silent"
@@ -34,9 +37,26 @@ COMMAND_NOT_FINITE = "command not finite"
 ODOMETRY_STALE = "odometry silent"
 ODOMETRY_NOT_FINITE = "odometry not finite"
 
+# ESC: what it is made to do, or why something else than requested.
+ESC_ARMING = "esc arming"
+ESC_MOTION = "esc motion"  # the car moved against the ESC's state: a wrong profile, a hill
+NO_THROTTLE = "no throttle"  # neutral is requested
+BRAKING = "braking"
+HOLDING = "holding"  # a brake at standstill
+STOPPING = "stopping"
+REVERSING = "reversing"
+REVERSE_PENDING = "reverse pending"  # the ESC needs a brake or neutral first
+REVERSE_REFUSED = "reverse refused"
+BRAKE_UNCERTAIN = "brake uncertain"  # the ESC could take it for reverse
+AT_STANDSTILL = "at standstill"  # where a brake doesn't become reverse
+REQUEST_NOT_FINITE = "request not finite"
+CALIBRATION_DRIVE = "calibration drive"  # the ESC gets a person's pulls as they are
+
 # Gamepad.
 MANUAL = "manual"  # the manual deadman is held
 AUTONOMOUS = "autonomous"  # the autonomous deadman is held
+HUMAN_THROTTLE = "human_throttle"  # the third deadman is held, and this is its mode
+HUMAN_STEERING = "human_steering"  # likewise
 NO_DEADMAN = "no deadman"
 JOY_STALE = "joy silent"
 JOY_NEVER_RECEIVED = "joy never heard"
@@ -64,9 +84,9 @@ LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
 # Causes for which the motion interlock inhibits steering and throttle.
 INHIBITS = LOCKS | {STARTING, HUMAN_STALE, HUMAN_NEVER_RECEIVED, HUMAN_ABSENT, NOT_REARMED}
 # An input arrived before and has stopped arriving.
-STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEERING_STALE, COMMAND_STALE,
-                   ODOMETRY_STALE, JOY_STALE})
+STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEERING_STALE, MODE_STALE,
+                   COMMAND_STALE, ODOMETRY_STALE, JOY_STALE})
 NOT_FINITE = frozenset({TELEOP_NOT_FINITE, PLANNER_NOT_FINITE, COMMAND_NOT_FINITE, ODOMETRY_NOT_FINITE,
-                        JOY_NOT_FINITE})
+                        REQUEST_NOT_FINITE, JOY_NOT_FINITE})
 # Something worked and failed, as opposed to an operator who stopped the car or has not started it yet.
-LOSSES = STALE | NOT_FINITE | {NOT_REARMED, JOY_INCOMPLETE}
+LOSSES = STALE | NOT_FINITE | {NOT_REARMED, JOY_INCOMPLETE, ESC_MOTION}

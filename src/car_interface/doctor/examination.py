@@ -45,7 +45,7 @@ STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/
 USUAL_BAUD = 115200
 # Names and addresses, then the nodes, then all the rest at the same time: 9 s at most.
 NETWORK_S, SURVEY_S, PROBES_S = 2.0, 2.0, 4.5
-REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "teleop_logi")
+REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "teleop_logi")
 NO_GRAPH = Graph({}, frozenset())
 
 
@@ -212,7 +212,7 @@ def examine(options: Options) -> Iterator[Finding]:
         covered = _covered(hub, topic_reports.link)
         if topic_reports.gamepad:
             yield from check_gamepad(topic_reports.gamepad)
-            covered.append(f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}")
+            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}"]
         yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, covered)
 
 

@@ -1,4 +1,6 @@
-"""The car_nodes process: turn_arb, pca9685, teensy_sensor_hub and generic_value_converter in one, to save memory.
+"""The car_nodes process: turn_arb, pca9685, teensy_sensor_hub, generic_value_converter and throttle_arb in one.
+
+It saves memory.
 
 Each is the same node class as in a process of its own, with the same topics, services, parameters and diagnostics under
 its own name, and with a thread that decides and publishes. They share one interpreter and one name on the ROS graph.
@@ -7,8 +9,8 @@ A node that ends by an error is shut down, taken off the graph and started again
 does; the others go on. A parameter that a node refuses at its first start ends the process, likewise a device that is
 required and missing.
 
-Parameters:
-    None of its own: each node has those below its own name.
+Parameters, beside those of each node below its own name:
+    ~throttle false: true = with throttle_arb.
 """
 from __future__ import annotations
 
@@ -26,12 +28,13 @@ from car_interface.common.units import NS_PER_S
 from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
+from car_interface.nodes.throttle_arb import ThrottleArb
 from car_interface.nodes.turn_arb import TurnArb
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.runtime import describe_error, run, spin
 
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
-         "generic_value_converter": GenericValueConverter}
+         "generic_value_converter": GenericValueConverter, "throttle_arb": ThrottleArb}
 PAUSE_NS = NS_PER_S
 END_WITHIN_S = 5.0  # pca9685 tries for two seconds to reach its chip
 POLL_S = 0.005  # Thread.join with a timeout follows the settable clock before Python 3.11
@@ -103,12 +106,15 @@ class CarNodes:
     """Starts the nodes, and restarts those that an error has ended."""
 
     def __init__(self, params, inbox):
+        nodes = dict(NODES)
+        if not params.flag("throttle", False):
+            del nodes["throttle_arb"]
         params.finish()
         self._inbox = inbox
         self._due_ns: dict[Part, int] = {}  # of those that wait for their restart
         logging.getLogger("rosout").addFilter(_name_part)
         self._parts = [Part(name, node_class, lambda part: inbox.put(self._on_end, part))
-                       for name, node_class in NODES.items()]
+                       for name, node_class in nodes.items()]
 
     def step(self, now_ns):
         """Restart the nodes that are due."""

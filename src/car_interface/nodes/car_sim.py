@@ -22,6 +22,9 @@ Parameters:
         What the parameters below say goes before that.
     ~wheelbase 0.324, ~track 0.296, ~wheel_diameter 0.095 (m), ~pulses_per_revolution 20.
     ~steering_duties, ~steering_curvatures: the true steering, rising duties and curvatures in 1/m, left positive.
+    ~esc_kind none: what its ESC makes of a pulse behind neutral: brake_then_reverse, brake_becomes_reverse,
+        direct_reverse, forward_only; none = it has no memory and takes no arming: a duty against the way the car rolls
+        brakes, and at standstill reverse drives backward. The launch files have brake_then_reverse.
     ~forward_acceleration, ~reverse_acceleration, ~brake_deceleration (m/s²): the true drive train.
     ~collisions true: walls, boxes and posts stop the car; false = it drives through them.
     ~temperature 20 (°C): of the air that the sonars' sound travels through.
@@ -57,11 +60,13 @@ from car_interface.ros.virtual_board import chip_path
 from car_interface.ros.virtual_line import VirtualLine
 from car_interface.sim.calibrated_car import steering_curve
 from car_interface.sim.collision import Collisions
+from car_interface.sim.esc import KINDS, VirtualEscConfig
 from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
+NO_ESC = "none"
 STEP_NS = 2_000_000  # the car's maximum step, and how often bytes leave
 MAX_UPTIME_MS = 3_600_000
 MAX_DRIFT_PPM = 50.0
@@ -85,9 +90,11 @@ def read_vehicle(params, rng) -> VehicleConfig:
     wheel_pulses = params.numbers("wheel_pulses", [HALL_STATES * rng.random() for _ in range(2)])
     if len(wheel_pulses) != 2:
         raise ConfigError("wheel_pulses", wheel_pulses, "two numbers: left, right")
+    drive = _read_drive(params)
     return VehicleConfig(
         steering=replace(steering, curve=tuple(zip(duties, curvatures))),
-        drive=_read_drive(params),
+        drive=drive,
+        esc=_read_esc(params, drive),
         wheelbase_m=params.number("wheelbase", params.number("wheels/wheelbase", 0.324), above=0.0),
         track_m=params.number("track", params.number("wheels/track", 0.296), above=0.0),
         wheel_diameter_m=params.number("wheel_diameter", params.number("wheels/wheel_diameter", 0.095), above=0.0),
@@ -124,6 +131,16 @@ def _read_drive(params):
         forward_mps2=params.number("forward_acceleration", drive.forward_mps2, above=0.0, high=100),
         reverse_mps2=params.number("reverse_acceleration", drive.reverse_mps2, above=0.0, high=100),
         brake_mps2=params.number("brake_deceleration", drive.brake_mps2, above=0.0, high=100))
+
+
+def _read_esc(params, drive):
+    """The ESC, which is calibrated to the drive train's duties; ``None`` = one without a memory."""
+    kind = params.choice("esc_kind", NO_ESC, (NO_ESC, *KINDS))
+    if kind == NO_ESC:
+        return None
+    return VirtualEscConfig(kind=kind, neutral_duty=drive.neutral_duty, full_forward_duty=drive.full_forward_duty,
+                            full_reverse_duty=drive.full_reverse_duty, forward_band_duty=drive.neutral_band_duty,
+                            reverse_band_duty=drive.neutral_band_duty)
 
 
 def read_firmware(params, rng, seed, wheel_pulses) -> FirmwareConfig:

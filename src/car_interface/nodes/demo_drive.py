@@ -38,6 +38,7 @@ from car_interface.msg import (
     Pong,
     SteeringState,
     TeensyClock,
+    ThrottleState,
     Wheel,
 )
 from car_interface.ros.bag_recording import BagRecording
@@ -79,6 +80,8 @@ class Watch:
         self.stage, self.stage_since_ns = NOBODY, 0
         self.stage_distance_m = Counter()
         self.stage_sources = {stage: set() for stage in range(DONE + 1)}
+        self.stage_drivers = {stage: set() for stage in range(DONE + 1)}
+        self.throttle_state = None
         self.stage_yaw_rad = Counter()
         self.sonar_m = {}
         self.rest = None  # the servo board's output before the drive
@@ -100,6 +103,12 @@ class Watch:
         self.state = message
         if now_ns - self.stage_since_ns > SETTLING_NS:
             self.stage_sources[self.stage].add(message.source)
+
+    def on_throttle_state(self, message, now_ns):
+        """Who drives."""
+        self.throttle_state = message
+        if now_ns - self.stage_since_ns > SETTLING_NS:
+            self.stage_drivers[self.stage].add(message.source)
 
     def on_output(self, message, now_ns):
         """The servo board's output."""
@@ -139,6 +148,7 @@ class Watch:
         seen = {
             "car_sim/truth": self.pose,
             "turn_arb/state": self.state,
+            "throttle_arb/state": self.throttle_state,
             "/servo/output": self.output and self.duties[0] >= 0,
             "odom": self.odometry,
             "the Teensy's link": self.link and self.link.pongs,
@@ -153,17 +163,19 @@ class DemoDriveConfig:
     Attributes:
         bag_dir: where a bag is recorded; ``None`` = nowhere.
         steering_channel, throttle_channel: of the servo board.
-        steer_axis, manual_button, autonomous_button: of the gamepad that it plays.
-        steer_scale: the car's factor of that axis; −1 inverts it.
+        steer_axis, throttle_axis, manual_button, autonomous_button: of the gamepad that it plays.
+        steer_scale, throttle_scale: the car's factors of the axes; −1 inverts one.
     """
 
     bag_dir: str | None
     steering_channel: int
     throttle_channel: int
     steer_axis: int
+    throttle_axis: int
     manual_button: int
     autonomous_button: int
     steer_scale: float
+    throttle_scale: float
 
 
 def read_config(params) -> DemoDriveConfig:
@@ -177,9 +189,11 @@ def read_config(params) -> DemoDriveConfig:
         steering_channel=params.integer("steering/servo_channel", 0, 0, CHANNELS - 1),
         throttle_channel=params.integer("esc/servo/channel", 1, 0, CHANNELS - 1),
         steer_axis=params.integer("gamepad/steer_axis", 0, 0, MAX_INDEX),
+        throttle_axis=params.integer("gamepad/throttle_axis", 4, 0, MAX_INDEX),
         manual_button=params.integer("gamepad/manual_button", 4, 0, MAX_INDEX),
         autonomous_button=params.integer("gamepad/autonomous_button", 5, 0, MAX_INDEX),
-        steer_scale=params.number("gamepad/steer_scale", 1.0, -1.0, 1.0) or 1.0)
+        steer_scale=params.number("gamepad/steer_scale", 1.0, -1.0, 1.0) or 1.0,
+        throttle_scale=params.number("gamepad/throttle_scale", 1.0, -1.0, 1.0) or 1.0)
     params.finish(ignored_namespaces=("steering", "esc", "gamepad"))
     return config
 
@@ -208,6 +222,7 @@ class DemoDrive:
         watch = self._watch
         for topic, message_type, handler in (
                 ("car_sim/truth", Odometry, watch.on_truth), ("turn_arb/state", SteeringState, watch.on_state),
+                ("throttle_arb/state", ThrottleState, watch.on_throttle_state),
                 ("/servo/output", Int32MultiArray, watch.on_output), ("odom", Odometry, watch.on_odometry),
                 *((f"sonar/{name}", Range, watch.on_range) for name in SONARS),
                 ("teensy_sensor_hub/link", LinkStatus, watch.on_link), ("teensy_wheel", Wheel, None),
@@ -247,6 +262,9 @@ class DemoDrive:
 
     def _wait_until_ready(self, now_ns):
         missing = self._watch.missing()
+        recording = self._recording
+        if not missing and recording and not recording.has_subscribed(rospy.resolve_name("teensy_clock")):
+            missing = ["the recorder of the bag"]
         if not missing:
             self._drive = Drive(DriveConfig(), now_ns)
             self._started_ns = now_ns
@@ -275,10 +293,11 @@ class DemoDrive:
 
     def _publish_joy(self, orders):
         config = self._config
-        message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1),
+        message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1, config.throttle_axis + 1),
                       buttons=[0] * max(BUTTONS, config.manual_button + 1, config.autonomous_button + 1))
         message.header.stamp = rospy.Time.now()
         message.axes[config.steer_axis] = max(-1.0, min(1.0, orders.steering / config.steer_scale))
+        message.axes[config.throttle_axis] = max(-1.0, min(1.0, orders.throttle / config.throttle_scale))
         message.buttons[config.manual_button] = int(orders.manual)
         message.buttons[config.autonomous_button] = int(orders.autonomous)
         self._joy.publish(message)
@@ -333,8 +352,11 @@ class DemoDrive:
         yield "the car moved though nobody was there", distance_m[NOBODY] < 0.01
         yield "somebody steered though nobody was there", sources[NOBODY] == {NO_HUMAN}
         yield "the human didn't steer all the time", sources[TELEOP] == {TELEOP_STEERS}
+        drivers = watch.stage_drivers
+        yield "the human didn't drive all the time", drivers[TELEOP] == {TELEOP_STEERS}
         yield "the human's circle wasn't closed", yaw_rad[TELEOP] > 0.95 * TURN_RAD
         yield "the planner didn't steer all the time", sources[LEFT_CIRCLE] == sources[RIGHT_CIRCLE] == {PLANNER}
+        yield "the planner didn't drive all the time", drivers[LEFT_CIRCLE] == drivers[RIGHT_CIRCLE] == {PLANNER}
         yield "the left circle wasn't closed", yaw_rad[LEFT_CIRCLE] > 0.95 * TURN_RAD
         yield "the right circle wasn't closed", yaw_rad[RIGHT_CIRCLE] < -0.95 * TURN_RAD
         yield "the outputs weren't neutral within 0.1 s of letting go", (

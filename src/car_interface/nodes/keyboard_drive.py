@@ -10,14 +10,11 @@ virtual car is driven (pca9685's ~device is ``virtual``).
 
 Publishes, at 50 Hz:
     joy (sensor_msgs/Joy).
-    control/command/control_cmd (Control), only for a virtual car and while the manual deadman is held: the ESC follows
-        accelerations, not the gamepad's throttle.
 Subscribes:
     turn_arb/state (SteeringState): who steers and why, printed when it changes.
 Parameters:
     ~steer_axis 0, ~throttle_axis 4, ~manual_button 4, ~autonomous_button 5, ~steer_scale 1.0, ~throttle_scale 1.0: as
         teleop_logi's, whose values in the same namespace are the defaults.
-    ~acceleration 1.0 (m/s²): of a virtual car; 0 = no control_cmd is published.
     ~input_devices /dev/input/event*: the keyboards; none = only the terminal is read.
 """
 from __future__ import annotations
@@ -36,7 +33,7 @@ from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
-from car_interface.msg import Control, Longitudinal, SteeringState
+from car_interface.msg import SteeringState
 from car_interface.ros.evdev import Keyboards
 from car_interface.ros.keyboard import Keys
 from car_interface.ros.runtime import run
@@ -68,7 +65,6 @@ class KeyboardDriveConfig:
     autonomous_button: int
     steer_scale: float
     throttle_scale: float
-    acceleration_mps2: float
     input_devices: str
 
     def __post_init__(self):
@@ -97,7 +93,6 @@ def read_config(params, teleop_logi=None) -> KeyboardDriveConfig:
         steer_axis=index("steer_axis", 0), throttle_axis=index("throttle_axis", 4),
         manual_button=index("manual_button", 4), autonomous_button=index("autonomous_button", 5),
         steer_scale=scale("steer_scale"), throttle_scale=scale("throttle_scale"),
-        acceleration_mps2=params.number("acceleration", 1.0, low=0, high=5),
         input_devices=params.text("input_devices", "/dev/input/event*"))
     params.finish()
     return config
@@ -124,7 +119,6 @@ class KeyboardDrive:
         self._keyboard = Keyboard(counts_without_release=self._is_virtual)
         self._was_warned = False
         self._joy = advertise("joy", Joy, inbox)
-        self._commands = advertise("control/command/control_cmd", Control, inbox) if self._accelerates else None
         subscribe("turn_arb/state", SteeringState, inbox, self._on_state)
         self._keys = Keys()
         if not self._keys.start():
@@ -136,10 +130,6 @@ class KeyboardDrive:
     @property
     def _is_virtual(self):
         return self._device == VIRTUAL
-
-    @property
-    def _accelerates(self):
-        return self._is_virtual and self._config.acceleration_mps2 > 0
 
     def step(self, now_ns):
         """Read the keys; publish when it is time."""
@@ -192,9 +182,6 @@ class KeyboardDrive:
         message.buttons[config.manual_button] = int(controls.manual)
         message.buttons[config.autonomous_button] = int(controls.autonomous)
         self._joy.publish(message)
-        if self._commands is not None and controls.manual:
-            self._commands.publish(Control(stamp=message.header.stamp, longitudinal=Longitudinal(
-                acceleration=controls.throttle * config.acceleration_mps2)))
 
     def _on_state(self, message, now_ns):
         """Print who steers and why, once it stays so: the reason of a change arrives a moment after the change."""

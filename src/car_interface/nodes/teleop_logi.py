@@ -2,17 +2,23 @@
 
 Subscribes:
     joy (sensor_msgs/Joy).
-Publishes, at 50 Hz and at once when the deadman changes:
+Publishes, at 50 Hz (mode and scale_button: 10 Hz) and at once when they or the deadman change:
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is fresh; a button
         that is held at the start counts after all were released.
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman; never
         exactly neutral under the manual one, where the planner would steer then.
-    /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 under the autonomous deadman.
+    /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 where the planner drives; NaN where the gamepad has no
+        throttle axis.
+    /teleop_logi/mode (std_msgs/String): who steers and who drives, by the deadman that is held; see
+        ``common.drive_modes``.
+    /teleop_logi/scale_button (std_msgs/Int8): 1 or −1 while the button for more or less speed by hand is pressed.
     ~state (TeleopState, latched): whether a human holds a deadman, cause, reason, age of joy; when the cause changes
         and 10 times a second. For people: nothing that drives follows it.
     /diagnostics: the same with the remedy, and who else publishes on its topic; 1 Hz.
 Parameters:
-    ~steer_axis, ~throttle_axis, ~manual_button, ~autonomous_button: indices into the Joy message; required.
+    ~steer_axis, ~throttle_axis (−1 = none), ~manual_button, ~autonomous_button: indices into the Joy message; required.
+    ~third_button −1 (none), ~third_mode human_steering: another deadman.
+    ~faster_button −1, ~slower_button −1: change the scale of driving by hand.
     ~steer_scale 1.0, ~throttle_scale 1.0: −1 inverts an axis.
     ~steer_neutral 0.0, ~steer_deadband 0.001: the request that means "not steering", and how near to it another one
         means the same: turn_arb's tele_steer_neutral and tele_steer_deadband.
@@ -25,7 +31,7 @@ from collections import Counter
 
 import rospy
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Float32
+from std_msgs.msg import Bool, Float32, Int8, String
 
 from car_interface.common import causes
 from car_interface.common.rate_timer import RateTimer
@@ -65,8 +71,12 @@ class TeleopLogi:
         self._human = rospy.Publisher("/teleop_logi/human_in_loop", Bool, queue_size=10)
         self._steering = rospy.Publisher("/teleop_logi/tele_steer_req", Float32, queue_size=10)
         self._throttle = rospy.Publisher("/teleop_logi/tele_throt_req", Float32, queue_size=10)
+        self._modes = rospy.Publisher("/teleop_logi/mode", String, queue_size=10)
+        self._scale_buttons = rospy.Publisher("/teleop_logi/scale_button", Int8, queue_size=10)
+        self._scale_button = 0
         self._states = advertise("~state", TeleopState, inbox, latch=True)
-        self._diagnostics = Diagnostics(inbox, "none", {REPORT: self._report, **self._command_topics.reports}, now_ns)
+        self._diagnostics = Diagnostics(inbox, "none", {REPORT: self._report, **self._command_topics.reports},
+                                        now_ns)
         inbox.on_overflow(lambda now_ns: self._gamepad.mark_stale())
         subscribe("joy", Joy, inbox, self._on_joy)
         self._command_topics.start(self._diagnostics.report_now)
@@ -77,6 +87,7 @@ class TeleopLogi:
             self._publish_if_changed(arrival_ns)  # a silence that this message ends, however short it was
             handler(message, arrival_ns)
             self._publish_if_changed(arrival_ns)
+            self._publish_scale_button(arrival_ns)
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
         self._diagnostics.step(now_ns)
@@ -94,7 +105,11 @@ class TeleopLogi:
         requests = self._gamepad.requests(now_ns)
         has_changed = self._publish(requests, now_ns)
         self._ticks += 1
-        if self._ticks % TICKS_PER_STATE == 0 and not has_changed:
+        repeats = self._ticks % TICKS_PER_STATE == 0
+        self._publish_scale_button(now_ns, repeats)
+        if repeats:
+            self._modes.publish(requests.mode)
+        if repeats and not has_changed:
             self._publish_state(requests, now_ns)
 
     def _publish_if_changed(self, now_ns):
@@ -108,6 +123,8 @@ class TeleopLogi:
         # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
             self._human.publish(False)
+        if before is None or requests.mode != before.mode:
+            self._modes.publish(requests.mode)
         self._steering.publish(requests.steering)
         self._throttle.publish(requests.throttle)
         if requests.human_in_loop:
@@ -119,6 +136,11 @@ class TeleopLogi:
         if self._log_filter.is_new(requests, now_ns):
             self._log(requests)
         return has_changed
+
+    def _publish_scale_button(self, now_ns, repeats=False):
+        before, self._scale_button = self._scale_button, self._gamepad.scale_button(now_ns)
+        if repeats or self._scale_button != before:
+            self._scale_buttons.publish(self._scale_button)
 
     def _publish_state(self, requests, now_ns):
         self._states.publish(TeleopState(

@@ -161,6 +161,7 @@ class BoardSupervisor:
             self._on_event(MISMATCH, mismatch)
             self._board.initialise()
             self.tally.reinitialisations += 1
+            self._on_event(FOUND, None)
 
     def _write(self, targets):
         if differences(self._board.held, targets()):

@@ -2,7 +2,8 @@
 
 The raw topics have all the inputs of a live node: records by kind, and on teensy_clock the times of each ping and pong.
 They lack the time at which a report of a sonar or of the wheels was read; the time at which the recorder received the
-message, a little later, stands for it. That shifts stamps a little before the clock has converged, and no pose.
+message, a little later, stands for it. Before the clock has converged, which takes five pongs, that shifts stamps by as
+much, and where the car moves then, its pose by some mm; later neither.
 """
 from __future__ import annotations
 

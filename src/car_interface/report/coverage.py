@@ -30,7 +30,8 @@ QUESTIONS = (
     Question("errors of the servo board", (Source(DIAGNOSTICS, "pca9685: servo board"),)),
     Question("why the gamepad released the deadman",
              (Source("teleop_logi/state"), Source(DIAGNOSTICS, "teleop_logi: gamepad"))),
-    Question("why the throttle stopped", (Source(DIAGNOSTICS, "generic_value_converter: converter"),)),
+    Question("why the throttle stopped",
+             (Source("throttle_arb/state"), Source(DIAGNOSTICS, "generic_value_converter: converter"))),
     Question("warnings in the nodes' logs", (Source("/rosout", has_pauses=True),)),
 )
 

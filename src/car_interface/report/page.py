@@ -29,8 +29,8 @@ def page(drive: Summary, plots: dict[str, Plot]) -> str:
         plots: by name; those that are missing are left out.
     """
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
-    sections = (_who(drive, plots), _faults(drive), _steering(drive, plots), _path(drive, plots), _speed(drive, plots),
-                _link(drive, plots), _contents(drive))
+    sections = (_who(drive, plots), _faults(drive), _steering(drive, plots), _throttle(drive, plots),
+                _path(drive, plots), _speed(drive, plots), _link(drive, plots), _contents(drive))
     return document(f"Drive: {name}", _head(drive, name) + "".join(sections))
 
 
@@ -210,8 +210,8 @@ def _driver(source):
 
 
 def _faults(drive):
-    text = ("Losses, refusals, resets and warnings with their times: from turn_arb, teleop_logi, the Teensy's link, "
-            "/diagnostics and the nodes' logs.")
+    text = ("Losses, refusals, resets and warnings with their times: from the arbiters, teleop_logi, the Teensy's "
+            "link, /diagnostics and the nodes' logs.")
     rows = []
     for fault in drive.faults.entries:
         lasted = span_text(fault.end_s - fault.start_s) if math.isfinite(fault.end_s) else ""
@@ -236,6 +236,18 @@ def _steering(drive, plots):
     return section("steering", "Steering: requested, sent, driven", text, _plot(plots, "steering"), advice,
                    _missing(drive, "turn_arb/state", "/servo/output", "odom", "av_turnrad_req",
                             "/teleop_logi/tele_steer_req"))
+
+
+def _throttle(drive, plots):
+    profile = f" Kind of the ESC: {escape(drive.throttle.profile)}." if drive.throttle.profile else ""
+    text = ("As throttle_arb reports: what was asked, by stick or planner, and what the ESC was given; 1 is full "
+            f"forward, −1 full brake or reverse.{profile}")
+    rows = [(moment_text(episode.start_s, drive.duration_s), span_text(episode.end_s - episode.start_s),
+             _driver(episode.source), escape(episode.esc), escape(episode.reason))
+            for episode in drive.throttle.episodes]
+    return section("throttle", "Throttle: asked, granted", text, _plot(plots, "throttle"),
+                   table(("from", "for", "who", "ESC", "why"), rows, numbers=2) if rows else "",
+                   _missing(drive, "throttle_arb/state"))
 
 
 def _path(drive, plots):

@@ -33,6 +33,8 @@ from car_interface.report.figures import (
 )
 from car_interface.report.summary import Summary
 
+ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
+
 
 class Plot(NamedTuple):
     """One plot."""
@@ -43,12 +45,13 @@ class Plot(NamedTuple):
 
 
 def plots(drive: Summary) -> dict[str, Plot]:
-    """The plots for which there are data, by name: who, steering, path, speed, link."""
+    """The plots for which there are data, by name: who, steering, throttle, path, speed, link."""
     made = {}
     with matplotlib.rc_context(STYLE):
         for name, draw, description in (
                 ("who", _who, "who drove when, as bands of colour over time"),
                 ("steering", _steering, "curvature requested, sent and driven, and the servo's duty, over time"),
+                ("throttle", _throttle, "throttle asked and granted, and the ESC's state, over time"),
                 ("path", _path, "the car's path from above, with the places that the sonars saw"),
                 ("speed", _speed, "speed, acceleration and the ESC over time"),
                 ("link", _link, "frames, round trip and clock skew of the Teensy's link over time")):
@@ -116,6 +119,28 @@ def _steering(drive):
                 axes.legend(handles=axes.get_lines() + beside.get_lines(), **above())
         if not traces["gamepad"].count:
             legend(axes)
+    return figure
+
+
+def _throttle(drive):
+    traces = drive.traces
+    if not traces["throttle granted"].count:
+        return None
+    figure, (states, axes) = stack(drive, [True, True], [0.4, 1.7])
+    found = dict.fromkeys(episode.esc for episode in drive.throttle.episodes if episode.esc)
+    for episode in drive.throttle.episodes:
+        if episode.esc:
+            states.broken_barh([(episode.start_s, episode.end_s - episode.start_s)], (0, 1), linewidth=0,
+                               color=ESC_COLOURS.get(episode.esc, INK))
+    title(states, "The ESC, where it isn't in NEUTRAL or FORWARD")
+    states.set(ylim=(0, 1), yticks=[])
+    if found:
+        states.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=esc) for esc in found], **above())
+    title(axes, "Throttle: brake or reverse down")
+    curve(axes, traces["throttle asked"], REQUESTED, "asked", linestyle=(0, (4, 2)))
+    curve(axes, traces["throttle granted"], SENT, "granted")
+    axes.set_ylim(-1.1, 1.1)
+    legend(axes)
     return figure
 
 

@@ -6,7 +6,7 @@ from functools import partial
 
 from car_interface.common.units import NS_PER_S
 from car_interface.recordings.recording import NoRecording, absolute_names, contents, other_version, read
-from car_interface.report import motion, steering_state, teensy_link
+from car_interface.report import motion, steering_state, teensy_link, throttle_state
 from car_interface.report.coverage import Coverage
 from car_interface.report.downsample import Trace
 from car_interface.report.faults import WARN, FaultLog, NodeReports
@@ -15,11 +15,13 @@ from car_interface.report.motion import MotionWatch
 from car_interface.report.sonars import SonarWatch
 from car_interface.report.steering_state import SteeringWatch
 from car_interface.report.teensy_link import TeensyWatch
+from car_interface.report.throttle_state import ThrottleWatch
 
 # Relative names are below the car's namespace, and so are the others where they are found there.
 SONARS = tuple(f"sonar/{end}_{side}" for end in ("front", "rear") for side in ("right", "middle", "left"))
 TYPES = {
     "turn_arb/state": "car_interface/SteeringState",
+    "throttle_arb/state": "car_interface/ThrottleState",
     "teleop_logi/state": "car_interface/TeleopState",
     "/servo/output": "std_msgs/Int32MultiArray",
     "av_turnrad_req": "std_msgs/Float32",
@@ -37,7 +39,8 @@ TYPES = {
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-TRACES = (*steering_state.TRACES, *motion.TRACES, "requested acceleration", "value", *teensy_link.TRACES)
+TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *motion.TRACES, "requested acceleration", "value",
+          *teensy_link.TRACES)
 
 
 @dataclass
@@ -49,7 +52,7 @@ class Summary:
         topics: what it has: a recordings.recording.Topic by name.
         present: those of TYPES that were recorded.
         traces: a Trace for each of TRACES.
-        gamepad, steering, motion, sonars, teensy: see their classes.
+        gamepad, steering, throttle, motion, sonars, teensy: see their classes.
         faults: what went wrong.
         coverage: which questions the recording can't answer.
     """
@@ -63,6 +66,7 @@ class Summary:
     traces: dict
     gamepad: GamepadWatch
     steering: SteeringWatch
+    throttle: ThrottleWatch
     motion: MotionWatch
     sonars: SonarWatch
     teensy: TeensyWatch
@@ -103,6 +107,7 @@ def summarize(path: str, namespace: str = "/", odom: str = "odom", progress: boo
         times = "once" if has.steps_back == 1 else f"{has.steps_back} times"
         summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
     summary.steering.finish()
+    summary.throttle.finish()
     summary.gamepad.finish()
     summary.motion.finish()
     summary.faults.finish()
@@ -116,9 +121,9 @@ def _empty(path, namespace, has, present):
     gamepad = GamepadWatch(faults, duration_s)
     steering = SteeringWatch(traces, faults, duration_s, gamepad)
     moves = MotionWatch(traces, faults, steering, has.start_ns)
-    return Summary(path, namespace, has.start_ns, duration_s, has.topics, present, traces, gamepad, steering, moves,
-                   SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
-                   Coverage(namespace, duration_s))
+    return Summary(path, namespace, has.start_ns, duration_s, has.topics, present, traces, gamepad, steering,
+                   ThrottleWatch(traces, faults, duration_s), moves, SonarWatch(moves, has.start_ns),
+                   TeensyWatch(traces, faults), faults, Coverage(namespace, duration_s))
 
 
 def _handlers(summary):
@@ -128,6 +133,7 @@ def _handlers(summary):
     nodes = NodeReports(summary.faults, summary.present, log_type)
     return {
         "turn_arb/state": steering.on_state,
+        "throttle_arb/state": summary.throttle.on_state,
         "teleop_logi/state": summary.gamepad.on_state,
         "/servo/output": steering.on_output,
         "av_turnrad_req": steering.on_planner,

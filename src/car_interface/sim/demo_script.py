@@ -1,4 +1,4 @@
-"""A scripted drive: nobody there, a human steers, the planner drives a figure-eight, the human lets go.
+"""A scripted drive: nobody there, a human drives, the planner drives a figure-eight, the human lets go.
 
 Plays both the person with the gamepad and the planner. Pure: pose, speed and ``now_ns`` in, orders out. The planner
 asks for its figure-eight all the time, so that it's seen who is listened to.
@@ -11,7 +11,7 @@ from typing import NamedTuple
 from car_interface.common.units import NS_PER_S
 
 NOBODY, TELEOP, LEFT_CIRCLE, RIGHT_CIRCLE, LET_GO, DONE = range(6)
-STAGE_NAMES = ("nobody there", "human steers", "planner: left circle", "planner: right circle", "human let go", "done")
+STAGE_NAMES = ("nobody there", "human drives", "planner: left circle", "planner: right circle", "human let go", "done")
 TURN_RAD = 2 * math.pi
 
 
@@ -23,6 +23,8 @@ class DriveConfig(NamedTuple):
     let_go_s: float = 6.0
     max_turn_s: float = 20.0  # a circle that takes longer is given up
     speed_mps: float = 1.2
+    throttle_at_speed: float = 0.35  # of the stick, that holds about this speed, scaled as throttle.yaml says
+    throttle_per_mps: float = 0.5  # of the stick, for missing speed
     teleop_steering: float = 0.98
     radius_m: float = 1.6
     gain_per_s: float = 1.5  # from missing speed to acceleration
@@ -36,6 +38,7 @@ class Orders(NamedTuple):
     manual: bool  # the manual deadman is held
     autonomous: bool  # the autonomous one
     steering: float  # the gamepad's stick, −1 right .. +1 left
+    throttle: float  # the gamepad's other stick, 0 .. 1: the script lets the car roll where it is too fast
     radius_m: float  # the planner's request, right negative
     acceleration_mps2: float  # the planner's request
     gamepad_on: bool  # there is a gamepad at all
@@ -67,12 +70,15 @@ class Drive:
             self._since_ns = now_ns
             self._turned_rad = 0.0
         config = self._config
-        wanted = config.gain_per_s * (config.speed_mps - speed_mps)
+        missing_mps = config.speed_mps - speed_mps
+        wanted = config.gain_per_s * missing_mps
+        throttle = max(0.0, min(1.0, config.throttle_at_speed + config.throttle_per_mps * missing_mps))
         return Orders(
             stage=self.stage,
             manual=self.stage == TELEOP,
             autonomous=self.stage in (LEFT_CIRCLE, RIGHT_CIRCLE),
             steering=config.teleop_steering,
+            throttle=throttle if self.stage == TELEOP else 0.0,
             radius_m=-config.radius_m if self.stage == RIGHT_CIRCLE else config.radius_m,
             acceleration_mps2=max(-config.max_acceleration_mps2, min(config.max_acceleration_mps2, wanted)),
             gamepad_on=(elapsed_s >= config.nobody_s - config.picked_up_s if self.stage == NOBODY

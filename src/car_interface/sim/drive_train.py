@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 from car_interface.sim.checks import require
+from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
 
 # 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.
 SHORTEST_PULSE, MAX_PULSE = 1638, 8192
@@ -80,10 +81,29 @@ def throttle(duty: int, drive: DriveConfig) -> float | None:
     return max(-1.0, (beyond + drive.neutral_band_duty) / (full - drive.neutral_band_duty))
 
 
+def motor_acceleration_mps2(
+    motor: MotorState, speed_mps: float, drive: DriveConfig, thrust: float = 1.0, downhill_mps2: float = 0.0
+) -> float:
+    """The car's acceleration by what an ESC makes the motor do; arguments as of ``true_acceleration_mps2``."""
+    speed = abs(speed_mps)
+    resistance_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m)
+    push_mps2 = downhill_mps2
+    if motor.mode == BRAKE:
+        resistance_mps2 += motor.level * drive.brake_mps2
+    elif motor.mode in (FORWARD, BACKWARD):
+        way = 1.0 if motor.mode == FORWARD else -1.0
+        if way * speed_mps < 0.0:  # against the way it rolls
+            push_mps2 += way * motor.level * drive.brake_mps2
+        else:
+            full_mps2 = drive.forward_mps2 if way > 0 else drive.reverse_mps2
+            push_mps2 += way * motor.level * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
+    return _with_resistance(push_mps2, speed_mps, resistance_mps2)
+
+
 def true_acceleration_mps2(
     esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
 ) -> float:
-    """The car's acceleration: what a value map for this car should say, and says only nearly.
+    """The car's acceleration without an ESC's memory: what a value map for this car should say, and says only nearly.
 
     Duty against the way the car rolls brakes. At standstill reverse drives backward (no double tap), and a push
     below the static drag moves nothing.
@@ -103,9 +123,13 @@ def true_acceleration_mps2(
     else:
         full_mps2 = drive.forward_mps2 if command > 0.0 else drive.reverse_mps2
         push_mps2 = command * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
-    push_mps2 += downhill_mps2
+    return _with_resistance(push_mps2 + downhill_mps2, speed_mps, drag_mps2)
+
+
+def _with_resistance(push_mps2, speed_mps, resistance_mps2):
+    """The acceleration by what pushes, and by what resists any motion."""
     if speed_mps:
-        return push_mps2 - math.copysign(drag_mps2, speed_mps)
-    if abs(push_mps2) <= drag_mps2:
+        return push_mps2 - math.copysign(resistance_mps2, speed_mps)
+    if abs(push_mps2) <= resistance_mps2:
         return 0.0
-    return push_mps2 - math.copysign(drag_mps2, push_mps2)
+    return push_mps2 - math.copysign(resistance_mps2, push_mps2)

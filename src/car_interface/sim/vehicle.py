@@ -23,7 +23,8 @@ from typing import NamedTuple
 from car_interface.common.units import NS_PER_S
 from car_interface.sim.checks import require
 from car_interface.sim.collision import Collisions
-from car_interface.sim.drive_train import DriveConfig, is_pulse, true_acceleration_mps2
+from car_interface.sim.drive_train import DriveConfig, is_pulse, motor_acceleration_mps2, true_acceleration_mps2
+from car_interface.sim.esc import VirtualEsc, VirtualEscConfig
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 
 GRAVITY_MPS2 = 9.81
@@ -100,6 +101,8 @@ class VehicleConfig:
         pulse_phase: where each rear wheel (left, right) stands at the start, in pulses; at each whole number one of its
             two hall pins changes, and after four of them their levels are the same again.
         start: the pose at the start.
+        esc: the speed controller between pulses and motor; ``None`` = one without a memory: a duty against the way the
+            car rolls brakes, and at standstill reverse drives backward.
         slope: of the ground, all of which is one plane: metres up for each metre, 0.02 is 2 %.
         uphill_rad: the heading in which it rises.
     """
@@ -114,6 +117,7 @@ class VehicleConfig:
     start: Pose = ORIGIN
     slope: float = 0.0
     uphill_rad: float = 0.0
+    esc: VirtualEscConfig | None = None
 
     def __post_init__(self):
         require(self.wheelbase_m > 0, "wheelbase_m", self.wheelbase_m, "more than 0")
@@ -157,6 +161,7 @@ class Vehicle:
         self.travel_m = 0.0
         self.servo_duty = config.steering.center_duty
         self._start_ns = start_ns
+        self._esc = None if config.esc is None else VirtualEsc(config.esc, start_ns)
         self._linkage_duty = self.servo_duty  # where the wheels are, in the servo's duty without play
         self._half_backlash_duty = config.steering.backlash_duty / 2
         self._slope_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))  # when it looks uphill
@@ -243,7 +248,11 @@ class Vehicle:
             thrust = drive.thrust((self.time_ns - self._start_ns) / NS_PER_S)
         if self._slope_mps2:
             downhill_mps2 = self._slope_mps2 * math.cos(self.pose.yaw_rad - self.config.uphill_rad)
-        acceleration_mps2 = true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
+        if self._esc is None:
+            acceleration_mps2 = true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
+        else:
+            motor = self._esc.step(esc_duty, self.time_ns, before_mps)
+            acceleration_mps2 = motor_acceleration_mps2(motor, before_mps, drive, thrust, downhill_mps2)
         after_mps = before_mps + acceleration_mps2 * dt_s
         moving_s = dt_s
         if before_mps * after_mps < 0.0:

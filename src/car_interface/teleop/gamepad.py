@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
+from car_interface.common.drive_modes import HUMAN_DRIVES, HUMAN_STEERING, HUMAN_STEERS, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.interlock.motion_interlock import STARTED
 
 REARM_TEXT = "let go of the deadman, then hold it again"
 MAX_INDEX = 63  # of an axis or a button
+NONE = -1  # as an index: the gamepad has no such axis or button
 REPORT = "gamepad"  # teleop_logi's on /diagnostics
 # What to do about a gamepad that doesn't work. The switch is that of Logitech's F310 and F710, whose X mode has 8 axes
 # and 11 buttons, and whose D mode has 6 and 12, with the cross in the place of the right stick.
@@ -38,10 +40,14 @@ class GamepadConfig:
     """Which axis and button does what (indices into sensor_msgs/Joy), and the scale of each axis.
 
     Attributes:
-        steer_axis, throttle_axis: indices of axes.
+        steer_axis, throttle_axis: indices of axes. Without a throttle axis (``NONE``) the throttle's request is NaN.
         steer_scale, throttle_scale: −1 inverts an axis.
         manual_button: deadman: the human steers.
         autonomous_button: deadman: the planner steers while a human watches.
+        third_button: deadman of ``third_mode``; ``NONE`` = there is none.
+        third_mode: HUMAN_THROTTLE or HUMAN_STEERING of ``common.drive_modes``.
+        faster_button, slower_button: change the scale of driving by hand; ``NONE`` = there is none. A gamepad that
+            lacks one of them does without.
         steer_neutral: the request that means "not steering".
         steer_deadband: requests this near to it mean the same. Both as in turn_arb.
         joy_timeout_s: a message older than this releases the deadman; 0 = never.
@@ -59,17 +65,26 @@ class GamepadConfig:
     steer_neutral: float = 0.0
     steer_deadband: float = 0.001
     joy_timeout_s: float = 0.25
+    third_button: int = NONE
+    third_mode: str = HUMAN_STEERING
+    faster_button: int = NONE
+    slower_button: int = NONE
 
     def __post_init__(self):
-        if self.manual_button == self.autonomous_button:
-            raise ConfigError("autonomous_button", self.autonomous_button, "a button other than manual_button's")
+        taken = {self.manual_button: "manual_button"}
+        for name in ("autonomous_button", "third_button", "faster_button", "slower_button"):
+            button = getattr(self, name)
+            if button in taken:
+                raise ConfigError(name, button, f"a button other than {taken[button]}'s")
+            if button != NONE:
+                taken[button] = name
 
 
 def read_gamepad(params) -> GamepadConfig:
     """The configuration from teleop_logi's parameters."""
     return GamepadConfig(
         steer_axis=params.integer("steer_axis", low=0, high=MAX_INDEX),
-        throttle_axis=params.integer("throttle_axis", low=0, high=MAX_INDEX),
+        throttle_axis=params.integer("throttle_axis", low=NONE, high=MAX_INDEX),
         manual_button=params.integer("manual_button", low=0, high=MAX_INDEX),
         autonomous_button=params.integer("autonomous_button", low=0, high=MAX_INDEX),
         steer_scale=params.number("steer_scale", 1.0, low=-1, high=1),
@@ -77,6 +92,10 @@ def read_gamepad(params) -> GamepadConfig:
         steer_neutral=params.number("steer_neutral", 0.0, low=-1, high=1),
         steer_deadband=params.number("steer_deadband", 0.001, low=0.0, high=0.4),
         joy_timeout_s=params.timeout("joy_timeout", 0.25),
+        third_button=params.integer("third_button", NONE, low=NONE, high=MAX_INDEX),
+        third_mode=params.choice("third_mode", HUMAN_STEERING, (HUMAN_THROTTLE, HUMAN_STEERING)),
+        faster_button=params.integer("faster_button", NONE, low=NONE, high=MAX_INDEX),
+        slower_button=params.integer("slower_button", NONE, low=NONE, high=MAX_INDEX),
     )
 
 
@@ -85,9 +104,14 @@ class Requests(NamedTuple):
 
     human_in_loop: bool
     steering: float  # −1 right .. +1 left
-    throttle: float  # −1 .. +1
+    throttle: float  # −1 .. +1; NaN: the gamepad has no throttle axis
     cause: str  # one of car_interface.common.causes
     reason: str
+
+    @property
+    def mode(self) -> str:
+        """Who steers and who drives: one of ``common.drive_modes``. Without a deadman the human's."""
+        return self.cause if self.cause in MODES else MANUAL
 
     @property
     def must_rearm(self) -> bool:
@@ -113,12 +137,15 @@ class Gamepad:
         self._joy = TimedInput("joy", config.joy_timeout_s)
         self._rearm_reason = STARTED  # why the deadmen must be released first; empty: they were
         self.axes = self.buttons = 0  # how many the newest message had
+        self._scale_button = 0
 
     def update(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """A message: axes −1..1, buttons 0 or 1."""
         if self._joy.was_received and self._joy.is_stale(now_ns):
             self._rearm_reason = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
         self.axes, self.buttons = len(axes), len(buttons)
+        self._scale_button = (self._is_pressed(self._config.faster_button, buttons)
+                              - self._is_pressed(self._config.slower_button, buttons))
         self._joy.update(self._read(axes, buttons), now_ns)
 
     def mark_stale(self) -> None:
@@ -131,6 +158,10 @@ class Gamepad:
             cause = causes.JOY_STALE if self._joy.was_received else causes.JOY_NEVER_RECEIVED
             return self._released(cause, self._joy.stale_reason(now_ns))
         return self._joy.value
+
+    def scale_button(self, now_ns: int) -> int:
+        """1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
+        return 0 if self._joy.is_stale(now_ns) else self._scale_button
 
     def joy_age_s(self, now_ns: int) -> float:
         """Seconds since the last message; inf = never received."""
@@ -148,21 +179,41 @@ class Gamepad:
             return self._released(causes.JOY_INCOMPLETE, reason)
         for name, index, scale in (("steer_axis", config.steer_axis, config.steer_scale),
                                    ("throttle_axis", config.throttle_axis, config.throttle_scale)):
-            if not math.isfinite(scale * axes[index]):
+            if index != NONE and not math.isfinite(scale * axes[index]):
                 self._rearm_reason = f"the gamepad's {name} was {axes[index]}"
                 return self._released(causes.JOY_NOT_FINITE,
                                       f"the gamepad's {name} {index} is {axes[index]}, no number to act on")
-        steering = config.steer_scale * axes[config.steer_axis]
-        throttle = config.throttle_scale * axes[config.throttle_axis]
-        if not (buttons[config.manual_button] or buttons[config.autonomous_button]):
+        mode = self._held_mode(buttons)
+        if not mode:
             self._rearm_reason = ""
             return self._released(causes.NO_DEADMAN, "no deadman is held")
         if self._rearm_reason:
             return self._released(causes.NOT_REARMED, f"{self._rearm_reason}; {REARM_TEXT}")
+        return self._held(mode, axes)
+
+    def _held_mode(self, buttons):
+        """The mode of the deadman that is held; empty: none is. Of several the one in which the human does more."""
+        config = self._config
         if buttons[config.manual_button]:
-            return Requests(True, self._steered(_unit(steering)), _unit(throttle), causes.MANUAL,
-                            "manual deadman held")
-        return Requests(True, config.steer_neutral, 0.0, causes.AUTONOMOUS, "autonomous deadman held")
+            return causes.MANUAL
+        if self._is_pressed(config.third_button, buttons):
+            return config.third_mode
+        return causes.AUTONOMOUS if buttons[config.autonomous_button] else ""
+
+    def _held(self, mode, axes):
+        config = self._config
+        steering, throttle, reason = config.steer_neutral, 0.0, f"{mode} deadman held"
+        if mode in HUMAN_STEERS:
+            steering = self._steered(_unit(config.steer_scale * axes[config.steer_axis]))
+        if mode in HUMAN_DRIVES and config.throttle_axis == NONE:
+            throttle, reason = math.nan, f"{reason}, but throttle_axis is {NONE}: this gamepad drives no throttle"
+        elif mode in HUMAN_DRIVES:
+            throttle = _unit(config.throttle_scale * axes[config.throttle_axis])
+        return Requests(True, steering, throttle, mode, reason)
+
+    @staticmethod
+    def _is_pressed(button, buttons):
+        return button != NONE and button < len(buttons) and bool(buttons[button])
 
     def _steered(self, steering):
         """The request of a stick, never neutral: under the manual deadman a neutral one would let the planner steer."""
@@ -178,7 +229,8 @@ def missing_index(config: GamepadConfig, axes: int, buttons: int) -> tuple[str, 
             ("steer_axis", config.steer_axis, axes, "axis", "axes"),
             ("throttle_axis", config.throttle_axis, axes, "axis", "axes"),
             ("manual_button", config.manual_button, buttons, "button", "buttons"),
-            ("autonomous_button", config.autonomous_button, buttons, "button", "buttons")):
+            ("autonomous_button", config.autonomous_button, buttons, "button", "buttons"),
+            ("third_button", config.third_button, buttons, "button", "buttons")):
         if index >= count:
             found = {0: f"no {plural}", 1: f"1 {singular} (0)"}.get(count, f"{count} {plural} (0 to {count - 1})")
             return name, f"the gamepad has {found}, but {name} is {index}"

@@ -27,7 +27,8 @@ def test_causes_named_stale_or_not_finite_are_losses():
 
 def test_what_an_operator_does_is_no_loss():
     operator = {causes.E_STOP, causes.HUMAN_ABSENT, causes.NO_DEADMAN, causes.STARTING, causes.NO_RADIUS,
-                causes.TELEOP, causes.PLANNER, causes.DRIVING}
+                causes.TELEOP, causes.PLANNER, causes.DRIVING,
+                causes.CONVERTING}
     assert not operator & causes.LOSSES
 
 

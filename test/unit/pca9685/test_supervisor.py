@@ -168,11 +168,20 @@ def test_chip_that_lost_its_power_is_noticed_within_half_a_second(running, drive
     running.chip.power_up()
     for step in range(50):
         running.update([230 + step % 2 if driven else 319] + [0] * 15, 10)
-    assert running.events == [MISMATCH]
+    assert running.events == [MISMATCH, FOUND]
     running.update(LEFT, 10)
     assert running.pulses() == LEFT
     assert running.chip.period_s() == pytest.approx(0.02, rel=0.01)
     assert running.supervisor.tally.reinitialisations == 1
+
+
+def test_chip_that_lost_its_power_is_known_to_give_no_pulse_before_it_is_written_again(running):
+    found = []
+    running.supervisor._on_event = lambda event, error: found.append((event, running.supervisor.held))
+    running.chip.power_up()
+    running.update_when_due(NEUTRAL)
+    assert found == [(MISMATCH, NEUTRAL), (FOUND, [0] * 16)]
+    assert running.pulses() == NEUTRAL
 
 
 def test_what_a_running_chip_holds_is_known_before_it_is_changed(running):

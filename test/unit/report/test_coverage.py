@@ -72,7 +72,7 @@ def test_recording_of_odometry_alone_can_tell_nothing(tmp_path):
             "no /teensy_sensor_hub/link (errors of the Teensy's link); "
             "no /diagnostics of pca9685 (errors of the servo board); "
             "no /teleop_logi/state (why the gamepad released the deadman); "
-            "no /diagnostics of generic_value_converter (why the throttle stopped); "
+            "no /throttle_arb/state (why the throttle stopped); "
             "no /rosout (warnings in the nodes' logs).") in words
 
 
@@ -81,7 +81,7 @@ def test_recording_of_odometry_alone_can_tell_nothing(tmp_path):
     pytest.param(["/rosout"], "no /rosout (warnings in the nodes' logs).", id="logs"),
     pytest.param(["/diagnostics"], "no /diagnostics of pca9685 (errors of the servo board); "
                  "no /teleop_logi/state (why the gamepad released the deadman); "
-                 "no /diagnostics of generic_value_converter (why the throttle stopped).", id="diagnostics"),
+                 "no /throttle_arb/state (why the throttle stopped).", id="diagnostics"),
     pytest.param(["/teensy_sensor_hub/link", "/diagnostics"],
                  "no /teensy_sensor_hub/link (errors of the Teensy's link); no /diagnostics of pca9685", id="link"),
 ])

@@ -31,3 +31,22 @@ def test_gamepad_stays_until_the_human_has_let_go():
         seen.setdefault(orders.stage, set()).add((orders.gamepad_on, orders.manual or orders.autonomous))
     assert seen[LET_GO] == {(True, False)}
     assert seen[DONE] == {(False, False)}
+
+
+@pytest.mark.parametrize("speed_mps, throttle", [
+    pytest.param(0.0, 0.95, id="standing"),
+    pytest.param(1.2, 0.35, id="at_its_speed"),
+    pytest.param(5.0, 0.0, id="too_fast_it_rolls"),
+])
+def test_human_drives_by_the_other_stick(speed_mps, throttle):
+    drive = Drive(CONFIG, NOW)
+    drive.orders(NOW + 5 * S, 0.0, 0.0)
+    assert drive.orders(NOW + 6 * S, 0.0, speed_mps).throttle == pytest.approx(throttle)
+
+
+def test_stick_is_at_rest_while_the_planner_drives():
+    drive, now_ns = Drive(CONFIG, NOW), NOW
+    while drive.stage != LET_GO:
+        now_ns += S
+        orders = drive.orders(now_ns, 0.0, 0.0)
+        assert (orders.throttle > 0) == (orders.stage == TELEOP)

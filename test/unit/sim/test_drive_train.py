@@ -4,7 +4,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.sim.drive_train import DriveConfig, is_pulse, throttle, true_acceleration_mps2
+from car_interface.sim.drive_train import (
+    DriveConfig,
+    is_pulse,
+    motor_acceleration_mps2,
+    throttle,
+    true_acceleration_mps2,
+)
+from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, MotorState
 
 REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
 OFF, NEVER_SET = 0, -1
@@ -42,3 +49,25 @@ def test_more_duty_never_accelerates_less(one, other, speed_mps):
                                                 (1638, True), (NEUTRAL, True), (8192, True), (8193, False)])
 def test_pulse_is_between_half_a_millisecond_and_two_and_a_half(duty, expected):
     assert is_pulse(duty) is expected
+
+
+@pytest.mark.parametrize("motor, speed_mps, expected_mps2", [
+    pytest.param(MotorState(COAST, 0.0), 0.0, 0.0, id="coasting_stands"),
+    pytest.param(MotorState(COAST, 0.0), 2.0, -0.526, id="coasting_slows_down"),  # 0.35 + 2 · (0.08 + 2 · 0.004)
+    pytest.param(MotorState(BRAKE, 0.5), 2.0, -4.026, id="brake"),  # 0.5 · 7 more
+    pytest.param(MotorState(BRAKE, 0.5), -2.0, 4.026, id="brake_rolling_backward"),
+    pytest.param(MotorState(BRAKE, 1.0), 0.0, 0.0, id="brake_holds"),
+    pytest.param(MotorState(FORWARD, 1.0), 0.0, 5.25, id="full_throttle"),  # 5.6 − 0.35
+    pytest.param(MotorState(BACKWARD, 1.0), 0.0, -3.25, id="full_reverse"),  # 3.6 − 0.35
+    pytest.param(MotorState(BACKWARD, 1.0), 2.0, -7.526, id="reverse_against_the_way_it_rolls"),
+    pytest.param(MotorState(FORWARD, 0.05), 0.0, 0.0, id="push_below_the_drag"),
+])
+def test_motor_moves_the_car(motor, speed_mps, expected_mps2):
+    assert motor_acceleration_mps2(motor, speed_mps, DriveConfig()) == pytest.approx(expected_mps2, abs=0.001)
+
+
+def test_motor_agrees_with_the_esc_without_a_memory_where_that_drives():
+    level = throttle(6000, DriveConfig())
+    for speed_mps in (0.0, 1.0, 5.0):
+        assert motor_acceleration_mps2(MotorState(FORWARD, level), speed_mps, DriveConfig(), 0.9, 0.1) == (
+            true_acceleration_mps2(6000, speed_mps, DriveConfig(), 0.9, 0.1))

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.sim.drive_train import DriveConfig, true_acceleration_mps2
+from car_interface.sim.esc import VirtualEscConfig
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from car_interface.sim.vehicle import Pose, SteeringConfig, Vehicle, VehicleConfig
 
@@ -435,3 +436,36 @@ def test_battery_loses_its_sag_evenly_around_the_stated_thrust_and_brakes_stay()
 def test_hardship_that_no_car_has_is_refused_by_name(make, name):
     with pytest.raises(ConfigError, match=f"^{name} is"):
         make()
+
+
+# --- an ESC with a memory ---
+
+def drive_by_duties(esc, *steps):
+    """The car after (duty of the ESC, seconds) each."""
+    vehicle = Vehicle(VehicleConfig(esc=esc))
+    for duty, seconds in steps:
+        for _ in range(round(seconds * 500)):
+            vehicle.step(2_000_000, 5100, duty)
+    return vehicle
+
+
+ARM = (4915, 1.0)
+
+
+def test_esc_with_a_memory_drives_only_once_it_was_armed():
+    assert drive_by_duties(VirtualEscConfig(), (6554, 1.0)).speed_mps == 0.0
+    assert drive_by_duties(VirtualEscConfig(), ARM, (6554, 1.0)).speed_mps > 3.0
+
+
+def test_esc_that_brakes_before_it_reverses_takes_neutral_and_a_second_pull():
+    esc = VirtualEscConfig(kind="brake_then_reverse")
+    assert drive_by_duties(esc, ARM, (6000, 1.0), (3277, 3.0)).speed_mps == 0.0
+    assert drive_by_duties(esc, ARM, (6000, 1.0), (3277, 3.0), (4915, 0.5), (3277, 1.0)).speed_mps < -1.0
+
+
+def test_crawler_s_brake_becomes_reverse():
+    assert drive_by_duties(VirtualEscConfig(kind="brake_becomes_reverse"), ARM, (6000, 1.0), (3277, 3.0)).speed_mps < -1
+
+
+def test_car_without_an_esc_of_its_own_reverses_at_standstill():
+    assert drive_by_duties(None, (3277, 1.0)).speed_mps < -1.0

@@ -113,6 +113,65 @@ def test_scales_turn_and_shrink_the_axes():
     assert requests([0.5, 0.5], MANUAL, steer_scale=-1.0, throttle_scale=0.2)[1:3] == (-0.5, pytest.approx(0.1))
 
 
+@pytest.mark.parametrize("third_mode, buttons, steering, throttle, mode", [
+    pytest.param("human_steering", [0, 0, 1], 0.5, 0.0, "human_steering", id="you_steer_the_planner_drives"),
+    pytest.param("human_throttle", [0, 0, 1], 0.0, -0.25, "human_throttle", id="the_planner_steers_you_drive"),
+    pytest.param("human_throttle", [1, 0, 1], 0.5, -0.25, "manual", id="with_the_manual_one_you_do_both"),
+    pytest.param("human_throttle", [0, 1, 1], 0.0, -0.25, "human_throttle", id="it_counts_before_the_autonomous_one"),
+    pytest.param("human_steering", [0, 1, 0], 0.0, 0.0, "autonomous", id="autonomous"),
+    pytest.param("human_steering", [1, 0, 0], 0.5, -0.25, "manual", id="manual"),
+])
+def test_third_deadman_shares_the_driving(third_mode, buttons, steering, throttle, mode):
+    read = requests([0.5, -0.25], buttons, third_button=2, third_mode=third_mode)
+    assert (read.human_in_loop, read.steering, read.throttle, read.mode) == (True, steering, throttle, mode)
+    assert read.reason == f"{mode} deadman held"
+
+
+def test_without_a_deadman_the_mode_is_the_human_s():
+    assert requests([0.5, 0.5], NONE).mode == "manual"
+    assert requests([0.5, 0.5], MANUAL, age_s=1.0).mode == "manual"
+
+
+def test_third_deadman_that_the_gamepad_lacks_releases():
+    assert requests([0.5, 0.5], MANUAL, third_button=2).reason == (
+        "the gamepad has 2 buttons (0 to 1), but third_button is 2")
+
+
+def test_gamepad_without_a_throttle_axis_steers_and_its_throttle_is_no_number():
+    read = requests([0.5], MANUAL, throttle_axis=-1)
+    assert (read.human_in_loop, read.steering) == (True, 0.5)
+    assert math.isnan(read.throttle)
+    assert read.reason == "manual deadman held, but throttle_axis is -1: this gamepad drives no throttle"
+    assert requests([0.5], AUTONOMOUS, throttle_axis=-1).throttle == 0.0
+
+
+def scale_button(buttons, age_s=0.1, **changes):
+    gamepad = gamepad_at_rest(**changes)
+    gamepad.update([0.0, 0.0], buttons, NOW - round(age_s * S))
+    return gamepad.scale_button(NOW)
+
+
+@pytest.mark.parametrize("buttons, pressed", [([0, 0, 1, 0], 1), ([0, 0, 0, 1], -1), ([0, 0, 1, 1], 0),
+                                              ([0, 0, 0, 0], 0), ([0, 0], 0), ([0, 0, 1], 1)])
+def test_buttons_for_the_scale_are_read_and_a_gamepad_may_lack_them(buttons, pressed):
+    assert scale_button(buttons, faster_button=2, slower_button=3) == pressed
+
+
+def test_buttons_for_the_scale_that_are_not_configured_or_stale_are_not_pressed():
+    assert scale_button([1, 1, 1, 1]) == 0
+    assert scale_button([0, 0, 1, 0], age_s=0.3, faster_button=2) == 0
+
+
+@pytest.mark.parametrize("changes, message", [
+    ({"third_button": 1}, "third_button is 1; accepted: a button other than autonomous_button's"),
+    ({"faster_button": 0}, "faster_button is 0; accepted: a button other than manual_button's"),
+    ({"faster_button": 4, "slower_button": 4}, "slower_button is 4; accepted: a button other than faster_button's"),
+])
+def test_button_that_is_taken_is_refused(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        config(**changes)
+
+
 def test_axes_and_buttons_are_those_of_the_config():
     axes, buttons = [0.1, 0.2, 0.3, 0.4, 0.5], [0, 0, 0, 0, 1, 0]
     picked = requests(axes, buttons, steer_axis=2, throttle_axis=4, manual_button=4, autonomous_button=5)

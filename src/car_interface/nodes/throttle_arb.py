@@ -1,0 +1,307 @@
+"""The throttle_arb node: decides who drives and what the ESC gets, at once on a change and within 40 ms anyhow.
+
+Subscribes:
+    /e_stop (std_msgs/Bool): true = locked: stop, whoever requests what.
+    /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
+    /teleop_logi/tele_throt_req (std_msgs/Float32): −1 full brake or reverse .. +1 full forward.
+    /teleop_logi/mode (std_msgs/String): who steers and who drives; see ``common.drive_modes``. Never received = a
+        tele_throt_req beyond the dead band means the human.
+    /teleop_logi/scale_button (std_msgs/Int8): 1 or −1 while the button for more or less speed by hand is pressed.
+    ~input/value (Float64Stamped): the planner's, from generic_value_converter.
+    ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s; the planner drives only while it is fresh.
+    generic_value_converter/state (ConverterState): why there is no value.
+    turn_arb/state (SteeringState): steering and throttle stop together.
+    /servo/output (std_msgs/Int32MultiArray): what the servo board holds.
+    teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
+Publishes:
+    /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the ESC's channel.
+    ~state (ThrottleState, latched): source, cause, request, the ESC's state, duty, ages; on every change and 10 times a
+        second.
+    servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the ESC's neutral, for the servo board's timeout value; −1
+        elsewhere.
+    /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
+Parameters:
+    ~servo/channel (0..15), ~servo/value_axis, ~servo/duty_table, ~servo/neutral (duty 0..65535): required.
+    ~tele_throt_deadband 0.05, ~expo 0, ~human_scale 0.3, ~brake_scale 1.0, ~scale_step 0.1: of driving by hand.
+    ~esc/profile unverified, and the ESC's numbers: see ``throttle.esc_config``.
+    ~teleop_timeout 0.5, ~mode_timeout 0.5, ~command_timeout 0.5 (the planner's value), ~odometry_timeout 0.5,
+        ~steering_timeout 0.25, ~human_timeout 0.5 (s, 0 = never): an older input is stale.
+    ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's.
+    ~live_range 100 (duty): the largest change of servo/neutral while it runs.  ~save_to: the file to save it to.
+Services: see ``ros.reconfigure``; set_parameters is below ~servo.
+"""
+from __future__ import annotations
+
+import math
+import time
+
+import rospy
+from nav_msgs.msg import Odometry
+from std_msgs.msg import Float32, Int8, Int32MultiArray, String
+
+from car_interface.cfg import EscNeutralConfig
+from car_interface.common import causes
+from car_interface.common.drive_modes import MODES
+from car_interface.common.live_parameters import Tuning
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.servo_channels import CHANNELS, one_channel
+from car_interface.msg import ConverterState, Float64Stamped, SteeringState, TeleopState, ThrottleState
+from car_interface.ros.command_topics import CommandTopics
+from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.ros.interlock_topics import subscribe_interlock
+from car_interface.ros.reconfigure import ReconfigureServer
+from car_interface.ros.runtime import run
+from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.topics import advertise, subscribe, subscribe_changes
+from car_interface.steering.arbiter import LOCKED, source_name
+from car_interface.throttle.arbiter import NoValue
+from car_interface.throttle.calibration import trimmed
+from car_interface.throttle.control import ThrottleControl
+from car_interface.throttle.esc import ARMING
+from car_interface.throttle.params import read_config
+
+RATE_HZ = 50
+TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 50
+LIVE_RATE = 100  # duty per second
+# rospy sends in a thread of its own, which needs the interpreter: state and log wait until the command was sent.
+REPORT_AFTER_NS = 500_000
+# What the ESC's rules do that deserves a line in the log. The other causes change as often as the stick moves.
+LOGGED = frozenset({causes.ESC_MOTION, causes.REVERSE_PENDING, causes.REVERSING, causes.REVERSE_REFUSED})
+
+
+class ThrottleArb:
+    """Receives the inputs, decides, publishes."""
+
+    def __init__(self, params, inbox):
+        config = read_config(params)
+        now_ns = time.monotonic_ns()
+        self._control = ThrottleControl(config.calibration, config.arbiter, config.esc)
+        self._arbiter = self._control.arbiter
+        self._channel = config.calibration.channel
+        self._inbox = inbox
+        self._warnings = ThrottledWarnings()
+        self._timer = RateTimer(RATE_HZ, now_ns)
+        self._ticks = 0
+        self._now_ns = now_ns  # of the newest decision
+        self._decision = None
+        self._command = self._commanded_duty = None  # the command message, and the duty in it
+        self._was_commanded = False  # since the last tick
+        self._pending = []  # decisions whose command was published, but not yet state and log line
+        self._report_ns = 0
+        self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
+        self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
+        self._states = advertise("~state", ThrottleState, inbox, latch=True)
+        self._command_topics = CommandTopics(inbox)
+        self._diagnostics = Diagnostics(inbox, "none", {"throttle": self._report, **self._command_topics.reports},
+                                        now_ns)
+        inbox.on_overflow(self._on_overflow)
+        self._subscribe()
+        self._reconfigure = self._offer_tuning(config)
+        self._command_topics.start(self._diagnostics.report_now)
+
+    def _subscribe(self):
+        inbox = self._inbox
+        subscribe_interlock(inbox, self._arbiter, self._decide)
+        subscribe_changes("/teleop_logi/tele_throt_req", Float32, inbox, self._on_teleop, self._decide)
+        subscribe_changes("/teleop_logi/mode", String, inbox, self._on_mode, self._decide)
+        subscribe_changes("/teleop_logi/scale_button", Int8, inbox, self._on_scale_button, self._decide)
+        for topic, message_type, handler in (
+                ("~input/value", Float64Stamped, self._on_value),
+                ("~input/odometry", Odometry, self._on_odometry),
+                ("generic_value_converter/state", ConverterState, self._on_converter),
+                ("turn_arb/state", SteeringState, self._on_steering),
+                ("/servo/output", Int32MultiArray, self._on_output)):
+            subscribe(topic, message_type, inbox, self._deciding(handler))
+        subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state)
+
+    def step(self, now_ns):
+        """Handle what arrived; then the timer."""
+        self._inbox.dispatch()
+        if self._timer.is_due(now_ns):
+            self._tick(now_ns)
+        elif self._pending and now_ns >= self._report_ns:
+            self._report_pending()
+        self._diagnostics.step(now_ns)
+        return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
+
+    def shut_down(self):
+        """Set the ESC to neutral; the servo board's timeout keeps it there."""
+        self._commands.publish(self._neutral)
+        time.sleep(0.02)  # rospy sends in a thread of its own
+
+    def _on_overflow(self, now_ns):
+        self._control.mark_stale(now_ns)
+        self._decide(now_ns)
+
+    def _deciding(self, handler):
+        def handle(message, now_ns):
+            handler(message, now_ns)
+            self._decide(now_ns)
+        return handle
+
+    def _on_teleop(self, message, now_ns):
+        self._arbiter.update_teleop(message.data, now_ns)
+        if not math.isfinite(message.data):
+            self._warnings.warn(causes.TELEOP_NOT_FINITE,
+                                f"tele_throt_req is {message.data}: the throttle is neutral while it lasts")
+        elif abs(message.data) > 1:
+            self._warnings.warn("teleop clamped", f"tele_throt_req is {message.data:.3f}: clamped to -1..1")
+
+    def _on_mode(self, message, now_ns):
+        self._arbiter.update_mode(message.data, now_ns)
+        if message.data not in MODES:
+            self._warnings.warn(causes.MODE_UNKNOWN, f"mode is {message.data!r}: the throttle is neutral while it "
+                                                     f"lasts; accepted: {', '.join(MODES)}")
+
+    def _on_scale_button(self, message, now_ns):
+        if self._arbiter.update_scale_button(message.data):
+            rospy.loginfo("driving by hand is scaled by %g", self._arbiter.scale)
+
+    def _on_value(self, message, now_ns):
+        self._control.update_planner(message.data, now_ns)
+        if not math.isfinite(message.data):
+            self._warnings.warn(causes.COMMAND_NOT_FINITE, f"the planner's value is {message.data}: it doesn't drive")
+
+    def _on_odometry(self, message, now_ns):
+        speed_mps = message.twist.twist.linear.x
+        self._control.update_odometry(speed_mps, now_ns)
+        if not math.isfinite(speed_mps):
+            self._warnings.warn(causes.ODOMETRY_NOT_FINITE,
+                                f"the velocity in the odometry is {speed_mps}: the planner doesn't drive")
+
+    def _on_converter(self, message, now_ns):
+        has_value = message.cause in (causes.CONVERTING, causes.NO_REQUEST)
+        self._arbiter.update_converter(None if has_value else NoValue(message.cause, message.reason))
+
+    def _on_steering(self, message, now_ns):
+        self._arbiter.update_steering(message.source, message.reason, now_ns)
+
+    def _on_teleop_state(self, message, now_ns):
+        self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
+
+    def _on_output(self, message, now_ns):
+        if len(message.data) == CHANNELS:
+            self._control.update_output(message.data, now_ns)
+        else:
+            self._warnings.warn("length", f"/servo/output has {len(message.data)} values, not {CHANNELS}: ignored")
+
+    def _decide(self, now_ns):
+        """Publish at once when the decision has changed; whether it has."""
+        self._now_ns = max(now_ns, self._now_ns)
+        before, decision = self._decision, self._control.decide(self._now_ns)
+        if before is not None and before.differs_by == decision.differs_by:
+            return False
+        self._pending.append((before, decision))
+        self._report_ns = now_ns + REPORT_AFTER_NS
+        self._decision = decision
+        self._publish_command(decision)
+        return True
+
+    def _offer_tuning(self, config):
+        """Have the ESC's neutral tuned while the car drives."""
+        calibration, settings = config.calibration, config.tuning
+        tuning = Tuning({"neutral": calibration.neutral}, settings.max_offset, LIVE_RATE,
+                        lambda values: trimmed(calibration, **values))
+
+        def apply(values):
+            self._control.calibrate(trimmed(calibration, **values))
+            self._neutral = duty_vector(one_channel(self._channel, values["neutral"]))
+            self._neutrals.publish(self._neutral)
+
+        def parameters(values):
+            return {"servo/neutral": values["neutral"],
+                    "servo/duty_table": list(trimmed(calibration, **values).duty_table)}
+
+        return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, EscNeutralConfig, settings,
+                                 namespace="servo")
+
+    def _tick(self, now_ns):
+        self._ticks += 1
+        self._reconfigure.step(now_ns)
+        # A planner's values change the duty as often as the timer ticks: both together would double every command.
+        if not self._decide(now_ns) and not self._was_commanded:
+            self._publish_command(self._decision)
+        self._was_commanded = False
+        if self._ticks % TICKS_PER_STATE == 0:
+            self._report_pending()
+            self._publish_state(self._control.decide(self._now_ns))
+        if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
+            self._neutrals.publish(self._neutral)
+
+    def _publish_command(self, decision):
+        if decision.duty != self._commanded_duty:
+            self._commanded_duty = decision.duty
+            self._command = duty_vector(one_channel(self._channel, decision.duty))
+        self._commands.publish(self._command)
+        self._was_commanded = True
+
+    def _report_pending(self):
+        """Publish and log the decisions whose commands were sent."""
+        for before, decision in self._pending:
+            self._publish_state(decision)
+            self._log(before, decision)
+        self._pending.clear()
+
+    def _log(self, before, decision):
+        arbitration, esc = decision.arbitration, decision.esc
+        if before is None or before.arbitration[:2] != arbitration[:2]:
+            log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
+            log("%s: %s", source_name(arbitration.source), arbitration.reason)
+        before_cause, before_state = (before.esc.cause, before.esc.state) if before else ("", None)
+        if esc.cause != before_cause and esc.cause in LOGGED or esc.state == ARMING != before_state:
+            log = rospy.logwarn if esc.cause in causes.LOSSES else rospy.loginfo
+            log("ESC %s: %s", esc.state_name, esc.reason)
+        elif before_state == ARMING != esc.state:
+            rospy.loginfo("ESC armed, profile %s", self._control.profile)
+        elif esc.cause == causes.BRAKE_UNCERTAIN != before_cause:
+            self._warnings.warn(esc.cause, f"no brake: {esc.reason}")
+
+    def _publish_state(self, decision):
+        arbitration, esc = decision.arbitration, decision.esc
+        ages_s = self._control.ages_s(self._now_ns)
+        self._states.publish(ThrottleState(
+            stamp=rospy.Time.now(), source=arbitration.source, cause=arbitration.cause, reason=arbitration.reason,
+            mode=decision.mode, human_scale=decision.scale, asked=arbitration.asked, granted=esc.fraction,
+            esc=esc.state_name, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.profile,
+            duty=decision.duty, speed=self._arbiter.speed_mps(self._now_ns), **{AGES[name]: age_s
+                                                                                for name, age_s in ages_s.items()}))
+
+    def _report(self, status):
+        """Who drives, why, and what the ESC gets, for /diagnostics."""
+        decision = self._decision
+        if decision is None:
+            return status
+        arbitration, esc = decision.arbitration, decision.esc
+        status.summary(WARN if _is_alarming(decision) else OK,
+                       f"{source_name(arbitration.source)}: {arbitration.reason}; ESC {esc.state_name}: {esc.reason}")
+        status.add("cause", arbitration.cause)
+        status.add("cause of the ESC's state", esc.cause)
+        status.add("duty", decision.duty)
+        status.add("asked, granted", f"{arbitration.asked:.3f}, {esc.fraction:.3f}")
+        status.add("mode", decision.mode or "never heard")
+        status.add("scale of driving by hand", f"{decision.scale:g}")
+        status.add("profile of the ESC", self._control.profile)
+        for name, age_s in self._control.ages_s(time.monotonic_ns()).items():
+            status.add(f"age of {name}", age_text(age_s))
+        status.add("tuned live", self._reconfigure.changes)
+        for kind, count in sorted(self._warnings.counts.items()):
+            status.add(f"warnings of {kind}", count)
+        return status
+
+
+# Fields of ThrottleState for the ages by the inputs' names.
+AGES = {"e_stop": "e_stop_age", "human_in_loop": "human_age", "turn_arb's state": "steering_age", "mode": "mode_age",
+        "tele_throt_req": "teleop_age", "the planner's value": "planner_age", "odometry": "odometry_age",
+        "/servo/output": "output_age"}
+
+
+def _is_alarming(decision):
+    """Whether somebody has to act: the car is locked, an input failed, or the car moved against the ESC's state."""
+    return (decision.arbitration.source == LOCKED or decision.arbitration.cause in causes.LOSSES
+            or decision.esc.cause in causes.LOSSES)
+
+
+def main():
+    """Run the node."""
+    run("throttle_arb", ThrottleArb)

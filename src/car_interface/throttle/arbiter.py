@@ -1,0 +1,233 @@
+"""Who drives the throttle, and with what request.
+
+Consumes emergency stop, deadman, turn_arb's state, the gamepad's throttle and mode, the planner's value and odometry,
+each with its arrival on the monotonic clock, and answers with an ``Arbitration``. Pure: ``now_ns`` is passed in.
+Whether a request behind neutral brakes or reverses, or is withheld, is decided by the ESC's rules (``throttle.esc``).
+
+A request is a fraction of the duty between the ESC's neutral and each end: 1 full forward, −1 full brake or reverse.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from car_interface.common import causes
+from car_interface.common.drive_modes import HUMAN_DRIVES, MODES
+from car_interface.common.staleness import TimedInput
+from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
+from car_interface.throttle.stick import Scale, StickConfig, shaped
+
+# Values of ThrottleState.source are those of SteeringState.source: LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER.
+
+
+@dataclass(frozen=True)
+class ArbiterConfig:
+    """The rules of who drives, named as the ROS parameters.
+
+    Attributes:
+        stick: how the gamepad's throttle is read.
+        interlock: the rules of emergency stop and deadman.
+        steering_timeout_s, teleop_timeout_s, mode_timeout_s, command_timeout_s, odometry_timeout_s: an older input
+            (turn_arb's state, the gamepad's throttle and mode, the planner's value, odometry) is stale; 0 = never.
+    """
+
+    stick: StickConfig = field(default_factory=StickConfig)
+    interlock: InterlockConfig = field(default_factory=InterlockConfig)
+    steering_timeout_s: float = 0.25
+    teleop_timeout_s: float = 0.5
+    mode_timeout_s: float = 0.5
+    command_timeout_s: float = 0.5
+    odometry_timeout_s: float = 0.5
+
+
+class NoValue(NamedTuple):
+    """Why the converter has no value for the planner's command."""
+
+    cause: str  # one of car_interface.common.causes
+    reason: str
+
+
+class Arbitration(NamedTuple):
+    """Who drives, and what is requested of the ESC."""
+
+    source: int
+    cause: str  # one of car_interface.common.causes
+    reason: str
+    asked: float  # what the source asks for, −1..1, before scaling; 0 without a source
+    drive: float  # the request if the ESC drives by it, of the same sign
+    brake: float  # the request if the ESC brakes by it, of the same sign
+    is_stop: bool  # the car is to stop. False with a request of 0: it is left alone
+
+
+class ThrottleArbiter:
+    """Decides who drives from the newest of each input.
+
+    Locked, no human, or turn_arb stopped → stop; else the human, if the mode says so or the stick is beyond its dead
+    band; else the planner, if it has a value and odometry is fresh; else neutral. A gamepad or a mode that was received
+    once and is stale, or can't be read, means stop, not the planner: the human still believes to be driving.
+    """
+
+    def __init__(self, config: ArbiterConfig = ArbiterConfig()):
+        self._stick = config.stick
+        self._scale = Scale(config.stick)
+        self._interlock = MotionInterlock(config.interlock)
+        self._human = TimedInput("human_in_loop", config.interlock.human_timeout_s)
+        self._steering = TimedInput("turn_arb's state", config.steering_timeout_s)
+        self._explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
+        self._teleop = TimedInput("tele_throt_req", config.teleop_timeout_s)
+        self._mode = TimedInput("mode", config.mode_timeout_s)
+        self._planner = TimedInput("the planner's value", config.command_timeout_s)
+        self._odometry = TimedInput("odometry", config.odometry_timeout_s)
+        self._no_value: NoValue | None = None
+
+    @property
+    def scale(self) -> float:
+        """The scale of driving by hand."""
+        return self._scale.value
+
+    @property
+    def mode(self) -> str:
+        """The newest mode; empty: none was received."""
+        return self._mode.value or ""
+
+    def update_e_stop(self, locked: bool, now_ns: int) -> None:
+        """The emergency stop: true = stop, whoever requests what."""
+        self._interlock.update_e_stop(locked, now_ns)
+
+    def update_human(self, present: bool, now_ns: int) -> None:
+        """The deadman: true while a human holds it."""
+        self._interlock.update_human(present, now_ns)
+        self._human.update(bool(present), now_ns)
+
+    def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
+        """Why deadman and requests are what they are, by teleop_logi; only quoted in a reason."""
+        self._interlock.explain_human(present, reason, now_ns)
+        self._explanation.update(" ".join(reason.split()), now_ns)
+
+    def update_steering(self, source: int, reason: str, now_ns: int) -> None:
+        """Who steers, and why: of turn_arb's state."""
+        self._steering.update((source, reason), now_ns)
+
+    def update_teleop(self, throttle: float, now_ns: int) -> None:
+        """The gamepad's throttle, −1 brake or reverse to +1 forward."""
+        self._teleop.update(throttle, now_ns)
+
+    def update_mode(self, mode: str, now_ns: int) -> None:
+        """Who steers and who drives while a deadman is held: one of ``common.drive_modes``."""
+        self._mode.update(mode, now_ns)
+
+    def update_scale_button(self, pressed: int) -> bool:
+        """The gamepad's buttons for the scale, 1, 0 or −1; whether the scale has changed."""
+        return self._scale.update(pressed)
+
+    def update_planner(self, value: float, request: float, now_ns: int) -> None:
+        """The planner's value, and what it asks for as a request; neither needs to be finite."""
+        self._planner.update((value, request), now_ns)
+
+    def update_converter(self, no_value: NoValue | None) -> None:
+        """Why the converter has no value for the newest command; ``None`` = it has one."""
+        self._no_value = no_value
+
+    def update_odometry(self, speed_mps: float, now_ns: int) -> None:
+        """The car's speed, forward positive."""
+        self._odometry.update(speed_mps, now_ns)
+
+    def mark_stale(self, now_ns: int) -> None:
+        """Messages were dropped before they got here: all inputs are stale."""
+        self._interlock.mark_stale(now_ns)
+        for timed in (self._human, self._steering, self._teleop, self._mode, self._planner, self._odometry):
+            timed.mark_stale()
+
+    def is_released(self, now_ns: int) -> bool:
+        """Whether the deadman is known to be released."""
+        return not self._human.is_stale(now_ns) and not self._human.value
+
+    def is_centered(self, now_ns: int) -> bool:
+        """Whether the gamepad's throttle is in its dead band, or there is none."""
+        if not self._teleop.was_received:
+            return True
+        throttle = self._teleop.value
+        return (not self._teleop.is_stale(now_ns) and math.isfinite(throttle)
+                and not shaped(throttle, self._stick.deadband, self._stick.expo))
+
+    def speed_mps(self, now_ns: int) -> float:
+        """The speed by odometry; NaN: unknown."""
+        return math.nan if self._odometry.is_stale(now_ns) else self._odometry.value
+
+    def ages_s(self, now_ns: int) -> dict[str, float]:
+        """Seconds since the last message of each input, by name; inf = never received."""
+        timed = (self._steering, self._teleop, self._mode, self._planner, self._odometry)
+        return {"e_stop": self._interlock.e_stop_age_s(now_ns), "human_in_loop": self._interlock.human_age_s(now_ns),
+                **{one.name: one.age_s(now_ns) for one in timed}}
+
+    def decide(self, now_ns: int) -> Arbitration:
+        """Who drives at ``now_ns``, with what request, and why."""
+        inhibit = self._interlock.inhibit(now_ns)
+        if inhibit is not None:
+            return _stop(LOCKED if inhibit.locked else NO_HUMAN, inhibit.cause, inhibit.reason)
+        return (self._steering_trouble(now_ns) or self._mode_trouble(now_ns) or self._by_hand(now_ns)
+                or self._by_planner(now_ns))
+
+    def _steering_trouble(self, now_ns):
+        """Steering and throttle stop together."""
+        if self._steering.is_stale(now_ns):
+            return _stop(NEUTRAL, causes.STEERING_STALE, self._steering.stale_reason(now_ns))
+        source, reason = self._steering.value
+        if source in (NEUTRAL, TELEOP, PLANNER):
+            return None
+        quoted = f": {reason}" if reason else ""
+        return _stop(NEUTRAL, causes.STEERING_STOPPED, f"turn_arb says {source_name(source)}{quoted}")
+
+    def _mode_trouble(self, now_ns):
+        if not self._mode.was_received:
+            return None  # the command line, or a teleop that knows no modes
+        if self._mode.is_stale(now_ns):
+            return _stop(NEUTRAL, causes.MODE_STALE, self._mode.stale_reason(now_ns))
+        if self._mode.value not in MODES:
+            return _stop(NEUTRAL, causes.MODE_UNKNOWN,
+                         f"mode is {self._mode.value!r}, which is none of {', '.join(MODES)}")
+        return None
+
+    def _by_hand(self, now_ns):
+        """The human's request, or a stop where it can't be read; ``None`` = the human leaves the throttle alone."""
+        human_drives = self._mode.value in HUMAN_DRIVES
+        if not self._teleop.was_received:
+            return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns)) if human_drives else None
+        if self._teleop.is_stale(now_ns):
+            return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns))
+        throttle = self._teleop.value
+        if not math.isfinite(throttle):
+            explanation = "" if self._explanation.is_stale(now_ns) else f": {self._explanation.value}"
+            return _stop(NEUTRAL, causes.TELEOP_NOT_FINITE,
+                         f"tele_throt_req is {throttle}, no number to act on{explanation}")
+        request = shaped(throttle, self._stick.deadband, self._stick.expo)
+        if not (request or human_drives):
+            return None
+        reason = f"tele_throt_req is {throttle:.3f}, scaled by {self.scale:g}"
+        return Arbitration(TELEOP, causes.TELEOP, reason, request, request * self.scale,
+                           request * self._stick.brake_scale, False)
+
+    def _by_planner(self, now_ns):
+        trouble = self._no_value
+        if trouble is None and not self._planner.was_received:
+            return Arbitration(NEUTRAL, causes.NO_REQUEST, "neither tele_throt_req nor a planner's value asks for "
+                               "anything", 0.0, 0.0, 0.0, False)
+        if trouble is not None:
+            return _stop(NEUTRAL, *trouble)
+        if self._planner.is_stale(now_ns):
+            return _stop(NEUTRAL, causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
+        (value, request), odometry = self._planner.value, self._odometry
+        if not math.isfinite(value):
+            return _stop(NEUTRAL, causes.COMMAND_NOT_FINITE, f"the planner's value is {value}, no number to act on")
+        if odometry.is_stale(now_ns):
+            return _stop(NEUTRAL, causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
+        if not math.isfinite(odometry.value):
+            return _stop(NEUTRAL, causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        return Arbitration(PLANNER, causes.PLANNER, f"the planner's value is {value:.3f}", request, request,
+                           request, False)
+
+
+def _stop(source, cause, reason):
+    return Arbitration(source, cause, reason, 0.0, 0.0, 0.0, True)

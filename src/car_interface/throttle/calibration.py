@@ -1,0 +1,97 @@
+"""The ESC's channel and its duties: value → request, request ↔ duty.
+
+A request is a fraction of the duty between neutral and each end: 1 the duty of the highest value, −1 that of the
+lowest. An ESC that takes shorter pulses for forward has a table that falls.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Sequence
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.lookup_table import LookupTable, round_half_away
+from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
+
+
+@dataclass(frozen=True)
+class ThrottleCalibration:
+    """The ESC's channel and table, named as the parameters below ``servo/``.
+
+    Attributes:
+        channel: 0..15.
+        value_axis, duty_table: the duty for each of the converter's values, linear between, saturated beyond. The
+            duties only rise or only fall from value to value; neighbours may be equal.
+        neutral: the duty that neither drives nor brakes.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+
+    channel: int
+    value_axis: Sequence[float]
+    duty_table: Sequence[float]
+    neutral: int
+
+    def __post_init__(self):
+        LookupTable(self.value_axis, self.duty_table, "servo/value_axis", "servo/duty_table")  # checks them
+        steps = [high - low for low, high in zip(self.duty_table, self.duty_table[1:])]
+        if not any(steps) or min(steps) < 0 < max(steps):
+            raise ConfigError("servo/duty_table", list(self.duty_table), "duties that only rise, or only fall")
+        if not min(self.duty_table) <= self.neutral <= max(self.duty_table):
+            raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
+
+
+def read_calibration(params) -> ThrottleCalibration:
+    """The calibration from ~servo/channel, ~servo/value_axis, ~servo/duty_table and ~servo/neutral.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    return ThrottleCalibration(channel=params.integer("servo/channel", low=0, high=CHANNELS - 1),
+                               value_axis=params.numbers("servo/value_axis"),
+                               duty_table=params.numbers("servo/duty_table", low=0, high=MAX_DUTY),
+                               neutral=params.integer("servo/neutral", low=0, high=MAX_DUTY))
+
+
+def trimmed(calibration: ThrottleCalibration, neutral: int) -> ThrottleCalibration:
+    """A calibration with another neutral and the table shifted by the same, so that a value of 0 stays neutral.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    shift = neutral - calibration.neutral
+    return replace(calibration, neutral=neutral,
+                   duty_table=[max(0, min(MAX_DUTY, duty + shift)) if shift else duty
+                               for duty in calibration.duty_table])
+
+
+class DutyMap:
+    """Converts values, requests and duties by a calibration."""
+
+    def __init__(self, calibration: ThrottleCalibration):
+        self.calibration = calibration
+        self._duty_of_value = LookupTable(calibration.value_axis, calibration.duty_table)
+        self._forward = calibration.duty_table[-1] - calibration.neutral  # duty from neutral to each end
+        self._behind = calibration.duty_table[0] - calibration.neutral
+
+    def request_of_value(self, value: float) -> float:
+        """The request for one of the converter's values; NaN for NaN."""
+        return self._request(self._duty_of_value(value)) if value == value else value
+
+    def request_of_duty(self, duty: int) -> float | None:
+        """The request that a duty on the channel stands for; beyond ±1 where the table doesn't reach.
+
+        Returns:
+            ``None`` for what is no pulse: −1 (never set), 0 (off), the full duty (on).
+        """
+        return self._request(duty) if 0 < duty < MAX_DUTY else None
+
+    def duty(self, request: float) -> int:
+        """The duty for a request, −1..1, which saturates beyond."""
+        span = self._forward if request >= 0 else self._behind
+        return max(0, min(MAX_DUTY, round_half_away(self.calibration.neutral + min(1.0, abs(request)) * span)))
+
+    def _request(self, duty):
+        beyond = duty - self.calibration.neutral
+        forward, behind = self._forward or -self._behind, self._behind or -self._forward
+        return (beyond / forward if beyond * forward > 0 else -beyond / behind) + 0.0  # no negative zero

@@ -1,0 +1,108 @@
+"""The throttle as a whole: who drives, what the ESC's rules make of it, and the duty that the ESC gets."""
+from __future__ import annotations
+
+from typing import NamedTuple, Sequence
+
+from car_interface.common.staleness import TimedInput
+from car_interface.throttle.arbiter import PLANNER, TELEOP, ArbiterConfig, Arbitration, ThrottleArbiter
+from car_interface.throttle.calibration import DutyMap, ThrottleCalibration
+from car_interface.throttle.esc import FORWARD, REVERSE, Esc, EscDecision
+from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.esc_intention import Request
+
+DRIVES = (FORWARD, REVERSE)
+
+
+class ThrottleDecision(NamedTuple):
+    """What the ESC gets, and why."""
+
+    duty: int
+    arbitration: Arbitration
+    esc: EscDecision
+    mode: str
+    scale: float
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether a human or the planner drives and the ESC gets something else than neutral."""
+        return self.arbitration.source in (TELEOP, PLANNER) and bool(self.esc.fraction)
+
+    @property
+    def differs_by(self) -> tuple:
+        """All but ages, and numbers in reasons, which always differ."""
+        return (self.duty, self.arbitration.source, self.arbitration.cause, self.esc.state, self.esc.cause, self.mode,
+                self.scale)
+
+    @property
+    def kind(self) -> tuple:
+        """Who drives and why, and the ESC's state: what a log reports when it changes."""
+        return self.arbitration.source, self.arbitration.cause, self.esc.state, self.esc.cause
+
+
+class ThrottleControl:
+    """Decides the ESC's duty from the newest of each input.
+
+    Attributes:
+        arbiter: takes e-stop, deadman, steering, teleop, mode, buttons and the converter's state itself.
+    """
+
+    def __init__(self, calibration: ThrottleCalibration, arbiter: ArbiterConfig, esc: EscConfig):
+        self.arbiter = ThrottleArbiter(arbiter)
+        self._duties = DutyMap(calibration)
+        self._esc = Esc(esc)
+        self._output = TimedInput("/servo/output", 0.0)
+
+    @property
+    def profile(self) -> str:
+        """The ESC's kind."""
+        return self._esc.config.profile
+
+    def calibrate(self, calibration: ThrottleCalibration) -> None:
+        """Use another calibration from now on."""
+        self._duties = DutyMap(calibration)
+
+    def update_planner(self, value: float, now_ns: int) -> None:
+        """The converter's value for the planner's command."""
+        self.arbiter.update_planner(value, self._duties.request_of_value(value), now_ns)
+
+    def update_odometry(self, speed_mps: float, now_ns: int) -> None:
+        """The car's measured speed, forward positive."""
+        self.arbiter.update_odometry(speed_mps, now_ns)
+        self._esc.update_speed(speed_mps, now_ns)
+
+    def update_output(self, duties: Sequence[int], now_ns: int) -> None:
+        """The 16 duties that the servo board holds."""
+        duty = duties[self._duties.calibration.channel]
+        self._output.update(duty, now_ns)
+        self._esc.update_held(self._duties.request_of_duty(duty), now_ns)
+
+    def mark_stale(self, now_ns: int) -> None:
+        """Messages were dropped before they got here: all inputs are stale."""
+        self.arbiter.mark_stale(now_ns)
+        self._output.mark_stale()
+        self._esc.mark_stale()
+
+    def ages_s(self, now_ns: int) -> dict[str, float]:
+        """Seconds since the last message of each input, by name; inf = never received."""
+        return {**self.arbiter.ages_s(now_ns), self._output.name: self._output.age_s(now_ns)}
+
+    def decide(self, now_ns: int) -> ThrottleDecision:
+        """What the ESC gets from ``now_ns`` on, and why. It depends on the calls before: call it at 20 Hz at least."""
+        arbitration = self.arbiter.decide(now_ns)
+        esc = self._step(arbitration, now_ns)
+        return ThrottleDecision(self._duties.duty(esc.fraction), arbitration, esc, self.arbiter.mode,
+                                self.arbiter.scale)
+
+    def _step(self, arbitration, now_ns):
+        """The ESC's answer. Whether it drives or brakes by a request, whose scales differ, is known only then."""
+        # Between two pulls of a stick whose teleop sends no mode nobody drives: they are a human's all the same.
+        is_human = arbitration.source != PLANNER
+        request = Request(arbitration.drive, is_human=is_human, is_stop=arbitration.is_stop,
+                          is_centered=self.arbiter.is_centered(now_ns), is_released=self.arbiter.is_released(now_ns))
+        if arbitration.drive == arbitration.brake:
+            return self._esc.step(request, now_ns)
+        pulls = arbitration.asked < 0 and self._esc.state != REVERSE
+        answer = self._esc.step(request._replace(value=arbitration.brake) if pulls else request, now_ns)
+        if answer.fraction and (answer.state in DRIVES) == pulls:
+            answer = self._esc.step(request._replace(value=arbitration.drive if pulls else arbitration.brake), now_ns)
+        return answer

@@ -1,0 +1,328 @@
+"""Drives a hobby ESC so that a brake never becomes reverse: the state machine between a request and the pulse.
+
+Consumes requests (fractions −1..1), what the servo board held, and the measured speed, each at its arrival; ``step``
+answers with a fraction, the state, the cause and the reason. It never blocks: where an ESC needs time in neutral, the
+answers are neutral until then. Pure: ``now_ns`` is passed in. The duty for a fraction is the caller's table.
+
+What is certain to be a brake, and what is not, stands with the rules: see ``_brakes`` and ``_stop_brakes``.
+
+What it can't see: an ESC that is switched on, or recalibrated, later than the board: its memory begins anew, and its
+first pull may be reverse. A hill on which the car rolls in neutral: that is told, and neutral is all there is against
+it. A board that gives no pulses and has not said so yet. And with a wrong profile and without speed, that a person's
+own pull drives the car backward.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from car_interface.common import causes
+from car_interface.common.units import NS_PER_S
+from car_interface.throttle.esc_config import (
+    BRAKE_THEN_REVERSE,
+    FORWARD_ONLY,
+    UNVERIFIED,
+    EscConfig,
+)
+from car_interface.throttle.esc_history import EscHistory
+from car_interface.throttle.esc_intention import AUTO, REVERSE_GEAR, Pulls, Request
+from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion, MotionCheck
+
+ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = range(6)
+STATE_NAMES = ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE")
+
+STARTED = "this node has just started"
+NO_PULSE = "the servo board gave no pulse"
+# A stop trusts the ESC to remember that it drove forward for no longer than this, whatever reverse_after_neutral says:
+# the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
+STOP_MEMORY_NS = round(0.5 * NS_PER_S)
+# A brake that held the car at standstill so long is proven: half of a Slash's reverse (3.6 m/s²) would have moved it by
+# far more than the standstill speed. The slowest crawler's ESC turns within some tenths of a second.
+PROOF_NS = round(1.0 * NS_PER_S)
+MIN_PROOF = 0.5  # the fraction that it takes
+
+
+class EscDecision(NamedTuple):
+    """What the ESC gets, and why."""
+
+    fraction: float  # −1..1
+    state: int
+    cause: str  # one of car_interface.common.causes
+    reason: str
+    stop_mps2: float  # the deceleration that a stop is certain of now
+    coasts_below_mps: float  # and below this speed it is drag's alone; 0 where it brakes to standstill
+
+    @property
+    def state_name(self) -> str:
+        return STATE_NAMES[self.state]
+
+
+class Esc:
+    """One ESC and the rules for it.
+
+    It starts in ARMING: neutral for the arming time, the stick centered, and the deadman seen released. The board's
+    loss of power and motion against the state lead back there.
+    """
+
+    def __init__(self, config: EscConfig):
+        self.config = config
+        self._history = EscHistory(config)
+        self._motion = MeasuredMotion(config)
+        self._check = MotionCheck(config)
+        self._pulls = Pulls(config.dead_band_reverse)
+        self._state = ARMING
+        self._arming_cause, self._arming_reason = causes.ESC_ARMING, STARTED
+        self._was_released = False  # the deadman, since arming began
+        self._armed_after_ns: int | None = None  # neutral counts from here on
+        self._fraction = 0.0
+        self._stop_began_ns: int | None = None
+        self._held_since_ns: int | None = None
+        self._brake_is_proven = config.profile_measured
+        self._saw_speed_in_reverse = False
+
+    @property
+    def state(self) -> int:
+        """The state of the last step."""
+        return self._state
+
+    def update_held(self, fraction: float | None, now_ns: int) -> None:
+        """What the servo board holds; ``None`` = no pulse: switched off, never set, without power."""
+        self._history.update_held(fraction, now_ns)
+
+    def update_speed(self, speed_mps: float, now_ns: int) -> None:
+        """The measured speed, forward positive."""
+        self._motion.update(speed_mps, now_ns)
+
+    def mark_stale(self) -> None:
+        """Messages were dropped before they got here: neither the board nor the speed is known."""
+        self._history.mark_unknown()
+        self._motion.mark_stale()
+
+    def step(self, request: Request, now_ns: int) -> EscDecision:
+        """What the ESC gets from now on. Call it on every change and at 20 Hz at least."""
+        value = self._value_of(request)
+        self._pulls.update(request)
+        self._update_arming(request, now_ns)
+        if self._state == ARMING:
+            self._pulls = Pulls(self.config.dead_band_reverse)  # none counts from before
+            answer = (0.0, ARMING, self._arming_cause, self._arming_text(request, now_ns))
+        elif request.is_stop:
+            answer = self._stop(now_ns)
+        elif not math.isfinite(request.value):
+            answer = self._stop(now_ns, causes.REQUEST_NOT_FINITE, f"the request is {request.value}; ")
+        else:
+            self._stop_began_ns = None
+            answer = self._drive(value, request, now_ns)
+        return self._finish(answer, now_ns)
+
+    # --- arming ---
+
+    def _update_arming(self, request, now_ns):
+        if self._history.had_no_pulse():
+            self._disarm(causes.ESC_ARMING, NO_PULSE, now_ns)
+        against = self._check.check(self._motion.speed_mps(now_ns), self._state == REVERSE, now_ns)
+        if against and self._state != ARMING:
+            self._disarm(causes.ESC_MOTION, f"{against}: esc/profile is wrong, or this is a hill", now_ns)
+        if self._state != ARMING:
+            return
+        if self._armed_after_ns is None:
+            self._armed_after_ns = now_ns
+        self._was_released = self._was_released or request.is_released
+        if self._was_released and request.is_centered and not self._neutral_missing_ns(now_ns):
+            self._state = NEUTRAL
+
+    def _disarm(self, cause, reason, now_ns):
+        self._state = ARMING
+        self._arming_cause, self._arming_reason = cause, reason
+        self._armed_after_ns, self._was_released = now_ns, False
+        self._check = MotionCheck(self.config)
+        self._brake_is_proven = self._brake_is_proven and cause != causes.ESC_MOTION
+        self._pulls = Pulls(self.config.dead_band_reverse)
+
+    def _neutral_missing_ns(self, now_ns):
+        lasts_ns = min(self._history.neutral_ns(now_ns), now_ns - self._armed_after_ns)
+        return max(0, round(self.config.arming_time_s * NS_PER_S) - lasts_ns)
+
+    def _arming_text(self, request, now_ns):
+        missing_ns = self._neutral_missing_ns(now_ns)
+        todo = [] if self._was_released else ["let go of the deadman"]
+        todo += [] if request.is_centered else ["center the stick"]
+        todo += [f"{missing_ns / NS_PER_S:.1f} s of neutral to go"] if missing_ns else []
+        return f"{self._arming_reason}; {', '.join(todo)}"
+
+    # --- requests ---
+
+    def _value_of(self, request):
+        """The request's value within −1..1, 0 in the dead band; the ESC gets no pulse that it could take for either."""
+        value = request.value if math.isfinite(request.value) else 0.0
+        value = max(-1.0, min(1.0, value))
+        return value if value >= self.config.dead_band_forward or value <= -self.config.dead_band_reverse else 0.0
+
+    def _drive(self, value, request, now_ns):
+        if value > 0:
+            return self._push(value, request, now_ns)
+        if value < 0:
+            return self._pull(value, request, now_ns)
+        return 0.0, NEUTRAL, causes.NO_THROTTLE, "neutral is requested"
+
+    def _push(self, value, request, now_ns):
+        backward = self._motion.rolls_backward(now_ns)
+        if request.gear == REVERSE_GEAR:
+            # A brake while it rolls backward. Below the margin the next push would drive forward.
+            if backward and self._is_fast_enough(now_ns):
+                return value, BRAKING, causes.BRAKING, "it rolls backward"
+            return 0.0, NEUTRAL, causes.AT_STANDSTILL, "a brake in reverse gear doesn't drive forward"
+        if backward:
+            return value, BRAKING, causes.BRAKING, "it rolls backward"
+        return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
+
+    def _pull(self, value, request, now_ns):
+        if self.config.calibration_drive and request.is_human:
+            state = BRAKING if self._motion.rolls_forward(now_ns) else REVERSE
+            return value, state, causes.CALIBRATION_DRIVE, "calibration drive: the ESC gets each pull as it is"
+        means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
+        if means_reverse and self._may_reverse(request, now_ns):
+            return self._reverse(value, now_ns)
+        if self._brakes(now_ns):
+            self._pulls.mark_brake()
+            state = HOLD if self._motion.stands(now_ns) else BRAKING
+            return value, state, *self._brake_cause(state, means_reverse)
+        if (self._motion.speed_mps(now_ns) or 0.0) >= STANDSTILL_MPS:  # one that may still slide only has to wait
+            self._pulls.mark_brake()
+        return 0.0, NEUTRAL, *self._withheld(means_reverse, now_ns)
+
+    def _brakes(self, now_ns):
+        """Whether a pull is a brake now, or slows the car for certain.
+
+        It is a brake by the ESC's own rules where the profile brakes after forward, and the ESC has had no neutral
+        since it began to brake. Any other ESC may drive backward: this slows a car that rolls forward, and the pull
+        ends before it stands.
+        """
+        if self._motion.rolls_backward(now_ns):
+            return False
+        if self.config.profile == FORWARD_ONLY:
+            return True
+        if self.config.profile == BRAKE_THEN_REVERSE and self._history.brake_is_certain(now_ns):
+            return True
+        return self._is_fast(now_ns)
+
+    def _is_fast(self, now_ns):
+        return self._motion.rolls_forward(now_ns) and self._is_fast_enough(now_ns)
+
+    def _is_fast_enough(self, now_ns):
+        """Whether it is faster than the margin: twice that to begin a brake, since the age of a speed varies."""
+        margin_mps = self.config.brake_margin_mps * (1 if self._state == BRAKING else 2)
+        return self._motion.least_speed_mps(now_ns) > margin_mps
+
+    def _brake_cause(self, state, means_reverse):
+        if state == BRAKING:
+            return causes.BRAKING, "it rolls forward, or its speed is unknown"
+        if means_reverse and self.config.profile == FORWARD_ONLY:
+            return causes.REVERSE_REFUSED, "this ESC has no reverse (esc/profile: forward_only)"
+        return causes.HOLDING, "it stands, and the brake holds it"
+
+    def _withheld(self, means_reverse, now_ns):
+        """Cause and reason for neutral instead of a pull."""
+        if self._motion.speed_mps(now_ns) is None:
+            if means_reverse:
+                return causes.REVERSE_REFUSED, f"no reverse without speed: {self._motion.unknown_reason(now_ns)}"
+            return causes.BRAKE_UNCERTAIN, ("the ESC could take this pull for reverse, and the speed is unknown: "
+                                            "center the stick and pull again for reverse")
+        if self._motion.rolls_backward(now_ns):
+            return causes.AT_STANDSTILL, "it rolls backward: this would drive it on"
+        if self._motion.stands(now_ns):
+            return causes.AT_STANDSTILL, "it stands: a brake doesn't become reverse"
+        return causes.BRAKE_UNCERTAIN, (f"below {self.config.brake_margin_mps:g} m/s the ESC could take this pull for "
+                                        "reverse before it is over: it coasts")
+
+    # --- reverse ---
+
+    def _may_reverse(self, request, now_ns):
+        if self.config.profile == FORWARD_ONLY:
+            return False
+        if self._motion.speed_mps(now_ns) is None:
+            # An ESC that would brake does so first: the way to reverse leads over neutral and another pull.
+            certain = self.config.profile == BRAKE_THEN_REVERSE and self._history.brake_is_certain(now_ns)
+            return request.is_human and not (certain and self._state != REVERSE)
+        if self._state == REVERSE and self._saw_speed_in_reverse:
+            return True  # what rolls forward now is for the motion check
+        return self._motion.stands(now_ns) or self._motion.rolls_backward(now_ns)
+
+    def _reverse(self, value, now_ns):
+        """The way into reverse: each answer is the next step of it."""
+        history = self._history
+        if self.config.profile in (BRAKE_THEN_REVERSE, UNVERIFIED):
+            if not history.has_braked(now_ns):
+                return value, REVERSE, causes.REVERSE_PENDING, "the ESC needs a brake before reverse"
+            if not history.is_unlocked(now_ns):
+                return 0.0, REVERSE, causes.REVERSE_PENDING, "the ESC needs neutral before reverse"
+        elif self._fraction >= 0 and history.neutral_ns(now_ns) < self.config.dwell_s * NS_PER_S:
+            return 0.0, REVERSE, causes.REVERSE_PENDING, "the ESC needs neutral before reverse"
+        return value, REVERSE, causes.REVERSING, f"{value:.2f} is requested"
+
+    # --- stop ---
+
+    def _stop(self, now_ns, cause=causes.STOPPING, prefix=""):
+        if self._stop_began_ns is None:
+            self._stop_began_ns = now_ns
+        if self._state == REVERSE or not self._stop_brakes(now_ns):
+            return 0.0, NEUTRAL, cause, f"{prefix}it stops in neutral"
+        if now_ns - self._stop_began_ns > self.config.stop_brake_time_s * NS_PER_S:
+            return 0.0, NEUTRAL, cause, f"{prefix}it has braked for {self.config.stop_brake_time_s:g} s"
+        return -self.config.stop_brake, BRAKING, cause, f"{prefix}it brakes"
+
+    def _stop_brakes(self, now_ns):
+        """Whether a stop brakes: only where it can't become reverse, also if the profile in the configuration is wrong.
+
+        So a profile that nobody has measured counts for nothing here until the ESC has held the car at standstill by
+        its brake. Where it doesn't count, the car is braked while it is known to be faster than the margin.
+        """
+        if self.config.profile == UNVERIFIED or not self.config.stop_brake or not self._history.is_known(now_ns):
+            return False
+        if self._motion.rolls_backward(now_ns) or self._motion.stands(now_ns):
+            return False
+        return self._stop_is_certain(now_ns) or self._is_fast(now_ns)
+
+    def _stop_is_certain(self, now_ns):
+        if not self._brake_is_proven:
+            return False
+        if self.config.profile == FORWARD_ONLY and self.config.profile_measured:
+            return True
+        # One that was only seen to hold may reverse after neutral all the same.
+        return (self.config.profile in (BRAKE_THEN_REVERSE, FORWARD_ONLY) and self._history.brake_is_certain(now_ns)
+                and self._history.coasted_ns(now_ns) <= STOP_MEMORY_NS)
+
+    # --- what follows from the answer ---
+
+    def _finish(self, answer, now_ns):
+        fraction, state, cause, reason = answer
+        if state == REVERSE and self._state != REVERSE:
+            self._saw_speed_in_reverse = False
+        if state == REVERSE and (self._motion.stands(now_ns) or self._motion.rolls_backward(now_ns)):
+            self._saw_speed_in_reverse = True
+        self._fraction, self._state = fraction, state
+        self._history.update_sent(fraction, now_ns)
+        self._look_for_proof(now_ns)
+        return EscDecision(fraction, state, cause, reason, *self._stop_guarantee(now_ns))
+
+    def _look_for_proof(self, now_ns):
+        """A held brake of some strength, known to be on at the chip, and the car stands: the ESC doesn't reverse."""
+        holds = (self._state == HOLD and self._fraction <= -max(MIN_PROOF, self.config.stop_brake)
+                 and self._history.pulled_ns(now_ns) >= PROOF_NS)
+        if not holds or not self._motion.stands(now_ns):
+            self._held_since_ns = None
+        elif self._held_since_ns is None:
+            self._held_since_ns = now_ns
+        elif now_ns - self._held_since_ns >= PROOF_NS:
+            self._brake_is_proven = True
+
+    def _stop_guarantee(self, now_ns):
+        braked_mps2 = self.config.stop_brake * self.config.brake_deceleration_mps2
+        if self._state in (ARMING, REVERSE) or not self._stop_brakes(now_ns):
+            return self.config.drag_deceleration_mps2, 0.0
+        is_certain = self._stop_is_certain(now_ns)
+        return braked_mps2, 0.0 if is_certain else self.config.brake_margin_mps
+
+
+def _clamped(request):
+    return "" if abs(request.value) <= 1 else f" ({request.value:g}, clamped)"

@@ -1,0 +1,112 @@
+"""What the measured speed says to an ESC's rules: whether the car stands, how fast it is at least, and whether it moves
+against the ESC's state.
+"""
+from __future__ import annotations
+
+import math
+
+from car_interface.common.staleness import TimedInput
+from car_interface.common.units import NS_PER_S
+from car_interface.throttle.esc_config import EscConfig
+
+STANDSTILL_MPS = 0.1
+MAX_SPEED_MPS = 100.0  # no such car is faster
+# Locked wheels read 0 while the car slides, under a brake or a strong drag brake. A slide on dust still slows it by
+# 3 m/s²: after any measured speed the car may slide for no longer than that speed divided by this.
+SLIDE_MPS2 = 3.0
+MAX_DECELERATION_MPS2 = 8.0  # rubber on dry asphalt, 0.8 g
+ACTUATION_NS = 40_000_000  # from a decision to the end of the last pulse before it: a period of 20 ms, and a timer tick
+
+
+class MeasuredMotion:
+    """The measured speed, forward positive, and how it may be read."""
+
+    def __init__(self, config: EscConfig):
+        self._speed = TimedInput("odom", config.speed_timeout_s)
+        self._arrival_ns = 0
+        self._slides_until_ns = -math.inf
+
+    def update(self, speed_mps: float, now_ns: int) -> None:
+        """A speed that has arrived; one that is not finite, or no car's, makes the speed unknown."""
+        if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
+            self._speed.mark_stale()
+            return
+        self._speed.update(speed_mps, now_ns)
+        self._arrival_ns = now_ns
+        if abs(speed_mps) >= STANDSTILL_MPS:
+            slides_until_ns = now_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
+            self._slides_until_ns = max(self._slides_until_ns, slides_until_ns)
+
+    def mark_stale(self) -> None:
+        """Messages were dropped: the speed is unknown until the next."""
+        self._speed.mark_stale()
+
+    def speed_mps(self, now_ns: int) -> float | None:
+        """The speed; ``None`` = unknown."""
+        return None if self._speed.is_stale(now_ns) else self._speed.value
+
+    def unknown_reason(self, now_ns: int) -> str:
+        """Why the speed is unknown."""
+        return self._speed.stale_reason(now_ns)
+
+    def stands(self, now_ns: int) -> bool:
+        """Whether the car is known to stand."""
+        speed_mps = self.speed_mps(now_ns)
+        return speed_mps is not None and abs(speed_mps) < STANDSTILL_MPS and now_ns >= self._slides_until_ns
+
+    def rolls_forward(self, now_ns: int) -> bool:
+        """Whether it is known not to stand, and does not roll backward: it may slide on locked wheels."""
+        speed_mps = self.speed_mps(now_ns)
+        return speed_mps is not None and speed_mps > -STANDSTILL_MPS and not self.stands(now_ns)
+
+    def rolls_backward(self, now_ns: int) -> bool:
+        """Whether it is known to roll backward."""
+        speed_mps = self.speed_mps(now_ns)
+        return speed_mps is not None and speed_mps <= -STANDSTILL_MPS
+
+    def least_speed_mps(self, now_ns: int) -> float:
+        """The least that its speed, forward or backward, can be until a pulse that is decided on now has ended."""
+        speed_mps = self.speed_mps(now_ns)
+        if speed_mps is None:
+            return 0.0
+        age_s = (now_ns - self._arrival_ns + ACTUATION_NS) / NS_PER_S
+        return max(0.0, abs(speed_mps) - MAX_DECELERATION_MPS2 * age_s)
+
+
+class MotionCheck:
+    """Compares the measured speed with what the ESC's state allows.
+
+    Backward is allowed in reverse, and after it until the car has come to a standstill, if it gets no faster. The same
+    holds at the beginning: it may have been in reverse before.
+    """
+
+    def __init__(self, config: EscConfig):
+        self._config = config
+        self._since_ns: int | None = None
+        self._max_backward_mps = math.inf
+
+    def check(self, speed_mps: float | None, is_reverse: bool, now_ns: int) -> str:
+        """Why the motion contradicts the state for too long; empty = it does not."""
+        if speed_mps is None:
+            return ""
+        against = self._against(speed_mps, is_reverse)
+        if not against:
+            self._since_ns = None
+        elif self._since_ns is None:
+            self._since_ns = now_ns
+        elif now_ns - self._since_ns >= self._config.motion_time_s * NS_PER_S:
+            self._since_ns = None
+            return against
+        return ""
+
+    def _against(self, speed_mps, is_reverse):
+        margin_mps = self._config.motion_speed_mps
+        if is_reverse:
+            self._max_backward_mps = math.inf
+            return f"it rolled forward at {speed_mps:.1f} m/s in reverse" if speed_mps > margin_mps else ""
+        self._max_backward_mps = min(self._max_backward_mps, max(0.0, -speed_mps))
+        if -speed_mps < STANDSTILL_MPS:
+            self._max_backward_mps = 0.0
+        if -speed_mps > self._max_backward_mps + margin_mps:
+            return f"it rolled backward at {-speed_mps:.1f} m/s without reverse"
+        return ""

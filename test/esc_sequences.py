@@ -1,0 +1,446 @@
+"""Random drives of virtual ESCs through the ESC's state machine, with all that goes wrong between them.
+
+``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each
+has a seed, and the seed is all that it depends on: ``python3 test/esc_sequences.py --seed 17`` shows one.
+
+A drive is a script of a person and a planner (forward, coast, pulls, stops with the stick kept where it is, a planner's
+hold of a stopped car, gears, a reverse button) through a world with delays, lost speed, a guard that puts the chip to
+neutral, a board that loses its power and a node that restarts. What the driver meant is judged by the script alone, and
+what the car did by the virtual ESC: neither asks the state machine.
+"""
+from __future__ import annotations
+
+import argparse
+import collections
+import multiprocessing
+import os
+import random
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
+
+from car_interface.sim import esc as virtual
+from car_interface.sim.esc_car import EscCar, EscCarConfig
+from car_interface.throttle.esc import Esc
+from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Request
+
+MS = 1_000_000
+TICK_NS = 10 * MS
+STEP_NS = 20 * MS  # the arbiter's timer
+# From a request to the last pulse of the one before: the timer, the way to the chip, and a PWM period.
+GRACE_NS = 80 * MS
+KNOWN, STALE, UNKNOWN = "known", "stale", "unknown"
+SPEEDS = (KNOWN, STALE, UNKNOWN)
+MATCHING, WRONG, UNVERIFIED = "matching", "wrong", "unverified"
+DRIVERS = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
+PROFILES = ("brake_then_reverse", "brake_becomes_reverse", "direct_reverse", "forward_only")
+# A reversal that a wrong profile starts: how long the car may be driven backward.
+MAX_WRONG_NS = 500 * MS
+
+
+@dataclass
+class Result:
+    """What one drive showed.
+
+    Attributes:
+        unintended: descriptions of pushes backward that nobody meant.
+        by_stop: those during a stop.
+        longest_ns: the longest push backward that nobody meant, while the car moved backward.
+        wanted, got: reversals that had to come about, and did.
+    """
+
+    seed: int
+    case: str
+    unintended: list = field(default_factory=list)
+    by_stop: list = field(default_factory=list)
+    longest_ns: int = 0
+    wanted: int = 0
+    got: int = 0
+    states: collections.Counter = field(default_factory=collections.Counter)
+    causes: collections.Counter = field(default_factory=collections.Counter)
+
+
+class Chip:
+    """The servo board's output for the ESC, and what it says of it."""
+
+    def __init__(self, rng, esc):
+        self._rng, self._esc = rng, esc
+        self.neutral = 16 * round(esc.neutral_duty / 16)
+        self.duty = self.neutral
+        self._command_ns = 0
+        self._commands = collections.deque()
+        self._messages = collections.deque()
+        self._newest = self.neutral
+        self._published = None
+        self._published_ns = 0
+        self.guard_until_ns = self.dead_until_ns = 0
+
+    def command(self, fraction, now_ns):
+        esc = self._esc
+        full = esc.full_forward_duty if fraction > 0 else esc.full_reverse_duty
+        duty = esc.neutral_duty + abs(fraction) * (full - esc.neutral_duty)
+        self._commands.append((now_ns + self._rng.randrange(1, 10) * MS, 16 * round(duty / 16)))
+
+    def fraction(self, duty):
+        if duty is None:
+            return None
+        esc = self._esc
+        full = esc.full_forward_duty if duty > esc.neutral_duty else esc.full_reverse_duty
+        return (duty - esc.neutral_duty) / (full - esc.neutral_duty) * (1 if duty > esc.neutral_duty else -1)
+
+    def tick(self, now_ns):
+        """Returns what arrives at the node now."""
+        while self._commands and self._commands[0][0] <= now_ns:
+            self._command_ns, self._newest = self._commands.popleft()
+        if now_ns < self.dead_until_ns:
+            self.duty = None
+        elif now_ns < self.guard_until_ns or now_ns - self._command_ns > 250 * MS:
+            self.duty = self.neutral
+        else:
+            self.duty = self._newest
+        if self.duty != self._published or now_ns - self._published_ns >= 1000 * MS:
+            self._published, self._published_ns = self.duty, now_ns
+            delay_ns = self._rng.randrange(1, 60) * MS
+            if self.duty is None:
+                delay_ns = self._rng.randrange(1, 500) * MS  # the board is polled twice a second
+            last_ns = self._messages[-1][0] if self._messages else 0
+            self._messages.append((max(last_ns, now_ns + delay_ns), self.fraction(self.duty)))
+        arrived = []
+        while self._messages and self._messages[0][0] <= now_ns:
+            arrived.append(self._messages.popleft()[1])
+        return arrived
+
+
+class Drive:
+    """One drive: a world, a driver, the state machine, and what came of it."""
+
+    def __init__(self, seed, make_esc=Esc, log=None):
+        self.rng = rng = random.Random(seed)
+        self._make_esc, self._log = make_esc, log
+        self.speed = SPEEDS[seed % 3]
+        self.kind = (MATCHING, MATCHING, WRONG, UNVERIFIED)[seed // 3 % 4]
+        esc = DRIVERS[seed // 12 % 5](
+            dwell_s=rng.uniform(0.1, 0.4), brake_seen_s=rng.uniform(0.0, 0.1), turn_s=rng.uniform(0.0, 0.3),
+            neutral_duty=rng.uniform(4800, 5030), forward_band_duty=rng.uniform(40, 110),
+            reverse_band_duty=rng.uniform(40, 110), drag_brake=rng.choice((0.0, 0.05, 0.3)),
+            arming_s=rng.uniform(0.1, 0.9), rearms=rng.random() < 0.7, cutoff_s=rng.uniform(0.05, 0.5),
+            second_pull=rng.choice((virtual.REVERSES, virtual.BRAKES, virtual.BRAKES_AND_TURNS)),
+            forget_s=rng.choice((0.0, 0.0, rng.uniform(1.0, 3.0))), starts_ready=rng.random() < 0.3)
+        self.virtual = virtual.VirtualEsc(esc, rng.randrange(20) * MS)
+        lock = rng.choice((None, rng.uniform(1.5, 6.0)))
+        self.car = EscCar(EscCarConfig(brake_mps2=rng.uniform(4, 8), reverse_mps2=rng.uniform(2.5, 5),
+                                       **({} if lock is None else {"lock_mps2": lock})))
+        profile = esc.kind
+        if self.kind == WRONG:
+            profile = rng.choice([name for name in PROFILES if name != esc.kind])
+        elif self.kind == UNVERIFIED:
+            profile = UNVERIFIED
+        measured = self.kind == MATCHING and rng.random() < 0.5
+        self.config = EscConfig(
+            profile=profile, profile_measured=measured, dwell_s=0.5 if rng.random() < 0.5 else 0.42,
+            reverse_after_neutral_s=0.9 * esc.forget_s if self.kind == MATCHING or rng.random() < 0.5 else 0.0,
+            stop_brake=rng.choice((0.3, 0.5, 1.0)))
+        self.chip = Chip(rng, esc)
+        self.esc = make_esc(self.config)
+        self.now_ns = 0
+        self.request = Request(is_stop=True)
+        self._intended_ns = -10**12
+        self._stopped_ns = None
+        self._mute_until_ns = 0
+        self._speeds = collections.deque()
+        self._next_step_ns = rng.randrange(20) * MS
+        self._push_began_ns = None
+        self._moved_ns = 0
+        self._faults = True
+        self._node_back_ns = 0
+        # What the driver meant.
+        self._pulled = False
+        self._meant = False
+        self.result = Result(seed, f"{esc.kind} as {profile} ({self.kind}), speed {self.speed}")
+
+    # --- the world ---
+
+    def run_for(self, seconds, request, meant=False):
+        """Holds a request for so long."""
+        self.request, self._meant = request, meant
+        until_ns = self.now_ns + round(seconds * 1e9)
+        while self.now_ns < until_ns:
+            self.tick()
+
+    def tick(self):
+        self.now_ns += TICK_NS
+        now_ns, rng = self.now_ns, self.rng
+        if self._faults:
+            self._fail(now_ns)
+        arrived = self.chip.tick(now_ns)
+        motor = self.virtual.step(self.chip.duty, now_ns, self.car.wheel_mps)
+        self.car.step(TICK_NS / 1e9, motor)
+        if self.speed != UNKNOWN and now_ns >= self._mute_until_ns and now_ns % (20 * MS) == 0:
+            noise = rng.gauss(0, 0.01) if self.car.wheel_mps else 0.0
+            last_ns = self._speeds[-1][0] if self._speeds else 0
+            self._speeds.append((max(last_ns, now_ns + rng.randrange(1, 40) * MS), self.car.wheel_mps + noise))
+        alive = now_ns >= self._node_back_ns
+        for fraction in arrived:
+            if alive:
+                self.esc.update_held(fraction, now_ns)
+        while self._speeds and self._speeds[0][0] <= now_ns:
+            _, speed_mps = self._speeds.popleft()
+            if alive:
+                self.esc.update_speed(speed_mps, now_ns)
+        if alive and now_ns >= self._next_step_ns:
+            self._next_step_ns = now_ns + STEP_NS
+            decision = self.esc.step(self.request, now_ns)
+            self.chip.command(decision.fraction, now_ns)
+            self.result.states[decision.state_name] += 1
+            self.result.causes[decision.cause] += 1
+            if self._log:
+                self._log(now_ns, self, decision, motor)
+        self._judge(motor, now_ns)
+
+    def _fail(self, now_ns):
+        rng = self.rng
+        if rng.random() < 0.003:
+            self.chip.guard_until_ns = now_ns + rng.randrange(10, 1000) * MS
+        if rng.random() < 0.0005:
+            self.chip.dead_until_ns = now_ns + rng.randrange(20, 1500) * MS
+        if rng.random() < 0.0005:
+            self._node_back_ns = now_ns + rng.randrange(20, 1500) * MS
+            self.esc = self._make_esc(self.config)
+            self._pulled = False
+        if self.speed == STALE and rng.random() < 0.005:
+            self._mute_until_ns = now_ns + rng.randrange(100, 3000) * MS
+
+    def _judge(self, motor, now_ns):
+        # Nothing that is sent arrives at an ESC without pulses, nor comes from a node that is away.
+        is_cut_off = self.chip.duty is None or now_ns < self._node_back_ns and self.chip.duty != self.chip.neutral
+        if self._meant or is_cut_off:
+            self._intended_ns = now_ns
+        if is_cut_off:
+            self._stopped_ns = None
+            return
+        if not self.request.is_stop:
+            self._stopped_ns = None
+        elif self._stopped_ns is None:
+            self._stopped_ns = now_ns
+        pushed = motor.mode == virtual.BACKWARD and motor.level > 0 and self.car.speed_mps < 0.05
+        if not pushed or now_ns - self._intended_ns <= GRACE_NS:
+            self._push_began_ns = None
+            return
+        if self._push_began_ns is None:
+            self._push_began_ns = now_ns
+            self.result.unintended.append(f"{now_ns / 1e9:.2f} s: {self.request}")
+        if self.car.speed_mps > -0.1:
+            self._moved_ns = now_ns  # slower than that it stands, to the odometry
+        self.result.longest_ns = max(self.result.longest_ns, now_ns - max(self._moved_ns, self._push_began_ns))
+        if self._stopped_ns is not None and now_ns - self._stopped_ns > GRACE_NS:
+            self.result.by_stop.append(f"{now_ns / 1e9:.2f} s")
+
+    # --- the driver ---
+
+    def stop(self, seconds, stick=0.0):
+        """The deadman is released, the stick stays."""
+        self._pulled = False
+        self.run_for(seconds, Request(stick, is_human=True, is_stop=True, is_released=True,
+                                      is_centered=abs(stick) < 0.05))
+
+    def stick(self, value, seconds):
+        """A person's stick. The second pull after the center means reverse."""
+        meant = False
+        if value > 0:
+            self._pulled = False
+        elif value < 0:
+            was_pull = self.request.value < 0 and self.request.gear == AUTO and not self.request.is_stop
+            if was_pull and self.request.is_human:
+                meant = self._meant  # the same pull, farther or nearer
+            else:
+                meant = self._pulled
+                self._pulled = True
+        self.run_for(seconds, Request(value, is_human=True, is_centered=value == 0), meant)
+
+    def gear(self, value, gear, seconds, is_human):
+        """A planner's request, or a person's with the reverse button."""
+        self._pulled = False
+        self.run_for(seconds, Request(value, gear, is_human, is_centered=True), gear == REVERSE_GEAR and value < 0)
+
+    def arm(self):
+        self.stop(1.3)
+        self.stick(0.0, 0.1)
+
+    def act(self):
+        rng = self.rng
+        kind = rng.randrange(18)
+        stick = self.request.value if self.request.is_human else 0.0
+        if kind <= 2:
+            self.stick(rng.uniform(0.1, 1.0), rng.uniform(0.1, 2.0))
+        elif kind <= 4:
+            self.stick(0.0, rng.choice((0.02, 0.1, 0.3, 0.6, 1.5)))
+        elif kind <= 7:
+            self.stick(-rng.uniform(0.1, 1.0), rng.choice((0.02, 0.1, 0.3, 0.8, 2.0)))
+        elif kind == 8:
+            for _ in range(rng.randrange(1, 5)):
+                self.stop(rng.uniform(0.02, 0.7), stick)
+                self.stick(stick, rng.uniform(0.02, 0.7))
+        elif kind == 9:
+            self.stop(rng.uniform(0.1, 2.5), stick)
+        elif kind == 10:
+            # Autoware holds a stopped car with -1.5 m/s²; the deadman is let go, and held again.
+            hold = -rng.uniform(0.15, 0.6)
+            self.gear(rng.uniform(0.2, 0.6), DRIVE, rng.uniform(0.5, 1.5), False)
+            for _ in range(rng.randrange(1, 4)):
+                self.gear(hold, rng.choice((DRIVE, AUTO)), rng.uniform(0.1, 2.0), False)
+                self.stop(rng.uniform(0.02, 0.9))
+            self.gear(hold, DRIVE, rng.uniform(0.1, 1.0), False)
+        elif kind == 11:
+            self.gear(-rng.uniform(0.1, 1.0), REVERSE_GEAR, rng.uniform(0.1, 2.5), rng.random() < 0.5)
+        elif kind == 12:
+            self.gear(rng.uniform(0.1, 0.6), rng.choice((DRIVE, REVERSE_GEAR)), rng.uniform(0.1, 1.0), False)
+        elif kind == 13:
+            self.arm()
+        elif kind <= 15:
+            self._pull_again()
+        else:
+            self._pull_after_a_coast()
+
+    def _pull_again(self):
+        """A pull, something that makes the next one a first, and that."""
+        rng = self.rng
+        self.stick(-rng.uniform(0.3, 1.0), rng.uniform(0.3, 1.0))
+        self.stick(0.0, rng.uniform(0.05, 0.8))
+        way = rng.randrange(3)
+        if way == 0:
+            self.stop(rng.uniform(0.02, 0.8))
+        elif way == 1:
+            self.stick(rng.uniform(0.1, 0.4), rng.uniform(0.05, 0.8))
+        else:
+            self.gear(rng.choice((0.0, 0.2)), DRIVE, rng.uniform(0.05, 0.8), False)
+        if rng.random() < 0.7:
+            self.stick(0.0, rng.uniform(0.02, 1.0))
+        self.stick(-rng.uniform(0.3, 1.0), rng.uniform(0.5, 2.5))
+
+    def _pull_after_a_coast(self):
+        """Forward, a while in neutral, and a brake or a stop; some ESCs have forgotten by then that they drove."""
+        rng = self.rng
+        self.stick(rng.uniform(0.15, 0.5), rng.uniform(0.3, 1.0))
+        self.stick(0.0, rng.uniform(0.5, 4.0))
+        if rng.random() < 0.5:
+            self.stick(-rng.uniform(0.3, 1.0), rng.uniform(0.5, 2.0))
+        self.stop(rng.uniform(0.5, 1.5), self.request.value)
+
+    def drive(self):
+        """A random drive, then, if it must be possible, a reversal without faults."""
+        self.arm()
+        for _ in range(self.rng.randrange(3, 9)):
+            self.act()
+        if self.kind == MATCHING and self.speed == KNOWN and self.config.profile != "forward_only":
+            self._want_reverse()
+        return self.result
+
+    def _want_reverse(self):
+        self._faults = False
+        self._node_back_ns = self.chip.guard_until_ns = self.chip.dead_until_ns = 0
+        self.stop(1.0)
+        for _ in range(300):
+            if self.car.speed_mps:
+                self.stop(0.1)
+        self.arm()
+        if self.rng.random() < 0.7:
+            self.stick(0.5, self.rng.uniform(0.3, 1.0))
+        self.stick(0.0, 0.05)
+        value = -self.rng.uniform(0.35, 1.0)
+        way = self.rng.randrange(3)
+        if way == 0:
+            self.stick(value, self.rng.uniform(0.1, 1.0))
+            for _ in range(200):
+                if self.car.speed_mps:
+                    self.stick(value, 0.05)
+            self.stick(0.0, self.rng.uniform(0.1, 1.0))
+        before_m, began = self.car.place_m, self.car.speed_mps
+        for _ in range(60):
+            if way == 0:
+                self.stick(value, 0.1)
+            else:
+                self.gear(value, REVERSE_GEAR, 0.1, way == 1)
+            if self.car.speed_mps < -0.3:
+                break
+        self.result.wanted += 1
+        self.result.got += self.car.speed_mps < -0.3
+        if self.car.speed_mps >= -0.3:
+            self.result.unintended.append(f"no reverse at {self.now_ns / 1e9:.2f} s by way {way}: {before_m} {began}")
+
+
+def run(seed, make_esc=Esc):
+    """One drive."""
+    return Drive(seed, make_esc).drive()
+
+
+def failures(result):
+    """What is wrong with a drive, as a text; empty = nothing."""
+    kind = result.case
+    if result.by_stop:
+        return f"seed {result.seed}, {kind}: a stop became reverse at {result.by_stop[0]}"
+    if result.got < result.wanted:
+        return f"seed {result.seed}, {kind}: {result.unintended[-1]}"
+    if f"({MATCHING})" in kind and result.unintended:
+        return f"seed {result.seed}, {kind}: reverse that nobody meant at {result.unintended[0]}"
+    if kind.endswith(f" {KNOWN}") and result.longest_ns > MAX_WRONG_NS:
+        seconds = result.longest_ns / 1e9
+        return f"seed {result.seed}, {kind}: driven backward for {seconds:.2f} s: {result.unintended[0]}"
+    return ""
+
+
+def run_all(seeds):
+    """Runs the drives of some seeds: (what failed, totals)."""
+    found, totals = [], collections.Counter()
+    for seed in seeds:
+        result = run(seed)
+        totals["drives"] += 1
+        totals["wanted"] += result.wanted
+        totals["got"] += result.got
+        totals["backward"] += bool(result.unintended)
+        totals.update({f"state {name}": number for name, number in result.states.items()})
+        text = failures(result)
+        if text:
+            found.append(text)
+    return found, totals
+
+
+def run_many(number, first=0):
+    """Runs so many drives on all cores: (what failed, totals)."""
+    found, totals = [], collections.Counter()
+    chunks = [range(begin, min(begin + 250, first + number)) for begin in range(first, first + number, 250)]
+    with multiprocessing.Pool(os.cpu_count()) as pool:
+        for texts, counts in pool.imap_unordered(run_all, chunks):
+            found += texts
+            totals.update(counts)
+    return sorted(found), totals
+
+
+def _show(seed):
+    def log(now_ns, drive, decision, motor):
+        car = drive.car
+        request = drive.request
+        print(f"{now_ns / 1e9:6.2f} {'STOP' if request.is_stop else request.gear:7} {request.value:+.2f} "
+              f"{'means reverse' if drive._meant else '':13} → {decision.fraction:+.2f} {decision.state_name:8} "
+              f"{decision.cause:16} chip {drive.chip.duty} {motor.mode:8} {motor.level:.2f} v {car.speed_mps:+.2f} "
+              f"{car.wheel_mps:+.2f}")
+    drive = Drive(seed, log=log)
+    print(drive.virtual.config, drive.config, drive.car.config, sep="\n")
+    result = drive.drive()
+    print(replace(result, states=None, causes=None))
+    print(failures(result) or "nothing is wrong")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("number", nargs="?", type=int, default=2000)
+    parser.add_argument("--seed", type=int)
+    options = parser.parse_args()
+    if options.seed is not None:
+        _show(options.seed)
+    else:
+        found, totals = run_many(options.number)
+        print(*found[:30], sep="\n")
+        print(len(found), "failed;", dict(totals))

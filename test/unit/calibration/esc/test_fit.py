@@ -1,0 +1,135 @@
+"""An ESC told by a drive: right, or refused with what to drive; never wrong."""
+from __future__ import annotations
+
+import dataclasses
+import os
+
+import numpy as np
+import pytest
+
+from calibration.esc.synthetic import FULL_FORWARD, FULL_REVERSE, NEUTRAL, Person, random_esc
+from car_interface.calibration.esc.fit import NOTHING_KNOWN, EscFit, fit
+from car_interface.calibration.esc.pulls import EscDrive
+from car_interface.sim import esc as virtual
+from car_interface.throttle.esc_config import EscConfig
+
+RANDOM_ESCS = 200 if os.environ.get("CAR_INTERFACE_ALL") else 20
+
+
+def fitted(make, seed=1, **changes):
+    return fit(Person(make(**changes), seed=seed).drive())
+
+
+def test_random_escs_are_told_right_or_refused():
+    right = 0
+    for seed in range(RANDOM_ESCS):
+        esc, car = random_esc(seed)
+        found = fit(Person(esc, car, seed).drive())
+        assert found.profile in (esc.kind, None), f"seed {seed}: {found}"
+        right += found.profile == esc.kind
+        _assert_numbers_are_true(found, esc, f"seed {seed}: {found}")
+        _assert_it_is_a_configuration(found)
+    assert right >= 0.75 * RANDOM_ESCS
+
+
+def _assert_numbers_are_true(found, esc, text):
+    low, high = esc.neutral_duty - esc.reverse_band_duty, esc.neutral_duty + esc.forward_band_duty
+    if found.neutral is not None:
+        assert low < found.neutral < high, text
+        assert found.neutral + found.dead_band_forward * (FULL_FORWARD - found.neutral) >= high, text
+        assert found.neutral - found.dead_band_reverse * (found.neutral - FULL_REVERSE) <= low, text
+    if found.dwell_s is not None:
+        assert esc.dwell_s - 0.02 <= found.dwell_s <= esc.dwell_s + 0.15, text
+    if found.reverse_after_neutral_s is not None:
+        forget_s = esc.forget_s or np.inf
+        assert (found.reverse_after_neutral_s or 60) <= forget_s or not esc.forget_s, text
+        assert bool(found.reverse_after_neutral_s) == bool(esc.forget_s), text
+
+
+def _assert_it_is_a_configuration(found):
+    if found.profile:
+        values = {field.name: getattr(found, field.name) for field in dataclasses.fields(EscConfig)
+                  if getattr(found, field.name, None) is not None}
+        assert EscConfig(**values, profile_measured=True, stop_brake=0.5).profile == found.profile
+
+
+def test_xl5_is_told_with_what_shows_it():
+    found = fitted(virtual.xl5, dwell_s=0.25, seed=3)
+    assert (found.profile, found.reverse_after_neutral_s, found.missing) == ("brake_then_reverse", 0.0, ())
+    assert found.seen[0].startswith("esc/profile: 11 brakes held the car, 3 second pulls drove it backward")
+    assert any(text.startswith("esc/dwell: 0.30 s of neutral were enough, 0.22 s were not") for text in found.seen)
+    assert any("in neutral the first pull was a brake" in text for text in found.seen)
+
+
+def test_esc_that_forgets_is_told_with_the_longest_neutral_after_which_it_still_braked():
+    found = fitted(virtual.xl5, forget_s=4.0)
+    assert 1.0 < found.reverse_after_neutral_s < 4.0
+
+
+def test_strong_drag_brake_is_told():
+    found = fitted(virtual.race, drag_brake=0.3)
+    assert found.drag_deceleration_mps2 > 2
+    assert "m/s² in neutral: the ESC has a drag brake" in found.seen[-1]
+    assert 0.3 < fitted(virtual.race, drag_brake=0.0).drag_deceleration_mps2 < 0.6
+
+
+def driven(*actions):
+    """The fit of a drive of some actions only."""
+    person = Person(virtual.xl5(dwell_s=0.25), seed=5)
+    person.center(2.0)
+    for name, times, *arguments in actions:
+        for _ in range(times):
+            getattr(person, name)(*arguments)
+            person.center()
+    return fit(person.recorded())
+
+
+BRAKE_HINT = ("the profile: drive forward, pull back by half, and hold until the car has stood for a second; three "
+              "times")
+SECOND_HINT = ("the profile: after a brake, center the stick for half a second and pull back by half for a second; "
+               "three times")
+DWELL_HINT = ("esc/dwell: after a brake, center the stick for less than 0.5 s and pull back for a second; several "
+              "times, each a little quicker")
+FORGET_HINT = ("esc/reverse_after_neutral: drive forward, center the stick, and after 6 s pull back by half for a "
+               "second")
+FORWARD_HINT = ("esc/dead_band_forward: from standstill, push the stick so slowly that the car just sets off; three "
+                "times")
+REVERSE_HINT = ("esc/dead_band_reverse: from standstill, pull the stick so slowly that the car just sets off; three "
+                "times")
+COAST_HINT = "esc/drag_deceleration: drive forward, center the stick until the car stands; three times"
+
+
+@pytest.mark.parametrize("actions, hint", [
+    ([("forward", 3)], BRAKE_HINT),
+    ([("brake", 1), ("reverse", 1, 0.7)], SECOND_HINT),
+    ([("brake", 4)], SECOND_HINT),
+    ([("reverse", 3, 0.8)], DWELL_HINT),
+    ([("reverse", 3, 0.8)], FORGET_HINT),
+    ([("reverse", 3, 0.8)], FORWARD_HINT),
+    ([("set_off", 3, 1), ("reverse", 3, 0.8)], REVERSE_HINT),
+    ([("brake", 3)], COAST_HINT),
+])
+def test_what_the_drive_does_not_show_is_refused_with_what_to_drive(actions, hint):
+    assert hint in driven(*actions).missing
+
+
+def test_brakes_that_contradict_each_other_name_no_profile():
+    holds, turns = Person(virtual.xl5(), seed=1), Person(virtual.crawler(), seed=1)
+    for person in (holds, turns):
+        person.center(2.0)
+        for _ in range(3):
+            person.brake()
+            person.center()
+    one, other = holds.recorded(), turns.recorded()
+    later_s = one.speed_s[-1] + 1
+    both = EscDrive(np.r_[one.duty_s, other.duty_s + later_s], np.r_[one.duty, other.duty],
+                    np.r_[one.speed_s, other.speed_s + later_s], np.r_[one.speed_mps, other.speed_mps],
+                    NEUTRAL, FULL_FORWARD, FULL_REVERSE)
+    found = fit(both)
+    assert found.profile is None
+    assert "of 6 brakes after driving forward, 3 held the car and 3 drove it backward" in found.missing[0]
+
+
+def test_empty_recording_shows_nothing():
+    found = fit(EscDrive(*[np.zeros(0)] * 4, NEUTRAL, FULL_FORWARD, FULL_REVERSE))
+    assert found == EscFit(*[None] * 7, (), (NOTHING_KNOWN,))

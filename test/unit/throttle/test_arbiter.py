@@ -1,0 +1,341 @@
+"""Who drives, as tables of inputs and what is decided. Time is passed in."""
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.common.drive_modes import AUTONOMOUS, HUMAN_STEERING, HUMAN_THROTTLE, MANUAL, MODES
+from car_interface.interlock.motion_interlock import InterlockConfig
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.throttle.arbiter import ArbiterConfig, NoValue, ThrottleArbiter
+from car_interface.throttle.stick import StickConfig
+
+S = 1_000_000_000
+NOW = 1000 * S
+LINEAR = StickConfig(deadband=0.05, expo=0.0, human_scale=0.3, brake_scale=1.0)
+FORWARD, REST, BRAKE = 0.525, 0.02, -0.525  # of the stick: half, in the dead band, half
+NAN, INF = math.nan, math.inf
+
+
+def arbiter_with(human=(True, 0.1), steering=(TELEOP, 0.1), teleop=None, mode=None, planner=None, odometry=(1.0, 0.1),
+                 no_value=None, **config):
+    """An arbiter that received each input once: (value, its age in seconds), or None = never."""
+    arbiter = ThrottleArbiter(ArbiterConfig(**{"stick": LINEAR, **config}))
+    for update, received in ((arbiter.update_human, human),
+                             (lambda source, at_ns: arbiter.update_steering(source, "", at_ns), steering),
+                             (arbiter.update_teleop, teleop), (arbiter.update_mode, mode),
+                             (lambda request, at_ns: arbiter.update_planner(3 * request, request, at_ns), planner),
+                             (arbiter.update_odometry, odometry)):
+        if received is not None:
+            value, age_s = received
+            update(value, NOW - round(age_s * S))
+    arbiter.update_converter(no_value)
+    return arbiter
+
+
+def decide(**inputs):
+    return arbiter_with(**inputs).decide(NOW)
+
+
+def fresh(value):
+    return None if value is None else (value, 0.1)
+
+
+# --- who drives ---
+
+@pytest.mark.parametrize("mode, stick, planner, source, asked", [
+    pytest.param(None, None, None, NEUTRAL, 0.0, id="nobody_asks"),
+    pytest.param(None, REST, None, NEUTRAL, 0.0, id="no_mode_and_a_stick_at_rest"),
+    pytest.param(None, FORWARD, None, TELEOP, 0.5, id="no_mode_and_a_stick"),
+    pytest.param(None, None, 0.7, PLANNER, 0.7, id="no_mode_and_a_planner"),
+    pytest.param(None, REST, 0.7, PLANNER, 0.7, id="no_mode_a_stick_at_rest_and_a_planner"),
+    pytest.param(None, FORWARD, 0.7, TELEOP, 0.5, id="no_mode_the_stick_comes_before_the_planner"),
+    pytest.param(None, BRAKE, 0.7, TELEOP, -0.5, id="no_mode_the_brake_comes_before_the_planner"),
+    pytest.param(MANUAL, REST, None, TELEOP, 0.0, id="manual_at_rest"),
+    pytest.param(MANUAL, REST, 0.7, TELEOP, 0.0, id="manual_at_rest_is_not_the_planner_s"),
+    pytest.param(MANUAL, FORWARD, 0.7, TELEOP, 0.5, id="manual"),
+    pytest.param(HUMAN_THROTTLE, REST, 0.7, TELEOP, 0.0, id="human_throttle_at_rest_is_not_the_planner_s"),
+    pytest.param(HUMAN_THROTTLE, BRAKE, 0.7, TELEOP, -0.5, id="human_throttle"),
+    pytest.param(AUTONOMOUS, REST, 0.7, PLANNER, 0.7, id="autonomous"),
+    pytest.param(AUTONOMOUS, None, 0.7, PLANNER, 0.7, id="autonomous_without_a_throttle_of_the_gamepad"),
+    pytest.param(AUTONOMOUS, BRAKE, 0.7, TELEOP, -0.5, id="autonomous_a_stick_comes_first_all_the_same"),
+    pytest.param(AUTONOMOUS, REST, None, NEUTRAL, 0.0, id="autonomous_without_a_planner"),
+    pytest.param(HUMAN_STEERING, REST, 0.7, PLANNER, 0.7, id="human_steering_the_planner_drives"),
+])
+def test_source_by_mode_stick_and_planner(mode, stick, planner, source, asked):
+    decision = decide(mode=fresh(mode), teleop=fresh(stick), planner=fresh(planner))
+    assert (decision.source, decision.asked) == (source, pytest.approx(asked))
+    assert not decision.is_stop
+
+
+@pytest.mark.parametrize("source", [NEUTRAL, TELEOP, PLANNER])
+def test_throttle_is_driven_whoever_steers(source):
+    assert decide(steering=(source, 0.1), planner=(0.7, 0.1)).source == PLANNER
+
+
+def test_nobody_who_asks_is_no_stop():
+    """A car that nobody drives may be pushed by hand."""
+    decision = decide()
+    assert (decision.source, decision.cause, decision.is_stop) == (NEUTRAL, "no request", False)
+    assert decision.reason == "neither tele_throt_req nor a planner's value asks for anything"
+
+
+# --- what stops it ---
+
+@pytest.mark.parametrize("inputs, source, cause, reason", [
+    pytest.param({"human": None}, NO_HUMAN, "human never heard", "human_in_loop was never heard", id="human_never"),
+    pytest.param({"human": (True, 0.51)}, NO_HUMAN, "human silent", "human_in_loop silent for 0.51 s",
+                 id="human_silent"),
+    pytest.param({"human": (False, 0.0)}, NO_HUMAN, "human absent", "human_in_loop is false", id="human_lets_go"),
+    pytest.param({"steering": None}, NEUTRAL, "steering silent", "turn_arb's state was never heard",
+                 id="turn_arb_never"),
+    pytest.param({"steering": (TELEOP, 0.26)}, NEUTRAL, "steering silent", "turn_arb's state silent for 0.26 s",
+                 id="turn_arb_silent"),
+    pytest.param({"steering": (NO_HUMAN, 0.0)}, NEUTRAL, "steering stopped", "turn_arb says NO_HUMAN",
+                 id="turn_arb_without_human"),
+    pytest.param({"steering": (LOCKED, 0.0)}, NEUTRAL, "steering stopped", "turn_arb says LOCKED",
+                 id="turn_arb_locked"),
+    pytest.param({"steering": (7, 0.0)}, NEUTRAL, "steering stopped", "turn_arb says 7", id="turn_arb_of_another_kind"),
+    pytest.param({"mode": (MANUAL, 0.51)}, NEUTRAL, "mode silent", "mode silent for 0.51 s", id="mode_silent"),
+    pytest.param({"mode": ("sport", 0.1)}, NEUTRAL, "mode unknown",
+                 "mode is 'sport', which is none of manual, autonomous, human_throttle, human_steering",
+                 id="mode_unknown"),
+    pytest.param({"mode": ("", 0.1)}, NEUTRAL, "mode unknown",
+                 "mode is '', which is none of manual, autonomous, human_throttle, human_steering", id="mode_empty"),
+    pytest.param({"teleop": (REST, 0.51)}, NEUTRAL, "teleop silent", "tele_throt_req silent for 0.51 s",
+                 id="gamepad_silent"),
+    pytest.param({"teleop": (NAN, 0.1)}, NEUTRAL, "teleop not finite", "tele_throt_req is nan, no number to act on",
+                 id="gamepad_not_finite"),
+    pytest.param({"mode": (MANUAL, 0.1)}, NEUTRAL, "teleop silent", "tele_throt_req was never heard",
+                 id="manual_without_a_throttle"),
+    pytest.param({"planner": (0.7, 0.51)}, NEUTRAL, "command silent", "the planner's value silent for 0.51 s",
+                 id="planner_silent"),
+    pytest.param({"planner": (NAN, 0.1)}, NEUTRAL, "command not finite",
+                 "the planner's value is nan, no number to act on", id="planner_not_finite"),
+    pytest.param({"no_value": NoValue("command not finite", "the commanded acceleration is nan")}, NEUTRAL,
+                 "command not finite", "the commanded acceleration is nan", id="converter_has_no_value"),
+    pytest.param({"odometry": None}, NEUTRAL, "odometry silent", "odometry was never heard", id="odometry_never"),
+    pytest.param({"odometry": (1.0, 0.51)}, NEUTRAL, "odometry silent", "odometry silent for 0.51 s",
+                 id="odometry_silent"),
+    pytest.param({"odometry": (NAN, 0.1)}, NEUTRAL, "odometry not finite", "the velocity in the odometry is nan",
+                 id="odometry_not_finite"),
+])
+def test_planner_is_stopped_with_cause_and_reason(inputs, source, cause, reason):
+    decision = decide(**{"planner": (0.7, 0.1), **inputs})
+    assert decision == (source, cause, reason, 0.0, 0.0, 0.0, True)
+
+
+@pytest.mark.parametrize("inputs", [
+    {"human": (False, 0.0)}, {"human": (True, 0.51)}, {"steering": (NO_HUMAN, 0.0)}, {"steering": (TELEOP, 0.26)},
+    {"mode": (MANUAL, 0.51)}, {"mode": ("sport", 0.0)}, {"teleop": (FORWARD, 0.51)}, {"teleop": (INF, 0.0)}])
+def test_human_is_stopped_by_all_but_planner_and_odometry(inputs):
+    assert decide(teleop=(FORWARD, 0.1), mode=(MANUAL, 0.1)).source == TELEOP
+    decision = decide(**{"teleop": (FORWARD, 0.1), "mode": (MANUAL, 0.1), **inputs})
+    assert decision.is_stop and decision.drive == decision.brake == 0.0
+
+
+@pytest.mark.parametrize("odometry", [None, (1.0, 9.9), (NAN, 0.1)])
+def test_by_hand_no_odometry_is_needed(odometry):
+    assert decide(teleop=(FORWARD, 0.1), odometry=odometry).source == TELEOP
+
+
+def test_planner_in_trouble_does_not_hinder_the_human():
+    trouble = NoValue("odometry silent", "odometry silent for 0.52 s")
+    assert decide(teleop=(FORWARD, 0.1), planner=(NAN, 0.1), no_value=trouble, odometry=None).source == TELEOP
+
+
+def test_reason_of_turn_arb_is_quoted():
+    arbiter = arbiter_with()
+    arbiter.update_steering(NO_HUMAN, "human_in_loop is false: no deadman is held", NOW)
+    assert arbiter.decide(NOW).reason == "turn_arb says NO_HUMAN: human_in_loop is false: no deadman is held"
+
+
+def test_reason_of_teleop_logi_is_quoted_where_the_throttle_can_t_be_read():
+    arbiter = arbiter_with(teleop=(NAN, 0.1), mode=(MANUAL, 0.1))
+    arbiter.explain_human(True, "manual deadman held, but throttle_axis is -1", NOW)
+    assert arbiter.decide(NOW).reason == ("tele_throt_req is nan, no number to act on: "
+                                          "manual deadman held, but throttle_axis is -1")
+    assert arbiter.decide(NOW + S // 10).reason.endswith("-1")
+
+
+def test_gamepad_that_was_received_and_is_silent_does_not_hand_over_to_the_planner():
+    decision = decide(teleop=(0.0, 0.51), planner=(0.7, 0.1))
+    assert (decision.source, decision.cause) == (NEUTRAL, "teleop silent")
+
+
+def test_mode_that_was_received_and_is_silent_does_not_hand_over_to_the_planner():
+    assert decide(mode=(MANUAL, 0.51), teleop=(REST, 0.1), planner=(0.7, 0.1)).cause == "mode silent"
+
+
+def test_inputs_exactly_as_old_as_their_timeouts_still_count():
+    assert decide(human=(True, 0.5), steering=(TELEOP, 0.25), mode=(AUTONOMOUS, 0.5), teleop=(REST, 0.5),
+                  planner=(0.7, 0.5), odometry=(1.0, 0.5)).source == PLANNER
+
+
+@pytest.mark.parametrize("name, inputs", [
+    ("steering_timeout_s", {"steering": (TELEOP, 900.0)}),
+    ("teleop_timeout_s", {"teleop": (REST, 900.0)}),
+    ("mode_timeout_s", {"mode": (AUTONOMOUS, 900.0)}),
+    ("command_timeout_s", {"planner": (0.7, 900.0)}),
+    ("odometry_timeout_s", {"odometry": (1.0, 900.0)}),
+    ("interlock", {"human": (True, 900.0)}),
+])
+def test_timeout_of_0_never_makes_an_input_stale(name, inputs):
+    never = InterlockConfig(human_timeout_s=0.0) if name == "interlock" else 0.0
+    assert decide(**{"planner": (0.7, 0.1), **inputs}).is_stop
+    assert decide(**{"planner": (0.7, 0.1), **inputs}, **{name: never}).source == PLANNER
+
+
+# --- e-stop and re-arming ---
+
+def test_e_stop_is_above_everything():
+    arbiter = arbiter_with(teleop=(FORWARD, 0.1), mode=(MANUAL, 0.1), planner=(0.7, 0.1))
+    assert arbiter.decide(NOW).source == TELEOP
+    arbiter.update_e_stop(True, NOW)
+    assert arbiter.decide(NOW) == (LOCKED, "e_stop", "e_stop is true", 0.0, 0.0, 0.0, True)
+
+
+def test_after_a_loss_the_deadman_must_be_released_and_held_again():
+    arbiter = arbiter_with(teleop=(FORWARD, 0.1), human=(True, 0.51))
+    assert arbiter.decide(NOW).cause == "human silent"
+    arbiter.update_human(True, NOW)
+    assert arbiter.decide(NOW)[:3] == (NO_HUMAN, "not re-armed",
+                                       "human_in_loop was silent; let go once: publish false, then true")
+    arbiter.update_human(False, NOW)
+    arbiter.update_human(True, NOW)
+    assert arbiter.decide(NOW).source == TELEOP
+
+
+def test_deadman_that_is_held_at_the_start_does_not_count_before_it_was_released():
+    arbiter = arbiter_with(teleop=(FORWARD, 0.1), interlock=InterlockConfig(grant_at_start=False, e_stop_timeout_s=0.0))
+    assert arbiter.decide(NOW).cause == "not re-armed"
+    arbiter.update_human(False, NOW)
+    arbiter.update_human(True, NOW)
+    assert arbiter.decide(NOW).source == TELEOP
+
+
+@pytest.mark.parametrize("again, reason", [
+    pytest.param([], "human_in_loop was not heard since messages were dropped", id="human_lost"),
+    pytest.param(["human"], "turn_arb's state was not heard since messages were dropped", id="steering_lost"),
+    pytest.param(["human", "steering"], "mode was not heard since messages were dropped", id="mode_lost"),
+    pytest.param(["human", "steering", "mode"], "tele_throt_req was not heard since messages were dropped",
+                 id="gamepad_lost"),
+    pytest.param(["human", "steering", "mode", "teleop"],
+                 "the planner's value was not heard since messages were dropped", id="planner_lost"),
+    pytest.param(["human", "steering", "mode", "teleop", "planner"],
+                 "odometry was not heard since messages were dropped", id="odometry_lost"),
+    pytest.param(["human", "steering", "mode", "teleop", "planner", "odometry"], "the planner's value is 2.100",
+                 id="all_received_again"),
+])
+def test_dropped_messages_make_every_input_stale(again, reason):
+    arbiter = ThrottleArbiter(ArbiterConfig(stick=LINEAR, interlock=InterlockConfig(e_stop_timeout_s=0.0)))
+    inputs = {"human": lambda: (arbiter.update_human(False, NOW), arbiter.update_human(True, NOW)),
+              "steering": lambda: arbiter.update_steering(PLANNER, "", NOW),
+              "mode": lambda: arbiter.update_mode(AUTONOMOUS, NOW),
+              "teleop": lambda: arbiter.update_teleop(0.0, NOW),
+              "planner": lambda: arbiter.update_planner(2.1, 0.7, NOW),
+              "odometry": lambda: arbiter.update_odometry(1.0, NOW)}
+    for receive in inputs.values():
+        receive()
+    assert arbiter.decide(NOW).source == PLANNER
+    arbiter.mark_stale(NOW)
+    for name in again:
+        inputs[name]()
+    decision = arbiter.decide(NOW)
+    assert (decision.reason, decision.is_stop) == (reason, len(again) < 6)
+
+
+# --- the request ---
+
+@pytest.mark.parametrize("stick, drive, brake", [
+    pytest.param(1.0, 0.3, 1.0, id="full_forward"),
+    pytest.param(-1.0, -0.3, -1.0, id="full_brake_and_0_3_of_reverse"),
+    pytest.param(0.525, 0.15, 0.5, id="half"),
+    pytest.param(5.0, 0.3, 1.0, id="beyond_1_is_clamped"),
+])
+def test_human_drives_by_human_scale_and_brakes_by_brake_scale(stick, drive, brake):
+    decision = decide(teleop=(stick, 0.1))
+    assert (decision.drive, decision.brake) == (pytest.approx(drive), pytest.approx(brake))
+
+
+def test_brake_scale_scales_the_brake_alone():
+    decision = decide(teleop=(-1.0, 0.1), stick=StickConfig(human_scale=0.4, brake_scale=0.5))
+    assert (decision.drive, decision.brake) == (pytest.approx(-0.4), pytest.approx(-0.5))
+
+
+def test_planner_is_not_scaled():
+    decision = decide(planner=(-0.8, 0.1))
+    assert (decision.asked, decision.drive, decision.brake) == (-0.8, -0.8, -0.8)
+
+
+def test_buttons_change_the_scale_of_driving_and_the_reason_names_it():
+    arbiter = arbiter_with(teleop=(1.0, 0.1))
+    arbiter.update_scale_button(0)
+    assert arbiter.update_scale_button(1)
+    decision = arbiter.decide(NOW)
+    assert (arbiter.scale, decision.drive, decision.brake) == (0.4, pytest.approx(0.4), 1.0)
+    assert decision.reason == "tele_throt_req is 1.000, scaled by 0.4"
+
+
+# --- what the ESC's rules need ---
+
+@pytest.mark.parametrize("human, released", [
+    (None, False), ((True, 0.1), False), ((False, 0.1), True), ((False, 0.51), False)])
+def test_deadman_is_known_to_be_released_by_a_fresh_false(human, released):
+    assert arbiter_with(human=human).is_released(NOW) == released
+
+
+@pytest.mark.parametrize("teleop, centered", [
+    (None, True), ((REST, 0.1), True), ((FORWARD, 0.1), False), ((BRAKE, 0.1), False), ((REST, 0.51), False),
+    ((NAN, 0.1), False)])
+def test_stick_is_centered_in_its_dead_band_or_where_there_is_none(teleop, centered):
+    assert arbiter_with(teleop=teleop).is_centered(NOW) == centered
+
+
+@pytest.mark.parametrize("odometry, speed_mps", [(None, NAN), ((2.0, 0.1), 2.0), ((2.0, 0.51), NAN)])
+def test_speed_is_odometry_s_while_it_is_fresh(odometry, speed_mps):
+    assert arbiter_with(odometry=odometry).speed_mps(NOW) == pytest.approx(speed_mps, nan_ok=True)
+
+
+def test_ages_are_those_of_the_last_messages():
+    ages = arbiter_with(teleop=(REST, 0.2), odometry=(1.0, 0.3)).ages_s(NOW)
+    assert ages == {"e_stop": INF, "human_in_loop": 0.1, "turn_arb's state": 0.1, "tele_throt_req": 0.2, "mode": INF,
+                    "the planner's value": INF, "odometry": 0.3}
+
+
+# --- all together ---
+
+AGE = st.none() | st.sampled_from([0.0, 0.2, 0.3, 0.5, 0.6])
+STICK = st.sampled_from([0.0, 0.04, 0.5, -0.5, 3.0, NAN, INF])
+
+
+@given(present=st.booleans(), human=AGE, source=st.sampled_from([LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER, 9]),
+       steering=AGE, mode=st.sampled_from([*MODES, "x"]), mode_age=AGE, stick=STICK, stick_age=AGE, planner=AGE,
+       odometry=AGE)
+def test_nothing_is_asked_of_the_esc_without_human_turn_arb_and_a_fresh_source(
+        present, human, source, steering, mode, mode_age, stick, stick_age, planner, odometry):
+    def received(value, age_s):
+        return None if age_s is None else (value, age_s)
+
+    def is_fresh(age_s, timeout_s=0.5):
+        return age_s is not None and age_s <= timeout_s
+
+    decision = decide(human=received(present, human), steering=received(source, steering),
+                      mode=received(mode, mode_age), teleop=received(stick, stick_age),
+                      planner=received(0.7, planner), odometry=received(1.0, odometry))
+    may_move = (present and is_fresh(human) and source in (NEUTRAL, TELEOP, PLANNER) and is_fresh(steering, 0.25)
+                and (mode_age is None or is_fresh(mode_age) and mode in MODES)
+                and (stick_age is None or is_fresh(stick_age) and math.isfinite(stick)))
+    if decision.source == TELEOP:
+        assert may_move and stick_age is not None
+    elif decision.source == PLANNER:
+        assert may_move and is_fresh(planner) and is_fresh(odometry)
+        assert stick_age is None or abs(stick) <= 0.05
+        assert mode_age is None or mode in (AUTONOMOUS, HUMAN_STEERING)
+    else:
+        assert decision.asked == decision.drive == decision.brake == 0.0
+    assert -1 <= decision.asked <= 1 and abs(decision.drive) <= 1 and abs(decision.brake) <= 1
+    assert decision.is_stop == (decision.source not in (TELEOP, PLANNER) and decision.cause != "no request")

@@ -1,0 +1,89 @@
+"""What is known of the pulses that an ESC has had."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.esc_history import EscHistory
+
+MS = 1_000_000
+CONFIG = EscConfig(profile="brake_then_reverse", dwell_s=0.3)
+DROVE = [("both", 0.4, 500)]
+BRAKES = [*DROVE, ("both", -0.5, 400)]
+
+
+def played(steps, config=CONFIG):
+    """A history after steps of (sent, held or both; fraction; milliseconds until the next), and the time then."""
+    history, now_ns = EscHistory(config), 0
+    for what, fraction, lasts_ms in steps:
+        if what in ("sent", "both"):
+            history.update_sent(fraction, now_ns)
+        if what in ("held", "both"):
+            history.update_held(fraction, now_ns)
+        if what == "lost":
+            history.mark_unknown()
+        for _ in range(lasts_ms // 10):
+            now_ns += 10 * MS
+            history.brake_is_certain(now_ns)  # asked at each step, as the state machine does
+    return history, now_ns
+
+
+@pytest.mark.parametrize("steps, certain", [
+    pytest.param([], False, id="not_at_the_start"),
+    pytest.param(DROVE, True, id="after_forward"),
+    pytest.param([("both", 0.4, 200)], False, id="not_after_a_forward_shorter_than_the_dwell"),
+    pytest.param([("both", 0.05, 500)], False, id="not_after_one_within_the_dead_band"),
+    pytest.param([("sent", 0.4, 500)], False, id="not_where_the_board_never_said_so"),
+    pytest.param([("both", 0.0, 10), ("sent", 0.4, 500)], False, id="not_while_the_board_holds_neutral"),
+    pytest.param([*DROVE, ("both", 0.0, 5000), ("held", 0.0, 10)], False, id="not_while_the_board_is_silent_for_long"),
+    pytest.param([*DROVE, ("both", 0.0, 1000), ("held", 0.0, 1000)], True, id="neutral_changes_nothing"),
+    pytest.param(BRAKES, True, id="while_it_brakes"),
+    pytest.param([*BRAKES, ("both", 0.0, 20)], False, id="not_after_neutral"),
+    pytest.param([*BRAKES, ("both", 0.0, 20), ("both", -0.5, 20)], False, id="nor_when_it_is_pulled_again"),
+    pytest.param([*BRAKES, ("held", 0.0, 20), ("held", -0.5, 20)], False, id="nor_after_a_guard_s_neutral"),
+    pytest.param([*BRAKES, ("sent", 0.0, 20), ("sent", -0.5, 20)], False, id="nor_after_one_that_is_on_its_way"),
+    pytest.param([*BRAKES, ("both", -0.05, 20)], False, id="nor_once_the_brake_is_within_the_dead_band"),
+    pytest.param([*DROVE, ("both", -0.05, 20), ("both", 0.0, 20)], False, id="nor_after_a_pull_within_the_dead_band"),
+    pytest.param([*BRAKES, ("both", 0.0, 20), ("both", 0.4, 500)], True, id="until_it_drove_forward_again"),
+    pytest.param([*DROVE, ("held", None, 20), ("held", 0.0, 20)], False, id="not_after_a_loss_of_pulses"),
+    pytest.param([*DROVE, ("lost", 0, 20)], False, id="not_after_messages_were_dropped"),
+])
+def test_brake_is_certain(steps, certain):
+    history, now_ns = played(steps)
+    assert history.brake_is_certain(now_ns) == certain
+
+
+def test_esc_that_forgets_is_not_certain_to_brake_after_its_time():
+    config = EscConfig(profile="brake_then_reverse", dwell_s=0.3, reverse_after_neutral_s=1.0)
+    for lasts_ms, certain in ((900, True), (1000, False)):
+        history, now_ns = played([*DROVE, ("both", 0.0, lasts_ms)], config)
+        assert history.brake_is_certain(now_ns) == certain
+
+
+@pytest.mark.parametrize("steps, unlocked", [
+    pytest.param([*BRAKES, ("both", 0.0, 300)], True, id="brake_and_neutral"),
+    pytest.param([*BRAKES, ("both", 0.0, 200)], False, id="neutral_too_short"),
+    pytest.param([*DROVE, ("both", -0.5, 200), ("both", 0.0, 400)], False, id="brake_too_short"),
+    pytest.param([*BRAKES, ("both", 0.0, 300), ("both", -0.5, 900), ("both", 0.0, 20), ("both", -0.5, 20)], True,
+                 id="again_and_again"),
+    pytest.param([*BRAKES, ("both", 0.0, 300), ("both", 0.4, 20)], False, id="not_after_forward"),
+    pytest.param([*BRAKES, ("both", 0.0, 300), ("held", None, 20), ("held", 0.0, 500)], False, id="nor_a_loss"),
+    pytest.param([("sent", -0.5, 400), ("sent", 0.0, 300)], True, id="by_what_was_sent_if_the_board_said_nothing"),
+])
+def test_reverse_is_unlocked(steps, unlocked):
+    history, now_ns = played(steps)
+    assert history.is_unlocked(now_ns) == unlocked
+
+
+def test_neutral_counts_where_it_is_sent_and_held():
+    history, now_ns = played([("both", 0.0, 100), ("sent", 0.2, 50), ("sent", 0.0, 300), ("held", 0.004, 200)])
+    assert history.neutral_ns(now_ns) == 500 * MS
+    history.update_held(0.02, now_ns)
+    assert history.neutral_ns(now_ns) == 0
+
+
+def test_loss_of_pulses_that_is_over_is_told_once():
+    history, _ = played([("held", None, 10), ("held", 0.0, 10)])
+    assert history.had_no_pulse() and not history.had_no_pulse()
+    history.update_held(None, 10**9)
+    assert history.had_no_pulse() and history.had_no_pulse()

@@ -1,0 +1,51 @@
+"""When a pull at the stick means reverse."""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from car_interface.throttle.esc_intention import AUTO, DRIVE, Pulls, Request
+
+STOP = "stop"
+
+
+def means_reverse(values, **changes):
+    pulls = Pulls(0.08)
+    for value in values:
+        pulls.update(Request(0.0, is_human=True, is_stop=True) if value is STOP else
+                     Request(value, **{"gear": AUTO, "is_human": True, **changes}))
+    return pulls.means_reverse
+
+
+@pytest.mark.parametrize("values, expected", [
+    pytest.param([-0.5], False, id="first_pull"),
+    pytest.param([-0.5, -0.2, -0.9], False, id="one_pull_of_changing_strength"),
+    pytest.param([-0.5, 0.0, -0.5], True, id="second_pull"),
+    pytest.param([-0.5, 0.0, -0.5, 0.0, -0.5], True, id="third_pull"),
+    pytest.param([-0.5, 0.0, -0.5, 0.0], False, id="center"),
+    pytest.param([-0.5, 0.0, 0.5, 0.0, -0.5], False, id="pull_after_forward"),
+    pytest.param([-0.5, 0.0, STOP, -0.5], False, id="stop_in_between"),
+    pytest.param([-0.5, STOP, -0.5, STOP, -0.5], False, id="stick_held_back_while_the_deadman_flaps"),
+    pytest.param([-0.5, -0.079, -0.081, -0.079, -0.081], False, id="stick_that_trembles_at_the_dead_band"),
+    pytest.param([-0.5, math.nan, -0.5], False, id="number_that_is_none_in_between"),
+])
+def test_second_pull_means_reverse(values, expected):
+    assert means_reverse(values) == expected
+
+
+def test_planner_and_gear_have_no_second_pull():
+    assert not means_reverse([-0.5, 0.0, -0.5], is_human=False)
+    assert not means_reverse([-0.5, 0.0, -0.5], gear=DRIVE)
+
+
+def test_pull_that_became_a_brake_means_no_reverse_but_the_next_does():
+    pulls = Pulls(0.08)
+    for value in (-0.5, 0.0, -0.5):
+        pulls.update(Request(value, is_human=True))
+    pulls.mark_brake()
+    pulls.update(Request(-0.6, is_human=True))
+    assert not pulls.means_reverse
+    for value in (0.0, -0.5):
+        pulls.update(Request(value, is_human=True))
+    assert pulls.means_reverse

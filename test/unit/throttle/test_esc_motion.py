@@ -1,0 +1,101 @@
+"""What the measured speed says: standstill, the least speed, motion against the state."""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.esc_motion import MeasuredMotion, MotionCheck
+
+MS = 1_000_000
+S = 1000 * MS
+
+
+def motion(*speeds):
+    """Speeds at 0, 100, 200 … ms."""
+    measured = MeasuredMotion(EscConfig())
+    for index, speed_mps in enumerate(speeds):
+        measured.update(speed_mps, index * 100 * MS)
+    return measured
+
+
+def test_speed_is_unknown_before_the_first_after_half_a_second_and_if_it_is_no_number():
+    assert motion().speed_mps(0) is None
+    assert motion(1.0).speed_mps(500 * MS) == 1.0 and motion(1.0).speed_mps(501 * MS) is None
+    assert motion(1.0, math.nan).speed_mps(100 * MS) is None and motion(1.0, math.inf, 2.0).speed_mps(200 * MS) == 2.0
+    dropped = motion(1.0)
+    dropped.mark_stale()
+    assert dropped.speed_mps(0) is None and not dropped.rolls_forward(0) and not dropped.stands(0)
+
+
+@pytest.mark.parametrize("speed_mps, stands, forward, backward", [
+    (0.0, True, False, False), (0.09, True, False, False), (0.1, False, True, False), (-0.09, True, False, False),
+    (-0.1, False, False, True)])
+def test_standstill_is_below_a_tenth_of_a_meter_a_second(speed_mps, stands, forward, backward):
+    measured = motion(speed_mps)
+    assert (measured.stands(0), measured.rolls_forward(0), measured.rolls_backward(0)) == (stands, forward, backward)
+
+
+@pytest.mark.parametrize("speed_mps", [100.1, -100.1, 1e308, -1e308, math.inf])
+def test_speed_that_no_car_has_is_unknown(speed_mps):
+    assert motion(1.0, speed_mps).speed_mps(100 * MS) is None
+
+
+def test_locked_wheels_are_no_standstill_until_the_car_must_have_stopped():
+    locked = motion(1.0, 3.0, 0.0)  # 3 m/s ÷ 3 m/s²: a second after it was measured
+    assert locked.rolls_forward(200 * MS) and not locked.stands(200 * MS)
+    locked.update(0.0, 1099 * MS)
+    assert not locked.stands(1099 * MS)
+    locked.update(0.0, 1100 * MS)
+    assert locked.stands(1100 * MS) and not locked.rolls_forward(1100 * MS)
+
+
+def test_car_that_has_rolled_out_stands_at_once():
+    assert motion(0.3, 0.2, 0.1, 0.0).stands(300 * MS)
+
+
+def test_least_speed_falls_with_the_age_of_the_last():
+    measured = motion(2.0)
+    assert measured.least_speed_mps(0) == pytest.approx(2.0 - 8 * 0.04)
+    assert measured.least_speed_mps(100 * MS) == pytest.approx(2.0 - 8 * 0.14)
+    assert measured.least_speed_mps(400 * MS) == 0 and motion().least_speed_mps(0) == 0
+    assert motion(-2.0).least_speed_mps(0) == pytest.approx(2.0 - 8 * 0.04)
+
+
+def checked(*speeds, is_reverse=False, after_reverse=False):
+    """The first text of a check with speeds 50 ms apart, and when; after a standstill."""
+    check = MotionCheck(EscConfig())
+    assert check.check(0.0, is_reverse, 0) == ""
+    if after_reverse:
+        assert check.check(speeds[0], True, 0) == ""
+    for index, speed_mps in enumerate(speeds):
+        text = check.check(speed_mps, is_reverse, index * 50 * MS)
+        if text:
+            return text, index * 50
+    return "", None
+
+
+def test_rolling_backward_without_reverse_is_told_within_the_time():
+    assert checked(*[-0.3] * 9) == ("it rolled backward at 0.3 m/s without reverse", 200)
+    assert checked(*[-0.19] * 9) == ("", None)
+    assert checked(-0.3, -0.3, -0.3, 0.0, -0.3, -0.3) == ("", None)
+
+
+def test_rolling_forward_in_reverse_is_told():
+    assert checked(*[0.4] * 9, is_reverse=True) == ("it rolled forward at 0.4 m/s in reverse", 200)
+    assert checked(*[-2.0] * 9, is_reverse=True) == ("", None)
+
+
+def test_car_may_roll_out_after_reverse_but_not_get_faster_nor_set_off_again():
+    assert checked(-1.0, -0.9, -0.8, -0.7, -0.6, -0.5, after_reverse=True) == ("", None)
+    assert checked(-1.0, -0.8, *[-1.1] * 9, after_reverse=True)[0]
+    assert checked(-1.0, -0.5, 0.0, *[-0.5] * 9, after_reverse=True)[0]
+
+
+def test_unknown_speed_neither_tells_nor_forgets():
+    check = MotionCheck(EscConfig())
+    check.check(0.0, False, 0)
+    check.check(-0.5, False, 50 * MS)
+    assert check.check(None, False, 300 * MS) == ""
+    assert check.check(-0.5, False, 350 * MS)

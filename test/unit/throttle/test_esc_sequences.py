@@ -1,0 +1,57 @@
+"""Virtual ESCs driven at random through the state machine: no reverse that nobody meant, and each that was wanted.
+
+What holds: with the right profile, no push backward that nobody meant, known speed or not, and with speed every wanted
+reversal; with a wrong profile or none, no stop that becomes reverse; with speed, a wrong profile pushes the car
+backward for no more than half a second.
+
+What can't hold: with a wrong profile and no speed, a person's or a planner's own pull may be reverse for as long as
+it is held. Without pulses an ESC does for a while what it did, and a node that is away is obeyed until the board's
+timeout. A guard's neutral must be on /servo/output sooner than the ESC's dwell (0.1 s): here it is within 0.06 s.
+"""
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[2]))
+sequences = importlib.import_module("esc_sequences")
+
+IS_LONG = bool(os.environ.get("CAR_INTERFACE_ALL"))
+DRIVES = 100_000 if IS_LONG else 600
+
+
+@pytest.mark.once
+def test_random_drives():
+    found, totals = sequences.run_many(DRIVES) if IS_LONG else sequences.run_all(range(DRIVES))
+    assert found == []
+    assert totals["drives"] == DRIVES
+    assert totals["got"] == totals["wanted"] > DRIVES / 10
+    assert all(totals[f"state {name}"] > DRIVES for name in
+               ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE"))
+    assert totals["backward"] > DRIVES / 50, "wrong profiles did nothing wrong: the drives are too tame"
+
+
+def test_drive_depends_on_its_seed_alone():
+    assert sequences.run(17) == sequences.run(17)
+
+
+def _careless(stop):
+    """Rules that pass each pull on, as most stacks do, and stop with the fraction ``stop``."""
+    def make(config):
+        esc = sequences.Esc(config)
+        step = esc.step
+        esc.step = lambda request, now_ns: step(request, now_ns)._replace(
+            fraction=stop if request.is_stop else request.value)
+        return esc
+    return make
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("stop, text", [(-0.4, "a stop became reverse"), (0.0, "reverse that nobody meant")])
+def test_careless_rules_are_found_out(stop, text):
+    texts = [sequences.failures(sequences.run(seed, _careless(stop))) for seed in range(60)]
+    assert sum(text in one for one in texts) > 5
