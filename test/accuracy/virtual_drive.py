@@ -347,7 +347,7 @@ class Facts(NamedTuple):
 
 
 def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing: str = MIXED, duration_s: float = 300.0,
-           imu: bool = False, servo_topic: str = "/servo/output") -> Facts:
+           imu: bool = False, servo_topic: str = "/servo/output", by_hand: bool = False) -> Facts:
     """Drive a car and write the bag.
 
     Args:
@@ -358,6 +358,7 @@ def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing:
         missing: what the person leaves away; ``TWO_THIRDS``: the recorder ran only 7 s of each 10.
         duration_s: of the drive.
         imu: with imu/data, 100 a second.
+        by_hand: the person drives the ESC, and there are no values.
         servo_topic: ``/servo/output``, or ``/servo/cmdVector`` with its −1 for channels that are left alone.
     """
     rng = random.Random(seed)
@@ -365,6 +366,8 @@ def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing:
     with bag:
         drive = _Recorder(car, bag, rng, imu, servo_topic)
         commands = script(drive.see, missing)
+        if by_hand:
+            commands = (command._replace(esc_duty=round(duty_of_value(command.value))) for command in commands)
         drive.run(commands, duration_s)
     return Facts(drive.distance_m, duration_s)
 
