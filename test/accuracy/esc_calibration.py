@@ -35,7 +35,7 @@ TICK_S = 0.02
 STEERING_DUTY = 5100.0
 # config/throttle.yaml's, whose neutral is not the ESC's.
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
-MAX_BEYOND_DUTY = 260  # the push that sets the car off, and what the stick moves until that is seen
+MAX_BEYOND_DUTY = 330  # the push that sets the car off, and what the stick moves until that is seen
 ALL = ("creep forward", "brake", "pull twice", "creep backward", "wait and pull")
 
 
@@ -109,7 +109,7 @@ class Person:
             yield from self._stand(0.7)
 
     def _wait_and_pull(self):
-        for count_s in (1.0, 3.0, 8.0):
+        for count_s in (4.0, 8.0, 8.0):
             yield from self._forward()
             yield from self._hold(0.0, count_s * self.rng.uniform(0.85, 1.2))
             yield from self._pull()
@@ -272,8 +272,9 @@ def main():
             result = ("refused" if outcome.profile is None else
                       "right" if outcome.profile == outcome.kind and not outcome.errors else "wrong")
             counts[result] += 1
-            print(f"{seed}: {outcome.kind}: {result} {'; '.join(outcome.errors)}" + ("" if outcome.code == 0 and not arguments.v else
-                                                       "\n  " + outcome.text.strip().replace("\n", "\n  ")), flush=True)
+            print(f"{seed}: {outcome.kind}: {result} {'; '.join(outcome.errors)}")
+            if outcome.code or arguments.v:
+                print("  " + outcome.text.strip().replace("\n", "\n  "), flush=True)
     print(", ".join(f"{count} {name}" for name, count in counts.items()))
     return int(counts["wrong"] > 0)
 

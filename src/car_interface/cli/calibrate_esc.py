@@ -63,10 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of calibrate_esc."""
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings of drives with one car")
     parser.add_argument("-o", "--output", required=True, metavar="YAML", help="where to write the calibration")
-    parser.add_argument("--base", metavar="YAML", help="the throttle.yaml with which was driven, whose other parameters "
-                        "are kept (default: the package's)")
-    parser.add_argument("--force", action="store_true", help="write what the drive shows, although it does not show all; "
-                        "the rest stays as it was. Without the kind of ESC nothing is written")
+    parser.add_argument("--base", metavar="YAML", help="the throttle.yaml with which was driven, whose other "
+                        "parameters are kept (default: the package's)")
+    parser.add_argument("--force", action="store_true", help="write what the drive shows, although it does not show "
+                        "all; the rest stays as it was. Without the kind of ESC nothing is written")
     parser.add_argument("--channel", type=int, metavar="N", help="of the servo board (default: the base's)")
     parser.add_argument("--odom", default="odom", metavar="TOPIC", help="of odometry, any nav_msgs/Odometry "
                         "(default: odom)")

@@ -125,7 +125,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def config_of(options: argparse.Namespace) -> Config:
     """The parsed options as a checked configuration.
 
-    Reads the axes of --prior, the table of --throttle, and without --value whether the recordings are of drives by hand.
+    Reads the axes of --prior, the table of --throttle, and without --value whether the recordings are of drives by
+    hand.
 
     Raises:
         ConfigError: naming the option or the file.

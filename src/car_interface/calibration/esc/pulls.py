@@ -139,9 +139,9 @@ def _turn_by_pulses(wheels, begin_s, end_s):
     pulses, and their vertices are where it came to stand, and left. ``None`` = too few pulses.
     """
     turns = []
-    for t_s, distance_m in wheels:
-        inside = (t_s >= begin_s) & (t_s <= end_s)
-        t_s, distance_m = t_s[inside], distance_m[inside]
+    for wheel_s, wheel_m in wheels:
+        inside = (wheel_s >= begin_s) & (wheel_s <= end_s)
+        t_s, distance_m = wheel_s[inside], wheel_m[inside]
         if not t_s.size:
             continue
         top = int(distance_m.argmax())

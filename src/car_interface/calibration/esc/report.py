@@ -39,4 +39,5 @@ def report(calibrated: Calibrated, recorded: Sequence[RecordedDrive], base: Thro
 def _line(name, value, old, unit, shown):
     if value is None:
         return f"  {name}: {NOT_SHOWN}, stays {old}{unit}"
-    return f"  {name}: {value}{unit}" + (f" (was {old}{unit})" if value != old else "") + (f": {shown}" if shown else "")
+    changed = f" (was {old}{unit})" if value != old else ""
+    return f"  {name}: {value}{unit}{changed}" + (f": {shown}" if shown else "")

@@ -102,8 +102,8 @@ def load_drive(path: str, source: Source, progress: bool = False) -> RecordedDri
 def is_by_hand(path: str, value_topic: str, namespace: str = "/") -> bool:
     """Whether the duty of the ESC's channel shows what drove the car, and the value of a planner does not.
 
-    So it is where no value was recorded but the board's output was, and where throttle_arb obeyed the gamepad more often
-    than the planner: a converter goes on converting meanwhile.
+    So it is where no value was recorded but the board's output was, and where throttle_arb obeyed the gamepad more
+    often than the planner: a converter goes on converting meanwhile.
 
     Raises:
         NoRecording: it can't be read.

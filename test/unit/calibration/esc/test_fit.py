@@ -84,19 +84,19 @@ def driven(*actions):
     return fit(person.recorded())
 
 
-BRAKE_HINT = ("the profile: drive forward, pull back by half, and hold until the car has stood for a second; three "
-              "times")
-SECOND_HINT = ("the profile: after a brake, center the stick for half a second and pull back by half for a second; "
-               "three times")
+BRAKE_HINT = ("the profile: full stick for a good second, pull back all the way, and hold until the car has stood for "
+              "two seconds or rolls backward; three times")
+SECOND_HINT = ("the profile: after a brake, center the stick for a second and pull back all the way for two seconds; "
+               "four times")
 DWELL_HINT = ("esc/dwell: after a brake, center the stick for less than 0.5 s and pull back for a second; several "
               "times, each a little quicker")
-FORGET_HINT = ("esc/reverse_after_neutral: drive forward, center the stick, and after 6 s pull back by half for a "
-               "second")
+FORGET_HINT = ("esc/reverse_after_neutral: full stick for a good second, center it, and after 8 s pull back all the "
+               "way for two seconds; twice")
 FORWARD_HINT = ("esc/dead_band_forward: from standstill, push the stick so slowly that the car just sets off; three "
                 "times")
 REVERSE_HINT = ("esc/dead_band_reverse: from standstill, pull the stick so slowly that the car just sets off; three "
                 "times")
-COAST_HINT = "esc/drag_deceleration: drive forward, center the stick until the car stands; three times"
+COAST_HINT = "esc/drag_deceleration: full stick for a good second, then center it until the car stands; three times"
 
 
 @pytest.mark.parametrize("actions, hint", [
