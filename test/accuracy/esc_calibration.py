@@ -35,7 +35,7 @@ TICK_S = 0.02
 STEERING_DUTY = 5100.0
 # config/throttle.yaml's, whose neutral is not the ESC's.
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
-MAX_BEYOND_DUTY = 330  # the push that sets the car off, and what the stick moves until that is seen
+MAX_LATE_DUTY = 100  # what the stick moves from where the car sets off until that is seen
 ALL = ("creep forward", "brake", "pull twice", "creep backward", "wait and pull")
 
 
@@ -233,20 +233,26 @@ def judge(seed: int, folder: Path) -> Outcome:
     written = yaml.safe_load(output.read_text(encoding="utf-8")) if code == 0 else {}
     bag.unlink()
     return Outcome(car.esc.kind, code, written.get("esc", {}).get("profile"), text.getvalue(),
-                   tuple(_errors(car.esc, written)) if written else ())
+                   tuple(_errors(car, written)) if written else ())
 
 
-def _errors(esc, written):
-    """What of a file would harm: a neutral that is none, a dead band or a dwell that is too short."""
-    servo, found = written["servo"], written["esc"]
+def _errors(car, written):
+    """What of a file is wrong: a neutral that is none, a dead band or a dwell that is too short, or far too long."""
+    esc, drive, servo, found = car.esc, car.drive, written["servo"], written["esc"]
     neutral, low, high = servo["neutral"], servo["duty_table"][0], servo["duty_table"][-1]
     band_low, band_high = esc.neutral_duty - esc.reverse_band_duty, esc.neutral_duty + esc.forward_band_duty
     if not band_low < neutral < band_high:
         yield f"neutral {neutral} is not within {band_low:.0f} to {band_high:.0f}"
-    for name, edge, true in (("forward", neutral + found["dead_band_forward"] * (high - neutral), band_high),
-                             ("reverse", neutral - found.get("dead_band_reverse", 0.08) * (neutral - low), band_low)):
-        if not 0 <= (edge - true) * (1 if name == "forward" else -1) <= MAX_BEYOND_DUTY:
-            yield f"dead_band_{name} ends at {edge:.0f}, the ESC's at {true:.0f}"
+    for name, edge, true, full, push_mps2 in (
+            ("forward", neutral + found["dead_band_forward"] * (high - neutral), band_high, esc.full_forward_duty,
+             drive.forward_mps2),
+            ("reverse", neutral - found.get("dead_band_reverse", 0.08) * (neutral - low), band_low,
+             esc.full_reverse_duty, drive.reverse_mps2)):
+        sets_off = true + drive.drag_mps2 / push_mps2 * (full - true)
+        late = MAX_LATE_DUTY if name == "forward" else -MAX_LATE_DUTY
+        if not min(true, sets_off + late) <= edge <= max(true, sets_off + late):
+            yield (f"dead_band_{name} ends at {edge:.0f}, the ESC's at {true:.0f}, and the car sets off at "
+                   f"{sets_off:.0f}")
     if esc.kind == virtual.BRAKE_THEN_REVERSE and not -0.01 <= found["dwell"] - esc.dwell_s <= 0.15:
         yield f"dwell {found['dwell']} s, the ESC's is {esc.dwell_s:.2f} s"
     forgets_s = found.get("reverse_after_neutral", 0.0)
