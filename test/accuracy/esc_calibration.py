@@ -266,10 +266,11 @@ def main():
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--escs", type=int, default=20)
     parser.add_argument("--bag", nargs=2, metavar=("SEED", "FILE"), help="only write the recording")
+    parser.add_argument("--without", action="append", default=[], choices=ALL, help="leave a step of the page out")
     parser.add_argument("-v", action="store_true", help="show what the command says")
     arguments = parser.parse_args()
     if arguments.bag:
-        print(record_drive(int(arguments.bag[0]), arguments.bag[1]).esc)
+        print(record_drive(int(arguments.bag[0]), arguments.bag[1], arguments.without).esc)
         return 0
     counts = {"right": 0, "refused": 0, "wrong": 0}
     with tempfile.TemporaryDirectory() as folder:

@@ -57,14 +57,14 @@ def test_report_says_what_shows_each_number(bag, tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     expected = [
         rf"ESC by {re.escape(bag)}: \d+ s",
-        r"  esc/profile: brake_then_reverse \(was unverified\): 1\d brakes held the car, \d second pulls drove it "
-        r"backward",
+        (r"  esc/profile: brake_then_reverse \(was unverified\): 1\d brakes held the car, \d second pulls drove it "
+         r"backward"),
         r"  servo/neutral: 49\d\d \(was 4915\): the car set off at 5\d{3} \(3 times\) and 4\d{3} \(3 times\)",
         r"  esc/dead_band_forward: 0\.1\d+ \(was 0\.08\): from there to where the car sets off",
         r"  esc/dead_band_reverse: 0\.1\d+ \(was 0\.08\): from there to where the car sets off",
         r"  esc/dwell: 0\.\d+ s \(was 0\.5 s\): 0\.\d+ s of neutral were enough, 0\.\d+ s were not",
-        r"  esc/reverse_after_neutral: \d\.\d+ s \(was 0\.0 s\): after \d\.\d s in neutral the first pull was "
-        r"reverse, .*",
+        (r"  esc/reverse_after_neutral: \d\.\d+ s \(was 0\.0 s\): after \d\.\d s in neutral the first pull was "
+         r"reverse, .*"),
         r"  esc/drag_deceleration: \d\.\d+ m/s² \(was 0\.3 m/s²\): .* m/s² in neutral: the ESC has a drag brake",
         rf"written: {re.escape(str(path))}",
     ]

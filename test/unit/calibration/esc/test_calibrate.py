@@ -58,9 +58,9 @@ def test_values_have_the_table_shifted_by_the_neutral():
 
 
 def test_text_keeps_the_base_and_begins_with_the_report():
-    text = yaml_text(Calibrated(WHOLE, 4890.4, False), base(), "# old head\nservo:\n  neutral: 4912  # 1.5 ms\n"
-                     "  duty_table: [3277, 4912, 6554]\nesc:\n  profile: unverified\n  stop_brake: 0.7  # mine\nexpo: 0.2\n",
-                     ["ESC by a.bag"])
+    pattern = ("# old head\nservo:\n  neutral: 4912  # 1.5 ms\n  duty_table: [3277, 4912, 6554]\n"
+               "esc:\n  profile: unverified\n  stop_brake: 0.7  # mine\nexpo: 0.2\n")
+    text = yaml_text(Calibrated(WHOLE, 4890.4, False), base(), pattern, ["ESC by a.bag"])
     assert text == (
         "# Written by calibrate_esc; throttle_arb loads it. Duties are 0..65535 of the PWM period, dead bands fractions\n"
         "# of the duty between neutral and each end.\n#\n# ESC by a.bag\n\n"

@@ -80,7 +80,8 @@ def test_where_odometry_is_missing_nothing_is_known_of_the_esc(tmp_path, gap, kn
 
 
 def test_where_the_board_s_output_is_missing_nothing_is_known_of_the_esc(tmp_path):
-    drive = driven(tmp_path, [output(0.0, 4912), output(1.0, 4000), output(5.0, 4912), output(6.0, 4912), state(1.0)]).drive
+    held = [output(time_s, duty) for time_s, duty in ((0.0, 4912), (1.0, 4000), (5.0, 4912), (6.0, 4912))]
+    drive = driven(tmp_path, [*held, state(1.0)]).drive
     assert [duty_at(drive, time_s) for time_s in (3.4, 3.6, 4.9, 5.1)] == [4000, 0, 0, 4912]
 
 
@@ -103,7 +104,8 @@ def test_pulls_of_two_recordings_do_not_belong_together(tmp_path):
 @pytest.mark.parametrize("messages, error, said", [
     ([state(1.0)], NoRecording, "has no topic /servo/output, which says what the ESC got"),
     ([*outputs((0.0, -1)), state(1.0)], CarInterfaceError, "channel 1 of the servo board never had a pulse"),
-    ([*outputs((0.0, 4912)), state(1.0, esc_cause="no throttle")], CarInterfaceError, "was driven without calibration_drive"),
+    ([*outputs((0.0, 4912)), state(1.0, esc_cause="no throttle")], CarInterfaceError,
+     "was driven without calibration_drive"),
 ])
 def test_recording_that_is_no_such_drive_is_refused(tmp_path, messages, error, said):
     with pytest.raises(error, match=said):

@@ -13,8 +13,8 @@ from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.params import ThrottleConfig
 
-BASE = ThrottleConfig(ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[3277, 4915, 6554], neutral=4915),
-                      ArbiterConfig(), EscConfig(), None)
+SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[3277, 4915, 6554], neutral=4915)
+BASE = ThrottleConfig(SHIPPED, ArbiterConfig(), EscConfig(), None)
 
 
 def recorded(path, *notes):
