@@ -48,7 +48,7 @@ class CalibrateEsc(unittest.TestCase):
         """As the page has it."""
         command = ("rosrun car_interface calibrate_esc esc.bag -o my_car/throttle.yaml --base my_car/throttle.yaml")
         return subprocess.run(command.split(), cwd=self.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                              universal_newlines=True, env={**os.environ, "PYTHONIOENCODING": "utf-8"})
+                              text=True, env={**os.environ, "PYTHONIOENCODING": "utf-8"})
 
     def test_drive_of_the_page_is_written_and_says_what_was_seen(self):
         self.drive()

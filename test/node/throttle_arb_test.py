@@ -364,7 +364,8 @@ class CalibrationDrive(ThrottleTest):
         log, reports = Topic("/rosout", Log).connected(2), Topic("/diagnostics", DiagnosticArray)
         self.addCleanup(log.close)
         self.addCleanup(reports.close)
-        status = reports.wait_for(lambda array: array.status[0].message.startswith("calibration drive; ")).what.status[0]
+        found = reports.wait_for(lambda array: array.status[0].message.startswith("calibration drive; "))
+        status = found.what.status[0]
         self.assertEqual((status.name, status.level), ("throttle_arb: throttle", DiagnosticStatus.WARN))
         self.rig.present()
         mark = log.mark()

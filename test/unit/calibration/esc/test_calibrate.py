@@ -44,8 +44,8 @@ def test_neutral_of_a_mirrored_drive_is_mirrored_back():
 
 
 def test_drives_with_different_neutrals_are_refused():
-    with pytest.raises(CarInterfaceError, match="a.bag was driven with servo/neutral 4912 and b.bag with 4930: calibrate "
-                                                "by one of them"):
+    said = r"a\.bag was driven with servo/neutral 4912 and b\.bag with 4930: calibrate by one of them"
+    with pytest.raises(CarInterfaceError, match=said):
         calibrate([recorded(), recorded(4930.0, "b.bag")], RISING)
 
 
@@ -62,8 +62,8 @@ def test_text_keeps_the_base_and_begins_with_the_report():
                "esc:\n  profile: unverified\n  stop_brake: 0.7  # mine\nexpo: 0.2\n")
     text = yaml_text(Calibrated(WHOLE, 4890.4, False), base(), pattern, ["ESC by a.bag"])
     assert text == (
-        "# Written by calibrate_esc; throttle_arb loads it. Duties are 0..65535 of the PWM period, dead bands fractions\n"
-        "# of the duty between neutral and each end.\n#\n# ESC by a.bag\n\n"
+        "# Written by calibrate_esc; throttle_arb loads it. Duties are 0..65535 of the PWM period, dead bands "
+        "fractions\n# of the duty between neutral and each end.\n#\n# ESC by a.bag\n\n"
         "servo:\n  neutral: 4890\n  duty_table: [3255, 4890, 6532]\nesc:\n  profile: brake_then_reverse\n"
         "  stop_brake: 0.7  # mine\n  profile_measured: true\n  dead_band_forward: 0.11\n  dead_band_reverse: 0.12\n"
         "  dwell: 0.3\n  reverse_after_neutral: 0\n  drag_deceleration: 0.5\nexpo: 0.2\n")
