@@ -27,9 +27,9 @@ EXPECTED = r"""ESC by esc\.bag: \d+ s
   esc/drag_deceleration: \d\.\d+ m/s² \(was 0\.3 m/s²\): .* m/s² in neutral: the ESC has a drag brake
 written: my_car/throttle\.yaml; the old one is .*/my_car/throttle\.yaml\.bak-\d{8}-\d{6}
 """
-REFUSED = ("calibrate_esc: nothing is written, not all of it is shown. Drive this, and give that recording as well, or "
-           "keep the old numbers there by --force: esc/reverse_after_neutral: full stick for a good second, center it, "
-           "and after 8 s pull back all the way for two seconds; twice\n")
+REFUSED = ("calibrate_esc: nothing is written: the drive doesn't show all of it. Drive this, and give that recording "
+           "as well, or keep the old numbers there by --force: esc/reverse_after_neutral: full stick for a good second, "
+           "center it, and after 8 s pull back all the way for two seconds; twice\n")
 
 
 class CalibrateEsc(unittest.TestCase):
@@ -46,9 +46,9 @@ class CalibrateEsc(unittest.TestCase):
 
     def typed(self):
         """As the page has it."""
-        command = ("rosrun car_interface calibrate_esc esc.bag -o my_car/throttle.yaml --base my_car/throttle.yaml")
-        return subprocess.run(command.split(), cwd=self.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                              text=True, env={**os.environ, "PYTHONIOENCODING": "utf-8"})
+        command = "rosrun car_interface calibrate_esc esc.bag -o my_car/throttle.yaml --base my_car/throttle.yaml"
+        return subprocess.run(command.split(), cwd=self.folder, capture_output=True, check=False, encoding="utf-8",
+                              env={**os.environ, "PYTHONIOENCODING": "utf-8"})
 
     def test_drive_of_the_page_is_written_and_says_what_was_seen(self):
         self.drive()

@@ -97,10 +97,10 @@ def run(options: argparse.Namespace) -> int:
     lines = list(report(calibrated, recorded, base))
     if calibrated.fit.profile is None or calibrated.problems and not config.force:
         print("\n".join(lines))
-        what = "the kind of ESC is" if calibrated.fit.profile is None else "all of it is"
+        what = "which kind of ESC it is" if calibrated.fit.profile is None else "all of it"
         remedy = ("" if calibrated.fit.profile is None else ", or keep the old numbers there by --force")
-        raise CarInterfaceError(f"nothing is written, not {what} shown. Drive this, and give that recording as well"
-                                f"{remedy}: {'; '.join(calibrated.problems)}")
+        raise CarInterfaceError(f"nothing is written: the drive doesn't show {what}. Drive this, and give that "
+                                f"recording as well{remedy}: {'; '.join(calibrated.problems)}")
     _write(config.output, yaml_text(calibrated, base, base_text, lines), lines)
     return 0
 

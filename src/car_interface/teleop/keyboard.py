@@ -126,7 +126,7 @@ class Keyboard:
         self._steering = self._slowly = 0.0
 
     def controls(self, now_ns: int) -> Controls:
-        """What the held keys ask for; nothing without a deadman. Steering and a slow push depend on the calls before."""
+        """What the held keys ask for, nothing without a deadman. Steering and slow pushes move on from call to call."""
         held = self._held(now_ns)
         elapsed_s = 0.0 if self._steered_ns is None else (now_ns - self._steered_ns) / NS_PER_S
         step = STEERING_PER_S * elapsed_s

@@ -110,7 +110,7 @@ def test_what_was_not_driven_is_refused_with_what_to_drive(tmp_path, capsys, hea
     found = capsys.readouterr()
     (line,) = found.err.splitlines()
     assert code == 1 and not (tmp_path / "new.yaml").exists()
-    assert line.startswith("calibrate_esc: nothing is written, not ") and said in line
+    assert line.startswith("calibrate_esc: nothing is written: the drive doesn't show ") and said in line
     assert f"  missing: {said}" in found.out and "not shown by the drive, stays" in found.out
 
 
@@ -129,7 +129,8 @@ def test_force_writes_what_is_shown_and_keeps_the_rest(tmp_path, capsys):
 def test_force_names_no_profile_that_was_not_shown(tmp_path, capsys):
     path = recorded(tmp_path, leaves_out=("pull twice",))
     assert run(path, "-o", tmp_path / "new.yaml", "--force") == 1
-    assert "not the kind of ESC is shown" in capsys.readouterr().err and not (tmp_path / "new.yaml").exists()
+    assert "the drive doesn't show which kind of ESC it is. Drive this, and" in capsys.readouterr().err
+    assert not (tmp_path / "new.yaml").exists()
 
 
 def test_what_one_recording_lacks_another_one_may_have(tmp_path, capsys):
