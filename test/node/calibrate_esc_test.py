@@ -27,9 +27,11 @@ EXPECTED = r"""ESC by esc\.bag: \d+ s
   esc/drag_deceleration: \d\.\d+ m/s² \(was 0\.3 m/s²\): .* m/s² in neutral: the ESC has a drag brake
 written: my_car/throttle\.yaml; the old one is .*/my_car/throttle\.yaml\.bak-\d{8}-\d{6}
 """
-REFUSED = ("calibrate_esc: nothing is written: the drive doesn't show all of it. Drive this, and give that recording "
-           "as well, or keep the old numbers there by --force: esc/reverse_after_neutral: full stick for a good second, "
-           "center it, and after 8 s pull back all the way for two seconds; twice\n")
+REFUSED = (
+    "calibrate_esc: nothing is written: the drive doesn't show all of it. Drive this, and give that recording as well, "
+    "or keep the old numbers there by --force: esc/reverse_after_neutral: full stick for a good second, center it, and "
+    "after 8 s pull back all the way for two seconds; twice; esc/drag_deceleration: full stick for a good second, then "
+    "center it until the car stands; three times\n")
 
 
 class CalibrateEsc(unittest.TestCase):
