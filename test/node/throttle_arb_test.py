@@ -366,7 +366,7 @@ class CalibrationDrive(ThrottleTest):
         self.addCleanup(reports.close)
         found = reports.wait_for(lambda array: array.status[0].message.startswith("calibration drive; "))
         status = found.what.status[0]
-        self.assertEqual((status.name, status.level), ("throttle_arb: throttle", DiagnosticStatus.WARN))
+        self.assertEqual((status.name, status.level), ("calibrating/throttle_arb: throttle", DiagnosticStatus.WARN))
         self.rig.present()
         mark = log.mark()
         self.hold(self.rig._outputs, output(0))
