@@ -135,6 +135,8 @@ class Command(NamedTuple):
 
     duty: float  # of the steering
     value: float  # −5..3, brake and reverse negative
+    esc_duty: int | None = None  # what throttle_arb sends to the board by hand; then there is no value
+    state: dict | None = None  # fields of throttle_arb's state, to be recorded
 
 
 class View:
@@ -345,17 +347,18 @@ class Facts(NamedTuple):
 
 
 def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing: str = MIXED, duration_s: float = 300.0,
-           imu: bool = False, servo_topic: str = "/servo/output") -> Facts:
+           imu: bool = False, servo_topic: str = "/servo/output", by_hand: bool = False) -> Facts:
     """Drive a car and write the bag.
 
     Args:
         car: what is driven.
         path: of the bag; must not exist.
         seed: of the person, the Teensy's clock, magnets that sit a little off, the IMU's noise.
-        script: ``(View, missing) -> Command``s, 50 a second.
+        script: ``(View, missing) -> Command``s, 50 a second; its end is the drive's.
         missing: what the person leaves away; ``TWO_THIRDS``: the recorder ran only 7 s of each 10.
         duration_s: of the drive.
         imu: with imu/data, 100 a second.
+        by_hand: the person drives the ESC, and there are no values.
         servo_topic: ``/servo/output``, or ``/servo/cmdVector`` with its −1 for channels that are left alone.
     """
     rng = random.Random(seed)
@@ -363,6 +366,8 @@ def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing:
     with bag:
         drive = _Recorder(car, bag, rng, imu, servo_topic)
         commands = script(drive.see, missing)
+        if by_hand:
+            commands = (command._replace(esc_duty=round(duty_of_value(command.value))) for command in commands)
         drive.run(commands, duration_s)
     return Facts(drive.distance_m, duration_s)
 
@@ -398,6 +403,12 @@ class _Bag:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, type_name, typestore=self._store)
         self._writer.write(self._connections[topic], ros_ns, bytes(self._store.serialize_ros1(message, type_name)))
+
+
+_EMPTY_STATE = {
+    "cause": "", "reason": "", "mode": "manual", "human_scale": 0.5, "esc_cause": "", "esc_reason": "",
+    **dict.fromkeys(("e_stop_age", "human_age", "steering_age", "mode_age", "teleop_age", "planner_age", "odometry_age",
+                     "output_age", "speed"), 0.0)}
 
 
 def ros_time_ns(monotonic_ns: int) -> int:
@@ -442,9 +453,12 @@ class _Recorder:
             if now_ns >= control_ns:
                 control_ns += CONTROL_NS
                 self.see.look((now_ns - START_NS) / NS_PER_S, self._motion)
-                command = next(commands)
+                command = next(commands, None)
+                if command is None:
+                    return
                 self.see.stick_duty = command.duty
-                steering, throttle = (count_duty(command.duty), count_duty(duty_of_value(command.value)))
+                esc_duty = duty_of_value(command.value) if command.esc_duty is None else command.esc_duty
+                steering, throttle = count_duty(command.duty), count_duty(esc_duty)
                 self._write_command(command, steering, throttle, now_ns)
             pulses = car.step(STEP_NS, steering, throttle)
             now_ns = car.time_ns
@@ -475,8 +489,13 @@ class _Recorder:
 
     def _write_command(self, command, steering, throttle, now_ns):
         make = self.make
-        self._write("generic/output/value", "car_interface/msg/Float64Stamped",
-                    make("car_interface/msg/Float64Stamped", self.stamp(now_ns), float(command.value)), now_ns)
+        if command.esc_duty is None:
+            self._write("generic/output/value", "car_interface/msg/Float64Stamped",
+                        make("car_interface/msg/Float64Stamped", self.stamp(now_ns), float(command.value)), now_ns)
+        if command.state is not None:
+            fields = {**_EMPTY_STATE, **command.state, "stamp": self.stamp(now_ns)}
+            self._write("throttle_arb/state", "car_interface/msg/ThrottleState",
+                        self._bag.type("car_interface/msg/ThrottleState")(**fields), now_ns)
         held = (steering, throttle)
         if held == self._held and now_ns < self._held_ns + OUTPUT_NS:
             return

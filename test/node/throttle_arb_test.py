@@ -338,6 +338,47 @@ class Braking(ThrottleTest):
         self.assertRegex(state.esc_reason, "the servo board gave no pulse; let go of the deadman, center the stick")
 
 
+class CalibrationDrive(ThrottleTest):
+    """An ESC whose kind is to be found out: it gets a person's stick, and all say so."""
+
+    NAMESPACE, BOARD = "/calibrating/", True
+
+    def test_pull_at_standstill_reaches_the_esc_until_the_deadman_is_released(self):
+        self.rig.present(speed=0.0)
+        self.hold(self.rig.teleop, Float32(-1.0))
+        state = self.rig.wait_for(lambda state: state.granted)
+        self.assertEqual((state.esc_cause, state.duty, state.profile), ("calibration drive", 4424, "unverified"))
+        self.assertEqual(state.esc_reason,
+                         "calibration drive: the ESC gets the stick as it is, and a brake may become reverse")
+        self.rig.wait_for_duty(4424)
+        self.hold(self.rig.human, Bool(False))
+        self.rig.wait_for_duty(NEUTRAL)
+
+    def test_planner_s_pull_at_standstill_does_not(self):
+        self.rig.present(speed=0.0)
+        self.rig.plan(-5.0)
+        state = self.rig.wait_for(lambda state: state.source == ThrottleState.PLANNER and state.asked == -1.0)
+        self.assertEqual(state.duty, NEUTRAL)
+
+    def test_log_and_diagnostics_warn_of_it(self):
+        log, reports = Topic("/rosout", Log).connected(2), Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(log.close)
+        self.addCleanup(reports.close)
+        found = reports.wait_for(lambda array: array.status[0].message.startswith("calibration drive; "))
+        status = found.what.status[0]
+        self.assertEqual((status.name, status.level), ("calibrating/throttle_arb: throttle", DiagnosticStatus.WARN))
+        self.rig.present()
+        mark = log.mark()
+        self.hold(self.rig._outputs, output(0))
+        self.rig.wait_for(lambda state: state.esc == "ARMING")
+        self.hold(self.rig._outputs, output(NEUTRAL))
+        self.rig.present()
+        entry = log.wait_for(lambda entry: entry.name.startswith("/calibrating") and "calibrate_esc" in entry.msg, mark)
+        self.assertEqual(entry.what.level, Log.WARN)
+        self.assertEqual(entry.what.msg, "calibration drive: the ESC gets the stick as it is, and a brake may become "
+                         "reverse; record it for calibrate_esc, and start without calibration_drive afterwards")
+
+
 class Tuning(ThrottleTest):
     def test_neutral_is_tuned_live_published_and_saved(self):
         folder = tempfile.mkdtemp()

@@ -15,7 +15,15 @@ from pathlib import Path
 from car_interface.calibration.value_map.acceleration import WindowConfig
 from car_interface.calibration.value_map.calibrate import Calibrated, MapAxes, NoTable, calibrate
 from car_interface.calibration.value_map.config import FitConfig
-from car_interface.calibration.value_map.recorded import IMU, ODOM, PULSES, RecordedDrive, Source, load_drive
+from car_interface.calibration.value_map.recorded import (
+    IMU,
+    ODOM,
+    PULSES,
+    RecordedDrive,
+    Source,
+    is_by_hand,
+    load_drive,
+)
 from car_interface.calibration.value_map.report import DUTY, report
 from car_interface.calibration.value_map.table import csv_text
 from car_interface.calibration.value_map.throttle import load_throttle
@@ -81,11 +89,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--prior", metavar="CSV", help="an existing map: its numbers stay where the drives tell "
                         "nothing, and its axes are used unless others are given")
     parser.add_argument("--force", action="store_true", help="write what would be refused; nothing is made up even so")
-    parser.add_argument("--value", default=VALUE_TOPIC, metavar="TOPIC|duty:CHANNEL",
+    parser.add_argument("--value", metavar="TOPIC|duty:CHANNEL",
                         help="what drives the car: a topic, or the duty of a channel of the servo board, which counts "
-                             f"as the value that --throttle has for it (default: {VALUE_TOPIC})")
-    parser.add_argument("--throttle", metavar="YAML", help="for --value duty:CHANNEL: the file with the value_axis and "
-                        "the duty_table by which generic_value_converter drives the ESC (default: the package's)")
+                             f"as the value that --throttle has for it (default: {VALUE_TOPIC}; for a drive by hand "
+                             "the duty of the channel in --throttle)")
+    parser.add_argument("--throttle", metavar="YAML", help="for duties: the throttle.yaml with which was driven, its "
+                        "value_axis, duty_table and channel (default: the package's)")
     parser.add_argument("--neutral", type=finite, metavar="VALUE", help="the value that neither drives nor brakes "
                         "(default: 0; for a duty the value of the neutral in --throttle)")
     parser.add_argument("--values", type=finite, nargs="+", metavar="VALUE",
@@ -114,17 +123,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def config_of(options: argparse.Namespace) -> Config:
-    """The parsed options as a checked configuration; reads the axes of --prior and the table of --throttle.
+    """The parsed options as a checked configuration.
+
+    Reads the axes of --prior, the table of --throttle, and without --value whether the recordings are of drives by
+    hand.
 
     Raises:
         ConfigError: naming the option or the file.
     """
-    channel = _duty_channel(options.value)
+    value = options.value or _recorded_value(options)
+    channel = _duty_channel(value)
     by_duty = channel is not None
-    throttle = load_throttle(options.throttle or str(package_file(THROTTLE))) if by_duty else None
+    throttle = _throttle(options) if by_duty else None
     neutral = options.neutral if options.neutral is not None else throttle.neutral if throttle else 0.0
     source = Source(
-        value_topic=VALUE_TOPIC if by_duty else options.value, duty_channel=channel, throttle=throttle,
+        value_topic=VALUE_TOPIC if by_duty else value, duty_channel=channel, throttle=throttle,
         neutral=neutral, measured_by=options.acceleration, odom_topic=options.odom, imu_topic=options.imu,
         namespace=options.namespace, esc_channel=None if options.esc_channel == NO_CHANNEL else options.esc_channel,
         esc_neutral_duty=options.esc_neutral)
@@ -176,6 +189,17 @@ def calibrate_by(config: Config) -> tuple[list[RecordedDrive], Calibrated]:
     load = partial(load_drive, source=config.source, progress=len(config.recordings) == 1 or config.jobs == 1)
     recorded = load_all(load, config.recordings, config.jobs)
     return recorded, calibrate(recorded, config.axes, config.fit, prior)
+
+
+def _throttle(options):
+    return load_throttle(options.throttle or str(package_file(THROTTLE)))
+
+
+def _recorded_value(options):
+    """--value by what the recordings hold."""
+    if any(is_by_hand(path, VALUE_TOPIC, options.namespace) for path in options.bags):
+        return f"{DUTY}{_throttle(options).channel}"
+    return VALUE_TOPIC
 
 
 def _duty_channel(value):

@@ -19,6 +19,7 @@ from car_interface.common.errors import CarInterfaceError
 PROGRAM = "car-interface"
 MODULES = {
     "bag_report": "car_interface.cli.bag_report",
+    "calibrate_esc": "car_interface.cli.calibrate_esc",
     "calibrate_steering": "car_interface.cli.calibrate_steering",
     "calibrate_value_map": "car_interface.cli.calibrate_value_map",
     "check_map": "car_interface.cli.check_map",

@@ -13,7 +13,7 @@ from typing import Mapping, Sequence, Union
 from car_interface.common.atomic_file import is_write_protected, replace
 from car_interface.common.errors import ConfigError
 
-Value = Union[int, float, Sequence[Union[int, float]]]
+Value = Union[int, float, str, Sequence[Union[int, float]]]  # bool is an int
 Values = Mapping[str, Value]  # by name; one inside a mapping as ``servo/neutral``
 COMMENT_BEHIND = re.compile(r"[ \t]+#[^\r\n]*")
 
@@ -85,8 +85,9 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
 def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the file") -> str:
     """A new YAML text after the pattern of ``text``: its other values, layout and comments stay.
 
-    Comments behind values that change are removed, and the comments before the first name are replaced by ``head``. A
-    text that can't be edited safely is written anew, without its comments.
+    Comments behind values that change are removed, and the comments before the first name are replaced by ``head``.
+    Names that the pattern lacks are added, those inside a mapping at its end. A text that can't be edited safely is
+    written anew, without its comments.
 
     Args:
         text: the pattern, a mapping.
@@ -100,10 +101,41 @@ def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the f
     import yaml
     body = text[_compose(text, path).start_mark.index:]
     try:
-        body = edited(body, values, path, keeps_comments=False)
+        body = edited(_with_names(body, values, path), values, path, keeps_comments=False)
     except ConfigError:
-        body = yaml.safe_dump({**yaml.safe_load(text), **values}, sort_keys=False)
+        body = yaml.safe_dump(_merged(yaml.safe_load(text), values), sort_keys=False)
     return "".join(f"# {line}".rstrip() + "\n" for line in head) + "\n" + body
+
+
+def _with_names(text, values, path):
+    """The text with each name of ``values`` inside a mapping in it, at first with the value 0.
+
+    A mapping on one line is left as it is.
+    """
+    for name in values:
+        outer, _, inner = name.rpartition("/")
+        root = _compose(text, path)
+        if not outer or _find(root, name.split("/")) is not None:
+            continue
+        mapping = _find(root, outer.split("/"))
+        if mapping is None and "/" not in outer:
+            text += ("" if text.endswith("\n") else "\n") + f"{outer}:\n  {inner}: 0\n"
+        elif mapping is not None and getattr(mapping, "flow_style", True) is False:
+            key, last = mapping.value[-1]
+            end = text.find("\n", last.end_mark.index - (last.end_mark.column == 0))
+            end = len(text) if end < 0 else end
+            text = f"{text[:end]}\n{' ' * key.start_mark.column}{inner}: 0{text[end:]}"
+    return text
+
+
+def _merged(content, values):
+    """The content of a document with ``values`` in it."""
+    content = dict(content)
+    for name, value in values.items():
+        outer, _, inner = name.partition("/")
+        inside = content.get(outer)
+        content[outer] = _merged(inside if isinstance(inside, dict) else {}, {inner: value}) if inner else value
+    return content
 
 
 def _compose(text, path):
@@ -132,7 +164,7 @@ def _find(node, names):
 
 def _has_value(node, value):
     """Whether a node has this value already; one number stands for a list of equal ones."""
-    if _elements(node) is not None:
+    if _elements(node) is not None or isinstance(value, (str, bool)):
         return not _edits(node, value)
     numbers = value if isinstance(value, (list, tuple)) else [value]
     return all(number == _number(node) for number in numbers)
@@ -143,7 +175,8 @@ def _edits(node, value):
     elements = _elements(node)
     if elements is not None and isinstance(value, (list, tuple)) and len(elements) == len(value):
         return [edit for element, number in zip(elements, value) for edit in _edits(element, number)]
-    if elements is None and _number(node) == value:
+    if elements is None and (node.value == _format(value) if isinstance(value, (str, bool))
+                             else _number(node) == value):
         return []
     return [(node.start_mark.index, node.end_mark.index, _format(value))]
 
@@ -173,6 +206,10 @@ def _number(node):
 
 
 def _format(value):
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return value
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_format(element) for element in value) + "]"
     return str(int(value)) if value == int(value) else repr(float(value))
@@ -192,6 +229,7 @@ def _shape(node, changes=None):
         name = str(key.value)
         inside[name] = _shape(value, {path[len(name) + 1:]: change for path, change in changes.items()
                                       if path.startswith(f"{name}/")})
-    inside.update({name: list(change) if isinstance(change, (list, tuple)) else change
+    inside.update({name: list(change) if isinstance(change, (list, tuple))
+                   else _format(change) if isinstance(change, bool) else change
                    for name, change in changes.items() if "/" not in name})
     return inside

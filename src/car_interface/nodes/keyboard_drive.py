@@ -13,8 +13,8 @@ Publishes, at 50 Hz:
 Subscribes:
     turn_arb/state (SteeringState): who steers and why, printed when it changes.
 Parameters:
-    ~steer_axis 0, ~throttle_axis 4, ~manual_button 4, ~autonomous_button 5, ~steer_scale 1.0, ~throttle_scale 1.0: as
-        teleop_logi's, whose values in the same namespace are the defaults.
+    ~steer_axis 0, ~throttle_axis 4, ~manual_button 4, ~autonomous_button 5, ~faster_button −1, ~slower_button −1,
+        ~steer_scale 1.0, ~throttle_scale 1.0: as teleop_logi's, whose values in the same namespace are the defaults.
     ~input_devices /dev/input/event*: the keyboards; none = only the terminal is read.
 """
 from __future__ import annotations
@@ -45,6 +45,7 @@ from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyReader, h
 RATE_HZ = 50
 AXES, BUTTONS = 8, 11  # at least: as many as the shipped gamepad has
 VIRTUAL, NO_DEVICES = "virtual", "none"
+NONE = -1  # no such button
 WATCH_S = 1.0  # how often pca9685's device is looked at
 HELD_UP_NS = NS_PER_S // 4  # after such a pause, Ctrl-Z for one, keys must be pressed anew
 NUMBER = re.compile(r"[-+]?\d[\d.]*")
@@ -63,6 +64,8 @@ class KeyboardDriveConfig:
     throttle_axis: int
     manual_button: int
     autonomous_button: int
+    faster_button: int
+    slower_button: int
     steer_scale: float
     throttle_scale: float
     input_devices: str
@@ -84,14 +87,15 @@ def read_config(params, teleop_logi=None) -> KeyboardDriveConfig:
     """
     teleop_logi = teleop_logi or Params({})
 
-    def index(name, default):
-        return params.integer(name, teleop_logi.integer(name, default, 0, MAX_INDEX), 0, MAX_INDEX)
+    def index(name, default, low=0):
+        return params.integer(name, teleop_logi.integer(name, default, low, MAX_INDEX), low, MAX_INDEX)
 
     def scale(name):
         return params.number(name, teleop_logi.number(name, 1.0, -1, 1), -1, 1)
     config = KeyboardDriveConfig(
         steer_axis=index("steer_axis", 0), throttle_axis=index("throttle_axis", 4),
         manual_button=index("manual_button", 4), autonomous_button=index("autonomous_button", 5),
+        faster_button=index("faster_button", NONE, NONE), slower_button=index("slower_button", NONE, NONE),
         steer_scale=scale("steer_scale"), throttle_scale=scale("throttle_scale"),
         input_devices=params.text("input_devices", "/dev/input/event*"))
     params.finish()
@@ -175,12 +179,16 @@ class KeyboardDrive:
     def _publish(self, controls):
         config = self._config
         message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1, config.throttle_axis + 1),
-                      buttons=[0] * max(BUTTONS, config.manual_button + 1, config.autonomous_button + 1))
+                      buttons=[0] * (1 + max(BUTTONS - 1, config.manual_button, config.autonomous_button,
+                                             config.faster_button, config.slower_button)))
         message.header.stamp = rospy.Time.now()
         message.axes[config.steer_axis] = math.copysign(1.0, config.steer_scale) * controls.steering
         message.axes[config.throttle_axis] = math.copysign(1.0, config.throttle_scale) * controls.throttle
         message.buttons[config.manual_button] = int(controls.manual)
         message.buttons[config.autonomous_button] = int(controls.autonomous)
+        for button, pressed in ((config.faster_button, 1), (config.slower_button, -1)):
+            if button != NONE:
+                message.buttons[button] |= int(controls.scale == pressed)
         self._joy.publish(message)
 
     def _on_state(self, message, now_ns):

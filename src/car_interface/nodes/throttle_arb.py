@@ -58,7 +58,7 @@ from car_interface.steering.arbiter import LOCKED, source_name
 from car_interface.throttle.arbiter import NoValue
 from car_interface.throttle.calibration import trimmed
 from car_interface.throttle.control import ThrottleControl
-from car_interface.throttle.esc import ARMING
+from car_interface.throttle.esc import ARMING, PASSES
 from car_interface.throttle.params import read_config
 
 RATE_HZ = 50
@@ -99,6 +99,7 @@ class ThrottleArb:
         self._subscribe()
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now)
+        self._warn_of_calibration_drive()
 
     def _subscribe(self):
         inbox = self._inbox
@@ -254,8 +255,13 @@ class ThrottleArb:
             log("ESC %s: %s", esc.state_name, esc.reason)
         elif before_state == ARMING != esc.state:
             rospy.loginfo("ESC armed, profile %s", self._control.profile)
+            self._warn_of_calibration_drive()
         elif esc.cause == causes.BRAKE_UNCERTAIN != before_cause:
             self._warnings.warn(esc.cause, f"no brake: {esc.reason}")
+
+    def _warn_of_calibration_drive(self):
+        if self._control.is_calibration_drive:
+            rospy.logwarn("%s; record it for calibrate_esc, and start without calibration_drive afterwards", PASSES)
 
     def _publish_state(self, decision):
         arbitration, esc = decision.arbitration, decision.esc
@@ -273,8 +279,10 @@ class ThrottleArb:
         if decision is None:
             return status
         arbitration, esc = decision.arbitration, decision.esc
-        status.summary(WARN if _is_alarming(decision) else OK,
-                       f"{source_name(arbitration.source)}: {arbitration.reason}; ESC {esc.state_name}: {esc.reason}")
+        is_calibration_drive = self._control.is_calibration_drive
+        text = f"{source_name(arbitration.source)}: {arbitration.reason}; ESC {esc.state_name}: {esc.reason}"
+        status.summary(WARN if is_calibration_drive or _is_alarming(decision) else OK,
+                       f"calibration drive; {text}" if is_calibration_drive else text)
         status.add("cause", arbitration.cause)
         status.add("cause of the ESC's state", esc.cause)
         status.add("duty", decision.duty)

@@ -92,11 +92,10 @@ def motor_acceleration_mps2(
         resistance_mps2 += motor.level * drive.brake_mps2
     elif motor.mode in (FORWARD, BACKWARD):
         way = 1.0 if motor.mode == FORWARD else -1.0
-        if way * speed_mps < 0.0:  # against the way it rolls
-            push_mps2 += way * motor.level * drive.brake_mps2
-        else:
-            full_mps2 = drive.forward_mps2 if way > 0 else drive.reverse_mps2
-            push_mps2 += way * motor.level * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
+        full_mps2 = motor.level * thrust * (drive.forward_mps2 if way > 0 else drive.reverse_mps2)
+        # A motor's own voltage works against the ESC's, and with it where it turns against its drive.
+        own_voltage = 1.0 + speed / drive.thrust_halves_mps
+        push_mps2 += way * full_mps2 * (own_voltage if way * speed_mps < 0.0 else 1.0 / own_voltage)
     return _with_resistance(push_mps2, speed_mps, resistance_mps2)
 
 

@@ -12,8 +12,11 @@ from typing import NamedTuple
 from car_interface.common.units import NS_PER_S
 
 LEFT, RIGHT, FORWARD, BACKWARD = "left", "right", "forward", "backward"
+SLOWLY_FORWARD, SLOWLY_BACKWARD, MORE, LESS = "slowly forward", "slowly backward", "more", "less"
 MANUAL, AUTONOMOUS, RELEASE, QUIT = "manual", "autonomous", "release", "quit"
-CHARACTERS = {"a": LEFT, "d": RIGHT, "w": FORWARD, "s": BACKWARD, "m": MANUAL, "p": AUTONOMOUS, " ": RELEASE, "q": QUIT}
+# "=" is "+" without Shift on many keyboards.
+CHARACTERS = {"a": LEFT, "d": RIGHT, "w": FORWARD, "s": BACKWARD, "e": SLOWLY_FORWARD, "c": SLOWLY_BACKWARD, "+": MORE,
+              "=": MORE, "-": LESS, "m": MANUAL, "p": AUTONOMOUS, " ": RELEASE, "q": QUIT}
 ARROWS = {"D": LEFT, "C": RIGHT, "A": FORWARD, "B": BACKWARD}  # how their sequences end (ECMA-48, cursor keys)
 SEQUENCE = re.compile(r"\x1b[\[O][0-9;]*([A-Za-z~])|\x1b(?![\[O])|(.)", re.S)
 CUT_SEQUENCE = re.compile(r"\x1b([\[O][0-9;]{0,8})?$")
@@ -21,6 +24,8 @@ CUT_SEQUENCE = re.compile(r"\x1b([\[O][0-9;]{0,8})?$")
 HOLD_NS = 7 * NS_PER_S // 10  # longer than the delay before a key repeats: 0.25 s on a console, 0.5 to 0.66 s under X
 PAIR_NS = 3 * NS_PER_S // 10  # between a press and its character at most
 STEERING_PER_S = 4.0  # a quarter of a second from the centre to the end, so that a touch steers a little
+# A slow push begins at throttle_arb's dead band. With a scale of 0.5 it takes four seconds to where a car sets off.
+SLOWLY_PER_S, SLOWLY_FROM = 0.07, 0.05
 
 
 def help_text(has_releases: bool) -> str:
@@ -30,6 +35,8 @@ def help_text(has_releases: bool) -> str:
     return ("M        deadman: you drive\n"
             "P        deadman: the planner drives\n"
             "W A S D  or the arrows: faster, left, slower, right\n"
+            "E C      push and pull slowly, to see where the car sets off\n"
+            "+ -      more and less throttle by W, A, S, D: wait a second between two\n"
             "space    let go of everything\n"
             "Q        quit\n"
             f"To drive: {hold}.")
@@ -60,6 +67,7 @@ class Controls(NamedTuple):
     throttle: float = 0.0  # −1 .. +1
     manual: bool = False
     autonomous: bool = False
+    scale: int = 0  # 1 and −1 while the key for more and less is held
 
 
 class Keyboard:
@@ -75,7 +83,7 @@ class Keyboard:
         self._released_ns = -PAIR_NS  # when the newest release was
         self._codes: dict[str, int] = {}  # of the keys that count until their release
         self._typed_ns: dict[str, int] = {}  # of those that count for a time
-        self._steering = 0.0
+        self._steering = self._slowly = 0.0
         self._steered_ns: int | None = None  # when ``controls`` was last called
 
     def press(self, code: int, now_ns: int) -> None:
@@ -115,20 +123,29 @@ class Keyboard:
         self._down.clear()
         self._codes.clear()
         self._typed_ns.clear()
-        self._steering = 0.0
+        self._steering = self._slowly = 0.0
 
     def controls(self, now_ns: int) -> Controls:
-        """What the held keys ask for; nothing without a deadman. The steering depends on the calls before."""
+        """What the held keys ask for, nothing without a deadman. Steering and slow pushes move on from call to call."""
         held = self._held(now_ns)
-        step = 0.0 if self._steered_ns is None else STEERING_PER_S * (now_ns - self._steered_ns) / NS_PER_S
+        elapsed_s = 0.0 if self._steered_ns is None else (now_ns - self._steered_ns) / NS_PER_S
+        step = STEERING_PER_S * elapsed_s
         self._steered_ns = now_ns
         if not held & {MANUAL, AUTONOMOUS}:
-            self._steering = 0.0
+            self._steering = self._slowly = 0.0
             return Controls()
         target = (LEFT in held) - (RIGHT in held)
         self._steering = max(self._steering - step, min(self._steering + step, target))
-        return Controls(self._steering, float((FORWARD in held) - (BACKWARD in held)), MANUAL in held,
-                        AUTONOMOUS in held)
+        return Controls(self._steering, self._throttle(held, elapsed_s), MANUAL in held, AUTONOMOUS in held,
+                        (MORE in held) - (LESS in held))
+
+    def _throttle(self, held, elapsed_s):
+        way = (SLOWLY_FORWARD in held) - (SLOWLY_BACKWARD in held)
+        if held & {FORWARD, BACKWARD} or not way:
+            self._slowly = 0.0
+            return float((FORWARD in held) - (BACKWARD in held))
+        self._slowly = min(1.0, self._slowly + SLOWLY_PER_S * elapsed_s) if self._slowly else SLOWLY_FROM
+        return way * self._slowly
 
     def _held(self, now_ns):
         return set(self._codes) | {key for key, at_ns in self._typed_ns.items() if now_ns - at_ns <= HOLD_NS}

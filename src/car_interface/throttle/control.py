@@ -57,6 +57,11 @@ class ThrottleControl:
         """The ESC's kind."""
         return self._esc.config.profile
 
+    @property
+    def is_calibration_drive(self) -> bool:
+        """Whether the ESC gets a person's stick as it is."""
+        return self._esc.config.calibration_drive
+
     def calibrate(self, calibration: ThrottleCalibration) -> None:
         """Use another calibration from now on."""
         self._duties = DutyMap(calibration)
@@ -99,8 +104,8 @@ class ThrottleControl:
         is_human = arbitration.source != PLANNER
         request = Request(arbitration.drive, is_human=is_human, is_stop=arbitration.is_stop,
                           is_centered=self.arbiter.is_centered(now_ns), is_released=self.arbiter.is_released(now_ns))
-        if arbitration.drive == arbitration.brake:
-            return self._esc.step(request, now_ns)
+        if arbitration.drive == arbitration.brake or self.is_calibration_drive:
+            return self._esc.step(request, now_ns)  # one scale: a pull stays what it is when the car comes to stand
         pulls = arbitration.asked < 0 and self._esc.state != REVERSE
         answer = self._esc.step(request._replace(value=arbitration.brake) if pulls else request, now_ns)
         if answer.fraction and (answer.state in DRIVES) == pulls:

@@ -33,6 +33,7 @@ STATE_NAMES = ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE")
 
 STARTED = "this node has just started"
 NO_PULSE = "the servo board gave no pulse"
+PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may become reverse"
 # A stop trusts the ESC to remember that it drove forward for no longer than this, whatever reverse_after_neutral says:
 # the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
 STOP_MEMORY_NS = round(0.5 * NS_PER_S)
@@ -100,7 +101,8 @@ class Esc:
 
     def step(self, request: Request, now_ns: int) -> EscDecision:
         """What the ESC gets from now on. Call it on every change and at 20 Hz at least."""
-        value = self._value_of(request)
+        passes = self.config.calibration_drive and request.is_human
+        value = self._value_of(request, passes)
         self._pulls.update(request)
         self._update_arming(request, now_ns)
         if self._state == ARMING:
@@ -112,7 +114,7 @@ class Esc:
             answer = self._stop(now_ns, causes.REQUEST_NOT_FINITE, f"the request is {request.value}; ")
         else:
             self._stop_began_ns = None
-            answer = self._drive(value, request, now_ns)
+            answer = self._pass(value, now_ns) if passes else self._drive(value, request, now_ns)
         return self._finish(answer, now_ns)
 
     # --- arming ---
@@ -152,11 +154,26 @@ class Esc:
 
     # --- requests ---
 
-    def _value_of(self, request):
-        """The request's value within −1..1, 0 in the dead band; the ESC gets no pulse that it could take for either."""
+    def _value_of(self, request, keeps_small):
+        """The request's value within −1..1, 0 in the dead band; the ESC gets no pulse that it could take for either.
+
+        Args:
+            request: to read.
+            keeps_small: there is no dead band: where the car sets off is to be seen.
+        """
         value = request.value if math.isfinite(request.value) else 0.0
         value = max(-1.0, min(1.0, value))
-        return value if value >= self.config.dead_band_forward or value <= -self.config.dead_band_reverse else 0.0
+        is_beyond = value >= self.config.dead_band_forward or value <= -self.config.dead_band_reverse
+        return value if is_beyond or keeps_small else 0.0
+
+    def _pass(self, value, now_ns):
+        """A calibration drive: the ESC gets what a person asks for."""
+        state = NEUTRAL
+        if value > 0:
+            state = BRAKING if self._motion.rolls_backward(now_ns) else FORWARD
+        elif value < 0:
+            state = BRAKING if self._motion.rolls_forward(now_ns) else REVERSE
+        return value, state, causes.CALIBRATION_DRIVE, PASSES
 
     def _drive(self, value, request, now_ns):
         if value > 0:
@@ -177,9 +194,6 @@ class Esc:
         return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
 
     def _pull(self, value, request, now_ns):
-        if self.config.calibration_drive and request.is_human:
-            state = BRAKING if self._motion.rolls_forward(now_ns) else REVERSE
-            return value, state, causes.CALIBRATION_DRIVE, "calibration drive: the ESC gets each pull as it is"
         means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
         if means_reverse and self._may_reverse(request, now_ns):
             return self._reverse(value, now_ns)

@@ -51,8 +51,9 @@ class EscConfig:
             could take amiss.
         profile_measured: calibrate_esc saw it. Then a stop brakes without odometry, too, where the profile is sure to
             brake. Otherwise this waits until the car was once seen to stand still under a held brake.
-        calibration_drive: a person's pulls go to the ESC as they are, so that calibrate_esc sees what it makes of them:
-            a brake may become reverse. No stop brakes meanwhile; the deadman and the motion check hold.
+        calibration_drive: a person's stick goes to the ESC as it is, with one scale and without a dead band, so that
+            calibrate_esc sees what the ESC makes of it: a brake may become reverse. No stop brakes meanwhile; e-stop,
+            deadman, arming and the motion check hold, and a planner's requests keep to the rules.
         arming_time_s: how long neutral is held before anything else. ESCs find their neutral within a second of
             power-up; BARC's cars wait as long.
         dwell_s: neutral of this length lets an ESC change to reverse. Nobody publishes it: BARC found 0.125 s to be the

@@ -3,8 +3,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import TuningSettings, read_tuning
+from car_interface.common.params import Params
 from car_interface.interlock.motion_interlock import read_interlock
+from car_interface.steering.params import load_yaml
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration, read_calibration
 from car_interface.throttle.esc_config import EscConfig, read_esc
@@ -54,3 +57,15 @@ def read_arbiter(params) -> ArbiterConfig:
                          mode_timeout_s=params.timeout("mode_timeout", 0.5),
                          command_timeout_s=params.timeout("command_timeout", 0.5),
                          odometry_timeout_s=params.timeout("odometry_timeout", 0.5))
+
+
+def load_throttle(path: str) -> ThrottleConfig:
+    """The configuration from a YAML file for throttle_arb. A file that the node would refuse is refused here too.
+
+    Raises:
+        ConfigError: naming the file, the parameter and what is wrong with it.
+    """
+    try:
+        return read_config(Params(load_yaml(path)))
+    except ConfigError as error:
+        raise error.within(path) from error

@@ -1,6 +1,7 @@
 """The command calibrate_value_map, on recordings of a virtual car whose true curve is known."""
 from __future__ import annotations
 
+import argparse
 import importlib
 import re
 import shutil
@@ -12,7 +13,7 @@ import pytest
 
 from car_interface.calibration.value_map.calibrate import MapAxes
 from car_interface.calibration.value_map.recorded import Source
-from car_interface.cli.calibrate_value_map import Config
+from car_interface.cli.calibrate_value_map import Config, add_arguments, config_of
 from car_interface.cli.main import main
 from car_interface.common.errors import ConfigError
 from car_interface.throttle.value_map import load_value_map
@@ -29,6 +30,14 @@ def bag(tmp_path_factory):
     path = tmp_path_factory.mktemp("drive") / "drive.bag"
     virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=SECONDS, imu=True)
     return str(path)
+
+
+def odometry(time_s, speed=1.0):
+    return Written(time_s, "/odom", "nav_msgs/Odometry", {"twist": {"twist": {"linear": {"x": speed}}}})
+
+
+def value(time_s, data=1.0):
+    return Written(time_s, "/generic/output/value", "car_interface/Float64Stamped", {"data": data})
 
 
 def run(*arguments):
@@ -64,6 +73,43 @@ def test_duty_of_the_escs_channel_serves_as_the_value_that_makes_it(bag, tmp_pat
     assert error_mps2(table) < 0.1
     out = capsys.readouterr().out
     assert "throttle.yaml makes it: 3277 is -5, 6554 is 3" in out and "missing: value 3277" not in out
+
+
+@pytest.mark.once
+def test_drive_by_hand_is_known_by_itself(tmp_path, capsys):
+    path = tmp_path / "hand.bag"
+    virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=SECONDS, by_hand=True)
+    assert run(path, "-o", tmp_path / "map.csv") == 0
+    assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.1
+    assert "value: duty:1; accelerations by" in capsys.readouterr().out
+
+
+def throttle_state(time_s, source, asked=0.5):
+    return Written(time_s, "/throttle_arb/state", "car_interface/ThrottleState", {"source": source, "asked": asked})
+
+
+def held(time_s):
+    return Written(time_s, "/servo/output", "std_msgs/Int32MultiArray", {"data": [5100, 4915] + [-1] * 14})
+
+
+@pytest.mark.parametrize("messages, expected", [
+    ([value(0.0)], "generic/output/value"),
+    ([value(0.0), held(0.0)], "generic/output/value"),
+    ([held(0.0)], "duty:2"),
+    ([value(0.0), held(0.0), throttle_state(0.1, 3), throttle_state(0.2, 3), throttle_state(0.3, 4)], "duty:2"),
+    ([value(0.0), held(0.0), throttle_state(0.1, 3), throttle_state(0.2, 4)], "generic/output/value"),
+    ([value(0.0), held(0.0), throttle_state(0.1, 3, 0.0), throttle_state(0.2, 3, 0.0)], "generic/output/value"),
+    ([value(0.0), throttle_state(0.1, 3)], "generic/output/value"),
+], ids=["value_alone", "value_and_output", "output_alone", "mostly_by_hand", "as_often_by_the_planner",
+        "deadman_held_and_nothing_asked", "no_output"])
+def test_without_a_word_the_recording_says_whether_it_was_driven_by_hand(tmp_path, messages, expected):
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), *messages])
+    throttle = throttle_file(tmp_path, "servo: {channel: 2, value_axis: [-5, 0, 3], duty_table: [3277, 4915, 6554], "
+                                       "neutral: 4915}")
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    source = config_of(parser.parse_args([str(path), "-o", "map.csv", "--throttle", str(throttle)])).source
+    assert (source.value_topic if source.duty_channel is None else f"duty:{source.duty_channel}") == expected
 
 
 def throttle_file(tmp_path, text):
@@ -190,14 +236,6 @@ def test_force_writes_what_is_refused_and_marks_it(bag, tmp_path, capsys):
 
 
 # --- what can't be calibrated with ---
-
-
-def odometry(time_s, speed=1.0):
-    return Written(time_s, "/odom", "nav_msgs/Odometry", {"twist": {"twist": {"linear": {"x": speed}}}})
-
-
-def value(time_s, data=1.0):
-    return Written(time_s, "/generic/output/value", "car_interface/Float64Stamped", {"data": data})
 
 
 @pytest.mark.parametrize("messages, said", [

@@ -67,6 +67,31 @@ def test_comments_behind_changed_values_are_removed_on_request(before, values, a
 
 
 @pytest.mark.parametrize("before, after", [
+    pytest.param("# the kind\nesc:\n  kind: none  # as yet\nb: 2\n",
+                 "esc:\n  kind: fast\n  seen: true\n  dwell: 0.3\nb: 2\n", id="mapping_that_lacks_some"),
+    pytest.param("esc:\n    kind: none\n    x: 1  # one\n\n# about b\nb: 2",
+                 "esc:\n    kind: fast\n    x: 1  # one\n    seen: true\n    dwell: 0.3\n\n# about b\nb: 2",
+                 id="behind_the_last_of_the_mapping"),
+    pytest.param("esc:\n  t: [1,\n      2]\n  kind: none\n  s:\n  - 1\nb: 2\n",
+                 "esc:\n  t: [1,\n      2]\n  kind: fast\n  s:\n  - 1\n  seen: true\n  dwell: 0.3\nb: 2\n",
+                 id="mapping_that_ends_with_a_list"),
+    pytest.param("esc:\n  kind: none", "esc:\n  kind: fast\n  seen: true\n  dwell: 0.3", id="no_line_end"),
+    pytest.param("b: 2\n", "b: 2\nesc:\n  kind: fast\n  seen: true\n  dwell: 0.3\n", id="no_mapping"),
+    pytest.param("esc: {kind: fast}\nb: 2\n", "esc:\n  kind: fast\n  seen: true\n  dwell: 0.3\nb: 2\n",
+                 id="mapping_on_one_line_is_written_anew"),
+    pytest.param("esc:\n  kind: fast\n  seen: true\n  dwell: 0.3\n", "esc:\n  kind: fast\n  seen: true\n  dwell: 0.3\n",
+                 id="nothing_changes"),
+    pytest.param("esc:\n  seen: 1\n", "esc:\n  seen: true\n  kind: fast\n  dwell: 0.3\n", id="true_is_not_1"),
+])
+def test_new_text_has_texts_flags_and_names_that_the_other_one_lacks(before, after):
+    values = {"esc/kind": "fast", "esc/seen": True, "esc/dwell": 0.3}
+    text = rewritten(before, values, ["head"])
+    assert text == "# head\n\n" + after
+    assert {name: yaml.safe_load(text)["esc"][name] for name in ("kind", "seen", "dwell")} == {
+        "kind": "fast", "seen": True, "dwell": 0.3}
+
+
+@pytest.mark.parametrize("before, after", [
     pytest.param("# old head\n\n# more of it\na: 1  # old\n\n# about b\nb: 2\n", "a: 9\n\n# about b\nb: 2\n",
                  id="head_is_replaced_and_other_comments_stay"),
     pytest.param("{a: 1, b: 2}\n", "{a: 9, b: 2}\n", id="mapping_on_one_line"),

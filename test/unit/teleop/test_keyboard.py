@@ -10,10 +10,14 @@ from car_interface.teleop.keyboard import (
     BACKWARD,
     FORWARD,
     LEFT,
+    LESS,
     MANUAL,
+    MORE,
     QUIT,
     RELEASE,
     RIGHT,
+    SLOWLY_BACKWARD,
+    SLOWLY_FORWARD,
     Controls,
     Keyboard,
     KeyReader,
@@ -31,6 +35,7 @@ CODE_M, CODE_W, CODE_A, CODE_SHIFT = 50, 17, 30, 42  # linux/input-event-codes.h
 @pytest.mark.parametrize("text, keys", [
     pytest.param("wasd", [FORWARD, LEFT, BACKWARD, RIGHT], id="letters"),
     pytest.param("WASDMPQ", [FORWARD, LEFT, BACKWARD, RIGHT, MANUAL, AUTONOMOUS, QUIT], id="with_caps_lock"),
+    pytest.param("ec+=-", [SLOWLY_FORWARD, SLOWLY_BACKWARD, MORE, MORE, LESS], id="slow_keys_and_the_scale"),
     pytest.param("\x1b[A\x1b[B\x1b[C\x1b[D", [FORWARD, BACKWARD, RIGHT, LEFT], id="arrows"),
     pytest.param("\x1bOA\x1bOD", [FORWARD, LEFT], id="arrows_in_application_mode"),
     pytest.param("\x1b[1;5A", [FORWARD], id="arrow_with_ctrl"),
@@ -252,3 +257,53 @@ def test_help_names_every_key_and_how_to_hold_the_deadman():
     assert all(word in help_text(True) for word in ("M ", "P ", "W A S D", "space", "Q ", "To drive: hold M."))
     assert ("To drive: press M, then hold another key: this terminal doesn't say when a key is released, so each "
             "counts for 0.7 s.") in help_text(False)
+
+
+# --- slow pushes and the scale ---
+
+
+def held(*keys, seconds):
+    """The throttle each second of holding keys beside the deadman."""
+    keyboard, found = Keyboard(True), []
+    for tick in range(round(seconds * 50) + 1):
+        now_ns = NOW + tick * 20 * MS
+        if tick % 10 == 0:
+            for key in (MANUAL, *keys):
+                keyboard.type(key, now_ns)
+        controls = keyboard.controls(now_ns)
+        if tick % 50 == 0:
+            found.append(controls.throttle)
+    return found
+
+
+@pytest.mark.parametrize("key, way", [(SLOWLY_FORWARD, 1), (SLOWLY_BACKWARD, -1)])
+def test_slow_key_pushes_ever_farther_from_the_dead_band_on(key, way):
+    assert held(key, seconds=3) == pytest.approx([way * 0.05, way * 0.12, way * 0.19, way * 0.26])
+
+
+def test_slow_push_beside_a_whole_one_or_its_opposite_is_none():
+    assert held(SLOWLY_FORWARD, FORWARD, seconds=1) == [1.0, 1.0]
+    assert held(SLOWLY_FORWARD, BACKWARD, seconds=1) == [-1.0, -1.0]
+    assert held(SLOWLY_FORWARD, SLOWLY_BACKWARD, seconds=1) == [0.0, 0.0]
+
+
+def test_slow_push_begins_anew_after_each_release():
+    keyboard = Keyboard(True)
+    for begin_ns in (NOW, NOW + 5 * S):
+        for tick in range(26):
+            keyboard.type(MANUAL, begin_ns + tick * 20 * MS)
+            keyboard.type(SLOWLY_FORWARD, begin_ns + tick * 20 * MS)
+            controls = keyboard.controls(begin_ns + tick * 20 * MS)
+        assert controls.throttle == pytest.approx(0.05 + 25 * 0.02 * 0.07)
+        assert keyboard.controls(begin_ns + 3 * S).throttle == 0.0
+
+
+def test_keys_for_the_scale_are_buttons_with_a_deadman_only():
+    keyboard = Keyboard(True)
+    keyboard.type(MORE, NOW)
+    assert keyboard.controls(NOW).scale == 0
+    keyboard.type(MANUAL, NOW)
+    assert keyboard.controls(NOW).scale == 1
+    keyboard.type(LESS, NOW)
+    assert keyboard.controls(NOW).scale == 0
+    assert keyboard.controls(NOW + S).scale == 0

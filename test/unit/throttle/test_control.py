@@ -135,6 +135,19 @@ def test_forward_from_reverse_brakes_by_brake_scale_and_then_drives_by_human_sca
     assert max(rig.duties) == BY_HAND
 
 
+def test_calibration_drive_has_the_scale_of_driving_for_brakes_too_so_that_a_pull_stays_the_same_at_standstill():
+    rig = Rig(calibration_drive=True)
+    rig.stick, rig.speed = 1.0, 2.0
+    rig.run(0.5)
+    rig.stick, rig.duties = -1.0, []
+    for rig.speed in (1.0, 0.0, -1.0):
+        rig.run(0.8)
+    rig.stick = 1.0
+    assert (set(rig.duties), rig.run(0.1).duty) == ({REVERSE_BY_HAND}, BY_HAND)
+    rig.human = False
+    assert rig.run(0.1).duty == NEUTRAL_DUTY
+
+
 def test_stick_that_reverse_s_scale_makes_too_small_drives_nothing():
     """0.2 of the stick brakes, but 0.3 of that is in the ESC's dead band."""
     rig = Rig(DIRECT_REVERSE)

@@ -430,14 +430,29 @@ def test_reverse_without_speed_becomes_a_brake_when_the_speed_says_forward():
 # --- calibration drive ---
 
 
-def test_calibration_drive_passes_a_person_s_pulls_and_nobody_else_s():
+def test_calibration_drive_passes_a_person_s_stick_and_nobody_else_s():
     car = Car("unverified", calibration_drive=True)
-    car.stick(0.5, 0.5, speed=2.0)
+    assert car.stick(0.5, 0.5, speed=2.0)[:3] == (0.5, FORWARD, "calibration drive")
     assert car.stick(-0.5, 0.1, speed=2.0)[:3] == (-0.5, BRAKING, "calibration drive")
     assert car.stick(-0.5, 2.0, speed=0.0)[:2] == (-0.5, REVERSE)
     assert car.stick(-0.5, 2.0, speed=-1.0)[:2] == (-0.5, REVERSE)
+    assert car.stick(0.5, 0.1, speed=-1.0)[:2] == (0.5, BRAKING)
+    assert car.stick(0.0, 0.1, speed=0.0)[:3] == (0.0, NEUTRAL, "calibration drive")
+    assert car.decision.reason == ("calibration drive: the ESC gets the stick as it is, and a brake may become "
+                                   "reverse")
     assert car.stop(speed=-1.0).fraction == 0.0
     assert car.planner(-0.5, speed=0.0).fraction == 0.0
+
+
+def test_calibration_drive_has_no_dead_band_for_a_person():
+    car = Car("unverified", calibration_drive=True)
+    assert [car.stick(value, 0.1, speed=0.0).fraction for value in (0.01, -0.01)] == [0.01, -0.01]
+    assert car.planner(0.01, speed=0.0).fraction == 0.0
+
+
+def test_calibration_drive_needs_arming_as_any_other():
+    car = Car("unverified", calibration_drive=True, armed=False)
+    assert car.stick(0.5, 3.0, speed=0.0)[:2] == (0.0, ARMING)
 
 
 def test_each_state_has_its_name():

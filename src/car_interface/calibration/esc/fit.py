@@ -1,13 +1,11 @@
 """The parameters ``esc/…`` and ``servo/neutral`` from a drive: only what the drive shows, each with what shows it.
 
-What the drive has to hold, in any order, each at least twice:
+What the drive has to hold, each at least twice; docs/calibrate.md has it second by second:
 
-* forward: from standstill, pushed so slowly that the car just sets off;
-* coast: forward, then the stick in the center until the car stands;
-* brake: forward, then at once pulled back by half and held until the car has stood for a second;
-* reverse: after such a brake the stick in the center, for a quarter to half a second, and pulled back again; from
-  standstill pulled so slowly that the car just sets off backward;
-* once: forward, the stick in the center for six seconds, then pulled back: does the ESC still brake?
+* set off: from standstill, pushed so slowly that the car just sets off; the same backward;
+* brake: forward, then at once pulled back and held until the car has stood for a second, or rolls backward;
+* pull twice: after such a brake the stick in the center, for a second and less, and pulled back again;
+* wait and pull: forward, the stick in the center for eight seconds, then pulled back: does the ESC still brake?
 
 A profile is named only if every pull of the drive fits it.
 """
@@ -44,14 +42,15 @@ from car_interface.throttle.esc_config import (
 MIN_SEEN = 2  # nothing counts that was seen once
 FRESH_S = 0.5  # a pull so soon after forward is the first, to any ESC
 LONG_COAST_S = 5.0  # an ESC that still brakes then is taken for one that never forgets: known ones forget sooner
-# Between forward and backward a direct ESC doesn't pause, a crawler's does. In between it can't be told, at 50 Hz and
-# with wheels that give a pulse each 15 mm.
-NO_PAUSE_S, SOME_PAUSE_S, CLEAR_PAUSE_S = 0.03, 0.06, 0.15
+# Between forward and backward a direct ESC doesn't pause, a crawler's does. By the wheels' pulses a pause is known to
+# 0.03 s (of 80 turns of virtual cars without one the longest was 0.022 s), by odometry to 0.1 s.
+NO_PAUSE_S, CLEAR_PAUSE_S, CLEAR_PAUSE_BY_SPEED_S = 0.03, 0.08, 0.2
 SAME_PUSH = 0.3  # an ESC without a brake slows the car as strongly as it drives it backward, give or take this
 DRAG_MPS2 = 0.35
 CREEP_MPS = 0.05
-SET_OFF_S = 0.1  # a car that creeps by now was set off so long ago
+SET_OFF_S = 0.26  # a car that creeps by now was set off so long ago: two pulses of a wheel, at the least
 MAX_JUMP = 0.03  # a stick that moved farther within SET_OFF_S doesn't show where the car sets off
+MAX_SET_OFF = 0.35  # a car that needs more to set off stands at something
 COAST_MPS = (0.4, 2.0)
 PUSHED_MPS = (0.1, 1.0)  # where a motor's thrust is still that at standstill
 
@@ -95,7 +94,7 @@ def fit(drive: EscDrive) -> EscFit:
     found = pulls(data)
     profile = _profile(found, seen, missing)
     forward, backward = _set_off(data, 1, profile), _set_off(data, -1, profile)
-    neutral, bands = _dead_band(drive, forward, backward, seen, missing)
+    neutral, bands = _dead_band(drive, forward, backward, profile, seen, missing)
     dwell_s = forget_s = None
     if profile == BRAKE_THEN_REVERSE:
         dwell_s = _dwell(found, seen, missing)
@@ -119,8 +118,8 @@ def _profile(found: Sequence[Pull], seen, missing):
         return _profile_that_holds(found, held, seen, missing)
     if len(turned) >= MIN_SEEN:
         return _profile_that_turns(turned, seen, missing)
-    missing.append("the profile: drive forward, pull back by half, and hold until the car has stood for a second; "
-                   "three times")
+    missing.append("the profile: full stick for a good second, pull back all the way, and hold until the car has stood "
+                   "for two seconds or rolls backward; three times")
     return None
 
 
@@ -136,26 +135,28 @@ def _profile_that_holds(found, held, seen, missing):
     if len(refused) > MIN_SEEN and not reversed_ and not any(pull.outcome == BACKWARD for pull in found):
         seen.append(f"esc/profile: {len(held)} brakes held the car, and {len(refused)} second pulls did, too")
         return FORWARD_ONLY
-    missing.append("the profile: after a brake, center the stick for half a second and pull back by half for a second; "
-                   "three times")
+    missing.append("the profile: after a brake, center the stick for a second and pull back all the way for two "
+                   "seconds; four times")
     return None
 
 
 def _profile_that_turns(turned, seen, missing):
-    clear = [pull for pull in turned if np.isfinite(pull.pause_s)]
+    exact = [pull for pull in turned if pull.is_exact]
+    clear = exact if len(exact) >= MIN_SEEN else [pull for pull in turned if np.isfinite(pull.pause_s)]
     text = f"esc/profile: {len(turned)} brakes that were held drove the car backward"
     if len(clear) >= MIN_SEEN:
-        # The median: one of them has the noise of a few speeds.
+        # The median: one of them has the noise of a few pulses.
         pause_s = float(np.median([pull.pause_s for pull in clear]))
-        has_brake = not _is_same_push(clear)
-        if pause_s >= CLEAR_PAUSE_S or pause_s >= SOME_PAUSE_S and has_brake:
+        if pause_s >= (CLEAR_PAUSE_S if clear is exact else CLEAR_PAUSE_BY_SPEED_S):
             seen.append(f"{text}, after it had stood for {pause_s:.2f} s")
             return BRAKE_BECOMES_REVERSE
-        if pause_s <= NO_PAUSE_S and not has_brake:
+        if clear is exact and pause_s <= NO_PAUSE_S and _is_same_push(clear):
             seen.append(f"{text}, without a pause, and as strongly as they slowed it")
             return DIRECT_REVERSE
     missing.append("the profile: a brake that is held drives the car backward, but it is not clear whether it brakes "
-                   "first: drive forward to 2 m/s, pull back by half, and hold until it rolls backward; three times")
+                   "first: full stick for a good second, pull back all the way, and hold until it rolls backward; four "
+                   "times more"
+                   + ("" if clear is exact else "; and record the wheels' pulses, too (rosbag record -a)"))
     return None
 
 
@@ -185,7 +186,7 @@ def _dwell(found, seen, missing):
         missing.append(f"esc/dwell: after a brake, center the stick for less than {high:g} s and pull back for a "
                        "second; several times, each a little quicker")
         return None
-    dwell_s = max(low, min(enough))
+    dwell_s = min(high, max(low, min(enough) + STEP_S))  # the next pulse may come a period later
     seen.append(f"esc/dwell: {min(enough):.2f} s of neutral were enough"
                 + (f", {max(short):.2f} s were not" if short else ""))
     return round(float(dwell_s), 2)
@@ -194,17 +195,22 @@ def _dwell(found, seen, missing):
 def _forget(found, seen, missing):
     """Neutral after which the first pull is reverse; 0 = it never is."""
     firsts = [pull for pull in found if np.isfinite(pull.since_forward_s)]
-    braked = [pull.since_forward_s for pull in firsts if pull.outcome == HELD]
-    forgot = [pull.since_forward_s for pull in firsts if pull.outcome == BACKWARD]
-    if forgot and braked and max(braked) < min(forgot) and max(braked) >= FRESH_S:
+    # Some brake a car that still rolls, although they have forgotten: only from standstill it shows.
+    stood = [pull for pull in firsts if abs(pull.speed_mps) < STANDS_MPS]
+    braked = [pull.since_forward_s for pull in stood if pull.outcome == HELD]
+    forgot = [pull.since_forward_s for pull in stood if pull.outcome == BACKWARD]
+    if forgot and max(braked, default=0.0) < min(forgot):
+        # Without a brake from standstill nothing longer is trusted than what any known ESC remembers.
+        forget_s = max(braked, default=FRESH_S)
         seen.append(f"esc/reverse_after_neutral: after {min(forgot):.1f} s in neutral the first pull was reverse, "
-                    f"after {max(braked):.1f} s a brake")
-        return round(float(max(braked)), 2)
+                    + (f"after {forget_s:.1f} s a brake" if braked else "and none from standstill was a brake"))
+        return round(float(max(forget_s, FRESH_S)), 2)
     if braked and not forgot and max(braked) >= LONG_COAST_S:
         seen.append(f"esc/reverse_after_neutral: after {max(braked):.1f} s in neutral the first pull was a brake")
         return 0.0
-    missing.append(f"esc/reverse_after_neutral: drive forward, center the stick, and after {LONG_COAST_S + 1:g} s pull "
-                   "back by half for a second" + (": once after one second, too" if forgot else ""))
+    missing.append(f"esc/reverse_after_neutral: full stick for a good second, center it, and after "
+                   f"{LONG_COAST_S + 3:g} s pull back all the way for two seconds; twice"
+                   + (" (they contradict each other)" if forgot else ""))
     return None
 
 
@@ -218,7 +224,7 @@ class _SetOff(NamedTuple):
 
 def _set_off(data: Sampled, sign, profile):
     """Where the car sets off; ``None`` = not seen."""
-    if sign < 0 and profile in (None, FORWARD_ONLY):
+    if sign < 0 and profile == FORWARD_ONLY:
         return None
     creeps = data.speed_mps * sign > CREEP_MPS
     begins = np.flatnonzero(creeps[1:] & ~creeps[:-1]) + 1
@@ -228,7 +234,7 @@ def _set_off(data: Sampled, sign, profile):
         pushed = data.fraction[begin - ago] * sign
         stood = np.abs(data.speed_mps[begin - ago - still:begin - ago]).max() < CREEP_MPS
         slowly = (data.fraction[begin] - data.fraction[begin - ago]) * sign <= MAX_JUMP
-        if stood and slowly and NEUTRAL_BAND < pushed < STRONG:
+        if stood and slowly and NEUTRAL_BAND < pushed < MAX_SET_OFF:
             found.append(float(data.duty[begin - ago]))
     if len(found) < MIN_SEEN:
         return None
@@ -241,28 +247,42 @@ def _gain(data, sign, set_off):
     """The acceleration by each duty beyond where the car sets off; ``None`` = not seen."""
     low, high = PUSHED_MPS
     pushed = (data.fraction * sign > STRONG) & (data.speed_mps * sign > low) & (data.speed_mps * sign < high)
+    pushed[1:] &= np.diff(data.duty) == 0  # not while the stick moves
     gains = []
     for begin, end in _runs(pushed):
-        if (end - begin) * STEP_S >= 0.15 and np.ptp(data.duty[begin:end]) == 0:
+        if (end - begin) * STEP_S >= 0.15:
             slope = np.polyfit(data.t_s[begin:end], data.speed_mps[begin:end], 1)[0] * sign
             gains.append(slope / ((data.duty[begin] - set_off) * sign))
     gains = [gain for gain in gains if gain > 0]
     return float(np.median(gains)) if len(gains) >= MIN_SEEN else None
 
 
-def _dead_band(drive, forward, backward, seen, missing):
-    """(neutral, (forward, reverse)): fractions from that neutral."""
-    for found, name, text in ((forward, "forward", "push"), (backward, "reverse", "pull")):
+def _dead_band(drive, forward, backward, profile, seen, missing):
+    """(neutral, (forward, reverse)): fractions from that neutral, of the distance that both ends have from the drive's.
+
+    An ESC without reverse shows nothing behind neutral: it keeps the neutral that it has.
+    """
+    wanted = [(forward, "forward", "push"), (backward, "reverse", "pull")][:1 if profile == FORWARD_ONLY else 2]
+    for found, name, text in wanted:
         if found is None:
             missing.append(f"esc/dead_band_{name}: from standstill, {text} the stick so slowly that the car just sets "
                            "off; three times")
+    _, low, high = NUMBERS["dead_band_forward"]
+    span_forward, span_reverse = drive.full_forward - drive.neutral, drive.neutral - drive.full_reverse
+    if profile == FORWARD_ONLY and forward is not None:
+        band = (forward.duty - drive.neutral) / span_forward
+        if not 0 < band <= high:
+            missing.append(f"esc/dead_band_forward: the car set off at {forward.duty:.0f}; that fits no neutral of "
+                           f"{drive.neutral:.0f}: on a level floor, again, or set servo/neutral")
+            return None, (None, None)
+        seen.append(f"esc/dead_band_forward: the car set off at {forward.duty:.0f} ({forward.times} times)")
+        return None, (round(max(low, band), 3), None)
     if forward is None or backward is None:
-        missing.append("servo/neutral: it lies between where the car sets off to both sides")
+        if profile != FORWARD_ONLY:
+            missing.append("servo/neutral: it lies between where the car sets off to both sides")
         return None, (None, None)
     neutral = (forward.edge + backward.edge) / 2
-    _, low, high = NUMBERS["dead_band_forward"]
-    bands = ((forward.duty - neutral) / (drive.full_forward - neutral),
-             (neutral - backward.duty) / (neutral - drive.full_reverse))
+    bands = ((forward.duty - neutral) / span_forward, (neutral - backward.duty) / span_reverse)
     if not forward.edge > backward.edge or not all(0 < band <= high for band in bands):
         missing.append(f"servo/neutral: the car set off at {backward.duty:.0f} and {forward.duty:.0f}; that fits no "
                        "neutral: on a level floor, again")
@@ -283,7 +303,8 @@ def _drag(data, seen, missing):
               for begin, end in _runs(rolls) if (end - begin) * STEP_S >= 0.2]
     slowed = [value for value in slowed if value > 0]
     if len(slowed) < MIN_SEEN:
-        missing.append("esc/drag_deceleration: drive forward, center the stick until the car stands; three times")
+        missing.append("esc/drag_deceleration: full stick for a good second, then center it until the car stands; "
+                       "three times")
         return None
     _, least, most = NUMBERS["drag_deceleration_mps2"]
     seen.append(f"esc/drag_deceleration: {min(slowed):.2f} to {max(slowed):.2f} m/s² in neutral"

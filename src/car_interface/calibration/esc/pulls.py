@@ -16,6 +16,7 @@ MOVES_MPS = 0.2
 NEUTRAL_BAND, STRONG = 0.01, 0.25
 HELD_S = 0.8  # a car that has stood so long under a pull is held: the slowest crawler turns within some tenths
 DELAY_S = 0.3  # what the car did by a pull shows no later: the chip, a period, the odometry, the motor
+TURN_PULSES, MIN_TURN_PULSES = 7, 5  # of a wheel, before it stands and after: by so many its turn is timed
 
 BACKWARD, HELD, UNCLEAR = "backward", "held", "unclear"
 
@@ -29,6 +30,7 @@ class EscDrive(NamedTuple):
         speed_s, speed_mps: the odometry, (M,) each; forward positive, rising times.
         neutral, full_forward, full_reverse: the duties of the centered stick and of the ends, in the configuration that
             was used.
+        wheels: (times, distances in m) at the pulses of each wheel, backward falling; empty = not recorded.
     """
 
     duty_s: np.ndarray
@@ -38,6 +40,7 @@ class EscDrive(NamedTuple):
     neutral: float
     full_forward: float
     full_reverse: float
+    wheels: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
 
 
 class Sampled(NamedTuple):
@@ -47,6 +50,7 @@ class Sampled(NamedTuple):
     duty: np.ndarray
     fraction: np.ndarray  # of the way from neutral to the end; NaN without a pulse
     speed_mps: np.ndarray
+    wheels: tuple[tuple[np.ndarray, np.ndarray], ...] = ()  # of EscDrive
 
 
 class Pull(NamedTuple):
@@ -63,6 +67,7 @@ class Pull(NamedTuple):
     pause_s: float  # of a BACKWARD one that began rolling: how long the car stood in between; NaN otherwise
     slowed_mps2: float  # the deceleration while it rolled forward, and the acceleration backward; NaN
     backed_mps2: float
+    is_exact: bool  # the last three are by the wheels' pulses
 
 
 def sampled(drive: EscDrive) -> Sampled | None:
@@ -79,7 +84,7 @@ def sampled(drive: EscDrive) -> Sampled | None:
     fraction = np.where(duty >= 1, (duty - drive.neutral) / span, np.nan)
     if not (np.abs(fraction) <= NEUTRAL_BAND).any():
         return None
-    return Sampled(t_s, duty, fraction, np.interp(t_s, drive.speed_s, drive.speed_mps))
+    return Sampled(t_s, duty, fraction, np.interp(t_s, drive.speed_s, drive.speed_mps), drive.wheels)
 
 
 def pulls(drive: Sampled) -> list[Pull]:
@@ -109,7 +114,7 @@ def pulls(drive: Sampled) -> list[Pull]:
 def _pull(drive, begin, end, neutral_s, since_forward_s, follows_pull):
     strong = drive.fraction[begin:end] <= -STRONG
     speed = drive.speed_mps[begin:end]
-    outcome, pause_s, slowed, backed = UNCLEAR, np.nan, np.nan, np.nan
+    outcome, turn = UNCLEAR, _NO_TURN
     if strong.any():
         first = int(strong.argmax())
         backward = np.flatnonzero((speed < -MOVES_MPS) & (np.arange(speed.size) >= first))
@@ -117,27 +122,59 @@ def _pull(drive, begin, end, neutral_s, since_forward_s, follows_pull):
         if backward.size:
             outcome = BACKWARD
             if speed[0] > MOVES_MPS:
-                pause_s, slowed, backed = _turn(speed)
+                turn = _turn_by_pulses(drive.wheels, *drive.t_s[[begin, end - 1]]) or _turn_by_speed(speed)
         elif _longest(stands) * STEP_S >= HELD_S and speed.min() > -STANDS_MPS:
             outcome = HELD
     return Pull(int(begin), int(end), float(strong.sum() * STEP_S), neutral_s, since_forward_s,
-                follows_pull, float(drive.speed_mps[begin]), outcome, pause_s, slowed, backed)
+                follows_pull, float(drive.speed_mps[begin]), outcome, *turn)
 
 
-def _turn(speed):
-    """(how long it stood between forward and backward, deceleration before, acceleration after)."""
+_NO_TURN = np.nan, np.nan, np.nan, False
+
+
+def _turn_by_pulses(wheels, begin_s, end_s):
+    """How long it stood between forward and backward, deceleration before, acceleration after, and ``True``.
+
+    The deceleration is constant shortly before it stands, and so is the acceleration after: both are parabolas through
+    pulses, and their vertices are where it came to stand, and left. ``None`` = too few pulses.
+    """
+    turns = []
+    for wheel_s, wheel_m in wheels:
+        inside = (wheel_s >= begin_s) & (wheel_s <= end_s)
+        t_s, distance_m = wheel_s[inside], wheel_m[inside]
+        if not t_s.size:
+            continue
+        top = int(distance_m.argmax())
+        before, after = slice(max(0, top + 1 - TURN_PULSES), top + 1), slice(top + 1, top + 1 + TURN_PULSES)
+        if min(t_s[before].size, t_s[after].size) < MIN_TURN_PULSES:
+            continue
+        stop_s, slowed = _vertex(t_s[before], distance_m[before])
+        go_s, backed = _vertex(t_s[after], distance_m[after])
+        if min(slowed, backed) > 0.1:
+            turns.append((go_s - stop_s, slowed, backed))
+    return (*(float(value) for value in np.mean(turns, axis=0)), True) if turns else None
+
+
+def _vertex(t_s, distance_m):
+    """(time of the vertex of the parabola through points, deceleration)."""
+    square, linear, _ = np.polyfit(t_s - t_s[0], distance_m, 2)
+    return t_s[0] - linear / (2 * square), -2 * square
+
+
+def _turn_by_speed(speed):
+    """The same by odometry, whose filter makes it uncertain by 0.1 s, and ``False``."""
     stop, go = int((speed < MOVES_MPS).argmax()), int((speed < -MOVES_MPS).argmax())
     # Both accelerations over 0.2 s, and from them when it really came to a standstill, and left it.
     width = round(0.2 / STEP_S)
     before, after = speed[max(0, stop - width):stop + 1], speed[go:go + width + 1]
     if before.size < 4 or after.size < 4:
-        return np.nan, np.nan, np.nan
+        return _NO_TURN
     slowed = -np.polyfit(np.arange(before.size) * STEP_S, before, 1)[0]
     backed = -np.polyfit(np.arange(after.size) * STEP_S, after, 1)[0]
     if slowed <= 0.1 or backed <= 0.1:
-        return np.nan, np.nan, np.nan
+        return _NO_TURN
     pause_s = (go - stop) * STEP_S - speed[stop] / slowed + speed[go] / backed
-    return float(pause_s), float(slowed), float(backed)
+    return float(pause_s), float(slowed), float(backed), False
 
 
 def _longest(flags):

@@ -9,17 +9,19 @@ import numpy as np
 
 from car_interface.calibration.value_map.acceleration import Drive, Series
 from car_interface.calibration.value_map.throttle import COUNT, ThrottleTable
-from car_interface.recordings import signals
+from car_interface.recordings import recording, signals
 from car_interface.recordings.overlap import Trail, trail
 from car_interface.recordings.pulses import WHEEL_TOPIC
 from car_interface.recordings.recording import NoRecording
 from car_interface.recordings.series import Output, Pulses
+from car_interface.throttle.arbiter import PLANNER, TELEOP
 
 PULSES, ODOM, IMU = "pulses", "odom", "imu"  # what accelerations are measured by
 MIN_PULSE_DUTY, MAX_PULSE_DUTY = 1638, 8192  # 0.5 and 2.5 ms: an ESC takes anything beyond for no pulse
 SETTLED_S = 0.15  # from a value to its duty on the board
 MIN_PULSES = 200  # from which the length of one is known
 GAP_S = 0.3  # odometry comes at least every 0.2 s
+STATE_TOPIC, STATE_TYPE = "throttle_arb/state", "car_interface/ThrottleState"
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,30 @@ def load_drive(path: str, source: Source, progress: bool = False) -> RecordedDri
             pitch = Series(found.imu.t_s, found.imu.pitch_rad)
     drive = Drive(Path(path).name, value, speed, Series(found.odom.t_s, found.odom.yaw_rad), wheels, imu, pitch, driven)
     return RecordedDrive(drive, notes, trail(found))
+
+
+def is_by_hand(path: str, value_topic: str, namespace: str = "/") -> bool:
+    """Whether the duty of the ESC's channel shows what drove the car, and the value of a planner does not.
+
+    So it is where no value was recorded but the board's output was, and where throttle_arb obeyed the gamepad more
+    often than the planner: a converter goes on converting meanwhile.
+
+    Raises:
+        NoRecording: it can't be read.
+    """
+    recorded = recording.contents(path).topics
+
+    def count(topic):
+        return sum(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace))
+    if not count(signals.OUTPUT_TOPIC):
+        return False
+    if not count(value_topic):
+        return True
+    by_hand = by_planner = 0
+    for one in recording.read(path, {STATE_TOPIC: STATE_TYPE}, namespace):
+        by_hand += one.message.source == TELEOP and bool(one.message.asked)
+        by_planner += one.message.source == PLANNER
+    return by_hand > by_planner
 
 
 def wheel_distances(pulses: Sequence[Pulses], speed: Series) -> tuple[Series, ...]:

@@ -8,10 +8,11 @@ import numpy as np
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable
 from car_interface.common.params import Params
-from car_interface.common.servo_channels import MAX_DUTY
+from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
 from car_interface.steering.params import load_yaml
 
 COUNT = 16  # duty of one count of the servo board
+DEFAULT_CHANNEL = 1  # of the ESC, as in config/throttle.yaml
 
 
 class ThrottleTable(NamedTuple):
@@ -20,6 +21,7 @@ class ThrottleTable(NamedTuple):
     value_of_duty: LookupTable
     neutral: float  # value
     path: str
+    channel: int  # of the servo board
 
     def values(self, duty: np.ndarray) -> np.ndarray:
         """The value of each duty (N,); NaN for one that no value makes, by more than the board's rounding."""
@@ -39,6 +41,7 @@ def load_throttle(path: str) -> ThrottleTable:
         duties = params.numbers("servo/duty_table", low=0, high=MAX_DUTY)
         values = LookupTable(params.numbers("servo/value_axis"), duties, "servo/value_axis", "servo/duty_table").axis
         neutral = params.integer("servo/neutral", low=0, high=MAX_DUTY)
+        channel = params.integer("servo/channel", DEFAULT_CHANNEL, low=0, high=CHANNELS - 1)
         steps = np.diff(duties)
         if not (np.all(steps > 0) or np.all(steps < 0)):
             raise ConfigError("servo/duty_table", duties, "duties that only rise, or only fall: each is a value's")
@@ -47,4 +50,4 @@ def load_throttle(path: str) -> ThrottleTable:
     except ConfigError as error:
         raise error.within(path) from error
     value_of_duty = LookupTable(*zip(*sorted(zip(duties, values))))
-    return ThrottleTable(value_of_duty, value_of_duty(neutral), path)
+    return ThrottleTable(value_of_duty, value_of_duty(neutral), path, channel)

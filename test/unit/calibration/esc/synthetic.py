@@ -1,6 +1,7 @@
 """A person who drives a virtual ESC as calibrate_esc asks for, and what is recorded of it."""
 from __future__ import annotations
 
+import math
 import random
 
 import numpy as np
@@ -10,6 +11,7 @@ from car_interface.sim import esc as virtual
 from car_interface.sim.esc_car import EscCar, EscCarConfig
 
 MS = 1_000_000
+PULSE_M = 0.0149
 NEUTRAL, FULL_FORWARD, FULL_REVERSE = 4912.0, 6554.0, 3277.0
 
 
@@ -28,6 +30,8 @@ class Person:
         self._resting, self._now_ns = resting, 0
         self._duty: list = []
         self._speed: list = []
+        self._pulses: list = []
+        self._magnets = random.Random(seed)  # of its own: the person is the same with any magnets
 
     def hold(self, fraction, seconds, until=lambda speed_mps: False):
         """Holds the stick for so long, or until the car's speed is as asked for."""
@@ -38,10 +42,25 @@ class Person:
             self._now_ns += 10 * MS
             if not self._duty or self._duty[-1][1] != duty:
                 self._duty.append((self._now_ns / 1e9, duty))
+            before_m = self.car.place_m
             self.car.step(0.01, self._esc.step(duty, self._now_ns, self.car.wheel_mps))
+            self._pass_magnets(before_m, self.car.place_m)
             if self._now_ns % (20 * MS) == 0:
                 noise = self.rng.gauss(0, 0.01) if self.car.wheel_mps else 0.0
                 self._speed.append((self._now_ns / 1e9 + 0.03, self.car.wheel_mps + noise))
+
+    def replace_esc(self, esc):
+        """Drives on with another one."""
+        self._esc = esc
+
+    def _pass_magnets(self, before_m, after_m):
+        """A pulse at each PULSE_M, some of them a little off."""
+        low, high = sorted((before_m, after_m))
+        for place in range(math.ceil(low / PULSE_M), math.floor(high / PULSE_M) + 1):
+            if before_m != after_m and place * PULSE_M != before_m:
+                ratio = (place * PULSE_M - before_m) / (after_m - before_m)
+                late_s = self._magnets.uniform(0, 0.03) * PULSE_M / max(0.1, abs(self.car.speed_mps))
+                self._pulses.append((self._now_ns / 1e9 - 0.01 + 0.01 * ratio + late_s, place * PULSE_M))
 
     def center(self, seconds=None):
         """Lets the stick go until the car stands, or for so long."""
@@ -104,7 +123,8 @@ class Person:
 
     def recorded(self) -> EscDrive:
         duty, speed = np.array(self._duty), np.array(self._speed)
-        return EscDrive(duty[:, 0], duty[:, 1], speed[:, 0], speed[:, 1], self._resting, FULL_FORWARD, FULL_REVERSE)
+        return EscDrive(duty[:, 0], duty[:, 1], speed[:, 0], speed[:, 1], self._resting, FULL_FORWARD, FULL_REVERSE,
+                        (tuple(np.array(self._pulses).T),) if self._pulses else ())
 
 
 def random_esc(seed) -> tuple[virtual.VirtualEscConfig, EscCarConfig]:

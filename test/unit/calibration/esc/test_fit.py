@@ -11,6 +11,7 @@ from calibration.esc.synthetic import FULL_FORWARD, FULL_REVERSE, NEUTRAL, Perso
 from car_interface.calibration.esc.fit import NOTHING_KNOWN, EscFit, fit
 from car_interface.calibration.esc.pulls import EscDrive
 from car_interface.sim import esc as virtual
+from car_interface.sim.esc_car import EscCarConfig
 from car_interface.throttle.esc_config import EscConfig
 
 RANDOM_ESCS = 200 if os.environ.get("CAR_INTERFACE_ALL") else 20
@@ -84,19 +85,19 @@ def driven(*actions):
     return fit(person.recorded())
 
 
-BRAKE_HINT = ("the profile: drive forward, pull back by half, and hold until the car has stood for a second; three "
-              "times")
-SECOND_HINT = ("the profile: after a brake, center the stick for half a second and pull back by half for a second; "
-               "three times")
+BRAKE_HINT = ("the profile: full stick for a good second, pull back all the way, and hold until the car has stood for "
+              "two seconds or rolls backward; three times")
+SECOND_HINT = ("the profile: after a brake, center the stick for a second and pull back all the way for two seconds; "
+               "four times")
 DWELL_HINT = ("esc/dwell: after a brake, center the stick for less than 0.5 s and pull back for a second; several "
               "times, each a little quicker")
-FORGET_HINT = ("esc/reverse_after_neutral: drive forward, center the stick, and after 6 s pull back by half for a "
-               "second")
+FORGET_HINT = ("esc/reverse_after_neutral: full stick for a good second, center it, and after 8 s pull back all the "
+               "way for two seconds; twice")
 FORWARD_HINT = ("esc/dead_band_forward: from standstill, push the stick so slowly that the car just sets off; three "
                 "times")
 REVERSE_HINT = ("esc/dead_band_reverse: from standstill, pull the stick so slowly that the car just sets off; three "
                 "times")
-COAST_HINT = "esc/drag_deceleration: drive forward, center the stick until the car stands; three times"
+COAST_HINT = "esc/drag_deceleration: full stick for a good second, then center it until the car stands; three times"
 
 
 @pytest.mark.parametrize("actions, hint", [
@@ -128,6 +129,118 @@ def test_brakes_that_contradict_each_other_name_no_profile():
     found = fit(both)
     assert found.profile is None
     assert "of 6 brakes after driving forward, 3 held the car and 3 drove it backward" in found.missing[0]
+
+
+def driven_backward_by(times, make, with_pulses=True, **car):
+    """The fit of some brakes that are held until the car rolls backward."""
+    person = Person(make(), EscCarConfig(**car), seed=5)
+    person.center(2.0)
+    for _ in range(times):
+        person.brake()
+        person.center()
+    drive = person.recorded()
+    return fit(drive if with_pulses else drive._replace(wheels=()))
+
+
+def test_pause_by_the_wheels_pulses_tells_a_crawler_from_a_direct_esc():
+    alike = {"brake_mps2": 4.0, "reverse_mps2": 4.0}
+    assert driven_backward_by(3, lambda: virtual.crawler(turn_s=0.12), **alike).profile == "brake_becomes_reverse"
+    assert driven_backward_by(3, virtual.direct, **alike).profile == "direct_reverse"
+
+
+def test_without_pulses_only_a_long_pause_names_a_profile():
+    def profile(make):
+        return driven_backward_by(3, make, with_pulses=False).profile
+    assert profile(lambda: virtual.crawler(turn_s=0.4)) == "brake_becomes_reverse"
+    assert profile(lambda: virtual.crawler(turn_s=0.05)) is profile(virtual.direct) is None
+    found = driven_backward_by(3, virtual.direct, with_pulses=False)
+    assert found.missing[0].endswith("and record the wheels' pulses, too (rosbag record -a)")
+
+
+def test_crawler_that_turns_at_once_is_not_taken_for_a_direct_esc():
+    found = driven_backward_by(4, lambda: virtual.crawler(turn_s=0.0), brake_mps2=8.0, reverse_mps2=2.5)
+    assert found.profile is None and "it is not clear whether it brakes first" in found.missing[0]
+
+
+def second_pulls(esc, *neutrals_s):
+    person = Person(esc, seed=5)
+    person.center(2.0)
+    for neutral_s in neutrals_s:
+        person.reverse(neutral_s)
+    return person
+
+
+def test_second_pulls_that_contradict_each_other_name_no_profile():
+    esc = virtual.xl5(dwell_s=0.8)
+    assert fit(second_pulls(esc, 1.0, 1.0, 1.0).recorded()).profile == "brake_then_reverse"
+    assert fit(second_pulls(esc, 1.0, 1.0, 0.6, 1.0).recorded()).profile is None
+
+
+def test_esc_that_was_once_seen_to_reverse_is_not_forward_only():
+    esc = virtual.xl5(dwell_s=2.0, forget_s=3.0)
+    person = second_pulls(esc, 0.6, 0.7, 0.8, 0.6)
+    assert fit(person.recorded()).profile == "forward_only"  # so it looks as yet
+    person.forward()
+    person.center()
+    person.center(4.0)
+    person.hold(-0.5, 2.0, lambda speed: speed < -0.6)
+    person.center()
+    assert fit(person.recorded()).profile is None
+
+
+def test_brake_of_a_car_that_still_rolls_does_not_show_that_the_esc_remembers():
+    person = second_pulls(virtual.vxl(forget_s=1.5, dwell_s=0.2), 0.8, 0.7, 0.9)
+    person.hold(1.0, 10, lambda speed: speed > 3.5)
+    person.hold(0, 2.0)
+    assert person.car.speed_mps > 1.0
+    person.hold(-0.5, 3.0, lambda speed: speed < -0.6)
+    person.center()
+    person.forward()
+    person.center()
+    person.center(4.0)
+    person.hold(-0.5, 2.0, lambda speed: speed < -0.6)
+    person.center()
+    found = fit(person.recorded())
+    assert found.reverse_after_neutral_s == 0.5
+    assert any(text.endswith("the first pull was reverse, and none from standstill was a brake") for text in found.seen)
+
+
+def waited(esc, *waits_s):
+    """The fit of second pulls, and of pulls after so long at standstill."""
+    person = second_pulls(esc, 0.8, 0.7, 0.9)
+    for wait_s in waits_s:
+        person.forward()
+        person.center()
+        person.center(wait_s)
+        person.hold(-0.5, 2.0, lambda speed: speed < -0.6)
+        person.center()
+    return fit(person.recorded())
+
+
+def test_only_a_long_wait_shows_that_an_esc_never_forgets():
+    assert waited(virtual.xl5(), 1.0).reverse_after_neutral_s is None
+    assert waited(virtual.xl5(), 6.5).reverse_after_neutral_s == 0.0
+
+
+def test_waits_that_contradict_each_other_show_nothing():
+    never, forgets = second_pulls(virtual.xl5(), 0.8, 0.7, 0.9), virtual.VirtualEsc(virtual.xl5(forget_s=3.0))
+    for wait_s in (6.5, 4.0):
+        never.forward()
+        never.center()
+        never.center(wait_s)
+        never.hold(-0.5, 2.0, lambda speed: speed < -0.6)
+        never.center()
+        never.replace_esc(forgets)
+        never.center(1.0)
+    found = fit(never.recorded())
+    assert found.reverse_after_neutral_s is None
+    assert any(text.endswith("twice (they contradict each other)") for text in found.missing)
+
+
+def test_esc_without_reverse_is_not_asked_for_its_neutral():
+    found = fitted(virtual.race)
+    assert (found.profile, found.neutral, found.dead_band_reverse, found.missing) == ("forward_only", None, None, ())
+    assert 0.05 < found.dead_band_forward < 0.2
 
 
 def test_empty_recording_shows_nothing():

@@ -1,0 +1,34 @@
+"""A file for throttle_arb, read as the node reads its parameters."""
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from car_interface.common.errors import ConfigError
+from car_interface.throttle.params import load_throttle
+
+SHIPPED = Path(__file__).resolve().parents[3] / "config" / "throttle.yaml"
+
+
+def test_shipped_file_is_that_of_an_unverified_esc():
+    config = load_throttle(str(SHIPPED))
+    esc = config.esc
+    assert (esc.profile, esc.profile_measured, esc.calibration_drive) == ("unverified", False, False)
+    assert (config.calibration.channel, config.calibration.neutral, config.arbiter.stick.human_scale) == (1, 4915, 0.3)
+
+
+@pytest.mark.parametrize("before, after, said", [
+    ("profile: unverified", "profile: fast", "esc/profile is 'fast'; accepted: one of brake_then_reverse"),
+    ("channel: 1\n", "channel: 16\n", "servo/channel is 16; accepted"),
+    ("expo: 0.0", "expoo: 0.0", "expoo"),
+    ("command_timeout: 0.5", "command_timeout: x", "command_timeout is 'x'"),
+])
+def test_file_that_the_node_would_refuse_is_refused_with_its_name(tmp_path, before, after, said):
+    text = SHIPPED.read_text(encoding="utf-8")
+    assert before in text
+    path = tmp_path / "throttle.yaml"
+    path.write_text(text.replace(before, after), encoding="utf-8")
+    with pytest.raises(ConfigError) as refused:
+        load_throttle(str(path))
+    assert str(path) in str(refused.value) and said in str(refused.value)
