@@ -59,6 +59,12 @@ def test_pull_that_shows_nothing_is_unclear(action):
     assert pull.outcome == UNCLEAR
 
 
+@pytest.mark.parametrize("held_s, outcome", [(0.5, UNCLEAR), (1.2, HELD)])
+def test_brake_that_is_let_go_soon_after_the_car_stands_is_unclear(held_s, outcome):
+    (pull,) = pulls_of(virtual.xl5, (-0.5, 5.0, lambda speed: speed <= 0), (-0.5, held_s))
+    assert pull.outcome == outcome
+
+
 def test_pulls_across_a_loss_of_pulses_do_not_belong_together():
     drive = EscDrive(np.array([0.0, 1.0, 2.0, 2.5, 3.0]), np.array([4912, 4096, 4912, 0, 4096]),
                      np.array([0.0, 5.0]), np.array([0.0, 0.0]), 4912.0, 6554.0, 3277.0)
