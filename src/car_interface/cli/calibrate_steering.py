@@ -21,7 +21,7 @@ from car_interface.calibration.steering.recorded import RecordedDrive, load_driv
 from car_interface.calibration.steering.report import report
 from car_interface.cli import output
 from car_interface.cli.jobs import add_jobs_argument, load_all
-from car_interface.cli.options import add_namespace_argument, finite
+from car_interface.cli.options import add_namespace_argument, length_m
 from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import check_axis
@@ -73,8 +73,6 @@ class Config:
     def __post_init__(self):
         if self.channel is not None and not 0 <= self.channel < CHANNELS:
             raise ConfigError("--channel", self.channel, "a channel of the servo board, 0 to 15")
-        if self.wheelbase_m is not None and self.wheelbase_m <= 0:
-            raise ConfigError("--wheelbase", self.wheelbase_m, "metres between the axles, above 0")
         if self.axis_m is not None:
             check_axis(self.axis_m, "--axis")
             if self.axis_m[0] <= 0 or len(self.axis_m) > MAX_BREAKPOINTS:
@@ -96,8 +94,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_topic_arguments(parser, ROLES)
     parser.add_argument("--imu", metavar="TOPIC", help="of an IMU whose yaw rate is better than odometry's (default: "
                         f"{IMU_TOPIC} where it was recorded, else the only one; {NO_IMU} = don't)")
-    parser.add_argument("--wheelbase", type=finite, metavar="M", help="where no duties were recorded: take the angles "
-                        "that a planner asked for (ackermann), which --base and this wheelbase turned into duties")
+    parser.add_argument("--wheelbase", type=length_m, metavar="M", help="where no duties were recorded: take the "
+                        "angles that a planner asked for (ackermann), which became duties by --base and this wheelbase")
     add_namespace_argument(parser)
     add_jobs_argument(parser)
 

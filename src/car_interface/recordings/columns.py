@@ -15,12 +15,12 @@ import numpy as np
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import stamp_ns, yaw_rad
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
+from car_interface.recordings.gravity import Gravity
 from car_interface.recordings.recording import Recorded
 from car_interface.recordings.series import Ackermann, Imu, Odom, Output, Value
 from car_interface.recordings.timeline import Timeline
 
 MAX_STAMP_OFFSET_S = 2.0  # a stamp farther from when its message was recorded is wrong
-MIN_GRAVITY_MPS2, UPRIGHT = 5.0, 0.8  # less was taken off already; the cosine of the largest tilt of an upright IMU
 REPEATED_S = 0.5  # how often an output that doesn't change is kept
 STAMP_BACK, ODD_STAMP, NOT_FINITE, WRONG_LENGTH = (
     "with a stamp that doesn't rise: left out",
@@ -126,27 +126,17 @@ class ImuColumn(StampedColumn):
     def __init__(self, topic):
         super().__init__(topic)
         self._pitch = array("d")
-        self._force_mps2 = [0.0, 0.0, 0.0]  # the sum by axis: gravity, since the rest of it cancels out
+        self._gravity = Gravity()
 
     def row(self, message):
         return message.angular_velocity.z, message.linear_acceleration.x
 
     def notes(self):
-        mean_mps2 = [abs(force) / max(len(self._times), 1) for force in self._force_mps2]
-        size_mps2 = math.hypot(math.hypot(*mean_mps2[:2]), mean_mps2[2])
-        if size_mps2 < MIN_GRAVITY_MPS2 or mean_mps2[2] >= UPRIGHT * size_mps2:
-            return super().notes()
-        axis = "xyz"[mean_mps2.index(max(mean_mps2))]
-        note = (f"{self.topic}: gravity lies along its {axis} axis, not along z: it is mounted on its side, and its "
-                "turn rate about z isn't the car's")
-        return [*super().notes(), note]
+        return [*super().notes(), *filter(None, [self._gravity.note(self.topic)])]
 
     def _add_more(self, message):
         self._pitch.append(_pitch_rad(message))
-        force = message.linear_acceleration
-        for axis, force_mps2 in enumerate((force.x, force.y, force.z)):
-            if math.isfinite(force_mps2):
-                self._force_mps2[axis] += force_mps2
+        self._gravity.add(message.linear_acceleration)
 
     def build(self):
         times, (yaw_rate_radps, acceleration_mps2) = self._columns()

@@ -60,11 +60,12 @@ def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given:
     """
     if given is not None and given != role.topics[0]:
         return Found(given)
-    with_messages = {name for name, topic in recorded.items() if topic.count}
-    usual = _first(role.topics, with_messages, namespace)
+    with_messages = {name: topic for name, topic in recorded.items() if topic.count}
+    usual = next((topic for topic in role.topics if fits(with_messages, topic, role, namespace)), None)
     candidates = _candidates(recorded, role, namespace) if role.is_guessed and usual is None else []
     if not candidates:
-        return Found(usual or _first(role.topics, recorded, namespace) or role.topics[0])
+        there = (topic for topic in role.topics if absolute_names(recorded, [topic], namespace))
+        return Found(usual or next(there, role.topics[0]))
     kind = recorded[candidates[0]].type.replace("/msg/", "/")
     if len(candidates) == 1:
         return Found(candidates[0], f"{role.name}: {candidates[0]} (the only {kind})")
@@ -72,15 +73,16 @@ def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given:
                                  f"which by --map, as in --map {candidates[0]}={role.name}")
 
 
+def fits(recorded: Mapping[str, Topic], topic: str, role: Role, namespace: str) -> bool:
+    """Whether a topic, as for ``recording.read``, was recorded with a type that its role accepts."""
+    return any(is_of_type(recorded[name].type, role.types)
+               for name in absolute_names(recorded, [topic], namespace))
+
+
 def other_cars(recorded: Mapping[str, Topic], namespace: str) -> set[str]:
     """The namespaces with cars of their own, such as ``/car1``, other than ``namespace``."""
     spaces = {name[:-len(ending)] for name in recorded for ending in CAR_ENDINGS if name.endswith(ending)}
     return spaces - {"", "/" + namespace.strip("/")}
-
-
-def _first(topics, recorded, namespace):
-    """The first of the topics that was recorded."""
-    return next((topic for topic in topics if absolute_names(recorded, [topic], namespace)), None)
 
 
 def _candidates(recorded, role, namespace):

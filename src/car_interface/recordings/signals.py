@@ -74,8 +74,7 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     Raises:
         NoRecording: it can't be read, lacks a topic, or has no usable message of one.
     """
-    wanted = set(wanted) | ({IMU} if topics.get(IMU) else set())
-    columns, types, guesses = _columns(path, wanted, set(optional), topics, namespace)
+    columns, types, guesses = _columns(path, set(wanted), set(optional), topics, namespace)
     by_topic = {column.topic: column for column in columns.values()}
     if PULSES in columns:
         by_topic[CLOCK_TOPIC] = columns[PULSES]
@@ -88,7 +87,7 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
             raise recording.other_version(path, recorded) from error
     for part, column in columns.items():
         column.finish(timeline)
-        if part in wanted and column.is_empty:
+        if column.is_empty and (part in wanted or topics.get(part)):
             raise NoRecording(f"{path}: nothing that can be used was recorded of {column.topic}")
     notes = (*guesses, *(note for column in columns.values() for note in column.notes()), *timeline.notes())
     built = {part: None if column.is_empty else column.build() for part, column in columns.items()}
@@ -102,15 +101,17 @@ def _columns(path, wanted, optional, topics, namespace):
     recorded = recording.contents(path).topics
     columns, types, guesses = {}, {}, []
     for part, (role, kind) in KINDS.items():
-        if part not in wanted | optional:
+        if part not in wanted | optional and (part != IMU or not topics.get(IMU)):
             continue
         topic, note = roles.find(recorded, role, namespace, topics.get(part))
         guesses += [note] if note else []
-        if recording.absolute_names(recorded, [topic], namespace):
+        is_needed = part in wanted or topics.get(part) is not None
+        if roles.fits(recorded, topic, role, namespace) or \
+                is_needed and recording.absolute_names(recorded, [topic], namespace):
             columns[part], types[topic] = kind(topic), role.types
-        elif part in wanted and note:
+        elif is_needed and note:
             raise NoRecording(f"{path}: {note}")
-        elif part in wanted:
+        elif is_needed:
             recording.require(path, [topic], namespace, f"the {part}: {role.what}")
     if OUTPUT in wanted | optional:
         columns.update(_output_column(path, recorded, OUTPUT in wanted, topics, namespace))

@@ -1,9 +1,13 @@
 """Parts of a page in HTML, and texts for numbers and times."""
 from __future__ import annotations
 
+import time
 from html import escape
 from typing import Iterable, Sequence
 
+from car_interface.common.units import NS_PER_S
+
+MIN_DATE_NS = 1_000_000_000 * NS_PER_S  # September 2001: before ROS; the clock of a simulation begins at 0
 OPEN_ROWS, MAX_ROWS = 25, 500  # of a table: shown at once, and altogether
 STYLE = """
 :root { color-scheme: light; --ink: #16202b; --faint: #5c6773; --line: #dfe4e9; --bad: #c0392b; --warn: #b9671a;
@@ -82,7 +86,14 @@ def counted(texts: Iterable[str]) -> str:
 
 def range_text(minimum: float, maximum: float, unit: str) -> str:
     """A range with its unit."""
-    return f"{minimum:.2f} to {maximum:.2f} {unit}"
+    return f"{round(minimum, 2) + 0.0:.2f} to {round(maximum, 2) + 0.0:.2f} {unit}"  # + 0.0: no "-0.00"
+
+
+def date_text(time_ns: int) -> str:
+    """ROS time as a date, UTC; in words where the clock had none."""
+    if time_ns < MIN_DATE_NS:
+        return f"no date: its clock began at 0, {span_text(time_ns / NS_PER_S)} before"
+    return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(time_ns / NS_PER_S))
 
 
 def times_text(count: int) -> str:
