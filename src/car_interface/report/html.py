@@ -7,6 +7,7 @@ from typing import Iterable, Sequence
 
 from car_interface.common.units import NS_PER_S
 
+SAME_RATIO = 0.015  # from 1: it counts as the same
 MIN_DATE_NS = 1_000_000_000 * NS_PER_S  # September 2001: before ROS; the clock of a simulation begins at 0
 OPEN_ROWS, MAX_ROWS = 25, 500  # of a table: shown at once, and altogether
 STYLE = """
@@ -62,8 +63,12 @@ def section(name: str, title: str, text: str, *parts: str) -> str:
             + "</section>\n")
 
 
-def table(names: Sequence[str], rows: Sequence[Sequence], numbers: int, numbers_from: int | None = None) -> str:
-    """A table; the first ``numbers`` columns, or those from ``numbers_from`` on, are numbers. Cells are HTML."""
+def table(names: Sequence[str], rows: Sequence[Sequence], numbers: int, numbers_from: int | None = None,
+          open_rows: int = OPEN_ROWS) -> str:
+    """A table, folded if it has more than ``open_rows``; cells are HTML.
+
+    The first ``numbers`` columns, or those from ``numbers_from`` on, are numbers.
+    """
     def kind(index):
         is_number = index < numbers if numbers_from is None else index >= numbers_from
         return ' class="number"' if is_number else ""
@@ -72,7 +77,7 @@ def table(names: Sequence[str], rows: Sequence[Sequence], numbers: int, numbers_
                      for row in rows[:MAX_ROWS])
     more = f'<p class="faint">And {len(rows) - MAX_ROWS} more.</p>\n' if len(rows) > MAX_ROWS else ""
     text = f'<div class="scroll"><table>\n<tr>{head}</tr>\n{body}\n</table></div>\n{more}'
-    return f"<details><summary>{len(rows)} lines</summary>\n{text}</details>\n" if len(rows) > OPEN_ROWS else text
+    return f"<details><summary>{len(rows)} lines</summary>\n{text}</details>\n" if len(rows) > open_rows else text
 
 
 def counted(texts: Iterable[str]) -> str:
@@ -99,6 +104,13 @@ def date_text(time_ns: int) -> str:
 def times_text(count: int) -> str:
     """How often: never, once, twice, 3 times."""
     return ("never", "once", "twice")[count] if count < 3 else f"{count} times"
+
+
+def ratio_text(ratio: float, wanted: str, more: str, less: str) -> str:
+    """A ratio in words: as ``wanted``, or by how many percent more or less than that."""
+    if abs(ratio - 1) < SAME_RATIO:
+        return f"as {wanted}"
+    return f"{abs(ratio - 1):.0%} {more if ratio > 1 else less} than {wanted}"
 
 
 def moment_text(time_s: float, duration_s: float) -> str:

@@ -3,13 +3,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any, Mapping
+from typing import Any, Callable, Mapping
 
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
 from car_interface.report.asked import AskedWatch
 from car_interface.report.downsample import Path, Trace
 from car_interface.report.faults import WARN, Fault, FaultLog
-from car_interface.report.following import Following
+from car_interface.report.following import Accelerating, Following
 from car_interface.report.steering_state import SteeringWatch
 
 WINDOW_S = 0.3  # over which accelerations and curvatures are taken: a dozen reports of the wheels
@@ -30,6 +30,7 @@ class MotionWatch:
         faults: gaps and resets are added.
         steering: who steers, and with what curvature.
         asked: what a planner asks for.
+        planner_drives: returns whether the throttle is the planner's now.
         start_ns: ROS time of the recording's first message.
 
     Attributes:
@@ -37,16 +38,18 @@ class MotionWatch:
         distance_m, moving_s: how far, and how long it drove.
         turn_rate_radps: in the last WINDOW_S, left positive; ``None`` = not known yet.
         by_tables, by_planner: how tightly it turned against what turn_arb sent, and against what a planner asked for.
+        accelerating: how its accelerations differed from those that a planner requested.
     """
 
     def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
-                 start_ns: int):
+                 planner_drives: Callable[[], bool], start_ns: int):
         self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
-        self._asked = asked
+        self._asked, self._planner_drives = asked, planner_drives
         self.path = Path()
         self.distance_m = self.moving_s = 0.0
         self.turn_rate_radps: float | None = None
         self.by_tables, self.by_planner = Following(steering), Following(asked)
+        self.accelerating = Accelerating()
         self._window: deque = deque()  # stamp in s, speed, yaw, distance of the last WINDOW_S
         self._yaw = self._signed_distance_m = 0.0
         self._poses: deque = deque(maxlen=MAX_POSES)  # stamp in s, x, y, yaw
@@ -102,7 +105,10 @@ class MotionWatch:
         if span_s < WINDOW_S / 2 or len(window) < MIN_SAMPLES:
             return
         middle_s = time_s - span_s / 2
-        self._traces["acceleration"].add(middle_s, _slope(window))
+        acceleration_mps2 = _slope(window)
+        self._traces["acceleration"].add(middle_s, acceleration_mps2)
+        if self._planner_drives():
+            self.accelerating.add(time_s - span_s, time_s, acceleration_mps2, speed)
         self.turn_rate_radps = (self._yaw - window[0][2]) / span_s
         self._traces["turn rate"].add(middle_s, self.turn_rate_radps)
         distance_m = self._signed_distance_m - window[0][3]

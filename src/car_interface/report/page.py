@@ -13,6 +13,7 @@ from car_interface.report.html import (
     document,
     moment_text,
     range_text,
+    ratio_text,
     section,
     span_text,
     table,
@@ -24,7 +25,7 @@ from car_interface.report.summary import SONARS, Summary
 from car_interface.steering.arbiter import PLANNER, TELEOP
 
 MIN_RATIOS = 30  # samples, for a ratio to be shown
-SAME_RATIO, WRONG_RATIO = 0.015, 0.05  # of the driven to the sent curvature: the tables are right, or need calibration
+WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
 LEVELS = {WARN: '<span class="warn">warning</span>', ERROR: '<span class="bad">error</span>'}
 
 
@@ -143,7 +144,7 @@ def _motion_lines(drive):
         yield "Turned against the tables", "; ".join(ratios)
     by_imu = drive.imu.odometry_ratio()
     if by_imu.samples >= MIN_RATIOS:
-        yield "Turned by odometry", _more_text(by_imu.median, "the IMU says", "more", "less")
+        yield "Turned by odometry", ratio_text(by_imu.median, "the IMU says", "more", "less")
     if math.isfinite(sonars.nearest_m):
         yield "Nearest thing seen", (f"{sonars.nearest_m:.2f} m, {escape(sonars.nearest_sonar.replace('_', ' '))}, "
                                      f"at {moment_text(sonars.nearest_s, drive.duration_s)}")
@@ -171,7 +172,7 @@ def _asked_lines(drive):
         return
     ratio = drive.asked.speed_ratio()
     if ratio.samples >= MIN_RATIOS:
-        yield "Speed against what was asked", _more_text(ratio.median, "asked", "faster", "slower")
+        yield "Speed against what was asked", ratio_text(ratio.median, "asked", "faster", "slower")
     if drive.asked.wheelbase_m is None:
         yield "Turned against what was asked", "can't tell: which curve an angle asks for needs --wheelbase"
     else:
@@ -194,18 +195,9 @@ def _range_of(trace, unit):
     return range_text(trace.minimum, trace.maximum, unit)
 
 
-def _more_text(ratio, wanted, more, less):
-    """A ratio in words."""
-    if abs(ratio - 1) < SAME_RATIO:
-        return f"as {wanted}"
-    return f"{abs(ratio - 1):.0%} {more if ratio > 1 else less} than {wanted}"
-
-
 def _ratio_text(ratio, wanted="the tables say"):
-    """A ratio of curvatures in words."""
-    if abs(ratio - 1) < SAME_RATIO:
-        return f"as {wanted}"
-    return _more_text(1 / ratio, wanted, "wider", "tighter")
+    """A ratio of curvatures in words, for the radius."""
+    return ratio_text(1 / ratio, wanted, "wider", "tighter")
 
 
 # --- the sections ---

@@ -20,6 +20,7 @@ from car_interface.report.sonars import SonarWatch
 from car_interface.report.steering_state import SteeringWatch
 from car_interface.report.teensy_link import TeensyWatch
 from car_interface.report.throttle_state import ThrottleWatch
+from car_interface.steering.arbiter import PLANNER
 
 # Relative names are below the car's namespace, and so are the others where they are found there.
 SONARS = tuple(f"sonar/{end}_{side}" for end in ("front", "rear") for side in ("right", "middle", "left"))
@@ -138,9 +139,14 @@ def _empty(path, namespace, has, present, wheelbase_m):
     gamepad = GamepadWatch(faults, duration_s)
     steering = SteeringWatch(traces, faults, duration_s, gamepad)
     wanted = AskedWatch(traces, wheelbase_m)
-    moves = MotionWatch(traces, faults, steering, wanted, has.start_ns)
+    throttle = ThrottleWatch(traces, faults, duration_s)
+
+    def planner_drives():  # before throttle_arb whoever steered drove, too
+        return (steering.source if throttle.source is None else throttle.source) == PLANNER
+
+    moves = MotionWatch(traces, faults, steering, wanted, planner_drives, has.start_ns)
     return Summary(path, namespace, has.start_ns, duration_s, has.topics, [], present, traces, gamepad, steering,
-                   ThrottleWatch(traces, faults, duration_s), wanted, moves, ImuWatch(traces, moves),
+                   throttle, wanted, moves, ImuWatch(traces, moves),
                    SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
                    Coverage(namespace, duration_s))
 
@@ -160,8 +166,7 @@ def _handlers(summary):
         "odom": summary.motion.on_odom,
         "imu/data": summary.imu.on_imu,
         "drive": summary.asked.on_drive,
-        "control/command/control_cmd": lambda time_s, message: traces["requested acceleration"].add(
-            time_s, message.longitudinal.acceleration),
+        "control/command/control_cmd": partial(_on_request, summary),
         "generic/output/value": lambda time_s, message: traces["value"].add(time_s, message.data),
         **{name: partial(summary.sonars.on_range, topic=name) for name in SONARS},
         "/tf_static": summary.sonars.on_static_tf,
@@ -171,6 +176,12 @@ def _handlers(summary):
         "/diagnostics": nodes.on_diagnostics,
         "/rosout": nodes.on_log,
     }
+
+
+def _on_request(summary, time_s, message):
+    """The acceleration that a planner requests."""
+    summary.traces["requested acceleration"].add(time_s, message.longitudinal.acceleration)
+    summary.motion.accelerating.request(time_s, message.longitudinal.acceleration)
 
 
 def _elsewhere(topics, namespace, note):
