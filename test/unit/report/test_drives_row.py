@@ -2,10 +2,12 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from car_interface.common import causes
+from car_interface.report import drives_row
 from car_interface.report.drives_row import Row, row
 from car_interface.report.summary import summarize
 from written_recordings import SPEED_MPS, START_NS, Written, drive, odometry, old_steering_state, stamp, write_ros1
@@ -37,6 +39,15 @@ def test_steering_is_off_as_far_as_the_car_drove_it(found):
 def test_errors_of_the_link_are_those_of_this_drive(found):
     assert (found.frames, found.corrupt, found.reboots, found.reopened) == (90 * 59, 2, 1, 0)
     assert found.unanswered == 0
+
+
+@pytest.mark.parametrize("pings, pongs, unanswered", [(20, 20, 0), (21, 20, 0), (24, 20, 3)],
+                         ids=["all_answered", "the_newest_on_its_way", "three_lost"])
+def test_ping_that_is_still_on_its_way_is_not_unanswered(pings, pongs, unanswered):
+    counts = {"frames": 5, "bad_frames": 1, "reconnects": 0, "reboots": 0}
+    first, last = SimpleNamespace(**counts, pings=10, pongs=10), SimpleNamespace(**counts, pings=pings, pongs=pongs)
+    found = drives_row._link(SimpleNamespace(first_link=first, link=last))
+    assert found["unanswered"] == unanswered and found["frames"] == 0
 
 
 def test_what_was_not_recorded_is_named(found):

@@ -21,6 +21,10 @@ def test_angle_is_the_duty_of_its_radius_at_the_boards_nearest_count(radius_m):
     assert abs(duty - TABLE.planner_duty(radius_m)) <= 8 and duty % 16 == 0
 
 
+def test_angle_is_that_of_the_front_wheels_not_of_the_chord():
+    assert AngleTable(TABLE, 1.0).duty(math.atan(1.0 / 1.5)) == ANGLES.duty(math.atan(0.324 / 1.5))
+
+
 def test_no_angle_is_the_center_and_more_than_the_table_has_its_end():
     assert abs(ANGLES.duty(0.0) - TABLE.servo_center) <= 8 and ANGLES.duty(0.0) == ANGLES.duty(1e-9)
     assert ANGLES.duty(1.4) == ANGLES.duty(1.5) and ANGLES.duty(-1.4) == ANGLES.duty(-1.5) != ANGLES.duty(1.4)
