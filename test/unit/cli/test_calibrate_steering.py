@@ -20,6 +20,7 @@ import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
+from car_interface.calibration.steering.recorded import load_drive
 from car_interface.cli.calibrate_steering import Config
 from car_interface.cli.main import main
 from car_interface.common.errors import ConfigError
@@ -171,6 +172,22 @@ def test_angles_alone_are_refused_with_what_to_type(bag_of_angles, tmp_path, cap
     said = capsys.readouterr().err
     assert "has no topic /servo/output, nor /servo/cmdVector or command: the servo's duties can't be told. " in said
     assert "The angles that were asked for are on drive: with --wheelbase M, and the --base that made duties" in said
+
+
+def test_two_topics_with_angles_are_refused_with_both_names(tmp_path, capsys):
+    angles = [Written(0.1 * step, topic, ANGLES[1][0], {"header": {"stamp": stamp(0.1 * step)}})
+              for step in range(5) for topic in ("/a", "/b")]
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), *angles], extra_types=ANGLES)
+    assert run(path, "-o", tmp_path / "made.yaml", "--wheelbase", "0.3") == 1
+    assert ("the servo's duties can't be told. ackermann: there are /a and /b, and no drive; say which by --map, as in "
+            "--map /a=ackermann\n") in capsys.readouterr().err
+
+
+def test_angles_beside_duties_are_not_used_and_not_spoken_of(tmp_path, capsys):
+    angles = [Written(0.1, "/planner", ANGLES[1][0], {"header": {"stamp": stamp(0.1)}})]
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), *angles, *OUTPUT], extra_types=ANGLES)
+    assert load_drive(str(path), 0, angle_table=None).notes == ()
+    assert load_drive(str(path), 0).drive.duty[0] == 5104
 
 
 def test_wheelbase_is_a_length(capsys):

@@ -59,7 +59,7 @@ def load_drive(path: str, channel: int, topics: Mapping[str, str] | None = None,
     optional = [signals.OUTPUT, signals.ACKERMANN, *([signals.IMU] if use_imu else [])]
     found = signals.load(path, (signals.ODOM,), optional=optional, namespace=namespace, progress=True,
                          **{role: topic for role, topic in (topics or {}).items() if use_imu or role != signals.IMU})
-    odom, notes = found.odom, list(found.notes)
+    odom, notes = found.odom, [note for note in found.notes if found.output is None or not _is_on_angles(note)]
     heading = None if found.imu is None else imu_heading(odom, found.imu)
     if found.imu is not None and heading is None:
         notes.append(f"{found.topics[signals.IMU]} covers too little of the drive, or doesn't follow the "
@@ -81,10 +81,17 @@ def _recorded_duties(found, channel):
     return found.output.t_s, np.where(is_pulse, duty, np.nan)
 
 
+def _is_on_angles(note):
+    """Whether a note says what was taken for a planner's angles; where duties were recorded, they aren't used."""
+    return note.startswith(f"{signals.ACKERMANN}: ")
+
+
 def _asked_duties(found, angle_table, notes):
     """(times, duties) by the angles that a planner asked for."""
     output, commands = roles.OUTPUT.topics[0], " or ".join(roles.COMMAND.topics)
     lacks = f"{found.path} has no topic {output}, nor {commands}: the servo's duties can't be told"
+    if found.ackermann is None and any(map(_is_on_angles, found.notes)):
+        raise NoRecording(f"{lacks}. {next(filter(_is_on_angles, found.notes))}")
     if found.ackermann is None:
         raise NoRecording(f"{lacks}, and no {roles.ACKERMANN.types[0]} that could stand for them. Name a topic of "
                           "another name by --map TOPIC=output")
