@@ -25,7 +25,7 @@ from car_interface.recordings.timeline import Timeline
 
 ODOM, OUTPUT, IMU, VALUE, ACKERMANN, PULSES = PARTS = "odom", "output", "imu", "value", "ackermann", "pulses"
 COMMAND = "command"
-VALUE_TOPIC, IMU_TOPIC = roles.VALUE.topics[0], roles.IMU.topics[0]
+VALUE_TOPIC, IMU_TOPIC, OUTPUT_TOPIC = (role.topics[0] for role in (roles.VALUE, roles.IMU, roles.OUTPUT))
 # The parts with a topic of their own.
 KINDS = {ODOM: (roles.ODOM, OdomColumn), IMU: (roles.IMU, ImuColumn), VALUE: (roles.VALUE, ValueColumn),
          ACKERMANN: (roles.ACKERMANN, AckermannColumn)}

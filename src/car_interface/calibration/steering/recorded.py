@@ -88,8 +88,8 @@ def _is_on_angles(note):
 
 def _asked_duties(found, angle_table, notes):
     """(times, duties) by the angles that a planner asked for."""
-    output, commands = roles.OUTPUT.topics[0], " or ".join(roles.COMMAND.topics)
-    lacks = f"{found.path} has no topic {output}, nor {commands}: the servo's duties can't be told"
+    commands = " or ".join(roles.COMMAND.topics)
+    lacks = f"{found.path} has no topic {signals.OUTPUT_TOPIC}, nor {commands}: the servo's duties can't be told"
     if found.ackermann is None and any(map(_is_on_angles, found.notes)):
         raise NoRecording(f"{lacks}. {next(filter(_is_on_angles, found.notes))}")
     if found.ackermann is None:
