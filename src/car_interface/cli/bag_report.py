@@ -8,17 +8,19 @@ import argparse
 import os
 import shlex
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Mapping
 
 from car_interface.cli import output
 from car_interface.cli.jobs import add_jobs_argument, for_each
-from car_interface.cli.options import add_namespace_argument
+from car_interface.cli.options import add_namespace_argument, length_m
+from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.common.errors import CarInterfaceError
 from car_interface.report.page import page
 from car_interface.report.plots import plots
-from car_interface.report.summary import summarize
+from car_interface.report.summary import ROLES, summarize
 
 
 @dataclass(frozen=True)
@@ -29,14 +31,16 @@ class Config:
         recordings: paths.
         output: path of the page, for several recordings of a folder; ``None`` = beside each recording.
         namespace: the car's.
-        odom_topic: of odometry.
+        topics: named by the user, by role.
+        wheelbase_m: by which an asked steering angle is a curvature; ``None`` = unknown.
         jobs: recordings to read at the same time.
     """
 
     recordings: tuple[str, ...]
     output: str | None = None
     namespace: str = "/"
-    odom_topic: str = "odom"
+    topics: Mapping[str, str] = field(default_factory=dict)
+    wheelbase_m: float | None = None
     jobs: int = 1
 
 
@@ -46,16 +50,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="FILE",
                         help="the page, or for several recordings a folder (default: BAG.html beside each)")
     add_namespace_argument(parser)
-    parser.add_argument("--odom", default="odom", metavar="TOPIC", help="the topic of its odometry (default: odom)")
+    add_topic_arguments(parser, ROLES)
+    parser.add_argument("--wheelbase", type=length_m, metavar="M", help="between the axles: which curvature an asked "
+                        "steering angle (ackermann) is")
     add_jobs_argument(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the pages."""
-    config = Config(tuple(options.bags), options.output, options.namespace, options.odom, options.jobs)
+    config = Config(tuple(options.bags), options.output, options.namespace, topics_of(options),
+                    options.wheelbase, options.jobs)
     pages = _pages(config)
     failed = 0
-    for (_, path), error in zip(pages, for_each(partial(_report, config=config), pages, config.jobs)):
+    for (bag, path), (notes, error) in zip(pages, for_each(partial(_report, config=config), pages, config.jobs)):
+        for note in notes:
+            print(f"bag_report: {bag}: {note}", file=sys.stderr)
         if error:
             failed = 1
             print(f"bag_report: {error}", file=sys.stderr)
@@ -87,16 +96,17 @@ def _pages(config):
 
 
 def _report(bag_and_page, config):
-    """Write one page: an error as text, empty without one."""
+    """Write one page: (lines on the topics that it is about, an error as text, empty without one)."""
     bag, path = bag_and_page
     try:
         output.check(path, config.recordings)
-        drive = summarize(bag, config.namespace, config.odom_topic, progress=len(config.recordings) == 1)
+        drive = summarize(bag, config.namespace, config.wheelbase_m, progress=len(config.recordings) == 1,
+                          **config.topics)
         output.write(path, page(drive, plots(drive)))
+        return drive.notes, ""
     except CarInterfaceError as error:
-        return str(error)
+        return [], str(error)
     except OSError as error:
-        return f"{error.filename or path}: {error.strerror}"
+        return [], f"{error.filename or path}: {error.strerror}"
     except Exception as error:  # one bad recording must not prevent the pages of the others
-        return f"{bag}: no page can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
-    return ""
+        return [], f"{bag}: no page can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"

@@ -10,25 +10,30 @@ in --base. Its head says what the numbers are from, and how well they are known.
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Mapping
 
+from car_interface.calibration.steering.asked import AngleTable
 from car_interface.calibration.steering.calibrate import Calibrated, calibrate, yaml_text
 from car_interface.calibration.steering.recorded import RecordedDrive, load_drive
 from car_interface.calibration.steering.report import report
 from car_interface.cli import output
 from car_interface.cli.jobs import add_jobs_argument, load_all
-from car_interface.cli.options import add_namespace_argument
+from car_interface.cli.options import add_namespace_argument, length_m
+from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
 from car_interface.common.servo_channels import CHANNELS
-from car_interface.recordings.signals import IMU_TOPIC
+from car_interface.recordings import roles
+from car_interface.recordings.signals import IMU, IMU_TOPIC
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.params import load_steering
 
 BASE = "config/turn_arb.yaml"
+ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, roles.COMMAND, roles.ACKERMANN)
 NO_IMU = "none"
 MAX_BREAKPOINTS = 200
 
@@ -44,8 +49,9 @@ class Config:
         axis_m: turn radii of the tables; ``None`` = chosen by what was driven.
         force: write what would be refused.
         channel: of the servo board, 0..15; ``None`` = the base's.
-        odom_topic: of odometry.
-        imu_topic: of an IMU; ``None`` = the standard topic where it was recorded; NO_IMU = none.
+        topics: named by the user, by role; that of the role imu may be NO_IMU.
+        wheelbase_m: by which the angles that a planner asked for became duties, where no duties were recorded; ``None``
+            = they are not used.
         namespace: the car's.
         jobs: recordings to read at the same time.
 
@@ -59,8 +65,8 @@ class Config:
     axis_m: tuple[float, ...] | None = None
     force: bool = False
     channel: int | None = None
-    odom_topic: str = "odom"
-    imu_topic: str | None = None
+    topics: Mapping[str, str] = field(default_factory=dict)
+    wheelbase_m: float | None = None
     namespace: str = "/"
     jobs: int = 1
 
@@ -85,10 +91,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="write what would be refused; where nothing was driven "
                         "the old duties stay, marked")
     parser.add_argument("--channel", type=int, metavar="N", help="of the servo board (default: the base's)")
-    parser.add_argument("--odom", default="odom", metavar="TOPIC", help="of odometry, any nav_msgs/Odometry "
-                        "(default: odom)")
+    add_topic_arguments(parser, ROLES)
     parser.add_argument("--imu", metavar="TOPIC", help="of an IMU whose yaw rate is better than odometry's (default: "
-                        f"{IMU_TOPIC} where it was recorded; {NO_IMU} = don't)")
+                        f"{IMU_TOPIC} where it was recorded, else the only one; {NO_IMU} = don't)")
+    parser.add_argument("--wheelbase", type=length_m, metavar="M", help="where no duties were recorded: take the "
+                        "angles that a planner asked for (ackermann), which became duties by --base and this wheelbase")
     add_namespace_argument(parser)
     add_jobs_argument(parser)
 
@@ -100,7 +107,8 @@ def config_of(options: argparse.Namespace) -> Config:
         ConfigError: naming the option.
     """
     return Config(tuple(options.bags), options.output, options.base or str(package_file(BASE)), options.axis,
-                  options.force, options.channel, options.odom, options.imu, options.namespace, options.jobs)
+                  options.force, options.channel, topics_of(options, imu=options.imu), options.wheelbase,
+                  options.namespace, options.jobs)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -126,10 +134,10 @@ def load_recordings(config: Config, base: SteeringCalibration) -> list[RecordedD
     Raises:
         NoRecording: one can't be read, lacks what is needed, or has the same driving as another.
     """
-    use_imu = config.imu_topic != NO_IMU
+    angle_table = None if config.wheelbase_m is None else AngleTable(base, config.wheelbase_m)
     load = partial(load_drive, channel=base.servo_channel if config.channel is None else config.channel,
-                   odom_topic=config.odom_topic, imu_topic=config.imu_topic if use_imu else None, use_imu=use_imu,
-                   namespace=config.namespace)
+                   topics=config.topics, use_imu=config.topics.get(IMU) != NO_IMU, namespace=config.namespace,
+                   angle_table=angle_table)
     return load_all(load, config.recordings, config.jobs)
 
 

@@ -30,15 +30,18 @@ from car_interface.calibration.value_map.throttle import load_throttle
 from car_interface.cli import output
 from car_interface.cli.jobs import add_jobs_argument, load_all
 from car_interface.cli.options import add_namespace_argument, finite
+from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
 from car_interface.common.servo_channels import CHANNELS
+from car_interface.recordings import roles
 from car_interface.recordings.signals import VALUE_TOPIC
 from car_interface.throttle.value_map import load_value_map
 
 ESC_CHANNEL, ESC_NEUTRAL_DUTY = 1, 4915  # as config/throttle.yaml has them
 NO_CHANNEL = -1
+ROLES = (roles.ODOM, roles.IMU, roles.VALUE, roles.OUTPUT, roles.COMMAND)
 THROTTLE = "config/throttle.yaml"
 VALUE_TIMEOUT_S, DUTY_TIMEOUT_S = 0.5, 1.2  # a duty that doesn't change is repeated only now and then
 LIMITS = WindowConfig()
@@ -78,8 +81,8 @@ class Config:
         esc_channel = self.source.esc_channel
         if esc_channel is not None and not 0 <= esc_channel < CHANNELS:
             raise ConfigError("--esc-channel", esc_channel, "a channel of the servo board, 0 to 15, or -1")
-        if self.source.measured_by == IMU and not self.source.imu_topic:
-            raise ConfigError("--imu", self.source.imu_topic, f"the IMU's topic, as --acceleration {IMU} needs it")
+        if self.source.measured_by == IMU and IMU not in self.source.topics:
+            raise ConfigError("--imu", None, f"the IMU's topic, as --acceleration {IMU} needs it")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,7 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--acceleration", choices=(PULSES, ODOM, IMU),
                         help="measure it by the wheels' pulses, odometry's speed, or the IMU (default: pulses where "
                              "they were recorded, else odometry)")
-    parser.add_argument("--odom", default="odom", metavar="TOPIC", help="of odometry (default: odom)")
+    add_topic_arguments(parser, ROLES)
     parser.add_argument("--imu", metavar="TOPIC", help="of an IMU, such as imu/data: its pitch takes gravity off")
     add_namespace_argument(parser)
     parser.add_argument("--delay", type=finite, metavar="S", help="from value to acceleration (default: estimated)")
@@ -131,15 +134,15 @@ def config_of(options: argparse.Namespace) -> Config:
     Raises:
         ConfigError: naming the option or the file.
     """
-    value = options.value or _recorded_value(options)
+    value = options.value or topics_of(options).get(roles.VALUE.name) or _recorded_value(options)
     channel = _duty_channel(value)
     by_duty = channel is not None
     throttle = _throttle(options) if by_duty else None
     neutral = options.neutral if options.neutral is not None else throttle.neutral if throttle else 0.0
     source = Source(
-        value_topic=VALUE_TOPIC if by_duty else value, duty_channel=channel, throttle=throttle,
-        neutral=neutral, measured_by=options.acceleration, odom_topic=options.odom, imu_topic=options.imu,
-        namespace=options.namespace, esc_channel=None if options.esc_channel == NO_CHANNEL else options.esc_channel,
+        topics=topics_of(options, value=None if by_duty else value, imu=options.imu), duty_channel=channel,
+        throttle=throttle, neutral=neutral, measured_by=options.acceleration, namespace=options.namespace,
+        esc_channel=None if options.esc_channel == NO_CHANNEL else options.esc_channel,
         esc_neutral_duty=options.esc_neutral)
     fit = FitConfig(
         window=WindowConfig(min_speed_mps=options.min_speed, max_curvature_per_m=options.max_curvature,
@@ -204,7 +207,7 @@ def _recorded_value(options):
 
 def _duty_channel(value):
     """The channel in --value duty:CHANNEL; ``None`` for a topic."""
-    if not value.startswith(DUTY):
+    if value is None or not value.startswith(DUTY):
         return None
     text = value[len(DUTY):]
     if not text.isdecimal() or int(text) >= CHANNELS:

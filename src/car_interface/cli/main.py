@@ -23,6 +23,7 @@ MODULES = {
     "calibrate_steering": "car_interface.cli.calibrate_steering",
     "calibrate_value_map": "car_interface.cli.calibrate_value_map",
     "check_map": "car_interface.cli.check_map",
+    "drives": "car_interface.cli.drives",
 }
 INSTALL = "see docs/recordings.md, Install the tools"
 # Libraries whose package has another name.

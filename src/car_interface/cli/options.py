@@ -17,3 +17,11 @@ def finite(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is no finite number")
     return value
+
+
+def length_m(text: str) -> float:
+    """A length above 0 out of an option's text."""
+    length = finite(text)
+    if length <= 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no length above 0 m")
+    return length

@@ -15,8 +15,9 @@ import numpy as np
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import stamp_ns, yaw_rad
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
+from car_interface.recordings.gravity import Gravity
 from car_interface.recordings.recording import Recorded
-from car_interface.recordings.series import Imu, Odom, Output, Value
+from car_interface.recordings.series import Ackermann, Imu, Odom, Output, Value
 from car_interface.recordings.timeline import Timeline
 
 MAX_STAMP_OFFSET_S = 2.0  # a stamp farther from when its message was recorded is wrong
@@ -125,16 +126,33 @@ class ImuColumn(StampedColumn):
     def __init__(self, topic):
         super().__init__(topic)
         self._pitch = array("d")
+        self._gravity = Gravity()
 
     def row(self, message):
         return message.angular_velocity.z, message.linear_acceleration.x
 
+    def notes(self):
+        return [*super().notes(), *filter(None, [self._gravity.note(self.topic)])]
+
     def _add_more(self, message):
         self._pitch.append(_pitch_rad(message))
+        self._gravity.add(message.linear_acceleration)
 
     def build(self):
         times, (yaw_rate_radps, acceleration_mps2) = self._columns()
         return Imu(times, yaw_rate_radps, acceleration_mps2, np.frombuffer(self._pitch))
+
+
+class AckermannColumn(StampedColumn):
+    """ackermann_msgs/AckermannDriveStamped, or AckermannDrive, which counts by when it was recorded."""
+
+    def row(self, message):
+        drive = ackermann_drive(message)
+        return drive.steering_angle, drive.speed
+
+    def build(self):
+        times, (angle_rad, speed_mps) = self._columns()
+        return Ackermann(times, angle_rad, speed_mps)
 
 
 class ValueColumn(StampedColumn):
@@ -191,6 +209,11 @@ def message_stamp_ns(message) -> int:
     """A message's stamp, of its header or its own; 0 when it has none."""
     stamp = message.header.stamp if hasattr(message, "header") else getattr(message, "stamp", None)
     return stamp_ns(stamp) if stamp is not None else 0
+
+
+def ackermann_drive(message) -> Any:
+    """The AckermannDrive in a message that may be stamped."""
+    return message.drive if hasattr(message, "drive") else message
 
 
 def _pitch_rad(message):

@@ -1,7 +1,7 @@
 """Deserializes recorded messages, by the recording's own definitions or by those that are known here.
 
 ROS 1 bags always contain their definitions, ROS 2 bags since Iron. For older ones there are the standard types of ROS 2
-Humble, those in this package's ``msg`` folder, and Autoware's equivalents of these.
+Humble, those in this package's ``msg`` folder, Autoware's equivalents of these, and ackermann_msgs.
 """
 from __future__ import annotations
 
@@ -18,6 +18,12 @@ EQUIVALENTS = {
     "autoware_control_msgs": ("Control", "Lateral", "Longitudinal"),
     "autoware_internal_debug_msgs": ("Float64Stamped",),
     "tier4_debug_msgs": ("Float64Stamped",),
+}
+# Common types that ROS 2 itself doesn't have.
+OTHERS = {
+    "ackermann_msgs/msg/AckermannDrive": "\n".join(f"float32 {name}" for name in (
+        "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")),
+    "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive",
 }
 IDL_RULE = "=" * 80 + "\n"
 
@@ -57,7 +63,7 @@ class Definitions:
 
 
 def known_types() -> Any:
-    """The types of ROS 2 Humble, of this package, and Autoware's equivalents of these, as rosbags' typestore."""
+    """The types of ROS 2 Humble, of this package, Autoware's equivalents, and OTHERS, as rosbags' typestore."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     types: dict = {}
     for path in sorted(package_file("msg").glob("*.msg")):
@@ -66,6 +72,8 @@ def known_types() -> Any:
         for package, names in EQUIVALENTS.items():
             if path.stem in names:
                 types.update(get_types_from_msg(text, f"{package}/msg/{path.stem}"))
+    for name, text in OTHERS.items():
+        types.update(get_types_from_msg(text, name))
     store.register(types)
     return store
 

@@ -157,6 +157,11 @@ def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "
                               + (", ".join(similar) if similar else "none at all"))
 
 
+def is_of_type(kind: str, accepted: Iterable[str]) -> bool:
+    """Whether a message type, such as ``nav_msgs/msg/Odometry``, is one of those, written as in ROS 1 or in ROS 2."""
+    return _short(kind) in map(_short, accepted)
+
+
 def other_version(path: str, recorded: Recorded) -> NoRecording:
     """The error for a message that lacks a field of its type."""
     return NoRecording(f"{path}: {recorded.topic} was recorded with another version of "
@@ -231,7 +236,7 @@ def _check_type(path, connection, topics, names):
         return
     accepted = topics[names[connection.topic]]
     accepted = (accepted,) if isinstance(accepted, str) else accepted
-    if _short(connection.msgtype) not in map(_short, accepted):
+    if not is_of_type(connection.msgtype, accepted):
         raise NoRecording(f"{path}: {connection.topic} is of type {_short(connection.msgtype)}; accepted: "
                           + " or ".join(map(_short, accepted)))
 

@@ -51,6 +51,14 @@ class Value(NamedTuple):
     value: np.ndarray
 
 
+class Ackermann(NamedTuple):
+    """What a planner asks for, each row until the next one; all columns have the shape (N,)."""
+
+    t_s: np.ndarray
+    angle_rad: np.ndarray  # of a wheel in the middle of the front axle, left positive
+    speed_mps: np.ndarray  # of the middle of the rear axle, forward positive
+
+
 class Pulses(NamedTuple):
     """Encoder pulses of one wheel at the last pulse of each report; both columns have the shape (N,)."""
 

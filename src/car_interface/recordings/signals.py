@@ -9,21 +9,26 @@ from __future__ import annotations
 from typing import Collection, NamedTuple
 
 from car_interface.common.units import NS_PER_S
-from car_interface.recordings import recording
-from car_interface.recordings.columns import CommandColumn, ImuColumn, OdomColumn, OutputColumn, ValueColumn
+from car_interface.recordings import recording, roles
+from car_interface.recordings.columns import (
+    AckermannColumn,
+    CommandColumn,
+    ImuColumn,
+    OdomColumn,
+    OutputColumn,
+    ValueColumn,
+)
 from car_interface.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from car_interface.recordings.recording import NoRecording
-from car_interface.recordings.series import Imu, Odom, Output, Pulses, Value
+from car_interface.recordings.series import Ackermann, Imu, Odom, Output, Pulses, Value
 from car_interface.recordings.timeline import Timeline
 
-ODOM, OUTPUT, IMU, VALUE, PULSES = PARTS = "odom", "output", "imu", "value", "pulses"
-VALUE_TOPIC, IMU_TOPIC = "generic/output/value", "imu/data"
-# The board's outputs; without them its commands, which don't show channels that were set before the recording.
-OUTPUT_TOPIC, COMMAND_TOPICS = "/servo/output", ("/servo/cmdVector", "command")
-VALUE_TYPES = ("car_interface/Float64Stamped", "autoware_internal_debug_msgs/Float64Stamped",
-               "tier4_debug_msgs/Float64Stamped", "tier4_debug_msgs/Float32Stamped", "std_msgs/Float64",
-               "std_msgs/Float32")
-TYPES = {ODOM: "nav_msgs/Odometry", OUTPUT: "std_msgs/Int32MultiArray", IMU: "sensor_msgs/Imu", VALUE: VALUE_TYPES}
+ODOM, OUTPUT, IMU, VALUE, ACKERMANN, PULSES = PARTS = "odom", "output", "imu", "value", "ackermann", "pulses"
+COMMAND = "command"
+VALUE_TOPIC, IMU_TOPIC, OUTPUT_TOPIC = (role.topics[0] for role in (roles.VALUE, roles.IMU, roles.OUTPUT))
+# The parts with a topic of their own.
+KINDS = {ODOM: (roles.ODOM, OdomColumn), IMU: (roles.IMU, ImuColumn), VALUE: (roles.VALUE, ValueColumn),
+         ACKERMANN: (roles.ACKERMANN, AckermannColumn)}
 PULSE_TYPES = {WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/TeensyClock"}
 
 
@@ -34,9 +39,10 @@ class Signals(NamedTuple):
         path: of the recording.
         start_s: ROS time at which all ``t_s`` begin.
         duration_s: from the first message to the last.
-        odom, output, imu, value: see their classes.
+        odom, output, imu, value, ackermann: see their classes.
         pulses: of the left and the right wheel.
-        notes: what was left out, a line each that names the topic.
+        topics: the topic of each part that is there, by the part.
+        notes: what was guessed and what was left out, a line each that names the topic.
     """
 
     path: str
@@ -46,12 +52,14 @@ class Signals(NamedTuple):
     output: Output | None
     imu: Imu | None
     value: Value | None
+    ackermann: Ackermann | None
     pulses: tuple[Pulses, Pulses] | None
+    topics: dict[str, str]
     notes: tuple[str, ...]
 
 
 def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), namespace: str = "/",
-         odom: str = "odom", imu: str | None = None, value: str = VALUE_TOPIC, progress: bool = False) -> Signals:
+         progress: bool = False, **topics: str | None) -> Signals:
     """Read a recording.
 
     Args:
@@ -59,17 +67,15 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
         wanted: those of ``PARTS`` that the recording must have.
         optional: those of ``PARTS`` that are read if it has them. An ``imu`` that is named must be there.
         namespace: the car's.
-        odom, imu, value: topics.
         progress: show a bar.
+        topics: named by the user, by role: ``odom``, ``imu``, ``value``, ``ackermann``, ``output``, ``command``.
+            ``None``, or one that isn't named: its usual topic, or the only one of its type.
 
     Raises:
         NoRecording: it can't be read, lacks a topic, or has no usable message of one.
     """
-    wanted = set(wanted) | ({IMU} if imu else set())
-    topics = {ODOM: odom, IMU: imu or IMU_TOPIC, VALUE: value}
-    columns = _columns(path, wanted, set(optional), topics, namespace)
+    columns, types, guesses = _columns(path, set(wanted), set(optional), topics, namespace)
     by_topic = {column.topic: column for column in columns.values()}
-    types = {column.topic: TYPES[part] for part, column in columns.items() if part in TYPES}
     if PULSES in columns:
         by_topic[CLOCK_TOPIC] = columns[PULSES]
         types.update(PULSE_TYPES)
@@ -81,34 +87,53 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
             raise recording.other_version(path, recorded) from error
     for part, column in columns.items():
         column.finish(timeline)
-        if part in wanted and column.is_empty:
+        if column.is_empty and (part in wanted or topics.get(part)):
             raise NoRecording(f"{path}: nothing that can be used was recorded of {column.topic}")
-    notes = tuple(note for column in columns.values() for note in column.notes()) + timeline.notes()
+    notes = (*guesses, *(note for column in columns.values() for note in column.notes()), *timeline.notes())
     built = {part: None if column.is_empty else column.build() for part, column in columns.items()}
     return Signals(str(path), timeline.start_ns / NS_PER_S, timeline.last_s, *(
-        built.get(part) for part in (ODOM, OUTPUT, IMU, VALUE, PULSES)), notes)
+        built.get(part) for part in (ODOM, OUTPUT, IMU, VALUE, ACKERMANN, PULSES)),
+        {part: column.topic for part, column in columns.items() if not column.is_empty}, notes)
 
 
 def _columns(path, wanted, optional, topics, namespace):
-    """An empty column for each part that will be read."""
+    """An empty column for each part that will be read, the accepted types by topic, and what was guessed."""
     recorded = recording.contents(path).topics
-    columns = {}
-    for part, kind in ((ODOM, OdomColumn), (IMU, ImuColumn), (VALUE, ValueColumn)):
-        if part in wanted:
-            recording.require(path, [topics[part]], namespace)
-        if part in wanted or part in optional and recording.absolute_names(recorded, [topics[part]], namespace):
-            columns[part] = kind(topics[part])
-    if OUTPUT in wanted or OUTPUT in optional:
-        # A topic with messages goes before one that was only advertised.
-        there = [topic for topic in (OUTPUT_TOPIC, *COMMAND_TOPICS)
-                 if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace))]
-        if there:
-            columns[OUTPUT] = (OutputColumn if there[0] == OUTPUT_TOPIC else CommandColumn)(there[0])
-        elif OUTPUT in wanted:
-            recording.require(path, [OUTPUT_TOPIC], namespace)
-            raise NoRecording(f"{path} has no messages of {OUTPUT_TOPIC}")
+    columns, types, guesses = {}, {}, []
+    for part, (role, kind) in KINDS.items():
+        if part not in wanted | optional and (part != IMU or not topics.get(IMU)):
+            continue
+        topic, note = roles.find(recorded, role, namespace, topics.get(part))
+        guesses += [note] if note else []
+        is_needed = part in wanted or topics.get(part) is not None
+        if roles.fits(recorded, topic, role, namespace) or \
+                is_needed and recording.absolute_names(recorded, [topic], namespace):
+            columns[part], types[topic] = kind(topic), role.types
+        elif is_needed and note:
+            raise NoRecording(f"{path}: {note}")
+        elif is_needed:
+            recording.require(path, [topic], namespace, f"the {part}: {role.what}")
+    if OUTPUT in wanted | optional:
+        columns.update(_output_column(path, recorded, OUTPUT in wanted, topics, namespace))
+        types.update((column.topic, roles.DUTY_TYPES) for part, column in columns.items() if part == OUTPUT)
     if PULSES in wanted:
         recording.require(path, [WHEEL_TOPIC], namespace)
     if PULSES in wanted or PULSES in optional and recording.absolute_names(recorded, [WHEEL_TOPIC], namespace):
         columns[PULSES] = PulseColumns(WHEEL_TOPIC)
-    return columns
+    return columns, types, guesses
+
+
+def _output_column(path, recorded, is_wanted, topics, namespace):
+    """The board's outputs; without them its commands, which don't show channels that were set before the recording."""
+    given = [(kind, [topics[role]]) for role, kind in ((OUTPUT, OutputColumn), (COMMAND, CommandColumn))
+             if topics.get(role)]
+    usual = [(OutputColumn, roles.OUTPUT.topics), (CommandColumn, roles.COMMAND.topics)]
+    for kind, names in given or usual:
+        for topic in names:  # one with messages goes before one that was only advertised
+            if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace)):
+                return {OUTPUT: kind(topic)}
+    if is_wanted or given:
+        topic = (given or usual)[0][1][0]
+        recording.require(path, [topic], namespace)
+        raise NoRecording(f"{path} has no messages of {topic}")
+    return {}

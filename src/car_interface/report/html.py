@@ -1,9 +1,14 @@
 """Parts of a page in HTML, and texts for numbers and times."""
 from __future__ import annotations
 
+import time
 from html import escape
 from typing import Iterable, Sequence
 
+from car_interface.common.units import NS_PER_S
+
+SAME_RATIO = 0.015  # from 1: it counts as the same
+MIN_DATE_NS = 1_000_000_000 * NS_PER_S  # September 2001: before ROS; the clock of a simulation begins at 0
 OPEN_ROWS, MAX_ROWS = 25, 500  # of a table: shown at once, and altogether
 STYLE = """
 :root { color-scheme: light; --ink: #16202b; --faint: #5c6773; --line: #dfe4e9; --bad: #c0392b; --warn: #b9671a;
@@ -58,8 +63,12 @@ def section(name: str, title: str, text: str, *parts: str) -> str:
             + "</section>\n")
 
 
-def table(names: Sequence[str], rows: Sequence[Sequence], numbers: int, numbers_from: int | None = None) -> str:
-    """A table; the first ``numbers`` columns, or those from ``numbers_from`` on, are numbers. Cells are HTML."""
+def table(names: Sequence[str], rows: Sequence[Sequence], numbers: int, numbers_from: int | None = None,
+          open_rows: int = OPEN_ROWS) -> str:
+    """A table, folded if it has more than ``open_rows``; cells are HTML.
+
+    The first ``numbers`` columns, or those from ``numbers_from`` on, are numbers.
+    """
     def kind(index):
         is_number = index < numbers if numbers_from is None else index >= numbers_from
         return ' class="number"' if is_number else ""
@@ -68,7 +77,7 @@ def table(names: Sequence[str], rows: Sequence[Sequence], numbers: int, numbers_
                      for row in rows[:MAX_ROWS])
     more = f'<p class="faint">And {len(rows) - MAX_ROWS} more.</p>\n' if len(rows) > MAX_ROWS else ""
     text = f'<div class="scroll"><table>\n<tr>{head}</tr>\n{body}\n</table></div>\n{more}'
-    return f"<details><summary>{len(rows)} lines</summary>\n{text}</details>\n" if len(rows) > OPEN_ROWS else text
+    return f"<details><summary>{len(rows)} lines</summary>\n{text}</details>\n" if len(rows) > open_rows else text
 
 
 def counted(texts: Iterable[str]) -> str:
@@ -82,12 +91,26 @@ def counted(texts: Iterable[str]) -> str:
 
 def range_text(minimum: float, maximum: float, unit: str) -> str:
     """A range with its unit."""
-    return f"{minimum:.2f} to {maximum:.2f} {unit}"
+    return f"{round(minimum, 2) + 0.0:.2f} to {round(maximum, 2) + 0.0:.2f} {unit}"  # + 0.0: no "-0.00"
+
+
+def date_text(time_ns: int) -> str:
+    """ROS time as a date, UTC; in words where the clock had none."""
+    if time_ns < MIN_DATE_NS:
+        return f"no date: its clock began at 0, {span_text(time_ns / NS_PER_S)} before"
+    return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(time_ns / NS_PER_S))
 
 
 def times_text(count: int) -> str:
     """How often: never, once, twice, 3 times."""
     return ("never", "once", "twice")[count] if count < 3 else f"{count} times"
+
+
+def ratio_text(ratio: float, wanted: str, more: str, less: str) -> str:
+    """A ratio in words: as ``wanted``, or by how many percent more or less than that."""
+    if abs(ratio - 1) < SAME_RATIO:
+        return f"as {wanted}"
+    return f"{abs(ratio - 1):.0%} {more if ratio > 1 else less} than {wanted}"
 
 
 def moment_text(time_s: float, duration_s: float) -> str:

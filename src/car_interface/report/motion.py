@@ -3,11 +3,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any, Mapping, NamedTuple
+from typing import Any, Callable, Mapping
 
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
+from car_interface.report.asked import AskedWatch
 from car_interface.report.downsample import Path, Trace
 from car_interface.report.faults import WARN, Fault, FaultLog
+from car_interface.report.following import Accelerating, Following
 from car_interface.report.steering_state import SteeringWatch
 
 WINDOW_S = 0.3  # over which accelerations and curvatures are taken: a dozen reports of the wheels
@@ -16,18 +18,8 @@ MIN_SAMPLES = 4
 MOVING_MPS = 0.05
 JUMP_M = 1.0  # from one odometry message to the next: odometry was reset
 MAX_GAP_S = 0.5  # the hub reports at least every 0.2 s
-# The car's curvature is compared with the sent one at speed, in a real bend, a while after the servo last moved.
-STEADY_S, MIN_CURVATURE_PER_M, MIN_SPEED_MPS = 0.7, 0.1, 0.3
-RATIO_BINS, BINS_PER_UNIT = 300, 100
 MAX_POSES = 60
-TRACES = ("speed", "acceleration", "driven curvature")
-
-
-class CurvatureRatio(NamedTuple):
-    """How tightly the car turned to one side against what was sent."""
-
-    median: float  # ratio of curvatures; NaN without samples
-    samples: int
+TRACES = ("speed", "acceleration", "driven curvature", "turn rate")
 
 
 class MotionWatch:
@@ -37,24 +29,31 @@ class MotionWatch:
         traces: those of TRACES are written to.
         faults: gaps and resets are added.
         steering: who steers, and with what curvature.
+        asked: what a planner asks for.
+        planner_drives: returns whether the throttle is the planner's now.
         start_ns: ROS time of the recording's first message.
 
     Attributes:
         path: where the car was, by who steered.
         distance_m, moving_s: how far, and how long it drove.
-        curvature_ratios: (left, right), known after ``finish``.
+        turn_rate_radps: in the last WINDOW_S, left positive; ``None`` = not known yet.
+        by_tables, by_planner: how tightly it turned against what turn_arb sent, and against what a planner asked for.
+        accelerating: how its accelerations differed from those that a planner requested.
     """
 
-    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, start_ns: int):
+    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
+                 planner_drives: Callable[[], bool], start_ns: int):
         self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
+        self._asked, self._planner_drives = asked, planner_drives
         self.path = Path()
         self.distance_m = self.moving_s = 0.0
-        self.curvature_ratios = (CurvatureRatio(math.nan, 0), CurvatureRatio(math.nan, 0))
+        self.turn_rate_radps: float | None = None
+        self.by_tables, self.by_planner = Following(steering), Following(asked)
+        self.accelerating = Accelerating()
         self._window: deque = deque()  # stamp in s, speed, yaw, distance of the last WINDOW_S
         self._yaw = self._signed_distance_m = 0.0
         self._poses: deque = deque(maxlen=MAX_POSES)  # stamp in s, x, y, yaw
         self._newest = None  # time, x, y, yaw
-        self._ratio_bins = ([0] * RATIO_BINS, [0] * RATIO_BINS)
 
     def on_odom(self, time_s: float, message: Any) -> None:
         """nav_msgs/Odometry."""
@@ -68,6 +67,7 @@ class MotionWatch:
         self._newest = (time_s, position.x, position.y, yaw)
         self._poses.append((stamp_s, position.x, position.y, yaw))
         self._traces["speed"].add(time_s, speed)
+        self._asked.compare_speed(time_s, speed)
         self.path.add(position.x, position.y, self._steering.source)
         self._update_window(time_s, stamp_s, speed)
 
@@ -76,10 +76,6 @@ class MotionWatch:
         if not self._poses:
             return None
         return min(self._poses, key=lambda pose: abs(pose[0] - stamp_s))[1:]
-
-    def finish(self) -> None:
-        """Compute the curvature ratios."""
-        self.curvature_ratios = tuple(_median_of(bins) for bins in self._ratio_bins)
 
     def _move(self, time_s, position, yaw, speed):
         before_s, x, y, yaw_before = self._newest
@@ -103,25 +99,24 @@ class MotionWatch:
         if window and not 0 <= stamp_s - window[-1][0] < MAX_GAP_S:
             window.clear()  # the clock was set, or messages are missing
         window.append((stamp_s, speed, self._yaw, self._signed_distance_m))
-        while stamp_s - window[0][0] > WINDOW_S:
+        while stamp_s - window[0][0] > WINDOW_S and len(window) > MIN_SAMPLES:  # another robot's odometry may be slow
             window.popleft()
         span_s = stamp_s - window[0][0]
         if span_s < WINDOW_S / 2 or len(window) < MIN_SAMPLES:
             return
         middle_s = time_s - span_s / 2
-        self._traces["acceleration"].add(middle_s, _slope(window))
+        acceleration_mps2 = _slope(window)
+        self._traces["acceleration"].add(middle_s, acceleration_mps2)
+        if self._planner_drives():
+            self.accelerating.add(time_s - span_s, time_s, acceleration_mps2, speed)
+        self.turn_rate_radps = (self._yaw - window[0][2]) / span_s
+        self._traces["turn rate"].add(middle_s, self.turn_rate_radps)
         distance_m = self._signed_distance_m - window[0][3]
         if abs(distance_m) >= MIN_DISTANCE_M:
             curvature = (self._yaw - window[0][2]) / distance_m
             self._traces["driven curvature"].add(middle_s, curvature)
-            self._compare(time_s, curvature, speed)
-
-    def _compare(self, time_s, curvature, speed):
-        sent = self._steering.curvature_per_m
-        if (sent is not None and abs(sent) > MIN_CURVATURE_PER_M and abs(speed) > MIN_SPEED_MPS
-                and time_s - self._steering.unchanged_since_s > STEADY_S):
-            bins = self._ratio_bins[0 if sent > 0 else 1]
-            bins[min(max(int(curvature / sent * BINS_PER_UNIT), 0), RATIO_BINS - 1)] += 1
+            self.by_tables.add(time_s, curvature, speed)
+            self.by_planner.add(time_s, curvature, speed)
 
 
 def _slope(samples):
@@ -133,12 +128,3 @@ def _slope(samples):
     if not spread:
         return math.nan
     return sum((sample[0] - begin - mean_t) * (sample[1] - mean_v) for sample in samples) / spread
-
-
-def _median_of(bins):
-    total, seen = sum(bins), 0
-    for index, count in enumerate(bins):
-        seen += count
-        if total and seen * 2 >= total:
-            return CurvatureRatio((index + 0.5) / BINS_PER_UNIT, total)
-    return CurvatureRatio(math.nan, 0)

@@ -2,22 +2,30 @@
 from __future__ import annotations
 
 import math
-import time
 from html import escape
 
-from car_interface.common import causes
-from car_interface.common.units import NS_PER_S
 from car_interface.report.coverage import QUESTIONS
 from car_interface.report.faults import ERROR, WARN
 from car_interface.report.figures import DRIVER_COLOURS, DRIVER_NAMES
-from car_interface.report.html import counted, document, moment_text, range_text, section, span_text, table, times_text
+from car_interface.report.html import (
+    counted,
+    date_text,
+    document,
+    moment_text,
+    range_text,
+    ratio_text,
+    section,
+    span_text,
+    table,
+    times_text,
+)
 from car_interface.report.plots import Plot
 from car_interface.report.steering_state import UNKNOWN_DRIVER
 from car_interface.report.summary import SONARS, Summary
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.steering.arbiter import PLANNER, TELEOP
 
 MIN_RATIOS = 30  # samples, for a ratio to be shown
-SAME_RATIO, WRONG_RATIO = 0.015, 0.05  # of the driven to the sent curvature: the tables are right, or need calibration
+WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
 LEVELS = {WARN: '<span class="warn">warning</span>', ERROR: '<span class="bad">error</span>'}
 
 
@@ -38,12 +46,14 @@ def page(drive: Summary, plots: dict[str, Plot]) -> str:
 
 
 def _head(drive, name):
-    began = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(drive.start_ns / NS_PER_S))
     place = f" · car {escape(drive.namespace)}" if drive.namespace.strip("/") else ""
     figures = "".join(f"<div><b>{escape(value)}</b><span>{escape(what)}</span></div>"
                       for value, what in _figures(drive))
-    lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_teensy_lines(drive)]
+    lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
+    if drive.notes:
+        lines.append(("Topics", "<br>".join(map(escape, drive.notes))))
     rows = "".join(f"<tr><th>{escape(what)}</th><td>{value}</td></tr>\n" for what, value in lines)
+    began = date_text(drive.start_ns)
     return (f'<header id="summary">\n<h1>{escape(name)}</h1>\n<div class="faint">{began}{place}</div>\n'
             f'<p class="verdict">{_verdict(drive)}</p>\n<div class="figures">{figures}</div>\n'
             f'<table class="summary">\n{rows}</table>\n</header>\n')
@@ -72,8 +82,7 @@ def _verdict(drive):
                  for source in (TELEOP, PLANNER) if source_s[source]]
         text = " and ".join(drove).replace("for", "drove for", 1) if drove else "nobody drove"
         parts.append(text[0].upper() + text[1:] + ".")
-        stops = [stop for stop in _stops(drive.steering.episodes)
-                 if stop.source == LOCKED or stop.cause in causes.LOSSES]
+        stops = drive.steering.losses()
         if stops:
             what = escape(counted(stop.cause or stop.reason for stop in stops))
             parts.append(f'<span class="warn">The car was stopped {times_text(len(stops))} because something was lost '
@@ -117,15 +126,9 @@ def _steering_lines(steering):
     total = sum(steering.source_s.values()) or 1
     yield "Who drove", ", ".join(f"{DRIVER_NAMES.get(source, source)} {seconds / total:.0%}"
                                  for source, seconds in steering.source_s.most_common())
-    stops = _stops(episodes)
+    stops = steering.stops()
     why = escape(counted(stop.cause or stop.reason for stop in stops))
     yield "Went neutral", times_text(len(stops)) + (f": {why}" if stops else "")
-
-
-def _stops(episodes):
-    """The episodes in which nobody drove any more."""
-    return [episode for before, episode in zip(episodes, episodes[1:])
-            if before.source in (TELEOP, PLANNER) and episode.source in (LOCKED, NO_HUMAN, NEUTRAL)]
 
 
 def _motion_lines(drive):
@@ -136,9 +139,12 @@ def _motion_lines(drive):
                          f"{_range_of(traces['speed'], 'm/s')}")
     if traces["acceleration"].count:
         yield "Acceleration", _range_of(traces["acceleration"], "m/s²")
-    ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion)]
+    ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
     if ratios:
         yield "Turned against the tables", "; ".join(ratios)
+    by_imu = drive.imu.odometry_ratio()
+    if by_imu.samples >= MIN_RATIOS:
+        yield "Turned by odometry", ratio_text(by_imu.median, "the IMU says", "more", "less")
     if math.isfinite(sonars.nearest_m):
         yield "Nearest thing seen", (f"{sonars.nearest_m:.2f} m, {escape(sonars.nearest_sonar.replace('_', ' '))}, "
                                      f"at {moment_text(sonars.nearest_s, drive.duration_s)}")
@@ -160,9 +166,24 @@ def _teensy_lines(drive):
                                  f"{traces['uncertainty'].curve()[1][-1]:.2f} ms")
 
 
-def _known_ratios(motion):
+def _asked_lines(drive):
+    """Yield lines on what a planner asked for by AckermannDrive."""
+    if not drive.traces["requested speed"].count:
+        return
+    ratio = drive.asked.speed_ratio()
+    if ratio.samples >= MIN_RATIOS:
+        yield "Speed against what was asked", ratio_text(ratio.median, "asked", "faster", "slower")
+    if drive.asked.wheelbase_m is None:
+        yield "Turned against what was asked", "can't tell: which curve an angle asks for needs --wheelbase"
+    else:
+        ratios = [f"{side} {_ratio_text(ratio, 'asked')}" for side, ratio in _known_ratios(drive.motion.by_planner)]
+        if ratios:
+            yield "Turned against what was asked", "; ".join(ratios)
+
+
+def _known_ratios(following):
     """(side, median ratio of the driven to the sent curvature) for sides with enough samples."""
-    return [(side, found.median) for side, found in zip(("left", "right"), motion.curvature_ratios)
+    return [(side, found.median) for side, found in zip(("left", "right"), following.ratios())
             if found.samples >= MIN_RATIOS]
 
 
@@ -174,12 +195,9 @@ def _range_of(trace, unit):
     return range_text(trace.minimum, trace.maximum, unit)
 
 
-def _ratio_text(ratio):
-    """A ratio of curvatures in words."""
-    if abs(ratio - 1) < SAME_RATIO:
-        return "as the tables say"
-    radius = 1 / ratio
-    return f"{abs(radius - 1):.0%} {'tighter' if radius < 1 else 'wider'} than the tables say"
+def _ratio_text(ratio, wanted="the tables say"):
+    """A ratio of curvatures in words, for the radius."""
+    return ratio_text(1 / ratio, wanted, "wider", "tighter")
 
 
 # --- the sections ---
@@ -230,9 +248,11 @@ def _steering(drive, plots):
     text = ("What the planner requested, what turn_arb sent to the servo, and what the car did by its wheels. "
             "Sent and driven curvature are the same when the steering is calibrated.")
     advice = " ".join(f"To the {side} the car turns {_ratio_text(ratio)}."
-                      for side, ratio in _known_ratios(drive.motion) if abs(ratio - 1) > WRONG_RATIO)
+                      for side, ratio in _known_ratios(drive.motion.by_tables) if abs(ratio - 1) > WRONG_RATIO)
     if advice:
         advice = f'<p class="warn">{advice} calibrate_steering makes tables from a drive.</p>\n'
+    if drive.traces["requested angle"].count:
+        text += " A planner's angles are those of the front wheels."
     return section("steering", "Steering: requested, sent, driven", text, _plot(plots, "steering"), advice,
                    _missing(drive, "turn_arb/state", "/servo/output", "odom", "av_turnrad_req",
                             "/teleop_logi/tele_steer_req"))

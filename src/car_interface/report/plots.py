@@ -86,16 +86,18 @@ def _who(drive):
 def _steering(drive):
     traces = drive.traces
     duty = drive.steering.duties.get(drive.steering.steering_channel)
+    is_angle_known = drive.asked.wheelbase_m is not None
     panels = [any(traces[name].count for name in ("requested curvature", "sent curvature", "driven curvature")),
+              traces["requested angle"].count > 0 and not is_angle_known,
               duty is not None or traces["gamepad"].count > 0]
     if not any(panels):
         return None
-    figure, all_axes = stack(drive, panels, [2.6, 1.7])
+    figure, all_axes = stack(drive, panels, [2.6, 1.4, 1.7])
     if panels[0]:
         axes = all_axes[0]
         curve(axes, traces["requested curvature"], REQUESTED, "requested (planner)", linestyle=(0, (4, 2)))
         curve(axes, traces["sent curvature"], SENT, "sent (by the tables)", linewidth=1.6)
-        curve(axes, traces["driven curvature"], DRIVEN, "driven (by the wheels)", linewidth=0.9)
+        curve(axes, traces["driven curvature"], DRIVEN, "driven (by odometry)", linewidth=0.9)
         driven = traces["driven curvature"]
         largest = max([abs(bound) for name in ("requested curvature", "sent curvature") if traces[name].count
                        for bound in (traces[name].minimum, traces[name].maximum)] + [0.2, usual_magnitude(driven)])
@@ -103,6 +105,10 @@ def _steering(drive):
         title(axes, "How tight: 1/radius in 1/m, left up")
         legend(axes)
     if panels[1]:
+        axes = all_axes[sum(panels[:1])]
+        title(axes, "The steering angle that was asked for, in degrees, left up")
+        curve(axes, traces["requested angle"], REQUESTED, "")
+    if panels[2]:
         axes = all_axes[-1]
         title(axes, "The servo's duty" if duty else "The gamepad's request, left up")
         if duty is not None:
@@ -184,20 +190,23 @@ def _speed(drive):
               if channel != drive.steering.steering_channel and duty.maximum > duty.minimum}
     panels = [traces["speed"].count > 0,
               traces["acceleration"].count + traces["requested acceleration"].count > 0,
-              traces["value"].count > 0 or bool(driven)]
+              traces["value"].count > 0 or bool(driven), traces["imu turn rate"].count > 0]
     if not any(panels):
         return None
-    figure, all_axes = stack(drive, panels, [2.0, 2.0, 1.6])
+    figure, all_axes = stack(drive, panels, [2.0, 2.0, 1.6, 1.6])
     left = iter(all_axes)
     if panels[0]:
         axes = next(left)
         title(axes, "Speed in m/s, backward down")
-        curve(axes, traces["speed"], DRIVEN, "by the wheels")
+        curve(axes, traces["requested speed"], REQUESTED, "requested", linestyle=(0, (4, 2)))
+        curve(axes, traces["speed"], DRIVEN, "by odometry")
+        if traces["requested speed"].count:
+            legend(axes)
     if panels[1]:
         axes = next(left)
         title(axes, "Acceleration in m/s²")
         curve(axes, traces["requested acceleration"], REQUESTED, "requested", linestyle=(0, (4, 2)))
-        curve(axes, traces["acceleration"], DRIVEN, "by the wheels, over 0.3 s", linewidth=0.9)
+        curve(axes, traces["acceleration"], DRIVEN, "by odometry, over 0.3 s", linewidth=0.9)
         legend(axes)
     if panels[2]:
         axes = next(left)
@@ -214,7 +223,18 @@ def _speed(drive):
             axes.legend(handles=axes.get_lines() + beside.get_lines(), **above())
         else:
             legend(axes)
+    if panels[3]:
+        _turn_rates(next(left), traces)
     return figure
+
+
+def _turn_rates(axes, traces):
+    title(axes, "How fast it turned, in rad/s, left up")
+    curve(axes, traces["imu turn rate"], REQUESTED, "by the IMU", linewidth=0.9)
+    curve(axes, traces["turn rate"], DRIVEN, "by odometry", linewidth=0.9)
+    largest = max([0.1, *(1.3 * usual_magnitude(traces[name]) for name in ("imu turn rate", "turn rate"))])
+    axes.set_ylim(-largest, largest)
+    legend(axes)
 
 
 def _link(drive):

@@ -10,7 +10,7 @@ from car_interface.report.downsample import Trace
 from car_interface.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 from car_interface.report.gamepad import GamepadWatch
 from car_interface.report.old_reasons import cause_of
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 
 UNKNOWN_DRIVER = -1
 STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it
@@ -91,6 +91,15 @@ class SteeringWatch:
     def on_gamepad(self, time_s: float, message: Any) -> None:
         """std_msgs/Float32: the gamepad's steering."""
         self._traces["gamepad"].add(time_s, message.data)
+
+    def stops(self) -> list[Episode]:
+        """The episodes in which nobody drove any more."""
+        return [episode for before, episode in zip(self.episodes, self.episodes[1:])
+                if before.source in (TELEOP, PLANNER) and episode.source in (LOCKED, NO_HUMAN, NEUTRAL)]
+
+    def losses(self) -> list[Episode]:
+        """Those of the stops at which something was lost or locked."""
+        return [stop for stop in self.stops() if stop.source == LOCKED or stop.cause in causes.LOSSES]
 
     def finish(self) -> None:
         """Close the last episode, and find the steering channel."""

@@ -5,31 +5,33 @@ from dataclasses import dataclass
 from functools import partial
 
 from car_interface.common.units import NS_PER_S
-from car_interface.recordings.recording import NoRecording, absolute_names, contents, other_version, read
-from car_interface.report import motion, steering_state, teensy_link, throttle_state
+from car_interface.recordings import roles
+from car_interface.recordings.recording import NoRecording, absolute_names, contents, other_version, read, require
+from car_interface.recordings.roles import find, fits, other_cars
+from car_interface.report import asked, imu, motion, steering_state, teensy_link, throttle_state
+from car_interface.report.asked import AskedWatch
 from car_interface.report.coverage import Coverage
 from car_interface.report.downsample import Trace
 from car_interface.report.faults import WARN, FaultLog, NodeReports
 from car_interface.report.gamepad import GamepadWatch
+from car_interface.report.imu import ImuWatch
 from car_interface.report.motion import MotionWatch
 from car_interface.report.sonars import SonarWatch
 from car_interface.report.steering_state import SteeringWatch
 from car_interface.report.teensy_link import TeensyWatch
 from car_interface.report.throttle_state import ThrottleWatch
+from car_interface.steering.arbiter import PLANNER
 
 # Relative names are below the car's namespace, and so are the others where they are found there.
 SONARS = tuple(f"sonar/{end}_{side}" for end in ("front", "rear") for side in ("right", "middle", "left"))
+ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, roles.VALUE, roles.ACKERMANN, roles.RADIUS, roles.ACCELERATION,
+         roles.STICK)
+MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN)  # a topic with such a name may be something else: it is not read then
 TYPES = {
+    **{role.topics[0]: role.types for role in ROLES},
     "turn_arb/state": "car_interface/SteeringState",
     "throttle_arb/state": "car_interface/ThrottleState",
     "teleop_logi/state": "car_interface/TeleopState",
-    "/servo/output": "std_msgs/Int32MultiArray",
-    "av_turnrad_req": "std_msgs/Float32",
-    "/teleop_logi/tele_steer_req": "std_msgs/Float32",
-    "odom": "nav_msgs/Odometry",
-    "control/command/control_cmd": ("car_interface/Control", "autoware_control_msgs/Control"),
-    "generic/output/value": ("car_interface/Float64Stamped", "tier4_debug_msgs/Float64Stamped",
-                             "autoware_internal_debug_msgs/Float64Stamped"),
     **dict.fromkeys(SONARS, "sensor_msgs/Range"),
     "/tf_static": "tf2_msgs/TFMessage",
     "teensy_sensor_hub/link": "car_interface/LinkStatus",
@@ -39,8 +41,8 @@ TYPES = {
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *motion.TRACES, "requested acceleration", "value",
-          *teensy_link.TRACES)
+TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *motion.TRACES, *asked.TRACES, *imu.TRACES,
+          "requested acceleration", "value", *teensy_link.TRACES)
 
 
 @dataclass
@@ -50,9 +52,10 @@ class Summary:
     Attributes:
         path, namespace, start_ns, duration_s: of the recording.
         topics: what it has: a recordings.recording.Topic by name.
+        notes: which topics were named or guessed to be what, or couldn't be, and what is odd about one, a line each.
         present: those of TYPES that were recorded.
         traces: a Trace for each of TRACES.
-        gamepad, steering, throttle, motion, sonars, teensy: see their classes.
+        gamepad, steering, throttle, asked, motion, imu, sonars, teensy: see their classes.
         faults: what went wrong.
         coverage: which questions the recording can't answer.
     """
@@ -62,45 +65,60 @@ class Summary:
     start_ns: int
     duration_s: float
     topics: dict
+    notes: list
     present: set
     traces: dict
     gamepad: GamepadWatch
     steering: SteeringWatch
     throttle: ThrottleWatch
+    asked: AskedWatch
     motion: MotionWatch
+    imu: ImuWatch
     sonars: SonarWatch
     teensy: TeensyWatch
     faults: FaultLog
     coverage: Coverage
 
 
-def summarize(path: str, namespace: str = "/", odom: str = "odom", progress: bool = False) -> Summary:
+def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None, progress: bool = False,
+              **topics: str | None) -> Summary:
     """Summarize a recording.
 
     Args:
         path: of the recording.
         namespace: the car's.
-        odom: the topic of its odometry.
+        wheelbase_m: by which an asked steering angle is a curvature; ``None`` = unknown.
         progress: show a bar on a terminal.
+        topics: named by the user, by the names of ROLES; ``None`` = not named.
 
     Raises:
         NoRecording: it can't be read, or has nothing for a report.
     """
     has = contents(path)
-    types = {(odom if name == "odom" else name): kind for name, kind in TYPES.items()}
+    given = {name: topic for name, topic in topics.items() if topic is not None}
+    if given:
+        require(path, given.values(), namespace)
+    found = {role.topics[0]: find(has.topics, role, namespace, given.get(role.name)) for role in ROLES}
+    keys = {found[name].topic if name in found else name: name for name in TYPES}
+    for role in MAY_BE_OTHERS:
+        topic = found[role.topics[0]].topic
+        if role.name not in given and not fits(has.topics, topic, role, namespace):
+            del keys[topic]
+    types = {topic: TYPES[name] for topic, name in keys.items()}
     with_messages = {name: topic for name, topic in has.topics.items() if topic.count}
     names = absolute_names(with_messages, types, namespace)
     below = "/" + "/".join([*filter(None, namespace.split("/")), ""])  # an absolute name may be another car's
-    needed = {odom if name == "odom" else name for name in NEEDED}
-    if not any(requested in needed and name.startswith(below) for name, requested in names.items()):
-        raise NoRecording(f"{path} has no message of {odom}, turn_arb/state or /servo/output"
-                          + _elsewhere(with_messages, namespace))
-    summary = _empty(path, namespace, has, {"odom" if name == odom else name for name in names.values()})
+    if not any(keys[requested] in NEEDED and name.startswith(below) for name, requested in names.items()):
+        odom = found["odom"]
+        raise NoRecording(f"{path} has no message of {odom.topic}, turn_arb/state or /servo/output"
+                          + _elsewhere(with_messages, namespace, odom.note))
+    summary = _empty(path, namespace, has, {keys[name] for name in names.values()}, wheelbase_m)
+    summary.notes += [f"{name}: {topic} (as you say)" for name, topic in given.items()]
+    summary.notes += [one.note for one in found.values() if one.note]
     handlers = summary.coverage.watched(_handlers(summary))
     for recorded in read(path, types, namespace, progress):
-        name = "odom" if recorded.topic == odom else recorded.topic
         try:
-            handlers[name]((recorded.time_ns - summary.start_ns) / NS_PER_S, recorded.message)
+            handlers[keys[recorded.topic]]((recorded.time_ns - summary.start_ns) / NS_PER_S, recorded.message)
         except AttributeError as error:
             raise other_version(path, recorded) from error
     if has.steps_back:
@@ -109,21 +127,28 @@ def summarize(path: str, namespace: str = "/", odom: str = "odom", progress: boo
     summary.steering.finish()
     summary.throttle.finish()
     summary.gamepad.finish()
-    summary.motion.finish()
     summary.faults.finish()
+    summary.notes += filter(None, [summary.imu.note(found["imu/data"].topic)])
     return summary
 
 
-def _empty(path, namespace, has, present):
+def _empty(path, namespace, has, present, wheelbase_m):
     duration_s = (has.end_ns - has.start_ns) / NS_PER_S
     traces = {name: Trace(0.0, duration_s) for name in TRACES}
     faults = FaultLog()
     gamepad = GamepadWatch(faults, duration_s)
     steering = SteeringWatch(traces, faults, duration_s, gamepad)
-    moves = MotionWatch(traces, faults, steering, has.start_ns)
-    return Summary(path, namespace, has.start_ns, duration_s, has.topics, present, traces, gamepad, steering,
-                   ThrottleWatch(traces, faults, duration_s), moves, SonarWatch(moves, has.start_ns),
-                   TeensyWatch(traces, faults), faults, Coverage(namespace, duration_s))
+    wanted = AskedWatch(traces, wheelbase_m)
+    throttle = ThrottleWatch(traces, faults, duration_s)
+
+    def planner_drives():  # before throttle_arb whoever steered drove, too
+        return (steering.source if throttle.source is None else throttle.source) == PLANNER
+
+    moves = MotionWatch(traces, faults, steering, wanted, planner_drives, has.start_ns)
+    return Summary(path, namespace, has.start_ns, duration_s, has.topics, [], present, traces, gamepad, steering,
+                   throttle, wanted, moves, ImuWatch(traces, moves),
+                   SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
+                   Coverage(namespace, duration_s))
 
 
 def _handlers(summary):
@@ -139,8 +164,9 @@ def _handlers(summary):
         "av_turnrad_req": steering.on_planner,
         "/teleop_logi/tele_steer_req": steering.on_gamepad,
         "odom": summary.motion.on_odom,
-        "control/command/control_cmd": lambda time_s, message: traces["requested acceleration"].add(
-            time_s, message.longitudinal.acceleration),
+        "imu/data": summary.imu.on_imu,
+        "drive": summary.asked.on_drive,
+        "control/command/control_cmd": partial(_on_request, summary),
         "generic/output/value": lambda time_s, message: traces["value"].add(time_s, message.data),
         **{name: partial(summary.sonars.on_range, topic=name) for name in SONARS},
         "/tf_static": summary.sonars.on_static_tf,
@@ -152,16 +178,20 @@ def _handlers(summary):
     }
 
 
-def _elsewhere(topics, namespace):
-    """A hint at the namespaces that have what is missing."""
-    spaces = {name[:-len(ending)] for name in topics for ending in ("/turn_arb/state", "/servo/output", "/odom")
-              if name.endswith(ending)} - {""}
+def _on_request(summary, time_s, message):
+    """The acceleration that a planner requests."""
+    summary.traces["requested acceleration"].add(time_s, message.longitudinal.acceleration)
+    summary.motion.accelerating.request(time_s, message.longitudinal.acceleration)
+
+
+def _elsewhere(topics, namespace, note):
+    """A hint at where there is what is missing, or the note on odometry."""
+    spaces = other_cars(topics, namespace)
     place = f" below {namespace}" if namespace.strip("/") else ""
-    odometry = [name for name, topic in topics.items() if topic.type == "nav_msgs/msg/Odometry"]
     if spaces:
         return f"{place}: try " + " or ".join(f"--ns {space}" for space in sorted(spaces))
     if place and any("/" + name.lstrip("/") in topics for name in NEEDED):
         return f"{place}: try it without --ns"
-    if odometry:
-        return f"{place}: try --odom {odometry[0]}"
+    if note:
+        return f"{place}. {note}"
     return f"{place}; it has " + (", ".join(list(topics)[:8]) or "no topic at all")

@@ -59,6 +59,15 @@ class ThrottleWatch:
             reason = message.reason if is_usual else f"{message.reason}; {message.esc}: {message.esc_reason}"
             self._current = ThrottleEpisode(time_s, math.nan, message.source, message.cause, esc, esc_cause, reason)
 
+    @property
+    def source(self) -> int | None:
+        """Who drives now; ``None`` = unknown."""
+        return None if self._current is None else self._current.source
+
+    def losses(self) -> list[ThrottleEpisode]:
+        """The episodes with a loss of the throttle's own."""
+        return [episode for episode in self.episodes if _is_loss(episode)]
+
     def finish(self) -> None:
         """Close the last episode."""
         self._end_episode(self._duration_s)
@@ -73,5 +82,9 @@ class ThrottleWatch:
             self._faults.dropped += 1
         if episode.esc_cause == causes.ESC_MOTION:
             self._faults.add(Fault(episode.start_s, time_s, ERROR, "throttle_arb", episode.reason))
-        elif episode.cause in causes.LOSSES - SHARED:
+        elif _is_loss(episode):
             self._faults.add(Fault(episode.start_s, time_s, WARN, "throttle_arb", episode.reason))
+
+
+def _is_loss(episode):
+    return episode.esc_cause == causes.ESC_MOTION or episode.cause in causes.LOSSES - SHARED

@@ -88,6 +88,28 @@ def test_page_of_a_car_below_a_namespace_has_that_in_its_name(tmp_path, capsys):
         assert capsys.readouterr().out == f"{tmp_path / 'drive.car1.html'}\n"
 
 
+def test_guess_and_what_the_user_says_are_told_beside_the_page(tmp_path, capsys):
+    messages = [message._replace(topic="/ekf") for message in drive(10.0) if message.topic == "/odom"]
+    path, out = str(write_ros1(tmp_path / "a.bag", messages)), str(tmp_path / "a.html")
+    for options, note in (([], "odom: /ekf (the only nav_msgs/Odometry)"),
+                          (["--map", "/ekf=odom"], "odom: /ekf (as you say)")):
+        assert main("bag_report", [path, *options]) == 0
+        shown = capsys.readouterr()
+        assert (shown.out, shown.err) == (f"{out}\n", f"bag_report: {path}: {note}\n")
+        assert f"<tr><th>Topics</th><td>{note}</td></tr>" in pathlib.Path(out).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("options, words", [
+    (["--map", "/ekf=wheels"],
+     "bag_report: --map is '/ekf=wheels'; accepted: TOPIC=ROLE with a role of odom, imu, output, "),
+    (["--map", "/none=odom"], "has no topic /none; it has "),
+])
+def test_map_that_makes_no_sense_is_refused_in_one_line(bag, options, words, capsys):
+    assert main("bag_report", [bag, *options]) == 1
+    shown = capsys.readouterr().err
+    assert words in shown and shown.count("\n") == 1
+
+
 @pytest.mark.browser
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium on this computer")
 def test_page_in_chromium_shows_every_plot_and_has_no_errors(bag, tmp_path):

@@ -20,12 +20,15 @@ import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
+from car_interface.calibration.steering.recorded import load_drive
 from car_interface.cli.calibrate_steering import Config
 from car_interface.cli.main import main
 from car_interface.common.errors import ConfigError
+from car_interface.common.units import stamp_ns, yaw_rad
+from car_interface.recordings.recording import read
 from car_interface.sim.vehicle import Vehicle
 from car_interface.steering.params import load_steering
-from written_recordings import Written, odometry, write_ros1
+from written_recordings import START_NS, Written, odometry, stamp, write_ros1
 
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.append(str(ROOT / "test"))
@@ -107,6 +110,90 @@ def test_file_keeps_what_else_the_base_has_and_tells_how_well_it_is_known(bag, t
     for name in ("k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo"):
         assert all(isinstance(duty, int) for duty in after[name])
         assert np.all(np.diff(after[name]) >= 0) or np.all(np.diff(after[name]) <= 0)
+
+
+# --- a planner's angles in place of duties ---
+
+
+WHEELBASE_M = 0.3
+ANGLES = [("ackermann_msgs/AckermannDrive", "\n".join(f"float32 {name}" for name in (
+    "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk"))),
+    ("ackermann_msgs/AckermannDriveStamped", "std_msgs/Header header\nackermann_msgs/AckermannDrive drive")]
+
+
+@pytest.fixture(scope="module")
+def base_of_angles(tmp_path_factory):
+    """A base with duties for every angle, far from the car's own."""
+    path = tmp_path_factory.mktemp("base") / "base.yaml"
+    values = yaml.safe_load(STOCK.read_text(encoding="utf-8"))
+    center, radii = values["servo_center"], [0.3, 0.5, 1.0, 2.0, 5.0, 20.0, 300.0]
+    values.update(m_turnrad_axis_servo=radii, k_pwmcmd_left_table_servo=[center - 900 / radius for radius in radii],
+                  k_pwmcmd_right_table_servo=[center + 900 / radius for radius in radii])
+    path.write_text(yaml.safe_dump(values), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def bag_of_angles(bag, base_of_angles, tmp_path_factory):
+    """The same drive, with the angles in place of the duties that they became."""
+    table, messages = load_steering(str(base_of_angles)), []
+    for time_ns, topic, message in read(bag, ["odom", "/servo/output"]):
+        time_s = (time_ns - START_NS) / 1e9
+        if topic == "odom":
+            pose, twist = message.pose.pose, message.twist.twist
+            messages.append(odometry(stamp_ns(message.header.stamp) / 1e9 - START_NS / 1e9, pose.position.x,
+                                     pose.position.y, yaw_rad(pose.orientation), twist.linear.x, "/vesc/odom")
+                            ._replace(time_s=time_s))
+        else:
+            angle_rad = math.atan(WHEELBASE_M / table.turn_radius_m(message.data[0]))
+            messages.append(Written(time_s, "/drive", ANGLES[1][0], {
+                "header": {"stamp": stamp(time_s)}, "drive": {"steering_angle": angle_rad, "speed": 1.0}}))
+    return str(write_ros1(tmp_path_factory.mktemp("angles") / "angles.bag", messages, extra_types=ANGLES))
+
+
+@pytest.mark.once
+def test_angles_of_a_planner_give_the_same_table_and_say_what_they_can_not_tell(
+        bag_of_angles, base_of_angles, calibrated, tmp_path, capsys):
+    made = tmp_path / "made.yaml"
+    assert run(bag_of_angles, "-o", made, "--base", base_of_angles, "--wheelbase", WHEELBASE_M) == 0
+    by_angles, by_duties = load_steering(str(made)), load_steering(str(calibrated.path))
+    for radius_m in (1.5, 2.0, 3.0, 5.0, -1.5, -2.0, -3.0, -5.0):
+        assert abs(by_angles.planner_duty(radius_m) - by_duties.planner_duty(radius_m)) <= 16, radius_m
+    said = capsys.readouterr().out
+    assert f"  {bag_of_angles}: odom: /vesc/odom (the only nav_msgs/Odometry)\n" in said
+    assert "the angles on drive count as the duties that --base has for them with a wheelbase of 0.3 m" in said
+    assert "What this recording can't tell: whether --base was the table on this drive" in said
+    assert "# " in made.read_text(encoding="utf-8") and "the angles on drive count" in made.read_text(encoding="utf-8")
+
+
+@pytest.mark.once
+def test_angles_alone_are_refused_with_what_to_type(bag_of_angles, tmp_path, capsys):
+    assert run(bag_of_angles, "-o", tmp_path / "made.yaml") == 1
+    said = capsys.readouterr().err
+    assert "has no topic /servo/output, nor /servo/cmdVector or command: the servo's duties can't be told. " in said
+    assert "The angles that were asked for are on drive: with --wheelbase M, and the --base that made duties" in said
+
+
+def test_two_topics_with_angles_are_refused_with_both_names(tmp_path, capsys):
+    angles = [Written(0.1 * step, topic, ANGLES[1][0], {"header": {"stamp": stamp(0.1 * step)}})
+              for step in range(5) for topic in ("/a", "/b")]
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), *angles], extra_types=ANGLES)
+    assert run(path, "-o", tmp_path / "made.yaml", "--wheelbase", "0.3") == 1
+    assert ("the servo's duties can't be told. ackermann: there are /a and /b, and no drive; say which by --map, as in "
+            "--map /a=ackermann\n") in capsys.readouterr().err
+
+
+def test_angles_beside_duties_are_not_used_and_not_spoken_of(tmp_path, capsys):
+    angles = [Written(0.1, "/planner", ANGLES[1][0], {"header": {"stamp": stamp(0.1)}})]
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), *angles, *OUTPUT], extra_types=ANGLES)
+    assert load_drive(str(path), 0, angle_table=None).notes == ()
+    assert load_drive(str(path), 0).drive.duty[0] == 5104
+
+
+def test_wheelbase_is_a_length(capsys):
+    with pytest.raises(SystemExit) as caught:
+        run("a.bag", "-o", "made.yaml", "--wheelbase", "0")
+    assert caught.value.code == 2 and "'0' is no length above 0 m" in capsys.readouterr().err
 
 
 @pytest.mark.once

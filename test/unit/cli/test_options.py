@@ -5,7 +5,7 @@ import argparse
 
 import pytest
 
-from car_interface.cli.options import add_namespace_argument, finite
+from car_interface.cli.options import add_namespace_argument, finite, length_m
 
 
 def parser():
@@ -40,6 +40,14 @@ def test_number_that_is_not_finite_is_refused_by_its_text(text):
     with pytest.raises(argparse.ArgumentTypeError) as caught:
         finite(text)
     assert str(caught.value) == f"'{text}' is no finite number"
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "-0.3"])
+def test_length_is_above_0(text):
+    assert length_m("0.324") == 0.324
+    with pytest.raises(argparse.ArgumentTypeError) as caught:
+        length_m(text)
+    assert str(caught.value) == f"{text!r} is no length above 0 m"
 
 
 @pytest.mark.parametrize("text", ["", "a", "1,5", "0x10"])

@@ -172,7 +172,7 @@ def pitch_rad(orientation, unknown=False):
     x, y, z, w = orientation
     column = ImuColumn("imu/data")
     message = SimpleNamespace(
-        angular_velocity=SimpleNamespace(z=0.0), linear_acceleration=SimpleNamespace(x=0.0),
+        angular_velocity=SimpleNamespace(z=0.0), linear_acceleration=SimpleNamespace(x=0.0, y=0.0, z=9.8),
         orientation=SimpleNamespace(x=x, y=y, z=z, w=w), orientation_covariance=[-1.0 if unknown else 0.0] * 9)
     column.add(Recorded(0, "imu/data", message), 0.0, Timeline())
     return column.build().pitch_rad[0]

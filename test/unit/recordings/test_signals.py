@@ -62,6 +62,38 @@ def test_topics_may_lie_below_a_namespace_or_be_named(tmp_path):
     assert len(load(str(path), [ODOM], odom="/localization/kinematic_state").odom.t_s) == 5
 
 
+def test_topic_that_was_recorded_under_another_name_is_guessed_and_said(tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [message._replace(topic="/ekf") for message in ODOMETRY])
+    found = load(str(path), [ODOM])
+    assert len(found.odom.t_s) == 20 and found.topics == {ODOM: "/ekf"}
+    assert found.notes == ("odom: /ekf (the only nav_msgs/Odometry)",)
+
+
+def test_two_candidates_are_refused_with_both_names_and_what_to_type(tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [message._replace(topic=topic) for message in ODOMETRY
+                                           for topic in ("/a", "/b")])
+    with pytest.raises(NoRecording, match=r"a\.bag: odom: there are /a and /b, and no odom; say which by --map, as in "
+                                          "--map /a=odom$"):
+        load(str(path), [ODOM])
+    assert len(load(str(path), [ODOM], odom="/b").odom.t_s) == 20
+
+
+def test_what_is_optional_is_not_read_where_its_usual_name_is_another_type(tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [*OUTPUTS, Written(2.0, "/drive", "std_msgs/String", {"data": "x"})])
+    assert load(str(path), [OUTPUT], optional=[signals.ACKERMANN]).ackermann is None
+    with pytest.raises(NoRecording, match="/drive is of type std_msgs/String; accepted: ackermann_msgs/Ackermann"):
+        load(str(path), [OUTPUT], optional=[signals.ACKERMANN], ackermann="/drive")
+
+
+@pytest.mark.parametrize("role", ["output", "command"])
+def test_duties_may_have_another_name_which_goes_before_the_usual_ones(tmp_path, role):
+    path = write_ros1(tmp_path / "a.bag", [vector(0.0, duties(6000)), vector(0.1, duties(5101), "/pwm")])
+    found = load(str(path), [OUTPUT], **{role: "/pwm"})
+    assert found.output.duties[0, 0] == (5101 if role == "output" else 5104) and found.topics == {OUTPUT: "/pwm"}
+    with pytest.raises(NoRecording, match=r"a\.bag has no topic /missing"):
+        load(str(path), [], optional=[OUTPUT], **{role: "/missing"})
+
+
 @pytest.mark.parametrize("wanted, options, message", (
     ([ODOM], {}, "a.bag has no topic odom"),
     ([OUTPUT, VALUE], {}, "a.bag has no topic generic/output/value"),

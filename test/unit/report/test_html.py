@@ -9,9 +9,11 @@ from car_interface.report.html import (
     MAX_ROWS,
     OPEN_ROWS,
     counted,
+    date_text,
     document,
     moment_text,
     range_text,
+    ratio_text,
     section,
     span_text,
     table,
@@ -30,6 +32,21 @@ def test_document_loads_nothing_and_runs_no_script():
     head = document("", "").split("<body>")[0]
     assert "content=\"default-src 'none'; style-src 'unsafe-inline'\"" in head
     assert "url(" not in head and "@import" not in head and "<script" not in head and "<link" not in head
+
+
+@pytest.mark.parametrize("ratio, words", [(1.0, "as asked"), (1.014, "as asked"), (0.986, "as asked"),
+                                          (1.1, "10% faster than asked"), (0.5, "50% slower than asked")])
+def test_ratio_is_in_words(ratio, words):
+    assert ratio_text(ratio, "asked", "faster", "slower") == words
+
+
+def test_date_of_a_clock_that_began_at_0_is_none():
+    assert date_text(1_700_000_000_000_000_000) == "2023-11-14 22:13:20 UTC"
+    assert date_text(47_600_000_000) == "no date: its clock began at 0, 47.6 s before"
+
+
+def test_range_has_no_negative_zero():
+    assert range_text(-0.001, 1.0, "m/s") == "0.00 to 1.00 m/s"
 
 
 def test_section_escapes_its_title_only():

@@ -16,7 +16,7 @@ def test_distance_and_speed_are_those_of_odometry(seen):
 
 
 def test_wider_turns_than_the_tables_say_are_measured_by_side(seen):
-    (left, samples), (_, none) = seen.motion.curvature_ratios
+    (left, samples), (_, none) = seen.motion.by_tables.ratios()
     assert left == pytest.approx(1 / 1.1, abs=0.01) and samples > 500 and none == 0
 
 

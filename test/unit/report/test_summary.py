@@ -67,12 +67,16 @@ def test_message_of_another_version_is_refused_with_its_type(tmp_path):
         summarize(str(path))
 
 
-def test_other_topic_of_odometry_is_named_and_taken(tmp_path):
+def test_other_topic_of_odometry_is_named_or_guessed_and_said(tmp_path):
     path = str(write_ros1(tmp_path / "a.bag", [odometry(0.1 * step, 0.1 * step, speed_mps=1.0, topic="/other/state")
                                                for step in range(50)]))
     assert summarize(path, odom="other/state").motion.distance_m == pytest.approx(4.9)
-    with pytest.raises(NoRecording, match="try --odom /other/state"):
-        summarize(path)
+    assert summarize(path, odom="other/state").notes == ["odom: other/state (as you say)"]
+    guessed = summarize(path)
+    assert guessed.motion.distance_m == pytest.approx(4.9) and guessed.present == {"odom"}
+    assert guessed.notes == ["odom: /other/state (the only nav_msgs/Odometry)"]
+    with pytest.raises(NoRecording, match=r"a\.bag has no topic /missing; it has /other/state"):
+        summarize(path, odom="/missing")
 
 
 @pytest.mark.parametrize("messages, words", [

@@ -1,14 +1,16 @@
 """Reads a recording as the drive that the fit of a steering curve takes."""
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Mapping, NamedTuple
 
 import numpy as np
 
+from car_interface.calibration.steering.asked import AngleTable
 from car_interface.calibration.steering.drive import Drive
 from car_interface.common.errors import CarInterfaceError
-from car_interface.recordings import signals
+from car_interface.recordings import roles, signals
 from car_interface.recordings.overlap import Trail, trail
+from car_interface.recordings.recording import NoRecording
 from car_interface.recordings.series import Imu, Odom
 
 MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that a servo accepts as a command: 0.5 and 2.5 ms of 20 ms
@@ -37,39 +39,68 @@ class ImuHeading(NamedTuple):
     ratio: float  # of odometry's change of yaw to the IMU's
 
 
-def load_drive(path: str, channel: int, odom_topic: str = "odom", imu_topic: str | None = None, use_imu: bool = True,
-               namespace: str = "/") -> RecordedDrive:
+def load_drive(path: str, channel: int, topics: Mapping[str, str] | None = None, use_imu: bool = True,
+               namespace: str = "/", angle_table: AngleTable | None = None) -> RecordedDrive:
     """Read one recording.
 
     Args:
         path: of the recording.
         channel: of the steering servo, 0..15.
-        odom_topic: of odometry.
-        imu_topic: of an IMU that must be there; ``None`` = the standard topic if it was recorded.
+        topics: named by the user, by role: see ``signals.load``.
         use_imu: whether the heading may come from an IMU.
         namespace: the car's.
+        angle_table: makes duties of the angles that a planner asked for, where no duties were recorded; ``None`` =
+            such a recording is refused.
 
     Raises:
         NoRecording: it can't be read, or lacks what is needed.
         CarInterfaceError: the channel never had a pulse.
     """
-    found = signals.load(path, (signals.ODOM, signals.OUTPUT), optional=(signals.IMU,) if use_imu else (),
-                         namespace=namespace, odom=odom_topic, imu=imu_topic if use_imu else None, progress=True)
-    odom, notes = found.odom, list(found.notes)
+    optional = [signals.OUTPUT, signals.ACKERMANN, *([signals.IMU] if use_imu else [])]
+    found = signals.load(path, (signals.ODOM,), optional=optional, namespace=namespace, progress=True,
+                         **{role: topic for role, topic in (topics or {}).items() if use_imu or role != signals.IMU})
+    odom, notes = found.odom, [note for note in found.notes if found.output is None or not _is_on_angles(note)]
     heading = None if found.imu is None else imu_heading(odom, found.imu)
     if found.imu is not None and heading is None:
-        notes.append(f"{imu_topic or signals.IMU_TOPIC} covers too little of the drive, or doesn't follow the "
+        notes.append(f"{found.topics[signals.IMU]} covers too little of the drive, or doesn't follow the "
                      "car's turning: not used")
     if heading is not None and abs(heading.ratio - 1) > MAX_YAW_DIFFERENCE:
         notes.append(f"odometry turns {abs(heading.ratio - 1):.0%} {'more' if heading.ratio > 1 else 'less'} than the "
                      "IMU: measure track and wheel_diameter")
+    duty_s, duty = _recorded_duties(found, channel) if found.output else _asked_duties(found, angle_table, notes)
+    drive = Drive(odom.t_s, distance_m(odom), odom.yaw_rad if heading is None else heading.yaw_rad, duty_s, duty)
+    return RecordedDrive(path, drive, tuple(notes), found.duration_s, heading is not None, trail(found))
+
+
+def _recorded_duties(found, channel):
+    """(times, duties of the channel), NaN where there is no pulse."""
     duty = found.output.duties[:, channel].astype(float)
     is_pulse = (duty >= MIN_PULSE) & (duty <= MAX_PULSE)
     if not is_pulse.any():
-        raise CarInterfaceError(f"{path}: channel {channel} of the servo board never had a servo's pulse")
-    drive = Drive(odom.t_s, distance_m(odom), odom.yaw_rad if heading is None else heading.yaw_rad, found.output.t_s,
-                  np.where(is_pulse, duty, np.nan))
-    return RecordedDrive(path, drive, tuple(notes), found.duration_s, heading is not None, trail(found))
+        raise CarInterfaceError(f"{found.path}: channel {channel} of the servo board never had a servo's pulse")
+    return found.output.t_s, np.where(is_pulse, duty, np.nan)
+
+
+def _is_on_angles(note):
+    """Whether a note says what was taken for a planner's angles; where duties were recorded, they aren't used."""
+    return note.startswith(f"{signals.ACKERMANN}: ")
+
+
+def _asked_duties(found, angle_table, notes):
+    """(times, duties) by the angles that a planner asked for."""
+    commands = " or ".join(roles.COMMAND.topics)
+    lacks = f"{found.path} has no topic {signals.OUTPUT_TOPIC}, nor {commands}: the servo's duties can't be told"
+    if found.ackermann is None and any(map(_is_on_angles, found.notes)):
+        raise NoRecording(f"{lacks}. {next(filter(_is_on_angles, found.notes))}")
+    if found.ackermann is None:
+        raise NoRecording(f"{lacks}, and no {roles.ACKERMANN.types[0]} that could stand for them. Name a topic of "
+                          "another name by --map TOPIC=output")
+    topic = found.topics[signals.ACKERMANN]
+    if angle_table is None:
+        raise NoRecording(f"{lacks}. The angles that were asked for are on {topic}: with --wheelbase M, and the --base "
+                          "that made duties of them on that drive, they are taken")
+    notes.append(angle_table.note(topic))
+    return found.ackermann.t_s, angle_table.duties(found.ackermann)
 
 
 def distance_m(odom: Odom) -> np.ndarray:

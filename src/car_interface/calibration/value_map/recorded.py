@@ -1,9 +1,9 @@
 """Reads a recording as the drive that the fit of a value map takes."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Sequence
+from typing import Mapping, NamedTuple, Sequence
 
 import numpy as np
 
@@ -29,28 +29,29 @@ class Source:
     """Where a recording's value and accelerations come from.
 
     Attributes:
-        value_topic: of the commanded value; without a duty channel.
+        topics: named by the user, by role: see ``signals.load``. That of the value is not used with a duty channel.
         duty_channel: of the servo board, 0..15, whose duty stands for the value; ``None`` = there is a topic.
         throttle: by which a duty is a value; with a duty channel.
         neutral: the value at which the car coasts.
         measured_by: PULSES, ODOM or IMU; ``None`` = pulses where they were recorded, else odometry.
-        odom_topic: of odometry.
-        imu_topic: of an IMU; ``None`` = none.
         namespace: the car's.
         esc_channel: of the servo board, 0..15, shows whether a value reached the ESC; ``None`` = unknown.
         esc_neutral_duty: the duty of that channel when nobody drives.
     """
 
-    value_topic: str = signals.VALUE_TOPIC
+    topics: Mapping[str, str] = field(default_factory=dict)
     duty_channel: int | None = None
     throttle: ThrottleTable | None = None
     neutral: float = 0.0
     measured_by: str | None = None
-    odom_topic: str = "odom"
-    imu_topic: str | None = None
     namespace: str = "/"
     esc_channel: int | None = None
     esc_neutral_duty: float = 0.0
+
+    @property
+    def value_topic(self) -> str:
+        """The topic of the commanded value."""
+        return self.topics.get(signals.VALUE, signals.VALUE_TOPIC)
 
 
 class RecordedDrive(NamedTuple):
@@ -75,8 +76,8 @@ def load_drive(path: str, source: Source, progress: bool = False) -> RecordedDri
         optional.append(signals.PULSES)
     if not by_duty and source.esc_channel is not None:
         optional.append(signals.OUTPUT)
-    found = signals.load(path, wanted, optional=optional, namespace=source.namespace, odom=source.odom_topic,
-                         imu=source.imu_topic, value=source.value_topic, progress=progress)
+    found = signals.load(path, wanted, optional=optional, namespace=source.namespace, progress=progress,
+                         **source.topics)
     speed, notes, driven = Series(found.odom.t_s, found.odom.speed_mps), found.notes, None
     wheels = wheel_distances(found.pulses or (), speed)
     if source.measured_by == PULSES and not wheels:

@@ -40,7 +40,7 @@ def drive_of(notes=(), **changes):
 
 
 def lines(recorded=None, source=None, fit=None, table=None, problems=(), prior_path=None):
-    return "\n".join(report(recorded or [drive_of()], source or Source(value_topic="throttle"), fit or fit_of(),
+    return "\n".join(report(recorded or [drive_of()], source or Source(topics={"value": "throttle"}), fit or fit_of(),
                             table or table_of(), problems, prior_path)).split("\n")
 
 
@@ -58,7 +58,7 @@ def test_odometry_measures_when_a_drive_has_no_pulses():
 
 
 def test_imu_measures_when_it_is_the_source():
-    found = lines(source=Source(value_topic="throttle", measured_by=IMU))
+    found = lines(source=Source(topics={"value": "throttle"}, measured_by=IMU))
     assert found[1].endswith("accelerations by the IMU, its bias by the wheels")
     assert any("gravity is in what an accelerometer feels" in line for line in found)
 

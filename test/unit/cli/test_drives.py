@@ -1,0 +1,207 @@
+"""The command drives: what is read, what is kept, and what is said."""
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from browser import Browser, find_browser
+from car_interface.cli import drives
+from car_interface.cli.drives_cache import NAME
+from car_interface.cli.main import main
+from car_interface.common.errors import CarInterfaceError
+from written_recordings import Written, drive, odometry, write_ros1, write_ros2
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with a bag of each kind and one that is none."""
+    folder = tmp_path_factory.mktemp("made") / "drives"
+    (folder / "day").mkdir(parents=True)
+    write_ros1(folder / "drive.bag", drive(20.0))
+    write_ros2(folder / "day" / "ros2", [message for message in drive(20.0) if message.topic != "/rosout"],
+               with_definitions=False)
+    (folder / "day" / "broken.bag").write_bytes(b"no bag")
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    return shutil.copytree(str(made), str(tmp_path / "drives"))
+
+
+@pytest.fixture
+def read(monkeypatch):
+    """The recordings that are read, by their names."""
+    names, summarize = [], drives.summarize
+    monkeypatch.setattr(drives, "summarize", lambda path, *more, **topics: (
+        names.append(os.path.basename(path)), summarize(path, *more, **topics))[1])
+    return names
+
+
+def run(folder, *options):
+    return main("drives", [folder, "--jobs", "1", *options])
+
+
+def lines(folder, name="drives.csv"):
+    with open(os.path.join(folder, name), encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_table_has_a_row_for_each_recording_of_whatever_kind(folder, capsys):
+    assert run(folder) == 0
+    shown = capsys.readouterr()
+    assert shown.out == (f"{folder}: 3 recordings, 3 read now, 0 read before; 1 can't be read\n"
+                         f"written: {folder}/drives.html, {folder}/drives.csv\n")
+    assert shown.err == ""
+    ros2, ros1, broken = lines(folder)
+    assert [row["recording"] for row in (ros2, ros1, broken)] == ["day/ros2", "drive.bag", "day/broken.bag"]
+    assert ros1["distance_km"] == ros2["distance_km"] and float(ros1["distance_km"]) == pytest.approx(0.0225, abs=1e-4)
+    assert broken["error"] == "broken.bag can't be read as a recording: it is no bag"
+    with open(os.path.join(folder, "drives.html"), encoding="utf-8") as file:
+        page = file.read()
+    assert page.endswith("</html>\n") and 'data-plot="trends"' in page and "day/ros2" in page
+
+
+def test_second_run_reads_only_what_is_new_or_has_changed(folder, read, capsys):
+    assert run(folder) == 0
+    first = lines(folder)
+    assert sorted(read) == ["broken.bag", "drive.bag", "ros2"]
+    read.clear()
+    assert run(folder) == 0
+    assert read == ["broken.bag"] and lines(folder) == first
+    assert capsys.readouterr().out.split("\n")[-3] == (
+        f"{folder}: 3 recordings, 1 read now, 2 read before; 1 can't be read")
+    read.clear()
+    os.utime(os.path.join(folder, "drive.bag"), ns=(0, 1))
+    shutil.copy(os.path.join(folder, "drive.bag"), os.path.join(folder, "new.bag"))
+    os.unlink(os.path.join(folder, "day", "broken.bag"))
+    assert run(folder) == 0
+    assert sorted(read) == ["drive.bag", "new.bag"] and len(lines(folder)) == 3
+
+
+@pytest.mark.parametrize("options", [["--fresh"], ["--map", "/odom=odom"]], ids=["fresh", "other_options"])
+def test_everything_is_read_again_where_the_old_rows_are_not_wanted(folder, read, options):
+    run(folder)
+    read.clear()
+    assert run(folder, *options) == 0 and len(read) == 3
+
+
+def test_damaged_cache_is_said_and_built_again(folder, read, capsys):
+    run(folder)
+    first = lines(folder)
+    path = os.path.join(folder, NAME)
+    with open(path, "r+b") as file:
+        file.truncate(200)
+    read.clear()
+    capsys.readouterr()
+    assert run(folder) == 0
+    assert len(read) == 3 and lines(folder) == first
+    assert capsys.readouterr().err == f"drives: {path} is damaged: all recordings are read again\n"
+    read.clear()
+    assert run(folder) == 0 and read == ["broken.bag"]
+
+
+def test_what_was_read_before_an_interruption_is_kept(folder, read, monkeypatch):
+    def interrupted(drive, path):
+        if path == "drive.bag":
+            raise KeyboardInterrupt
+        return row(drive, path)
+    row = drives.row
+    monkeypatch.setattr(drives, "row", interrupted)
+    assert run(folder) == 130
+    monkeypatch.setattr(drives, "row", row)
+    read.clear()
+    assert run(folder) == 0 and sorted(read) == ["broken.bag", "drive.bag"]
+
+
+def test_recording_that_breaks_the_table_becomes_a_row(folder, monkeypatch):
+    monkeypatch.setattr(drives, "row", lambda drive, path: {}[path])
+    assert run(folder) == 0
+    assert {row["error"] for row in lines(folder)} == {
+        "no row can be made of it (KeyError: 'drive.bag')", "no row can be made of it (KeyError: 'day/ros2')",
+        "broken.bag can't be read as a recording: it is no bag"}
+
+
+def test_recording_without_a_drive_or_of_a_killed_recorder_is_a_row_that_says_why(tmp_path, capsys):
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    write_ros1(folder / "chatter.bag", [Written(0.0, "/chatter", "std_msgs/String", {"data": "x"})])
+    (folder / "killed.bag.active").write_bytes(b"#ROSBAG V2.0\n")
+    assert run(str(folder)) == 0
+    errors = {row["recording"]: row["error"] for row in lines(str(folder))}
+    assert errors["chatter.bag"] == (
+        "chatter.bag has no message of odom, turn_arb/state or /servo/output; it has /chatter")
+    assert "killed.bag.active is cut off or damaged" in errors["killed.bag.active"]
+
+
+def test_guess_is_a_note_of_the_row_and_a_name_can_be_given(tmp_path):
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    write_ros1(folder / "a.bag", [odometry(0.1 * step, 0.1 * step, speed_mps=1.0, topic="/ekf") for step in range(50)])
+    assert run(str(folder)) == 0
+    assert lines(str(folder))[0]["notes"] == "odom: /ekf (the only nav_msgs/Odometry)"
+    assert run(str(folder), "--odom", "/ekf") == 0
+    assert lines(str(folder))[0]["notes"] == "odom: /ekf (as you say)"
+
+
+@pytest.mark.parametrize("make, words", [
+    pytest.param(lambda path: None, "is no folder: name the one with the recordings", id="missing"),
+    pytest.param(lambda path: path.write_text("x"), "is no folder", id="a_file"),
+    pytest.param(lambda path: path.mkdir(), "has no recording: no .bag, no .mcap, no .db3, here or below", id="empty"),
+])
+def test_folder_without_recordings_is_refused_in_one_line(make, words, tmp_path, capsys):
+    make(tmp_path / "x")
+    assert run(str(tmp_path / "x")) == 1
+    shown = capsys.readouterr().err
+    assert shown.startswith(f"drives: {tmp_path / 'x'} {words}") and shown.count("\n") == 1
+
+
+def test_page_goes_where_it_is_wanted_with_the_csv_beside_it_and_never_over_a_recording(folder, tmp_path, capsys):
+    assert run(folder, "-o", str(tmp_path / "all.html")) == 0
+    assert len(lines(str(tmp_path), "all.csv")) == 3 and not os.path.exists(os.path.join(folder, "drives.html"))
+    capsys.readouterr()
+    assert run(folder, "-o", os.path.join(folder, "drive.bag")) == 1
+    assert "is one of the recordings" in capsys.readouterr().err
+
+
+def test_file_name_that_is_no_utf_8_is_shown_all_the_same(folder):
+    shutil.copy(os.path.join(folder, "drive.bag"), os.fsencode(folder) + b"/\xff.bag")
+    assert run(folder) == 0 and "?.bag" in [row["recording"] for row in lines(folder)]
+
+
+def test_process_that_is_killed_loses_no_row_that_was_read(folder, read, monkeypatch):
+    def for_each(function, items, jobs):
+        yield function(items[0])
+        yield function(items[1])
+        raise CarInterfaceError("a process that read a recording was killed")
+    with monkeypatch.context() as patch:
+        patch.setattr(drives, "for_each", for_each)
+        assert run(folder) == 1
+    read.clear()
+    assert run(folder) == 0 and sorted(read) == ["broken.bag", "drive.bag"]
+
+
+@pytest.mark.once
+def test_several_processes_find_the_same(folder, made, tmp_path):
+    assert run(folder) == 0
+    other = shutil.copytree(str(made), str(tmp_path / "other"))
+    assert main("drives", [other, "--jobs", "2"]) == 0
+    assert lines(other) == lines(folder)
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium on this computer")
+def test_page_in_chromium_has_no_errors_and_loads_nothing(folder):
+    assert run(folder) == 0
+    page = os.path.join(folder, "drives.html")
+    with Browser(find_browser(), width=1500) as browser:
+        browser.open(Path(page))
+        rows = browser.evaluate("document.querySelectorAll('#drives tr').length")
+        wide = browser.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        height = browser.evaluate("document.querySelector('svg[data-plot=trends]').getBoundingClientRect().height")
+    assert browser.complaints == [] and browser.requests == [Path(page).resolve().as_uri()]
+    assert rows == 4 and wide == 0 and height > 300

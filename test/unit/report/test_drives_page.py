@@ -1,0 +1,93 @@
+"""The table of all drives, as a page and as CSV."""
+from __future__ import annotations
+
+import csv
+import html
+import io
+import re
+
+import pytest
+
+from car_interface.report.drives_page import CSV_COLUMNS, csv_text, in_order, page
+from car_interface.report.drives_row import Row
+from written_recordings import START_NS
+
+DAY_NS = 86_400_000_000_000
+FULL = Row("a.bag", start_ns=START_NS, duration_s=125.0, distance_m=1234.5, gamepad_s=12.0, planner_s=100.0,
+           losses={"planner silent": 2, "e_stop": 1}, straight_per_m=-0.0123, left_ratio=1.25, right_ratio=1.005,
+           drive_mps2=-0.204, hold_mps2=0.011, brake_mps2=None, frames=990, corrupt=10, reopened=1, reboots=2,
+           unanswered=3, faults=5, errors=2)
+BLIND = Row("b.bag", start_ns=47_000_000_000, duration_s=61.2, distance_m=84.2, faults=0, errors=0,
+            lacks=["/turn_arb/state", "/rosout for 12 s"], notes=["odom: /ekf (the only nav_msgs/Odometry)"])
+BAD = Row("<c>.bag", error="c.bag can't be read as a recording: it is no bag")
+
+
+def shown(*rows):
+    """The rows of the page's table, as their reader sees them."""
+    text = page("drives", rows, "")
+    text = text[text.index('<section id="drives">'):].replace("<br>", " / ")
+    return [[html.unescape(re.sub("<[^>]*>", "", cell)).strip(" /") for cell in re.findall("<td[^>]*>(.*?)</td>", line)]
+            for line in text.split("\n") if line.startswith("<tr><td")]
+
+
+def test_row_says_everything_that_its_recording_tells():
+    assert shown(FULL)[0] == [
+        "a.bag", "2023-11-14 22:13", "1.234 km / 2 min 5 s", "gamepad 12.0 s / planner 1 min 40 s",
+        "planner silent (2×) / e_stop",
+        "straight on: -0.012 1/m / left: 20% tighter than the tables / right: as the tables",
+        "driving: -0.20 m/s² / holding: +0.01 m/s²",
+        ("10 of 1000 frames corrupt / port opened again: 1 / Teensy started anew: 2 / pings unanswered: 3"),
+        "5, 2 errors"]
+
+
+def test_recording_that_can_not_tell_says_so_in_every_column_and_why():
+    (name, *cells), = shown(BLIND)
+    assert name == ("b.bag / can't tell: no /turn_arb/state, no /rosout for 12 s / "
+                    "odom: /ekf (the only nav_msgs/Odometry)")
+    assert cells == ["no date", "0.084 km / 61.2 s", *["can't tell"] * 5, "0 seen"]
+
+
+def test_recording_that_can_not_be_read_says_why_and_its_name_is_escaped():
+    text = page("drives", [BAD], "")
+    assert "&lt;c&gt;.bag<br><span class=\"bad\">c.bag can&#x27;t be read as a recording: it is no bag</span>" in text
+
+
+def test_drive_without_a_loss_on_which_nobody_drove_says_so():
+    ((_, _, _, who, lost, *_),) = shown(FULL._replace(gamepad_s=0.0, planner_s=0.0, losses={}))
+    assert (who, lost) == ("nobody", "none")
+
+
+def test_newest_comes_first_and_the_head_has_the_sums():
+    rows = in_order([BAD, FULL._replace(path="later.bag", start_ns=START_NS + DAY_NS), BLIND, FULL])
+    assert [row.path for row in rows] == ["b.bag", "a.bag", "later.bag", "<c>.bag"]
+    assert [line[0].split(" ")[0] for line in shown(*rows)] == ["<c>.bag", "later.bag", "a.bag", "b.bag"]
+    text = page("drives", rows, "<svg/>")
+    figures = re.findall("<div><b>(.*?)</b><span>(.*?)</span></div>", text)
+    assert figures == [("3", "drives"), ("1", "can't be read"), ("2.55 km", "driven"), ("5 min 11 s", "recorded"),
+                       ("6", "times lost or locked")]
+    assert '<p class="faint">2023-11-14 22:13:20 UTC to 2023-11-15 22:13:20 UTC</p>' in text and "<svg/>" in text
+
+
+def test_page_without_trends_has_no_section_for_them():
+    assert 'id="trends"' not in page("drives", [FULL], "") and 'id="trends"' in page("drives", [FULL], "<svg/>")
+
+
+def test_csv_has_a_line_for_each_row_and_leaves_empty_what_nobody_knows():
+    lines = list(csv.DictReader(io.StringIO(csv_text([FULL, BLIND, BAD]))))
+    assert tuple(lines[0]) == CSV_COLUMNS
+    full, blind, bad = lines
+    assert (full["start_utc"], full["distance_km"], full["losses"], full["losses_by_cause"]) == (
+        "2023-11-14T22:13:20Z", "1.2345", "3", "e_stop: 1; planner silent: 2")
+    assert (full["map_drive_mps2"], full["map_brake_mps2"], full["corrupt_frames"]) == ("-0.204", "", "10")
+    assert (blind["start_utc"], blind["losses"], blind["cant_tell"]) == ("", "", "/turn_arb/state; /rosout for 12 s")
+    assert bad["error"] == BAD.error and set(bad.values()) == {"<c>.bag", BAD.error, ""}
+
+
+def test_distance_of_nothing_is_0_and_not_empty():
+    (line,) = csv.DictReader(io.StringIO(csv_text([FULL._replace(distance_m=0.0)])))
+    assert float(line["distance_km"]) == 0.0
+
+
+@pytest.mark.parametrize("count", [26, 200])
+def test_long_table_is_not_folded(count):
+    assert "<details>" not in page("drives", [FULL] * count, "")
