@@ -1,8 +1,8 @@
 """Autoware's Control with its gear.
 
 steering_tire_angle is that of a virtual front wheel, left positive. velocity is that of the body, negative backward;
-acceleration is in the direction of the gear: in REVERSE a positive one drives backward faster. A negative acceleration
-brakes with at least that, whatever velocity says. Its jerk is taken by magnitude. Acceleration and jerk count also where
+acceleration is in the direction of the gear: in REVERSE a positive one drives backward faster. A negative one brakes
+with at least that, whatever velocity says. Its jerk is taken by magnitude. Acceleration and jerk count also where
 the flags is_defined_… are false, as stacks older than the flags leave them: 0 means as quickly as allowed.
 """
 from __future__ import annotations
