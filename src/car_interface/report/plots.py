@@ -192,7 +192,12 @@ def _speed(drive):
     if panels[0]:
         axes = next(left)
         title(axes, "Speed in m/s, backward down")
+        if traces["requested speed"].count:
+            curve(axes, traces["requested speed"], REQUESTED, "requested by the planner", linestyle=(0, (4, 2)))
+            curve(axes, traces["reference speed"], SENT, "within its limits", linewidth=0.9)
         curve(axes, traces["speed"], DRIVEN, "by the wheels")
+        if traces["requested speed"].count:
+            legend(axes)
     if panels[1]:
         axes = next(left)
         title(axes, "Acceleration in m/s²")

@@ -6,12 +6,13 @@ from functools import partial
 
 from car_interface.common.units import NS_PER_S
 from car_interface.recordings.recording import NoRecording, absolute_names, contents, other_version, read
-from car_interface.report import motion, steering_state, teensy_link, throttle_state
+from car_interface.report import motion, planner_state, steering_state, teensy_link, throttle_state
 from car_interface.report.coverage import Coverage
 from car_interface.report.downsample import Trace
 from car_interface.report.faults import WARN, FaultLog, NodeReports
 from car_interface.report.gamepad import GamepadWatch
 from car_interface.report.motion import MotionWatch
+from car_interface.report.planner_state import PlannerWatch
 from car_interface.report.sonars import SonarWatch
 from car_interface.report.steering_state import SteeringWatch
 from car_interface.report.teensy_link import TeensyWatch
@@ -22,6 +23,7 @@ SONARS = tuple(f"sonar/{end}_{side}" for end in ("front", "rear") for side in ("
 TYPES = {
     "turn_arb/state": "car_interface/SteeringState",
     "throttle_arb/state": "car_interface/ThrottleState",
+    "planner_interface/state": "car_interface/PlannerState",
     "teleop_logi/state": "car_interface/TeleopState",
     "/servo/output": "std_msgs/Int32MultiArray",
     "av_turnrad_req": "std_msgs/Float32",
@@ -39,8 +41,8 @@ TYPES = {
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *motion.TRACES, "requested acceleration", "value",
-          *teensy_link.TRACES)
+TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *planner_state.TRACES, *motion.TRACES,
+          "requested acceleration", "value", *teensy_link.TRACES)
 
 
 @dataclass
@@ -52,7 +54,7 @@ class Summary:
         topics: what it has: a recordings.recording.Topic by name.
         present: those of TYPES that were recorded.
         traces: a Trace for each of TRACES.
-        gamepad, steering, throttle, motion, sonars, teensy: see their classes.
+        gamepad, steering, throttle, planner, motion, sonars, teensy: see their classes.
         faults: what went wrong.
         coverage: which questions the recording can't answer.
     """
@@ -67,6 +69,7 @@ class Summary:
     gamepad: GamepadWatch
     steering: SteeringWatch
     throttle: ThrottleWatch
+    planner: PlannerWatch
     motion: MotionWatch
     sonars: SonarWatch
     teensy: TeensyWatch
@@ -108,6 +111,7 @@ def summarize(path: str, namespace: str = "/", odom: str = "odom", progress: boo
         summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
     summary.steering.finish()
     summary.throttle.finish()
+    summary.planner.finish()
     summary.gamepad.finish()
     summary.motion.finish()
     summary.faults.finish()
@@ -122,8 +126,9 @@ def _empty(path, namespace, has, present):
     steering = SteeringWatch(traces, faults, duration_s, gamepad)
     moves = MotionWatch(traces, faults, steering, has.start_ns)
     return Summary(path, namespace, has.start_ns, duration_s, has.topics, present, traces, gamepad, steering,
-                   ThrottleWatch(traces, faults, duration_s), moves, SonarWatch(moves, has.start_ns),
-                   TeensyWatch(traces, faults), faults, Coverage(namespace, duration_s))
+                   ThrottleWatch(traces, faults, duration_s), PlannerWatch(traces, faults, duration_s), moves,
+                   SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
+                   Coverage(namespace, duration_s))
 
 
 def _handlers(summary):
@@ -134,6 +139,7 @@ def _handlers(summary):
     return {
         "turn_arb/state": steering.on_state,
         "throttle_arb/state": summary.throttle.on_state,
+        "planner_interface/state": summary.planner.on_state,
         "teleop_logi/state": summary.gamepad.on_state,
         "/servo/output": steering.on_output,
         "av_turnrad_req": steering.on_planner,

@@ -1,8 +1,8 @@
 """Who steers, and with what duty.
 
-Consumes emergency stop, deadman, the gamepad's steering and the planner's turn radius or steering, each with its arrival
-on the monotonic clock, and answers with a ``Decision``: source, duty, cause and reason. Pure: ``now_ns`` is passed in. An
-input that stops arriving never grants control; it takes it away.
+Consumes emergency stop, deadman, the gamepad's steering and the planner's turn radius or steering, each with its
+arrival on the monotonic clock, and answers with a ``Decision``: source, duty, cause and reason. Pure: ``now_ns`` is
+passed in. An input that stops arriving never grants control; it takes it away.
 
 Steering −1 is right and +1 left; a turn radius is in metres, right negative; a duty is 0..65535 of the PWM period.
 """
@@ -74,8 +74,8 @@ class SteeringArbiter:
     """Decides who steers from the newest of each input.
 
     Locked or no human → neutral; else the gamepad, if it steers; else the planner, if it requests a radius; else
-    neutral. A planner asks by radius or by steering: while both are fresh neither is obeyed. A gamepad that was received once and is stale or not finite means neutral, not the planner: the human still
-    believes to be steering.
+    neutral. A gamepad that was received once and is stale or not finite means neutral, not the planner: the human still
+    believes to be steering. A planner asks by radius or by steering: while both are fresh neither is obeyed.
     """
 
     def __init__(self, calibration: SteeringCalibration, config: ArbiterConfig = ArbiterConfig()):

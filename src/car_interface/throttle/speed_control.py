@@ -149,6 +149,11 @@ class SpeedControl:
         return self._speed.age_s(now_ns)
 
     @property
+    def max_braking_mps2(self) -> float:
+        """The limit of braking."""
+        return self._config.max_braking_mps2
+
+    @property
     def measured_mps(self) -> float:
         """The newest speed; NaN = none."""
         return math.nan if self._speed.value is None else self._speed.value
