@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
 import unittest
 
@@ -306,6 +307,41 @@ class OfSpeed(PlannerTest):
         self.assertNotIn("/of_speed/av_turnrad_req", dict(rospy.get_published_topics("/of_speed")))
         self.ask(Float32(NAN))
         self.wait_for_reason("speed: av_speed_req is nan, no number to act on")
+
+
+class ByItself(unittest.TestCase):
+    def setUp(self):
+        self.states = Topic("/alone/state", PlannerState)
+        self.addCleanup(delete_param, "/alone")
+        self.process = start_node(self, "planner_interface", "_source:=drive", "~input/odometry:=/odom",
+                                  "drive:=/alone_drive", name="alone")
+        self.planner, self.odom = Sender("/alone_drive", Drive), Sender("/odom", Odometry)
+        self.inputs = Repeater()
+        self.addCleanup(self.planner.close)
+        self.addCleanup(self.inputs.end)
+        self.inputs.hold(self.odom, odometry(0.0))
+        self.inputs.hold(self.planner, drive(HALF, 1.0))
+        self.states.wait_for(lambda state: state.cause == "planner", self.states.mark())
+
+    def test_what_a_planner_sent_while_the_node_was_frozen_is_not_obeyed_later(self):
+        self.process.send(signal.SIGSTOP)
+        rospy.sleep(1.0)  # the planner goes on all that time, and dies before the node wakes
+        self.inputs.drop(self.planner)
+        self.planner.publish(drive(HALF, 1.0))
+        mark = self.states.mark()
+        self.process.send(signal.SIGCONT)
+        self.states.wait_for(lambda state: state.source_age > 1.5, mark)
+        self.assertEqual({state.cause for state in self.states.since(mark)}, {"planner silent"})
+        self.process.wait_for_line("this node stood still: what the planner sent meanwhile is dropped")
+        self.inputs.hold(self.planner, drive(HALF, 1.0))
+        self.states.wait_for(lambda state: state.cause == "planner", self.states.mark())
+
+    def test_end_of_the_node_is_a_stop_in_its_state(self):
+        mark = self.states.mark()
+        self.process.send(signal.SIGINT)
+        state = self.states.wait_for(lambda state: state.cause == "no request", mark).what
+        self.assertEqual((state.reason, state.turn_radius), ("planner_interface has ended", 0.0))
+        self.assertEqual(self.process.wait_for_exit(), 0)
 
 
 class BadParameters(unittest.TestCase):

@@ -40,9 +40,17 @@ from car_interface.planner.ackermann import from_ackermann
 from car_interface.planner.autoware import from_control
 from car_interface.planner.params import WHEELS, PlannerConfig, read_planner
 from car_interface.planner.request import PlannerRequest, not_finite
-from car_interface.planner.source_arbiter import AUTOWARE, CMD_VEL, DRIVE, SPEED, SourceArbiter
+from car_interface.planner.source_arbiter import (
+    AUTOWARE,
+    CMD_VEL,
+    DRIVE,
+    SPEED,
+    PlannerDecision,
+    SourceArbiter,
+)
 from car_interface.planner.twist import from_twist
 from car_interface.ros.ackermann_messages import ackermann_drive_class
+from car_interface.ros.backlog import Subscription
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
@@ -54,6 +62,7 @@ from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedContro
 
 RATE_HZ = 50
 TICKS_PER_STATE = 5
+STOOD_STILL_NS = 300_000_000  # the timer wakes it each 20 ms
 TOPICS = {DRIVE: "drive", CMD_VEL: "cmd_vel", AUTOWARE: "~input/control_cmd", SPEED: "av_speed_req"}
 TWISTS = {message_type._md5sum: message_type for message_type in (Twist, TwistStamped)}
 
@@ -97,6 +106,7 @@ class PlannerInterface:
         self._warnings = ThrottledWarnings()
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
+        self._stepped_ns = None
         self._decision = self._command = None
         self._published = None  # (cause, gear) of the newest state
         self._radius_m = None  # the newest that was published
@@ -114,15 +124,13 @@ class PlannerInterface:
 
     def _subscribe(self, obeyed):
         inbox = self._inbox
-        if obeyed == DRIVE:
-            subscribe(TOPICS[DRIVE], ackermann_drive_class(), inbox, self._on_drive)
-        elif obeyed == CMD_VEL:
-            subscribe_any(TOPICS[CMD_VEL], inbox, self._on_twist)
-        elif obeyed == AUTOWARE:
+        if obeyed == AUTOWARE:
             subscribe("~input/gear_cmd", UInt8, inbox, self._on_gear)
-            subscribe(TOPICS[AUTOWARE], Control, inbox, self._on_control)
-        else:
-            subscribe(TOPICS[SPEED], Float32, inbox, self._on_speed)
+        message_type, handler = {DRIVE: (ackermann_drive_class, self._on_drive),
+                                 CMD_VEL: (lambda: rospy.AnyMsg, self._on_twist),
+                                 AUTOWARE: (lambda: Control, self._on_control),
+                                 SPEED: (lambda: Float32, self._on_speed)}[obeyed]
+        self._source = Subscription(TOPICS[obeyed], message_type(), inbox, handler)
         for source, topic in TOPICS.items():
             if source != obeyed:
                 subscribe_any(topic, inbox, lambda message, now_ns, source=source:
@@ -132,6 +140,10 @@ class PlannerInterface:
 
     def step(self, now_ns):
         """Handle what arrived; then the timer, and the moment at which the source falls silent."""
+        stood_still = self._stepped_ns is not None and now_ns - self._stepped_ns > STOOD_STILL_NS
+        self._stepped_ns = now_ns
+        if stood_still:
+            self._drop_backlog(now_ns)
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
@@ -144,7 +156,18 @@ class PlannerInterface:
         """Stop: a radius of 0, and full braking."""
         if self._decision is not None and self._decision.request is not None:
             self._publish_stop()
+            self._decision = PlannerDecision(causes.NO_REQUEST, "planner_interface has ended")
+            self._publish_state(time.monotonic_ns())
             time.sleep(0.02)  # rospy sends in a thread of its own
+
+    def _drop_backlog(self, now_ns):
+        """What was sent while this node stood still arrives all at once now, and looks new: it is dropped."""
+        self._source.renew()
+        self._inbox.dispatch()
+        self._sources.mark_stale()
+        self._control.mark_stale()
+        self._decide(now_ns)
+        self._warnings.warn("stood still", "this node stood still: what the planner sent meanwhile is dropped")
 
     def _has_fallen_silent(self, now_ns):
         return (self._decision is not None and self._decision.request is not None
