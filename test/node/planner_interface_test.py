@@ -17,7 +17,7 @@ from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Bool, Float32, UInt8
 
-from waiting import Repeater, Sender, Topic, delete_param, retried, start_node
+from waiting import Repeater, Sender, Topic, delete_param, retried, start, start_node
 from witness import measured
 
 NAN, INF = math.nan, math.inf
@@ -231,6 +231,17 @@ class OfRate(PlannerTest):
         diagnostics.wait_for(lambda array: any(
             status.name == "of_rate/planner_interface: planner" and status.level == DiagnosticStatus.WARN
             and status.message == state.reason for status in array.status))
+
+    def test_second_publisher_is_named(self):
+        diagnostics = Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(diagnostics.close)
+        self.ask(twist(1.0, 0.5))
+        second = start(self, "rostopic", "pub", "-r", "5", "/of_rate/cmd_vel", "geometry_msgs/Twist", "{}")
+        self.addCleanup(second.end)
+        text = "2 nodes publish on /of_rate/cmd_vel, "
+        diagnostics.wait_for(lambda array: any(
+            status.name == "of_rate/planner_interface: command topics" and status.message.startswith(text)
+            and rospy.get_name() in status.message for status in array.status), 0, 40)
 
     def test_zero_keeps_the_arc_that_it_stops_on(self):
         self.ask(twist(1.0, 0.5))
