@@ -26,6 +26,7 @@ from car_interface.throttle.speed_reference import SpeedReference
 MAX_STEP_S = 0.1  # the longest time that one step counts, so that a delayed node makes no jump
 THROTTLE_TIMEOUT_S = 0.5  # throttle_arb's state comes 10 times a second
 HOLD_MPS2 = 1.5  # brakes at standstill, as Autoware does; the ESC's rules see to it that this doesn't reverse
+STALL_NS = 2_000_000_000
 # The least that a start takes: odometry sees nothing for the first 4 cm, and a wrong map makes the car too fast.
 START_S = 0.5
 # Odometry is this old, and sees a speed only after two pulses; but no later than that, or a stop would never be seen.
@@ -123,6 +124,7 @@ class SpeedControl:
         self._integral_mps2 = 0.0
         self._gear = DRIVE
         self._stepped_ns: int | None = None
+        self._stalled_ns: int | None = None  # since when it should move and doesn't
         self._was_known = False  # the speed, at the last step
         self._past: deque = deque()  # what odometry can have seen by now, and all references since
 
@@ -174,6 +176,7 @@ class SpeedControl:
         if request.gear == COAST_GEAR:
             return SpeedCommand(0.0, self._speed.value, COAST_GEAR, True, "")
         acceleration_mps2 = self._follow(request, target_mps, speed_mps, max(0.0, min(dt_s, MAX_STEP_S)), now_ns)
+        notes += self._stall(speed_mps, now_ns)
         return SpeedCommand(self._sign * acceleration_mps2, self._sign * self._reference.speed_mps, self._gear, True,
                             "; ".join(notes))
 
@@ -204,6 +207,16 @@ class SpeedControl:
             self._gear = gear
             self._begin_anew(0.0)
         return abs(wanted_mps), notes
+
+    def _stall(self, speed_mps, now_ns):
+        """That the car should move for long and doesn't."""
+        if self._reference.speed_mps < STANDSTILL_MPS or abs(speed_mps) >= STANDSTILL_MPS:
+            self._stalled_ns = None
+        elif self._stalled_ns is None:
+            self._stalled_ns = now_ns
+        elif now_ns - self._stalled_ns >= STALL_NS:
+            return [f"it doesn't move at {self._reference.speed_mps:.2f} m/s: too slow for this car, or it is held"]
+        return []
 
     def _wanted_gear(self, request, wanted_mps):
         if request.gear in (DRIVE, REVERSE_GEAR):

@@ -203,6 +203,18 @@ def test_request_above_max_speed_is_followed_up_to_that():
     assert bench.run(SpeedRequest(5.0), 2.0).reference_mps == 3.0
 
 
+def test_car_that_does_not_move_for_two_seconds_is_told_until_it_moves():
+    bench = Bench(speed_mps=0.0)
+    assert bench.run(SpeedRequest(0.2), 2.0).note == ""
+    assert bench.run(SpeedRequest(0.2), 1.0).note == (
+        "it doesn't move at 0.20 m/s: too slow for this car, or it is held")
+    bench.speed_mps = 0.2
+    assert bench.run(SpeedRequest(0.2)).note == ""
+    bench.throttle = (TELEOP, 1.0, 1.0, causes.DRIVING)
+    bench.speed_mps = 0.0
+    assert bench.run(SpeedRequest(0.2), 5.0).note == ""
+
+
 def test_gear_change_at_speed_stops_first_and_says_so():
     bench = Bench(speed_mps=2.0)
     bench.run(SpeedRequest(2.0, gear="drive"), 1.0)
