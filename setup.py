@@ -44,6 +44,7 @@ setup(
         "car_interface.interlock",
         "car_interface.nodes",
         "car_interface.pca9685",
+        "car_interface.planner",
         "car_interface.recordings",
         "car_interface.report",
         "car_interface.ros",

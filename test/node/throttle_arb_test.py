@@ -16,7 +16,7 @@ import rospkg
 import rospy
 import rostest
 import yaml
-from car_interface.msg import ConverterState, Float64Stamped, SteeringState, TeleopState, ThrottleState
+from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dynamic_reconfigure.client import Client
 from nav_msgs.msg import Odometry
@@ -377,6 +377,32 @@ class CalibrationDrive(ThrottleTest):
         self.assertEqual(entry.what.level, Log.WARN)
         self.assertEqual(entry.what.msg, "calibration drive: the ESC gets the stick as it is, and a brake may become "
                          "reverse; record it for calibrate_esc, and start without calibration_drive afterwards")
+
+
+class OfPlannerInterface(ThrottleTest):
+    """An ESC that brakes before it reverses, and a planner with a gear."""
+
+    NAMESPACE, BOARD = "/braking/", True
+
+    def setUp(self):
+        super().setUp()
+        self.planner = Sender(f"{self.NAMESPACE}planner_interface/state", PlannerState)
+        self.addCleanup(self.planner.close)
+
+    def test_planner_reverses_by_its_gear_and_stops_with_the_reason_of_planner_interface(self):
+        self.rig.present(speed=0.0)
+        self.hold(self.planner, PlannerState(cause="planner", gear="reverse"))
+        self.rig.plan(-2.0)
+        state = self.rig.wait_for(lambda state: state.esc_cause == "reversing")
+        self.assertEqual((state.source, state.duty), (ThrottleState.PLANNER, 4260))  # 4915 − 2 / 5 · 1638
+        mark = self.rig.states.mark()
+        self.hold(self.planner, PlannerState(cause="planner silent", gear="reverse", reason="drive silent for 0.50 s"))
+        state = self.rig.wait_for(lambda state: state.cause == "planner silent", mark)
+        self.assertEqual((state.source, state.duty, state.reason),
+                         (ThrottleState.NEUTRAL, NEUTRAL, "drive silent for 0.50 s"))
+        self.hold(self.planner, PlannerState(cause="planner", gear="neutral"))
+        state = self.rig.wait_for(lambda state: state.source == ThrottleState.PLANNER)
+        self.assertEqual((state.duty, state.reason), (NEUTRAL, "the planner's gear is neutral: the car coasts"))
 
 
 class Tuning(ThrottleTest):

@@ -319,15 +319,31 @@ class TurnArbByItsTopics(unittest.TestCase):
             self.inputs.hold(self.teleop, 0.0)
             self.wait_for_state(SteeringState.PLANNER, ".*")
 
-    def test_planner_that_is_no_number_asks_for_nothing(self):
-        for value, text in ((NAN, "nan"), (INF, "inf"), (-INF, "-inf")):
+    def test_planner_that_is_no_number_asks_for_nothing_and_infinite_is_straight_on(self):
+        for value, source, reason in ((NAN, SteeringState.NEUTRAL, "av_turnrad_req is nan, no number to act on"),
+                                      (INF, SteeringState.PLANNER, "av_turnrad_req is inf: straight on"),
+                                      (-INF, SteeringState.PLANNER, "av_turnrad_req is -inf: straight on")):
             self.let_human_in(teleop=0.0, planner=2.0)
             self.wait_for_duty(3830, self.commands.mark())
             self.inputs.hold(self.planner, value)
-            state = self.wait_for_state(SteeringState.NEUTRAL, f"av_turnrad_req is {text}, no number to act on").what
+            state = self.wait_for_state(source, reason).what
             self.assertEqual(state.duty, CENTER)
             self.inputs.hold(self.teleop, -1.0)
             self.wait_for_duty(RIGHT, self.commands.mark())
+
+    def test_planner_that_knows_no_radius_steers_like_the_gamepad_and_not_beside_one_that_does(self):
+        steering = Sender("/av_steer_req", Float32)
+        self.addCleanup(steering.close)
+        self.let_human_in()
+        self.inputs.drop(self.planner)
+        self.inputs.hold(steering, 0.5)
+        state = self.wait_for_state(SteeringState.PLANNER, r"av_steer_req is 0\.500").what
+        self.assertEqual((state.duty, state.cause), (4450, "planner"))
+        self.inputs.hold(self.planner, 2.0)
+        state = self.wait_for_state(SteeringState.NEUTRAL, "av_turnrad_req and av_steer_req are both .*").what
+        self.assertEqual((state.duty, state.cause), (CENTER, "two requests"))
+        self.inputs.drop(steering)
+        self.wait_for_state(SteeringState.PLANNER, r"av_turnrad_req is 2\.000 m")
 
     def test_requests_beyond_the_range_and_no_numbers_are_warned_of(self):
         """Whichever test sent the first one: a warning comes at once, and then at most every 10 s."""

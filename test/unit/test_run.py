@@ -27,7 +27,7 @@ def test_without_names_every_test_runs_once():
 def test_the_longest_node_tests_begin_first():
     assert names(run.select([]).shared)[:3] == ["one_process.test", "fuzz.test", "doctor_situations.test"]
     assert names(run.select([]).timed) == [f"{name}.test" for name in (
-        "chain", "captures", "demo", "serial_faults", "teleop_logi", "turn_arb")]
+        "chain", "captures", "demo", "planner_interface", "planners", "serial_faults", "teleop_logi", "turn_arb")]
 
 
 def test_tests_with_an_order_or_a_limit_of_their_own_exist():

@@ -24,6 +24,8 @@ PLANNER_STALE = "planner silent"
 PLANNER_NOT_FINITE = "planner not finite"
 NO_REQUEST = "no request"  # none was ever received
 NO_RADIUS = "no radius"  # the planner requests 0
+TWO_REQUESTS = "two requests"  # av_turnrad_req and av_steer_req at the same time
+REQUEST_REFUSED = "request refused"  # no car can do what the planner asks for
 
 # Throttle.
 DRIVING = "driving"

@@ -15,6 +15,8 @@ from car_interface.common.units import NS_PER_S
 LASTING_NS = 5 * NS_PER_S
 LOG_PERIOD_NS = 10 * NS_PER_S
 REPORT = "command topics"  # on /diagnostics
+ANY = "*"
+OR = " or "
 BY_HAND = ("rostopic_", "rqt_gui_py_node")  # how tools call their nodes
 
 
@@ -41,7 +43,7 @@ class CommandTopic(NamedTuple):
 
     Attributes:
         name: resolved, after remapping.
-        type: the type of the messages that the node takes.
+        type: the type of the messages that the node takes; several with " or " between them, or ANY.
         publishers: those that were found.
         is_shared: whether several may publish on it.
     """
@@ -76,8 +78,9 @@ class Fault(NamedTuple):
 def find_faults(topic: CommandTopic) -> list[Fault]:
     """What is wrong with the publishers of a topic; nothing when there are none."""
     lost = sorted(publisher for publisher in topic.publishers if not publisher.type)
-    wrong = sorted(publisher for publisher in topic.publishers if publisher.type not in ("", topic.type))
-    right = sorted(publisher for publisher in topic.publishers if publisher.type == topic.type)
+    sending = sorted(publisher for publisher in topic.publishers if publisher.type)
+    right = [publisher for publisher in sending if topic.type == ANY or publisher.type in topic.type.split(OR)]
+    wrong = [publisher for publisher in sending if publisher not in right]
     found = [Fault(causes.WRONG_TYPE, topic.name,
                    f"{publisher} publishes {publisher.type} on {topic.name}, which takes {topic.type}: none of its "
                    "messages is received", f"Have {publisher.node} publish {topic.type}, or publish on another topic")

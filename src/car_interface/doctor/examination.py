@@ -45,7 +45,8 @@ STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/
 USUAL_BAUD = 115200
 # Names and addresses, then the nodes, then all the rest at the same time: 9 s at most.
 NETWORK_S, SURVEY_S, PROBES_S = 2.0, 2.0, 4.5
-REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "teleop_logi")
+REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface",
+             "teleop_logi")
 NO_GRAPH = Graph({}, frozenset())
 
 

@@ -1,4 +1,5 @@
-"""The car_nodes process: turn_arb, pca9685, teensy_sensor_hub, generic_value_converter and throttle_arb in one.
+"""The car_nodes process: turn_arb, pca9685, teensy_sensor_hub, generic_value_converter, throttle_arb and
+planner_interface in one.
 
 It saves memory.
 
@@ -11,6 +12,7 @@ required and missing.
 
 Parameters, beside those of each node below its own name:
     ~throttle false: true = with throttle_arb.
+    ~planner false: true = with planner_interface.
 """
 from __future__ import annotations
 
@@ -27,6 +29,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685 import Pca9685
+from car_interface.nodes.planner_interface import PlannerInterface
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.throttle_arb import ThrottleArb
 from car_interface.nodes.turn_arb import TurnArb
@@ -34,7 +37,9 @@ from car_interface.ros.inbox import Inbox
 from car_interface.ros.runtime import describe_error, run, spin
 
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
-         "generic_value_converter": GenericValueConverter, "throttle_arb": ThrottleArb}
+         "generic_value_converter": GenericValueConverter, "throttle_arb": ThrottleArb,
+         "planner_interface": PlannerInterface}
+ON_REQUEST = {"throttle": "throttle_arb", "planner": "planner_interface"}
 PAUSE_NS = NS_PER_S
 END_WITHIN_S = 5.0  # pca9685 tries for two seconds to reach its chip
 POLL_S = 0.005  # Thread.join with a timeout follows the settable clock before Python 3.11
@@ -107,8 +112,9 @@ class CarNodes:
 
     def __init__(self, params, inbox):
         nodes = dict(NODES)
-        if not params.flag("throttle", False):
-            del nodes["throttle_arb"]
+        for flag, name in ON_REQUEST.items():
+            if not params.flag(flag, False):
+                del nodes[name]
         params.finish()
         self._inbox = inbox
         self._due_ns: dict[Part, int] = {}  # of those that wait for their restart

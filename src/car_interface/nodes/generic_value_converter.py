@@ -31,13 +31,13 @@ from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.ros_clock import RosClock
 from car_interface.ros.runtime import run
+from car_interface.ros.stamps import odd_stamp
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.throttle.converter import Conversion, ConversionConfig, Converter
 from car_interface.throttle.value_map import ValueMap, load_value_map
 
 STATE_RATE_HZ = 1
-ODD_STAMP_S = 10.0  # a stamp this far from now is reported
 NO_COMMAND = Conversion(None, causes.NO_REQUEST, "waiting for the first command")
 
 
@@ -160,10 +160,8 @@ class GenericValueConverter:
 
     def _note_odd_stamp(self, name, stamp):
         """Count an odd stamp. The message is used all the same: freshness is measured by arrival."""
-        offset_s = (stamp - rospy.Time.now()).to_sec()
-        if abs(offset_s) > ODD_STAMP_S:
-            tense = "future" if offset_s > 0 else "past"
-            text = "is zero" if stamp.is_zero() else f"is {abs(offset_s):.0f} s in the {tense}"
+        text = odd_stamp(stamp)
+        if text:
             self._warnings.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
 
     def _report(self, status):

@@ -10,6 +10,7 @@ Subscribes:
     ~input/value (Float64Stamped): the planner's, from generic_value_converter.
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s; the planner drives only while it is fresh.
     generic_value_converter/state (ConverterState): why there is no value.
+    planner_interface/state (PlannerState): the planner's gear, and why it has no request. Never received = drive.
     turn_arb/state (SteeringState): steering and throttle stop together.
     /servo/output (std_msgs/Int32MultiArray): what the servo board holds.
     teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
@@ -45,7 +46,7 @@ from car_interface.common.drive_modes import MODES
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, one_channel
-from car_interface.msg import ConverterState, Float64Stamped, SteeringState, TeleopState, ThrottleState
+from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
@@ -115,6 +116,7 @@ class ThrottleArb:
                 ("~input/value", Float64Stamped, self._on_value),
                 ("~input/odometry", Odometry, self._on_odometry),
                 ("generic_value_converter/state", ConverterState, self._on_converter),
+                ("planner_interface/state", PlannerState, self._on_planner_state),
                 ("turn_arb/state", SteeringState, self._on_steering),
                 ("/servo/output", Int32MultiArray, self._on_output)):
             subscribe(topic, message_type, inbox, self._deciding(handler))
@@ -178,6 +180,10 @@ class ThrottleArb:
     def _on_converter(self, message, now_ns):
         has_value = message.cause in (causes.CONVERTING, causes.NO_REQUEST)
         self._arbiter.update_converter(None if has_value else NoValue(message.cause, message.reason))
+
+    def _on_planner_state(self, message, now_ns):
+        no_request = None if message.cause == causes.PLANNER else NoValue(message.cause, message.reason)
+        self._arbiter.update_planner_state(message.gear, no_request, now_ns)
 
     def _on_steering(self, message, now_ns):
         self._arbiter.update_steering(message.source, message.reason, now_ns)

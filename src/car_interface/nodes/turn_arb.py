@@ -4,7 +4,8 @@ Subscribes:
     /e_stop (std_msgs/Bool): true = locked: neutral, whoever requests what.
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left.
-    av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 = no request.
+    av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 or NaN = no request, ±inf = straight on.
+    av_steer_req (std_msgs/Float32): −1 right .. +1 left, of a planner that knows no radius; not beside av_turnrad_req.
     teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the steering channel.
@@ -116,6 +117,7 @@ class TurnArb:
         subscribe_interlock(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
+        subscribe_changes("av_steer_req", Float32, inbox, self._on_planner_steering, self._decide)
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state)
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now, self._on_master)
@@ -152,8 +154,15 @@ class TurnArb:
 
     def _on_planner(self, message, now_ns):
         self._arbiter.update_planner(message.data, now_ns)
-        if not math.isfinite(message.data):
+        if math.isnan(message.data):
             self._warnings.warn(causes.PLANNER_NOT_FINITE, f"av_turnrad_req is {message.data}: taken for no request")
+
+    def _on_planner_steering(self, message, now_ns):
+        self._arbiter.update_planner_steering(message.data, now_ns)
+        if not math.isfinite(message.data):
+            self._warnings.warn(causes.PLANNER_NOT_FINITE, f"av_steer_req is {message.data}: taken for no request")
+        elif abs(message.data) > 1:
+            self._warnings.warn("planner clamped", f"av_steer_req is {message.data:.3f}: clamped to -1..1")
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
@@ -250,7 +259,7 @@ class TurnArb:
 
 def _is_alarming(decision):
     """Whether somebody has to act: the car is locked, or an input failed."""
-    return decision.source == LOCKED or decision.cause in causes.LOSSES
+    return decision.source == LOCKED or decision.cause in causes.LOSSES or decision.cause == causes.TWO_REQUESTS
 
 
 def main():

@@ -261,13 +261,21 @@ def _steering(drive, plots):
 def _throttle(drive, plots):
     profile = f" Kind of the ESC: {escape(drive.throttle.profile)}." if drive.throttle.profile else ""
     text = ("As throttle_arb reports: what was asked, by stick or planner, and what the ESC was given; 1 is full "
-            f"forward, −1 full brake or reverse.{profile}")
+            f"forward, −1 full brake or reverse.{profile}{_planner(drive.planner)}")
     rows = [(moment_text(episode.start_s, drive.duration_s), span_text(episode.end_s - episode.start_s),
              _driver(episode.source), escape(episode.esc), escape(episode.reason))
             for episode in drive.throttle.episodes]
     return section("throttle", "Throttle: asked, granted", text, _plot(plots, "throttle"),
                    table(("from", "for", "who", "ESC", "why"), rows, numbers=2) if rows else "",
                    _missing(drive, "throttle_arb/state"))
+
+
+def _planner(planner):
+    """Which planner was obeyed, by planner_interface."""
+    if not planner.source:
+        return ""
+    others = f"; not obeyed: {escape(planner.others)}" if planner.others else ""
+    return f" The planner that was obeyed: {escape(planner.source)}{others}."
 
 
 def _path(drive, plots):

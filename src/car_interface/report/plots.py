@@ -199,8 +199,10 @@ def _speed(drive):
         axes = next(left)
         title(axes, "Speed in m/s, backward down")
         curve(axes, traces["requested speed"], REQUESTED, "requested", linestyle=(0, (4, 2)))
+        curve(axes, traces["planner's speed"], REQUESTED, "requested by the planner", linestyle=(0, (1, 1)))
+        curve(axes, traces["reference speed"], SENT, "within its limits", linewidth=0.9)
         curve(axes, traces["speed"], DRIVEN, "by odometry")
-        if traces["requested speed"].count:
+        if traces["requested speed"].count or traces["planner's speed"].count:
             legend(axes)
     if panels[1]:
         axes = next(left)

@@ -8,7 +8,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.recordings import roles
 from car_interface.recordings.recording import NoRecording, absolute_names, contents, other_version, read, require
 from car_interface.recordings.roles import find, fits, other_cars
-from car_interface.report import asked, imu, motion, steering_state, teensy_link, throttle_state
+from car_interface.report import asked, imu, motion, planner_state, steering_state, teensy_link, throttle_state
 from car_interface.report.asked import AskedWatch
 from car_interface.report.coverage import Coverage
 from car_interface.report.downsample import Trace
@@ -16,6 +16,7 @@ from car_interface.report.faults import WARN, FaultLog, NodeReports
 from car_interface.report.gamepad import GamepadWatch
 from car_interface.report.imu import ImuWatch
 from car_interface.report.motion import MotionWatch
+from car_interface.report.planner_state import PlannerWatch
 from car_interface.report.sonars import SonarWatch
 from car_interface.report.steering_state import SteeringWatch
 from car_interface.report.teensy_link import TeensyWatch
@@ -31,6 +32,7 @@ TYPES = {
     **{role.topics[0]: role.types for role in ROLES},
     "turn_arb/state": "car_interface/SteeringState",
     "throttle_arb/state": "car_interface/ThrottleState",
+    "planner_interface/state": "car_interface/PlannerState",
     "teleop_logi/state": "car_interface/TeleopState",
     **dict.fromkeys(SONARS, "sensor_msgs/Range"),
     "/tf_static": "tf2_msgs/TFMessage",
@@ -41,7 +43,7 @@ TYPES = {
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *motion.TRACES, *asked.TRACES, *imu.TRACES,
+TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *planner_state.TRACES, *motion.TRACES, *asked.TRACES, *imu.TRACES,
           "requested acceleration", "value", *teensy_link.TRACES)
 
 
@@ -55,7 +57,7 @@ class Summary:
         notes: which topics were named or guessed to be what, or couldn't be, and what is odd about one, a line each.
         present: those of TYPES that were recorded.
         traces: a Trace for each of TRACES.
-        gamepad, steering, throttle, asked, motion, imu, sonars, teensy: see their classes.
+        gamepad, steering, throttle, asked, planner, motion, imu, sonars, teensy: see their classes.
         faults: what went wrong.
         coverage: which questions the recording can't answer.
     """
@@ -72,6 +74,7 @@ class Summary:
     steering: SteeringWatch
     throttle: ThrottleWatch
     asked: AskedWatch
+    planner: PlannerWatch
     motion: MotionWatch
     imu: ImuWatch
     sonars: SonarWatch
@@ -126,6 +129,7 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
         summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
     summary.steering.finish()
     summary.throttle.finish()
+    summary.planner.finish()
     summary.gamepad.finish()
     summary.faults.finish()
     summary.notes += filter(None, [summary.imu.note(found["imu/data"].topic)])
@@ -146,7 +150,7 @@ def _empty(path, namespace, has, present, wheelbase_m):
 
     moves = MotionWatch(traces, faults, steering, wanted, planner_drives, has.start_ns)
     return Summary(path, namespace, has.start_ns, duration_s, has.topics, [], present, traces, gamepad, steering,
-                   throttle, wanted, moves, ImuWatch(traces, moves),
+                   throttle, wanted, PlannerWatch(traces, faults, duration_s), moves, ImuWatch(traces, moves),
                    SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
                    Coverage(namespace, duration_s))
 
@@ -159,6 +163,7 @@ def _handlers(summary):
     return {
         "turn_arb/state": steering.on_state,
         "throttle_arb/state": summary.throttle.on_state,
+        "planner_interface/state": summary.planner.on_state,
         "teleop_logi/state": summary.gamepad.on_state,
         "/servo/output": steering.on_output,
         "av_turnrad_req": steering.on_planner,

@@ -11,8 +11,8 @@ from car_interface.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLo
 TRACES = ("throttle asked", "throttle granted")
 # States of the ESC that come and go with the stick: an episode doesn't end with one of them.
 USUAL = ("NEUTRAL", "FORWARD")
-# turn_arb's state says these, too.
-SHARED = causes.INHIBITS | {causes.STEERING_STALE, causes.STEERING_STOPPED}
+# The states of turn_arb and planner_interface say these, too.
+SHARED = causes.INHIBITS | {causes.STEERING_STALE, causes.STEERING_STOPPED, causes.PLANNER_STALE}
 
 
 class ThrottleEpisode(NamedTuple):

@@ -2,7 +2,8 @@
 from __future__ import annotations
 
 import time
-from typing import Callable
+from types import MappingProxyType
+from typing import Callable, Mapping
 
 import rospy
 
@@ -21,13 +22,16 @@ class CommandTopics:
     Args:
         inbox: the node's.
         shared: topics on which several nodes may publish.
+        types: of topics that it subscribes to with any type, those that it takes.
         more_faults: what else the node finds, called with ``now_ns`` and the topics.
     """
 
     def __init__(self, inbox: Inbox, shared: tuple[str, ...] = (),
-                 more_faults: Callable[[int, list[CommandTopic]], list[Fault]] | None = None):
+                 more_faults: Callable[[int, list[CommandTopic]], list[Fault]] | None = None,
+                 types: Mapping[str, tuple[str, ...]] = MappingProxyType({})):
         self._inbox = inbox
         self._shared = shared
+        self._types = types
         self._more_faults = more_faults or (lambda now_ns, topics: [])
         self._topics: list[CommandTopic] = []
         self._log = FaultLog()
@@ -43,7 +47,7 @@ class CommandTopics:
         def on_topics(topics, now_ns):
             self._topics = topics
             report_now()
-        MasterWatch(self._inbox, on_fault, on_topics, (*self._shared, *REPORTS))
+        MasterWatch(self._inbox, on_fault, on_topics, (*self._shared, *REPORTS), self._types)
 
     def _report(self, status):
         """For /diagnostics: each fault with its remedy, and all publishers."""

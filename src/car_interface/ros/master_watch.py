@@ -8,12 +8,13 @@ from __future__ import annotations
 import threading
 import time
 import xmlrpc.client
+from types import MappingProxyType
 from typing import Callable, Mapping
 
 import rosgraph
 import rospy
 
-from car_interface.common.publishers import CommandTopic
+from car_interface.common.publishers import OR, CommandTopic
 from car_interface.common.units import NS_PER_S
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.publisher_lookup import CONNECTING_NS, PublisherLookup
@@ -35,14 +36,17 @@ class MasterWatch:
             with an empty line when it is over; ``None`` = nobody asks.
         on_topics: called in the node's thread with a ``CommandTopic`` for each topic, whenever they change; likewise.
         shared: topics, as the node names them, on which several nodes may publish.
+        types: of topics, as the node names them, that it subscribes to with any type, those that it takes.
     """
 
     def __init__(self, inbox: Inbox, on_fault: Callable[[str, int], None] | None = None,
-                 on_topics: Callable[[list[CommandTopic], int], None] | None = None, shared: tuple[str, ...] = ()):
+                 on_topics: Callable[[list[CommandTopic], int], None] | None = None, shared: tuple[str, ...] = (),
+                 types: Mapping[str, tuple[str, ...]] = MappingProxyType({})):
         self._inbox = inbox
         self._on_fault = on_fault
         self._on_topics = on_topics
         self._shared = {rospy.resolve_name(inbox.resolve_name(name)) for name in shared}
+        self._types = {rospy.resolve_name(inbox.resolve_name(name)): OR.join(taken) for name, taken in types.items()}
         self._fault = ""
         self._topics: list[CommandTopic] = []
         _PROCESS_WATCH.add(self)
@@ -80,7 +84,7 @@ class MasterWatch:
             return None
         name = subscription.resolved_name
         publishers = lookup.publishers(subscription, listed.get(name, []))
-        return CommandTopic(name, subscription.type, publishers, name in self._shared)
+        return CommandTopic(name, self._types.get(name, subscription.type), publishers, name in self._shared)
 
 
 class _ProcessWatch:

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import rospy
 from rosgraph.network import read_ros_handshake_header, write_ros_handshake_header
 
-from car_interface.common.publishers import Publisher
+from car_interface.common.publishers import ANY, Publisher
 from car_interface.common.units import NS_PER_S
 from car_interface.ros.xmlrpc_calls import ANSWER_WITHIN_S, TimeoutTransport
 
@@ -67,7 +67,7 @@ class PublisherLookup:
             listed: the names that the master has.
         """
         connected = {connection.callerid_pub: Publisher(connection.callerid_pub, _machine(connection.endpoint_id),
-                                                        subscription.type)
+                                                        _type(subscription, connection))
                      for connection in subscription.connections if _is_connected(connection)}
         others = (self._ask(subscription, node) for node in set(listed) - set(connected))
         return sorted([*connected.values(), *filter(None, others)])
@@ -131,6 +131,11 @@ def ask_type(uri: str, topic: str) -> dict[str, str]:
 def _is_connected(connection):
     """Whether a publisher has accepted rospy's connection."""
     return connection.socket is not None and not connection.done and "type" in (connection.header or {})
+
+
+def _type(subscription, connection):
+    """The type of a connection's messages. A subscription to any type has the one of each publisher."""
+    return connection.header["type"] if subscription.type == ANY else subscription.type
 
 
 def _machine(uri):

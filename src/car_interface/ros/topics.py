@@ -58,6 +58,20 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[
     _subscribe(topic, message_type, inbox, backlog, receive)
 
 
+def subscribe_any(topic: str, inbox: Inbox, handler: Callable[[Any, int], None], wakes: bool = True) -> None:
+    """Subscribe to messages of any type: ``handler(message, arrival_ns)`` gets a rospy.AnyMsg.
+
+    Args:
+        wakes: False = the node handles it when it next wakes for another reason.
+    """
+    _subscribe(topic, rospy.AnyMsg, inbox, lambda message: inbox.put(handler, message, wakes))
+
+
+def md5_of(message: Any) -> str:
+    """What the publisher of a message says of its fields: the MD5 of their definition."""
+    return (getattr(message, "_connection_header", None) or {}).get("md5sum", "")
+
+
 def has_subscribers(publisher: rospy.Publisher) -> bool:
     """Whether anybody subscribes: rospy serialises a message before it finds that nobody does."""
     return publisher.get_num_connections() > 0

@@ -1,8 +1,8 @@
 """Who steers, and with what duty.
 
-Consumes emergency stop, deadman, the gamepad's steering and the planner's turn radius, each with its arrival on the
-monotonic clock, and answers with a ``Decision``: source, duty, cause and reason. Pure: ``now_ns`` is passed in. An
-input that stops arriving never grants control; it takes it away.
+Consumes emergency stop, deadman, the gamepad's steering and the planner's turn radius or steering, each with its
+arrival on the monotonic clock, and answers with a ``Decision``: source, duty, cause and reason. Pure: ``now_ns`` is
+passed in. An input that stops arriving never grants control; it takes it away.
 
 Steering −1 is right and +1 left; a turn radius is in metres, right negative; a duty is 0..65535 of the PWM period.
 """
@@ -41,7 +41,8 @@ class ArbiterConfig:
         tele_steer_deadband: requests this near to it mean the same.
         slew_limit: the servo's maximum speed under gamepad and planner, in duty per second; 0 = no limit.
         interlock: the rules of emergency stop and deadman.
-        teleop_timeout_s, planner_timeout_s: an input older than this is stale; 0 = never.
+        teleop_timeout_s, planner_timeout_s: an input older than this is stale; 0 = never. The second is that of both
+            of the planner's.
     """
 
     tele_steer_neutral: float = 0.0
@@ -74,7 +75,7 @@ class SteeringArbiter:
 
     Locked or no human → neutral; else the gamepad, if it steers; else the planner, if it requests a radius; else
     neutral. A gamepad that was received once and is stale or not finite means neutral, not the planner: the human still
-    believes to be steering.
+    believes to be steering. A planner asks by radius or by steering: while both are fresh neither is obeyed.
     """
 
     def __init__(self, calibration: SteeringCalibration, config: ArbiterConfig = ArbiterConfig()):
@@ -83,6 +84,7 @@ class SteeringArbiter:
         self._interlock = MotionInterlock(config.interlock)
         self._teleop = TimedInput("tele_steer_req", config.teleop_timeout_s)
         self._planner = TimedInput("av_turnrad_req", config.planner_timeout_s)
+        self._planner_steering = TimedInput("av_steer_req", config.planner_timeout_s)
         self._slewed_duty: float = calibration.servo_center
         self._slewed_ns = 0
 
@@ -112,21 +114,27 @@ class SteeringArbiter:
         self._teleop.update(steering, now_ns)
 
     def update_planner(self, radius_m: float, now_ns: int) -> None:
-        """The planner's turn radius in metres, right negative; 0 = no request."""
+        """The planner's turn radius in metres, right negative; ±inf = straight on, 0 = no request."""
         self._planner.update(radius_m, now_ns)
+
+    def update_planner_steering(self, steering: float, now_ns: int) -> None:
+        """The steering of a planner that knows no radius, −1 right to +1 left."""
+        self._planner_steering.update(steering, now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all inputs are stale."""
         self._interlock.mark_stale(now_ns)
         self._teleop.mark_stale()
         self._planner.mark_stale()
+        self._planner_steering.mark_stale()
 
     def decide(self, now_ns: int) -> Decision:
         """Who steers at ``now_ns``, with what duty, and why. With a slew limit the duty depends on the calls before."""
         source, duty, cause, reason = self._arbitrate(now_ns)
         return Decision(source, self._slewed(source, duty, now_ns), cause, reason,
                         self._interlock.e_stop_age_s(now_ns), self._interlock.human_age_s(now_ns),
-                        self._teleop.age_s(now_ns), self._planner.age_s(now_ns))
+                        self._teleop.age_s(now_ns),
+                        min(self._planner.age_s(now_ns), self._planner_steering.age_s(now_ns)))
 
     def _slewed(self, source, duty, now_ns):
         """``duty``, or as near to it as the slew limit allows by now. Neutral isn't limited."""
@@ -157,14 +165,30 @@ class SteeringArbiter:
 
     def _arbitrate_planner(self, now_ns):
         center = self._calibration.servo_center
-        if not self._planner.was_received:
+        radius, steering = self._planner, self._planner_steering
+        received = [timed for timed in (radius, steering) if timed.was_received]
+        fresh = [timed for timed in received if not timed.is_stale(now_ns)]
+        if not received:
             return (NEUTRAL, center, causes.NO_REQUEST,
                     "neither tele_steer_req nor av_turnrad_req asks for anything")
-        if self._planner.is_stale(now_ns):
-            return NEUTRAL, center, causes.PLANNER_STALE, self._planner.stale_reason(now_ns)
-        radius_m = self._planner.value
-        if not math.isfinite(radius_m):
-            return NEUTRAL, center, causes.PLANNER_NOT_FINITE, f"av_turnrad_req is {radius_m}, no number to act on"
+        if not fresh:
+            newest = min(received, key=lambda timed: timed.age_s(now_ns))
+            return NEUTRAL, center, causes.PLANNER_STALE, newest.stale_reason(now_ns)
+        if len(fresh) > 1:
+            return (NEUTRAL, center, causes.TWO_REQUESTS,
+                    "av_turnrad_req and av_steer_req are both published: neither is obeyed")
+        value = fresh[0].value
+        if math.isnan(value) or fresh[0] is steering and math.isinf(value):
+            return NEUTRAL, center, causes.PLANNER_NOT_FINITE, f"{fresh[0].name} is {value}, no number to act on"
+        return self._by_steering(value) if fresh[0] is steering else self._by_radius(value)
+
+    def _by_steering(self, steering):
+        return PLANNER, self._calibration.teleop_duty(steering), causes.PLANNER, f"av_steer_req is {steering:.3f}"
+
+    def _by_radius(self, radius_m):
+        center = self._calibration.servo_center
+        if math.isinf(radius_m):
+            return PLANNER, center, causes.PLANNER, f"av_turnrad_req is {radius_m}: straight on"
         if abs(radius_m) <= NO_RADIUS_M * FLOAT32_TOLERANCE:
             return NEUTRAL, center, causes.NO_RADIUS, "av_turnrad_req is 0, which asks for nothing"
         return (PLANNER, self._calibration.planner_duty(radius_m), causes.PLANNER,

@@ -17,7 +17,13 @@ from car_interface.common.drive_modes import HUMAN_DRIVES, MODES
 from car_interface.common.staleness import TimedInput
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
+from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
 from car_interface.throttle.stick import Scale, StickConfig, shaped
+
+# Gears of the planner, by planner_interface.
+COAST_GEAR = "neutral"
+PLANNER_GEARS = {AUTO: AUTO, DRIVE: DRIVE, REVERSE_GEAR: REVERSE_GEAR, COAST_GEAR: DRIVE}
+PLANNER_STATE_TIMEOUT_S = 0.5  # it comes 10 times a second
 
 # Values of ThrottleState.source are those of SteeringState.source: LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER.
 
@@ -59,6 +65,7 @@ class Arbitration(NamedTuple):
     drive: float  # the request if the ESC drives by it, of the same sign
     brake: float  # the request if the ESC brakes by it, of the same sign
     is_stop: bool  # the car is to stop. False with a request of 0: it is left alone
+    gear: str = AUTO
 
 
 class ThrottleArbiter:
@@ -79,6 +86,7 @@ class ThrottleArbiter:
         self._teleop = TimedInput("tele_throt_req", config.teleop_timeout_s)
         self._mode = TimedInput("mode", config.mode_timeout_s)
         self._planner = TimedInput("the planner's value", config.command_timeout_s)
+        self._planner_state = TimedInput("planner_interface's state", PLANNER_STATE_TIMEOUT_S)
         self._odometry = TimedInput("odometry", config.odometry_timeout_s)
         self._no_value: NoValue | None = None
 
@@ -130,6 +138,15 @@ class ThrottleArbiter:
         """Why the converter has no value for the newest command; ``None`` = it has one."""
         self._no_value = no_value
 
+    def update_planner_state(self, gear: str, no_request: NoValue | None, now_ns: int) -> None:
+        """What planner_interface says: its gear, and why it has no request; ``None`` = it has one.
+
+        The last value from before it had none doesn't count when it has one again.
+        """
+        self._planner_state.update((gear, no_request), now_ns)
+        if no_request is not None:
+            self._planner.mark_stale()
+
     def update_odometry(self, speed_mps: float, now_ns: int) -> None:
         """The car's speed, forward positive."""
         self._odometry.update(speed_mps, now_ns)
@@ -137,7 +154,8 @@ class ThrottleArbiter:
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all inputs are stale."""
         self._interlock.mark_stale(now_ns)
-        for timed in (self._human, self._steering, self._teleop, self._mode, self._planner, self._odometry):
+        for timed in (self._human, self._steering, self._teleop, self._mode, self._planner, self._planner_state,
+                      self._odometry):
             timed.mark_stale()
 
     def is_released(self, now_ns: int) -> bool:
@@ -210,7 +228,8 @@ class ThrottleArbiter:
                            request * self._stick.brake_scale, False)
 
     def _by_planner(self, now_ns):
-        trouble = self._no_value
+        gear, no_request = self._planner_gear(now_ns)
+        trouble = no_request or self._no_value
         if trouble is None and not self._planner.was_received:
             return Arbitration(NEUTRAL, causes.NO_REQUEST, "neither tele_throt_req nor a planner's value asks for "
                                "anything", 0.0, 0.0, 0.0, False)
@@ -225,8 +244,15 @@ class ThrottleArbiter:
             return _stop(NEUTRAL, causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
         if not math.isfinite(odometry.value):
             return _stop(NEUTRAL, causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        if gear == COAST_GEAR:
+            return Arbitration(PLANNER, causes.PLANNER, "the planner's gear is neutral: the car coasts", 0.0, 0.0, 0.0,
+                               False, DRIVE)
         return Arbitration(PLANNER, causes.PLANNER, f"the planner's value is {value:.3f}", request, request,
-                           request, False)
+                           request, False, PLANNER_GEARS.get(gear, DRIVE))
+
+    def _planner_gear(self, now_ns):
+        """Gear and trouble by planner_interface. One that is gone says nothing: without its gear nothing reverses."""
+        return (AUTO, None) if self._planner_state.is_stale(now_ns) else self._planner_state.value
 
 
 def _stop(source, cause, reason):

@@ -102,7 +102,7 @@ class ThrottleControl:
         """The ESC's answer. Whether it drives or brakes by a request, whose scales differ, is known only then."""
         # Between two pulls of a stick whose teleop sends no mode nobody drives: they are a human's all the same.
         is_human = arbitration.source != PLANNER
-        request = Request(arbitration.drive, is_human=is_human, is_stop=arbitration.is_stop,
+        request = Request(arbitration.drive, arbitration.gear, is_human=is_human, is_stop=arbitration.is_stop,
                           is_centered=self.arbiter.is_centered(now_ns), is_released=self.arbiter.is_released(now_ns))
         if arbitration.drive == arbitration.brake or self.is_calibration_drive:
             return self._esc.step(request, now_ns)  # one scale: a pull stays what it is when the car comes to stand

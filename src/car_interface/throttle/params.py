@@ -1,4 +1,6 @@
-"""Calibration, rules of who drives, and the ESC's kind, from the parameters of the node throttle_arb."""
+"""Calibration, rules of who drives, and the ESC's kind, from the parameters of the node throttle_arb; and the speed
+control, from those of planner_interface.
+"""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -11,8 +13,13 @@ from car_interface.steering.params import load_yaml
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration, read_calibration
 from car_interface.throttle.esc_config import EscConfig, read_esc
+from car_interface.throttle.esc_motion import MAX_SPEED_MPS
+from car_interface.throttle.speed_control import SpeedControlConfig
 from car_interface.throttle.stick import read_stick
 
+# Of the speed control. 0.1 m/s counts as standstill, and no car of this kind holds less than twice that.
+MIN_MAX_SPEED_MPS = 0.2
+ACCELERATION_MPS2, JERK_MPS3, GAIN = (0.1, 15.0), (0.5, 1000.0), (0.0, 20.0)
 LIVE_RANGE = 100  # duty, by default: 6 % of an ESC's range to each side
 
 
@@ -69,3 +76,21 @@ def load_throttle(path: str) -> ThrottleConfig:
         return read_config(Params(load_yaml(path)))
     except ConfigError as error:
         raise error.within(path) from error
+
+
+def read_speed_control(params) -> SpeedControlConfig:
+    """Limits and gains of the speed control, of the node planner_interface.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    default = SpeedControlConfig()
+    return SpeedControlConfig(
+        max_speed_mps=params.number("max_speed", default.max_speed_mps, low=MIN_MAX_SPEED_MPS, high=MAX_SPEED_MPS),
+        max_acceleration_mps2=params.number("max_acceleration", default.max_acceleration_mps2, *ACCELERATION_MPS2),
+        max_braking_mps2=params.number("max_braking", default.max_braking_mps2, *ACCELERATION_MPS2),
+        max_jerk_mps3=params.number("max_jerk", default.max_jerk_mps3, *JERK_MPS3),
+        speed_p=params.number("speed_p", default.speed_p, *GAIN),
+        speed_i=params.number("speed_i", default.speed_i, *GAIN),
+        max_correction_mps2=params.number("max_correction", default.max_correction_mps2, low=0, high=10),
+        odometry_timeout_s=params.number("odometry_timeout", default.odometry_timeout_s, low=0.05, high=0.5))

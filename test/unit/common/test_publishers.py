@@ -31,6 +31,19 @@ def test_wrong_type_is_told_with_node_machine_and_both_types():
                           "std_msgs/Float32, or publish on another topic")
 
 
+def test_topic_of_two_types_takes_either_and_names_both():
+    both = CommandTopic("/cmd_vel", f"{FLOAT} or {DOUBLE}", (PLANNER,))
+    assert find_faults(both) == [] == find_faults(both._replace(publishers=(LAPTOPS,)))
+    fault, = find_faults(both._replace(publishers=(Publisher("/planner", "car", "std_msgs/Bool"),)))
+    assert fault.cause == causes.WRONG_TYPE and "which takes std_msgs/Float32 or std_msgs/Float64: " in fault.reason
+    fault, = find_faults(both._replace(publishers=(PLANNER, LAPTOPS)))
+    assert fault.cause == causes.SECOND_PUBLISHER
+
+
+def test_topic_whose_messages_are_only_counted_takes_any_type_from_anybody():
+    assert find_faults(CommandTopic("/cmd_vel", "*", (PLANNER, LAPTOPS, TELEOP), is_shared=True)) == []
+
+
 def test_publisher_on_a_computer_whose_name_is_unknown_is_told_with_the_remedy():
     fault, = find_faults(topic(Publisher("/planner", "laptop", "")))
     assert fault.cause == causes.UNKNOWN_HOST

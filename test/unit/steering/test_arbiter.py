@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.common import causes
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import (
     LOCKED,
@@ -91,10 +92,10 @@ FRESH, STALE = 0.5, 0.500000001
                  id="a_planner_that_asks_for_nothing_means_neutral"),
     pytest.param(HELD, None, (math.nan, 0.1), NEUTRAL, CENTER, "av_turnrad_req is nan",
                  id="a_planner_that_sends_nan_asks_for_nothing"),
-    pytest.param(HELD, None, (math.inf, 0.1), NEUTRAL, CENTER, "av_turnrad_req is inf",
-                 id="so_does_an_infinite_radius"),
-    pytest.param(HELD, None, (-math.inf, 0.1), NEUTRAL, CENTER, "av_turnrad_req is -inf",
-                 id="so_does_a_radius_of_minus_infinity"),
+    pytest.param(HELD, None, (math.inf, 0.1), PLANNER, CENTER, "av_turnrad_req is inf: straight on",
+                 id="an_infinite_radius_is_straight_on"),
+    pytest.param(HELD, None, (-math.inf, 0.1), PLANNER, CENTER, "av_turnrad_req is -inf: straight on",
+                 id="so_is_a_radius_of_minus_infinity"),
     pytest.param(HELD, STEERS, (math.nan, 0.1), TELEOP, 4450, "tele_steer_req is 0.500",
                  id="a_planner_that_sends_nan_is_no_matter_to_the_gamepad"),
 ])
@@ -352,3 +353,65 @@ def test_arbiter_calibrated_anew_keeps_what_it_heard():
     arbiter.update_teleop(1.0, S)
     arbiter.calibrate(trimmed(SLASH, 3700, 5100, 6700))
     assert arbiter.decide(S)[:3] == (TELEOP, 3700, "teleop")
+
+
+# --- a planner that knows no radius ---
+
+def steered(steering, steering_age_s=0.1, radius_m=None, radius_age_s=0.1, teleop=None):
+    """The decision at NOW with av_steer_req, and what else is given."""
+    arbiter = arbiter_with()
+    arbiter.update_human(True, NOW)
+    if steering is not None:
+        arbiter.update_planner_steering(steering, NOW - round(steering_age_s * S))
+    if radius_m is not None:
+        arbiter.update_planner(radius_m, NOW - round(radius_age_s * S))
+    if teleop is not None:
+        arbiter.update_teleop(teleop, NOW)
+    return arbiter.decide(NOW)
+
+
+@pytest.mark.parametrize("steering, duty", [(0.5, 4450), (-0.5, 5900), (1.0, 3800), (-1.0, 6700), (7.0, 3800),
+                                            (0.0, CENTER), (-0.0, CENTER)])
+def test_av_steer_req_is_scaled_like_the_gamepad_s_and_0_is_straight_on(steering, duty):
+    decision = steered(steering)
+    assert (decision.source, decision.cause, decision.duty) == (PLANNER, causes.PLANNER, duty)
+    assert decision.reason == f"av_steer_req is {steering:.3f}"
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_av_steer_req_that_is_no_number_means_neutral(value):
+    decision = steered(value)
+    assert (decision.source, decision.cause, decision.duty) == (NEUTRAL, causes.PLANNER_NOT_FINITE, CENTER)
+    assert decision.reason == f"av_steer_req is {value}, no number to act on"
+
+
+def test_av_steer_req_has_the_planner_s_priority():
+    assert (steered(0.5, teleop=-1.0).source, steered(0.5, teleop=0.0).source) == (TELEOP, PLANNER)
+
+
+@pytest.mark.parametrize("radius_m", [-10.0, 0.0, math.nan, math.inf])
+def test_both_requests_of_a_planner_at_once_are_neither_obeyed(radius_m):
+    decision = steered(0.5, radius_m=radius_m)
+    assert (decision.source, decision.cause, decision.duty) == (NEUTRAL, causes.TWO_REQUESTS, CENTER)
+    assert decision.reason == "av_turnrad_req and av_steer_req are both published: neither is obeyed"
+
+
+def test_the_one_that_is_fresh_is_obeyed():
+    assert steered(0.5, radius_m=-10.0, radius_age_s=0.6).reason == "av_steer_req is 0.500"
+    assert steered(0.5, steering_age_s=0.6, radius_m=-10.0).reason == "av_turnrad_req is -10.000 m"
+
+
+def test_of_two_silent_ones_the_newer_is_named():
+    decision = steered(0.5, steering_age_s=0.6, radius_m=-10.0, radius_age_s=0.7)
+    assert (decision.cause, decision.reason) == (causes.PLANNER_STALE, "av_steer_req silent for 0.60 s")
+    assert decision.planner_age_s == pytest.approx(0.6)
+
+
+def test_dropped_messages_make_av_steer_req_stale():
+    arbiter = arbiter_with()
+    arbiter.update_planner_steering(0.5, NOW)
+    arbiter.mark_stale(NOW)
+    later_ns = NOW + 2 * S  # and the e-stop, which may have been among them, has not come
+    arbiter.update_human(False, later_ns)
+    arbiter.update_human(True, later_ns)
+    assert arbiter.decide(later_ns).reason == "av_steer_req was not heard since messages were dropped"

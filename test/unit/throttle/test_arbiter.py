@@ -125,7 +125,7 @@ def test_nobody_who_asks_is_no_stop():
 ])
 def test_planner_is_stopped_with_cause_and_reason(inputs, source, cause, reason):
     decision = decide(**{"planner": (0.7, 0.1), **inputs})
-    assert decision == (source, cause, reason, 0.0, 0.0, 0.0, True)
+    assert decision == (source, cause, reason, 0.0, 0.0, 0.0, True, "auto")
 
 
 @pytest.mark.parametrize("inputs", [
@@ -195,7 +195,7 @@ def test_e_stop_is_above_everything():
     arbiter = arbiter_with(teleop=(FORWARD, 0.1), mode=(MANUAL, 0.1), planner=(0.7, 0.1))
     assert arbiter.decide(NOW).source == TELEOP
     arbiter.update_e_stop(True, NOW)
-    assert arbiter.decide(NOW) == (LOCKED, "e_stop", "e_stop is true", 0.0, 0.0, 0.0, True)
+    assert arbiter.decide(NOW) == (LOCKED, "e_stop", "e_stop is true", 0.0, 0.0, 0.0, True, "auto")
 
 
 def test_after_a_loss_the_deadman_must_be_released_and_held_again():
@@ -339,3 +339,59 @@ def test_nothing_is_asked_of_the_esc_without_human_turn_arb_and_a_fresh_source(
         assert decision.asked == decision.drive == decision.brake == 0.0
     assert -1 <= decision.asked <= 1 and abs(decision.drive) <= 1 and abs(decision.brake) <= 1
     assert decision.is_stop == (decision.source not in (TELEOP, PLANNER) and decision.cause != "no request")
+
+
+# --- planner_interface ---
+
+NO_REQUEST = NoValue("planner silent", "drive silent for 0.50 s")
+
+
+def planned(gear="drive", no_request=None, age_s=0.1, value=0.7):
+    arbiter = arbiter_with(planner=(value, 0.1))
+    arbiter.update_planner_state(gear, no_request, NOW - round(age_s * S))
+    return arbiter
+
+
+@pytest.mark.parametrize("gear, asked, esc_gear", [
+    ("drive", -0.7, "drive"),
+    ("reverse", -0.7, "reverse"),
+    ("neutral", 0.0, "drive"),
+    ("what nobody knows", -0.7, "drive"),
+])
+def test_planner_s_gear_says_whether_it_reverses(gear, asked, esc_gear):
+    decision = planned(gear, value=-0.7).decide(NOW)
+    assert (decision.source, decision.asked, decision.gear) == (PLANNER, asked, esc_gear)
+    assert not decision.is_stop
+
+
+def test_planner_in_neutral_coasts_and_says_so():
+    assert planned("neutral").decide(NOW).reason == "the planner's gear is neutral: the car coasts"
+
+
+def test_planner_without_a_request_is_a_stop_with_the_reason_of_planner_interface():
+    decision = planned("reverse", NO_REQUEST).decide(NOW)
+    assert (decision.source, decision.cause, decision.reason) == (NEUTRAL, *NO_REQUEST)
+    assert decision.is_stop and decision.asked == 0.0
+
+
+def test_value_from_before_a_silence_does_not_count_after_it():
+    arbiter = planned(no_request=NO_REQUEST)
+    arbiter.update_planner_state("drive", None, NOW)
+    assert arbiter.decide(NOW).source == NEUTRAL
+    arbiter.update_planner(0.9, 0.3, NOW)
+    assert arbiter.decide(NOW).asked == 0.3
+
+
+@pytest.mark.parametrize("no_request", [None, NO_REQUEST])
+def test_planner_interface_that_is_gone_reverses_no_more_and_hinders_nobody(no_request):
+    arbiter = planned("reverse", no_request, age_s=0.6)
+    arbiter.update_planner(0.9, 0.3, NOW)
+    decision = arbiter.decide(NOW)
+    assert (decision.source, decision.gear) == (PLANNER, "auto")
+
+
+def test_planner_without_a_request_does_not_hinder_the_human():
+    arbiter = planned(no_request=NO_REQUEST)
+    arbiter.update_teleop(FORWARD, NOW)
+    decision = arbiter.decide(NOW)
+    assert (decision.source, decision.gear) == (TELEOP, "auto")

@@ -174,6 +174,17 @@ def test_planner_s_brake_at_standstill_never_becomes_reverse():
     assert "REVERSE" not in rig.decision.esc.state_name
 
 
+def test_planner_reverses_by_its_gear_and_brakes_forward_without_it():
+    rig = Rig(BRAKE_THEN_REVERSE)
+    rig.value, rig.speed = -2.0, 0.0
+    rig.run(1.0)
+    assert set(rig.duties) == {NEUTRAL_DUTY}
+    for _ in range(200):  # 4 s: a brake, neutral, and then reverse
+        rig.control.arbiter.update_planner_state("reverse", None, rig.now_ns)
+        rig.run(0.02)
+    assert (rig.decision.esc.state_name, rig.decision.duty) == ("REVERSE", 4260)  # 4915 − 2 / 5 · 1638
+
+
 def test_neutral_that_is_tuned_moves_requests_and_what_the_board_holds():
     rig = Rig()
     rig.control.calibrate(trimmed(SHIPPED, 4935))

@@ -12,9 +12,9 @@ from car_interface.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING
 CALLER = "/doctor"
 ANSWER_WITHIN_S = 1.0
 # These may be parts of ONE_PROCESS.
-PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb")
+PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface")
 NODES = (*PARTS, "teleop_logi", SIMULATOR)
-ON_REQUEST = "throttle_arb"  # the one of them that ONE_PROCESS may be without
+ON_REQUEST = ("throttle_arb", "planner_interface")  # those of them that ONE_PROCESS may be without
 
 
 class Graph(NamedTuple):
@@ -77,7 +77,7 @@ class Master:
         """What a node does. Where it isn't itself, ONE_PROCESS may be it."""
         path = f"{namespace.rstrip('/')}/{name}"
         own = Node(name, path, self._state(path, graph), path)
-        if own.runs or name not in PARTS or name == ON_REQUEST and f"{path}/state" not in graph.publishers:
+        if own.runs or name not in PARTS or name in ON_REQUEST and f"{path}/state" not in graph.publishers:
             return own
         process = f"{namespace.rstrip('/')}/{ONE_PROCESS}"
         state = self._state(process, graph)

@@ -1,0 +1,1 @@
+"""Anybody's planner: Ackermann, Twist and Autoware commands to a turn radius, a speed and a gear."""

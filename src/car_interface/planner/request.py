@@ -1,0 +1,70 @@
+"""What a planner asks for, whatever message it sends: a turn radius, a speed, how quickly, and a gear.
+
+A turn radius is that of the middle of the rear axle in metres, left positive, ±inf straight on. A speed is that of the
+rear axle in m/s, forward positive. Pure.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from car_interface.common import causes
+
+DRIVE, REVERSE, NEUTRAL, PARK = "drive", "reverse", "neutral", "park"
+# The tightest radius that is passed on. turn_arb takes one up to 0.001 m for no request, and saturates this one.
+MIN_RADIUS_M = 0.01
+
+
+class PlannerRequest(NamedTuple):
+    """A command that can be obeyed.
+
+    Attributes:
+        radius_m: ``None`` = as before: a command to stop, that says nothing about the steering.
+        speed_mps: backward negative.
+        acceleration_mps2: how quickly the speed may change, 0 or more; 0 = as quickly as allowed.
+        jerk_mps3: how quickly that may change, 0 or more; 0 = as quickly as allowed.
+        braking_mps2: brake with at least this, whatever the speed says; 0 or more.
+        gear: DRIVE, REVERSE, NEUTRAL or PARK; ``None`` = by the sign of the speed.
+    """
+
+    radius_m: float | None
+    speed_mps: float
+    acceleration_mps2: float = 0.0
+    jerk_mps3: float = 0.0
+    braking_mps2: float = 0.0
+    gear: str | None = None
+
+
+class Refusal(NamedTuple):
+    """Why a command isn't obeyed: the car stops while it lasts."""
+
+    cause: str  # one of car_interface.common.causes
+    reason: str
+
+
+def not_finite(**values: float) -> Refusal | None:
+    """The refusal of the first value that is not finite; ``None`` when all are. Names are fields, dots as ``__``."""
+    for name, value in values.items():
+        if not math.isfinite(value):
+            return Refusal(causes.REQUEST_NOT_FINITE, f"{name.replace('__', '.')} is {value}, no number to act on")
+    return None
+
+
+def radius_of_angle(name: str, angle_rad: float, wheelbase_m: float) -> float | Refusal:
+    """The turn radius for the angle of a virtual front wheel in the middle of the front axle, left positive.
+
+    Args:
+        name: the field's, for a refusal.
+        angle_rad: finite. A right angle or more is refused: it is likely in degrees.
+        wheelbase_m: between the axles.
+    """
+    if abs(angle_rad) >= math.pi / 2:
+        return Refusal(causes.REQUEST_REFUSED,
+                       f"{name} is {angle_rad:.3g} rad, which no wheel turns to: is it in degrees?")
+    slope = math.tan(angle_rad)
+    return clamped_radius(wheelbase_m / slope if slope else math.inf)
+
+
+def clamped_radius(radius_m: float) -> float:
+    """A radius that is not so tight that it means "no request"."""
+    return math.copysign(max(MIN_RADIUS_M, abs(radius_m)), radius_m)

@@ -1,0 +1,103 @@
+"""Which planner is obeyed: one source at a time. The others are counted, with who sent them.
+
+Consumes the conversions of the source's messages with their arrival; answers with the request, or with why there is
+none. A source that falls silent has no request from then on: nothing is repeated for it. Pure: ``now_ns`` is passed in.
+"""
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import NamedTuple
+
+from car_interface.common import causes
+from car_interface.common.staleness import TimedInput
+from car_interface.common.units import NS_PER_S
+from car_interface.planner.request import PlannerRequest, Refusal
+
+DRIVE, CMD_VEL, AUTOWARE, SPEED = "drive", "cmd_vel", "autoware", "speed"
+SOURCES = (DRIVE, CMD_VEL, AUTOWARE, SPEED)
+
+
+class PlannerDecision(NamedTuple):
+    """What the planner asks for, or why it isn't obeyed."""
+
+    cause: str  # one of car_interface.common.causes; PLANNER with a request
+    reason: str
+    request: PlannerRequest | None = None
+    radius_m: float = 0.0  # what is asked of the steering; 0 = nothing
+
+
+class SourceArbiter:
+    """The newest command of the one source.
+
+    Args:
+        source: one of SOURCES.
+        timeout_s: a command older than this is no request any more; above 0.
+    """
+
+    def __init__(self, source: str, timeout_s: float):
+        self.source = source
+        self._command = TimedInput(source, timeout_s)
+        self._timeout_ns = round(timeout_s * NS_PER_S)
+        self._arrival_ns = 0
+        self._radius_m = math.inf
+        self._others: Counter = Counter()
+        self._senders: dict[str, str] = {}
+        self.refused = 0
+
+    def update(self, command: PlannerRequest | Refusal, now_ns: int) -> None:
+        """The source's newest message."""
+        if isinstance(command, Refusal):
+            self.refused += 1
+        if isinstance(command, Refusal) or self._command.is_stale(now_ns):
+            self._radius_m = math.inf
+        if isinstance(command, PlannerRequest) and command.radius_m is not None:
+            self._radius_m = command.radius_m
+        self._command.update(command, now_ns)
+        self._arrival_ns = now_ns
+
+    def count_other(self, source: str, sender: str) -> None:
+        """A message of a source that isn't obeyed, and its node."""
+        self._others[source] += 1
+        self._senders[source] = sender
+
+    def mark_stale(self) -> None:
+        """Messages were dropped before they got here: there is no request until the next."""
+        self._command.mark_stale()
+
+    def age_s(self, now_ns: int) -> float:
+        """Seconds since the source's last message; inf = never received."""
+        return self._command.age_s(now_ns)
+
+    @property
+    def others(self) -> str:
+        """The sources that aren't obeyed, as text: ``cmd_vel: 12 messages, the last from /move_base``."""
+        return "; ".join(f"{source}: {count} message{'s' if count > 1 else ''}, the last from "
+                         f"{self._senders[source] or 'an unknown node'}"
+                         for source, count in sorted(self._others.items()))
+
+    def silent_at_ns(self, now_ns: int) -> float:
+        """When the source falls silent unless it sends something; inf = it is already, or was never received."""
+        return math.inf if self._command.is_stale(now_ns) else self._arrival_ns + self._timeout_ns + 1
+
+    def decide(self, now_ns: int) -> PlannerDecision:
+        """What is asked for at ``now_ns``."""
+        if not self._command.was_received:
+            others = f"; not obeyed: {self.others}" if self._others else ""
+            return PlannerDecision(causes.NO_REQUEST, f"{self._command.stale_reason(now_ns)}{others}")
+        if self._command.is_stale(now_ns):
+            return PlannerDecision(causes.PLANNER_STALE, self._command.stale_reason(now_ns))
+        command = self._command.value
+        if isinstance(command, Refusal):
+            return PlannerDecision(command.cause, f"{self.source}: {command.reason}")
+        radius_m = 0.0 if self.source == SPEED else self._radius_m
+        return PlannerDecision(causes.PLANNER, f"{self.source} asks for {_text(command, radius_m)}", command, radius_m)
+
+
+def _text(request, radius_m):
+    """A request in words."""
+    gear = f", gear {request.gear.upper()}" if request.gear else ""
+    if not radius_m:
+        return f"{request.speed_mps:.2f} m/s{gear}"
+    path = "straight on" if math.isinf(radius_m) else f"a radius of {radius_m:.2f} m"
+    return f"{request.speed_mps:.2f} m/s, {path}{gear}"

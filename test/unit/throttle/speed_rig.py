@@ -1,0 +1,167 @@
+"""A virtual car under the speed control, the converter, throttle_arb's rules and the servo board, in virtual time.
+
+Its speed is what its Teensy's reports make of it, byte by byte, as on a real car: late, and coarse at a crawl.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from car_interface.interlock.motion_interlock import InterlockConfig
+from car_interface.sim.esc import xl5
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.vehicle import DriveConfig, Vehicle, VehicleConfig
+from car_interface.steering.arbiter import TELEOP
+from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
+from car_interface.teensy.link.pinging import Pinger
+from car_interface.teensy.link.protocol import Pong, WheelStatus, decode
+from car_interface.teensy.sensing.measurements import Measurements
+from car_interface.throttle.arbiter import ArbiterConfig, NoValue
+from car_interface.throttle.calibration import ThrottleCalibration
+from car_interface.throttle.control import ThrottleControl
+from car_interface.throttle.converter import ConversionConfig, Converter
+from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedControlConfig, SpeedRequest
+from car_interface.throttle.value_map import ValueMap, load_value_map
+
+MS, S = 1_000_000, 1_000_000_000
+STEP_NS, TICK_NS, ODOM_NS = 4 * MS, 20 * MS, 20 * MS
+START_NS = 1000 * S
+MAP = load_value_map(str(Path(__file__).resolve().parents[3] / "config" / "value_map.csv"))
+SHIPPED_ESC = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
+NO_STEERING = -1
+
+
+def wrong_map(of_acceleration=1.0, of_value=1.0):
+    """The shipped map with its accelerations, or the part of each value that drives, wrong by a ratio."""
+    values = [value * of_value for value in MAP.values]
+    table = [[MAP.acceleration_at(value, velocity) * of_acceleration for velocity in MAP.velocities]
+             for value in MAP.values]
+    return ValueMap(values, MAP.velocities, table)
+
+
+class Sample(NamedTuple):
+    """The car at a moment."""
+
+    at_s: float
+    speed_mps: float  # the true one
+    odom_mps: float
+    reference_mps: float
+    acceleration_mps2: float  # commanded
+    granted: float
+    esc: str
+
+
+class SpeedRig:
+    """One car on a straight road, its deadman held for the planner.
+
+    Args:
+        slope: metres up for each metre ahead.
+        thrust: ratio of the motor's thrust to that of the car that the shipped map is of.
+        esc: the virtual ESC.
+        value_map: the converter's.
+        profile: what throttle_arb takes the ESC for.
+    """
+
+    def __init__(self, slope=0.0, thrust=1.0, esc=None, value_map=MAP, profile="brake_then_reverse", **config):
+        drive = DriveConfig()
+        drive = replace(drive, forward_mps2=drive.forward_mps2 * thrust, reverse_mps2=drive.reverse_mps2 * thrust)
+        self.car = Vehicle(VehicleConfig(drive=drive, slope=slope, esc=esc or xl5()), START_NS)
+        self.control = SpeedControl(SpeedControlConfig(**config))
+        self.converter = Converter(ConversionConfig(), value_map)
+        self.throttle = ThrottleControl(SHIPPED_ESC, ArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
+                                        EscConfig(profile=profile))
+        self.request: SpeedRequest | None = STOP
+        self.human = False
+        self.stick = 0.0
+        self.is_deaf = False  # odometry doesn't arrive
+        self.samples: list[Sample] = []
+        self.commands: list = []
+        self._teensy = TeensyFirmware(FirmwareConfig(), power_up_ns=START_NS)
+        self._decoder, self._pinger = FrameDecoder(), Pinger(S, SHIPPED, START_NS)
+        self._measurements = Measurements()
+        self._motion = None
+        self._odom_due_ns = self._tick_due_ns = START_NS
+        self._duty = 4915
+        self.odom_mps = 0.0
+        self.run(2.0)  # the ESC is armed
+        self.human = True
+        self.samples.clear()
+
+    @property
+    def now_s(self):
+        return (self.car.time_ns - START_NS) / S
+
+    def run(self, seconds, request=None):
+        """Drive on; the samples of that time."""
+        if request is not None:
+            self.request = request
+        first, end_ns = len(self.samples), self.car.time_ns + round(seconds * S)
+        while self.car.time_ns < end_ns:
+            now_ns = self.car.time_ns
+            if now_ns >= self._tick_due_ns:
+                self._tick_due_ns += TICK_NS
+                self._tick(now_ns)
+            for pulse in self.car.step(STEP_NS, NO_STEERING, self._duty):
+                self._teensy.wheel_pulse(pulse.side, pulse.direction, pulse.at_ns)
+            self._measure(self.car.time_ns)
+        return self.samples[first:]
+
+    def _measure(self, now_ns):
+        if now_ns >= self._pinger.due_ns:
+            self._teensy.receive(self._pinger.ping(now_ns // MS % 2 ** 32, now_ns), now_ns)
+        for body in self._decoder.feed(self._teensy.transmit(now_ns)):
+            record = decode(body)
+            if isinstance(record, WheelStatus):
+                self._motion = self._measurements.wheels(record, now_ns) or self._motion
+            elif isinstance(record, Pong):
+                self._measurements.pong(record, self._pinger.pong(record.timestamp1, now_ns), now_ns)
+        if self._motion is not None and now_ns >= self._odom_due_ns:
+            self.odom_mps, self._motion = self._motion.motion.speed_mps, None
+            self._odom_due_ns = now_ns + ODOM_NS
+            if not self.is_deaf:
+                for part in (self.control, self.converter, self.throttle):
+                    part.update_odometry(self.odom_mps, now_ns)
+
+    def _tick(self, now_ns):
+        command = self.control.step(self.request, now_ns)
+        conversion = self.converter.convert(command.acceleration_mps2, now_ns)
+        arbiter = self.throttle.arbiter
+        arbiter.update_converter(None if conversion.value is not None
+                                 else NoValue(conversion.cause, conversion.reason))
+        arbiter.update_planner_state(command.gear, None, now_ns)
+        if conversion.value is not None:
+            self.throttle.update_planner(conversion.value, now_ns)
+        arbiter.update_human(self.human, now_ns)
+        arbiter.update_steering(TELEOP, "", now_ns)
+        arbiter.update_teleop(self.stick, now_ns)
+        decision = self.throttle.decide(now_ns)
+        self._duty = (decision.duty + 8) // 16 * 16  # the board counts to 4096
+        self.throttle.update_output([-1, self._duty, *[-1] * 14], now_ns)
+        self.control.update_throttle(decision.arbitration.source, decision.arbitration.asked, decision.esc.fraction,
+                                     decision.esc.cause, now_ns)
+        self.decision = decision
+        self.commands.append(command)
+        self.samples.append(Sample(self.now_s, self.car.speed_mps, self.odom_mps, command.reference_mps,
+                                   command.acceleration_mps2, decision.esc.fraction, decision.esc.state_name))
+
+
+def overshoot(samples, target_mps):
+    """By how much of the target it was exceeded."""
+    return max(sample.speed_mps for sample in samples) / target_mps - 1.0
+
+
+def settled_s(samples, target_mps, within=0.05):
+    """How long it took until the speed stayed within a ratio of the target; inf = it didn't."""
+    late = [sample.at_s for sample in samples if abs(sample.speed_mps - target_mps) > within * target_mps]
+    if late and late[-1] == samples[-1].at_s:
+        return math.inf
+    return (late[-1] if late else samples[0].at_s) - samples[0].at_s
+
+
+def mean_error(samples, target_mps):
+    """The mean speed's error, as a ratio of the target."""
+    return sum(sample.speed_mps for sample in samples) / len(samples) / target_mps - 1.0

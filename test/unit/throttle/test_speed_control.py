@@ -1,0 +1,320 @@
+"""The speed control on a virtual car, under everything that makes map and car differ; and its rules one by one.
+
+The car of ``speed_rig`` has the ESC's dead band, rules and delays, and the odometry of its own Teensy.
+"""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from car_interface.common import causes
+from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP
+from car_interface.throttle.speed_control import HOLD_MPS2, STOP, SpeedControl, SpeedControlConfig, SpeedRequest
+
+from .speed_rig import SpeedRig, mean_error, overshoot, settled_s, wrong_map
+
+MS, S = 1_000_000, 1_000_000_000
+TICK_NS = 20 * MS
+DISTURBED = {
+    "as_the_map_says": {},
+    "battery_15_percent_weaker": {"thrust": 0.85},
+    "5_percent_uphill": {"slope": 0.05},
+    "5_percent_downhill": {"slope": -0.05},
+    "map_30_percent_too_strong": {"value_map": wrong_map(1.3)},
+    "map_30_percent_too_weak": {"value_map": wrong_map(0.7)},
+    "values_30_percent_too_large": {"value_map": wrong_map(1.0, 1.3)},
+    "values_30_percent_too_small": {"value_map": wrong_map(1.0, 0.7)},
+}
+ALL = [pytest.param(changes, id=name) for name, changes in DISTURBED.items()]
+# On this one the car rolls by itself faster than 0.3 m/s: the ESC brakes it in pulses.
+HELD = [pytest.param(changes, id=name) for name, changes in DISTURBED.items() if name != "5_percent_downhill"]
+
+
+# --- on the virtual car ---
+
+@pytest.mark.once
+@pytest.mark.parametrize("disturbance", ALL)
+def test_0_to_3_mps_is_settled_half_a_second_after_the_limit_allows(disturbance):
+    samples = SpeedRig(**disturbance).run(6.0, SpeedRequest(3.0))
+    assert settled_s(samples, 3.0) <= 3.0 / 2.0 + 0.5
+    assert overshoot(samples, 3.0) < 0.10
+    assert abs(mean_error(samples[-100:], 3.0)) < 0.03
+    assert max(abs(sample.speed_mps / 3.0 - 1) for sample in samples[-100:]) < 0.03
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("target", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize("disturbance", ALL)
+def test_overshoot_and_steady_error_are_small_at_other_speeds(disturbance, target):
+    samples = SpeedRig(**disturbance).run(6.0, SpeedRequest(target))
+    assert overshoot(samples, target) < 0.10
+    assert abs(mean_error(samples[-100:], target)) < 0.03
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("disturbance", HELD)
+def test_0_3_mps_is_held_for_a_minute_without_a_stall(disturbance):
+    samples = SpeedRig(**disturbance).run(64.0, SpeedRequest(0.3))[200:]
+    assert min(sample.speed_mps for sample in samples) > 0.27
+    assert abs(mean_error(samples, 0.3)) < 0.03
+
+
+def test_downhill_where_the_car_rolls_by_itself_it_is_braked_in_pulses_and_stays_within_12_percent():
+    samples = SpeedRig(slope=-0.05).run(64.0, SpeedRequest(0.3))[200:]
+    assert all(0.264 < sample.speed_mps < 0.336 for sample in samples)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("target", [-0.3, -1.0])
+@pytest.mark.parametrize("disturbance", ALL)
+def test_backward_it_holds_its_speed_too(disturbance, target):
+    samples = SpeedRig(**disturbance).run(8.0, SpeedRequest(target))
+    assert overshoot([sample._replace(speed_mps=-sample.speed_mps) for sample in samples], -target) < 0.10
+    assert abs(mean_error(samples[-100:], target)) < 0.03
+
+
+def test_speed_that_falls_is_followed_and_a_stop_ends_at_standstill():
+    rig = SpeedRig()
+    rig.run(3.0, SpeedRequest(2.0))
+    slower = rig.run(2.0, SpeedRequest(1.0))
+    assert abs(mean_error(slower[-25:], 1.0)) < 0.03
+    stopped = rig.run(2.0, STOP)
+    assert stopped[-1].speed_mps == 0.0 and stopped[-1].acceleration_mps2 == -HOLD_MPS2
+    assert min(sample.speed_mps for sample in stopped) >= 0.0
+    assert "REVERSE" not in {sample.esc for sample in stopped}
+
+
+def test_direction_changes_at_standstill_only_and_by_gear():
+    rig = SpeedRig()
+    rig.run(2.0, SpeedRequest(1.5))
+    samples = rig.run(5.0, SpeedRequest(-1.0))
+    first = next(index for index, command in enumerate(rig.commands) if command.gear == "reverse")
+    before = rig.commands[first - 1]
+    assert before.gear == "drive" and before.note.startswith("it stops before REVERSE: it rolls at 0.1")
+    assert all(sample.esc != "REVERSE" or sample.speed_mps < 0.1 for sample in samples)
+    assert abs(mean_error(samples[-25:], -1.0)) < 0.03
+    forward = rig.run(4.0, SpeedRequest(1.0))
+    assert abs(mean_error(forward[-25:], 1.0)) < 0.03
+
+
+def test_request_with_a_smaller_acceleration_is_followed_with_that():
+    samples = SpeedRig().run(4.0, SpeedRequest(2.0, acceleration_mps2=1.0))
+    assert settled_s(samples, 2.0) == pytest.approx(2.0, abs=0.3)
+
+
+def test_integral_does_not_wind_up_while_a_human_drives():
+    rig = SpeedRig()
+    rig.stick = 1.0
+    rig.run(8.0, SpeedRequest(0.5))  # by hand it is far faster: 0.3 of full throttle
+    assert rig.odom_mps > 3.0
+    rig.stick = 0.0
+    samples = rig.run(8.0)
+    slow = next(index for index, sample in enumerate(samples) if sample.speed_mps <= 0.5)
+    assert min(sample.speed_mps for sample in samples[slow:]) > 0.4  # it doesn't stop before it drives on
+
+
+def test_integral_does_not_wind_up_while_the_deadman_is_released():
+    rig = SpeedRig()
+    rig.human = False
+    rig.run(10.0, SpeedRequest(1.0))
+    rig.human = True
+    assert overshoot(rig.run(4.0), 1.0) < 0.10
+
+
+def test_without_odometry_it_says_so_and_the_car_stops():
+    rig = SpeedRig()
+    rig.run(2.0, SpeedRequest(1.0))
+    rig.is_deaf = True
+    rig.run(3.0)
+    command = rig.commands[-1]
+    assert (command.is_known, command.acceleration_mps2) == (False, -3.0)
+    assert command.note.startswith("odometry silent for ")
+    assert rig.car.speed_mps == 0.0
+    rig.is_deaf = False
+    samples = rig.run(3.0)
+    assert overshoot(samples, 1.0) < 0.10 and abs(mean_error(samples[-25:], 1.0)) < 0.03
+
+
+def test_neutral_coasts_and_drive_goes_on_from_there():
+    rig = SpeedRig()
+    rig.run(3.0, SpeedRequest(2.0))
+    samples = rig.run(1.0, SpeedRequest(0.0, gear="neutral"))
+    assert {sample.granted for sample in samples[2:]} == {0.0} and samples[-1].speed_mps > 1.0
+    assert abs(mean_error(rig.run(3.0, SpeedRequest(2.0, gear="drive"))[-25:], 2.0)) < 0.03
+
+
+def test_park_brakes_and_holds():
+    rig = SpeedRig(slope=0.05)
+    rig.run(3.0, SpeedRequest(2.0))
+    samples = rig.run(4.0, SpeedRequest(0.0, gear="park"))
+    assert [sample.speed_mps for sample in samples[-50:]] == [0.0] * 50
+
+
+# --- rule by rule ---
+
+class Bench:
+    """The control alone, with a speed that the test sets; throttle_arb is not there."""
+
+    def __init__(self, speed_mps=1.0, **config):
+        self.control = SpeedControl(SpeedControlConfig(**config))
+        self.now_ns = 1000 * S
+        self.speed_mps = speed_mps
+        self.throttle = None
+
+    def run(self, request, seconds=0.02):
+        command = None
+        for _ in range(round(seconds * 50)):
+            self.now_ns += TICK_NS
+            self.control.update_odometry(self.speed_mps, self.now_ns)
+            if self.throttle is not None:
+                self.control.update_throttle(*self.throttle, self.now_ns)
+            command = self.control.step(request, self.now_ns)
+        return command
+
+
+def test_before_odometry_was_heard_nothing_is_known():
+    command = SpeedControl().step(SpeedRequest(1.0), 0)
+    assert not command.is_known and command.note == "odometry was never heard"
+    assert math.isnan(SpeedControl().measured_mps)
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf, 101.0])
+def test_speed_that_no_car_has_is_unknown(speed):
+    bench = Bench()
+    bench.run(SpeedRequest(1.0))
+    bench.control.update_odometry(speed, bench.now_ns)
+    assert not bench.control.step(SpeedRequest(1.0), bench.now_ns).is_known
+
+
+@pytest.mark.parametrize("request_, note", [
+    (SpeedRequest(5.0), "5.00 m/s is above max_speed 3 m/s"),
+    (SpeedRequest(-5.0), "5.00 m/s is above max_speed 3 m/s"),
+    (SpeedRequest(0.05), "0.05 m/s is below 0.1 m/s, which counts as standstill"),
+    (SpeedRequest(3.0), ""),
+    (STOP, ""),
+])
+def test_what_is_changed_of_a_request_is_said(request_, note):
+    assert Bench(speed_mps=0.0).run(request_).note == note
+
+
+def test_request_above_max_speed_is_followed_up_to_that():
+    bench = Bench(speed_mps=3.0)
+    assert bench.run(SpeedRequest(5.0), 2.0).reference_mps == 3.0
+
+
+def test_car_that_does_not_move_for_two_seconds_is_told_until_it_moves():
+    bench = Bench(speed_mps=0.0)
+    assert bench.run(SpeedRequest(0.2), 2.0).note == ""
+    assert bench.run(SpeedRequest(0.2), 1.0).note == (
+        "it doesn't move at 0.20 m/s: too slow for this car, or it is held")
+    bench.speed_mps = 0.2
+    assert bench.run(SpeedRequest(0.2)).note == ""
+    bench.throttle = (TELEOP, 1.0, 1.0, causes.DRIVING)
+    bench.speed_mps = 0.0
+    assert bench.run(SpeedRequest(0.2), 5.0).note == ""
+
+
+def test_gear_change_at_speed_stops_first_and_says_so():
+    bench = Bench(speed_mps=2.0)
+    bench.run(SpeedRequest(2.0, gear="drive"), 1.0)
+    command = bench.run(SpeedRequest(-1.0, gear="reverse"), 0.2)
+    assert (command.gear, command.note) == ("drive", "it stops before REVERSE: it rolls at 2.00 m/s")
+    assert command.acceleration_mps2 < -2.0
+    bench.speed_mps = 0.05
+    command = bench.run(SpeedRequest(-1.0, gear="reverse"), 0.1)
+    assert (command.gear, command.note) == ("reverse", "") and command.acceleration_mps2 < 0.0
+
+
+def test_stop_keeps_the_gear_and_brakes_against_the_way_it_rolls():
+    bench = Bench(speed_mps=0.0)
+    bench.run(SpeedRequest(-1.0), 0.1)
+    bench.speed_mps = -1.0
+    bench.run(SpeedRequest(-1.0), 1.0)
+    command = bench.run(STOP, 0.3)
+    assert command.gear == "reverse" and command.acceleration_mps2 > 1.0
+
+
+def test_braking_that_is_asked_for_is_given_whatever_the_speed_says():
+    bench = Bench(speed_mps=1.0)
+    bench.run(SpeedRequest(1.0), 1.0)
+    assert bench.run(SpeedRequest(2.0, acceleration_mps2=1.5, braking_mps2=1.5), 0.5).acceleration_mps2 == -1.5
+    assert bench.run(SpeedRequest(2.0, braking_mps2=9.0), 0.5).acceleration_mps2 == -3.0
+
+
+@pytest.mark.parametrize("state", [
+    pytest.param((TELEOP, 1.0, 1.0, causes.DRIVING), id="a_human_drives"),
+    pytest.param((NEUTRAL, 0.0, 0.0, causes.STOPPING), id="nobody_may_drive"),
+])
+def test_while_somebody_else_drives_it_begins_anew_at_the_measured_speed(state):
+    bench = Bench(speed_mps=0.4)
+    bench.throttle = state
+    first = bench.run(SpeedRequest(2.0), 0.1)
+    assert bench.run(SpeedRequest(2.0), 5.0) == first
+    assert first.reference_mps == pytest.approx(0.4, abs=0.05)
+
+
+@pytest.mark.parametrize("cause", [causes.REVERSE_PENDING, causes.ESC_ARMING, causes.REVERSE_REFUSED])
+def test_while_the_esc_waits_it_pulls_evenly_and_nothing_winds_up(cause):
+    bench = Bench(speed_mps=0.0)
+    bench.throttle = (PLANNER, -0.3, 0.0, cause)
+    commands = [bench.run(SpeedRequest(-0.3)).acceleration_mps2 for _ in range(200)]
+    assert set(commands) == {-HOLD_MPS2}
+    bench.throttle = (PLANNER, -0.1, -0.1, causes.REVERSING)
+    assert -0.7 < bench.run(SpeedRequest(-0.3)).acceleration_mps2 < 0.0
+
+
+def wound_up(asked, granted, cause, speed_mps, seconds=10.0):
+    """What is asked for after the car was that slow or fast for long, at 1 m/s and without the error's own part."""
+    bench = Bench(speed_mps=1.0, max_correction_mps2=50.0)
+    bench.run(SpeedRequest(1.0), 2.0)
+    bench.speed_mps = speed_mps
+    bench.throttle = (PLANNER, asked, granted, cause)
+    bench.run(SpeedRequest(1.0), seconds)
+    bench.speed_mps = 1.0
+    return bench.run(SpeedRequest(1.0)).acceleration_mps2
+
+
+def test_integral_stays_while_a_limit_cuts():
+    assert wound_up(0.8, 0.4, causes.DRIVING, 0.5) == pytest.approx(0.0, abs=1e-9)
+    assert wound_up(0.8, 0.8, causes.DRIVING, 0.5) > 5.0
+
+
+def test_integral_stays_while_the_esc_leaves_out_a_brake():
+    assert wound_up(-0.3, 0.0, causes.BRAKE_UNCERTAIN, 1.5) == pytest.approx(0.0, abs=1e-9)
+    assert wound_up(-0.3, -0.3, causes.BRAKING, 1.5) < -5.0
+
+
+def test_integral_grows_in_the_esc_s_dead_band_or_the_car_would_never_start():
+    assert wound_up(0.05, 0.0, causes.NO_THROTTLE, 0.5) > 5.0
+
+
+def test_correction_is_limited_and_comes_back_at_once():
+    bench = Bench(speed_mps=1.0)
+    bench.run(SpeedRequest(1.0), 2.0)
+    bench.speed_mps = 0.3
+    assert bench.run(SpeedRequest(1.0), 30.0).acceleration_mps2 == pytest.approx(2.0)
+    bench.speed_mps = 1.7
+    assert bench.run(SpeedRequest(1.0), 0.5).acceleration_mps2 < 0.0
+
+
+def test_delayed_step_makes_no_jump():
+    bench = Bench(speed_mps=0.0)
+    bench.run(SpeedRequest(2.0), 0.2)
+    bench.now_ns += 400 * MS
+    assert bench.run(SpeedRequest(2.0)).reference_mps < 0.6
+
+
+def test_dropped_messages_make_the_speed_unknown():
+    bench = Bench()
+    bench.run(SpeedRequest(1.0))
+    bench.control.mark_stale()
+    assert bench.control.step(SpeedRequest(1.0), bench.now_ns).note == (
+        "odometry was not heard since messages were dropped")
+
+
+def test_standstill_holds_by_a_brake_in_either_gear():
+    bench = Bench(speed_mps=0.05)
+    assert bench.run(STOP).acceleration_mps2 == -HOLD_MPS2
+    bench.run(SpeedRequest(-1.0))
+    assert bench.run(STOP).acceleration_mps2 == HOLD_MPS2
