@@ -43,8 +43,8 @@ TYPES = {
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *planner_state.TRACES, *motion.TRACES, *asked.TRACES, *imu.TRACES,
-          "requested acceleration", "value", *teensy_link.TRACES)
+TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *planner_state.TRACES, *motion.TRACES, *asked.TRACES,
+          *imu.TRACES, "requested acceleration", "value", *teensy_link.TRACES)
 
 
 @dataclass
