@@ -66,6 +66,9 @@ TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 50
 LIVE_RATE = 100  # duty per second
 # rospy sends in a thread of its own, which needs the interpreter: state and log wait until the command was sent.
 REPORT_AFTER_NS = 500_000
+# A log line takes a millisecond of CPU time, which on a busy computer the servo board's node needs for the command; and
+# teleop_logi's state, which a line may quote, arrives after its human_in_loop.
+LOG_AFTER_NS = 20_000_000
 # What the ESC's rules do that deserves a line in the log. The other causes change as often as the stick moves.
 LOGGED = frozenset({causes.ESC_MOTION, causes.REVERSE_PENDING, causes.REVERSING, causes.REVERSE_REFUSED})
 
@@ -89,6 +92,7 @@ class ThrottleArb:
         self._was_commanded = False  # since the last tick
         self._pending = []  # decisions whose command was published, but not yet state and log line
         self._report_ns = 0
+        self._unlogged = []  # when its log line is due, the decision before, the decision
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
         self._states = advertise("~state", ThrottleState, inbox, latch=True)
@@ -122,7 +126,7 @@ class ThrottleArb:
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
         elif self._pending and now_ns >= self._report_ns:
-            self._report_pending()
+            self._report_pending(now_ns)
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
 
@@ -225,8 +229,9 @@ class ThrottleArb:
             self._publish_command(self._decision)
         self._was_commanded = False
         if self._ticks % TICKS_PER_STATE == 0:
-            self._report_pending()
+            self._report_pending(now_ns)
             self._publish_state(self._control.decide(self._now_ns))
+        self._log_due(now_ns)
         if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
             self._neutrals.publish(self._neutral)
 
@@ -237,18 +242,27 @@ class ThrottleArb:
         self._commands.publish(self._command)
         self._was_commanded = True
 
-    def _report_pending(self):
-        """Publish and log the decisions whose commands were sent."""
+    def _report_pending(self, now_ns):
+        """Publish the decisions whose commands were sent, and have those of another kind logged."""
         for before, decision in self._pending:
             self._publish_state(decision)
-            self._log(before, decision)
+            if before is None or before.kind != decision.kind:
+                self._unlogged.append((now_ns + LOG_AFTER_NS, before, decision))
         self._pending.clear()
+
+    def _log_due(self, now_ns):
+        while self._unlogged and now_ns >= self._unlogged[0][0]:
+            _, before, decision = self._unlogged.pop(0)
+            self._log(before, decision)
 
     def _log(self, before, decision):
         arbitration, esc = decision.arbitration, decision.esc
         if before is None or before.arbitration[:2] != arbitration[:2]:
+            newest = self._control.arbiter.decide(self._now_ns)
+            reason = (newest.reason if newest.cause == arbitration.cause == causes.HUMAN_ABSENT
+                      else arbitration.reason)
             log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
-            log("%s: %s", source_name(arbitration.source), arbitration.reason)
+            log("%s: %s", source_name(arbitration.source), reason)
         before_cause, before_state = (before.esc.cause, before.esc.state) if before else ("", None)
         if esc.cause != before_cause and esc.cause in LOGGED or esc.state == ARMING != before_state:
             log = rospy.logwarn if esc.cause in causes.LOSSES else rospy.loginfo
