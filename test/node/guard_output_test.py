@@ -173,7 +173,7 @@ class OfOneProcess(OutputTest):
                               "esc": config("throttle.yaml"), "device": "virtual",
                               "virtual_chip": f"{self.folder}/chip", "guard_off_after": 4.0},
                   "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml"), "port": f"{self.folder}/absent"},
-                  "generic_value_converter": {**config("generic_value_converter.yaml", "throttle.yaml"),
+                  "generic_value_converter": {**config("generic_value_converter.yaml"),
                                               "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}
         for part in PARTS:
             set_params(self, f"/{part}", values[part])

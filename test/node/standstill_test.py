@@ -173,7 +173,7 @@ class OneProcess(StandstillTest):
                               "esc": config("throttle.yaml"), "device": "virtual",
                               "virtual_chip": os.path.join(self.folder, "chip")},
                   "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml"), "port": f"{self.folder}/absent"},
-                  "generic_value_converter": {**config("generic_value_converter.yaml", "throttle.yaml"),
+                  "generic_value_converter": {**config("generic_value_converter.yaml"),
                                               "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}
         for part in PARTS:
             set_params(self, f"/{part}", values[part])
