@@ -181,6 +181,7 @@ class OneProcess(StandstillTest):
         process = self.start("car_nodes", "_throttle:=true", "generic_value_converter/input/control_cmd:=control_cmd",
                              "generic_value_converter/input/odometry:=odometry", "throttle_arb/input/odometry:=odometry",
                              "throttle_arb/input/value:=generic_value_converter/output/value")
+        process.wait_for_info("running at")
         self.hold("/av_turnrad_req", Float32(2.0))
         command, odometry = Control(), Odometry()
         command.longitudinal.acceleration = odometry.twist.twist.linear.x = 1.0
@@ -192,7 +193,7 @@ class OneProcess(StandstillTest):
         mark = self.freeze(process)
         self.check_nothing_old_is_obeyed(mark, state_mark, (0, 1))
         for part in ("turn_arb", "generic_value_converter", "throttle_arb", "pca9685"):
-            process.wait_for_line(rf"WARN.*{part}: node stood still for \d\.\d\d s")
+            process.wait_for_line(f"WARN.*{part}: node stood still")
         self.arm((0, 1))
         self.assertEqual(process.end(), 0)
 
