@@ -100,7 +100,7 @@ class Garbage(unittest.TestCase):
                 "turn_arb": config("turn_arb.yaml"), "pca9685": {"device": "virtual"},
                 "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml", "sonars.yaml"),
                                       "port": os.path.join(tempfile.gettempdir(), "absent")},
-                "generic_value_converter": {**config("generic_value_converter.yaml", "throttle.yaml"),
+                "generic_value_converter": {**config("generic_value_converter.yaml"),
                                             "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}.items():
             set_params(self, f"/{node}", values)
         name = "/generic_value_converter/input"

@@ -282,6 +282,7 @@ class Pca9685:
             self._publish()
         elif event == RUNNING:
             self._fault = None
+            self._guard.chip_is_reached(time.monotonic_ns(), self._timeout_counts())
             rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
                           frequency_for(self._prescale, self._oscillator_hz), self._prescale)
         elif event == RETRIED:

@@ -98,6 +98,11 @@ class GuardLink:
         if now_ns >= self.watch.due_ns:
             self._write(self.watch.sign_of_life(now_ns, timeout_counts, has_reached, ALIVE))
 
+    def chip_is_reached(self, now_ns: int, timeout_counts: Sequence[int]) -> None:
+        """Have the guard know at once that the chip may be pulsing: with a node that never reached it, it ends."""
+        if self._process is not None:
+            self._write(self.watch.sign_of_life(now_ns, timeout_counts, True, ALIVE))
+
     def leave_to_node(self, now_ns: int, timeout_counts: Sequence[int]) -> None:
         """Have the guard leave the chip to this node, which makes it safe now, for as long as it lives."""
         self._write(self.watch.sign_of_life(now_ns, timeout_counts, True, ENDING))
