@@ -179,7 +179,8 @@ class OneProcess(StandstillTest):
         for part in PARTS:
             set_params(self, f"/{part}", values[part])
         process = self.start("car_nodes", "_throttle:=true", "generic_value_converter/input/control_cmd:=control_cmd",
-                             "generic_value_converter/input/odometry:=odometry", "throttle_arb/input/odometry:=odometry",
+                             "generic_value_converter/input/odometry:=odometry",
+                             "throttle_arb/input/odometry:=odometry",
                              "throttle_arb/input/value:=generic_value_converter/output/value")
         process.wait_for_info("running at")
         self.hold("/av_turnrad_req", Float32(2.0))
