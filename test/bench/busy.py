@@ -128,6 +128,7 @@ class Watch:
         counts = {f"false timeouts of {link}": found[link] for link in LINKS}
         counts.update({f"false timeouts of the ESC's {link}": found[f"ESC {link}"] for link in ESC_LINKS})
         counts.update({
+            "nodes that stood still": found["standstills"],
             "false timeouts of joy": rises([not human for human in released]),
             "other stops of the steering": len(other_causes),
             "false timeouts of the board's channels": numbers["timeouts"],
@@ -145,6 +146,9 @@ class Watch:
         if level >= Log.WARN:
             found["warnings"] += 1
             self.lines.setdefault("warnings", f"{name}: {text}")
+        if causes.NODE_STOOD_STILL in text:
+            found["standstills"] += 1
+            self.lines.setdefault("nodes that stood still", f"{name}: {text}")
         match = re.search(r"^[A-Z_]+: (.*?) silent", text)
         if match and name == f"{CAR}/throttle_arb":
             link = next((link for link in ESC_LINKS if match.group(1).startswith(link)), match.group(1))

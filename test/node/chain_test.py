@@ -3,7 +3,8 @@
 
 Real processes on a master of their own, that may be killed. The time of a fault is when its message was published or
 its signal sent; the time of neutral is when the chip took the registers, both on the computer's one monotonic clock.
-CAR_INTERFACE_TRIALS sets how often each fault is made (default 5), CAR_INTERFACE_TABLE names a file for the table.
+CAR_INTERFACE_TRIALS sets how often each fault is made (default 5), CAR_INTERFACE_TABLE names a file for the table, and
+CAR_INTERFACE_CHAIN limits the tests to those with one of these words in their name, as in Guarded,test_one_process.
 """
 from __future__ import annotations
 
@@ -28,6 +29,7 @@ from witness import measured
 
 TRIALS = int(os.environ.get("CAR_INTERFACE_TRIALS", "5"))
 TABLE = os.environ.get("CAR_INTERFACE_TABLE")
+CHOSEN = os.environ.get("CAR_INTERFACE_CHAIN", "").split(",")
 
 CENTER, LEFT, ESC_NEUTRAL = 319, 238, 307  # counts of 5100, 3800, 4915
 MONOTONIC_CLOCK = os.path.join(HERE, "monotonic_clock.c")
@@ -686,10 +688,9 @@ class Suite(unittest.TestSuite):
     """All of it, as rostest wants it."""
 
     def __init__(self):
-        loader = unittest.TestLoader()
-        super().__init__(loader.loadTestsFromTestCase(case)
-                         for case in (Messages, Losses, Guarded, Restarts, MasterLost, ClockStepped,
-                                      StoppingDistances, TeensyUnplugged))
+        cases = (Messages, Losses, Guarded, Restarts, MasterLost, ClockStepped, StoppingDistances, TeensyUnplugged)
+        tests = (test for case in cases for test in unittest.TestLoader().loadTestsFromTestCase(case))
+        super().__init__(test for test in tests if any(word in test.id() for word in CHOSEN))
 
 
 if __name__ == "__main__":

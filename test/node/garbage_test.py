@@ -95,6 +95,19 @@ class Garbage(unittest.TestCase):
             "/servo/output": Int32MultiArray(data=[4912] * 16),
             "/turn_arb/state": SteeringState(source=SteeringState.TELEOP)})
 
+    def test_car_nodes_collects_between_the_steps_of_all_its_nodes(self):
+        for node, values in {
+                "turn_arb": config("turn_arb.yaml"), "pca9685": {"device": "virtual"},
+                "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml", "sonars.yaml"),
+                                      "port": os.path.join(tempfile.gettempdir(), "absent")},
+                "generic_value_converter": {**config("generic_value_converter.yaml", "throttle.yaml"),
+                                            "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}.items():
+            set_params(self, f"/{node}", values)
+        name = "/generic_value_converter/input"
+        self.check("car_nodes:CarNodes", {
+            "/teleop_logi/tele_steer_req": Float32(0.5), "/av_turnrad_req": Float32(2.0),
+            f"{name}/control_cmd": Control(), f"{name}/odometry": Odometry()})
+
     def test_teensy_sensor_hub_without_its_teensy(self):
         set_params(self, "/teensy_sensor_hub", {**config("teensy_sensor_hub.yaml", "sonars.yaml"),
                                                 "port": os.path.join(tempfile.gettempdir(), "absent")})

@@ -30,7 +30,7 @@ def watched(node_class):
 
 def note(phase, info):
     if phase == "start":
-        begun_ns[:] = time.monotonic_ns(), threading.get_ident() in stepping or threading.current_thread().name != MAIN
+        begun_ns[:] = time.monotonic_ns(), bool(stepping) or threading.current_thread().name != MAIN
     else:
         took_ms = (time.monotonic_ns() - begun_ns[0]) / 1e6
         sys.stdout.write(f"collection {'step' if begun_ns[1] else 'idle'} {took_ms:.3f} {len(gc.get_objects())}\n")
@@ -38,7 +38,10 @@ def note(phase, info):
 
 MAIN = threading.current_thread().name
 name, class_name = sys.argv.pop(1).split(":")
-node = watched(getattr(importlib.import_module(f"car_interface.nodes.{name}"), class_name))
+module = importlib.import_module(f"car_interface.nodes.{name}")
+node = watched(getattr(module, class_name))
+if name == "car_nodes":
+    module.NODES = {part: watched(part_class) for part, part_class in module.NODES.items()}
 
 
 def make(params, inbox):

@@ -74,7 +74,7 @@ PARAMETER_REFUSED = "parameter refused"
 # Servo board.
 GUARD_ABSENT = "guard absent"  # nothing would make the board safe if its node died
 GUARD_BLOCKED = "guard blocked"  # the guard can't reach the board
-NODE_STOOD_STILL = "node stood still"  # for so long that its guard acted
+NODE_STOOD_STILL = "node stood still"  # for so long that what was sent meanwhile is no longer obeyed
 FOREIGN_WRITE = "foreign write"  # another program wrote to the board
 
 # The gamepad has to be set right: to let go and hold again doesn't help.

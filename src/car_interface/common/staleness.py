@@ -8,7 +8,8 @@ import math
 
 from car_interface.common.units import NS_PER_S
 
-DROPPED = "messages were dropped"  # by a full inbox; the newest value may have been among them
+# By a full inbox, or after the node stood still; the newest value may have been among them.
+DROPPED = "messages were dropped"
 
 
 class TimedInput:

@@ -5,6 +5,7 @@ Subscribes:
     servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, which the timeout values follow.
 Publishes:
     /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at 1 Hz.
+        While the guard acts alone ``ros.output_relay`` publishes it.
     /diagnostics: the board, its faults and how often each channel timed out; the guard; who publishes on its topics;
         1 Hz.
 Parameters:
@@ -46,14 +47,13 @@ from car_interface.pca9685.config import VIRTUAL, read_config
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for
 from car_interface.pca9685.senders import ChannelSenders
 from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
-from car_interface.ros.backlog import Subscription
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.guard_link import GuardLink
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, sender_of
+from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.ros.virtual_board import VirtualBoardBus, chip_path
 
 OUTPUT_RATE_HZ = 1
@@ -98,6 +98,8 @@ class SmbusBus:
 class Pca9685:
     """Passes commands to the chip, applies timeouts, and reports."""
 
+    notices_standstill = True  # by its guard, which acts sooner than the other nodes' inputs time out
+
     def __init__(self, params, inbox):
         config = read_config(params)
         now_ns = time.monotonic_ns()
@@ -108,8 +110,9 @@ class Pca9685:
                if self._device == VIRTUAL else SmbusBus(self._device, self._address))
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
+        self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
         self._guard = GuardLink(bus.kind, bus.path, self._address, config.guard_off_after_ns if config.guard else None,
-                                self._name(), self._warnings)
+                                self._name(), self._warnings, inbox.node_name, self._outputs.resolved_name)
         self._supervisor = BoardSupervisor(bus.open, bus.close, self._make_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
@@ -117,7 +120,6 @@ class Pca9685:
         self._timeouts: Counter = Counter()  # by channel
         self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
         self._published = [UNCHANGED] * CHANNELS
-        self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
         # Several nodes publish on each, but no two of them command the same channel.
         self._senders = ChannelSenders()
         self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_conflicts)
@@ -129,8 +131,9 @@ class Pca9685:
             self._open_or_end(now_ns)
         bus.serve(inbox)
         inbox.on_overflow(lambda now_ns: self._channels.make_safe())
-        self._subscriptions = [Subscription(topic, Int32MultiArray, inbox, handler) for topic, handler in (
-            *((topic, self._on_command) for topic in COMMANDS), (NEUTRALS, self._on_neutral))]
+        for topic in COMMANDS:
+            subscribe(topic, Int32MultiArray, inbox, self._on_command)
+        subscribe(NEUTRALS, Int32MultiArray, inbox, self._on_neutral)
         self._command_topics.start(self._diagnostics.report_now)
 
     def step(self, now_ns):
@@ -154,9 +157,7 @@ class Pca9685:
 
     def _begin_anew(self, still_ns):
         """Timeout values, and no command that was sent before."""
-        self._channels.make_safe()
-        for subscription in self._subscriptions:
-            subscription.renew()
+        self._inbox.begin_anew(time.monotonic_ns(), still_ns)  # which makes the channels safe
         lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
         self._warnings.warn(NODE_STOOD_STILL, f"{NODE_STOOD_STILL}{lasted}: {self._name()} is at its timeout values; "
                                               "commands count from now on")
@@ -281,6 +282,7 @@ class Pca9685:
             self._publish()
         elif event == RUNNING:
             self._fault = None
+            self._guard.chip_is_reached(time.monotonic_ns(), self._timeout_counts())
             rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
                           frequency_for(self._prescale, self._oscillator_hz), self._prescale)
         elif event == RETRIED:
@@ -312,8 +314,7 @@ class Pca9685:
         status.add("initialised anew after a loss of power", tally.reinitialisations)
         status.add("channels that another program wrote", tally.foreign_writes)
         status.add("commands dropped while it was away", self._dropped)
-        status.add("commands dropped after this node stood still",
-                   self._held_back + sum(subscription.dropped for subscription in self._subscriptions))
+        status.add("commands dropped after this node stood still", self._held_back + self._inbox.old_messages)
         status.add("timeout values", " ".join(map(str, self._channels.timeout_values)))
         for channel, count in sorted(self._timeouts.items()):
             status.add(f"timeouts of channel {channel}", count)

@@ -32,6 +32,7 @@ CHECK_PERIOD_NS = 50 * NS_PER_MS  # how often the chip is read back while it hol
 OFF_CHECK_PERIOD_NS = 500 * NS_PER_MS
 PROBE_PERIOD_NS = NS_PER_S
 FIRST_RETRY_NS, LAST_RETRY_NS = 20 * NS_PER_MS, 200 * NS_PER_MS
+LASTING_NS = 500 * NS_PER_MS  # a node that was frozen for less soon publishes by itself what the guard wrote
 GIVE_UP_NS = 600 * NS_PER_S  # a dead node's guard that can't reach the chip ends at last
 
 # Actions. After each of them one of ``succeeded``, ``failed`` and ``finish`` is called.
@@ -75,6 +76,10 @@ class Guard:
     def is_acting(self) -> bool:
         """Whether it acts in place of the node."""
         return self.state in (ACTING, SAFE, OFF)
+
+    def acts_alone(self, now_ns: int) -> bool:
+        """Whether nobody else tells what the chip holds: the node is dead, or has been silent for longer."""
+        return self.is_acting and (self.node_is_dead or now_ns - self._since_ns >= LASTING_NS)
 
     def status(self) -> bytes:
         """The message to the node."""

@@ -1,7 +1,8 @@
 """What a guard does to the chip: over any device with ``read(register, length)`` and ``write(register, data)``.
 
-Errors of the bus (OSError) pass through to the caller. It never wakes or initialises a chip: one that sleeps, as after
-a loss of power, pulses nothing.
+What writes returns what the channels are known to have held, as tuples of 16 counts, oldest first. Errors of the bus
+(OSError) pass through to the caller. It never wakes or initialises a chip: one that sleeps, as after a loss of power,
+pulses nothing.
 """
 from __future__ import annotations
 
@@ -30,40 +31,43 @@ def probe(device) -> None:
     device.read(MODE1, 1)
 
 
-def write_counts(device, counts) -> None:
+def write_counts(device, counts) -> list:
     """Bring every channel to its counts, 0..4096, and verify that by reading back.
 
     Raises:
         OSError: of the bus; EIO: the chip doesn't hold what was written.
     """
     if not _is_awake(device):
-        return
+        return [OFF]
     _write_all(device, counts)
-    _verify(device, counts)
+    return [_verified(device, counts)]
 
 
-def keep_counts(device, counts) -> bool:
-    """Bring the channels to these counts if they hold others; whether they did.
+def keep_counts(device, counts) -> list:
+    """Bring the channels to these counts if they hold others, which are returned first then.
 
     Raises:
         OSError: as ``write_counts``.
     """
-    if not _is_awake(device) or _read_all(device) == list(counts):
-        return False
+    if not _is_awake(device):
+        return [OFF]
+    found = _read_all(device)
+    if found == tuple(counts):
+        return [found]
     _write_all(device, counts)
-    _verify(device, counts)
-    return True
+    return [found, _verified(device, counts)]
 
 
-def switch_off(device) -> None:
+def switch_off(device) -> list:
     """Set the full-off bit of all channels, unless they are off, and verify it.
 
     Raises:
         OSError: as ``write_counts``.
     """
-    if _is_awake(device) and _read_all(device) != list(OFF):
+    if _is_awake(device) and _read_all(device) != OFF:
         device.write(ALL_LED_OFF_H, bytes((FULL_BIT,)))
-        _verify(device, OFF)
+        _verified(device, OFF)
+    return [OFF]
 
 
 def _is_awake(device):
@@ -85,9 +89,10 @@ def _write_all(device, counts):
 def _read_all(device):
     registers = b"".join(bytes(device.read(LED0_ON_L + 4 * first, BLOCK))
                          for first in range(0, CHANNELS, CHANNELS_PER_BLOCK))
-    return [counts_of_registers(registers[4 * channel: 4 * channel + 4]) for channel in range(CHANNELS)]
+    return tuple(counts_of_registers(registers[4 * channel: 4 * channel + 4]) for channel in range(CHANNELS))
 
 
-def _verify(device, counts):
-    if _read_all(device) != list(counts):
+def _verified(device, counts):
+    if _read_all(device) != tuple(counts):
         raise OSError(errno.EIO, "the chip doesn't hold what was written")
+    return tuple(counts)

@@ -1,7 +1,9 @@
-"""What the pca9685 node and its guard write into the two pipes between them. Both run on one computer.
+"""What the pca9685 node, its guard and the guard's relay write into the pipes between them, on one computer.
 
 From the node: signs of life with the timeout values; the last of them says that it has ended and left the chip safe.
 From the guard: its state, as the answer to each sign of life and whenever the state changes.
+From the guard to the relay, which publishes it: what the chip held when the guard read it back, and in the end that a
+node has the chip again.
 """
 from __future__ import annotations
 
@@ -19,6 +21,9 @@ ACTING = 2  # the node is silent or dead; the timeout values are not verified ye
 SAFE = 3  # the chip holds the timeout values, by reading back
 OFF = 4  # every output is off, by reading back
 
+# Kinds of what the guard tells its relay.
+HELD, LEFT_TO_NODE = 0, 1
+
 NOT_TRIED = -1  # as ``error`` of a guard that has not reached for the chip yet
 
 # Kind; whether the node has reached its chip, 0 or 1; sequence number; the newest intervention of which it knows;
@@ -27,6 +32,8 @@ _NODE = struct.Struct(f"=BBII{CHANNELS}H")
 # State; sequence number of the last sign of life; number of interventions; errno of the last attempt on the chip, 0 =
 # it worked.
 _GUARD = struct.Struct("=BIIi")
+# Kind; counts that the channels held, 0..4096.
+_OUTPUT = struct.Struct(f"=B{CHANNELS}H")
 
 
 class NodeMessage:
@@ -56,6 +63,18 @@ class GuardMessage:
     def encode(self) -> bytes:
         """The bytes."""
         return _GUARD.pack(self.state, self.sequence, self.interventions, self.error)
+
+
+class OutputMessage:
+    """One message of the guard to its relay; the attributes are those of ``_OUTPUT``."""
+
+    def __init__(self, kind, counts):
+        self.kind = kind
+        self.counts = counts
+
+    def encode(self) -> bytes:
+        """The bytes."""
+        return _OUTPUT.pack(self.kind, *self.counts)
 
 
 class MessageReader:
@@ -88,3 +107,8 @@ def node_reader() -> MessageReader:
 def guard_reader() -> MessageReader:
     """Reads what the guard wrote."""
     return MessageReader(_GUARD, GuardMessage)
+
+
+def output_reader() -> MessageReader:
+    """Reads what the guard wrote to its relay."""
+    return MessageReader(_OUTPUT, lambda kind, *counts: OutputMessage(kind, counts))

@@ -3,73 +3,129 @@
 A node that was frozen finds the messages of that time in the sockets of its connections, and in the buffers of those
 who sent them; when it goes on they arrive all at once and look new. So every connection is replaced by a new one, which
 carries only what is sent from then on. The publishers' addresses are known: no master is needed.
+
+The nodes of one process that subscribe to a topic share its connections. Each of them drops by itself what is old.
 """
 from __future__ import annotations
 
 import logging
+import threading
 import time
 import traceback
+import weakref
+from collections import deque
 from typing import Any, Callable
 
 import rospy
 from rospy.impl.tcpros_pubsub import TCPROSHandler
 
 from car_interface.common.units import NS_PER_MS
-from car_interface.ros.inbox import Inbox
-from car_interface.ros.topics import subscribe
 
 FALLBACK_NS = 1000 * NS_PER_MS  # where connections can't be replaced nothing is obeyed for so long
+SAME_STANDSTILL_NS = 200 * NS_PER_MS  # a replacement for another node of this process counts for so long
+MAX_RETIRED = 32  # connections that may still deliver what they have read: the newest of each topic
+
+Handler = Callable[[Any, int], None]
 
 
-class Subscription:
-    """A subscription whose handler isn't given what was sent before ``renew``.
+class _Connections:
+    """Those of one topic of this process."""
 
-    Args:
-        topic, message_type, inbox, handler: as of ``topics.subscribe``.
-    """
-
-    def __init__(self, topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None]):
-        self.dropped = 0
-        self._handler = handler
-        self._old_until_ns = -1  # what arrived until then is old
+    def __init__(self, subscription):
+        self._subscription = subscription  # rospy's, a weak reference
+        self._lock = threading.Lock()
+        self._replaced_ns = -SAME_STANDSTILL_NS
         # rospy gives each connection a header of its own, and every message that of its connection.
-        self._old_headers: list[dict] = []
-        self._latched_headers: list[dict] = []  # of new connections that have delivered their latched message
-        self._subscriber = subscribe(topic, message_type, inbox, self._receive)
+        self._retired_headers: deque = deque(maxlen=MAX_RETIRED)
 
-    def renew(self) -> None:
-        """Replace every connection. What arrived before, and what still arrives over the old ones, is dropped."""
-        self._old_until_ns = time.monotonic_ns()
-        try:
-            connections = list(self._subscriber.impl.connections)
-            self._old_headers = [each.header for each in connections if each.header]
-            self._latched_headers = []
+    def is_retired(self, header) -> bool:
+        return any(header is retired for retired in self._retired_headers)
+
+    def replace(self) -> None:
+        """Replace all of them, unless that has just been done."""
+        with self._lock:
+            subscription, now_ns = self._subscription(), time.monotonic_ns()
+            if subscription is None or now_ns - self._replaced_ns < SAME_STANDSTILL_NS:
+                return
+            connections = list(subscription.connections)
+            self._retired_headers.extend(each.header for each in connections if each.header)
             for connection in connections:
-                self._replace(connection)
-        except Exception:  # of another rospy: these are its internals
-            logging.getLogger("car_interface").error("%s", traceback.format_exc())
-            self._old_headers = []
-            self._old_until_ns += FALLBACK_NS
+                self._replace_one(subscription, connection)
+            self._replaced_ns = now_ns
 
-    def _replace(self, connection):
+    @staticmethod
+    def _replace_one(subscription, connection):
         host, port = connection.dest_address
         done, text, _ = TCPROSHandler().create_transport(
-            self._subscriber.impl.resolved_name, connection.endpoint_id, ["TCPROS", host, port])
+            subscription.resolved_name, connection.endpoint_id, ["TCPROS", host, port])
         if not done:
             raise rospy.ROSException(text)
         connection.close()
 
-    def _receive(self, message, arrival_ns):
-        if self._is_old(getattr(message, "_connection_header", None), arrival_ns):
-            self.dropped += 1
-        else:
-            self._handler(message, arrival_ns)
+
+_CONNECTIONS: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # by rospy's subscription of the topic
+_CONNECTIONS_LOCK = threading.Lock()
+
+
+def _connections_of(subscription) -> _Connections:
+    with _CONNECTIONS_LOCK:
+        return _CONNECTIONS.setdefault(subscription, _Connections(weakref.ref(subscription)))
+
+
+class Backlog:
+    """Knows which messages of one node's subscription are old.
+
+    Args:
+        takes_latched: obey the message with which a latching publisher's new connection begins. It is the publisher's
+            last word, however old.
+
+    Attributes:
+        dropped: how many messages were old.
+    """
+
+    def __init__(self, takes_latched: bool = False):
+        self.dropped = 0
+        self._takes_latched = takes_latched
+        self._subscriber: rospy.Subscriber | None = None
+        self._connections: _Connections | None = None
+        self._old_until_ns = -1  # what arrived until then is old
+        self._latched_headers: list[dict] = []  # of new connections that have delivered their latched message
+
+    def attach(self, subscriber: rospy.Subscriber) -> None:
+        """The subscription that this is about."""
+        self._subscriber = subscriber
+
+    def without_old(self, handler: Handler) -> Handler:
+        """A handler that is given what isn't old."""
+        def handle(message, arrival_ns):
+            if self._old_until_ns >= 0 and self._is_old(getattr(message, "_connection_header", None), arrival_ns):
+                self.dropped += 1
+            else:
+                handler(message, arrival_ns)
+        return handle
+
+    def renew(self) -> None:
+        """Replace every connection. What arrived before, and what still arrives over the old ones, is old."""
+        self._latched_headers = []
+        try:
+            subscription = self._subscriber.impl
+            if subscription is not None:  # else it is closed
+                self._connections = _connections_of(subscription)
+                self._connections.replace()
+            self._old_until_ns = time.monotonic_ns()
+        except Exception:  # of another rospy: these are its internals
+            logging.getLogger("car_interface").error("%s", traceback.format_exc())
+            self._old_until_ns = time.monotonic_ns() + FALLBACK_NS
 
     def _is_old(self, header, arrival_ns):
-        if arrival_ns <= self._old_until_ns or any(header is old for old in self._old_headers):
-            return True
-        if self._old_until_ns >= 0 and header and header.get("latching") == "1" and not any(
-                header is known for known in self._latched_headers):
-            self._latched_headers.append(header)
-            return True  # a new connection begins with the last message, however old that is
-        return False
+        is_latched = self._is_latched(header)  # remembered in any case
+        return (arrival_ns <= self._old_until_ns
+                or self._connections is not None and self._connections.is_retired(header)
+                or is_latched and not self._takes_latched)
+
+    def _is_latched(self, header):
+        """Whether it is the first message of a new connection to a publisher that latches."""
+        if not header or header.get("latching") != "1" or any(header is known for known in self._latched_headers):
+            return False
+        self._latched_headers.append(header)
+        return True

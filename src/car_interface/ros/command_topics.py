@@ -11,6 +11,9 @@ from car_interface.ros.diagnostics import ERROR, OK, WARN
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.master_watch import MasterWatch
 
+# No command, but a report: of pca9685, and of its guard while that acts in its place.
+REPORTS = ("/servo/output",)
+
 
 class CommandTopics:
     """Watches the publishers of all topics that a node subscribes to.
@@ -40,7 +43,7 @@ class CommandTopics:
         def on_topics(topics, now_ns):
             self._topics = topics
             report_now()
-        MasterWatch(self._inbox, on_fault, on_topics, self._shared)
+        MasterWatch(self._inbox, on_fault, on_topics, (*self._shared, *REPORTS))
 
     def _report(self, status):
         """For /diagnostics: each fault with its remedy, and all publishers."""

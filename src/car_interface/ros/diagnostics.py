@@ -58,13 +58,17 @@ class Diagnostics:
         self._timer = RateTimer(RATE_HZ, now_ns + NS_PER_S // RATE_HZ)
 
     def _with_inbox(self, report):
-        """Add the inbox's overflow to a report."""
+        """Add what the inbox dropped to a report."""
         def report_both(status):
             report(status)
+            if self._inbox.stood_still_recently(time.monotonic_ns()):
+                status.mergeSummary(WARN, self._inbox.standstill_text)
             if self._inbox.overflowed_recently(time.monotonic_ns()):
                 status.mergeSummary(ERROR, self._inbox.overflow_text)
             if self._inbox.dropped:
                 status.add("messages dropped by its inbox", self._inbox.dropped)
+            if self._inbox.old_messages:
+                status.add("messages dropped after it stood still", self._inbox.old_messages)
             return status
         return report_both
 

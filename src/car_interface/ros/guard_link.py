@@ -37,15 +37,17 @@ class GuardLink:
         off_after_ns: when the guard switches everything off; ``None`` = there is no guard.
         board: the board's name, for log lines.
         warnings: the node's.
+        node_name, output_topic: the resolved names of the node and of the topic on which it tells what the chip holds.
     """
 
     def __init__(self, kind: str, path: str, address: int, off_after_ns: int | None, board: str,
-                 warnings: ThrottledWarnings):
+                 warnings: ThrottledWarnings, node_name: str, output_topic: str):
         self.watch = GuardWatch()
         self._board = (kind, path, address)
         self._off_after_ns = off_after_ns
         self._board_name = board
         self._warnings = warnings
+        self._names = (node_name, output_topic)
         self._process: subprocess.Popen | None = None
         self._pipes: list[io.FileIO] = []  # to and from the guard
         self._start_ns = 0  # not before
@@ -96,6 +98,11 @@ class GuardLink:
         if now_ns >= self.watch.due_ns:
             self._write(self.watch.sign_of_life(now_ns, timeout_counts, has_reached, ALIVE))
 
+    def chip_is_reached(self, now_ns: int, timeout_counts: Sequence[int]) -> None:
+        """Have the guard know at once that the chip may be pulsing: with a node that never reached it, it ends."""
+        if self._process is not None:
+            self._write(self.watch.sign_of_life(now_ns, timeout_counts, True, ALIVE))
+
     def leave_to_node(self, now_ns: int, timeout_counts: Sequence[int]) -> None:
         """Have the guard leave the chip to this node, which makes it safe now, for as long as it lives."""
         self._write(self.watch.sign_of_life(now_ns, timeout_counts, True, ENDING))
@@ -136,7 +143,7 @@ class GuardLink:
         self._pipes = [io.FileIO(node_out, "w"), io.FileIO(node_in)]
         os.set_blocking(node_out, False)
         os.set_blocking(node_in, False)
-        arguments = (*self._board, os.getpid(), self._off_after_ns, guard_in, guard_out)
+        arguments = (*self._board, os.getpid(), self._off_after_ns, guard_in, guard_out, *self._names)
         command = small_process.command("ros.pca9685_guard", *map(str, arguments))
         with _open_log() as log:
             self._process = subprocess.Popen(

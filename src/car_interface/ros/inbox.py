@@ -13,13 +13,15 @@ from typing import Any, Callable
 
 import rospy
 
+from car_interface.common.causes import NODE_STOOD_STILL
 from car_interface.common.staleness import DROPPED
+from car_interface.common.standstill import MAX_WAIT_NS
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.backlog import Backlog
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 
-MAX_WAIT_NS = NS_PER_S
 INBOX_LIMIT = 10_000  # more than any node receives while its thread waits for a device
-OVERFLOW_SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics reports an overflow
+OVERFLOW_SHOWN_NS = STANDSTILL_SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics reports one
 # Errors for the caller of a service.
 ENDED, TOO_BUSY = "the node has ended", f"the node was held up for too long: {DROPPED}, and this request with them"
 
@@ -31,7 +33,8 @@ class Inbox:
     rounds up to whole milliseconds.
 
     It is bounded. When it is full, because the node's thread was held up, all items in it are dropped: among them may
-    be an emergency stop. Service calls then fail, and the handlers of ``on_overflow`` mark the node's inputs stale.
+    be an emergency stop. Service calls then fail, and the handlers of ``on_overflow`` mark the node's inputs stale. So
+    they do when the node stood still, and what was sent meanwhile is dropped.
 
     Args:
         node_name: the node's, with its namespace; ``None`` = the process's, of which it is the only node.
@@ -41,12 +44,15 @@ class Inbox:
     def __init__(self, node_name: str | None = None, limit: int = INBOX_LIMIT):
         self.ending = False
         self.subscribers: list[rospy.Subscriber] = []  # of the node's topics
+        self.backlogs: list[Backlog] = []  # one for each of them
         self._node_name = node_name
         self._close_actions: list[Callable[[], None]] = []
         self._open_requests: set[Future] = set()  # service calls that wait for an answer
         self._closed = False
         self.dropped = 0
         self._dropped_ns = -OVERFLOW_SHOWN_NS  # when the node handled the last overflow
+        self._stood_still_ns = -STANDSTILL_SHOWN_NS  # when the node last noticed that
+        self.standstill_text = ""  # and a line about it
         self._overflow_handlers: list[Callable[[int], None]] = []
         self._overflow_warnings = ThrottledWarnings(rospy.logerr)
         self._limit = limit
@@ -130,8 +136,31 @@ class Inbox:
             self.wake()
 
     def on_overflow(self, handler: Callable[[int], None]) -> None:
-        """Have the node's thread call ``handler(now_ns)`` after items were dropped, before it handles newer ones."""
+        """Have the node's thread call ``handler(now_ns)`` after messages were dropped, before it handles newer ones."""
         self._overflow_handlers.append(handler)
+
+    def begin_anew(self, now_ns: int, still_ns: int) -> None:
+        """Drop all messages that were sent so far. To be called in the node's thread, after it stood still.
+
+        Args:
+            still_ns: for how long; 0 = unknown.
+        """
+        lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
+        self.standstill_text = f"{NODE_STOOD_STILL}{lasted}: what was sent meanwhile is dropped"
+        self._stood_still_ns = now_ns
+        for backlog in self.backlogs:
+            backlog.renew()
+        for handler in self._overflow_handlers:
+            handler(now_ns)
+
+    @property
+    def old_messages(self) -> int:
+        """How many messages were dropped because the node stood still when they were sent."""
+        return sum(backlog.dropped for backlog in self.backlogs)
+
+    def stood_still_recently(self, now_ns: int) -> bool:
+        """Whether that was in the last 10 s."""
+        return now_ns - self._stood_still_ns < STANDSTILL_SHOWN_NS
 
     def _on_overflow(self, _, now_ns):
         self._dropped_ns = now_ns

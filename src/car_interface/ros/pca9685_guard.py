@@ -3,7 +3,9 @@
 The node starts it, see ``ros.guard_link``; it is no ROS node. ``pca9685.guard`` decides, ``pca9685.guard_board``
 writes. It has a session of its own and ignores the signals that end a node: the node tells it when all is well. Its
 arguments: ``i2c`` and the bus's path, or ``virtual`` and the chip's socket; the chip's address, the node's process, the
-time to full off in ns, and the descriptors of the two pipes.
+time to full off in ns, the descriptors of the two pipes, and the resolved names of the node and of its /servo/output.
+
+While it acts alone it has what the chip holds published in the node's place, by ``ros.output_relay``.
 """
 from __future__ import annotations
 
@@ -15,8 +17,9 @@ import time
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.pca9685 import guard_board
-from car_interface.pca9685.guard import ASSERT, CHECK, END, NOTHING, PROBE, SWITCH_OFF, Guard
+from car_interface.pca9685.guard import ASSERT, END, NOTHING, PROBE, SWITCH_OFF, Guard
 from car_interface.pca9685.guard_protocol import ACTING, OFF, SAFE, WATCHING
+from car_interface.ros.relay_link import RelayLink
 
 MAX_WAIT_S = 60.0
 EVENTS = {WATCHING: "the node is back", SAFE: "every channel is at its timeout value", OFF: "every output is off"}
@@ -29,11 +32,13 @@ class GuardProcess:
         device: the chip, as ``pca9685.i2c_device.I2cDevice``.
         node_pid: whose lock doesn't stop the guard.
         node_fd, answer_fd: the two pipes.
+        relay: publishes what the chip holds.
         log: called with a line.
     """
 
-    def __init__(self, device, guard: Guard, node_pid: int, node_fd: int, answer_fd: int, log):
+    def __init__(self, device, guard: Guard, node_pid: int, node_fd: int, answer_fd: int, relay: RelayLink, log):
         self._device = device
+        self._relay = relay
         self._guard = guard
         self._node_pid = node_pid
         self._node_fd = node_fd
@@ -47,6 +52,8 @@ class GuardProcess:
         while True:
             is_heard = self._receive()
             action = self._guard.action(time.monotonic_ns())
+            if not self._guard.is_acting:
+                self._relay.end()
             if action == END:
                 return
             self._report(is_heard)  # before a transfer, which may last
@@ -69,11 +76,12 @@ class GuardProcess:
             device.open()
             if action != PROBE and self._is_replaced():
                 self._log("another node has the board")
+                self._relay.end()
                 guard.finish()
                 return
             if action != PROBE or guard.node_has_reached:
                 device.claim(self._generation)
-            self._transfer(action)
+            held = self._transfer(action)
         except OSError as error:
             device.close()
             if guard.is_acting:
@@ -83,21 +91,27 @@ class GuardProcess:
                 guard.finish()
         else:
             guard.succeeded(action, time.monotonic_ns())
+            if guard.acts_alone(time.monotonic_ns()):
+                self._relay.tell(held)
 
     def _is_replaced(self):
         """Whether a node has the board that isn't this guard's, or had it and left it to a guard of its own."""
         return self._device.lock_holder() not in (0, self._node_pid) or self._device.successor(self._generation)
 
     def _transfer(self, action):
+        """Do it; what the channels are known to have held."""
         device, counts = self._device, self._guard.timeout_counts
         if action == PROBE:
             guard_board.probe(device)
-        elif action == ASSERT:
-            guard_board.write_counts(device, counts)
-        elif action == CHECK and guard_board.keep_counts(device, counts):
+            return []
+        if action == ASSERT:
+            return guard_board.write_counts(device, counts)
+        if action == SWITCH_OFF:
+            return guard_board.switch_off(device)
+        held = guard_board.keep_counts(device, counts)
+        if len(held) > 1:
             self._log("a channel held something else: brought back to its timeout value")
-        elif action == SWITCH_OFF:
-            guard_board.switch_off(device)
+        return held
 
     def _report(self, is_heard):
         """Answer a sign of life, and tell the node and the log of a new state."""
@@ -146,9 +160,14 @@ def main() -> None:
     """Run the guard."""
     kind, path = sys.argv[1:3]
     address, node_pid, off_after_ns, node_fd, answer_fd = map(int, sys.argv[3:8])
+    node_name, output_topic = sys.argv[8:10]
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.set_blocking(answer_fd, False)
+    for fd in (node_fd, answer_fd):
+        os.set_inheritable(fd, False)
 
     log = Log(f"guard of 0x{address:02x} on {path}, node {node_pid}")
-    GuardProcess(make_device(kind, path, address), Guard(off_after_ns), node_pid, node_fd, answer_fd, log.write).run()
+    relay = RelayLink(node_name, output_topic, log.write)
+    GuardProcess(make_device(kind, path, address), Guard(off_after_ns), node_pid, node_fd, answer_fd, relay,
+                 log.write).run()

@@ -9,6 +9,9 @@ topics and services by the functions of ``topics``, which resolve their names by
 
 While another node of its name runs, a node waits before it registers. Where roslaunch would start it again, it also
 waits while its parameters are refused.
+
+A node that stood still, since its process was frozen or its thread held up, drops what was sent to it meanwhile, and
+its inputs are stale. A node class whose attribute ``notices_standstill`` is true sees to that by itself.
 """
 from __future__ import annotations
 
@@ -24,7 +27,8 @@ import rospy
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
-from car_interface.ros.garbage import IdleCollector
+from car_interface.common.standstill import StandstillWatch
+from car_interface.ros.garbage import IdleCollector, node_activity
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.logs import LogStream, LogThreads
 from car_interface.ros.name_lookup import own_name, wait_for_name
@@ -88,7 +92,8 @@ def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None) -> No
     """Run a node in this thread: read its parameters, build it, step it until it ends, shut it down.
 
     Args:
-        collector: what collects garbage whenever the node is idle; ``None`` = another thread has that.
+        collector: what collects garbage whenever the node is idle; ``None`` = another thread does, and sees when this
+            one is.
     """
     name = inbox.node_name
 
@@ -98,13 +103,35 @@ def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None) -> No
     if node is None:
         return
     try:
-        while not inbox.ending:
-            due_ns = node.step(time.monotonic_ns())
-            if collector is not None and inbox.is_empty:
-                collector.step(time.monotonic_ns(), due_ns)
-            inbox.wait_until(due_ns)
+        if collector is not None:
+            _run_steps(node, inbox, collector)
+        else:
+            with node_activity() as activity:
+                _run_steps(node, inbox, activity)
     finally:
         node.shut_down()
+
+
+def _run_steps(node, inbox, garbage):
+    """Step a node until it ends; ``garbage`` learns when it is idle."""
+    standstill = StandstillWatch(time.monotonic_ns())
+    notices_standstill = getattr(node, "notices_standstill", False)
+    while not inbox.ending:
+        now_ns = time.monotonic_ns()
+        still_ns = standstill.begin_step(now_ns)
+        garbage.begin_step()
+        if still_ns and not notices_standstill:
+            _begin_anew(inbox, now_ns, still_ns)
+        due_ns = node.step(now_ns)
+        now_ns = time.monotonic_ns()
+        standstill.end_step(now_ns, due_ns)
+        inbox.wait_until(min(due_ns, garbage.end_step(now_ns, due_ns if inbox.is_empty else now_ns)))
+
+
+def _begin_anew(inbox, now_ns, still_ns):
+    if inbox.backlogs:
+        inbox.begin_anew(now_ns, still_ns)
+        rospy.logwarn("%s; what is sent from now on counts", inbox.standstill_text)
 
 
 def describe_error(error: Exception) -> str:

@@ -340,3 +340,20 @@ def test_guard_that_was_held_up_itself_reads_before_it_judges(watching):
     watching.wait(5000)
     watching.tell()  # it waited in the pipe
     assert watching.action() == NOTHING
+
+
+def test_guard_of_a_dead_node_tells_at_once_what_the_chip_holds(watching):
+    assert not watching.guard.acts_alone(watching.now_ns)
+    watching.die()
+    watching.do(ASSERT)
+    assert watching.guard.acts_alone(watching.now_ns)
+
+
+def test_guard_of_a_frozen_node_tells_what_the_chip_holds_half_a_second_later(watching):
+    watching.wait(SILENCE_MS)
+    watching.do(ASSERT)
+    acted_ns = watching.now_ns
+    assert not watching.guard.acts_alone(acted_ns + 499 * MS)
+    assert watching.guard.acts_alone(acted_ns + 500 * MS)
+    watching.tell(acknowledged=1)
+    assert not watching.guard.acts_alone(acted_ns + 500 * MS)

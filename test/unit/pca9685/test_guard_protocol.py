@@ -1,4 +1,4 @@
-"""The two pipes between node and guard: what goes in comes out, however the bytes are split."""
+"""The pipes between node, guard and relay: what goes in comes out, however the bytes are split."""
 from __future__ import annotations
 
 import select
@@ -8,16 +8,21 @@ import pytest
 from car_interface.pca9685.guard_protocol import (
     ALIVE,
     ENDED,
+    HELD,
+    LEFT_TO_NODE,
     SAFE,
     GuardMessage,
     NodeMessage,
+    OutputMessage,
     guard_reader,
     node_reader,
+    output_reader,
 )
 
 COUNTS = (*range(0, 4095, 273), 4096)
 NODE = [(ALIVE, True, 1, 0, COUNTS), (ENDED, False, 2 ** 32 - 1, 7, (0,) * 16)]
 GUARD = [(SAFE, 1, 2, 0), (0, 0, 0, -1), (4, 2 ** 32 - 1, 2 ** 32 - 1, 121)]
+OUTPUT = [(HELD, COUNTS), (LEFT_TO_NODE, (0,) * 16)]
 
 
 def fields(message):
@@ -25,8 +30,9 @@ def fields(message):
 
 
 @pytest.mark.parametrize("size", [1, 7, 1000], ids="in_pieces_of_{}".format)
-@pytest.mark.parametrize("reader, kind, cases", [(node_reader, NodeMessage, NODE), (guard_reader, GuardMessage, GUARD)],
-                         ids=["node", "guard"])
+@pytest.mark.parametrize("reader, kind, cases", [(node_reader, NodeMessage, NODE), (guard_reader, GuardMessage, GUARD),
+                                                  (output_reader, OutputMessage, OUTPUT)],
+                         ids=["node", "guard", "relay"])
 def test_messages_come_out_as_they_went_in(reader, kind, cases, size):
     data = b"".join(kind(*case).encode() for case in cases)
     messages = reader()
@@ -35,5 +41,5 @@ def test_messages_come_out_as_they_went_in(reader, kind, cases, size):
 
 
 def test_messages_are_small_enough_for_a_pipe_to_take_all_or_none_of_one():
-    for message in (NodeMessage(*NODE[0]), GuardMessage(*GUARD[0])):
+    for message in (NodeMessage(*NODE[0]), GuardMessage(*GUARD[0]), OutputMessage(*OUTPUT[0])):
         assert len(message.encode()) <= select.PIPE_BUF

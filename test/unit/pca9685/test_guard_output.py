@@ -1,0 +1,58 @@
+"""What a guard reads back is published on change, and once a second, but never without a new reading."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.pca9685.guard_output import MAX_PENDING, OutputReadings
+
+MS = 1_000_000
+SAFE = (319, 307) + (0,) * 14
+OFF = (0,) * 16
+FOREIGN = (319, 4096) + (0,) * 14
+SAFE_DUTIES, OFF_DUTIES = [5104, 4912] + [0] * 14, [0] * 16
+
+
+@pytest.fixture
+def readings():
+    return OutputReadings()
+
+
+def published(readings, *given):
+    """What is published of readings, given as (ms, counts), and when."""
+    found = []
+    for at_ms, counts in given:
+        readings.update(counts, at_ms * MS)
+        found += [(at_ms, duties) for duties in readings.pending]
+        readings.pending.clear()
+    return found
+
+
+def test_readings_are_published_as_duties_on_change(readings):
+    assert published(readings, (0, SAFE), (50, SAFE), (100, OFF), (150, OFF), (200, SAFE)) == [
+        (0, SAFE_DUTIES), (100, OFF_DUTIES), (200, SAFE_DUTIES)]
+
+
+def test_full_on_is_65535(readings):
+    assert published(readings, (0, FOREIGN)) == [(0, [5104, 65535] + [0] * 14)]
+
+
+def test_reading_that_stays_the_same_is_repeated_once_a_second(readings):
+    assert [at_ms for at_ms, _ in published(readings, *((at_ms, SAFE) for at_ms in range(0, 3001, 50)))] == [
+        0, 1000, 2000, 3000]
+
+
+def test_nothing_is_repeated_without_a_reading(readings):
+    assert [at_ms for at_ms, _ in published(readings, (0, SAFE), (5000, SAFE), (5050, SAFE))] == [0, 5000]
+
+
+def test_readings_that_wait_for_the_master_are_kept_in_order_and_repetitions_are_not(readings):
+    for at_ms in range(0, 5000, 50):
+        readings.update(SAFE, at_ms * MS)
+    readings.update(OFF, 5000 * MS)
+    assert readings.pending == [SAFE_DUTIES, OFF_DUTIES]
+
+
+def test_readings_that_wait_are_limited_to_the_newest(readings):
+    for index in range(3 * MAX_PENDING):
+        readings.update((SAFE, OFF)[index % 2], index)
+    assert readings.pending == [SAFE_DUTIES, OFF_DUTIES] * (MAX_PENDING // 2)
