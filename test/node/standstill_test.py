@@ -28,7 +28,6 @@ MEANWHILE = (False, False, False, True, True, True, False)
 STOOD_STILL = (r"WARN.*node stood still for \d\.\d\d s: what was sent meanwhile is dropped; what is sent from now on "
                "counts")
 NOT_REARMED = "messages were dropped; let go once: publish false, then true"
-PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
 
 
 class StandstillTest(unittest.TestCase):
@@ -173,12 +172,15 @@ class OneProcess(StandstillTest):
                               "esc": config("throttle.yaml"), "device": "virtual",
                               "virtual_chip": os.path.join(self.folder, "chip")},
                   "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml"), "port": f"{self.folder}/absent"},
-                  "generic_value_converter": {**config("generic_value_converter.yaml", "throttle.yaml"),
-                                              "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}
-        for part in PARTS:
-            set_params(self, f"/{part}", values[part])
+                  "generic_value_converter": {**config("generic_value_converter.yaml"),
+                                              "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
+                  "throttle_arb": config("throttle.yaml"), "car_nodes": {"throttle": True}}
+        for part, parameters in values.items():
+            set_params(self, f"/{part}", parameters)
         process = self.start("car_nodes", "generic_value_converter/input/control_cmd:=control_cmd",
-                             "generic_value_converter/input/odometry:=odometry")
+                             "generic_value_converter/input/odometry:=odometry",
+                             "throttle_arb/input/value:=generic_value_converter/output/value",
+                             "throttle_arb/input/odometry:=odometry")
         process.wait_for_info("running at")
         self.hold("/av_turnrad_req", Float32(2.0))
         command, odometry = Control(), Odometry()
@@ -190,7 +192,7 @@ class OneProcess(StandstillTest):
         state_mark = self.states.mark()
         mark = self.freeze(process)
         self.check_nothing_old_is_obeyed(mark, state_mark, (0, 1))
-        for part in ("turn_arb", "generic_value_converter", "pca9685"):
+        for part in ("turn_arb", "generic_value_converter", "throttle_arb", "pca9685"):
             process.wait_for_line(f"WARN.*{part}: node stood still")
         self.arm((0, 1))
         self.assertEqual(process.end(), 0)
