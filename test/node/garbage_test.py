@@ -51,7 +51,7 @@ class Garbage(unittest.TestCase):
             senders[topic] = Sender(topic, type(message))
             self.addCleanup(senders[topic].close)
             self.repeater.hold(senders[topic], message)
-        human = Sender("/teleop_logi/human_in_loop", Bool) if "_arb" in node else None
+        human = Sender("/teleop_logi/human_in_loop", Bool) if "_arb" in node or "car_nodes" in node else None
 
         def collected():
             if human is not None:
@@ -101,7 +101,8 @@ class Garbage(unittest.TestCase):
                 "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml", "sonars.yaml"),
                                       "port": os.path.join(tempfile.gettempdir(), "absent")},
                 "generic_value_converter": {**config("generic_value_converter.yaml"),
-                                            "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}.items():
+                                            "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
+                "throttle_arb": config("throttle.yaml"), "car_nodes": {"throttle": True}}.items():
             set_params(self, f"/{node}", values)
         name = "/generic_value_converter/input"
         self.check("car_nodes:CarNodes", {

@@ -31,7 +31,6 @@ SAFE_COUNTS = (319, 307) + (0,) * 14
 OFF = [0] * 16
 DRIVING = guard_test.DRIVING
 TOLD_S = 2.0 + (0 if os.environ.get("CAR_INTERFACE_ALL") else 6.0)  # a rospy process starts: 0.5 s on an idle computer
-PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
 
 
 def relays(topic):
@@ -174,9 +173,10 @@ class OfOneProcess(OutputTest):
                               "virtual_chip": f"{self.folder}/chip", "guard_off_after": 8.0},
                   "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml"), "port": f"{self.folder}/absent"},
                   "generic_value_converter": {**config("generic_value_converter.yaml"),
-                                              "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}}
-        for part in PARTS:
-            set_params(self, f"/{part}", values[part])
+                                              "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
+                  "throttle_arb": config("throttle.yaml"), "car_nodes": {"throttle": True}}
+        for part, parameters in values.items():
+            set_params(self, f"/{part}", parameters)
         process = NodeProcess(executable("car_nodes"))
         self.addCleanup(process.clean_up)
         process.wait_for_info("running at")

@@ -28,7 +28,6 @@ MEANWHILE = (False, False, False, True, True, True, False)
 STOOD_STILL = (r"WARN.*node stood still for \d\.\d\d s: what was sent meanwhile is dropped; what is sent from now on "
                "counts")
 NOT_REARMED = "messages were dropped; let go once: publish false, then true"
-PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb")
 
 
 class StandstillTest(unittest.TestCase):
@@ -175,12 +174,13 @@ class OneProcess(StandstillTest):
                   "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml"), "port": f"{self.folder}/absent"},
                   "generic_value_converter": {**config("generic_value_converter.yaml"),
                                               "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
-                  "throttle_arb": config("throttle.yaml")}
-        for part in PARTS:
-            set_params(self, f"/{part}", values[part])
-        process = self.start("car_nodes", "_throttle:=true", "generic_value_converter/input/control_cmd:=control_cmd",
-                             "generic_value_converter/input/odometry:=odometry", "throttle_arb/input/odometry:=odometry",
-                             "throttle_arb/input/value:=generic_value_converter/output/value")
+                  "throttle_arb": config("throttle.yaml"), "car_nodes": {"throttle": True}}
+        for part, parameters in values.items():
+            set_params(self, f"/{part}", parameters)
+        process = self.start("car_nodes", "generic_value_converter/input/control_cmd:=control_cmd",
+                             "generic_value_converter/input/odometry:=odometry",
+                             "throttle_arb/input/value:=generic_value_converter/output/value",
+                             "throttle_arb/input/odometry:=odometry")
         process.wait_for_info("running at")
         self.hold("/av_turnrad_req", Float32(2.0))
         command, odometry = Control(), Odometry()
