@@ -50,7 +50,6 @@ from car_interface.planner.source_arbiter import (
 )
 from car_interface.planner.twist import from_twist
 from car_interface.ros.ackermann_messages import ackermann_drive_class
-from car_interface.ros.backlog import Subscription
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
@@ -62,7 +61,6 @@ from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedContro
 
 RATE_HZ = 50
 TICKS_PER_STATE = 5
-STOOD_STILL_NS = 300_000_000  # the timer wakes it each 20 ms
 TOPICS = {DRIVE: "drive", CMD_VEL: "cmd_vel", AUTOWARE: "~input/control_cmd", SPEED: "av_speed_req"}
 TWISTS = {message_type._md5sum: message_type for message_type in (Twist, TwistStamped)}
 
@@ -106,7 +104,6 @@ class PlannerInterface:
         self._warnings = ThrottledWarnings()
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
-        self._stepped_ns = None
         self._decision = self._command = None
         self._published = None  # (cause, gear) of the newest state
         self._radius_m = None  # the newest that was published
@@ -130,7 +127,7 @@ class PlannerInterface:
                                  CMD_VEL: (lambda: rospy.AnyMsg, self._on_twist),
                                  AUTOWARE: (lambda: Control, self._on_control),
                                  SPEED: (lambda: Float32, self._on_speed)}[obeyed]
-        self._source = Subscription(TOPICS[obeyed], message_type(), inbox, handler)
+        subscribe(TOPICS[obeyed], message_type(), inbox, handler)
         for source, topic in TOPICS.items():
             if source != obeyed:
                 subscribe_any(topic, inbox, lambda message, now_ns, source=source:
@@ -140,10 +137,6 @@ class PlannerInterface:
 
     def step(self, now_ns):
         """Handle what arrived; then the timer, and the moment at which the source falls silent."""
-        stood_still = self._stepped_ns is not None and now_ns - self._stepped_ns > STOOD_STILL_NS
-        self._stepped_ns = now_ns
-        if stood_still:
-            self._drop_backlog(now_ns)
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
@@ -159,15 +152,6 @@ class PlannerInterface:
             self._decision = PlannerDecision(causes.NO_REQUEST, "planner_interface has ended")
             self._publish_state(time.monotonic_ns())
             time.sleep(0.02)  # rospy sends in a thread of its own
-
-    def _drop_backlog(self, now_ns):
-        """What was sent while this node stood still arrives all at once now, and looks new: it is dropped."""
-        self._source.renew()
-        self._inbox.dispatch()
-        self._sources.mark_stale()
-        self._control.mark_stale()
-        self._decide(now_ns)
-        self._warnings.warn("stood still", "this node stood still: what the planner sent meanwhile is dropped")
 
     def _has_fallen_silent(self, now_ns):
         return (self._decision is not None and self._decision.request is not None

@@ -64,7 +64,9 @@ def subscribe_any(topic: str, inbox: Inbox, handler: Callable[[Any, int], None],
     Args:
         wakes: False = the node handles it when it next wakes for another reason.
     """
-    _subscribe(topic, rospy.AnyMsg, inbox, lambda message: inbox.put(handler, message, wakes))
+    backlog = Backlog()
+    handler = backlog.without_old(handler)
+    _subscribe(topic, rospy.AnyMsg, inbox, backlog, lambda message: inbox.put(handler, message, wakes))
 
 
 def md5_of(message: Any) -> str:
