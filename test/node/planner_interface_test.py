@@ -343,7 +343,8 @@ class ByItself(unittest.TestCase):
         self.process.send(signal.SIGCONT)
         self.states.wait_for(lambda state: state.source_age > 1.5, mark)
         self.assertEqual({state.cause for state in self.states.since(mark)}, {"planner silent"})
-        self.process.wait_for_line(r"node stood still for \d\.\d\d s: what was sent meanwhile is dropped; what is sent from now on counts")
+        self.process.wait_for_line(r"node stood still for \d\.\d\d s: what was sent meanwhile is dropped; what is sent "
+                                   "from now on counts")
         self.inputs.hold(self.planner, drive(HALF, 1.0))
         self.states.wait_for(lambda state: state.cause == "planner", self.states.mark())
 
