@@ -170,10 +170,11 @@ class ANode(unittest.TestCase):
         measured(attempt)
 
     def test_frozen_node_is_replaced_after_ten_seconds_and_ends_when_it_wakes(self):
-        log, e_stop = Topic("/rosout", Log), Sender("/e_stop", Bool)
+        log = Topic("/rosout", Log)
         self.addCleanup(log.close)
-        self.addCleanup(e_stop.close)
         first = self.started()
+        e_stop = Sender("/e_stop", Bool)
+        self.addCleanup(e_stop.close)
         # A line on /rosout: it has nothing more to register when it wakes, which would end its successor.
         eventually(lambda: e_stop.publish(Bool(True)) or any(line.name == "/turn_arb" for line in log.since()),
                    "a line on /rosout")
