@@ -188,7 +188,8 @@ class ANode(unittest.TestCase):
         second.wait_for_info("NO_HUMAN")
         first.send(signal.SIGCONT)
         self.assertEqual(first.wait_for_exit(), 0)
-        # The ROS master ends the second as well if the first registers anything once more: a respawned one drives then.
+        eventually(lambda: pid_of("/turn_arb") == second.pid, "the node that took over, by its name")
+        self.assertTrue(second.runs())
 
     def test_of_two_that_start_at_the_same_moment_one_drives(self):
         for _ in range(3):
