@@ -16,8 +16,9 @@ import rosgraph
 import rospy
 import rostest
 import yaml
+from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Int32MultiArray
+from std_msgs.msg import Bool, Int32MultiArray
 
 from car_interface.teleop.gamepad import REARM_TEXT
 from virtual_car import PACKAGE, Chip
@@ -169,8 +170,14 @@ class ANode(unittest.TestCase):
         measured(attempt)
 
     def test_frozen_node_is_replaced_after_ten_seconds_and_ends_when_it_wakes(self):
+        log = Topic("/rosout", Log)
+        self.addCleanup(log.close)
         first = self.started()
-        first.wait_for_info("was never heard")  # it has nothing more to register, which would end its successor
+        e_stop = Sender("/e_stop", Bool)
+        self.addCleanup(e_stop.close)
+        # A line on /rosout: it has nothing more to register when it wakes, which would end its successor.
+        eventually(lambda: e_stop.publish(Bool(True)) or any(line.name == "/turn_arb" for line in log.since()),
+                   "a line on /rosout")
         first.send(signal.SIGSTOP)
         self.addCleanup(first.send, signal.SIGCONT)
         second = self.start()

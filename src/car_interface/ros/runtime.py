@@ -22,8 +22,10 @@ import sys
 import threading
 import time
 import traceback
+from contextlib import suppress
 
 import rospy
+from rospy.impl.paramserver import get_param_server_cache
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
@@ -35,6 +37,7 @@ from car_interface.ros.name_lookup import own_name, wait_for_name
 from car_interface.ros.refused_start import build_node
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ROSOUT_PARAMETER = "/rosout_disable_topics_generation"  # of rospy's log handler
 SHUT_DOWN_S = 2.0
 FLUSH_S = 0.5  # for the log lines of the shutdown
 SWITCH_INTERVAL_S = 0.0005  # how long one thread may delay the others; Python's default of 5 ms adds to the latency
@@ -48,6 +51,7 @@ def run(name: str, node_class) -> None:
     sys.stdout, sys.stderr = LogStream(sys.stdout), LogStream(sys.stderr)
     logging.raiseExceptions = False  # a full disk must not end the node
     _register(name)
+    _keep_rosout_parameter()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     logs = LogThreads()
     inbox = Inbox()
@@ -80,6 +84,16 @@ def _register(name):
             rospy.init_node(name, disable_signals=True)
         except rospy.ROSInitException:  # a node of the name on another computer has registered a little later
             sys.exit(0)
+
+
+def _keep_rosout_parameter():
+    """Have rospy know the parameter that it looks up for each log line.
+
+    While that isn't set, rospy subscribes to it with each line, which registers this node's name at the master once
+    more: a node that wakes after another one has replaced it would end that one by its first line.
+    """
+    with suppress(Exception):  # the master has gone; or another rospy: these are its internals
+        get_param_server_cache().set(ROSOUT_PARAMETER, rospy.get_param(ROSOUT_PARAMETER, False))
 
 
 def _on_end_signals(act):
