@@ -120,6 +120,27 @@ class ThrottleTest(unittest.TestCase):
         self.rig.inputs.hold(sender, message)
 
 
+class Limits(ThrottleTest):
+    def test_a_planner_s_car_that_is_too_fast_for_its_turn_slows_down_which_is_told_and_counted(self):
+        diagnostics = Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(diagnostics.close)
+        self.rig.present(speed=4.0)
+        self.hold(self.rig.steering, SteeringState(source=SteeringState.PLANNER, max_speed=2.0))
+        before = self.rig.states.since()[-1].cuts
+        self.rig.plan(1.0)
+        reason = "the turn that is asked for allows 2.00 m/s, it has 4.00: it brakes"
+        cut = self.rig.wait_for(lambda state: state.limit == "slowed for the turn" and state.granted < 0)
+        self.assertEqual((cut.limit_reason, cut.granted, cut.max_speed, cut.cuts, cut.esc),
+                         (reason, -0.5, 2.0, before + 1, "BRAKING"))
+        self.assertGreater(cut.asked, 0)
+        diagnostics.wait_for(lambda array: any(
+            "throttle_arb: throttle" in status.name and {value.key: value.value for value in status.values}.get(
+                "limit") == f"slowed for the turn: {reason}" for status in array.status))
+        self.hold(self.rig.steering, SteeringState(source=SteeringState.PLANNER))
+        free = self.rig.wait_for(lambda state: state.granted > 0)
+        self.assertEqual((free.limit, free.limit_reason, free.max_speed), ("", "", 0.0))
+
+
 class Commands(ThrottleTest):
     def test_rate_is_50_hz_with_the_original_layout_and_minus_one_elsewhere(self):
         self.rig.present(teleop=1.0)

@@ -15,8 +15,8 @@ Subscribes:
     teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the ESC's channel.
-    ~state (ThrottleState, latched): source, cause, request, the ESC's state, duty, ages; on every change and 10 times a
-        second.
+    ~state (ThrottleState, latched): source, cause, request, limits, the ESC's state, duty, ages; on every change and 10
+        times a second.
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the ESC's neutral, for the servo board's timeout value; −1
         elsewhere.
     /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
@@ -27,6 +27,9 @@ Parameters:
     ~teleop_timeout 0.5, ~mode_timeout 0.5, ~command_timeout 0.5 (the planner's value), ~odometry_timeout 0.5,
         ~steering_timeout 0.25, ~human_timeout 0.5 (s, 0 = never): an older input is stale.
     ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's.
+    ~planner/max_speed, ~planner/max_acceleration, ~planner/max_braking, ~human/… 0 (m/s, m/s², 0 = none): limits of
+        what each asks for, at the measured speed.  ~slow_down true: a planner's car that is too fast for the turn that
+        is asked for slows down.  ~csv_path_value_map, ~allow_plateaus false: the value map, for the accelerations.
     ~live_range 100 (duty): the largest change of servo/neutral while it runs.  ~save_to: the file to save it to.
 Services: see ``ros.reconfigure``; set_parameters is below ~servo.
 """
@@ -76,7 +79,7 @@ class ThrottleArb:
     def __init__(self, params, inbox):
         config = read_config(params)
         now_ns = time.monotonic_ns()
-        self._control = ThrottleControl(config.calibration, config.arbiter, config.esc)
+        self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits)
         self._arbiter = self._control.arbiter
         self._channel = config.calibration.channel
         self._inbox = inbox
@@ -175,6 +178,7 @@ class ThrottleArb:
 
     def _on_steering(self, message, now_ns):
         self._arbiter.update_steering(message.source, message.reason, now_ns)
+        self._control.update_turn(message.max_speed)
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
@@ -253,6 +257,16 @@ class ThrottleArb:
         elif esc.cause == causes.BRAKE_UNCERTAIN != before_cause:
             self._warnings.warn(esc.cause, f"no brake: {esc.reason}")
 
+        self._log_limit(before, decision.limited)
+
+    def _log_limit(self, before, limited):
+        if not limited.cause or before is not None and before.limited.cause == limited.cause:
+            return
+        if limited.is_cut:
+            self._warnings.warn(limited.cause, limited.reason)
+        else:
+            rospy.loginfo("%s", limited.reason)
+
     def _publish_state(self, decision):
         arbitration, esc = decision.arbitration, decision.esc
         ages_s = self._control.ages_s(self._now_ns)
@@ -260,6 +274,8 @@ class ThrottleArb:
             stamp=rospy.Time.now(), source=arbitration.source, cause=arbitration.cause, reason=arbitration.reason,
             mode=decision.mode, human_scale=decision.scale, asked=arbitration.asked, granted=esc.fraction,
             esc=esc.state_name, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.profile,
+            limit=decision.limited.cause, limit_reason=decision.limited.reason,
+            max_speed=decision.limited.max_speed_mps, cuts=self._control.cuts,
             duty=decision.duty, speed=self._arbiter.speed_mps(self._now_ns), **{AGES[name]: age_s
                                                                                 for name, age_s in ages_s.items()}))
 
@@ -275,6 +291,9 @@ class ThrottleArb:
         status.add("cause of the ESC's state", esc.cause)
         status.add("duty", decision.duty)
         status.add("asked, granted", f"{arbitration.asked:.3f}, {esc.fraction:.3f}")
+        limited = decision.limited
+        status.add("limit", f"{limited.cause}: {limited.reason}" if limited.cause else "none is reached")
+        status.add("requests cut by a limit", self._control.cuts)
         status.add("mode", decision.mode or "never heard")
         status.add("scale of driving by hand", f"{decision.scale:g}")
         status.add("profile of the ESC", self._control.profile)

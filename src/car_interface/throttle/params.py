@@ -8,6 +8,7 @@ from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration, read_calibration
 from car_interface.throttle.esc_config import EscConfig, read_esc
+from car_interface.throttle.limits import ThrottleLimits, read_limits
 from car_interface.throttle.stick import read_stick
 
 LIVE_RANGE = 100  # duty, by default: 6 % of an ESC's range to each side
@@ -21,12 +22,14 @@ class ThrottleConfig:
         calibration: the ESC's channel and duties.
         arbiter: the rules of who drives.
         esc: the ESC's kind and times.
+        limits: of speed and accelerations.
         tuning: how far neutral may be tuned while the car drives, and where it is saved.
     """
 
     calibration: ThrottleCalibration
     arbiter: ArbiterConfig
     esc: EscConfig
+    limits: ThrottleLimits
     tuning: TuningSettings
 
 
@@ -37,7 +40,7 @@ def read_config(params) -> ThrottleConfig:
         ConfigError: naming the parameter.
     """
     config = ThrottleConfig(tuning=read_tuning(params, LIVE_RANGE), calibration=read_calibration(params),
-                            arbiter=read_arbiter(params), esc=read_esc(params))
+                            arbiter=read_arbiter(params), esc=read_esc(params), limits=read_limits(params))
     params.finish()
     return config
 
