@@ -58,6 +58,7 @@ LATERAL_LIMITED = "lateral acceleration"  # the turn is widened
 JERK_LIMITED = "lateral jerk"  # it turns in more slowly
 SPEED_LIMITED = "max speed"
 CURVE_SLOWED = "slowed for the turn"  # it is too fast for the turn that is asked for
+SPEED_LATE = "odometry late"  # no push until its next report
 ACCELERATION_LIMITED = "max acceleration"
 BRAKING_LIMITED = "max braking"
 OBSTACLE_SLOWED = "obstacle"  # by a sonar ahead, or behind while it reverses
@@ -89,8 +90,8 @@ NODE_STOOD_STILL = "node stood still"  # for so long that its guard acted
 FOREIGN_WRITE = "foreign write"  # another program wrote to the board
 
 STEERING_CUTS = frozenset({LATERAL_LIMITED, JERK_LIMITED})
-THROTTLE_CUTS = frozenset({SPEED_LIMITED, CURVE_SLOWED, ACCELERATION_LIMITED, BRAKING_LIMITED, OBSTACLE_SLOWED,
-                           SONAR_SILENT})
+THROTTLE_CUTS = frozenset({SPEED_LIMITED, CURVE_SLOWED, SPEED_LATE, ACCELERATION_LIMITED, BRAKING_LIMITED,
+                           OBSTACLE_SLOWED, SONAR_SILENT})
 
 # The gamepad has to be set right: to let go and hold again doesn't help.
 JOY_UNUSABLE = frozenset({JOY_INCOMPLETE, JOY_NOT_FINITE})

@@ -11,6 +11,16 @@ WINDOW_NS = 100_000_000  # over which an acceleration is measured: five reports 
 MAX_ACCELERATION_MPS2 = 10.0  # no tyre does more
 ACTUATION_S = 0.06  # from a decision to the servo's turn: a pulse of 20 ms, and a servo that turns by a tenth
 MAX_AHEAD_S = 0.2
+# Between two reports a car may gain speed unseen: 6 m/s² is a Slash's full throttle. Reports that are late by more than
+# this count as missing: nobody should push the car on until the next.
+UNSEEN_MPS2 = 6.0
+LATE_S, LATE_PERIODS = 0.1, 2.0
+UNSEEN_AFTER_S = 0.02  # reports come as unevenly
+MAX_PERIOD_S = 0.2  # of a standing car's odometry
+# Locked wheels read 0 while the car slides. No tyre slows a car by more than this; a reading that falls by more, and by
+# more than noise, is of sliding wheels. A slide on dust still slows it by 3 m/s².
+MAX_DECELERATION_MPS2, SLIDE_MPS2 = 10.0, 3.0
+NOISE_MPS, NOISE_RATIO = 0.1, 0.06
 
 
 class MeasuredSpeed:
@@ -24,6 +34,8 @@ class MeasuredSpeed:
         self._speed = TimedInput("odom", timeout_s)
         self._anchor_ns, self._anchor_mps = None, 0.0  # where the acceleration is measured from
         self._gain_mps2 = 0.0  # by which its magnitude rises
+        self._period_s = MAX_PERIOD_S  # of the reports, the mean of some
+        self._magnitude_mps, self._updated_ns = 0.0, 0  # of the car, also while its wheels slide
 
     @property
     def was_received(self) -> bool:
@@ -42,6 +54,18 @@ class MeasuredSpeed:
             self._gain_mps2 = max(0.0, min(MAX_ACCELERATION_MPS2, gain_mps2))
             self._anchor_ns, self._anchor_mps = now_ns, speed_mps
         self._speed.update(speed_mps, now_ns)
+        elapsed_s = (now_ns - self._updated_ns) / NS_PER_S
+        self._magnitude_mps = self._believed_mps(abs(speed_mps), elapsed_s)
+        self._period_s += (min(elapsed_s, MAX_PERIOD_S) - self._period_s) / 8
+        self._updated_ns = now_ns
+
+    def _believed_mps(self, measured_mps, elapsed_s):
+        """The car's speed by that of its wheels."""
+        before_mps = self._magnitude_mps
+        fallen_mps = before_mps - measured_mps - NOISE_MPS - NOISE_RATIO * before_mps
+        if fallen_mps <= MAX_DECELERATION_MPS2 * elapsed_s:
+            return measured_mps
+        return max(measured_mps, before_mps - SLIDE_MPS2 * elapsed_s)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here."""
@@ -50,6 +74,14 @@ class MeasuredSpeed:
     def is_lost(self, now_ns: int) -> bool:
         """Whether there was one and it is stale; also if there never was."""
         return self._speed.is_stale(now_ns)
+
+    @property
+    def _late_s(self):
+        return LATE_S + LATE_PERIODS * self._period_s
+
+    def is_late(self, now_ns: int) -> bool:
+        """Whether reports are missing that should have come; before the speed is lost."""
+        return self._speed.age_s(now_ns) > self._late_s
 
     def lost_reason(self, now_ns: int) -> str:
         """Why it is lost, in words."""
@@ -64,10 +96,17 @@ class MeasuredSpeed:
         """The newest speed; NaN: none was ever received."""
         return self._speed.value if self._speed.was_received else math.nan
 
-    def highest_mps(self, now_ns: int) -> float:
-        """The magnitude that it may have when a command of now takes effect: it rises as it did. The last one if lost.
+    @property
+    def magnitude_mps(self) -> float:
+        """The car's newest speed without its sign, also while its wheels are locked; 0: none was ever received."""
+        return self._magnitude_mps
 
-        Only to be asked for once there was one.
+    def highest_mps(self, now_ns: int) -> float:
+        """The magnitude that it may have when a command of now takes effect; when it is lost this stays.
+
+        It rises as it did, and while reports are missing as by full throttle. Only to be asked for once there was one.
         """
-        ahead_s = min(MAX_AHEAD_S, self._speed.age_s(now_ns) + ACTUATION_S)
-        return abs(self._speed.value) + self._gain_mps2 * ahead_s
+        age_s = self._speed.age_s(now_ns)
+        unseen_s = min(age_s, self._late_s) - self._period_s - UNSEEN_AFTER_S
+        return (self._magnitude_mps + self._gain_mps2 * min(MAX_AHEAD_S, age_s + ACTUATION_S)
+                + (UNSEEN_MPS2 * unseen_s if unseen_s > 0 else 0.0))

@@ -69,7 +69,7 @@ class Decision(NamedTuple):
     limit: str = ""  # the cause for which something else is granted than was asked for, or limits.LIMITS_OFF
     limit_reason: str = ""
     asked_radius_m: float = 0.0  # right negative, inf: straight on; 0 = nobody asks, or nothing limits who does
-    max_speed_mps: float = 0.0  # up to which that keeps within the limit; 0 = no limit
+    max_speed_mps: float = 0.0  # up to which that keeps within the limit; inf: straight on; 0 = no limit
 
     def differs_from(self, other: Decision | None) -> bool:
         """Whether source, duty, cause or limit differ; ages and the numbers in the reasons always do."""

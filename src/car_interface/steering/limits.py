@@ -76,7 +76,7 @@ class Turn(NamedTuple):
     curvature_per_m: float  # the one that was asked for, bit for bit, where nothing limits it
     cause: str = ""  # one of car_interface.common.causes; empty: nothing limits it
     reason: str = ""
-    max_speed_mps: float = 0.0  # up to which what was asked for keeps within the limit; 0 = no limit
+    max_speed_mps: float = 0.0  # up to which what was asked for keeps within the limit; inf: straight on; 0 = no limit
 
     @property
     def is_cut(self) -> bool:
@@ -120,8 +120,10 @@ class SteeringLimiter:
     def _bounded(self, curvature_per_m, limits, now_ns):
         """The turn by the limit of the lateral acceleration."""
         limit_mps2, magnitude = limits.max_lateral_mps2, abs(curvature_per_m)
-        if not limit_mps2 or not magnitude:
+        if not limit_mps2:
             return Turn(curvature_per_m)
+        if not magnitude:
+            return Turn(curvature_per_m, max_speed_mps=math.inf)
         speed_mps = self.speed.highest_mps(now_ns)
         max_speed_mps = math.sqrt(limit_mps2 / magnitude)
         if speed_mps <= max_speed_mps:

@@ -78,7 +78,8 @@ class ThrottleControl:
         self._esc.update_speed(speed_mps, now_ns)
 
     def update_turn(self, max_speed_mps: float) -> None:
-        """Up to which speed the turn that is asked for keeps within turn_arb's limit; 0 = no limit."""
+        """Up to which speed the turn that is asked for keeps within turn_arb's limit; inf: straight on; 0 = no
+        limit."""
         self._turn_max_mps = max_speed_mps if max_speed_mps > 0 else 0.0  # also for NaN
 
     @property

@@ -9,6 +9,7 @@ A stop is never limited, nor is neutral.
 """
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Callable, NamedTuple, Sequence
 
@@ -132,7 +133,7 @@ class ThrottleLimiter:
         Args:
             arbitration: who drives, with what request.
             is_reverse: the ESC is in reverse.
-            turn_max_mps: up to which the turn that is asked for is allowed; 0 = no limit.
+            turn_max_mps: up to which the turn that is asked for is allowed; inf: straight on; 0 = no limit.
             now_ns: the time.
             bounds: other speeds that it may have, in the direction in which it drives.
         """
@@ -150,15 +151,18 @@ class ThrottleLimiter:
         bounds = list(bounds)
         if limits.max_speed_mps:
             bounds.append(SpeedBound(limits.max_speed_mps, causes.SPEED_LIMITED, "max_speed"))
-        if turn_max_mps and self.limits.slow_down and source == PLANNER:
+        slows_down = turn_max_mps and self.limits.slow_down and source == PLANNER
+        if slows_down and turn_max_mps < math.inf:
             bounds.append(SpeedBound(turn_max_mps, causes.CURVE_SLOWED, "the turn that is asked for allows"))
-        if not bounds and not (limits.max_acceleration_mps2 or limits.max_braking_mps2):
+        if not (bounds or slows_down or limits.max_acceleration_mps2 or limits.max_braking_mps2):
             return Limited(arbitration)
         if not self.speed.was_received:
             return Limited(arbitration, causes.LIMITS_OFF, "odom was never heard: nothing limits the throttle")
         limited = Limited(arbitration)
         if bounds:
             limited = self._by_speed(arbitration, min(bounds), is_reverse)
+        if (bounds or slows_down) and source == PLANNER and self.speed.is_late(now_ns):
+            limited = self._without_speed(limited, now_ns)
         return self._by_map(limited, limits, is_reverse)
 
     def _by_speed(self, arbitration, bound, is_reverse):
@@ -166,8 +170,8 @@ class ThrottleLimiter:
         speed_mps, max_mps = self.speed.last_mps, bound.speed_mps
         limited = Limited(arbitration, max_speed_mps=max_mps)
         backward = speed_mps <= BACKWARD_MPS
-        room = max(0.0, (max_mps - abs(speed_mps)) / BAND_MPS)
-        over_mps = abs(speed_mps) - max_mps
+        over_mps = self.speed.magnitude_mps - max_mps
+        room = max(0.0, -over_mps / BAND_MPS)
         drives_on = arbitration.drive > 0 and not backward or arbitration.drive < 0 and (is_reverse or backward)
         if over_mps > OVER_MPS and not backward and arbitration.source == PLANNER and not is_reverse:
             brake = -min(MAX_BRAKE, max(MIN_BRAKE, over_mps * BRAKE_PER_MPS))
@@ -181,8 +185,16 @@ class ThrottleLimiter:
             return limited._replace(arbitration=arbitration._replace(drive=drive), cause=bound.cause, reason=reason)
         return limited
 
+    def _without_speed(self, limited, now_ns):
+        """No push while reports of the speed are missing."""
+        arbitration = limited.arbitration
+        if arbitration.drive <= 0:
+            return limited
+        return limited._replace(arbitration=arbitration._replace(drive=0.0), cause=causes.SPEED_LATE,
+                                reason=f"{self.speed.lost_reason(now_ns)}: no throttle until its next report")
+
     def _words(self, bound):
-        return f"{bound.words} {bound.speed_mps:.2f} m/s, it has {abs(self.speed.last_mps):.2f}"
+        return f"{bound.words} {bound.speed_mps:.2f} m/s, it has {self.speed.magnitude_mps:.2f}"
 
     def _by_map(self, limited, limits, is_reverse):
         """The request by limits of accelerations."""

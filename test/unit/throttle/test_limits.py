@@ -1,4 +1,5 @@
 """How fast a car may get, how quickly, and how hard it may brake."""
+import math
 import time
 
 import pytest
@@ -143,6 +144,16 @@ def test_without_any_odometry_nothing_is_limited_and_that_is_told():
 def test_when_odometry_is_lost_the_human_is_held_by_the_last_speed():
     limiter = limiter_at(2.75, human=TO_3)
     assert limiter.limit(asked(1.0, TELEOP), False, 0.0, 3600 * S).arbitration.drive == pytest.approx(0.5)
+
+
+def test_a_planner_s_throttle_waits_while_reports_of_the_speed_are_missing():
+    limiter = limiter_at(1.0)
+    assert not limiter.limit(asked(0.5), False, math.inf, S // 10).is_cut
+    late = limiter.limit(asked(0.5), False, math.inf, 6 * S // 10)
+    assert late.arbitration.drive == 0.0
+    assert (late.cause, late.reason) == (causes.SPEED_LATE, "odom silent for 0.60 s: no throttle until its next report")
+    assert not limiter.limit(asked(-0.5), False, math.inf, 6 * S // 10).is_cut
+    assert not limiter.limit(asked(0.5), False, 0.0, 6 * S // 10).is_cut
 
 
 def test_cuts_are_counted_when_they_begin():
