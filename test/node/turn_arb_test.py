@@ -457,7 +457,7 @@ class TurnArbWithASpeed(unittest.TestCase):
         self.assertEqual((cut.limit, cut.limit_reason), ("lateral acceleration", reason))
         self.assertEqual((cut.source, cut.cause, cut.asked_radius, cut.max_speed, cut.speed, cut.cuts),
                          (SteeringState.PLANNER, "planner", 1.0, 2.0, 4.0, 1))
-        self.process.wait_for_line("WARN.*" + re.escape(reason))
+        self.process.wait_for_info(re.escape(reason))
         values = diagnostics.wait_for(lambda array: any(
             "limited/turn_arb: steering" in status.name and {value.key: value.value for value in status.values}.get(
                 "limit") == f"lateral acceleration: {reason}" for status in array.status))

@@ -84,6 +84,7 @@ class ThrottleArb:
         self._channel = config.calibration.channel
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
+        self._notices = ThrottledWarnings(rospy.loginfo)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._now_ns = now_ns  # of the newest decision
@@ -263,7 +264,7 @@ class ThrottleArb:
         if not limited.cause or before is not None and before.limited.cause == limited.cause:
             return
         if limited.is_cut:
-            self._warnings.warn(limited.cause, limited.reason)
+            self._notices.warn(limited.cause, limited.reason)
         else:
             rospy.loginfo("%s", limited.reason)
 

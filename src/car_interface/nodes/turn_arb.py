@@ -104,6 +104,7 @@ class TurnArb:
         self._channel = config.calibration.servo_channel
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
+        self._notices = ThrottledWarnings(rospy.loginfo)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = None
@@ -229,7 +230,7 @@ class TurnArb:
         if decision.limit == causes.LIMITS_OFF:
             rospy.loginfo("%s", decision.limit_reason)
         else:
-            self._warnings.warn(decision.limit, decision.limit_reason)
+            self._notices.warn(decision.limit, decision.limit_reason)
 
     def _log_due(self, now_ns):
         while self._unlogged and now_ns >= self._unlogged[0][0]:

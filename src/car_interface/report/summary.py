@@ -11,6 +11,7 @@ from car_interface.report.coverage import Coverage
 from car_interface.report.downsample import Trace
 from car_interface.report.faults import WARN, FaultLog, NodeReports
 from car_interface.report.gamepad import GamepadWatch
+from car_interface.report.limits_state import LimitsWatch
 from car_interface.report.motion import MotionWatch
 from car_interface.report.sonars import SonarWatch
 from car_interface.report.steering_state import SteeringWatch
@@ -52,7 +53,7 @@ class Summary:
         topics: what it has: a recordings.recording.Topic by name.
         present: those of TYPES that were recorded.
         traces: a Trace for each of TRACES.
-        gamepad, steering, throttle, motion, sonars, teensy: see their classes.
+        gamepad, steering, throttle, limits, motion, sonars, teensy: see their classes.
         faults: what went wrong.
         coverage: which questions the recording can't answer.
     """
@@ -67,6 +68,7 @@ class Summary:
     gamepad: GamepadWatch
     steering: SteeringWatch
     throttle: ThrottleWatch
+    limits: LimitsWatch
     motion: MotionWatch
     sonars: SonarWatch
     teensy: TeensyWatch
@@ -108,6 +110,7 @@ def summarize(path: str, namespace: str = "/", odom: str = "odom", progress: boo
         summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
     summary.steering.finish()
     summary.throttle.finish()
+    summary.limits.finish()
     summary.gamepad.finish()
     summary.motion.finish()
     summary.faults.finish()
@@ -122,7 +125,7 @@ def _empty(path, namespace, has, present):
     steering = SteeringWatch(traces, faults, duration_s, gamepad)
     moves = MotionWatch(traces, faults, steering, has.start_ns)
     return Summary(path, namespace, has.start_ns, duration_s, has.topics, present, traces, gamepad, steering,
-                   ThrottleWatch(traces, faults, duration_s), moves, SonarWatch(moves, has.start_ns),
+                   ThrottleWatch(traces, faults, duration_s), LimitsWatch(), moves, SonarWatch(moves, has.start_ns),
                    TeensyWatch(traces, faults), faults, Coverage(namespace, duration_s))
 
 
@@ -132,8 +135,8 @@ def _handlers(summary):
     log_type = next((topic.type for name, topic in summary.topics.items() if name.lstrip("/") == "rosout"), "")
     nodes = NodeReports(summary.faults, summary.present, log_type)
     return {
-        "turn_arb/state": steering.on_state,
-        "throttle_arb/state": summary.throttle.on_state,
+        "turn_arb/state": _both(steering.on_state, partial(summary.limits.on_state, node="turn_arb")),
+        "throttle_arb/state": _both(summary.throttle.on_state, partial(summary.limits.on_state, node="throttle_arb")),
         "teleop_logi/state": summary.gamepad.on_state,
         "/servo/output": steering.on_output,
         "av_turnrad_req": steering.on_planner,
@@ -150,6 +153,14 @@ def _handlers(summary):
         "/diagnostics": nodes.on_diagnostics,
         "/rosout": nodes.on_log,
     }
+
+
+def _both(first, second):
+    """A handler that calls two."""
+    def handle(time_s, message):
+        first(time_s, message)
+        second(time_s, message)
+    return handle
 
 
 def _elsewhere(topics, namespace):
