@@ -1,6 +1,6 @@
 """Random planners on random cars, through the arbiters and their limits: does the car tip over?
 
-``python3 test/planner_drives.py 1000`` runs so many planners, each on 20 cars, on all cores;
+``python3 test/planner_drives.py 1000`` runs so many planners, each on one of 20 cars, on all cores;
 test_planner_drives.py runs a sample. Each drive has a seed, and the seed is all that it depends on:
 ``python3 test/planner_drives.py --seed 17`` shows one.
 
@@ -174,7 +174,7 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
         if now_ns % STEER_NS == 0:
             decision = steer.decide(now_ns)
             throttle.arbiter.update_steering(decision.source, decision.reason, now_ns)
-            throttle.update_turn(decision.max_speed_mps)
+            throttle.update_turn(steer.turn_radius_m(decision.duty), decision.max_speed_mps)
             changed = duties[0] != decision.duty
             duties[0] = decision.duty
         if now_ns % DRIVE_NS == 0:
@@ -194,9 +194,9 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
                   steer.cuts, throttle.cuts)
 
 
-def run_planner(seed: int) -> list:
-    """One planner on all cars."""
-    return [run(seed, number) for number in range(CARS)]
+def run_planner(seed: int) -> Result:
+    """One planner on its car."""
+    return run(seed, seed % CARS)
 
 
 def main() -> None:
@@ -205,10 +205,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, help="show one")
     options = parser.parse_args()
     if options.seed is not None:
-        print(*run_planner(options.seed), sep="\n")
+        print(run_planner(options.seed))
         return
     with multiprocessing.Pool(os.cpu_count()) as pool:
-        results = [result for drives in pool.imap_unordered(run_planner, range(options.planners)) for result in drives]
+        results = pool.map(run_planner, range(options.planners), chunksize=10)
     tipped = [result for result in results if result.rollovers]
     print(*tipped[:20], sep="\n")
     worst = max(results, key=lambda result: result.max_lateral_mps2 / result.rollover_mps2)

@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dynamic_reconfigure.client import Client
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import Range
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -139,6 +140,36 @@ class Limits(ThrottleTest):
         self.hold(self.rig.steering, SteeringState(source=SteeringState.PLANNER))
         free = self.rig.wait_for(lambda state: state.granted > 0)
         self.assertEqual((free.limit, free.limit_reason, free.max_speed), ("", "", 0.0))
+
+
+class Obstacles(unittest.TestCase):
+    def test_what_a_sonar_ahead_sees_stops_the_car_and_a_silent_one_too(self):
+        set_params(self, "/walls/throttle_arb", {**config("throttle.yaml"), "obstacle_stop": True,
+                                                 "grant_at_start": True, "sonar_hub": config("sonars.yaml")})
+        start_node(self, "throttle_arb", "__ns:=/walls", "/servo/cmdVector:=servo/cmdVector", "/e_stop:=e_stop",
+                   "/servo/output:=servo/output", "/teleop_logi/human_in_loop:=teleop_logi/human_in_loop",
+                   "/teleop_logi/tele_throt_req:=teleop_logi/tele_throt_req", "/teleop_logi/mode:=teleop_logi/mode",
+                   "/teleop_logi/scale_button:=teleop_logi/scale_button", "~input/value:=generic/output/value",
+                   "~input/odometry:=odom")
+        rig = Rig(self, "/walls/")
+        rig.present(speed=0.0)
+        rig.inputs.hold(rig.steering, SteeringState(source=SteeringState.PLANNER, turn_radius=math.inf))
+        rig.plan(1.0)
+        silent = rig.wait_for(lambda state: state.limit == "sonar silent")
+        self.assertRegex(silent.limit_reason, r"^(front_\w+) was never heard, and the car doesn't drive blind: "
+                                              r"0.00 m/s, it has 0.00: 0.00 instead of 0.33$")
+        self.assertEqual(silent.granted, 0)
+        sonars = {name: Sender(f"/walls/sonar/{name}", Range) for name in config("sonars.yaml")["sonars"]}
+        for sender in sonars.values():
+            rig.inputs.hold(sender, Range(range=math.inf))
+        free = rig.wait_for(lambda state: state.granted > 0)
+        self.assertEqual(free.limit, "")
+        rig.inputs.hold(rig.odometry, odometry(1.5))
+        rig.inputs.hold(sonars["front_middle"], Range(range=0.5))
+        stopped = rig.wait_for(lambda state: state.limit == "obstacle" and "sees 0.50" in state.limit_reason)
+        self.assertRegex(stopped.limit_reason, r"front_middle sees 0.50 m, which allows 0\.\d\d m/s, it has 1.50: "
+                                               r"it stops")
+        self.assertLessEqual(stopped.granted, 0)
 
 
 class Commands(ThrottleTest):

@@ -12,6 +12,7 @@ Subscribes:
     generic_value_converter/state (ConverterState): why there is no value.
     turn_arb/state (SteeringState): steering and throttle stop together.
     /servo/output (std_msgs/Int32MultiArray): what the servo board holds.
+    sonar/front_right … sonar/rear_left (sensor_msgs/Range): only with ~obstacle_stop.
     teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the ESC's channel.
@@ -30,6 +31,8 @@ Parameters:
     ~planner/max_speed, ~planner/max_acceleration, ~planner/max_braking, ~human/… 0 (m/s, m/s², 0 = none): limits of
         what each asks for, at the measured speed.  ~slow_down true: a planner's car that is too fast for the turn that
         is asked for slows down.  ~csv_path_value_map, ~allow_plateaus false: the value map, for the accelerations.
+    ~obstacle_stop false: true = it slows and stops for what the sonars see on its arc; then ~obstacle/… and, below
+        ~sonar_hub, the sensor hub's sonars.yaml: see ``throttle.obstacle_stop``.
     ~live_range 100 (duty): the largest change of servo/neutral while it runs.  ~save_to: the file to save it to.
 Services: see ``ros.reconfigure``; set_parameters is below ~servo.
 """
@@ -37,9 +40,11 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 
 import rospy
 from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Range
 from std_msgs.msg import Float32, Int8, Int32MultiArray, String
 
 from car_interface.cfg import EscNeutralConfig
@@ -79,7 +84,8 @@ class ThrottleArb:
     def __init__(self, params, inbox):
         config = read_config(params)
         now_ns = time.monotonic_ns()
-        self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits)
+        self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits,
+                                        config.obstacles)
         self._arbiter = self._control.arbiter
         self._channel = config.calibration.channel
         self._inbox = inbox
@@ -100,6 +106,8 @@ class ThrottleArb:
                                         now_ns)
         inbox.on_overflow(self._on_overflow)
         self._subscribe()
+        for sonar in config.obstacles.mounts if config.obstacles else ():
+            subscribe(f"sonar/{sonar}", Range, inbox, self._deciding(partial(self._on_range, sonar)))
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now)
 
@@ -179,7 +187,10 @@ class ThrottleArb:
 
     def _on_steering(self, message, now_ns):
         self._arbiter.update_steering(message.source, message.reason, now_ns)
-        self._control.update_turn(message.max_speed)
+        self._control.update_turn(message.turn_radius, message.max_speed)
+
+    def _on_range(self, sonar, message, now_ns):
+        self._control.update_range(sonar, message.range, now_ns)
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)

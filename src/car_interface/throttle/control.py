@@ -11,6 +11,8 @@ from car_interface.throttle.esc import FORWARD, REVERSE, Esc, EscDecision
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_intention import Request
 from car_interface.throttle.limits import Limited, ThrottleLimiter, ThrottleLimits
+from car_interface.throttle.obstacle_guard import NONE, ObstacleGuard
+from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop
 
 DRIVES = (FORWARD, REVERSE)
 
@@ -50,12 +52,13 @@ class ThrottleControl:
     """
 
     def __init__(self, calibration: ThrottleCalibration, arbiter: ArbiterConfig, esc: EscConfig,
-                 limits: ThrottleLimits | None = None):
+                 limits: ThrottleLimits | None = None, obstacles: ObstacleConfig | None = None):
         self.arbiter = ThrottleArbiter(arbiter)
         self._duties = DutyMap(calibration)
         self._esc = Esc(esc)
         self._limiter = ThrottleLimiter(limits or ThrottleLimits(), self._request_of_value)
-        self._turn_max_mps = 0.0
+        self._guard = None if obstacles is None else ObstacleGuard(ObstacleStop(obstacles), esc)
+        self._turn_max_mps = self._curvature_per_m = 0.0
         self._output = TimedInput("/servo/output", 0.0)
 
     @property
@@ -77,10 +80,17 @@ class ThrottleControl:
         self._limiter.speed.update(speed_mps, now_ns)
         self._esc.update_speed(speed_mps, now_ns)
 
-    def update_turn(self, max_speed_mps: float) -> None:
-        """Up to which speed the turn that is asked for keeps within turn_arb's limit; inf: straight on; 0 = no
-        limit."""
-        self._turn_max_mps = max_speed_mps if max_speed_mps > 0 else 0.0  # also for NaN
+    def update_turn(self, radius_m: float, max_speed_mps: float) -> None:
+        """The turn that turn_arb steers, in m, left positive, inf: straight on; and up to which speed what is asked for
+        keeps within its limit; inf: straight on; 0 = no limit.
+        """
+        self._curvature_per_m = 1.0 / radius_m if abs(radius_m) > 0 else 0.0  # also for NaN
+        self._turn_max_mps = max_speed_mps if max_speed_mps > 0 else 0.0
+
+    def update_range(self, sonar: str, range_m: float, now_ns: int) -> None:
+        """A sonar's range, by its name as in ``obstacle_stop.NAMES``."""
+        if self._guard is not None:
+            self._guard.sonars.update_range(sonar, range_m, now_ns)
 
     @property
     def cuts(self) -> int:
@@ -100,6 +110,8 @@ class ThrottleControl:
         """Messages were dropped before they got here: all inputs are stale."""
         self.arbiter.mark_stale(now_ns)
         self._limiter.speed.mark_stale()
+        if self._guard is not None:
+            self._guard.sonars.mark_stale()
         self._output.mark_stale()
         self._esc.mark_stale()
 
@@ -110,8 +122,13 @@ class ThrottleControl:
     def decide(self, now_ns: int) -> ThrottleDecision:
         """What the ESC gets from ``now_ns`` on, and why. It depends on the calls before: call it at 20 Hz at least."""
         arbitration = self.arbiter.decide(now_ns)
-        limited = self._limiter.limit(arbitration, self._esc.state == REVERSE, self._turn_max_mps, now_ns)
+        obstacle = NONE if self._guard is None else self._guard.check(
+            arbitration, self._limiter.speed, self._curvature_per_m, now_ns)
+        limited = self._limiter.limit(arbitration, self._esc.state == REVERSE, self._turn_max_mps, now_ns,
+                                      obstacle.bounds, obstacle.stop)
         esc = self._step(limited.arbitration, now_ns)
+        if self._guard is not None:
+            self._guard.update_esc(esc, now_ns)
         return ThrottleDecision(self._duties.duty(esc.fraction), arbitration, esc, self.arbiter.mode,
                                 self.arbiter.scale, limited)
 

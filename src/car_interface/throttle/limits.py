@@ -127,7 +127,7 @@ class ThrottleLimiter:
         self._request_of_value = request_of_value
 
     def limit(self, arbitration: Arbitration, is_reverse: bool, turn_max_mps: float, now_ns: int,
-              bounds: Sequence[SpeedBound] = ()) -> Limited:
+              bounds: Sequence[SpeedBound] = (), stop: SpeedBound | None = None) -> Limited:
         """What an arbitration is granted.
 
         Args:
@@ -136,8 +136,13 @@ class ThrottleLimiter:
             turn_max_mps: up to which the turn that is asked for is allowed; inf: straight on; 0 = no limit.
             now_ns: the time.
             bounds: other speeds that it may have, in the direction in which it drives.
+            stop: one that it exceeds, for which it has to stop.
         """
-        limited = self._limit(arbitration, is_reverse, turn_max_mps, now_ns, bounds)
+        if stop is not None and arbitration.source in (TELEOP, PLANNER) and not arbitration.is_stop:
+            stopped = arbitration._replace(drive=0.0, brake=0.0, is_stop=True)
+            limited = Limited(stopped, stop.cause, f"{self._words(stop)}: it stops", stop.speed_mps)
+        else:
+            limited = self._limit(arbitration, is_reverse, turn_max_mps, now_ns, bounds)
         if limited.is_cut and not self._is_cut:
             self.cuts += 1
         self._is_cut = limited.is_cut

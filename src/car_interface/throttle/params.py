@@ -9,6 +9,7 @@ from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration, read_calibration
 from car_interface.throttle.esc_config import EscConfig, read_esc
 from car_interface.throttle.limits import ThrottleLimits, read_limits
+from car_interface.throttle.obstacle_stop import HUB, ObstacleConfig, read_obstacle_stop
 from car_interface.throttle.stick import read_stick
 
 LIVE_RANGE = 100  # duty, by default: 6 % of an ESC's range to each side
@@ -23,6 +24,7 @@ class ThrottleConfig:
         arbiter: the rules of who drives.
         esc: the ESC's kind and times.
         limits: of speed and accelerations.
+        obstacles: the sonars that it stops for; ``None`` = for none.
         tuning: how far neutral may be tuned while the car drives, and where it is saved.
     """
 
@@ -30,6 +32,7 @@ class ThrottleConfig:
     arbiter: ArbiterConfig
     esc: EscConfig
     limits: ThrottleLimits
+    obstacles: ObstacleConfig | None
     tuning: TuningSettings
 
 
@@ -40,8 +43,9 @@ def read_config(params) -> ThrottleConfig:
         ConfigError: naming the parameter.
     """
     config = ThrottleConfig(tuning=read_tuning(params, LIVE_RANGE), calibration=read_calibration(params),
-                            arbiter=read_arbiter(params), esc=read_esc(params), limits=read_limits(params))
-    params.finish()
+                            arbiter=read_arbiter(params), esc=read_esc(params), limits=read_limits(params),
+                            obstacles=read_obstacle_stop(params))
+    params.finish(ignored_namespaces=(HUB.rstrip("/"),))
     return config
 
 
