@@ -145,24 +145,28 @@ def run(seed: int, stops: bool = True) -> Result:
             chip.append((now_ns + round(rng.uniform(1, 22)) * MS, steering_duty, duty))
         while len(chip) > 1 and chip[1][0] <= now_ns:
             chip.popleft()
-        history.append((now_ns, vehicle.pose, vehicle.curvature_per_m))
+        history.append((now_ns, vehicle.pose, vehicle.curvature_per_m, vehicle.speed_mps))
         before_mps = vehicle.speed_mps
         vehicle.step(STEP_NS, *chip[0][1:])
         fastest = max(fastest, vehicle.speed_mps)
         if collisions.count:
-            return Result(seed, abs(before_mps), _was_seen(world, history, before_mps, profile), profile,
-                          vehicle.travel_m, fastest, throttle.cuts)
+            was_seen = _was_seen(world, history, profile)
+            return Result(seed, abs(before_mps), was_seen, profile, vehicle.travel_m, fastest, throttle.cuts)
     return Result(seed, 0.0, False, profile, vehicle.travel_m, fastest, throttle.cuts)
 
 
-def _was_seen(world, history, speed_mps, profile):
-    """Whether what the car touches was on its arc and in a cone for as long as it takes to stop."""
-    hit_ns, pose, _ = history[-1]
+def _was_seen(world, history, profile):
+    """Whether what the car touches was on its arc and in a cone for as long as it takes to stop from its speed then."""
+    hit_ns, pose = history[-1][:2]
     touched = [point for point in _surface(world, pose) if _inside(pose, point, 0.03)]
-    needed_s = REACTION_S + speed_mps / (DRAG_MPS2 if profile == "unverified" else BRAKE_MPS2)
-    samples = [entry for entry in history[::8] if hit_ns - needed_s * S <= entry[0] <= hit_ns - 0.15 * S]
-    return any(all(_in_a_cone(world, past, point) and _on_arc(past, curvature, point) for _, past, curvature in samples)
-               for point in touched) if samples else True
+    stop_mps2 = DRAG_MPS2 if profile == "unverified" else BRAKE_MPS2
+    first_ns = next((at_ns for at_ns, _, _, speed_mps in reversed(history)
+                     if (hit_ns - at_ns) / S >= REACTION_S + speed_mps / stop_mps2), 0)
+    samples = [entry for entry in history[::8] if first_ns <= entry[0] <= hit_ns - 0.15 * S]
+    if not samples:
+        return True
+    return any(all(_in_a_cone(world, past, point) and _on_arc(past, curvature, point)
+                   for _, past, curvature, _ in samples) for point in touched)
 
 
 def _surface(world, pose):

@@ -464,7 +464,9 @@ class TurnArbWithASpeed(unittest.TestCase):
         self.assertIsNotNone(values)
         self.inputs.drop(self.odometry)
         lost = self.states.wait_for(lambda state: "by the last speed, odom silent" in state.limit_reason).what
-        self.assertEqual((lost.duty, lost.source, lost.cuts), (3850, SteeringState.PLANNER, 1))
+        self.assertEqual((lost.source, lost.cuts), (SteeringState.PLANNER, 1))
+        self.assertGreaterEqual(lost.duty, 3850)  # the bound of the speed that it may have gained unseen
+        self.assertLess(lost.duty, 3900)
         self.drive(1.0)
         free = self.wait_for_duty(LEFT)
         self.assertEqual((free.limit, free.limit_reason, free.max_speed), ("", "", 2.0))

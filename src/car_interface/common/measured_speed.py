@@ -34,8 +34,9 @@ class MeasuredSpeed:
         self._speed = TimedInput("odom", timeout_s)
         self._anchor_ns, self._anchor_mps = None, 0.0  # where the acceleration is measured from
         self._gain_mps2 = 0.0  # by which its magnitude rises
-        self._period_s = MAX_PERIOD_S  # of the reports, the mean of some
-        self._magnitude_mps, self._updated_ns = 0.0, 0  # of the car, also while its wheels slide
+        self._period_s, self._periods = MAX_PERIOD_S, 0  # of the reports: the mean of about eight, and how many
+        self._updated_ns: int | None = None
+        self._magnitude_mps = 0.0  # of the car, also while its wheels slide
 
     @property
     def was_received(self) -> bool:
@@ -54,9 +55,11 @@ class MeasuredSpeed:
             self._gain_mps2 = max(0.0, min(MAX_ACCELERATION_MPS2, gain_mps2))
             self._anchor_ns, self._anchor_mps = now_ns, speed_mps
         self._speed.update(speed_mps, now_ns)
-        elapsed_s = (now_ns - self._updated_ns) / NS_PER_S
+        elapsed_s = MAX_PERIOD_S if self._updated_ns is None else (now_ns - self._updated_ns) / NS_PER_S
         self._magnitude_mps = self._believed_mps(abs(speed_mps), elapsed_s)
-        self._period_s += (min(elapsed_s, MAX_PERIOD_S) - self._period_s) / 8
+        if self._updated_ns is not None:
+            self._periods = min(8, self._periods + 1)
+            self._period_s += (min(elapsed_s, MAX_PERIOD_S) - self._period_s) / self._periods
         self._updated_ns = now_ns
 
     def _believed_mps(self, measured_mps, elapsed_s):

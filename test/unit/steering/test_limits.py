@@ -162,9 +162,9 @@ def test_an_impossible_limit_is_refused_by_name(source, name, value):
 def test_a_limit_costs_less_than_50_microseconds():
     limiter, limits = limiter_at(4.0), SourceLimits(4.0, 40.0)
     took_s = []
-    for repeat in range(5):
-        begin_s = time.perf_counter()
-        for tick in range(1000):
-            limiter.limit(1.0, limits, S + (repeat * 1000 + tick) * 10 * MS)
-        took_s.append((time.perf_counter() - begin_s) / 1000)
+    for repeat in range(50):  # the least of the processor's own time: the machine has other work
+        begin_s = time.thread_time()
+        for tick in range(100):
+            limiter.limit(1.0, limits, S + (repeat * 100 + tick) * 10 * MS)
+        took_s.append((time.thread_time() - begin_s) / 100)
     assert min(took_s) < 50e-6

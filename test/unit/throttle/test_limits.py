@@ -195,9 +195,9 @@ def test_an_impossible_limit_is_refused_by_name(name):
 def test_a_limit_costs_less_than_50_microseconds():
     limiter = limiter_at(2.9, DriveLimits(3.0, 3.0, 3.0), value_map=MAP)
     took_s = []
-    for _ in range(5):
-        begin_s = time.perf_counter()
-        for _ in range(1000):
+    for _ in range(50):  # the least of the processor's own time: the machine has other work
+        begin_s = time.thread_time()
+        for _ in range(100):
             limited(limiter, 1.0, turn_max_mps=2.0)
-        took_s.append((time.perf_counter() - begin_s) / 1000)
+        took_s.append((time.thread_time() - begin_s) / 100)
     assert min(took_s) < 50e-6
