@@ -405,3 +405,12 @@ def test_sonars_that_fire_several_times_in_a_sequence_are_not_missed_nor_suspect
         monitor.frame(now_ns)
         monitor.report(AHEAD[step % 6], 5000, step * 55, now_ns)
         assert monitor.next_command(now_ns) is None and monitor.faults(now_ns) == []
+
+
+def test_a_port_that_is_opened_again_on_the_way_gets_it_again():
+    monitor = aimed()
+    monitor.update_speed(1.0, S // 10)
+    monitor.next_command(S // 10)
+    monitor.opened(S // 5)
+    monitor.frame(S // 5)
+    assert monitor.next_command(S // 5) == SEND_SEQUENCE and monitor.sequence == AHEAD
