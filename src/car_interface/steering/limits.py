@@ -43,8 +43,8 @@ class SteeringLimits:
     """The limits of the steering, named as the ROS parameters.
 
     Attributes:
-        human, planner: of each source. 4 m/s² is 0.4 g: half of what rubber holds on a dry floor, and about half of
-            what tips a Slash over.
+        human, planner: of each source. 4 m/s² is 0.4 g, half of what rubber holds on a dry floor. Autoware's gate
+            allows 5 m/s² to cars that are wider for their height.
         odometry_timeout_s: a speed older than this is lost; 0 = never.
     """
 
