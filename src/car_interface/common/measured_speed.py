@@ -11,8 +11,8 @@ WINDOW_NS = 100_000_000  # over which an acceleration is measured: five reports 
 MAX_ACCELERATION_MPS2 = 10.0  # no tyre does more
 ACTUATION_S = 0.06  # from a decision to the servo's turn: a pulse of 20 ms, and a servo that turns by a tenth
 MAX_AHEAD_S = 0.2
-# Between two reports a car may gain speed unseen: the simulated Slash's full throttle is 5.6 m/s². Reports that are late
-# by more than LATE_S count as missing: nobody should push the car on until the next.
+# Between two reports a car may gain speed unseen: the simulated Slash's full throttle is 5.6 m/s². Reports that are
+# late by more than LATE_S count as missing: nobody should push the car on until the next.
 UNSEEN_MPS2 = 6.0
 LATE_S, LATE_PERIODS = 0.1, 2.0
 UNSEEN_AFTER_S = 0.02  # reports come as unevenly
