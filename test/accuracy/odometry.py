@@ -186,7 +186,7 @@ class Driver:
 class Bench:
     def __init__(self, make_drive, phase, seed, config):
         self._random = random.Random(seed)
-        self.car = Vehicle(VehicleConfig(pulse_phase=phase))
+        self.car = Vehicle(VehicleConfig(pulse_phase=phase, tyres=None))
         self.drive = make_drive()
         self._driver = Driver(self.drive, self.car, self._random)
         self.teensy = TeensyFirmware(

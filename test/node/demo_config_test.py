@@ -22,7 +22,7 @@ from waiting import PACKAGE, Sender, Topic, config, start, start_node
 
 DRIVE_WITHIN_S = 120
 SHIPPED = Path(PACKAGE) / "config"
-NEUTRAL, FORWARD, REVERSE, STRAIGHT = 4915, 5500, 4300, 5070
+NEUTRAL, FORWARD, REVERSE, STRAIGHT, FULL_LEFT = 4915, 5500, 4300, 5070, 3800
 WALL_M, NOSE_M = 6.0, 0.426  # the room's, along x; from the rear axle
 
 
@@ -157,9 +157,20 @@ class Walls(DemoTest):
         self.assertRegex(warnings[0], r"the car ran into something at \d\.\d\d m/s and stands, its wheels stalled "
                                       r"\(collision 1\): drive it out the way it came")
 
+    def test_a_turn_too_fast_tips_the_car_over_which_is_counted_and_logged(self):
+        node = start_node(self, "car_sim", "__ns:=tips", f"_port:={self.port}", "_collisions:=false",
+                          "_rollover:=3.0", "/servo/output:=servo/output")
+        rollovers = Topic("/tips/car_sim/rollovers", Int32).connected()
+        output = Sender("/tips/servo/output", Int32MultiArray)
+        rollovers.wait_for(lambda message: message.data == 0)
+        output.publish(self.duties(FORWARD, FULL_LEFT))
+        rollovers.wait_for(lambda message: message.data == 1)
+        line = node.wait_for_line("tipped over")
+        self.assertRegex(line, r"the car would have tipped over: 3\.\d m/s² sideways at \d\.\d m/s \(rollover 1\)")
+
     @staticmethod
-    def duties(esc):
-        return Int32MultiArray(data=[STRAIGHT, esc] + [-1] * 14)
+    def duties(esc, steering=STRAIGHT):
+        return Int32MultiArray(data=[steering, esc] + [-1] * 14)
 
     def test_car_that_would_start_in_a_wall_is_refused(self):
         node = start_node(self, "car_sim", "__ns:=inside", f"_port:={self.port}", "_start:=[5.9, 0, 0]")

@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dynamic_reconfigure.client import Client
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import Range
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -118,6 +119,57 @@ class ThrottleTest(unittest.TestCase):
 
     def hold(self, sender, message):
         self.rig.inputs.hold(sender, message)
+
+
+class Limits(ThrottleTest):
+    def test_a_planner_s_car_that_is_too_fast_for_its_turn_slows_down_which_is_told_and_counted(self):
+        diagnostics = Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(diagnostics.close)
+        self.rig.present(speed=4.0)
+        self.hold(self.rig.steering, SteeringState(source=SteeringState.PLANNER, max_speed=2.0))
+        before = self.rig.states.since()[-1].cuts
+        self.rig.plan(1.0)
+        reason = "the turn that is asked for allows 2.00 m/s, it has 4.00: it brakes"
+        cut = self.rig.wait_for(lambda state: state.limit == "slowed for the turn" and state.granted < 0)
+        self.assertEqual((cut.limit_reason, cut.granted, cut.max_speed, cut.cuts, cut.esc),
+                         (reason, -0.5, 2.0, before + 1, "BRAKING"))
+        self.assertGreater(cut.asked, 0)
+        diagnostics.wait_for(lambda array: any(
+            "throttle_arb: throttle" in status.name and {value.key: value.value for value in status.values}.get(
+                "limit") == f"slowed for the turn: {reason}" for status in array.status))
+        self.hold(self.rig.steering, SteeringState(source=SteeringState.PLANNER))
+        free = self.rig.wait_for(lambda state: state.granted > 0)
+        self.assertEqual((free.limit, free.limit_reason, free.max_speed), ("", "", 0.0))
+
+
+class Obstacles(unittest.TestCase):
+    def test_what_a_sonar_ahead_sees_stops_the_car_and_a_silent_one_too(self):
+        set_params(self, "/walls/throttle_arb", {**config("throttle.yaml"), "obstacle_stop": True,
+                                                 "grant_at_start": True, "sonar_hub": config("sonars.yaml")})
+        start_node(self, "throttle_arb", "__ns:=/walls", "/servo/cmdVector:=servo/cmdVector", "/e_stop:=e_stop",
+                   "/servo/output:=servo/output", "/teleop_logi/human_in_loop:=teleop_logi/human_in_loop",
+                   "/teleop_logi/tele_throt_req:=teleop_logi/tele_throt_req", "/teleop_logi/mode:=teleop_logi/mode",
+                   "/teleop_logi/scale_button:=teleop_logi/scale_button", "~input/value:=generic/output/value",
+                   "~input/odometry:=odom")
+        rig = Rig(self, "/walls/")
+        rig.present(speed=0.0)
+        rig.inputs.hold(rig.steering, SteeringState(source=SteeringState.PLANNER, turn_radius=math.inf))
+        rig.plan(1.0)
+        silent = rig.wait_for(lambda state: state.limit == "sonar silent")
+        self.assertRegex(silent.limit_reason, r"^(front_\w+) was never heard, and the car doesn't drive blind: "
+                                              r"0.00 m/s, it has 0.00: 0.00 instead of 0.33$")
+        self.assertEqual(silent.granted, 0)
+        sonars = {name: Sender(f"/walls/sonar/{name}", Range) for name in config("sonars.yaml")["sonars"]}
+        for sender in sonars.values():
+            rig.inputs.hold(sender, Range(range=math.inf))
+        free = rig.wait_for(lambda state: state.granted > 0)
+        self.assertEqual(free.limit, "")
+        rig.inputs.hold(rig.odometry, odometry(1.5))
+        rig.inputs.hold(sonars["front_middle"], Range(range=0.5))
+        stopped = rig.wait_for(lambda state: state.limit == "obstacle" and "sees 0.50" in state.limit_reason)
+        self.assertRegex(stopped.limit_reason, r"front_middle sees 0.50 m, which allows 0\.\d\d m/s, it has 1.50: "
+                                               r"it stops")
+        self.assertLessEqual(stopped.granted, 0)
 
 
 class Commands(ThrottleTest):

@@ -18,6 +18,7 @@ import rostest
 import yaml
 from car_interface.msg import SteeringState, TeleopState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
@@ -428,6 +429,71 @@ class TurnArbThatHasJustStarted(unittest.TestCase):
         self.expect_center()
         self.human.publish(False)
         self.states.wait_for(lambda state: state.source == SteeringState.PLANNER)
+
+
+class TurnArbWithASpeed(unittest.TestCase):
+    """Limits and understeer by the measured speed: 4 m/s² sideways at 4 m/s are a radius of 4 m."""
+
+    def setUp(self):
+        path = os.path.join(rospkg.RosPack().get_path("car_interface"), "config", "turn_arb.yaml")
+        with open(path, encoding="utf-8") as file:
+            set_params(self, "/limited/turn_arb", {**yaml.safe_load(file), "grant_at_start": True})
+        self.inputs = Repeater()
+        self.addCleanup(self.inputs.end)
+        self.states = Topic("/limited/turn_arb/state", SteeringState)
+        self.addCleanup(self.states.close)
+
+    def start(self, radius_m, **parameters):
+        set_params(self, "/limited/turn_arb", parameters)
+        self.process = start_node(self, "turn_arb", "__ns:=/limited", "/servo/cmdVector:=servo/cmdVector",
+                                  "/teleop_logi/human_in_loop:=human", "~input/odometry:=odom")
+        self.odometry = Sender("/limited/odom", Odometry)
+        self.inputs.hold(Sender("/limited/human", Bool), True)
+        self.inputs.hold(Sender("/limited/av_turnrad_req", Float32), radius_m)
+
+    def drive(self, speed_mps):
+        message = Odometry()
+        message.twist.twist.linear.x = speed_mps
+        self.inputs.hold(self.odometry, message)
+
+    def wait_for_duty(self, duty):
+        return self.states.wait_for(lambda state: state.duty == duty, self.states.mark()).what
+
+    def test_a_turn_is_widened_to_what_the_speed_allows_told_counted_and_kept_when_odometry_is_lost(self):
+        diagnostics = Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(diagnostics.close)
+        self.start(1.0)
+        off = self.wait_for_duty(LEFT)
+        self.assertEqual((off.limit, off.limit_reason),
+                         ("limits off", "odom was never heard: nothing limits the steering"))
+        self.assertTrue(math.isnan(off.speed))
+        self.drive(4.0)
+        cut = self.wait_for_duty(3850)
+        reason = "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.00 m was asked for"
+        self.assertEqual((cut.limit, cut.limit_reason), ("lateral acceleration", reason))
+        self.assertEqual((cut.source, cut.cause, cut.asked_radius, cut.max_speed, cut.speed, cut.cuts),
+                         (SteeringState.PLANNER, "planner", 1.0, 2.0, 4.0, 1))
+        self.process.wait_for_info(re.escape(reason))
+        values = diagnostics.wait_for(lambda array: any(
+            "limited/turn_arb: steering" in status.name and {value.key: value.value for value in status.values}.get(
+                "limit") == f"lateral acceleration: {reason}" for status in array.status))
+        self.assertIsNotNone(values)
+        self.inputs.drop(self.odometry)
+        lost = self.states.wait_for(lambda state: "by the last speed, odom silent" in state.limit_reason).what
+        self.assertEqual((lost.source, lost.cuts), (SteeringState.PLANNER, 1))
+        self.assertGreaterEqual(lost.duty, 3850)  # the bound of the speed that it may have gained unseen
+        self.assertLess(lost.duty, 3900)
+        self.drive(1.0)
+        free = self.wait_for_duty(LEFT)
+        self.assertEqual((free.limit, free.limit_reason, free.max_speed), ("", "", 2.0))
+
+    def test_a_car_that_widens_its_turns_with_speed_is_steered_tighter(self):
+        self.start(6.0, understeer=0.0078, planner={"max_lateral_acceleration": 0})
+        self.wait_for_duty(3870)
+        self.drive(4.0)
+        self.wait_for_duty(3855)  # 4.50 m by the table
+        state = self.states.wait_for(lambda state: state.speed == 4.0).what
+        self.assertAlmostEqual(state.turn_radius, 6.0, delta=0.1)
 
 
 class TurnArbParameters(unittest.TestCase):

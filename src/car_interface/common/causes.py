@@ -54,6 +54,18 @@ AT_STANDSTILL = "at standstill"  # where a brake doesn't become reverse
 REQUEST_NOT_FINITE = "request not finite"
 CALIBRATION_DRIVE = "calibration drive"  # the ESC gets a person's pulls as they are
 
+# Limits: what was made of a request.
+LIMITS_OFF = "limits off"  # no odometry was ever received
+LATERAL_LIMITED = "lateral acceleration"  # the turn is widened
+JERK_LIMITED = "lateral jerk"  # it turns in more slowly
+SPEED_LIMITED = "max speed"
+CURVE_SLOWED = "slowed for the turn"  # it is too fast for the turn that is asked for
+SPEED_LATE = "odometry late"  # no push until its next report
+ACCELERATION_LIMITED = "max acceleration"
+BRAKING_LIMITED = "max braking"
+OBSTACLE_SLOWED = "obstacle"  # by a sonar ahead, or behind while it reverses
+SONAR_SILENT = "sonar silent"  # one that looks where the car drives
+
 # Gamepad.
 MANUAL = "manual"  # the manual deadman is held
 AUTONOMOUS = "autonomous"  # the autonomous deadman is held
@@ -78,6 +90,10 @@ GUARD_ABSENT = "guard absent"  # nothing would make the board safe if its node d
 GUARD_BLOCKED = "guard blocked"  # the guard can't reach the board
 NODE_STOOD_STILL = "node stood still"  # for so long that what was sent meanwhile is no longer obeyed
 FOREIGN_WRITE = "foreign write"  # another program wrote to the board
+
+STEERING_CUTS = frozenset({LATERAL_LIMITED, JERK_LIMITED})
+THROTTLE_CUTS = frozenset({SPEED_LIMITED, CURVE_SLOWED, SPEED_LATE, ACCELERATION_LIMITED, BRAKING_LIMITED,
+                           OBSTACLE_SLOWED, SONAR_SILENT})
 
 # The gamepad has to be set right: to let go and hold again doesn't help.
 JOY_UNUSABLE = frozenset({JOY_INCOMPLETE, JOY_NOT_FINITE})

@@ -10,6 +10,7 @@ Subscribes:
 Publishes:
     ~truth (nav_msgs/Odometry, 50 Hz): where the car really is, in odom, and how fast.
     ~collisions (std_msgs/Int32, latched): how often it ran into a wall, a box or a post.
+    ~rollovers (std_msgs/Int32, latched): how often it turned so fast that it would have tipped over. It drives on.
 Service:
     ~inject_fault (InjectFault): makes the Teensy and its line misbehave; see ``virtual_line``.
 Parameters:
@@ -26,6 +27,9 @@ Parameters:
         direct_reverse, forward_only; none = it has no memory and takes no arming: a duty against the way the car rolls
         brakes, and at standstill reverse drives backward. The launch files have brake_then_reverse.
     ~forward_acceleration, ~reverse_acceleration, ~brake_deceleration (m/s²): the true drive train.
+    ~kinematic false: true = it goes where its wheels point at any speed; the three below don't count then.
+    ~understeer 0.0078 (1/m for each (m/s²)²), ~grip 7.8, ~rollover 7.0 (m/s²): by how much its turns widen, the most
+        acceleration that its tyres hold, and the lateral one at which it tips; see ``sim.tyres``.
     ~collisions true: walls, boxes and posts stop the car; false = it drives through them.
     ~temperature 20 (°C): of the air that the sonars' sound travels through.
     ~wheel_pulses: where the rear wheels (left, right) stand at the start, in pulses: how far to the next ones, and
@@ -63,6 +67,7 @@ from car_interface.sim.collision import Collisions
 from car_interface.sim.esc import KINDS, VirtualEscConfig
 from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
@@ -95,6 +100,7 @@ def read_vehicle(params, rng) -> VehicleConfig:
         steering=replace(steering, curve=tuple(zip(duties, curvatures))),
         drive=drive,
         esc=_read_esc(params, drive),
+        tyres=_read_tyres(params),
         wheelbase_m=params.number("wheelbase", params.number("wheels/wheelbase", 0.324), above=0.0),
         track_m=params.number("track", params.number("wheels/track", 0.296), above=0.0),
         wheel_diameter_m=params.number("wheel_diameter", params.number("wheels/wheel_diameter", 0.095), above=0.0),
@@ -141,6 +147,15 @@ def _read_esc(params, drive):
     return VirtualEscConfig(kind=kind, neutral_duty=drive.neutral_duty, full_forward_duty=drive.full_forward_duty,
                             full_reverse_duty=drive.full_reverse_duty, forward_band_duty=drive.neutral_band_duty,
                             reverse_band_duty=drive.neutral_band_duty)
+
+
+def _read_tyres(params):
+    """What its tyres hold; ``None`` = a kinematic car."""
+    default = TyreConfig()
+    tyres = TyreConfig(understeer=params.number("understeer", default.understeer, low=0, high=1),
+                       grip_mps2=params.number("grip", default.grip_mps2, above=0.0, high=100),
+                       rollover_mps2=params.number("rollover", default.rollover_mps2, above=0.0, high=100))
+    return None if params.flag("kinematic", False) else tyres
 
 
 def read_firmware(params, rng, seed, wheel_pulses) -> FirmwareConfig:
@@ -216,7 +231,7 @@ class CarSim:
         self._steering_channel, self._throttle_channel = config.steering_channel, config.throttle_channel
         world = World(config.world)
         self._collisions = Collisions(world.obstacles)
-        self._reported_collisions = 0
+        self._reported_collisions = self._reported_rollovers = 0
         self._vehicle = Vehicle(config.vehicle, now_ns, self._collisions if config.collides else None)
         self._firmware = TeensyFirmware(
             config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
@@ -231,6 +246,8 @@ class CarSim:
         self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
         self._collision_counts = rospy.Publisher("~collisions", Int32, queue_size=10, latch=True)
         self._collision_counts.publish(0)
+        self._rollover_counts = rospy.Publisher("~rollovers", Int32, queue_size=10, latch=True)
+        self._rollover_counts.publish(0)
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
         rospy.loginfo("a virtual Teensy is on %s (seed %d)", config.port, config.firmware.seed)
 
@@ -242,6 +259,7 @@ class CarSim:
         self._chip.step(now_ns)
         self._line.step(now_ns)
         self._report_collisions()
+        self._report_rollovers()
         if self._timer.is_due(now_ns):
             self._publish_truth()
         return now_ns + STEP_NS
@@ -275,6 +293,15 @@ class CarSim:
             self._collision_counts.publish(count)
             rospy.logwarn("the car ran into something at %.2f m/s and stands, its wheels stalled (collision %d): drive "
                           "it out the way it came", abs(self._collisions.speed_mps), count)
+
+    def _report_rollovers(self):
+        """Publish and log each rollover once."""
+        rollovers = self._vehicle.rollovers
+        if rollovers.count != self._reported_rollovers:
+            self._reported_rollovers = rollovers.count
+            self._rollover_counts.publish(rollovers.count)
+            rospy.logwarn("the car would have tipped over: %.1f m/s² sideways at %.1f m/s (rollover %d)",
+                          abs(rollovers.lateral_mps2), abs(self._vehicle.speed_mps), rollovers.count)
 
     def _publish_truth(self):
         vehicle = self._vehicle

@@ -23,6 +23,7 @@ Parameters:
     ~required false: true = end with exit code 1 when the port can't be opened at start.
     ~sonar_restart 3.0 (s): after so long without a report of any sonar, though there should be some, SONAR_START is
         sent; 0 = never.
+    ~sonar_sequence_ahead []: the same while the car drives forward; [] = no other.
     ~sonar_sequence []: the order in which the sonars fire, sent when the port opens and after each reboot; [] = the
         firmware's own, 0 to 5.
     ~raw_only false: true = the four raw topics and the link only; nothing is measured, for half the CPU.
@@ -80,6 +81,7 @@ class HubConfig:
         raw_only: nothing is measured.
         sonar_restart_s: after so long without any sonar's report SONAR_START is sent; 0 = never.
         sonar_sequence: the order in which the sonars fire; ``None`` = the firmware's own.
+        sonar_sequence_ahead: the same while the car drives forward; ``None`` = no other.
         settings: of measuring, and of the messages.
     """
 
@@ -90,6 +92,7 @@ class HubConfig:
     raw_only: bool
     sonar_restart_s: float
     sonar_sequence: list | None
+    sonar_sequence_ahead: list | None
     settings: Settings
 
 
@@ -107,7 +110,8 @@ def read_config(params) -> HubConfig:
         required=params.flag("required", False),
         raw_only=params.flag("raw_only", False),
         sonar_restart_s=params.number("sonar_restart", 3.0, low=0.0, high=3600),
-        sonar_sequence=_sonar_sequence(params),
+        sonar_sequence=_sonar_sequence(params, "sonar_sequence"),
+        sonar_sequence_ahead=_sonar_sequence(params, "sonar_sequence_ahead"),
         settings=read_settings(params, baud))
     params.finish()
     return config
@@ -124,7 +128,7 @@ class TeensySensorHub:
         self._port = config.port
         self._link = SerialLink(config.port, config.baud)
         self._session = Session(config.baud, round(settings.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
-        self._sonars = SonarMonitor(config.sonar_restart_s, config.sonar_sequence)
+        self._sonars = SonarMonitor(config.sonar_restart_s, config.sonar_sequence, config.sonar_sequence_ahead)
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
         self._retry_ns = FIRST_RETRY_NS
@@ -365,6 +369,8 @@ class TeensySensorHub:
     def _judge_sonars(self):
         """Send the commands that the sonars need, and warn of their faults."""
         now_ns = time.monotonic_ns()
+        if self._measurements:
+            self._sonars.update_speed(self._measurements.speed_mps, now_ns)
         command = self._sonars.next_command(now_ns) if self._link.is_open else None
         if command == SEND_SEQUENCE:
             self._write(self._session.encode(protocol.set_sonar_sequence(self._sonars.sequence)))
@@ -376,11 +382,11 @@ class TeensySensorHub:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
             self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
 
-def _sonar_sequence(params):
+def _sonar_sequence(params, name):
     """The order of the sonars that the parameters ask for; ``None`` = the firmware's own."""
-    sequence = params.numbers("sonar_sequence", [], low=0, high=len(protocol.SONARS) - 1)
+    sequence = params.numbers(name, [], low=0, high=len(protocol.SONARS) - 1)
     if len(sequence) > protocol.MAX_SEQUENCE or any(sensor % 1 for sensor in sequence):
-        raise ConfigError("sonar_sequence", sequence, f"up to {protocol.MAX_SEQUENCE} whole numbers from 0 to 5")
+        raise ConfigError(name, sequence, f"up to {protocol.MAX_SEQUENCE} whole numbers from 0 to 5")
     return [int(sensor) for sensor in sequence] or None
 
 

@@ -13,11 +13,12 @@ Subscribes:
     planner_interface/state (PlannerState): the planner's gear, and why it has no request. Never received = drive.
     turn_arb/state (SteeringState): steering and throttle stop together.
     /servo/output (std_msgs/Int32MultiArray): what the servo board holds.
+    sonar/front_right … sonar/rear_left (sensor_msgs/Range): only with ~obstacle_stop.
     teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the ESC's channel.
-    ~state (ThrottleState, latched): source, cause, request, the ESC's state, duty, ages; on every change and 10 times a
-        second.
+    ~state (ThrottleState, latched): source, cause, request, limits, the ESC's state, duty, ages; on every change and 10
+        times a second.
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the ESC's neutral, for the servo board's timeout value; −1
         elsewhere.
     /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
@@ -28,6 +29,11 @@ Parameters:
     ~teleop_timeout 0.5, ~mode_timeout 0.5, ~command_timeout 0.5 (the planner's value), ~odometry_timeout 0.5,
         ~steering_timeout 0.25, ~human_timeout 0.5 (s, 0 = never): an older input is stale.
     ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's.
+    ~planner/max_speed, ~planner/max_acceleration, ~planner/max_braking, ~human/… 0 (m/s, m/s², 0 = none): limits of
+        what each asks for, at the measured speed.  ~slow_down true: a planner's car that is too fast for the turn that
+        is asked for slows down.  ~csv_path_value_map, ~allow_plateaus false: the value map, for the accelerations.
+    ~obstacle_stop false: true = it slows and stops for what the sonars see on its arc; then ~obstacle/… and, below
+        ~sonar_hub, the sensor hub's sonars.yaml: see ``throttle.obstacle_stop``.
     ~live_range 100 (duty): the largest change of servo/neutral while it runs.  ~save_to: the file to save it to.
 Services: see ``ros.reconfigure``; set_parameters is below ~servo.
 """
@@ -35,9 +41,11 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 
 import rospy
 from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Range
 from std_msgs.msg import Float32, Int8, Int32MultiArray, String
 
 from car_interface.cfg import EscNeutralConfig
@@ -80,11 +88,13 @@ class ThrottleArb:
     def __init__(self, params, inbox):
         config = read_config(params)
         now_ns = time.monotonic_ns()
-        self._control = ThrottleControl(config.calibration, config.arbiter, config.esc)
+        self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits,
+                                        config.obstacles)
         self._arbiter = self._control.arbiter
         self._channel = config.calibration.channel
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
+        self._notices = ThrottledWarnings(rospy.loginfo)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._now_ns = now_ns  # of the newest decision
@@ -102,6 +112,8 @@ class ThrottleArb:
                                         now_ns)
         inbox.on_overflow(self._on_overflow)
         self._subscribe()
+        for sonar in config.obstacles.mounts if config.obstacles else ():
+            subscribe(f"sonar/{sonar}", Range, inbox, self._deciding(partial(self._on_range, sonar)))
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now)
         self._warn_of_calibration_drive()
@@ -187,6 +199,10 @@ class ThrottleArb:
 
     def _on_steering(self, message, now_ns):
         self._arbiter.update_steering(message.source, message.reason, now_ns)
+        self._control.update_turn(message.turn_radius, message.max_speed)
+
+    def _on_range(self, sonar, message, now_ns):
+        self._control.update_range(sonar, message.range, now_ns)
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
@@ -278,6 +294,15 @@ class ThrottleArb:
             self._warn_of_calibration_drive()
         elif esc.cause == causes.BRAKE_UNCERTAIN != before_cause:
             self._warnings.warn(esc.cause, f"no brake: {esc.reason}")
+        self._log_limit(before, decision.limited)
+
+    def _log_limit(self, before, limited):
+        if not limited.cause or before is not None and before.limited.cause == limited.cause:
+            return
+        if limited.is_cut:
+            self._notices.warn(limited.cause, limited.reason)
+        else:
+            rospy.loginfo("%s", limited.reason)
 
     def _warn_of_calibration_drive(self):
         if self._control.is_calibration_drive:
@@ -290,6 +315,8 @@ class ThrottleArb:
             stamp=rospy.Time.now(), source=arbitration.source, cause=arbitration.cause, reason=arbitration.reason,
             mode=decision.mode, human_scale=decision.scale, asked=arbitration.asked, granted=esc.fraction,
             esc=esc.state_name, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.profile,
+            limit=decision.limited.cause, limit_reason=decision.limited.reason,
+            max_speed=decision.limited.max_speed_mps, cuts=self._control.cuts,
             duty=decision.duty, speed=self._arbiter.speed_mps(self._now_ns), **{AGES[name]: age_s
                                                                                 for name, age_s in ages_s.items()}))
 
@@ -307,6 +334,9 @@ class ThrottleArb:
         status.add("cause of the ESC's state", esc.cause)
         status.add("duty", decision.duty)
         status.add("asked, granted", f"{arbitration.asked:.3f}, {esc.fraction:.3f}")
+        limited = decision.limited
+        status.add("limit", f"{limited.cause}: {limited.reason}" if limited.cause else "none is reached")
+        status.add("requests cut by a limit", self._control.cuts)
         status.add("mode", decision.mode or "never heard")
         status.add("scale of driving by hand", f"{decision.scale:g}")
         status.add("profile of the ESC", self._control.profile)

@@ -6,10 +6,12 @@ Subscribes:
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left.
     av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 or NaN = no request, ±inf = straight on.
     av_steer_req (std_msgs/Float32): −1 right .. +1 left, of a planner that knows no radius; not beside av_turnrad_req.
+    ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s, for the limits and the understeer. Never
+        received = neither; lost = the last one stays. The steering goes on.
     teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the steering channel.
-    ~state (SteeringState, latched): source, cause, duty and ages; on every change and 20 times a second.
+    ~state (SteeringState, latched): source, cause, duty, limits and ages; on every change and 20 times a second.
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the center, for the servo board's timeout value; −1
         elsewhere.
     /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
@@ -17,6 +19,9 @@ Parameters (those of the original are also looked up in the namespaces around th
     servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
     k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
     ~tele_steer_neutral 0.0, ~tele_steer_deadband 0.001.
+    ~understeer 0 (1/m for each (m/s²)² of lateral acceleration): by how much turns widen with speed.
+    ~planner/max_lateral_acceleration 4.0 (m/s²), ~planner/max_lateral_jerk 40 (m/s³), ~human/… 0: limits of the turns
+        that each asks for, at the measured speed; 0 = none.  ~odometry_timeout 0.5 (s, 0 = never).
     ~slew_limit 0 (duty per second, 0 = none): the servo's maximum speed under gamepad and planner.
     ~e_stop_timeout 1.0 (s, 0 = never): an e_stop that was received once and is older than this locks.
     ~e_stop_required false: true = one that was never received locks, too.
@@ -33,6 +38,7 @@ import time
 from dataclasses import dataclass
 
 import rospy
+from nav_msgs.msg import Odometry
 from std_msgs.msg import Float32, Int32MultiArray
 
 from car_interface.cfg import SteeringTrimConfig
@@ -99,6 +105,7 @@ class TurnArb:
         self._channel = config.calibration.servo_channel
         self._inbox = inbox
         self._warnings = ThrottledWarnings()
+        self._notices = ThrottledWarnings(rospy.loginfo)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = None
@@ -118,6 +125,7 @@ class TurnArb:
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
         subscribe_changes("av_steer_req", Float32, inbox, self._on_planner_steering, self._decide)
+        subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state)
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now, self._on_master)
@@ -163,6 +171,13 @@ class TurnArb:
             self._warnings.warn(causes.PLANNER_NOT_FINITE, f"av_steer_req is {message.data}: taken for no request")
         elif abs(message.data) > 1:
             self._warnings.warn("planner clamped", f"av_steer_req is {message.data:.3f}: clamped to -1..1")
+
+    def _on_odometry(self, message, now_ns):
+        speed_mps = message.twist.twist.linear.x
+        self._arbiter.update_odometry(speed_mps, now_ns)
+        if not math.isfinite(speed_mps):
+            self._warnings.warn(causes.ODOMETRY_NOT_FINITE,
+                                f"the velocity in the odometry is {speed_mps}: the limits go by the last speed")
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
@@ -216,7 +231,15 @@ class TurnArb:
             self._publish_state(decision)
             if before is None or (before.source, before.cause) != (decision.source, decision.cause):
                 self._unlogged.append((now_ns + LOG_AFTER_NS, decision))
+            if decision.limit and (before is None or before.limit != decision.limit):
+                self._log_limit(decision)
         self._pending.clear()
+
+    def _log_limit(self, decision):
+        if decision.limit == causes.LIMITS_OFF:
+            rospy.loginfo("%s", decision.limit_reason)
+        else:
+            self._notices.warn(decision.limit, decision.limit_reason)
 
     def _log_due(self, now_ns):
         while self._unlogged and now_ns >= self._unlogged[0][0]:
@@ -234,8 +257,11 @@ class TurnArb:
         status.add("cause", decision.cause)
         status.add("duty", decision.duty)
         for name, age_s in (("e_stop", decision.e_stop_age_s), ("human_in_loop", decision.human_age_s),
-                            ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s)):
+                            ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s),
+                            ("odometry", self._arbiter.odometry_age_s(time.monotonic_ns()))):
             status.add(f"age of {name}", age_text(age_s))
+        status.add("limit", f"{decision.limit}: {decision.limit_reason}" if decision.limit else "none is reached")
+        status.add("requests cut by a limit", self._arbiter.cuts)
         status.add("locked", decision.source == LOCKED)
         status.add("ROS master", self._master_fault or "there")
         status.add("tuned live", self._reconfigure.changes)
@@ -252,7 +278,10 @@ class TurnArb:
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
             stamp=rospy.Time.now(), source=decision.source, cause=decision.cause, reason=decision.reason,
-            duty=decision.duty, turn_radius=self._arbiter.calibration.turn_radius_m(decision.duty),
+            duty=decision.duty, turn_radius=self._arbiter.turn_radius_m(decision.duty),
+            odometry_age=self._arbiter.odometry_age_s(time.monotonic_ns()), speed=self._arbiter.speed_mps,
+            limit=decision.limit, limit_reason=decision.limit_reason, asked_radius=decision.asked_radius_m,
+            max_speed=decision.max_speed_mps, cuts=self._arbiter.cuts,
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,
             planner_age=decision.planner_age_s))
 

@@ -38,7 +38,7 @@ def page(drive: Summary, plots: dict[str, Plot]) -> str:
     """
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
     sections = (_who(drive, plots), _faults(drive), _steering(drive, plots), _throttle(drive, plots),
-                _path(drive, plots), _speed(drive, plots), _link(drive, plots), _contents(drive))
+                _limits(drive), _path(drive, plots), _speed(drive, plots), _link(drive, plots), _contents(drive))
     return document(f"Drive: {name}", _head(drive, name) + "".join(sections))
 
 
@@ -276,6 +276,17 @@ def _planner(planner):
         return ""
     others = f"; not obeyed: {escape(planner.others)}" if planner.others else ""
     return f" The planner that was obeyed: {escape(planner.source)}{others}."
+
+
+def _limits(drive):
+    text = ("Where turn_arb or throttle_arb granted something else than was asked for, since the car was too fast for "
+            "it, or something was in its way.")
+    rows = [(moment_text(episode.start_s, drive.duration_s), span_text(episode.end_s - episode.start_s),
+             escape(episode.node), escape(episode.cause), escape(episode.reason)) for episode in drive.limits.episodes]
+    counts = ", ".join(f"{node} {times_text(count)}" for node, count in sorted(drive.limits.counts.items()) if count)
+    return section("limits", "Limits", text, f"<p>Requests cut: {counts}.</p>\n" if counts else "",
+                   table(("from", "for", "by", "limit", "why"), rows, numbers=2) if rows else "<p>None was cut.</p>\n",
+                   _missing(drive, "turn_arb/state", "throttle_arb/state"))
 
 
 def _path(drive, plots):

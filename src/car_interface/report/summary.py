@@ -15,6 +15,7 @@ from car_interface.report.downsample import Trace
 from car_interface.report.faults import WARN, FaultLog, NodeReports
 from car_interface.report.gamepad import GamepadWatch
 from car_interface.report.imu import ImuWatch
+from car_interface.report.limits_state import LimitsWatch
 from car_interface.report.motion import MotionWatch
 from car_interface.report.planner_state import PlannerWatch
 from car_interface.report.sonars import SonarWatch
@@ -57,7 +58,7 @@ class Summary:
         notes: which topics were named or guessed to be what, or couldn't be, and what is odd about one, a line each.
         present: those of TYPES that were recorded.
         traces: a Trace for each of TRACES.
-        gamepad, steering, throttle, asked, planner, motion, imu, sonars, teensy: see their classes.
+        gamepad, steering, throttle, limits, asked, planner, motion, imu, sonars, teensy: see their classes.
         faults: what went wrong.
         coverage: which questions the recording can't answer.
     """
@@ -73,6 +74,7 @@ class Summary:
     gamepad: GamepadWatch
     steering: SteeringWatch
     throttle: ThrottleWatch
+    limits: LimitsWatch
     asked: AskedWatch
     planner: PlannerWatch
     motion: MotionWatch
@@ -130,6 +132,7 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     summary.steering.finish()
     summary.throttle.finish()
     summary.planner.finish()
+    summary.limits.finish()
     summary.gamepad.finish()
     summary.faults.finish()
     summary.notes += filter(None, [summary.imu.note(found["imu/data"].topic)])
@@ -150,8 +153,8 @@ def _empty(path, namespace, has, present, wheelbase_m):
 
     moves = MotionWatch(traces, faults, steering, wanted, planner_drives, has.start_ns)
     return Summary(path, namespace, has.start_ns, duration_s, has.topics, [], present, traces, gamepad, steering,
-                   throttle, wanted, PlannerWatch(traces, faults, duration_s), moves, ImuWatch(traces, moves),
-                   SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
+                   throttle, LimitsWatch(), wanted, PlannerWatch(traces, faults, duration_s), moves,
+                   ImuWatch(traces, moves), SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
                    Coverage(namespace, duration_s))
 
 
@@ -161,8 +164,8 @@ def _handlers(summary):
     log_type = next((topic.type for name, topic in summary.topics.items() if name.lstrip("/") == "rosout"), "")
     nodes = NodeReports(summary.faults, summary.present, log_type)
     return {
-        "turn_arb/state": steering.on_state,
-        "throttle_arb/state": summary.throttle.on_state,
+        "turn_arb/state": _both(steering.on_state, partial(summary.limits.on_state, node="turn_arb")),
+        "throttle_arb/state": _both(summary.throttle.on_state, partial(summary.limits.on_state, node="throttle_arb")),
         "planner_interface/state": summary.planner.on_state,
         "teleop_logi/state": summary.gamepad.on_state,
         "/servo/output": steering.on_output,
@@ -187,6 +190,14 @@ def _on_request(summary, time_s, message):
     """The acceleration that a planner requests."""
     summary.traces["requested acceleration"].add(time_s, message.longitudinal.acceleration)
     summary.motion.accelerating.request(time_s, message.longitudinal.acceleration)
+
+
+def _both(first, second):
+    """A handler that calls two."""
+    def handle(time_s, message):
+        first(time_s, message)
+        second(time_s, message)
+    return handle
 
 
 def _elsewhere(topics, namespace, note):

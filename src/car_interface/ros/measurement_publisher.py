@@ -98,6 +98,7 @@ class MeasurementPublisher:
         self._sync = None
         self._counted = (0, 0)
         self._pending = None  # the newest motion, while it isn't published
+        self.speed_mps = 0.0  # the newest
         self._motion_timer = RateTimer(settings.odom_rate_hz, 0)
         self._prepare_messages()
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
@@ -154,6 +155,7 @@ class MeasurementPublisher:
 
     def _on_motion(self, measured, received_ns):
         motion = measured.motion
+        self.speed_mps = motion.speed_mps
         self._steering_check.update_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
         self._pending = measured
 

@@ -24,12 +24,16 @@ def serve(name: str, service_type, inbox: Inbox, handler: Callable[[Any, Future]
     inbox.on_close(rospy.Service(inbox.resolve_name(name), service_type, handle).shutdown)
 
 
-def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10
-              ) -> rospy.Subscriber:
-    """Subscribe so that ``handler(message, arrival_ns)`` runs in the node's thread, for each message, in order."""
+def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10,
+              wakes=True) -> rospy.Subscriber:
+    """Subscribe so that ``handler(message, arrival_ns)`` runs in the node's thread, for each message, in order.
+
+    With ``wakes`` false it runs when the node next wakes for another reason.
+    """
     backlog = Backlog()
     handler = backlog.without_old(handler)
-    return _subscribe(topic, message_type, inbox, backlog, lambda message: inbox.put(handler, message), queue_size)
+    return _subscribe(topic, message_type, inbox, backlog, lambda message: inbox.put(handler, message, wakes=wakes),
+                      queue_size)
 
 
 def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None],

@@ -1,16 +1,20 @@
-"""A Slash 4x4 that moves: a kinematic bicycle with a servo, an ESC, and hall sensors in its rear wheels.
+"""A Slash 4x4 that moves: a bicycle with a servo, tyres, an ESC, and hall sensors in its rear wheels.
 
 Consumes PWM duties and time steps; produces a pose and wheel pulses with their true times. Its steering and drive-train
 curves are the truth that calibration tables only approximate: they are near the tables that the package ships and on
 purpose not equal to them.
 
 REP-103 throughout: metres, radians, seconds, x forward, y left, left turns positive. The pose is that of the middle of
-the rear axle. Nothing slips. On request there is play in the steering, the ground slopes and the battery sags, as with
-real cars: the default car has none of it.
+the rear axle. Tyres widen its turns with speed, slide, and it can tip over: see ``tyres``; without them, on request, it
+is a kinematic car. On request there is play in the steering, the ground slopes and the battery sags, as with real cars:
+the default car has none of it.
+
+A brake that is stronger than the tyres' grip locks the wheels: no pulses, and the car slides straight on. A motor that
+is stronger is held by the grip, and the wheels don't spin.
 
 Among obstacles the car stops dead at what it runs into, without a bounce, and can be driven out the way it came. Its
 wheels stall: full throttle pushes it with 5.6 m/s², and tires hold some 7.8 m/s² on a dry floor (0.8 g) before they
-slip. So odometry agrees with the truth. The wheels of a car with a stronger motor would spin; these don't.
+slip. So odometry agrees with the truth.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ from car_interface.sim.collision import Collisions
 from car_interface.sim.drive_train import DriveConfig, is_pulse, motor_acceleration_mps2, true_acceleration_mps2
 from car_interface.sim.esc import VirtualEsc, VirtualEscConfig
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
 
 GRAVITY_MPS2 = 9.81
 ARRIVED_DUTY = 0.01  # a creeping servo never quite arrives; from here on it has
@@ -118,6 +123,7 @@ class VehicleConfig:
     slope: float = 0.0
     uphill_rad: float = 0.0
     esc: VirtualEscConfig | None = None
+    tyres: TyreConfig | None = field(default_factory=TyreConfig)
 
     def __post_init__(self):
         require(self.wheelbase_m > 0, "wheelbase_m", self.wheelbase_m, "more than 0")
@@ -145,7 +151,10 @@ class Vehicle:
         pose: where it is.
         speed_mps: of the rear axle, backward negative.
         acceleration_mps2: during the last step, the mean.
-        curvature_per_m: of its path now, left positive.
+        steered_per_m: where the steering points: the curvature of its path at a crawl, left positive.
+        curvature_per_m: of its path now.
+        slides: whether its wheels are locked.
+        rollovers: how often it would have tipped over; a kinematic car's stay 0.
         servo_duty: where the steering servo stands, in the duty that holds it there.
         travel_m: signed way so far.
     """
@@ -166,7 +175,11 @@ class Vehicle:
         self._half_backlash_duty = config.steering.backlash_duty / 2
         self._slope_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))  # when it looks uphill
         self._duties, self._curvatures = (tuple(column) for column in zip(*config.steering.curve))
-        self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
+        self.steered_per_m = self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
+        self.slides = False
+        self._along_mps2 = 0.0  # what the tyres transmit along the car
+        self._tyres = config.tyres
+        self.rollovers = Rollovers(config.tyres.rollover_mps2 if config.tyres else math.inf)
         self._half_track_m = config.track_m / 2
         self._pulse_m = config.pulse_m
         self._wheel_pulses = list(config.pulse_phase)  # each rear wheel's way, in pulses
@@ -176,9 +189,14 @@ class Vehicle:
         return self.speed_mps * self.curvature_per_m
 
     @property
+    def lateral_mps2(self) -> float:
+        """Its lateral acceleration, left turns positive."""
+        return self.speed_mps * self.speed_mps * self.curvature_per_m
+
+    @property
     def steering_angle_rad(self) -> float:
         """Of the bicycle's one front wheel, left positive."""
-        return math.atan(self.config.wheelbase_m * self.curvature_per_m)
+        return math.atan(self.config.wheelbase_m * self.steered_per_m)
 
     def true_curvature_per_m(self, duty: float) -> float:
         """Where the steering leads when the servo stands at ``duty``; saturated at the stops."""
@@ -205,8 +223,9 @@ class Vehicle:
             The rear wheels' pulses of this step in the order of time.
         """
         dt_s = dt_ns / NS_PER_S
-        curvature_per_m = self._turn_servo(dt_s, steering_duty)
+        steered_per_m = self._turn_servo(dt_s, steering_duty)
         speed_mps, distance_m, moving_s = self._accelerate(dt_s, esc_duty)
+        curvature_per_m = self._path_curvature_per_m(steered_per_m, (self.speed_mps + speed_mps) / 2)
         pulses = []
         if distance_m:
             pose = self._pose_after(distance_m, curvature_per_m)
@@ -218,13 +237,23 @@ class Vehicle:
                 pulses = self._roll(distance_m, moving_s, speed_mps, curvature_per_m)
         self.time_ns += dt_ns
         self.speed_mps = speed_mps
+        self.curvature_per_m = self._path_curvature_per_m(self.steered_per_m, speed_mps)
+        self.rollovers.update(self.lateral_mps2)
         return pulses
+
+    def _path_curvature_per_m(self, steered_per_m: float, speed_mps: float) -> float:
+        """Where the car goes with its steering pointing there."""
+        if self._tyres is None:
+            return steered_per_m
+        if self.slides:
+            return 0.0
+        return path_curvature_per_m(steered_per_m, speed_mps, self._along_mps2, self._tyres)
 
     def _turn_servo(self, dt_s: float, duty: int) -> float:
         """Turns the servo and returns the mean curvature meanwhile."""
         error = duty - self.servo_duty
         if error == 0.0 or not is_pulse(duty):
-            return self.curvature_per_m
+            return self.steered_per_m
         if abs(error) < ARRIVED_DUTY:
             self.servo_duty = float(duty)
         else:
@@ -232,12 +261,12 @@ class Vehicle:
             farthest = steering.rate_duty_per_s * dt_s
             wanted = error * -math.expm1(-dt_s / steering.lag_s)
             self.servo_duty += max(-farthest, min(farthest, wanted))
-        before_per_m = self.curvature_per_m
+        before_per_m = self.steered_per_m
         half_backlash = self._half_backlash_duty
         low, high = self.servo_duty - half_backlash, self.servo_duty + half_backlash
         self._linkage_duty = max(low, min(high, self._linkage_duty))
-        self.curvature_per_m = self.true_curvature_per_m(self._linkage_duty)
-        return (before_per_m + self.curvature_per_m) / 2
+        self.steered_per_m = self.true_curvature_per_m(self._linkage_duty)
+        return (before_per_m + self.steered_per_m) / 2
 
     def _accelerate(self, dt_s: float, esc_duty: int) -> tuple[float, float, float]:
         """Returns (speed after the step, way in it, seconds of it that the car moved)."""
@@ -253,6 +282,8 @@ class Vehicle:
         else:
             motor = self._esc.step(esc_duty, self.time_ns, before_mps)
             acceleration_mps2 = motor_acceleration_mps2(motor, before_mps, drive, thrust, downhill_mps2)
+        if self._tyres is not None:
+            acceleration_mps2 = self._held_by_tyres(acceleration_mps2 - downhill_mps2) + downhill_mps2
         after_mps = before_mps + acceleration_mps2 * dt_s
         moving_s = dt_s
         if before_mps * after_mps < 0.0:
@@ -261,6 +292,12 @@ class Vehicle:
             after_mps = 0.0
         self.acceleration_mps2 = (after_mps - before_mps) / dt_s
         return after_mps, (before_mps + after_mps) / 2 * moving_s, moving_s
+
+    def _held_by_tyres(self, demanded_mps2: float) -> float:
+        """What the tyres transmit of an acceleration; a brake beyond that locks the wheels."""
+        self._along_mps2 = possible_acceleration_mps2(demanded_mps2, self._tyres)
+        self.slides = self._along_mps2 != demanded_mps2 and demanded_mps2 * self.speed_mps < 0.0
+        return self._along_mps2
 
     def _pose_after(self, distance_m: float, curvature_per_m: float) -> Pose:
         """The pose at the end of an arc."""
@@ -277,6 +314,8 @@ class Vehicle:
     def _roll(self, distance_m: float, moving_s: float, speed_mps: float, curvature_per_m: float) -> list[Pulse]:
         """Turns the wheels along an arc and returns the pulses on it."""
         self.travel_m += distance_m
+        if self.slides:
+            return []
         widening = self._half_track_m * curvature_per_m
         acceleration_mps2 = (speed_mps - self.speed_mps) / moving_s
         left = self._wheel(LEFT, distance_m, 1.0 - widening, acceleration_mps2)

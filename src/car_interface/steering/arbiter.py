@@ -18,6 +18,7 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import InterlockConfig, MotionInterlock
 from car_interface.steering.calibration import SteeringCalibration
+from car_interface.steering.limits import SteeringLimiter, SteeringLimits
 
 # Values of SteeringState.source, in order of priority.
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
@@ -41,6 +42,7 @@ class ArbiterConfig:
         tele_steer_deadband: requests this near to it mean the same.
         slew_limit: the servo's maximum speed under gamepad and planner, in duty per second; 0 = no limit.
         interlock: the rules of emergency stop and deadman.
+        limits: of lateral acceleration and its rise.
         teleop_timeout_s, planner_timeout_s: an input older than this is stale; 0 = never. The second is that of both
             of the planner's.
     """
@@ -49,6 +51,7 @@ class ArbiterConfig:
     tele_steer_deadband: float = 0.001
     slew_limit: float = 0.0
     interlock: InterlockConfig = field(default_factory=InterlockConfig)
+    limits: SteeringLimits = field(default_factory=SteeringLimits)
     teleop_timeout_s: float = 0.5
     planner_timeout_s: float = 0.5
 
@@ -64,10 +67,14 @@ class Decision(NamedTuple):
     human_age_s: float
     teleop_age_s: float
     planner_age_s: float
+    limit: str = ""  # the cause for which something else is granted than was asked for, or limits.LIMITS_OFF
+    limit_reason: str = ""
+    asked_radius_m: float = 0.0  # right negative, inf: straight on; 0 = nobody asks, or nothing limits who does
+    max_speed_mps: float = 0.0  # up to which that keeps within the limit; inf: straight on; 0 = no limit
 
     def differs_from(self, other: Decision | None) -> bool:
-        """Whether source, duty or cause differ; ages and the numbers in the reason always do."""
-        return other is None or self[:3] != other[:3]
+        """Whether source, duty, cause or limit differ; ages and the numbers in the reasons always do."""
+        return other is None or self[:3] != other[:3] or self.limit != other.limit
 
 
 class SteeringArbiter:
@@ -85,6 +92,8 @@ class SteeringArbiter:
         self._teleop = TimedInput("tele_steer_req", config.teleop_timeout_s)
         self._planner = TimedInput("av_turnrad_req", config.planner_timeout_s)
         self._planner_steering = TimedInput("av_steer_req", config.planner_timeout_s)
+        self._limiter = SteeringLimiter(config.limits)
+        self._sources = {TELEOP: config.limits.human, PLANNER: config.limits.planner}
         self._slewed_duty: float = calibration.servo_center
         self._slewed_ns = 0
 
@@ -121,8 +130,31 @@ class SteeringArbiter:
         """The steering of a planner that knows no radius, −1 right to +1 left."""
         self._planner_steering.update(steering, now_ns)
 
+    def update_odometry(self, speed_mps: float, now_ns: int) -> None:
+        """The car's speed, forward positive."""
+        self._limiter.speed.update(speed_mps, now_ns)
+
+    @property
+    def cuts(self) -> int:
+        """How often a request began to be limited."""
+        return self._limiter.cuts
+
+    @property
+    def speed_mps(self) -> float:
+        """The newest speed; NaN: none was ever received."""
+        return self._limiter.speed.last_mps
+
+    def odometry_age_s(self, now_ns: int) -> float:
+        """Seconds since the newest speed; inf = never received."""
+        return self._limiter.speed.age_s(now_ns)
+
+    def turn_radius_m(self, duty: float) -> float:
+        """The radius on which a duty turns at the newest speed, right negative; inf = straight ahead."""
+        return self._calibration.turn_radius_m(duty, self._known_speed_mps)
+
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all inputs are stale."""
+        self._limiter.speed.mark_stale()
         self._interlock.mark_stale(now_ns)
         self._teleop.mark_stale()
         self._planner.mark_stale()
@@ -131,10 +163,31 @@ class SteeringArbiter:
     def decide(self, now_ns: int) -> Decision:
         """Who steers at ``now_ns``, with what duty, and why. With a slew limit the duty depends on the calls before."""
         source, duty, cause, reason = self._arbitrate(now_ns)
-        return Decision(source, self._slewed(source, duty, now_ns), cause, reason,
-                        self._interlock.e_stop_age_s(now_ns), self._interlock.human_age_s(now_ns),
-                        self._teleop.age_s(now_ns),
-                        min(self._planner.age_s(now_ns), self._planner_steering.age_s(now_ns)))
+        limits = self._sources.get(source)
+        ages_s = (self._interlock.e_stop_age_s(now_ns), self._interlock.human_age_s(now_ns),
+                  self._teleop.age_s(now_ns), min(self._planner.age_s(now_ns), self._planner_steering.age_s(now_ns)))
+        if limits is None or limits.is_off:
+            self._limiter.release(1.0 / self.turn_radius_m(duty) if source in self._sources else 0.0, now_ns)
+            return Decision(source, self._slewed(source, duty, now_ns), cause, reason, *ages_s)
+        asked_m = self._asked_radius_m(source, duty, now_ns)
+        turn = self._limiter.limit(1.0 / asked_m, limits, now_ns)
+        if turn.is_cut:
+            radius_m = 1.0 / turn.curvature_per_m if turn.curvature_per_m else math.inf
+            duty = self._calibration.planner_duty(radius_m, self._known_speed_mps)
+        return Decision(source, self._slewed(source, duty, now_ns), cause, reason, *ages_s, turn.cause, turn.reason,
+                        asked_m, turn.max_speed_mps)
+
+    def _asked_radius_m(self, source, duty, now_ns):
+        """The radius that is asked for: what the wheels can do of a planner's, else what the asked duty turns."""
+        if source == PLANNER and not self._planner.is_stale(now_ns):
+            radius_m, tightest_m = self._planner.value, self._calibration.radius_axis_m[0]
+            return math.copysign(max(abs(radius_m), tightest_m), radius_m)
+        return self.turn_radius_m(duty)
+
+    @property
+    def _known_speed_mps(self):
+        """The newest speed; 0: none was ever received."""
+        return self._limiter.speed.last_mps if self._limiter.speed.was_received else 0.0
 
     def _slewed(self, source, duty, now_ns):
         """``duty``, or as near to it as the slew limit allows by now. Neutral isn't limited."""
@@ -191,5 +244,5 @@ class SteeringArbiter:
             return PLANNER, center, causes.PLANNER, f"av_turnrad_req is {radius_m}: straight on"
         if abs(radius_m) <= NO_RADIUS_M * FLOAT32_TOLERANCE:
             return NEUTRAL, center, causes.NO_RADIUS, "av_turnrad_req is 0, which asks for nothing"
-        return (PLANNER, self._calibration.planner_duty(radius_m), causes.PLANNER,
+        return (PLANNER, self._calibration.planner_duty(radius_m, self._known_speed_mps), causes.PLANNER,
                 f"av_turnrad_req is {radius_m:.3f} m")

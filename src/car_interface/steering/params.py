@@ -10,6 +10,7 @@ from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
 from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.steering.arbiter import ArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration
+from car_interface.steering.limits import read_limits
 
 MAX_SLEW_LIMIT = 1e9  # duty per second: from end to end within a timer period, many times over
 
@@ -27,7 +28,8 @@ def read_calibration(params) -> SteeringCalibration:
         servo_channel=params.integer("servo_channel", low=0, high=CHANNELS - 1, search_parents=True),
         radius_axis_m=params.numbers("m_turnrad_axis_servo", search_parents=True),
         left_duties=params.numbers("k_pwmcmd_left_table_servo", low=0, high=MAX_DUTY, search_parents=True),
-        right_duties=params.numbers("k_pwmcmd_right_table_servo", low=0, high=MAX_DUTY, search_parents=True))
+        right_duties=params.numbers("k_pwmcmd_right_table_servo", low=0, high=MAX_DUTY, search_parents=True),
+        understeer=params.number("understeer", 0.0, low=0, high=1))
 
 
 def read_arbiter(params) -> ArbiterConfig:
@@ -42,6 +44,7 @@ def read_arbiter(params) -> ArbiterConfig:
         tele_steer_deadband=params.number("tele_steer_deadband", 0.001, low=0, high=1),
         slew_limit=params.number("slew_limit", 0.0, low=0, high=MAX_SLEW_LIMIT),
         interlock=read_interlock(params, timeout_s),
+        limits=read_limits(params),
         teleop_timeout_s=params.timeout("teleop_timeout", timeout_s),
         planner_timeout_s=params.timeout("planner_timeout", timeout_s))
 

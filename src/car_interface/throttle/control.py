@@ -1,4 +1,5 @@
-"""The throttle as a whole: who drives, what the ESC's rules make of it, and the duty that the ESC gets."""
+"""The throttle as a whole: who drives, what the limits and the ESC's rules make of it, and the duty that the ESC gets.
+"""
 from __future__ import annotations
 
 from typing import NamedTuple, Sequence
@@ -9,6 +10,9 @@ from car_interface.throttle.calibration import DutyMap, ThrottleCalibration
 from car_interface.throttle.esc import FORWARD, REVERSE, Esc, EscDecision
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_intention import Request
+from car_interface.throttle.limits import Limited, ThrottleLimiter, ThrottleLimits
+from car_interface.throttle.obstacle_guard import NONE, ObstacleGuard
+from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop
 
 DRIVES = (FORWARD, REVERSE)
 
@@ -21,6 +25,7 @@ class ThrottleDecision(NamedTuple):
     esc: EscDecision
     mode: str
     scale: float
+    limited: Limited  # what the limits granted
 
     @property
     def is_driven(self) -> bool:
@@ -31,7 +36,7 @@ class ThrottleDecision(NamedTuple):
     def differs_by(self) -> tuple:
         """All but ages, and numbers in reasons, which always differ."""
         return (self.duty, self.arbitration.source, self.arbitration.cause, self.esc.state, self.esc.cause, self.mode,
-                self.scale)
+                self.scale, self.limited.cause)
 
     @property
     def kind(self) -> tuple:
@@ -46,10 +51,14 @@ class ThrottleControl:
         arbiter: takes e-stop, deadman, steering, teleop, mode, buttons and the converter's state itself.
     """
 
-    def __init__(self, calibration: ThrottleCalibration, arbiter: ArbiterConfig, esc: EscConfig):
+    def __init__(self, calibration: ThrottleCalibration, arbiter: ArbiterConfig, esc: EscConfig,
+                 limits: ThrottleLimits | None = None, obstacles: ObstacleConfig | None = None):
         self.arbiter = ThrottleArbiter(arbiter)
         self._duties = DutyMap(calibration)
         self._esc = Esc(esc)
+        self._limiter = ThrottleLimiter(limits or ThrottleLimits(), self._request_of_value)
+        self._guard = None if obstacles is None else ObstacleGuard(ObstacleStop(obstacles), esc)
+        self._turn_max_mps = self._curvature_per_m = 0.0
         self._output = TimedInput("/servo/output", 0.0)
 
     @property
@@ -73,7 +82,25 @@ class ThrottleControl:
     def update_odometry(self, speed_mps: float, now_ns: int) -> None:
         """The car's measured speed, forward positive."""
         self.arbiter.update_odometry(speed_mps, now_ns)
+        self._limiter.speed.update(speed_mps, now_ns)
         self._esc.update_speed(speed_mps, now_ns)
+
+    def update_turn(self, radius_m: float, max_speed_mps: float) -> None:
+        """The turn that turn_arb steers, in m, left positive, inf: straight on; and up to which speed what is asked for
+        keeps within its limit; inf: straight on; 0 = no limit.
+        """
+        self._curvature_per_m = 1.0 / radius_m if abs(radius_m) > 0 else 0.0  # also for NaN
+        self._turn_max_mps = max_speed_mps if max_speed_mps > 0 else 0.0
+
+    def update_range(self, sonar: str, range_m: float, now_ns: int) -> None:
+        """A sonar's range, by its name as in ``obstacle_stop.NAMES``."""
+        if self._guard is not None:
+            self._guard.sonars.update_range(sonar, range_m, now_ns)
+
+    @property
+    def cuts(self) -> int:
+        """How often a request began to be limited."""
+        return self._limiter.cuts
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
         """The 16 duties that the servo board holds."""
@@ -81,9 +108,15 @@ class ThrottleControl:
         self._output.update(duty, now_ns)
         self._esc.update_held(self._duties.request_of_duty(duty), now_ns)
 
+    def _request_of_value(self, value):
+        return self._duties.request_of_value(value)
+
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all inputs are stale."""
         self.arbiter.mark_stale(now_ns)
+        self._limiter.speed.mark_stale()
+        if self._guard is not None:
+            self._guard.sonars.mark_stale()
         self._output.mark_stale()
         self._esc.mark_stale()
 
@@ -94,9 +127,15 @@ class ThrottleControl:
     def decide(self, now_ns: int) -> ThrottleDecision:
         """What the ESC gets from ``now_ns`` on, and why. It depends on the calls before: call it at 20 Hz at least."""
         arbitration = self.arbiter.decide(now_ns)
-        esc = self._step(arbitration, now_ns)
+        obstacle = NONE if self._guard is None else self._guard.check(
+            arbitration, self._limiter.speed, self._curvature_per_m, now_ns)
+        limited = self._limiter.limit(arbitration, self._esc.state == REVERSE, self._turn_max_mps, now_ns,
+                                      obstacle.bounds, obstacle.stop)
+        esc = self._step(limited.arbitration, now_ns)
+        if self._guard is not None:
+            self._guard.update_esc(esc, now_ns)
         return ThrottleDecision(self._duties.duty(esc.fraction), arbitration, esc, self.arbiter.mode,
-                                self.arbiter.scale)
+                                self.arbiter.scale, limited)
 
     def _step(self, arbitration, now_ns):
         """The ESC's answer. Whether it drives or brakes by a request, whose scales differ, is known only then."""

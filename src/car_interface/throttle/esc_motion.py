@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import math
 
+from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 
 STANDSTILL_MPS = 0.1
-MAX_SPEED_MPS = 100.0  # no such car is faster
 # Locked wheels read 0 while the car slides, under a brake or a strong drag brake. A slide on dust still slows it by
 # 3 m/s²: after any measured speed the car may slide for no longer than that speed divided by this.
 SLIDE_MPS2 = 3.0

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import TuningSettings, read_tuning
+from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.params import Params
 from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.steering.params import load_yaml
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration, read_calibration
 from car_interface.throttle.esc_config import EscConfig, read_esc
-from car_interface.throttle.esc_motion import MAX_SPEED_MPS
+from car_interface.throttle.limits import ThrottleLimits, read_limits
+from car_interface.throttle.obstacle_stop import HUB, ObstacleConfig, read_obstacle_stop
 from car_interface.throttle.speed_control import SpeedControlConfig
 from car_interface.throttle.stick import read_stick
 
@@ -31,12 +33,16 @@ class ThrottleConfig:
         calibration: the ESC's channel and duties.
         arbiter: the rules of who drives.
         esc: the ESC's kind and times.
+        limits: of speed and accelerations.
+        obstacles: the sonars that it stops for; ``None`` = for none.
         tuning: how far neutral may be tuned while the car drives, and where it is saved.
     """
 
     calibration: ThrottleCalibration
     arbiter: ArbiterConfig
     esc: EscConfig
+    limits: ThrottleLimits
+    obstacles: ObstacleConfig | None
     tuning: TuningSettings
 
 
@@ -47,8 +53,9 @@ def read_config(params) -> ThrottleConfig:
         ConfigError: naming the parameter.
     """
     config = ThrottleConfig(tuning=read_tuning(params, LIVE_RANGE), calibration=read_calibration(params),
-                            arbiter=read_arbiter(params), esc=read_esc(params))
-    params.finish()
+                            arbiter=read_arbiter(params), esc=read_esc(params), limits=read_limits(params),
+                            obstacles=read_obstacle_stop(params))
+    params.finish(ignored_namespaces=(HUB.rstrip("/"),))
     return config
 
 

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from car_interface.common import causes
+from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.arbiter import PLANNER
 from car_interface.throttle.arbiter import COAST_GEAR
 from car_interface.throttle.esc_intention import DRIVE, REVERSE_GEAR
-from car_interface.throttle.esc_motion import MAX_SPEED_MPS, STANDSTILL_MPS
+from car_interface.throttle.esc_motion import STANDSTILL_MPS
 from car_interface.throttle.speed_reference import SpeedReference
 
 MAX_STEP_S = 0.1  # the longest time that one step counts, so that a delayed node makes no jump

@@ -13,7 +13,7 @@ def test_every_cause_has_one_constant():
 
 def test_sets_hold_causes_only_and_cannot_change():
     sets = [value for value in CONSTANTS.values() if not isinstance(value, str)]
-    assert len(sets) == 6
+    assert len(sets) == 8
     for members in sets:
         assert isinstance(members, frozenset) and members <= set(CAUSES.values())
 

@@ -3,6 +3,7 @@
 import csv
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.sim.drive_train import DriveConfig, true_acceleration_mps2
 from car_interface.sim.esc import VirtualEscConfig
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import Pose, SteeringConfig, Vehicle, VehicleConfig
 
 MS, S = 1_000_000, 1_000_000_000
@@ -27,7 +29,7 @@ RIGHT_TABLE = [6700, 6650, 6600, 6500, 6450, 6400, 6350, 6250, 6150, 6050, 5950,
 VALUE_MAP = Path(__file__).resolve().parents[3] / "config" / "value_map.csv"
 
 # A car without surprises: what it's told is what it does.
-PLAIN = VehicleConfig(steering=SteeringConfig(curve=((4000, 1.0), (6000, -1.0)), center_duty=5000))
+PLAIN = VehicleConfig(steering=SteeringConfig(curve=((4000, 1.0), (6000, -1.0)), center_duty=5000), tyres=None)
 
 
 def drive(vehicle, seconds, steering_duty, esc_duty, dt_ns=MS):
@@ -47,7 +49,7 @@ def rolling(speed_mps, config=PLAIN):
 def frictionless(**drive_config):
     """A car that keeps its speed when it's neutral."""
     drive = DriveConfig(drag_mps2=0.0, drag_per_s=0.0, drag_per_m=0.0, **drive_config)
-    return VehicleConfig(steering=PLAIN.steering, drive=drive)
+    return VehicleConfig(steering=PLAIN.steering, drive=drive, tyres=None)
 
 
 def table_duty(radius_m, duties):
@@ -188,7 +190,7 @@ def test_car_on_a_circle_comes_back_to_where_it_was(duty, dt_ns):
 
 def test_car_in_one_long_step_moves_on_the_exact_arc():
     vehicle = rolling(2.0, frictionless())
-    vehicle.servo_duty, vehicle.curvature_per_m = 4500.0, 0.5
+    vehicle.servo_duty, vehicle.steered_per_m = 4500.0, 0.5
     vehicle.step(S, 4500, NEUTRAL)  # 2 m on a circle of 2 m: 1 rad
     assert vehicle.pose == pytest.approx((2 * math.sin(1), 2 * (1 - math.cos(1)), 1.0))
 
@@ -469,3 +471,55 @@ def test_crawler_s_brake_becomes_reverse():
 
 def test_car_without_an_esc_of_its_own_reverses_at_standstill():
     assert drive_by_duties(None, (3277, 1.0)).speed_mps < -1.0
+
+
+# Tyres
+
+
+def circling(tyres, speed_mps, steering_duty=4500, seconds=0.3):
+    """A frictionless car on a circle that its steering would make of 2 m radius."""
+    vehicle = rolling(speed_mps, replace(frictionless(), tyres=tyres))
+    drive(vehicle, seconds, steering_duty, NEUTRAL)
+    return vehicle
+
+
+def test_the_faster_it_is_the_wider_the_same_steering_turns():
+    slow, fast = circling(TyreConfig(), 0.5), circling(TyreConfig(), 3.0)
+    assert 1 / slow.curvature_per_m == pytest.approx(2.0, rel=0.001)
+    assert 1 / fast.curvature_per_m == pytest.approx(2.51, rel=0.01)
+    assert fast.steering_angle_rad == slow.steering_angle_rad
+
+
+def test_a_kinematic_car_turns_as_its_wheels_point_at_any_speed_and_never_tips():
+    vehicle = circling(None, 20.0)
+    assert vehicle.curvature_per_m == 0.5 and vehicle.rollovers.count == 0
+
+
+def test_car_that_turns_too_fast_tips_over_and_is_counted_once():
+    vehicle = circling(TyreConfig(understeer=0.0, rollover_mps2=6.0), 3.6)
+    assert vehicle.rollovers.count == 1 and vehicle.rollovers.lateral_mps2 == pytest.approx(6.48, rel=0.01)
+    assert circling(TyreConfig(understeer=0.0, rollover_mps2=6.0), 3.4).rollovers.count == 0
+
+
+def test_car_on_a_slippery_floor_slides_wide_instead():
+    vehicle = circling(TyreConfig(understeer=0.0, grip_mps2=4.0, rollover_mps2=6.0), 4.0)
+    assert vehicle.lateral_mps2 == pytest.approx(4.0) and vehicle.rollovers.count == 0
+    assert 1 / vehicle.curvature_per_m == pytest.approx(4.0)
+
+
+def test_a_brake_beyond_the_grip_locks_the_wheels_it_slides_straight_on_and_makes_no_pulses():
+    config = replace(frictionless(), tyres=TyreConfig(grip_mps2=3.0))
+    vehicle = rolling(4.0, config)
+    drive(vehicle, 0.3, 4500, NEUTRAL)
+    turning = vehicle.pose.yaw_rad
+    pulses = drive(vehicle, 0.5, 4500, REVERSE)
+    assert vehicle.slides and not pulses and vehicle.pose.yaw_rad == turning
+    assert vehicle.speed_mps == pytest.approx(4.0 - 0.5 * 3.0, abs=0.01)
+    drive(vehicle, 0.3, 4500, NEUTRAL)
+    assert not vehicle.slides and vehicle.pose.yaw_rad > turning
+
+
+def test_a_motor_beyond_the_grip_pushes_no_harder_than_the_grip():
+    vehicle = rolling(0.0, replace(frictionless(), tyres=TyreConfig(grip_mps2=3.0)))
+    drive(vehicle, 0.5, 5000, FULL)
+    assert vehicle.speed_mps == pytest.approx(1.5, abs=0.01) and not vehicle.slides

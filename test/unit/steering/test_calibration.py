@@ -3,13 +3,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.steering.calibration import trimmed
+from car_interface.steering.calibration import driven_radius_m, slow_radius_m, trimmed
 from slash import CENTER, PARAMETERS, SLASH
 
 TRIPLES = st.tuples(st.integers(3000, 4600), st.integers(4300, 5900), st.integers(5900, 7500))
@@ -176,3 +177,65 @@ def test_trimmed_tables_keep_their_order_and_stay_duties(wanted):
     assert list(scaled.left_duties) == sorted(scaled.left_duties)
     assert list(scaled.right_duties) == sorted(scaled.right_duties, reverse=True)
     assert all(0 <= duty <= 65535 for duty in (*scaled.left_duties, *scaled.right_duties))
+
+
+# A 3.5 kg F1TENTH car on a skid pad, by motion capture, steady commands, left: the radius (m) that each steering angle
+# (rad) drives at each speed (m/s). From the public recordings of
+# Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline.
+SKIDPAD = {
+    0.312: {0.5: 1.488, 1.0: 1.499, 1.5: 1.529, 2.0: 1.599, 2.5: 1.733},
+    0.416: {0.5: 1.097, 1.0: 1.105, 1.5: 1.137, 2.0: 1.194, 2.5: 1.346},
+    0.52: {0.5: 0.98, 1.0: 0.987, 1.5: 1.022, 2.0: 1.074, 2.5: 1.25},
+}
+
+
+@lru_cache(maxsize=None)
+def fitted_understeer(speeds_mps):
+    """The one term, and each angle's radius at a crawl, that fit the rows of these speeds best."""
+    def crawl_radius_m(rows, understeer):
+        return sum(slow_radius_m(rows[speed], speed, understeer) for speed in speeds_mps) / len(speeds_mps)
+
+    def error(understeer):
+        return sum((driven_radius_m(crawl_radius_m(rows, understeer), speed, understeer) / rows[speed] - 1) ** 2
+                   for rows in SKIDPAD.values() for speed in speeds_mps)
+
+    understeer = min((index * 1e-5 for index in range(500, 1200)), key=error)
+    return understeer, {angle: crawl_radius_m(rows, understeer) for angle, rows in SKIDPAD.items()}
+
+
+@pytest.mark.parametrize("angle", SKIDPAD)
+def test_a_term_fitted_below_1_5_mps_predicts_a_real_car_s_radii_at_2_and_2_5_mps(angle):
+    understeer, crawl_m = fitted_understeer((0.5, 1.0, 1.5))
+    assert understeer == pytest.approx(0.0085, abs=0.0002)
+    for speed_mps in (2.0, 2.5):  # up to 5 m/s² sideways
+        assert driven_radius_m(crawl_m[angle], speed_mps, understeer) == pytest.approx(
+            SKIDPAD[angle][speed_mps], rel=0.03)
+    # A table without speed is off by more than twice that.
+    assert crawl_m[angle] / SKIDPAD[angle][2.0] < 0.935
+
+
+@pytest.mark.parametrize("speed_mps", [-4.0, 0.0, 0.5, 2.0, 8.0])
+@pytest.mark.parametrize("radius_m", [0.5, 1.0, 3.0, 100.0, math.inf])
+def test_the_radius_to_steer_by_drives_the_radius_that_is_wanted(radius_m, speed_mps):
+    slow_m = slow_radius_m(radius_m, speed_mps, 0.0078)
+    assert slow_m <= radius_m and driven_radius_m(slow_m, speed_mps, 0.0078) == pytest.approx(radius_m)
+
+
+def test_without_the_term_a_duty_is_the_same_at_any_speed():
+    assert SLASH.understeer == 0.0
+    assert [SLASH.planner_duty(1.5, speed_mps) for speed_mps in (0.0, 3.0, 10.0)] == [SLASH.planner_duty(1.5)] * 3
+    assert SLASH.turn_radius_m(3815, 5.0) == SLASH.turn_radius_m(3815)
+
+
+def test_with_the_term_it_steers_tighter_the_faster_it_is_and_reads_its_own_duty_back():
+    car = replace(SLASH, understeer=0.0078)
+    assert car.planner_duty(5.0, 0.0) == SLASH.planner_duty(5.0)
+    for side in (1, -1):
+        duties = [car.planner_duty(side * 5.0, speed_mps) for speed_mps in (1.0, 3.0, 5.0)]
+        assert duties == sorted(duties, reverse=side > 0) and duties[0] != duties[-1]
+        assert car.turn_radius_m(car.planner_duty(side * 5.0, 4.0), 4.0) == pytest.approx(side * 5.0, rel=0.02)
+    assert car.turn_radius_m(5100, 4.0) == math.inf
+
+
+def test_at_its_stop_the_steering_saturates():
+    assert replace(SLASH, understeer=0.0078).planner_duty(1.2, 8.0) == SLASH.servo_left

@@ -53,7 +53,7 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
     Raises:
         CarInterfaceError: there is nothing to fit, or drives contradict each other, or none was on the axis.
     """
-    config = FitConfig(limits=(base.servo_left, base.servo_right))
+    config = FitConfig(understeer=base.understeer, limits=(base.servo_left, base.servo_right))
     disagreement = _disagreement(recorded, config)
     if disagreement and not accept_disagreement:
         raise CarInterfaceError(f"no calibration is written: {disagreement}? Give those that belong together")
@@ -85,6 +85,8 @@ def yaml_text(calibrated: Calibrated, base_text: str, report: Sequence[str]) -> 
         AXIS: [point.radius_m for point in calibrated.points[LEFT]],
         LEFT_TABLE: _duties(calibrated.points[LEFT]), RIGHT_TABLE: _duties(calibrated.points[RIGHT]),
     }
+    if calibrated.curve.understeer.is_known:
+        values["understeer"] = round(calibrated.curve.understeer.value, 5)
     return rewritten(base_text, values, [*HEAD, *report])
 
 

@@ -34,6 +34,7 @@ class FitConfig:
             magnitude, to either side, beyond half of what the board's next count would change.
         stop_duty: a mechanical stop is one when the curve stays level over this duty.
         stop_ratio: level is a curvature that differs from the tightest by at most this ratio.
+        understeer: by how much turns widen with speed where a drive doesn't show it.
         limits: duties beyond which nobody means to steer.
     """
 
@@ -55,6 +56,7 @@ class FitConfig:
     known_per_m: float = 0.01
     stop_duty: float = 40.0
     stop_ratio: float = 0.007
+    understeer: float = 0.0
     limits: tuple = ()
 
 

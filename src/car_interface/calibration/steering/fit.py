@@ -30,6 +30,7 @@ from car_interface.calibration.steering.segments import (
     total_counts,
 )
 from car_interface.calibration.steering.smooth import Smooth
+from car_interface.calibration.steering.understeer import Understeer, estimate_understeer, without_understeer
 from car_interface.calibration.steering.wheels import estimate_servo_delay
 
 MIN_WEIGHT = 0.05  # an observation with less is an outlier
@@ -48,7 +49,8 @@ class Curve:
         first_knot: the column of ``observations.weights`` that belongs to the first knot.
         delay: of the servo.
         backlash_duty, backlash_sigma: of the linkage, and its standard error.
-        observations: what it rests on.
+        observations: what it rests on, as if driven at a crawl.
+        understeer: by how much its turns widen with speed.
         used: which of them count, (S,).
         counts: how many intervals and segments were left out, by reason.
         scatter: how far observations lie off, in their own standard errors.
@@ -65,6 +67,7 @@ class Curve:
     backlash_duty: float
     backlash_sigma: float
     observations: Observations
+    understeer: Understeer
     used: np.ndarray
     counts: dict
     scatter: float
@@ -116,6 +119,12 @@ def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
     """The curve for one backlash, with its errors and ends."""
     all_knots, found = knots_of(segmentations), observations(segmentations, backlash_duty)
     smooth = Smooth(found)
+    slope_per_m = found.weights @ np.gradient(smooth.curvatures, KNOT)
+    understeer = estimate_understeer(found, slope_per_m)
+    value = understeer.value if understeer.is_known else config.understeer
+    if value:
+        found = without_understeer(found, value)
+        smooth = Smooth(found)
     used = smooth.weight > MIN_WEIGHT
     sigmas = smooth.standard_errors()
     curvatures = smooth.monotone(sigmas)
@@ -130,8 +139,8 @@ def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
     left, right = ends[::-1] if curvatures[-1] > curvatures[0] else ends
     center, center_sigma = find_center(knots, curvatures, sigmas)
     counts = {**total_counts(segmentations), "apart from all others": int(np.sum(~used))}
-    return Curve(knots, curvatures, sigmas, int(np.argmax(inside)), delay, backlash_duty, backlash_sigma, found, used,
-                 counts, smooth.scatter, center, center_sigma, left, right)
+    return Curve(knots, curvatures, sigmas, int(np.argmax(inside)), delay, backlash_duty, backlash_sigma, found,
+                 understeer, used, counts, smooth.scatter, center, center_sigma, left, right)
 
 
 class Disagreement(NamedTuple):

@@ -13,6 +13,7 @@ from car_interface.calibration.steering.fit import Curve
 from car_interface.calibration.steering.problems import radius_text
 from car_interface.calibration.steering.recorded import RecordedDrive
 from car_interface.calibration.steering.table import DRIVEN, LEFT, OLD, RIGHT, Breakpoint
+from car_interface.calibration.steering.understeer import Understeer
 
 
 def report(calibrated: Calibrated, recorded: Sequence[RecordedDrive], axis_m: Sequence[float] | None) -> Iterator[str]:
@@ -51,6 +52,7 @@ def _curve_lines(curve: Curve):
     yield f"  left out (intervals): {left_out or 'none'}"
     yield (f"  the servo follows after {curve.delay.delay_s:.2f} s, with a lag of {curve.delay.lag_s:.2f} s; backlash "
            f"of the steering: {curve.backlash_duty:.0f} ± {BAND * curve.backlash_sigma:.0f} duty")
+    yield _understeer_line(curve.understeer)
     fitted = curve.observations.weights @ _at_all_knots(curve)
     off = np.abs(curve.observations.curvature_per_m - fitted)[curve.used]
     yield f"  segments lie off the curve by {np.median(off):.4f} 1/m (median), {np.percentile(off, 95):.4f} (95 %)"
@@ -60,6 +62,14 @@ def _curve_lines(curve: Curve):
         why = ("the radius shrinks no more" if end.is_stop else "the end that was allowed" if end.is_end else
                "the farthest that was driven; the end was not reached")
         yield f"  {side}: duty {end.duty:.0f}, radius {radius_text(end.curvature_per_m)}: {why}"
+
+
+def _understeer_line(understeer: Understeer):
+    if not understeer.is_known:
+        return ("  by how much turns widen with speed isn't known, and understeer stays as it was: drive some circles "
+                "at other speeds, too, up to 4 m/s² sideways")
+    return (f"  understeer: {understeer.value:.4f} ± {BAND * understeer.sigma:.4f} 1/m for each (m/s²)², from "
+            f"{understeer.pairs} pairs of segments")
 
 
 def _at_all_knots(curve):

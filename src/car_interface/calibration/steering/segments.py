@@ -35,6 +35,7 @@ class Segment(NamedTuple):
     curvature_per_m: float
     sigma_per_m: float
     length_m: float
+    speed_mps: float  # the mean of its fourth power, as turns widen by that
 
 
 class Segmentation(NamedTuple):
@@ -56,6 +57,7 @@ class Observations(NamedTuple):
     duty: np.ndarray  # (S,), mean position of the wheels
     duty_sigma: np.ndarray  # (S,), standard error of that
     distance_m: np.ndarray  # (S,), length
+    speed_mps: np.ndarray  # (S,), without its sign
     weights: sparse.csr_matrix  # (S, K): the curvatures are weights @ curve
 
 
@@ -120,7 +122,7 @@ def _segment(wheels, first, end, config):
     independent = max(2.0, min(SLOPE_POINTS, length / INDEPENDENT_M))
     sigma = math.hypot(config.heading_sigma_rad * math.sqrt(12 / independent) / length, config.min_sigma_per_m)
     return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, (wheels.t_s[first] + wheels.t_s[end - 1]) / 2,
-                   curvature, sigma, length)
+                   curvature, sigma, length, float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25)
 
 
 def all_segments(segmentations: Sequence[Segmentation]) -> list[Segment]:
@@ -140,11 +142,11 @@ def total_counts(segmentations: Sequence[Segmentation]) -> dict:
 def observations(segmentations: Sequence[Segmentation], backlash_duty: float) -> Observations:
     """All drives' segments, the wheels being where a linkage with this backlash has them."""
     weights, duty = design(segmentations, backlash_duty)
-    middle_s, curvature, sigma, length = (
+    middle_s, curvature, sigma, length, speed = (
         np.array([getattr(segment, name) for segment in all_segments(segmentations)])
-        for name in ("middle_s", "curvature_per_m", "sigma_per_m", "length_m"))
+        for name in ("middle_s", "curvature_per_m", "sigma_per_m", "length_m", "speed_mps"))
     return Observations(middle_s, curvature, sigma, duty, _duty_sigmas(segmentations, backlash_duty, duty), length,
-                        weights)
+                        speed, weights)
 
 
 def design(segmentations: Sequence[Segmentation], backlash_duty: float) -> tuple[sparse.csr_matrix, np.ndarray]:

@@ -19,6 +19,7 @@ from typing import NamedTuple, Sequence
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.ranging import is_near_micros_wrap
+from car_interface.teensy.sensing.sonar_aim import SonarAim
 
 MISSING_ROUNDS = 2  # so many rounds of the others without a report
 STUCK_ZEROS, DROPPED_ZEROS = 2, 3  # echoes of 0 in a row
@@ -52,6 +53,7 @@ class SonarMonitor:
     Args:
         restart_s: after so long without any report, though there should be some, SONAR_START is wanted; 0 = never.
         sequence: the sonars in use, to be sent to each Teensy that comes up; ``None`` = the firmware's own order.
+        ahead: the sequence while the car drives forward; ``None`` = the same one.
 
     Attributes:
         sequence: the sonars in use, as the firmware fires them.
@@ -59,7 +61,10 @@ class SonarMonitor:
         dropped: sensors that are stuck and were taken out of the sequence.
     """
 
-    def __init__(self, restart_s: float = 3.0, sequence: Sequence[int] | None = None):
+    def __init__(self, restart_s: float = 3.0, sequence: Sequence[int] | None = None,
+                 ahead: Sequence[int] | None = None):
+        self._ahead = None if ahead is None else tuple(ahead)
+        self._aim = SonarAim()
         self._restart_ns = round(restart_s * NS_PER_S)
         self._configured = None if sequence is None else tuple(sequence)
         self.starts = 0
@@ -70,7 +75,8 @@ class SonarMonitor:
         self._forget_reports(0)
 
     def _forget_commands(self):
-        self.sequence = self._configured or tuple(range(len(SONARS)))
+        self._usual = self.sequence = self._configured or tuple(range(len(SONARS)))
+        self._is_ahead = False  # whether the sequence is the one for driving forward
         self.dropped: tuple = ()
         self._wait_ms = FIRMWARE_WAIT_MS
         self._must_send = self._configured is not None
@@ -88,7 +94,7 @@ class SonarMonitor:
         """The port was opened: nothing is known of what the sonars do, but their order stays what was commanded."""
         self._forget_reports(now_ns)
         self._newest = self._frame_ns = None
-        self._must_send = self._configured is not None or bool(self.dropped)
+        self._must_send = self._configured is not None or bool(self.dropped) or self._is_ahead
 
     def rebooted(self, now_ns: int) -> None:
         """The Teensy rebooted: its sonars run, in its own order."""
@@ -124,6 +130,14 @@ class SonarMonitor:
 
     def sequence_set(self, sequence: Sequence[int], now_ns: int) -> None:
         """SET_SONAR_SEQ was sent on request: a sonar that is put in is used again."""
+        self._usual = tuple(sequence)
+        self._use(sequence, now_ns)
+
+    def update_speed(self, speed_mps: float, now_ns: int) -> None:
+        """The car's measured speed, forward positive: while it drives forward the sonars fire mostly ahead."""
+        self._aim.update(speed_mps, now_ns)
+
+    def _use(self, sequence, now_ns):
         self.sequence = tuple(sequence)
         self.dropped = tuple(sensor for sensor in self.dropped if sensor not in sequence)
         self._since_ns = max(self._since_ns, now_ns)
@@ -167,6 +181,14 @@ class SonarMonitor:
         if self._must_send:
             self._must_send = False
             return SEND_SEQUENCE
+        if self._ahead and self._aim.is_ahead != self._is_ahead:
+            self._is_ahead = self._aim.is_ahead
+            wanted = self._ahead if self._is_ahead else self._usual
+            dropped, in_use = self.dropped, [sensor for sensor in wanted if sensor not in self.dropped]
+            if in_use:
+                self._use(in_use, now_ns)
+                self.dropped = dropped
+                return SEND_SEQUENCE
         if self._stopped:
             return None
         for sensor in set(self.sequence):
@@ -199,7 +221,7 @@ class SonarMonitor:
 
     def _suspect(self):
         """The sonar at which they stopped: the one after the last that reported."""
-        if self._last not in self.sequence:
+        if self.sequence.count(self._last) != 1:  # one that fires more often has more than one after it
             return None
         return self.sequence[(self.sequence.index(self._last) + 1) % len(self.sequence)]
 

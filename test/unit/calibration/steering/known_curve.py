@@ -10,6 +10,7 @@ from car_interface.calibration.steering.drive import KNOT
 from car_interface.calibration.steering.ends import Side
 from car_interface.calibration.steering.fit import Curve
 from car_interface.calibration.steering.segments import Observations
+from car_interface.calibration.steering.understeer import UNKNOWN
 
 CENTER, LEFT_DUTY, RIGHT_DUTY = 5200.0, 4000.0, 6400.0
 
@@ -23,10 +24,11 @@ def line_curve(low=LEFT_DUTY, high=RIGHT_DUTY, center=CENTER, sigma_per_m=0.001,
     weights = np.zeros((count, len(duties)))
     weights[np.arange(count), driven] = 1.0
     found = Observations(np.arange(count) * 1.0, curvatures[driven], np.full(count, sigma_per_m), duties[driven],
-                         np.ones(count), np.full(count, 2.0), weights)
+                         np.ones(count), np.full(count, 2.0), np.ones(count), weights)
     fields = {
         "duties": duties, "curvatures": curvatures, "sigmas": np.full(len(duties), sigma_per_m), "first_knot": 0,
         "delay": Delay(0.1, 0.15, 0.99), "backlash_duty": 6.0, "backlash_sigma": 1.0, "observations": found,
+        "understeer": UNKNOWN,
         "used": np.ones(count, bool), "counts": {}, "scatter": 1.0, "center": center, "center_sigma": 2.0,
         "left": Side(low, max(0.0, curvatures[0]), sigma_per_m, True, True, low),
         "right": Side(high, max(0.0, -curvatures[-1]), sigma_per_m, True, True, high)}

@@ -16,6 +16,7 @@ from car_interface.calibration.steering.calibrate import calibrate, yaml_text
 from car_interface.calibration.steering.drive import NothingToFit
 from car_interface.calibration.steering.ends import Side
 from car_interface.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT
+from car_interface.calibration.steering.understeer import Understeer
 from car_interface.common.errors import CarInterfaceError
 from car_interface.steering.calibration import SteeringCalibration
 
@@ -150,3 +151,15 @@ def test_file_has_the_values_in_whole_duties_and_the_report_as_its_head(fits):
     assert "\n# a line of the report\n" in text and "stock calibration" not in text
     assert "servo_channel: 0  # of the PCA9685\n" in text
     assert "# straight on" not in text  # it described the old value
+
+
+@pytest.mark.parametrize("base_text", [BASE_TEXT, BASE_TEXT + "understeer: 0.002\n"], ids=["without_one", "with_one"])
+def test_file_has_the_understeer_that_the_drives_show(fits, base_text):
+    fits["drives/a.bag"] = line_curve(understeer=Understeer(0.00781234, 0.0005, 40))
+    text = yaml_text(calibrate([recorded()], BASE, (1.0, 3.0, 100.0)), base_text, [])
+    assert yaml.safe_load(text)["understeer"] == 0.00781
+
+
+def test_understeer_that_the_drives_do_not_show_stays(fits):
+    text = yaml_text(calibrate([recorded()], BASE, (1.0, 3.0, 100.0)), BASE_TEXT + "understeer: 0.002\n", [])
+    assert yaml.safe_load(text)["understeer"] == 0.002

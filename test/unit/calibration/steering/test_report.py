@@ -14,6 +14,7 @@ from car_interface.calibration.steering.calibrate import Calibrated
 from car_interface.calibration.steering.ends import Side
 from car_interface.calibration.steering.report import report
 from car_interface.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT, Breakpoint
+from car_interface.calibration.steering.understeer import Understeer
 
 
 def point(radius_m, duty, source=DRIVEN, duty_sigma=2.0, radius_sigma_m=0.1, segments=7, distance_m=14.0):
@@ -127,3 +128,10 @@ def test_problems_and_a_disagreement_end_it():
     assert lines(problems=["no data for left turns", "no center"], disagreement="a and b disagree")[-3:] == [
         "  missing: no data for left turns", "  missing: no center", "  a and b disagree?"]
     assert not any("missing" in line for line in lines())
+
+
+def test_understeer_stands_with_its_error_or_with_what_to_drive():
+    known = line_curve(understeer=Understeer(0.0078, 0.0005, 40))
+    assert "  understeer: 0.0078 ± 0.0010 1/m for each (m/s²)², from 40 pairs of segments" in lines(known)
+    assert ("  by how much turns widen with speed isn't known, and understeer stays as it was: drive some circles at "
+            "other speeds, too, up to 4 m/s² sideways") in lines()

@@ -328,3 +328,89 @@ def test_car_with_a_stuck_sonar_gets_the_other_five_back(uptime_s):
     assert car.listener.first("front_left") <= stuck_s + 10
     assert car.sensors_since(stuck_s + 149) == {0, 1, 3, 4, 5}
     assert car.listener.faults[-1][1] == "front_left is stuck high and was taken out of the sequence"
+
+
+# --- mostly ahead while it drives forward ---
+
+AHEAD = (1, 0, 1, 2, 1, 4)
+
+
+def aimed(ahead=AHEAD, sequence=None):
+    monitor = SonarMonitor(3.0, sequence, ahead)
+    monitor.opened(0)
+    monitor.frame(0)
+    monitor.next_command(0)
+    return monitor
+
+
+def test_while_the_car_drives_forward_the_sonars_ahead_fire_most_and_afterwards_all_do():
+    monitor = aimed()
+    assert monitor.next_command(0) is None and monitor.sequence == ALL
+    monitor.update_speed(1.0, S // 10)
+    assert monitor.next_command(S // 10) == SEND_SEQUENCE and monitor.sequence == AHEAD
+    assert monitor.next_command(S // 10) is None
+    monitor.update_speed(0.0, S // 2)  # a short stop
+    assert monitor.next_command(S // 2) is None
+    monitor.frame(2 * S)
+    monitor.update_speed(0.0, 2 * S)
+    assert monitor.next_command(2 * S) == SEND_SEQUENCE and monitor.sequence == ALL
+
+
+def test_a_car_that_begins_to_reverse_has_its_usual_sequence_at_once():
+    monitor = aimed(sequence=[1, 4])
+    monitor.update_speed(1.0, S // 10)
+    monitor.next_command(S // 10)
+    monitor.update_speed(-0.3, S // 5)
+    assert monitor.next_command(S // 5) == SEND_SEQUENCE and monitor.sequence == (1, 4)
+
+
+def test_a_sequence_that_was_requested_meanwhile_is_the_usual_one_from_then_on():
+    monitor = aimed()
+    monitor.update_speed(1.0, S // 10)
+    monitor.next_command(S // 10)
+    monitor.sequence_set([0, 1], S // 5)
+    assert monitor.sequence == (0, 1)
+    monitor.update_speed(-0.3, S // 4)
+    assert monitor.next_command(S // 4) == SEND_SEQUENCE and monitor.sequence == (0, 1)
+
+
+def test_a_teensy_that_reboots_on_the_way_gets_it_again():
+    monitor = aimed()
+    monitor.update_speed(1.0, S // 10)
+    monitor.next_command(S // 10)
+    monitor.rebooted(S // 5)
+    assert monitor.sequence == ALL
+    monitor.frame(S // 5)
+    assert monitor.next_command(S // 5) == SEND_SEQUENCE and monitor.sequence == AHEAD
+
+
+def test_a_stuck_sonar_stays_out_of_both():
+    monitor = aimed()
+    monitor.dropped = (1,)
+    monitor.update_speed(1.0, S // 10)
+    assert monitor.next_command(S // 10) == SEND_SEQUENCE
+    assert monitor.sequence == (0, 2, 4) and monitor.dropped == (1,)
+
+
+def test_without_such_a_sequence_nothing_changes():
+    monitor = aimed(ahead=None)
+    monitor.update_speed(1.0, S // 10)
+    assert monitor.next_command(S // 10) is None and monitor.sequence == ALL
+
+
+def test_sonars_that_fire_several_times_in_a_sequence_are_not_missed_nor_suspected():
+    monitor = aimed(sequence=AHEAD, ahead=None)
+    for step in range(60):
+        now_ns = step * ROUND_NS
+        monitor.frame(now_ns)
+        monitor.report(AHEAD[step % 6], 5000, step * 55, now_ns)
+        assert monitor.next_command(now_ns) is None and monitor.faults(now_ns) == []
+
+
+def test_a_port_that_is_opened_again_on_the_way_gets_it_again():
+    monitor = aimed()
+    monitor.update_speed(1.0, S // 10)
+    monitor.next_command(S // 10)
+    monitor.opened(S // 5)
+    monitor.frame(S // 5)
+    assert monitor.next_command(S // 5) == SEND_SEQUENCE and monitor.sequence == AHEAD

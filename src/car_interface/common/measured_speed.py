@@ -1,0 +1,115 @@
+"""The measured speed, and what it will be when a command that is given now takes effect."""
+from __future__ import annotations
+
+import math
+
+from car_interface.common.staleness import TimedInput
+from car_interface.common.units import NS_PER_S
+
+MAX_SPEED_MPS = 100.0  # no such car is faster
+WINDOW_NS = 100_000_000  # over which an acceleration is measured: five reports at 50 Hz, whose noise it evens out
+MAX_ACCELERATION_MPS2 = 10.0  # no tyre does more
+ACTUATION_S = 0.06  # from a decision to the servo's turn: a pulse of 20 ms, and a servo that turns by a tenth
+MAX_AHEAD_S = 0.2
+# Between two reports a car may gain speed unseen: the simulated Slash's full throttle is 5.6 m/s². Reports that are
+# late by more than LATE_S count as missing: nobody should push the car on until the next.
+UNSEEN_MPS2 = 6.0
+LATE_S, LATE_PERIODS = 0.1, 2.0
+UNSEEN_AFTER_S = 0.02  # reports come as unevenly
+MAX_PERIOD_S = 0.2  # of a standing car's odometry
+# Locked wheels read 0 while the car slides. No tyre slows a car by more than this; a reading that falls by more, and by
+# more than noise, is of sliding wheels. A slide on dust still slows it by 3 m/s².
+MAX_DECELERATION_MPS2, SLIDE_MPS2 = 10.0, 3.0
+NOISE_MPS, NOISE_RATIO = 0.1, 0.06
+
+
+class MeasuredSpeed:
+    """The speed by odometry, forward positive. One that isn't finite, or no car's, is no measurement.
+
+    Args:
+        timeout_s: a speed older than this is lost; 0 = never.
+    """
+
+    def __init__(self, timeout_s: float):
+        self._speed = TimedInput("odom", timeout_s)
+        self._anchor_ns, self._anchor_mps = None, 0.0  # where the acceleration is measured from
+        self._gain_mps2 = 0.0  # by which its magnitude rises
+        self._period_s, self._periods = MAX_PERIOD_S, 0  # of the reports: the mean of about eight, and how many
+        self._updated_ns: int | None = None
+        self._magnitude_mps = 0.0  # of the car, also while its wheels slide
+
+    @property
+    def was_received(self) -> bool:
+        """Whether there ever was one."""
+        return self._speed.was_received
+
+    def update(self, speed_mps: float, now_ns: int) -> None:
+        """A speed that has arrived."""
+        if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
+            self._speed.mark_stale()
+            return
+        if self._anchor_ns is None or self._speed.is_stale(now_ns):
+            self._anchor_ns, self._anchor_mps, self._gain_mps2 = now_ns, speed_mps, 0.0
+        elif now_ns - self._anchor_ns >= WINDOW_NS:
+            gain_mps2 = (abs(speed_mps) - abs(self._anchor_mps)) * NS_PER_S / (now_ns - self._anchor_ns)
+            self._gain_mps2 = max(0.0, min(MAX_ACCELERATION_MPS2, gain_mps2))
+            self._anchor_ns, self._anchor_mps = now_ns, speed_mps
+        self._speed.update(speed_mps, now_ns)
+        elapsed_s = MAX_PERIOD_S if self._updated_ns is None else (now_ns - self._updated_ns) / NS_PER_S
+        self._magnitude_mps = self._believed_mps(abs(speed_mps), elapsed_s)
+        if self._updated_ns is not None:
+            self._periods = min(8, self._periods + 1)
+            self._period_s += (min(elapsed_s, MAX_PERIOD_S) - self._period_s) / self._periods
+        self._updated_ns = now_ns
+
+    def _believed_mps(self, measured_mps, elapsed_s):
+        """The car's speed by that of its wheels."""
+        before_mps = self._magnitude_mps
+        fallen_mps = before_mps - measured_mps - NOISE_MPS - NOISE_RATIO * before_mps
+        if fallen_mps <= MAX_DECELERATION_MPS2 * elapsed_s:
+            return measured_mps
+        return max(measured_mps, before_mps - SLIDE_MPS2 * elapsed_s)
+
+    def mark_stale(self) -> None:
+        """Messages were dropped before they got here."""
+        self._speed.mark_stale()
+
+    def is_lost(self, now_ns: int) -> bool:
+        """Whether there was one and it is stale; also if there never was."""
+        return self._speed.is_stale(now_ns)
+
+    @property
+    def _late_s(self):
+        return LATE_S + LATE_PERIODS * self._period_s
+
+    def is_late(self, now_ns: int) -> bool:
+        """Whether reports are missing that should have come; before the speed is lost."""
+        return self._speed.age_s(now_ns) > self._late_s
+
+    def lost_reason(self, now_ns: int) -> str:
+        """Why it is lost, in words."""
+        return self._speed.stale_reason(now_ns)
+
+    def age_s(self, now_ns: int) -> float:
+        """Seconds since the newest; inf = never received."""
+        return self._speed.age_s(now_ns)
+
+    @property
+    def last_mps(self) -> float:
+        """The newest speed; NaN: none was ever received."""
+        return self._speed.value if self._speed.was_received else math.nan
+
+    @property
+    def magnitude_mps(self) -> float:
+        """The car's newest speed without its sign, also while its wheels are locked; 0: none was ever received."""
+        return self._magnitude_mps
+
+    def highest_mps(self, now_ns: int) -> float:
+        """The magnitude that it may have when a command of now takes effect; when it is lost this stays.
+
+        It rises as it did, and while reports are missing as by full throttle. Only to be asked for once there was one.
+        """
+        age_s = self._speed.age_s(now_ns)
+        unseen_s = min(age_s, self._late_s) - self._period_s - UNSEEN_AFTER_S
+        return (self._magnitude_mps + self._gain_mps2 * min(MAX_AHEAD_S, age_s + ACTUATION_S)
+                + (UNSEEN_MPS2 * unseen_s if unseen_s > 0 else 0.0))

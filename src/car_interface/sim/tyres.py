@@ -1,0 +1,95 @@
+"""What tyres hold: how a car's path differs from where its wheels point, how hard it can brake, and when it tips.
+
+Pure: where the steering points, speed and demanded acceleration in; the path's curvature and the possible acceleration
+out.
+
+The front wheels slip sideways by an angle that grows with the square of the lateral acceleration a: the path is less
+curved than the steering points, by ``understeer`` · a². Measured circles of a 3.5 kg F1TENTH car (motion capture, 0.5
+to 2.5 m/s, 3 steering angles; recordings of Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline) follow that within
+2.5 % in radius, up to 5 m/s² sideways. Beyond, the friction circle holds: √(along² + across²) ≤ grip.
+
+Weight doesn't move and slip takes no time: no skid, no oversteer, no rocking before it tips.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from car_interface.sim.checks import require
+
+UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the car stands on its wheels again
+
+
+@dataclass(frozen=True)
+class TyreConfig:
+    """One car's tyres and its balance.
+
+    Attributes:
+        understeer: curvature lost, in 1/m for each (m/s²)² of lateral acceleration. The measured car has 0.0078.
+        grip_mps2: the most acceleration, along and across together: 0.8 g, rubber on a dry floor.
+        rollover_mps2: the lateral acceleration at which it tips.
+    """
+
+    understeer: float = 0.0078
+    grip_mps2: float = 7.8
+    rollover_mps2: float = 7.0
+
+    def __post_init__(self):
+        require(self.understeer >= 0, "understeer", self.understeer, "0 or more")
+        require(self.grip_mps2 > 0, "grip_mps2", self.grip_mps2, "more than 0")
+        require(self.rollover_mps2 > 0, "rollover_mps2", self.rollover_mps2, "more than 0")
+
+
+def possible_acceleration_mps2(demanded_mps2: float, tyres: TyreConfig) -> float:
+    """What the tyres transmit of an acceleration along the car."""
+    return max(-tyres.grip_mps2, min(tyres.grip_mps2, demanded_mps2))
+
+
+def path_curvature_per_m(steered_per_m: float, speed_mps: float, along_mps2: float, tyres: TyreConfig) -> float:
+    """The curvature of the path.
+
+    Args:
+        steered_per_m: where the steering points: the curvature at a crawl.
+        speed_mps: its sign doesn't matter.
+        along_mps2: what the tyres transmit along the car; they have what is left of the friction circle for the turn.
+    """
+    speed2 = speed_mps * speed_mps
+    loss = tyres.understeer * speed2 * speed2
+    magnitude = abs(steered_per_m)
+    if loss * magnitude > 1e-9:
+        # steered = path + loss · path²: its positive root, in a form that takes a small loss.
+        magnitude = 2 * magnitude / (1 + math.sqrt(1 + 4 * loss * magnitude))
+    if speed2:
+        across_mps2 = math.sqrt(max(0.0, tyres.grip_mps2 ** 2 - along_mps2 ** 2))
+        magnitude = min(magnitude, across_mps2 / speed2)
+    return math.copysign(magnitude, steered_per_m)
+
+
+class Rollovers:
+    """Counts how often a car would have tipped over. It drives on: what a rolled car does is no concern of a test.
+
+    Attributes:
+        count: how often; once until it stands on its wheels again.
+        lateral_mps2: of the newest, the largest so far; left turns positive.
+        max_lateral_mps2: the largest magnitude since the start.
+    """
+
+    def __init__(self, rollover_mps2: float):
+        self._rollover_mps2 = rollover_mps2
+        self._tips = False
+        self.count = 0
+        self.lateral_mps2 = 0.0
+        self.max_lateral_mps2 = 0.0
+
+    def update(self, lateral_mps2: float) -> None:
+        """The lateral acceleration now."""
+        magnitude = abs(lateral_mps2)
+        self.max_lateral_mps2 = max(self.max_lateral_mps2, magnitude)
+        if self._tips:
+            self._tips = magnitude >= UPRIGHT_RATIO * self._rollover_mps2
+            if magnitude > abs(self.lateral_mps2):
+                self.lateral_mps2 = lateral_mps2
+        elif magnitude >= self._rollover_mps2:
+            self._tips = True
+            self.count += 1
+            self.lateral_mps2 = lateral_mps2

@@ -1,0 +1,158 @@
+"""How tight, and how quickly tighter, a car may turn at the speed that it has.
+
+Pure: the curvature that was asked for and the measured speed in, the curvature that is granted and the reason out. The
+lateral acceleration of a turn is v²·|κ|: a limit on it bounds |κ|, one on its rise (jerk) bounds how quickly the car
+turns in. The way back to straight on is never limited.
+
+Without any speed ever nothing is limited. When the speed is lost the last bound stays.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from car_interface.common import causes
+from car_interface.common.measured_speed import MeasuredSpeed
+from car_interface.common.units import NS_PER_S
+
+# Jerk is held on the mean over this time: a planner's request comes in steps, each 50 ms at 20 Hz.
+JERK_OVER_S = 0.05
+
+
+@dataclass(frozen=True)
+class SourceLimits:
+    """What one source may ask of the tyres; 0 = no limit.
+
+    Attributes:
+        max_lateral_mps2: lateral acceleration.
+        max_jerk_mps3: its rise in a second.
+    """
+
+    max_lateral_mps2: float = 0.0
+    max_jerk_mps3: float = 0.0
+
+    @property
+    def is_off(self) -> bool:
+        """Whether it limits nothing."""
+        return not (self.max_lateral_mps2 or self.max_jerk_mps3)
+
+
+@dataclass(frozen=True)
+class SteeringLimits:
+    """The limits of the steering, named as the ROS parameters.
+
+    Attributes:
+        human, planner: of each source. 4 m/s² is 0.4 g, half of what rubber holds on a dry floor. Autoware's gate
+            allows 5 m/s² to cars that are wider for their height.
+        odometry_timeout_s: a speed older than this is lost; 0 = never.
+    """
+
+    human: SourceLimits = field(default_factory=SourceLimits)
+    planner: SourceLimits = field(default_factory=lambda: SourceLimits(max_lateral_mps2=4.0, max_jerk_mps3=40.0))
+    odometry_timeout_s: float = 0.5
+
+
+def read_limits(params) -> SteeringLimits:
+    """The limits from ~human/… and ~planner/….
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    default = SteeringLimits()
+
+    def source(name, limits):
+        return SourceLimits(
+            max_lateral_mps2=params.number(f"{name}/max_lateral_acceleration", limits.max_lateral_mps2, 0.0, 20.0),
+            max_jerk_mps3=params.number(f"{name}/max_lateral_jerk", limits.max_jerk_mps3, 0.0, 1000.0))
+
+    return SteeringLimits(human=source("human", default.human), planner=source("planner", default.planner),
+                          odometry_timeout_s=params.timeout("odometry_timeout", default.odometry_timeout_s))
+
+
+class Turn(NamedTuple):
+    """What a request to turn is granted."""
+
+    curvature_per_m: float  # the one that was asked for, bit for bit, where nothing limits it
+    cause: str = ""  # one of car_interface.common.causes; empty: nothing limits it
+    reason: str = ""
+    max_speed_mps: float = 0.0  # up to which what was asked for keeps within the limit; inf: straight on; 0 = no limit
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether something else is granted than was asked for."""
+        return self.cause in causes.STEERING_CUTS
+
+
+class SteeringLimiter:
+    """Limits one car's turns.
+
+    Attributes:
+        speed: the measured speed.
+        cuts: how often a request began to be limited.
+    """
+
+    def __init__(self, limits: SteeringLimits):
+        self.limits = limits
+        self.speed = MeasuredSpeed(limits.odometry_timeout_s)
+        self.cuts = 0
+        self._is_cut = False
+        self._granted_per_m = 0.0
+        self._granted_ns: int | None = None
+        self._credit_mps2 = 0.0  # by which the lateral acceleration may rise at once
+
+    def release(self, curvature_per_m: float, now_ns: int) -> None:
+        """Nobody steers, or somebody without limits: the car turns by this curvature."""
+        self._granted_per_m, self._granted_ns, self._is_cut = curvature_per_m, now_ns, False
+        self._credit_mps2 = math.inf
+
+    def limit(self, curvature_per_m: float, limits: SourceLimits, now_ns: int) -> Turn:
+        """What a source that asks for this curvature (1/m, left positive) is granted."""
+        if not self.speed.was_received:
+            self.release(curvature_per_m, now_ns)
+            return Turn(curvature_per_m, causes.LIMITS_OFF, "odom was never heard: nothing limits the steering")
+        turn = self._held(self._bounded(curvature_per_m, limits, now_ns), limits, now_ns)
+        if turn.is_cut and not self._is_cut:
+            self.cuts += 1
+        self._granted_per_m, self._granted_ns, self._is_cut = turn.curvature_per_m, now_ns, turn.is_cut
+        return turn
+
+    def _bounded(self, curvature_per_m, limits, now_ns):
+        """The turn by the limit of the lateral acceleration."""
+        limit_mps2, magnitude = limits.max_lateral_mps2, abs(curvature_per_m)
+        if not limit_mps2:
+            return Turn(curvature_per_m)
+        if not magnitude:
+            return Turn(curvature_per_m, max_speed_mps=math.inf)
+        speed_mps = self.speed.highest_mps(now_ns)
+        max_speed_mps = math.sqrt(limit_mps2 / magnitude)
+        if speed_mps <= max_speed_mps:
+            return Turn(curvature_per_m, max_speed_mps=max_speed_mps)
+        bound_per_m = limit_mps2 / (speed_mps * speed_mps)
+        reason = (f"{limit_mps2:g} m/s² sideways: at {speed_mps:.1f} m/s no tighter than {1 / bound_per_m:.2f} m, "
+                  f"{1 / magnitude:.2f} m was asked for")
+        return Turn(math.copysign(bound_per_m, curvature_per_m), causes.LATERAL_LIMITED,
+                    reason + self._lost(now_ns), max_speed_mps)
+
+    def _held(self, turn, limits, now_ns):
+        """The turn by the limit of the jerk."""
+        jerk_mps3 = limits.max_jerk_mps3
+        if not jerk_mps3:
+            return turn
+        speed_mps = self.speed.highest_mps(now_ns)
+        before, wanted = self._granted_per_m, turn.curvature_per_m
+        before = abs(before) if before * wanted > 0 else 0.0
+        elapsed_s = 1.0 if self._granted_ns is None else (now_ns - self._granted_ns) / NS_PER_S
+        credit_mps2 = min(jerk_mps3 * JERK_OVER_S, self._credit_mps2 + jerk_mps3 * max(0.0, elapsed_s))
+        rise_mps2 = (abs(wanted) - before) * speed_mps * speed_mps
+        if rise_mps2 <= credit_mps2:
+            self._credit_mps2 = credit_mps2 - max(0.0, rise_mps2)
+            return turn
+        self._credit_mps2 = 0.0
+        granted = math.copysign(before + credit_mps2 / (speed_mps * speed_mps), wanted)
+        reason = f"{jerk_mps3:g} m/s³ sideways at {speed_mps:.1f} m/s: it turns in more slowly"
+        return turn._replace(curvature_per_m=granted, cause=turn.cause or causes.JERK_LIMITED,
+                             reason=turn.reason or reason + self._lost(now_ns))
+
+    def _lost(self, now_ns):
+        return f"; by the last speed, {self.speed.lost_reason(now_ns)}" if self.speed.is_lost(now_ns) else ""

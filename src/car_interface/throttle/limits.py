@@ -1,0 +1,225 @@
+"""How fast a car may get, how quickly, and how hard it may brake: limits of what a human or a planner asks for.
+
+Pure: an arbitration and the measured speed in, the arbitration that the ESC's rules get and the reason out. A request
+is a fraction, not an acceleration. So a speed is limited by what is measured: from half a metre per second below it the
+throttle is taken away evenly, and at it there is none. Beyond, a planner's car brakes; a human's rolls, since a pull
+that the human has not made must not count as one. Accelerations are limited through the value map, as good as that is.
+
+A stop is never limited, nor is neutral.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Callable, NamedTuple, Sequence
+
+from car_interface.common import causes
+from car_interface.common.errors import ConfigError
+from car_interface.common.measured_speed import MeasuredSpeed
+from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
+from car_interface.throttle.value_map import ValueMap, load_value_map
+
+BAND_MPS = 0.5  # full throttle this far below a limit, none at it
+OVER_MPS = 0.1  # above a limit by this a planner's car brakes: less than what odometry can tell apart isn't worth one
+BRAKE_PER_MPS = 0.5  # of the ESC's brake, for each m/s above the limit
+MIN_BRAKE, MAX_BRAKE = 0.1, 0.5  # more would lock the wheels of a Slash on smooth floors, and locked wheels don't steer
+BACKWARD_MPS = -0.1
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """What one source may ask of the motor; 0 = no limit.
+
+    Attributes:
+        max_speed_mps: forward and backward.
+        max_acceleration_mps2, max_braking_mps2: by the value map.
+    """
+
+    max_speed_mps: float = 0.0
+    max_acceleration_mps2: float = 0.0
+    max_braking_mps2: float = 0.0
+
+
+@dataclass(frozen=True)
+class ThrottleLimits:
+    """The limits of the throttle, named as the ROS parameters.
+
+    Attributes:
+        human, planner: of each source.
+        slow_down: a planner's car that is too fast for the turn that its planner asks for slows down.
+        value_map: for accelerations; ``None`` = there are no limits of them.
+        odometry_timeout_s: a speed older than this is lost; 0 = never.
+    """
+
+    human: DriveLimits = field(default_factory=DriveLimits)
+    planner: DriveLimits = field(default_factory=DriveLimits)
+    slow_down: bool = True
+    value_map: ValueMap | None = None
+    odometry_timeout_s: float = 0.5
+
+
+def read_limits(params) -> ThrottleLimits:
+    """The limits from ~human/…, ~planner/…, ~slow_down and ~csv_path_value_map.
+
+    Raises:
+        ConfigError: naming the parameter, or the place in the map's file.
+    """
+    def source(name):
+        return DriveLimits(max_speed_mps=params.number(f"{name}/max_speed", 0.0, 0.0, 100.0),
+                           max_acceleration_mps2=params.number(f"{name}/max_acceleration", 0.0, 0.0, 100.0),
+                           max_braking_mps2=params.number(f"{name}/max_braking", 0.0, 0.0, 100.0))
+
+    human, planner = source("human"), source("planner")
+    path = params.path("csv_path_value_map", None)
+    allow_plateaus = params.flag("allow_plateaus", False)
+    value_map = None
+    for name, limits in (("human", human), ("planner", planner)):
+        for limit, value in (("max_acceleration", limits.max_acceleration_mps2),
+                             ("max_braking", limits.max_braking_mps2)):
+            if value and path is None:
+                raise ConfigError(f"{name}/{limit}", value, "0, or csv_path_value_map, the value map that says what "
+                                                            "the ESC's duties do")
+            if value and value_map is None:
+                value_map = load_value_map(path, allow_plateaus)
+    return ThrottleLimits(human=human, planner=planner, slow_down=params.flag("slow_down", True), value_map=value_map,
+                          odometry_timeout_s=params.timeout("odometry_timeout", 0.5))
+
+
+class SpeedBound(NamedTuple):
+    """A speed that the car may have, and why."""
+
+    speed_mps: float
+    cause: str  # one of car_interface.common.causes
+    words: str  # what the speed is, for a reason: ``max_speed``
+
+
+class Limited(NamedTuple):
+    """What a request is granted."""
+
+    arbitration: Arbitration  # the same object where nothing limits it
+    cause: str = ""  # one of car_interface.common.causes; empty: nothing limits it
+    reason: str = ""
+    max_speed_mps: float = 0.0  # the least of the speed limits in force; 0 = there is none
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether something else is granted than was asked for."""
+        return self.cause in causes.THROTTLE_CUTS
+
+
+class ThrottleLimiter:
+    """Limits one car's throttle.
+
+    Args:
+        limits: the limits.
+        request_of_value: the request for one of the value map's values.
+
+    Attributes:
+        speed: the measured speed.
+        cuts: how often a request began to be limited.
+    """
+
+    def __init__(self, limits: ThrottleLimits, request_of_value: Callable[[float], float]):
+        self.limits = limits
+        self.speed = MeasuredSpeed(limits.odometry_timeout_s)
+        self.cuts = 0
+        self._is_cut = False
+        self._request_of_value = request_of_value
+
+    def limit(self, arbitration: Arbitration, is_reverse: bool, turn_max_mps: float, now_ns: int,
+              bounds: Sequence[SpeedBound] = (), stop: SpeedBound | None = None) -> Limited:
+        """What an arbitration is granted.
+
+        Args:
+            arbitration: who drives, with what request.
+            is_reverse: the ESC is in reverse.
+            turn_max_mps: up to which the turn that is asked for is allowed; inf: straight on; 0 = no limit.
+            now_ns: the time.
+            bounds: other speeds that it may have, in the direction in which it drives.
+            stop: one that it exceeds, for which it has to stop.
+        """
+        if stop is not None and arbitration.source in (TELEOP, PLANNER) and not arbitration.is_stop:
+            stopped = arbitration._replace(drive=0.0, brake=0.0, is_stop=True)
+            limited = Limited(stopped, stop.cause, f"{self._words(stop)}: it stops", stop.speed_mps)
+        else:
+            limited = self._limit(arbitration, is_reverse, turn_max_mps, now_ns, bounds)
+        if limited.is_cut and not self._is_cut:
+            self.cuts += 1
+        self._is_cut = limited.is_cut
+        return limited
+
+    def _limit(self, arbitration, is_reverse, turn_max_mps, now_ns, bounds):
+        source = arbitration.source
+        if arbitration.is_stop or source not in (TELEOP, PLANNER):
+            return Limited(arbitration)
+        limits = self.limits.planner if source == PLANNER else self.limits.human
+        bounds = list(bounds)
+        if limits.max_speed_mps:
+            bounds.append(SpeedBound(limits.max_speed_mps, causes.SPEED_LIMITED, "max_speed"))
+        slows_down = turn_max_mps and self.limits.slow_down and source == PLANNER
+        if slows_down and turn_max_mps < math.inf:
+            bounds.append(SpeedBound(turn_max_mps, causes.CURVE_SLOWED, "the turn that is asked for allows"))
+        if not (bounds or slows_down or limits.max_acceleration_mps2 or limits.max_braking_mps2):
+            return Limited(arbitration)
+        if not self.speed.was_received:
+            return Limited(arbitration, causes.LIMITS_OFF, "odom was never heard: nothing limits the throttle")
+        limited = Limited(arbitration)
+        if bounds:
+            limited = self._by_speed(arbitration, min(bounds), is_reverse)
+        if (bounds or slows_down) and source == PLANNER and self.speed.is_late(now_ns):
+            limited = self._without_speed(limited, now_ns)
+        return self._by_map(limited, limits, is_reverse)
+
+    def _by_speed(self, arbitration, bound, is_reverse):
+        """The request by a limit of the speed."""
+        speed_mps, max_mps = self.speed.last_mps, bound.speed_mps
+        limited = Limited(arbitration, max_speed_mps=max_mps)
+        backward = speed_mps <= BACKWARD_MPS
+        over_mps = self.speed.magnitude_mps - max_mps
+        room = max(0.0, -over_mps / BAND_MPS)
+        drives_on = arbitration.drive > 0 and not backward or arbitration.drive < 0 and (is_reverse or backward)
+        if over_mps > OVER_MPS and not backward and arbitration.source == PLANNER and not is_reverse:
+            brake = -min(MAX_BRAKE, max(MIN_BRAKE, over_mps * BRAKE_PER_MPS))
+            if brake < arbitration.brake:
+                reason = f"{self._words(bound)}: it brakes"
+                return limited._replace(arbitration=arbitration._replace(drive=brake, brake=brake), cause=bound.cause,
+                                        reason=reason)
+        if drives_on and abs(arbitration.drive) > room:
+            drive = room if arbitration.drive > 0 else -room
+            reason = f"{self._words(bound)}: {drive:.2f} instead of {arbitration.drive:.2f}"
+            return limited._replace(arbitration=arbitration._replace(drive=drive), cause=bound.cause, reason=reason)
+        return limited
+
+    def _without_speed(self, limited, now_ns):
+        """No push while reports of the speed are missing."""
+        arbitration = limited.arbitration
+        if arbitration.drive <= 0:
+            return limited
+        return limited._replace(arbitration=arbitration._replace(drive=0.0), cause=causes.SPEED_LATE,
+                                reason=f"{self.speed.lost_reason(now_ns)}: no throttle until its next report")
+
+    def _words(self, bound):
+        return f"{bound.words} {bound.speed_mps:.2f} m/s, it has {self.speed.magnitude_mps:.2f}"
+
+    def _by_map(self, limited, limits, is_reverse):
+        """The request by limits of accelerations."""
+        arbitration, value_map = limited.arbitration, self.limits.value_map
+        if value_map is None:
+            return limited
+        speed_mps = max(0.0, self.speed.last_mps)
+        drives_on = arbitration.drive > 0 or is_reverse or self.speed.last_mps <= BACKWARD_MPS
+        if limits.max_acceleration_mps2 and drives_on:
+            most = max(0.0, self._request_of_value(value_map.value_at(limits.max_acceleration_mps2, speed_mps)))
+            if abs(arbitration.drive) > most:
+                drive = most if arbitration.drive > 0 else -most
+                reason = f"{limits.max_acceleration_mps2:g} m/s²: {drive:.2f} instead of {arbitration.drive:.2f}"
+                limited = limited._replace(arbitration=arbitration._replace(drive=drive),
+                                           cause=causes.ACCELERATION_LIMITED, reason=reason)
+                arbitration = limited.arbitration
+        if limits.max_braking_mps2 and arbitration.brake < 0:
+            most = min(0.0, self._request_of_value(value_map.value_at(-limits.max_braking_mps2, speed_mps)))
+            if arbitration.brake < most:
+                reason = f"{limits.max_braking_mps2:g} m/s² of braking: {most:.2f} instead of {arbitration.brake:.2f}"
+                limited = limited._replace(arbitration=arbitration._replace(brake=most),
+                                           cause=causes.BRAKING_LIMITED, reason=reason)
+        return limited

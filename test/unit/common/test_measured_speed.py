@@ -1,0 +1,103 @@
+"""The measured speed, and how fast the car may be once a command takes effect."""
+import math
+
+import pytest
+
+from car_interface.common.measured_speed import MeasuredSpeed
+
+MS, S = 1_000_000, 1_000_000_000
+
+
+def fed(speeds, step_ns=20 * MS, timeout_s=0.5):
+    measured = MeasuredSpeed(timeout_s)
+    for index, speed_mps in enumerate(speeds):
+        measured.update(speed_mps, index * step_ns)
+    return measured, (len(speeds) - 1) * step_ns
+
+
+def test_before_the_first_it_is_unknown_and_lost():
+    measured = MeasuredSpeed(0.5)
+    assert not measured.was_received and measured.is_lost(0) and math.isnan(measured.last_mps)
+    assert measured.lost_reason(0) == "odom was never heard" and measured.age_s(0) == math.inf
+
+
+@pytest.mark.parametrize("speed_mps", [3.0, -3.0])
+def test_a_steady_car_is_as_fast_as_it_was(speed_mps):
+    measured, now_ns = fed([speed_mps] * 20)
+    assert measured.last_mps == speed_mps and measured.highest_mps(now_ns) == 3.0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_that_gets_faster_will_be_faster_when_the_servo_has_turned(sign):
+    measured, now_ns = fed([0.0] * 60 + [sign * 0.1 * index for index in range(31)])  # 5 m/s² up to 3 m/s
+    assert measured.highest_mps(now_ns) == pytest.approx(3.0 + 5.0 * 0.06)
+    assert measured.highest_mps(now_ns + 40 * MS) == pytest.approx(3.0 + 5.0 * 0.10, abs=0.001)
+
+
+def test_while_reports_are_missing_it_may_be_at_full_throttle_and_then_they_are_late():
+    measured, now_ns = fed([2.0] * 100)
+    assert measured.highest_mps(now_ns + 40 * MS) == pytest.approx(2.0, abs=0.001)
+    assert measured.highest_mps(now_ns + 100 * MS) == pytest.approx(2.0 + 6.0 * 0.06, abs=0.001)
+    assert not measured.is_late(now_ns + 139 * MS) and measured.is_late(now_ns + 141 * MS)
+    assert measured.highest_mps(now_ns + S) == pytest.approx(2.0 + 6.0 * 0.10, abs=0.001)
+
+
+def test_reports_that_come_slowly_are_late_later():
+    measured, now_ns = fed([2.0] * 100, step_ns=100 * MS)
+    assert not measured.is_late(now_ns + 299 * MS) and measured.is_late(now_ns + 301 * MS)
+
+
+def test_one_that_brakes_counts_as_fast_as_it_was_measured():
+    measured, now_ns = fed([3.0 - 0.1 * index for index in range(11)])
+    assert measured.highest_mps(now_ns) == pytest.approx(2.0)
+
+
+def test_a_lost_speed_stays_and_stops_rising():
+    measured, now_ns = fed([0.0] * 60 + [0.1 * index for index in range(31)])
+    assert measured.is_lost(now_ns + S) and measured.lost_reason(now_ns + S) == "odom silent for 1.00 s"
+    assert measured.highest_mps(now_ns + S) == measured.highest_mps(now_ns + 60 * S) == pytest.approx(
+        3.0 + 5.0 * 0.2 + 6.0 * 0.1, abs=0.001)
+
+
+@pytest.mark.parametrize("nonsense", [math.nan, math.inf, -math.inf, 101.0])
+def test_what_is_no_speed_makes_it_lost_and_leaves_the_last(nonsense):
+    measured, now_ns = fed([2.0, nonsense])
+    assert measured.is_lost(now_ns) and measured.last_mps == 2.0
+    measured.update(2.1, now_ns + MS)
+    assert not measured.is_lost(now_ns + MS)
+
+
+def test_dropped_messages_make_it_lost_until_the_next():
+    measured, now_ns = fed([2.0])
+    measured.mark_stale()
+    assert measured.is_lost(now_ns) and "messages were dropped" in measured.lost_reason(now_ns)
+
+
+def test_a_jump_after_a_silence_is_no_acceleration():
+    measured, now_ns = fed([1.0, 1.0])
+    measured.update(5.0, now_ns + 2 * S)
+    assert measured.highest_mps(now_ns + 2 * S) == 5.0
+
+
+def test_no_acceleration_beyond_what_tyres_do_is_believed():
+    measured, now_ns = fed([0.0] * 6 + [9.0] * 5)
+    assert measured.highest_mps(now_ns) <= 9.0 + 10.0 * 0.06 + 1e-9
+
+
+def test_wheels_that_lock_make_no_slow_car():
+    measured, now_ns = fed([3.0] * 5 + [0.0] * 11)  # 0.22 s locked, on dust
+    assert measured.last_mps == 0.0
+    assert measured.magnitude_mps == measured.highest_mps(now_ns) == pytest.approx(3.0 - 3.0 * 0.22)
+    measured.update(2.3, now_ns + 20 * MS)
+    assert measured.magnitude_mps == 2.3
+
+
+def test_a_hard_brake_is_believed():
+    measured, _ = fed([5.0 - 9.0 * 0.02 * index for index in range(20)])
+    assert measured.magnitude_mps == pytest.approx(5.0 - 9.0 * 0.38)
+
+
+def test_a_car_that_was_stopped_while_odometry_was_away_stands():
+    measured, now_ns = fed([5.0, 5.0])
+    measured.update(0.0, now_ns + S)
+    assert measured.magnitude_mps == 0.0

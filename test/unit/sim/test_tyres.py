@@ -1,0 +1,69 @@
+"""Tyres, against circles of a real car and the friction circle."""
+import math
+
+import pytest
+
+from car_interface.common.errors import ConfigError
+from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
+
+# A 3.5 kg F1TENTH car on a skid pad, by motion capture, steady commands, left: speed (m/s) and radius (m) of three
+# steering angles. From the public recordings of Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline.
+SKIDPAD = {
+    0.312: {0.5: 1.488, 1.0: 1.499, 1.5: 1.529, 2.0: 1.599, 2.5: 1.733},
+    0.416: {0.5: 1.097, 1.0: 1.105, 1.5: 1.137, 2.0: 1.194, 2.5: 1.346},
+    0.52: {0.5: 0.98, 1.0: 0.987, 1.5: 1.022, 2.0: 1.074, 2.5: 1.25},
+}
+FROM_HERE = [(angle, speed, radius) for angle, rows in SKIDPAD.items() for speed, radius in rows.items()]
+
+
+@pytest.mark.parametrize(("angle", "speed_mps", "radius_m"), FROM_HERE)
+def test_the_default_car_turns_as_the_measured_one(angle, speed_mps, radius_m):
+    steered_per_m = 1 / SKIDPAD[angle][0.5]
+    path_per_m = path_curvature_per_m(steered_per_m, speed_mps, 0.0, TyreConfig())
+    assert 1 / path_per_m == pytest.approx(radius_m, rel=0.025)
+
+
+@pytest.mark.parametrize("steered_per_m", [-1.0, -0.1, 0.0, 0.1, 1.0])
+def test_at_a_crawl_the_path_is_where_the_steering_points(steered_per_m):
+    assert path_curvature_per_m(steered_per_m, 0.0, 0.0, TyreConfig()) == steered_per_m
+    assert path_curvature_per_m(steered_per_m, 0.2, 0.0, TyreConfig()) == pytest.approx(steered_per_m, rel=0.001)
+
+
+@pytest.mark.parametrize("speed_mps", [-3.0, 3.0])
+def test_left_and_right_forward_and_backward_are_alike(speed_mps):
+    left = path_curvature_per_m(0.8, speed_mps, 0.0, TyreConfig())
+    assert 0 < left < 0.8 and path_curvature_per_m(-0.8, speed_mps, 0.0, TyreConfig()) == -left
+
+
+def test_the_grip_is_shared_between_along_and_across():
+    tyres = TyreConfig(understeer=0.0, grip_mps2=5.0)
+    assert path_curvature_per_m(1.0, 5.0, 0.0, tyres) == pytest.approx(5.0 / 25)
+    assert path_curvature_per_m(1.0, 5.0, -3.0, tyres) == pytest.approx(4.0 / 25)
+    assert path_curvature_per_m(1.0, 5.0, 5.0, tyres) == 0.0
+
+
+@pytest.mark.parametrize(("demanded_mps2", "possible_mps2"), [(2.0, 2.0), (-2.0, -2.0), (9.0, 5.0), (-9.0, -5.0)])
+def test_no_more_than_the_grip_is_possible_along_the_car(demanded_mps2, possible_mps2):
+    assert possible_acceleration_mps2(demanded_mps2, TyreConfig(grip_mps2=5.0)) == possible_mps2
+
+
+def test_a_rollover_counts_once_until_the_car_stands_again():
+    rollovers = Rollovers(6.0)
+    for lateral_mps2 in (5.9, 6.0, 6.5, 5.5, 6.2):
+        rollovers.update(-lateral_mps2)
+    assert (rollovers.count, rollovers.lateral_mps2) == (1, -6.5)
+    for lateral_mps2 in (5.3, 6.1):
+        rollovers.update(lateral_mps2)
+    assert (rollovers.count, rollovers.lateral_mps2, rollovers.max_lateral_mps2) == (2, 6.1, 6.5)
+
+
+@pytest.mark.parametrize(("name", "value"), [("understeer", -0.1), ("grip_mps2", 0), ("rollover_mps2", 0)])
+def test_impossible_tyres_are_refused(name, value):
+    with pytest.raises(ConfigError, match=name):
+        TyreConfig(**{name: value})
+
+
+def test_a_car_that_understeers_less_turns_tighter():
+    assert path_curvature_per_m(0.5, 4.0, 0.0, TyreConfig(understeer=0.001)) > path_curvature_per_m(
+        0.5, 4.0, 0.0, TyreConfig(understeer=0.01)) > 0
+    assert math.isclose(path_curvature_per_m(0.5, 3.0, 0.0, TyreConfig(understeer=0.0)), 0.5)

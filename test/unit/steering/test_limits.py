@@ -1,0 +1,170 @@
+"""How tight a car may turn at its speed."""
+import math
+import time
+
+import pytest
+
+from car_interface.common import causes
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
+from car_interface.steering.limits import SourceLimits, SteeringLimiter, SteeringLimits, read_limits
+
+MS, S = 1_000_000, 1_000_000_000
+LATERAL = SourceLimits(max_lateral_mps2=4.0)
+JERK = SourceLimits(max_jerk_mps3=40.0)
+
+
+def limiter_at(speed_mps):
+    """One that has had this speed at 50 Hz for two seconds, up to now, 0."""
+    limiter = SteeringLimiter(SteeringLimits())
+    for report in range(-100, 1):
+        limiter.speed.update(speed_mps, report * 20 * MS)
+    return limiter
+
+
+@pytest.mark.parametrize(("speed_mps", "asked_per_m", "granted_per_m"), [
+    (2.0, 0.99, 0.99), (2.0, 1.0, 1.0), (2.0, -1.0, -1.0),
+    (4.0, 1.0, 0.25), (4.0, -1.0, -0.25), (-4.0, 1.0, 0.25), (8.0, 1.0, 0.0625), (0.0, 1.0, 1.0), (4.0, 0.0, 0.0)])
+def test_a_turn_is_no_tighter_than_the_lateral_acceleration_allows(speed_mps, asked_per_m, granted_per_m):
+    turn = limiter_at(speed_mps).limit(asked_per_m, LATERAL, MS)
+    assert turn.curvature_per_m == granted_per_m
+    assert turn.is_cut == (granted_per_m != asked_per_m)
+
+
+def test_a_cut_is_told_in_words_and_numbers():
+    turn = limiter_at(4.0).limit(1 / 1.5, LATERAL, MS)
+    assert turn.cause == causes.LATERAL_LIMITED
+    assert turn.reason == "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.50 m was asked for"
+    assert turn.max_speed_mps == pytest.approx(math.sqrt(4.0 * 1.5))
+
+
+def test_below_the_limit_the_same_number_comes_back_and_the_speed_up_to_which_that_holds():
+    asked_per_m = 0.1 + 0.2  # no number that a detour over radius and back would keep
+    turn = limiter_at(2.0).limit(asked_per_m, SourceLimits(4.0, 40.0), MS)
+    assert turn.curvature_per_m == asked_per_m and (turn.cause, turn.reason) == ("", "")
+    assert turn.max_speed_mps == pytest.approx(math.sqrt(4.0 / 0.3))
+
+
+def test_without_any_odometry_nothing_is_limited_and_that_is_told():
+    turn = SteeringLimiter(SteeringLimits()).limit(1.0, LATERAL, S)
+    assert (turn.curvature_per_m, turn.is_cut, turn.max_speed_mps) == (1.0, False, 0.0)
+    assert (turn.cause, turn.reason) == (causes.LIMITS_OFF, "odom was never heard: nothing limits the steering")
+
+
+def test_when_odometry_is_lost_the_last_bound_stays():
+    limiter = limiter_at(4.0)
+    for now_ns in (S, 3600 * S):  # for 0.1 s it may have gained speed before anything noticed
+        turn = limiter.limit(1.0, LATERAL, now_ns)
+        assert turn.curvature_per_m == pytest.approx(4.0 / (4.0 + 6.0 * 0.1) ** 2, rel=0.01)
+        assert turn.reason.endswith(f"by the last speed, odom silent for {now_ns // S}.00 s")
+
+
+@pytest.mark.parametrize("nonsense", [math.nan, math.inf])
+def test_a_speed_that_is_none_leaves_the_bound_of_the_last(nonsense):
+    limiter = limiter_at(4.0)
+    limiter.speed.update(nonsense, MS)
+    assert limiter.limit(1.0, LATERAL, 20 * MS).curvature_per_m == 0.25
+
+
+def test_the_bound_is_that_of_the_speed_that_the_car_will_have():
+    limiter = limiter_at(3.0)
+    for tick in range(1, 11):
+        limiter.speed.update(3.0 + 0.1 * tick, tick * 20 * MS)  # 5 m/s²
+    turn = limiter.limit(1.0, LATERAL, 200 * MS)
+    assert turn.curvature_per_m == pytest.approx(4.0 / (4.0 + 5.0 * 0.06) ** 2)
+
+
+def turned_in(limiter, asked_per_m, limits=JERK, start_ns=0, ticks=20):
+    """What is granted, tick by tick of 10 ms, at the same speed."""
+    granted = []
+    for now_ns in range(start_ns, start_ns + ticks * 10 * MS, 10 * MS):
+        limiter.speed.update(limiter.speed.last_mps, now_ns)
+        granted.append(limiter.limit(asked_per_m, limits, now_ns).curvature_per_m)
+    return granted
+
+
+def test_the_car_turns_in_no_quicker_than_the_jerk_allows():
+    granted = turned_in(limiter_at(4.0), 0.5)  # 8 m/s² sideways: 2 at once, the rest takes 0.15 s
+    lateral = [16 * curvature for curvature in granted]
+    assert lateral[0] == pytest.approx(2.0) and lateral[1] == pytest.approx(2.4)
+    assert lateral[15] == pytest.approx(8.0) and granted[-1] == 0.5
+
+
+def test_back_to_straight_on_is_never_slowed_and_from_side_to_side_begins_at_straight_on():
+    limiter = limiter_at(4.0)
+    turned_in(limiter, 0.5)
+    assert turned_in(limiter, 0.1, start_ns=200 * MS, ticks=1) == [0.1]
+    assert turned_in(limiter, 0.0, start_ns=201 * MS, ticks=1) == [0.0]
+    turned_in(limiter, 0.5, start_ns=300 * MS)
+    other_side = limiter.limit(-0.5, JERK, 500 * MS)
+    assert 16 * other_side.curvature_per_m == pytest.approx(-2.0)
+    assert (other_side.cause, other_side.reason) == (
+        causes.JERK_LIMITED, "40 m/s³ sideways at 4.0 m/s: it turns in more slowly")
+
+
+def test_steps_of_a_planner_that_turn_in_slowly_on_the_whole_pass_unchanged():
+    limiter = limiter_at(3.0)
+    for step in range(8):  # 20 Hz, 0.45 m/s² each: 9 m/s³
+        wanted = step * 0.05
+        assert turned_in(limiter, wanted, start_ns=step * 50 * MS, ticks=5) == [wanted] * 5
+
+
+def test_both_limits_together_end_at_the_lateral_one():
+    granted = turned_in(limiter_at(4.0), 1.0, SourceLimits(4.0, 40.0))
+    assert granted[0] == pytest.approx(2.0 / 16) and granted[-1] == 0.25
+
+
+def test_cuts_are_counted_when_they_begin():
+    limiter = limiter_at(4.0)
+    for asked_per_m in (1.0, 0.9, 0.1, 1.0, 1.0):
+        limiter.limit(asked_per_m, LATERAL, MS)
+    assert limiter.cuts == 2
+    limiter.release(0.0, MS)
+    limiter.limit(1.0, LATERAL, MS)
+    assert limiter.cuts == 3
+
+
+def test_whoever_takes_over_turns_in_from_where_the_car_is():
+    limiter = limiter_at(4.0)
+    limiter.release(0.4, MS)
+    assert limiter.limit(0.4, JERK, 2 * MS).curvature_per_m == 0.4
+
+
+def test_while_reports_are_missing_the_car_may_be_getting_faster():
+    limiter = limiter_at(2.0)
+    fresh, late = (limiter.limit(1.0, LATERAL, now_ns) for now_ns in (20 * MS, 100 * MS))
+    assert fresh.curvature_per_m == 1.0
+    assert late.curvature_per_m == pytest.approx(4.0 / (2.0 + 6.0 * 0.06) ** 2, rel=0.01)
+
+
+def test_parameters_have_the_defaults_that_are_documented():
+    limits = read_limits(Params({}))
+    assert limits == SteeringLimits(SourceLimits(0.0, 0.0), SourceLimits(4.0, 40.0), 0.5)
+    assert limits.human.is_off and not limits.planner.is_off
+
+
+def test_parameters_are_read_by_source():
+    params = Params({"human": {"max_lateral_acceleration": 6, "max_lateral_jerk": 80}, "planner":
+                     {"max_lateral_acceleration": 0, "max_lateral_jerk": 0}, "odometry_timeout": 1.0})
+    limits = read_limits(params)
+    params.finish()
+    assert limits == SteeringLimits(SourceLimits(6.0, 80.0), SourceLimits(0.0, 0.0), 1.0)
+
+
+@pytest.mark.parametrize(("source", "name", "value"), [
+    ("planner", "max_lateral_acceleration", -1), ("human", "max_lateral_jerk", 2000),
+    ("human", "max_lateral_acceleration", "much")])
+def test_an_impossible_limit_is_refused_by_name(source, name, value):
+    with pytest.raises(ConfigError, match=f"{source}/{name}"):
+        read_limits(Params({source: {name: value}}))
+
+
+def test_a_limit_costs_less_than_50_microseconds():
+    limiter, limits = limiter_at(4.0), SourceLimits(4.0, 40.0)
+    took_s = []
+    for repeat in range(50):  # the least of the processor's own time: the machine has other work
+        begin_s = time.thread_time()
+        for tick in range(100):
+            limiter.limit(1.0, limits, S + (repeat * 100 + tick) * 10 * MS)
+        took_s.append((time.thread_time() - begin_s) / 100)
+    assert min(took_s) < 50e-6
