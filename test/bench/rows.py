@@ -43,23 +43,38 @@ def percentile(ordered: Sequence[float], percent: float) -> float:
 
 
 class Target(NamedTuple):
-    """The bounds of one statistic of a row; without a bound it is only shown."""
+    """The bounds of one statistic of a row; without a bound it is only shown.
+
+    ``low`` and ``high`` bound the figure itself: for what a machine that drives a car must reach. ``max_ratio`` bounds
+    its ratio to bare rospy's beside it, which says the same on a slow machine and on a fast one.
+    """
 
     statistic: str = MEDIAN
     low: float | None = None
     high: float | None = None
     original: str = ""  # what the original reaches
+    max_ratio: float | None = None
 
     @property
     def is_bound(self) -> bool:
         """Whether there is a bound."""
-        return self.low is not None or self.high is not None
+        return any(bound is not None for bound in (self.low, self.high, self.max_ratio))
 
-    def met_by(self, value: float) -> bool:
-        """Return whether a value is within the bounds."""
+    def met_by(self, value: float, floor: float | None = None) -> bool:
+        """Return whether a value is within the bounds.
+
+        Args:
+            floor: bare rospy's; without it no bound of the ratio is met.
+        """
+        if self.max_ratio is not None and (floor is None or value > self.max_ratio * floor):
+            return False
         return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
 
     def __str__(self) -> str:
+        ratio = "" if self.max_ratio is None else f"≤ {self.max_ratio:g} ×"
+        return ", ".join(filter(None, (self._absolute(), ratio)))
+
+    def _absolute(self):
         if self.low is None:
             return "" if self.high is None else f"≤ {self.high:g}"
         if self.high is None:
@@ -92,27 +107,46 @@ class Row:
         """Return whether a target is met; None without a bound. What was not measured, or is void, meets no bound."""
         if not target.is_bound:
             return None
-        return self.summary is not None and not self.void and target.met_by(getattr(self.summary, target.statistic))
+        return self.summary is not None and not self.void and target.met_by(*self._values(target))
 
     def missed(self, by_floor: bool | None = None) -> tuple[str, ...]:
-        """Return the statistics whose target is missed; only those that bare rospy misses too, or does not."""
-        return tuple(target.statistic for target in self.targets if self.meets(target) is False
+        """Return the statistics whose target is missed, each with its figure, or its ratio where that is the target.
+
+        Args:
+            by_floor: only those that bare rospy misses too, or does not.
+        """
+        return tuple(self._missed_text(target) for target in self.targets if self.meets(target) is False
                      and by_floor in (None, self._floor_misses(target)))
 
     def _floor_misses(self, target):
-        return self.floor is not None and not target.met_by(getattr(self.floor, target.statistic))
+        return self.floor is not None and not target.met_by(*[getattr(self.floor, target.statistic)] * 2)
+
+    def _missed_text(self, target):
+        if self.summary is None:
+            return "not measured"
+        value, floor = self._values(target)
+        ratio = f"{value / floor:.2f} ×" if target.max_ratio is not None and floor else ""
+        return f"{self._statistic(target)} {ratio or f'{number(value, self.digits)} {self.unit}'}".lstrip()
+
+    def _values(self, target):
+        """Return the figure and bare rospy's, which may be None."""
+        return getattr(self.summary, target.statistic), self.floor and getattr(self.floor, target.statistic)
+
+    def _statistic(self, target):
+        """Return the statistic's name; empty where the row is one figure."""
+        is_single = self.summary is None or self.summary.samples == 1
+        return "" if is_single and len(self.targets) == 1 else target.statistic
 
     def lines(self) -> list[tuple[str, ...]]:
         """Return the table's cells, a line for each target."""
         return [self._cells(target) for target in self.targets]
 
     def _cells(self, target):
-        is_single = self.summary is None or self.summary.samples == 1
-        what = self.what if is_single and len(self.targets) == 1 else f"{self.what}, {target.statistic}"
+        what = ", ".join(filter(None, (self.what, self._statistic(target))))
         met = {True: "yes", False: "no", None: ""}[self.meets(target)]
         if self.summary is None:
             return (what, "not measured", self.unit, str(target), met, "", "", target.original)
-        value, floor = getattr(self.summary, target.statistic), self.floor and getattr(self.floor, target.statistic)
+        value, floor = self._values(target)
         return (what, number(value, self.digits), self.unit, str(target), met,
                 "" if floor is None else number(floor, self.digits), f"{value / floor:.2f}" if floor else "",
                 target.original)
@@ -153,5 +187,5 @@ def verdict(rows: Sequence[Row]) -> str:
     for by_floor, reason in ((False, "missed"), (True, "missed by bare rospy as well")):
         missed = [(row.what, row.missed(by_floor)) for row in rows if row.missed(by_floor)]
         if missed:
-            text += f"; {reason}: " + "; ".join(f"{what} ({', '.join(statistics)})" for what, statistics in missed)
+            text += f"; {reason}: " + "; ".join(f"{what} ({', '.join(figures)})" for what, figures in missed)
     return text

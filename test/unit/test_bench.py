@@ -51,21 +51,57 @@ def test_target_judges_its_bounds(target, value, met):
     assert target.met_by(value) is met
 
 
+@pytest.mark.parametrize("target, value, floor, met", [
+    (Target(max_ratio=1.3), 1.3, 1.0, True),
+    (Target(max_ratio=1.3), 1.31, 1.0, False),
+    (Target(max_ratio=1.3), 0.2, 1.0, True),
+    (Target(max_ratio=1.3), 13.0, 10.0, True),  # whatever the machine's speed
+    (Target(max_ratio=1.3), 0.1, 0.0, False),  # of nothing there is no ratio
+    (Target(max_ratio=1.3), 0.0, 0.0, True),
+    (Target(max_ratio=1.3), 0.1, None, False),
+    (Target(high=2.0, max_ratio=1.3), 1.0, 0.5, False),
+    (Target(high=2.0, max_ratio=1.3), 2.1, 2.0, False),
+    (Target(high=2.0, max_ratio=1.3), 1.0, 1.0, True),
+], ids=str)
+def test_target_judges_the_ratio_to_bare_rospy(target, value, floor, met):
+    assert target.met_by(value, floor) is met
+
+
+@pytest.mark.parametrize("target, text", [
+    (Target(), ""), (Target(high=0.45), "≤ 0.45"), (Target(low=25), "≥ 25"), (Target(low=6, high=6), "6"),
+    (Target(low=99.95, high=100.05), "99.95 … 100.05"), (Target(max_ratio=1.3), "≤ 1.3 ×"),
+    (Target(high=0.45, max_ratio=1.3), "≤ 0.45, ≤ 1.3 ×")])
+def test_target_is_shown_as_its_bounds(target, text):
+    assert str(target) == text
+
+
 def test_row_judges_each_statistic_by_itself():
     measured = row([1.0] * 98 + [5.0, 9.0], (Target("median", high=2.0), Target("p99", high=4.0), Target("max")))
-    assert measured.missed() == ("p99",)
+    assert measured.missed() == ("p99 5 ms",)
     assert [cells[4] for cells in measured.lines()] == ["yes", "no", ""]
+
+
+def test_row_judges_each_ratio_by_the_same_statistic_of_bare_rospy():
+    targets = (Target("median", max_ratio=1.3), Target("p99", max_ratio=1.5), Target("max"))
+    measured = row([1.0] * 98 + [5.0, 9.0], targets, floor=Summary.of([0.8] * 98 + [3.0, 9.0]))
+    assert [cells[3:7] for cells in measured.lines()] == [
+        ("≤ 1.3 ×", "yes", "0.800", "1.25"), ("≤ 1.5 ×", "no", "3", "1.67"), ("", "", "9", "1.00")]
+    assert measured.missed() == ("p99 1.67 ×",)
+
+
+def test_row_without_bare_rospy_meets_no_ratio():
+    assert row([0.1], (Target(max_ratio=1.3),)).missed() == ("0.100 ms",)
 
 
 def test_row_that_is_void_meets_nothing_however_good():
     measured = row([0.1], (Target(high=2.0),), void="frames were lost")
-    assert measured.missed() == ("median",)
+    assert measured.missed() == ("0.100 ms",)
     assert measured.as_json()["targets"][0]["met"] is False
 
 
 def test_row_that_was_not_measured_meets_nothing():
     missing = Row("group", "thing", "ms", None, (Target(high=2.0),), note="there is none")
-    assert missing.missed() == ("median",)
+    assert missing.missed() == ("not measured",)
     assert "not measured" in missing.lines()[0]
     assert missing.as_json()["figure"] is None
 
@@ -91,18 +127,26 @@ def test_json_has_samples_and_statistics_of_both():
     record = json.loads(json.dumps(row([1.0, 2.0, 3.0], (Target(high=4.0),), floor=Summary.of([1.0])).as_json()))
     assert record["figure"] == {"samples": 3, "median": 2.0, "p99": 3.0, "max": 3.0}
     assert record["bare_rospy"] == {"samples": 1, "median": 1.0, "p99": 1.0, "max": 1.0}
-    assert record["targets"] == [{"statistic": "median", "low": None, "high": 4.0, "original": "", "met": True}]
+    assert record["targets"] == [{"statistic": "median", "low": None, "high": 4.0, "original": "", "max_ratio": None,
+                                  "met": True}]
 
 
-def test_verdict_counts_bounds_and_names_what_is_missed():
-    good, bad = row([1.0], (Target(high=2.0), Target("max"))), row([3.0], (Target(high=2.0),))
-    assert rows.verdict([good, bad]) == "1 of 2 targets met; missed: thing (median)"
+def test_verdict_counts_bounds_and_names_what_is_missed_and_by_how_much():
+    good, bad = row([1.0], (Target(high=2.0), Target("max"))), row([3.25], (Target(high=2.0),))
+    slower = Row("group", "slower", "ms", Summary.of([3.0, 3.0]), (Target(max_ratio=1.3),), Summary.of([2.0, 2.0]))
+    assert rows.verdict([good, bad, slower]) == (
+        "1 of 3 targets met; missed: thing (3.25 ms); slower (median 1.50 ×)")
     assert rows.verdict([good]) == "1 of 1 targets met"
 
 
 def test_verdict_tells_apart_what_bare_rospy_misses_too():
     targets = (Target(high=2.0), Target("p99", high=5.0))
-    slow = Row("thing", "slow", "ms", Summary.of([6.0]), targets, Summary.of([3.0]))
-    assert (slow.missed(by_floor=True), slow.missed(by_floor=False)) == (("median",), ("p99",))
+    slow = Row("thing", "slow", "ms", Summary.of([6.5]), targets, Summary.of([3.0]))
+    assert (slow.missed(by_floor=True), slow.missed(by_floor=False)) == (("median 6.50 ms",), ("p99 6.50 ms",))
     assert rows.verdict([slow, row([1.0], (Target(high=2.0),))]) == (
-        "1 of 3 targets met; missed: slow (p99); missed by bare rospy as well: slow (median)")
+        "1 of 3 targets met; missed: slow (p99 6.50 ms); missed by bare rospy as well: slow (median 6.50 ms)")
+
+
+def test_bare_rospy_misses_no_ratio_to_itself():
+    slow = Row("thing", "slow", "ms", Summary.of([3.0]), (Target(max_ratio=1.3),), Summary.of([2.0]))
+    assert (slow.missed(by_floor=True), slow.missed(by_floor=False)) == ((), ("1.50 ×",))
