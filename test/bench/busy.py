@@ -21,10 +21,10 @@ from std_msgs.msg import Bool, Int32MultiArray
 from car_interface.common import causes
 
 from .effort import Effort
-from .reaction import reactions, steps
+from .reaction import TURN_ARB, reactions
 from .rows import MEDIAN, P99, WORST, Row, Summary, Target
 from .stage import Stage, TimedSubscriber
-from .whole_car import launch_cars
+from .whole_car import ALL, SIMULATOR, launch_cars
 
 LOOPS_PER_CORE = 4
 LOOP = "while True: pass"
@@ -41,11 +41,10 @@ def measure_busy(effort: Effort, stage: Stage) -> Iterator[Row]:
     """Measure one reaction, then a drive in which gamepad and planner steer in turns."""
     loops = LOOPS_PER_CORE * (os.cpu_count() or 1)
     with busy(stage, loops):
-        released = steps()[:1]
-        for what, times_ms, floors_ms in reactions(effort.busy_reactions, stage, released):
+        for what, times_ms, floors_ms in reactions(effort.busy_reactions, stage, TURN_ARB, kinds=1):
             yield Row("busy", f"{loops} busy loops: {what} → /servo/cmdVector", "ms", Summary.of(times_ms),
                       (Target(MEDIAN), Target(P99), Target(WORST)), Summary.of(floors_ms))
-    processes = [*launch_cars(stage, [CAR], steering=("both",)), stage.actor("timer")]
+    processes = [*launch_cars(stage, [CAR], (*ALL, SIMULATOR), drive=("both",)), stage.actor("timer", "100")]
     try:
         with busy(stage, loops):
             time.sleep(SETTLED_S)

@@ -12,23 +12,25 @@ from typing import Iterator, NamedTuple
 
 from .bus import measure_bus
 from .busy import measure_busy
-from .core import measure_decode, measure_encode, measure_lookup
+from .core import measure_decide, measure_decode, measure_encode, measure_lookup
 from .effort import FULL, QUICK, Effort
+from .heartbeat import measure_heartbeat
 from .meters import OthersMeter
 from .nodes import measure_memory, measure_start
 from .one_process import measure_one_process
-from .reaction import measure_chip, measure_heartbeat, measure_reaction
+from .reaction import measure_chip, measure_reaction
 from .rows import Row, head, table, verdict
 from .serial_line import measure_line, measure_serial
 from .stage import Stage
+from .throttle import measure_throttle
 from .whole_car import measure_car
 
 GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measure_heartbeat,
-          "decode": measure_decode, "encode": measure_encode, "serial": measure_serial, "line": measure_line,
-          "lookup": measure_lookup, "bus": measure_bus, "start": measure_start, "memory": measure_memory,
-          "car": measure_car}
+          "throttle": measure_throttle, "decode": measure_decode, "encode": measure_encode,
+          "serial": measure_serial, "line": measure_line, "lookup": measure_lookup, "decide": measure_decide,
+          "bus": measure_bus, "start": measure_start, "memory": measure_memory, "car": measure_car}
 ON_REQUEST = {"one_process": measure_one_process, "busy": measure_busy}
-WITHOUT_ROS = {"decode", "encode", "lookup"}
+WITHOUT_ROS = {"decode", "encode", "lookup", "decide"}
 LOOP_STEPS = 200_000
 DISTURBED_PERCENT = 10  # of a core, used by other programs: above it they lengthen latencies
 

@@ -1,4 +1,4 @@
-"""Speed of decode, encode and lookup, each in a fresh interpreter by speed.py."""
+"""Speed of decode, encode, lookup and decisions, each in a fresh interpreter by speed.py."""
 from __future__ import annotations
 
 import json
@@ -13,6 +13,7 @@ from .rows import MEDIAN, P99, Row, Summary, Target
 from .stage import Stage
 
 ROOT = Path(__file__).resolve().parents[2]
+MAX_LIMITS_US = 50  # by which limits that are not reached may lengthen a decision
 LOOKUPS = {11: (0.55, "0.68"), 100: (0.85, "15.9"), 1000: (2.2, "1054")}  # µs: to reach, and Autoware's C++
 PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")
 
@@ -58,3 +59,13 @@ def measure_lookup(effort: Effort, stage: Stage) -> Iterator[Row]:
         result = samples(sys.executable, "lookup", effort.calls, size)
         yield Row("lookup", f"lookup: {size}×{size}", "µs", Summary.of(result["us"]),
                   (Target(high=bound_us, original=original), Target(P99)), note="a sample is the mean of 500 calls")
+
+
+def measure_decide(effort: Effort, stage: Stage) -> Iterator[Row]:
+    """Measure what limits cost that are not reached: a decision with them and without, in turns."""
+    for node, kind in (("turn_arb", "decide_steering"), ("throttle_arb", "decide_throttle")):
+        result = samples(sys.executable, kind, effort.calls // 10)
+        yield Row("decide", f"a decision of {node}, limits off", "µs", Summary.of(result["off"]),
+                  note="the planner drives; a sample is the mean of 500 calls")
+        yield Row("decide", f"a decision of {node}, limits on, not reached: more", "µs", Summary.of(result["more"]),
+                  (Target(high=MAX_LIMITS_US), Target(P99)))

@@ -24,7 +24,7 @@ class Effort(NamedTuple):
     busy_s: float
 
 
-FULL = Effort(reactions=300, chip_reactions=300, heartbeat_s=60, decode_passes=5, calls=300_000, frames=1000, line_s=20,
+FULL = Effort(reactions=600, chip_reactions=300, heartbeat_s=60, decode_passes=5, calls=300_000, frames=1000, line_s=20,
               line_rounds=4, bus_commands=100, starts=10, memory_s=15, drive_s=25, cars=(1, 2, 4),
               busy_reactions=300, busy_s=600)
 QUICK = Effort(reactions=10, chip_reactions=10, heartbeat_s=1, decode_passes=1, calls=50_000, frames=20, line_s=0.3,

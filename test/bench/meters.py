@@ -6,19 +6,33 @@ import time
 
 from processes import descendants
 
+GUARD = "car_interface.ros.pca9685_guard"  # an argument of its command line
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 class CpuMeter:
-    """The CPU time of a process since this was made."""
+    """The CPU time of processes since this was made."""
 
-    def __init__(self, pid: int):
-        self._pid = pid
-        self._begun_s, self._used_s = time.monotonic(), cpu_s(pid)
+    def __init__(self, *pids: int):
+        self._pids = pids
+        self._begun_s, self._used_s = time.monotonic(), sum(map(cpu_s, pids))
 
     def percent(self) -> float:
         """Return the CPU time in percent of one core."""
-        return 100 * (cpu_s(self._pid) - self._used_s) / (time.monotonic() - self._begun_s)
+        return 100 * (sum(map(cpu_s, self._pids)) - self._used_s) / (time.monotonic() - self._begun_s)
+
+
+def with_guard(pid: int) -> list[int]:
+    """Return a node's process and, if it has the servo board, the guard's. The virtual chip's is no part of a car."""
+    return [pid, *(child for child in descendants(pid) if GUARD in _command_line(child))]
+
+
+def _command_line(pid):
+    try:
+        with open(f"/proc/{pid}/cmdline", encoding="utf-8", errors="replace") as file:
+            return file.read().split("\0")
+    except OSError:
+        return []  # it has just ended
 
 
 def cpu_s(pid: int, with_children: bool = False) -> float:

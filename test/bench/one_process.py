@@ -9,14 +9,14 @@ import rospy
 from virtual_car import Chip
 
 from .effort import Effort
-from .meters import CpuMeter, pss_mb, rss_mb
-from .reaction import COUNTS, LEFT, SteeringInputs, hold_deadman, steps
+from .meters import CpuMeter, pss_mb, rss_mb, with_guard
+from .reaction import COUNTS, LEFT, TURN_ARB, ArbiterInputs, hold_deadman
 from .rows import MEDIAN, P99, WORST, Row, Summary, Target
 from .stage import PACKAGE, Stage, TimedSubscriber
 from .whole_car import FOUR, launch_cars, pid_of
 
 ONE = ("car_nodes",)
-FIVE = (*FOUR, "throttle_arb")
+FIVE = (*FOUR, "throttle_arb")  # with the guard of pca9685, which is a process of its own in both layouts
 LAYOUTS = {"five processes": FIVE, "one process": ONE}
 MAX_RATIO = 0.5  # of the memory of five processes
 ROUNDS = 3
@@ -48,10 +48,10 @@ def drive(effort: Effort, stage: Stage, namespace: str, nodes: tuple, used: dict
     one_process = {"one_process": str(nodes is ONE).lower()}
     processes = launch_cars(stage, [namespace], (*nodes, "teleop_logi", "car_sim"), one_process)
     try:
-        pids = [pid_of(f"{namespace}/{node}") for node in nodes]
-        meters = [CpuMeter(pid) for pid in pids]
+        pids = [pid for node in nodes for pid in with_guard(pid_of(f"{namespace}/{node}"))]
+        meter = CpuMeter(*pids)
         time.sleep(effort.drive_s)
-        used["CPU"].append(sum(meter.percent() for meter in meters))
+        used["CPU"].append(meter.percent())
         used["RSS"].append(sum(map(rss_mb, pids)))
         used["PSS"].append(sum(map(pss_mb, pids)))
     finally:
@@ -74,11 +74,11 @@ def react(count: int, stage: Stage, nodes: tuple, times_ms: dict) -> None:
     line = stage.actor("line", port)
     line.tell("go 1")
     with stage.running(line, *(stage.node(node) for node in nodes)):
-        chip, inputs = Chip(log), SteeringInputs(stage.random)
+        chip, inputs = Chip(log), ArbiterInputs(TURN_ARB, stage.random)
         wheels = TimedSubscriber("/teensy_wheel", rospy.AnyMsg, lambda message: None).connected()
         wheels.first()
-        hold_deadman(inputs, lambda: chip.counts(0) == COUNTS[LEFT])
-        for what, kind in steps():
+        hold_deadman(inputs, TURN_ARB.kinds[0][1][0], lambda: chip.counts(0) == COUNTS[LEFT])
+        for what, kind in TURN_ARB.kinds:
             for index in range(count + 1):  # the first is not counted
                 step = kind[index % len(kind)]
                 ready_ns = time.monotonic_ns()

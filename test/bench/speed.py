@@ -4,6 +4,8 @@
     PYTHONPATH=src python3 test/bench/speed.py decode PASSES
     PYTHONPATH=src python3 test/bench/speed.py encode CALLS
     PYTHONPATH=src python3 test/bench/speed.py lookup CALLS SIZE
+    PYTHONPATH=src python3 test/bench/speed.py decide_steering CALLS
+    PYTHONPATH=src python3 test/bench/speed.py decide_throttle CALLS
 """
 from __future__ import annotations
 
@@ -14,14 +16,25 @@ import sys
 from pathlib import Path
 from time import perf_counter_ns
 
+from car_interface.common.units import NS_PER_S
+from car_interface.steering.arbiter import PLANNER, ArbiterConfig, SteeringArbiter
+from car_interface.steering.limits import SourceLimits, SteeringLimits
+from car_interface.steering.params import load_steering
 from car_interface.teensy.link import framing, protocol
 from car_interface.teensy.link.framing import FrameDecoder
-from car_interface.throttle.value_map import ValueMap
+from car_interface.throttle.arbiter import ArbiterConfig as ThrottleArbiterConfig
+from car_interface.throttle.calibration import ThrottleCalibration
+from car_interface.throttle.control import ThrottleControl
+from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.limits import DriveLimits, ThrottleLimits
+from car_interface.throttle.value_map import ValueMap, load_value_map
 
 CAPTURE = Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 FRAMES = 795  # in the capture
 TOTAL_BYTES, READ_BYTES = 20_000_000, 4096
 BATCH = 500  # calls between two readings of the clock
+NOW_NS = NS_PER_S // 2
 
 
 def decode(passes: int) -> dict:
@@ -86,7 +99,59 @@ def lookup(calls: int, size: int) -> dict:
     return {"us": per_call(value_map(size).value_at, wanted)}
 
 
+def steering(limits: SteeringLimits) -> SteeringArbiter:
+    """Return turn_arb's arbiter while a planner steers a turn of 2 m at 1 m/s: below the limits."""
+    arbiter = SteeringArbiter(load_steering(str(CONFIG / "turn_arb.yaml")), ArbiterConfig(limits=limits))
+    arbiter.update_human(True, NOW_NS)
+    arbiter.update_teleop(0.0, NOW_NS)
+    arbiter.update_planner(2.0, NOW_NS)
+    arbiter.update_odometry(1.0, NOW_NS)
+    return arbiter
+
+
+def throttle(limits: ThrottleLimits) -> ThrottleControl:
+    """Return throttle_arb's control while a planner drives at 1 m/s: below the limits."""
+    control = ThrottleControl(ThrottleCalibration(1, [-5.0, 0.0, 3.0], [3277, 4915, 6554], 4915),
+                              ThrottleArbiterConfig(), EscConfig(arming_time_s=0.1), limits)
+    for at_ns in (0, NOW_NS // 2, NOW_NS):  # neutral for the arming time, then the deadman is held
+        control.arbiter.update_human(at_ns == NOW_NS, at_ns)
+        control.arbiter.update_steering(PLANNER, "", at_ns)
+        control.arbiter.update_teleop(0.0, at_ns)
+        control.update_planner(0.5, at_ns)
+        control.update_odometry(1.0, at_ns)
+        control.update_turn(2.0, 2.83)
+        control.decide(at_ns)
+    return control
+
+
+def decide(calls: int, off, on) -> dict:
+    """Time the decision of two arbiters in turns, which differ by their limits, both with the same answer."""
+    duties = [arbiter.decide(NOW_NS).duty for arbiter in (off, on)]
+    if duties[0] != duties[1]:
+        raise SystemExit(f"the limits are reached: {duties}")
+    costs_us: tuple = ([], [])
+    for first in range(0, calls, BATCH):
+        times = [(NOW_NS + first + index,) for index in range(BATCH)]  # a nanosecond apart: every input stays fresh
+        for arbiter, samples_us in zip((off, on), costs_us):
+            samples_us.extend(per_call(arbiter.decide, times))
+    return {"off": costs_us[0], "more": [on_us - off_us for off_us, on_us in zip(*costs_us)]}
+
+
+def decide_steering(calls: int) -> dict:
+    """turn_arb's decision, without limits and with those that it ships with."""
+    none = SourceLimits()
+    return decide(calls, steering(SteeringLimits(human=none, planner=none)), steering(SteeringLimits()))
+
+
+def decide_throttle(calls: int) -> dict:
+    """throttle_arb's decision, without limits and with all of them."""
+    limits = DriveLimits(max_speed_mps=3.0, max_acceleration_mps2=3.0, max_braking_mps2=5.0)
+    value_map = load_value_map(str(CONFIG / "value_map.csv"))
+    return decide(calls, throttle(ThrottleLimits(slow_down=False)),
+                  throttle(ThrottleLimits(planner=limits, value_map=value_map)))
+
+
 if __name__ == "__main__":
-    kinds = {kind.__name__: kind for kind in (decode, encode, lookup)}
+    kinds = {kind.__name__: kind for kind in (decode, encode, lookup, decide_steering, decide_throttle)}
     samples = kinds[sys.argv[1]](*map(int, sys.argv[2:]))
     print(json.dumps({"python": platform.python_version(), **samples}))

@@ -3,6 +3,8 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -10,6 +12,8 @@ import pytest
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 rows = importlib.import_module("bench.rows")
+meters = importlib.import_module("bench.meters")
+capture = importlib.import_module("bench.capture")
 Row, Summary, Target = rows.Row, rows.Summary, rows.Target
 
 
@@ -150,3 +154,41 @@ def test_verdict_tells_apart_what_bare_rospy_misses_too():
 def test_bare_rospy_misses_no_ratio_to_itself():
     slow = Row("thing", "slow", "ms", Summary.of([3.0]), (Target(max_ratio=1.3),), Summary.of([2.0]))
     assert (slow.missed(by_floor=True), slow.missed(by_floor=False)) == ((), ("1.50 ×",))
+
+
+@pytest.fixture
+def sleeper():
+    """Start programs that sleep, with an argument each."""
+    processes = []
+
+    def start(argument):
+        processes.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)", argument]))
+        return processes[-1].pid
+    yield start
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+def test_the_guard_counts_with_its_node_and_the_virtual_chip_does_not(sleeper):
+    sleeper("car_interface.sim.chip_server")
+    guard = sleeper("car_interface.ros.pca9685_guard")
+    assert meters.with_guard(os.getpid()) == [os.getpid(), guard]
+    assert meters.with_guard(guard) == [guard]
+
+
+def test_cpu_time_of_several_processes_is_their_sum(monkeypatch):
+    used_s = {1: 10.0, 2: 20.0}
+    monkeypatch.setattr(meters, "cpu_s", used_s.__getitem__)
+    now_s = iter((100.0, 110.0))
+    monkeypatch.setattr(meters.time, "monotonic", lambda: next(now_s))
+    meter = meters.CpuMeter(1, 2)
+    used_s.update({1: 11.0, 2: 20.5})
+    assert meter.percent() == 15.0
+
+
+def test_captured_frames_are_whole_and_of_the_commands_that_were_asked_for():
+    frames = list(capture.captured(capture.WHEELS, capture.SONAR))
+    assert {(frame[:1], frame[-1:]) for frame in frames} == {(b"~", b"~")}
+    assert {frame[3] for frame in frames} == {capture.WHEELS, capture.SONAR}
+    assert len(frames) == sum(len(list(capture.captured(command))) for command in (capture.WHEELS, capture.SONAR)) > 100
