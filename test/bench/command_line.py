@@ -50,7 +50,7 @@ def read_arguments() -> argparse.Namespace:
         prog="./dev bench", description="Measure latency, CPU and memory of this package on this machine. Exit code 0 "
         "= everything was measured, whether or not each target was met.")
     parser.add_argument("--quick", action="store_true",
-                        help="fewer trials, one car: within a minute; too few to judge a p99")
+                        help="fewer trials, one car: within two minutes, too little to judge by")
     parser.add_argument("--only", action="append", choices=(*GROUPS, *ON_REQUEST), metavar="NAME",
                         help=f"measure this only; may be given again. One of {', '.join(GROUPS)}, or "
                         f"{', '.join(ON_REQUEST)}, which are not measured otherwise")
@@ -124,6 +124,8 @@ def main() -> int:
     if any(row.summary and 1 < row.summary.samples < 100 for row in rows):
         print("  p99 of fewer than 100 samples is their maximum")
     print(f"\n{verdict(rows)}; took {time.monotonic() - begun_s:.0f} s")
+    if arguments.quick:
+        print("That was a quick run: too few trials to judge a p99, too short to judge CPU time")
     disturbed = [f"{each.group} {each.others_percent:.0f}" for each in conditions
                  if each.others_percent > DISTURBED_PERCENT]
     if disturbed:

@@ -65,7 +65,7 @@ def measure_decide(effort: Effort, stage: Stage) -> Iterator[Row]:
     """Measure what limits cost that are not reached: a decision with them and without, in turns."""
     for node, kind in (("turn_arb", "decide_steering"), ("throttle_arb", "decide_throttle")):
         result = samples(sys.executable, kind, effort.calls // 10)
-        yield Row("decide", f"a decision of {node}, limits off", "µs", Summary.of(result["off"]),
+        yield Row("decide", f"decide: {node} without limits", "µs", Summary.of(result["off"]),
                   note="the planner drives; a sample is the mean of 500 calls")
-        yield Row("decide", f"a decision of {node}, limits on, not reached: more", "µs", Summary.of(result["more"]),
+        yield Row("decide", f"decide: {node} below its limits, more", "µs", Summary.of(result["more"]),
                   (Target(high=MAX_LIMITS_US), Target(P99)))

@@ -68,7 +68,7 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
             processes += launch_cars(stage, new, (*ALL, SIMULATOR))
             drive = measure_drive(effort.drive_s, namespaces, ALL)
             name = "1 car" if count == 1 else f"{count} cars"
-            yield _row(f"{name}: CPU of all its nodes and the guard", drive.percents, MAX_PERCENT, str(drive))
+            yield _row(f"{name}: CPU of all its nodes", drive.percents, MAX_PERCENT, str(drive))
             total = sum(drive.percents)
             if one is None:
                 one = total
@@ -90,7 +90,7 @@ def measure_planners_car(effort: Effort, stage: Stage) -> Iterator[Row]:
         drive = measure_drive(effort.drive_s, [namespace], nodes)
     finally:
         stage.end(*processes)
-    yield _row(f"1 car with {PLANNER}: CPU of all its nodes and the guard", drive.percents, MAX_PERCENT, str(drive))
+    yield _row(f"1 car, {PLANNER} too: CPU of all its nodes", drive.percents, MAX_PERCENT, str(drive))
 
 
 def _row(what, percents, max_percent, note):
