@@ -124,15 +124,17 @@ class ThrottleArb:
         subscribe_changes("/teleop_logi/tele_throt_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("/teleop_logi/mode", String, inbox, self._on_mode, self._decide)
         subscribe_changes("/teleop_logi/scale_button", Int8, inbox, self._on_scale_button, self._decide)
+        subscribe_changes("~input/value", Float64Stamped, inbox, self._on_value, self._decide)
+        subscribe_changes("turn_arb/state", SteeringState, inbox, self._on_steering, self._decide,
+                          value_of=lambda state: (state.source, state.turn_radius, state.max_speed))
         for topic, message_type, handler in (
-                ("~input/value", Float64Stamped, self._on_value),
                 ("~input/odometry", Odometry, self._on_odometry),
                 ("generic_value_converter/state", ConverterState, self._on_converter),
                 ("planner_interface/state", PlannerState, self._on_planner_state),
-                ("turn_arb/state", SteeringState, self._on_steering),
                 ("/servo/output", Int32MultiArray, self._on_output)):
             subscribe(topic, message_type, inbox, self._deciding(handler))
-        subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state)
+        # Only quoted: no line that quotes it is due before the next tick.
+        subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
 
     def step(self, now_ns):
         """Handle what arrived; then the timer."""

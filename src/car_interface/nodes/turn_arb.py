@@ -126,7 +126,8 @@ class TurnArb:
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
         subscribe_changes("av_steer_req", Float32, inbox, self._on_planner_steering, self._decide)
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)
-        subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state)
+        # Only quoted: no line that quotes it is due before the next tick.
+        subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now, self._on_master)
 

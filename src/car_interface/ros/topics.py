@@ -36,15 +36,21 @@ def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, in
                       queue_size)
 
 
+def _data_of(message):
+    return message.data
+
+
 def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None],
-                      on_change: Callable[[int], Any] | None = None, takes_latched: bool = False) -> None:
-    """The same for a topic of std_msgs whose messages mostly repeat the last value, in a node with a fast timer.
+                      on_change: Callable[[int], Any] | None = None, takes_latched: bool = False,
+                      value_of: Callable[[Any], Any] = _data_of) -> None:
+    """The same for a topic whose messages mostly repeat the last value, in a node with a fast timer.
 
     A repeated value doesn't wake the node: it is handled, with its own time of arrival, when the node next wakes. That
     reduces the CPU time of an input at 50 Hz to a third. After a new value ``on_change(arrival_ns)`` is called as well.
 
     Args:
         takes_latched: as of ``backlog.Backlog``.
+        value_of: the value in a message. It is called in rospy's thread.
     """
     last = None
     backlog = Backlog(takes_latched)
@@ -56,8 +62,9 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[
 
     def receive(message):
         nonlocal last
-        has_changed = message.data != last  # as NaN always has
-        last = message.data
+        value = value_of(message)
+        has_changed = value != last  # as NaN always has
+        last = value
         inbox.put(handle_change if on_change and has_changed else handle, message, wakes=has_changed)
     _subscribe(topic, message_type, inbox, backlog, receive)
 

@@ -94,6 +94,8 @@ class SteeringArbiter:
         self._planner_steering = TimedInput("av_steer_req", config.planner_timeout_s)
         self._limiter = SteeringLimiter(config.limits)
         self._sources = {TELEOP: config.limits.human, PLANNER: config.limits.planner}
+        # Duty (None: nobody steered) and time of the newest decision, if no limit held for it.
+        self._unlimited: tuple[int | None, int] | None = None
         self._slewed_duty: float = calibration.servo_center
         self._slewed_ns = 0
 
@@ -167,8 +169,12 @@ class SteeringArbiter:
         ages_s = (self._interlock.e_stop_age_s(now_ns), self._interlock.human_age_s(now_ns),
                   self._teleop.age_s(now_ns), min(self._planner.age_s(now_ns), self._planner_steering.age_s(now_ns)))
         if limits is None or limits.is_off:
-            self._limiter.release(1.0 / self.turn_radius_m(duty) if source in self._sources else 0.0, now_ns)
+            self._unlimited = None if limits is None else duty, now_ns
             return Decision(source, self._slewed(source, duty, now_ns), cause, reason, *ages_s)
+        if self._unlimited is not None:  # only now it matters how the car turned then
+            before, at_ns = self._unlimited
+            self._limiter.release(0.0 if before is None else 1.0 / self.turn_radius_m(before), at_ns)
+            self._unlimited = None
         asked_m = self._asked_radius_m(source, duty, now_ns)
         turn = self._limiter.limit(1.0 / asked_m, limits, now_ns)
         if turn.is_cut:

@@ -326,6 +326,30 @@ def test_times_out_of_order_do_not_disturb_the_slew():
     assert arbiter.decide(NOW + S // 5).duty == 5000
 
 
+def arbiter_at_3_mps(teleop):
+    """One in which a planner has just taken over, at 3 m/s, from a human whose stick was there."""
+    arbiter = arbiter_with()
+    arbiter.update_odometry(3.0, NOW)
+    arbiter.update_human(True, NOW)
+    arbiter.update_teleop(teleop, NOW)
+    arbiter.decide(NOW)
+    arbiter.update_teleop(0.0, NOW)
+    arbiter.update_planner(3.0, NOW)
+    return arbiter
+
+
+def test_planner_that_takes_over_turns_in_from_where_the_human_steered():
+    decision = arbiter_at_3_mps(teleop=1.0).decide(NOW + S // 1000)  # 1 m to the left
+    assert (decision.duty, decision.limit) == (3840, "")
+
+
+def test_planner_that_takes_over_from_nobody_turns_in_from_straight_on():
+    arbiter = arbiter_at_3_mps(teleop=0.0)
+    duties = [arbiter.decide(NOW + ms * S // 1000) for ms in (1, 10, 30, 100)]
+    assert [decision.limit for decision in duties] == [causes.JERK_LIMITED, causes.JERK_LIMITED, "", ""]
+    assert duties[0].duty > duties[1].duty > duties[2].duty == 3840
+
+
 @pytest.mark.parametrize("again, source, reason", [
     pytest.param(["human"], NEUTRAL, "tele_steer_req was not heard since messages were dropped", id="gamepad_lost"),
     pytest.param(["human", "teleop"], NEUTRAL, "av_turnrad_req was not heard since messages were dropped",
