@@ -16,7 +16,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Float32, Int32MultiArray, String
 
 from virtual_car import HERE, PACKAGE
-from waiting import Repeater, Sender, config, eventually, set_params, start
+from waiting import Repeater, Sender, config, eventually, one_process_params, set_params, start
 
 WATCHER = os.path.join(HERE, "garbage_watcher.py")
 COLLECTIONS = 10  # one a second
@@ -96,13 +96,8 @@ class Garbage(unittest.TestCase):
             "/turn_arb/state": SteeringState(source=SteeringState.TELEOP)})
 
     def test_car_nodes_collects_between_the_steps_of_all_its_nodes(self):
-        for node, values in {
-                "turn_arb": config("turn_arb.yaml"), "pca9685": {"device": "virtual"},
-                "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml", "sonars.yaml"),
-                                      "port": os.path.join(tempfile.gettempdir(), "absent")},
-                "generic_value_converter": {**config("generic_value_converter.yaml"),
-                                            "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
-                "throttle_arb": config("throttle.yaml"), "car_nodes": {"throttle": True}}.items():
+        absent = os.path.join(tempfile.gettempdir(), "absent")
+        for node, values in {**one_process_params(absent), "car_nodes": {"throttle": True}}.items():
             set_params(self, f"/{node}", values)
         name = "/generic_value_converter/input"
         self.check("car_nodes:CarNodes", {

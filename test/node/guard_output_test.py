@@ -23,8 +23,7 @@ from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.relay_link import RelayLink
 from car_interface.ros.topics import subscribe
-from virtual_car import PACKAGE
-from waiting import NodeProcess, Topic, config, eventually, executable, set_params
+from waiting import NodeProcess, Topic, eventually, executable, one_process_params, set_params
 
 TIMEOUT_VALUES = guard_test.TIMEOUT_VALUES
 SAFE_COUNTS = (319, 307) + (0,) * 14
@@ -167,14 +166,8 @@ class OfOneProcess(OutputTest):
     """car_nodes, killed and frozen."""
 
     def start_car_nodes(self):
-        values = {"turn_arb": config("turn_arb.yaml"),
-                  "pca9685": {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"),
-                              "esc": config("throttle.yaml"), "device": "virtual",
-                              "virtual_chip": f"{self.folder}/chip", "guard_off_after": 8.0},
-                  "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml"), "port": f"{self.folder}/absent"},
-                  "generic_value_converter": {**config("generic_value_converter.yaml"),
-                                              "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
-                  "throttle_arb": config("throttle.yaml"), "car_nodes": {"throttle": True}}
+        values = {**one_process_params(self.folder, virtual_chip=f"{self.folder}/chip", guard_off_after=8.0),
+                  "car_nodes": {"throttle": True}}
         for part, parameters in values.items():
             set_params(self, f"/{part}", parameters)
         process = NodeProcess(executable("car_nodes"))

@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Bool, Empty, Float32, Int32MultiArray
 from std_srvs.srv import Trigger
 
-from virtual_car import HERE, PACKAGE, Chip
+from virtual_car import HERE, Chip
 from waiting import (
     PATIENCE_S,
     Repeater,
@@ -29,6 +29,7 @@ from waiting import (
     Topic,
     config,
     eventually,
+    one_process_params,
     retried,
     set_params,
     start,
@@ -132,13 +133,7 @@ class AProcess(unittest.TestCase):
 
     def set_params(self, namespace="", **changes):
         """The shipped ones, with a chip in software."""
-        values = {"turn_arb": config("turn_arb.yaml"),
-                  "pca9685": {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"),
-                              "esc": config("throttle.yaml"), "device": "virtual", "virtual_log": self.chip.path},
-                  "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml", "sonars.yaml"), "port": self.port},
-                  "generic_value_converter": {**config("generic_value_converter.yaml"),
-                                              "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
-                  "throttle_arb": config("throttle.yaml")}
+        values = one_process_params(self.folder, virtual_log=self.chip.path)
         for part, more in changes.items():
             values[part].update(more)
         for part in PARTS:

@@ -17,8 +17,18 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from car_interface.common.causes import INHIBITS
-from virtual_car import PACKAGE
-from waiting import NodeProcess, Repeater, Sender, Topic, config, eventually, executable, retried, set_params
+from waiting import (
+    NodeProcess,
+    Repeater,
+    Sender,
+    Topic,
+    config,
+    eventually,
+    executable,
+    one_process_params,
+    retried,
+    set_params,
+)
 
 CENTER, ESC_NEUTRAL = 5100, 4915
 FROZEN_S = 3.0
@@ -167,14 +177,8 @@ class OneProcess(StandstillTest):
     """car_nodes, whose parts share connections."""
 
     def test_frozen_for_3_s_obeys_nothing_that_was_sent_meanwhile(self):
-        values = {"turn_arb": config("turn_arb.yaml"),
-                  "pca9685": {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"),
-                              "esc": config("throttle.yaml"), "device": "virtual",
-                              "virtual_chip": os.path.join(self.folder, "chip")},
-                  "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml"), "port": f"{self.folder}/absent"},
-                  "generic_value_converter": {**config("generic_value_converter.yaml"),
-                                              "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
-                  "throttle_arb": config("throttle.yaml"), "car_nodes": {"throttle": True}}
+        values = {**one_process_params(self.folder, virtual_chip=os.path.join(self.folder, "chip")),
+                  "car_nodes": {"throttle": True}}
         for part, parameters in values.items():
             set_params(self, f"/{part}", parameters)
         process = self.start("car_nodes", "generic_value_converter/input/control_cmd:=control_cmd",

@@ -318,6 +318,18 @@ def skip(test, reason: str) -> None:
     test.skipTest(reason)
 
 
+def one_process_params(folder: str, **pca9685) -> dict:
+    """The shipped parameters of car_nodes, by node, with a chip in software; a Teensy may be at folder/teensy."""
+    return {"turn_arb": config("turn_arb.yaml"),
+            "pca9685": {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
+                        "device": "virtual", **pca9685},
+            "teensy_sensor_hub": {**config("teensy_sensor_hub.yaml", "sonars.yaml"),
+                                  "port": os.path.join(folder, "teensy")},
+            "generic_value_converter": {**config("generic_value_converter.yaml"),
+                                        "csv_path_value_map": f"{PACKAGE}/config/value_map.csv"},
+            "throttle_arb": config("throttle.yaml")}
+
+
 def set_params(test, namespace: str, values: dict) -> None:
     """Put parameters on the server; they go with the test."""
     for name, value in values.items():
