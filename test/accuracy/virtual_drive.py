@@ -406,9 +406,10 @@ class _Bag:
 
 
 _EMPTY_STATE = {
-    "cause": "", "reason": "", "mode": "manual", "human_scale": 0.5, "esc_cause": "", "esc_reason": "",
+    "cause": "", "reason": "", "mode": "manual", "human_scale": 0.5, "esc_cause": "", "esc_reason": "", "limit": "",
+    "limit_reason": "", "cuts": 0,
     **dict.fromkeys(("e_stop_age", "human_age", "steering_age", "mode_age", "teleop_age", "planner_age", "odometry_age",
-                     "output_age", "speed"), 0.0)}
+                     "output_age", "speed", "max_speed"), 0.0)}
 
 
 def ros_time_ns(monotonic_ns: int) -> int:

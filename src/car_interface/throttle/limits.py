@@ -58,8 +58,9 @@ class ThrottleLimits:
     odometry_timeout_s: float = 0.5
 
 
-def read_limits(params) -> ThrottleLimits:
-    """The limits from ~human/…, ~planner/…, ~slow_down and ~csv_path_value_map.
+def read_limits(params, is_complete: bool = True) -> ThrottleLimits:
+    """The limits from ~human/…, ~planner/…, ~slow_down and ~csv_path_value_map; unless ``is_complete`` those of
+    accelerations need no map, and there is none.
 
     Raises:
         ConfigError: naming the parameter, or the place in the map's file.
@@ -76,10 +77,10 @@ def read_limits(params) -> ThrottleLimits:
     for name, limits in (("human", human), ("planner", planner)):
         for limit, value in (("max_acceleration", limits.max_acceleration_mps2),
                              ("max_braking", limits.max_braking_mps2)):
-            if value and path is None:
+            if value and path is None and is_complete:
                 raise ConfigError(f"{name}/{limit}", value, "0, or csv_path_value_map, the value map that says what "
                                                             "the ESC's duties do")
-            if value and value_map is None:
+            if value and path is not None and value_map is None:
                 value_map = load_value_map(path, allow_plateaus)
     return ThrottleLimits(human=human, planner=planner, slow_down=params.flag("slow_down", True), value_map=value_map,
                           odometry_timeout_s=params.timeout("odometry_timeout", 0.5))

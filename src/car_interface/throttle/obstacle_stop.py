@@ -71,8 +71,9 @@ class ObstacleConfig:
     timeout_s: float = 1.0
 
 
-def read_obstacle_stop(params) -> ObstacleConfig | None:
-    """The configuration from ~obstacle_stop, ~obstacle/… and, below ~sonar_hub, the sensor hub's file; ``None`` = off.
+def read_obstacle_stop(params, is_complete: bool = True) -> ObstacleConfig | None:
+    """The configuration from ~obstacle_stop, ~obstacle/… and, below ~sonar_hub, the sensor hub's file; ``None`` = off,
+    or that file's parameters are not among them, as ``is_complete`` says.
 
     Raises:
         ConfigError: naming the parameter.
@@ -91,7 +92,7 @@ def read_obstacle_stop(params) -> ObstacleConfig | None:
     for name, use in zip(NAMES, names):
         if use not in ("used", "absent"):
             raise ConfigError(f"obstacle/sonars/{name}", use, "used or absent")
-    if not is_on:
+    if not is_on or not is_complete:
         return None
     mounts = {name: _read_mount(params, name) for name, use in zip(NAMES, names) if use == "used"}
     return ObstacleConfig(mounts, params.number(HUB + "field_of_view", default.field_of_view_rad, above=0.0, high=3.0),

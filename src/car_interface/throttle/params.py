@@ -46,15 +46,20 @@ class ThrottleConfig:
     tuning: TuningSettings
 
 
-def read_config(params) -> ThrottleConfig:
+def read_config(params, is_complete: bool = True) -> ThrottleConfig:
     """Read the node's configuration from its parameters, without side effects.
+
+    Args:
+        params: the parameters.
+        is_complete: false = those of the throttle's file alone, without what the launch files add: there is no value map
+            and no sonar then.
 
     Raises:
         ConfigError: naming the parameter.
     """
     config = ThrottleConfig(tuning=read_tuning(params, LIVE_RANGE), calibration=read_calibration(params),
-                            arbiter=read_arbiter(params), esc=read_esc(params), limits=read_limits(params),
-                            obstacles=read_obstacle_stop(params))
+                            arbiter=read_arbiter(params), esc=read_esc(params), limits=read_limits(params, is_complete),
+                            obstacles=read_obstacle_stop(params, is_complete))
     params.finish(ignored_namespaces=(HUB.rstrip("/"),))
     return config
 
@@ -80,7 +85,7 @@ def load_throttle(path: str) -> ThrottleConfig:
         ConfigError: naming the file, the parameter and what is wrong with it.
     """
     try:
-        return read_config(Params(load_yaml(path)))
+        return read_config(Params(load_yaml(path)), is_complete=False)
     except ConfigError as error:
         raise error.within(path) from error
 

@@ -32,3 +32,15 @@ def test_file_that_the_node_would_refuse_is_refused_with_its_name(tmp_path, befo
     with pytest.raises(ConfigError) as refused:
         load_throttle(str(path))
     assert str(path) in str(refused.value) and said in str(refused.value)
+
+
+def test_what_needs_other_files_is_left_out_of_a_file_that_is_read_alone(tmp_path):
+    text = SHIPPED.read_text(encoding="utf-8")
+    path = tmp_path / "throttle.yaml"
+    for before, after in (("obstacle_stop: false", "obstacle_stop: true"), ("max_braking: 0", "max_braking: 3")):
+        assert before in text
+        text = text.replace(before, after)
+    path.write_text(text, encoding="utf-8")
+    config = load_throttle(str(path))
+    assert (config.obstacles, config.limits.value_map) == (None, None)
+    assert config.limits.planner.max_braking_mps2 == 3

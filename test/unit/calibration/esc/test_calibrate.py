@@ -14,6 +14,7 @@ from car_interface.sim import esc as virtual
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.limits import ThrottleLimits
 from car_interface.throttle.params import ThrottleConfig
 
 RISING = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[3277, 4912, 6554], neutral=4912)
@@ -29,7 +30,7 @@ def recorded(neutral=4912.0, path="a.bag"):
 
 
 def base(**esc):
-    return ThrottleConfig(RISING, ArbiterConfig(), EscConfig(**esc), None)
+    return ThrottleConfig(RISING, ArbiterConfig(), EscConfig(**esc), ThrottleLimits(), None, None)
 
 
 def test_drive_becomes_the_fit_s_numbers():

@@ -11,10 +11,11 @@ from car_interface.recordings.overlap import Trail
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.limits import ThrottleLimits
 from car_interface.throttle.params import ThrottleConfig
 
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[3277, 4915, 6554], neutral=4915)
-BASE = ThrottleConfig(SHIPPED, ArbiterConfig(), EscConfig(), None)
+BASE = ThrottleConfig(SHIPPED, ArbiterConfig(), EscConfig(), ThrottleLimits(), None, None)
 
 
 def recorded(path, *notes):
