@@ -51,8 +51,8 @@ def read_config(params, is_complete: bool = True) -> ThrottleConfig:
 
     Args:
         params: the parameters.
-        is_complete: false = those of the throttle's file alone, without what the launch files add: there is no value map
-            and no sonar then.
+        is_complete: false = those of the throttle's file alone, without what the launch files add: no value map and no
+            sonar.
 
     Raises:
         ConfigError: naming the parameter.
