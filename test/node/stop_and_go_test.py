@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """The demo's graph with throttle drives, stops, stands for a while, and drives again, three times.
 
-The throttle needs odometry that is not older than half a second: it must go on while the car stands.
+The throttle needs odometry that is not older than half a second: it must go on while the car stands. While it drives
+forward the sonars ahead fire more often, by sonar_sequence_ahead, and all six in turn while it stands.
 """
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ import unittest
 
 import rospy
 import rostest
-from car_interface.msg import Control
+from car_interface.msg import Control, Distance
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Float32
@@ -23,11 +24,19 @@ PLANNER_BUTTON = 5  # as config/teleop_logi.yaml has it
 SETTING_OFF_S = 8.0
 STANDING_S = 3.0  # longer than any timeout in the chain
 ROUNDS = 3
+AHEAD, ALL = [1, 0, 1, 2, 1, 4], list(range(6))  # the first as the launch file has it
 
 
 def gamepad(holds):
     """The planner's deadman, held or not, and the stick at rest."""
     return Joy(axes=[0.0] * 8, buttons=[int(holds and index == PLANNER_BUTTON) for index in range(11)])
+
+
+def fires(distances, sequence):
+    """Whether the newest reports are of the sonars of a sequence, twice in its order."""
+    sensors = [heard.what.sensor for heard in distances.heard_since(0)][-3 * len(sequence):]
+    rounds = 2 * sequence
+    return any(sensors[begin:begin + len(rounds)] == rounds for begin in range(len(sequence)))
 
 
 def control(acceleration_mps2):
@@ -42,6 +51,7 @@ class StopAndGoTest(unittest.TestCase):
         radius = Sender("/av_turnrad_req", Float32)
         planner = Sender("/control/command/control_cmd", Control)
         odom = Topic("/odom", Odometry).connected()
+        distances = Topic("/teensy_distance", Distance).connected()
         truth = Topic("/car_sim/truth", Odometry).connected()
         inputs = Repeater()
         self.addCleanup(inputs.end)
@@ -66,6 +76,8 @@ class StopAndGoTest(unittest.TestCase):
             inputs.hold(planner, control(DRIVE_MPS2))
             retried(set_off)
             odom.wait_for(lambda message: abs(message.twist.twist.linear.x - 1.0) < 0.2, mark)
+            inputs.hold(planner, control(0.0))
+            eventually(lambda: fires(distances, AHEAD), "the sonars ahead, more often")
             inputs.hold(planner, control(BRAKE_MPS2))
             truth.wait_for(lambda message: message.twist.twist.linear.x < 0.05, true_mark)
             inputs.hold(planner, control(0.0))
@@ -80,6 +92,7 @@ class StopAndGoTest(unittest.TestCase):
             self.assertLess(max(after - before for before, after in zip(times_s, times_s[1:])), 1.0)
             self.assertGreater(len(standing), 2 * STANDING_S)
             self.assertEqual(standing[-1].what.twist.twist.linear.x, 0.0)
+            eventually(lambda: fires(distances, ALL), "all sonars in turn")
         seen, real = odom.since()[-1].pose.pose.position, truth.since()[-1].pose.pose.position
         self.assertLess(math.hypot(seen.x - real.x, seen.y - real.y), 0.1)
 
