@@ -8,8 +8,9 @@ Publishes:
 Subscribes to the topics of the car's nodes.
 Parameters:
     ~bag_dir: absolute path of a folder for a bag of all topics; none = no recording.
-    ~steering, ~esc, ~gamepad: what turn_arb.yaml, throttle.yaml and teleop_logi.yaml of the car say, as demo.launch
-        loads them: the channels of the servo board, and the gamepad's axis and buttons.
+    ~steering, ~esc, ~gamepad, ~wheels: what turn_arb.yaml, throttle.yaml, teleop_logi.yaml and teensy_sensor_hub.yaml
+        of the car say, as demo.launch loads them: the channels of the servo board, the gamepad's axis and buttons, and
+        how finely the wheels' sensors tell how the car turns.
 """
 from __future__ import annotations
 
@@ -65,8 +66,9 @@ READY_WITHIN_S = 30
 LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
 AXES, BUTTONS, MAX_INDEX = 8, 11, 63
 SETTLING_NS = NS_PER_S // 10  # after a change of stage the source isn't checked
-# Tolerance of odometry at the end: as a ratio of the distance, and in degrees over some 34 m.
-ODOMETRY_RATIO, ODOMETRY_DEG = 0.01, 2.0
+# Tolerance of odometry at the end, after some 34 m: as a ratio of the distance; and of the angle by which the car turns
+# when one wheel goes on by a pulse, 2.9 degrees with the shipped wheels. Between two pulses nothing is known.
+ODOMETRY_RATIO, PULSE_RATIO = 0.01, 0.7
 
 
 class Watch:
@@ -165,6 +167,7 @@ class DemoDriveConfig:
         steering_channel, throttle_channel: of the servo board.
         steer_axis, throttle_axis, manual_button, autonomous_button: of the gamepad that it plays.
         steer_scale, throttle_scale: the car's factors of the axes; −1 inverts one.
+        pulse_deg: by how much a pulse of one wheel turns the car.
     """
 
     bag_dir: str | None
@@ -176,6 +179,7 @@ class DemoDriveConfig:
     autonomous_button: int
     steer_scale: float
     throttle_scale: float
+    pulse_deg: float
 
 
 def read_config(params) -> DemoDriveConfig:
@@ -184,6 +188,8 @@ def read_config(params) -> DemoDriveConfig:
     Raises:
         ConfigError: naming the parameter.
     """
+    pulse_m = (math.pi * params.number("wheels/wheel_diameter", 0.095, above=0.0)
+               / params.integer("wheels/pulses_per_revolution", 20, 1))
     config = DemoDriveConfig(
         bag_dir=params.path("bag_dir", None),
         steering_channel=params.integer("steering/servo_channel", 0, 0, CHANNELS - 1),
@@ -193,8 +199,9 @@ def read_config(params) -> DemoDriveConfig:
         manual_button=params.integer("gamepad/manual_button", 4, 0, MAX_INDEX),
         autonomous_button=params.integer("gamepad/autonomous_button", 5, 0, MAX_INDEX),
         steer_scale=params.number("gamepad/steer_scale", 1.0, -1.0, 1.0) or 1.0,
-        throttle_scale=params.number("gamepad/throttle_scale", 1.0, -1.0, 1.0) or 1.0)
-    params.finish(ignored_namespaces=("steering", "esc", "gamepad"))
+        throttle_scale=params.number("gamepad/throttle_scale", 1.0, -1.0, 1.0) or 1.0,
+        pulse_deg=math.degrees(pulse_m / params.number("wheels/track", 0.296, above=0.0)))
+    params.finish(ignored_namespaces=("steering", "esc", "gamepad", "wheels"))
     return config
 
 
@@ -363,7 +370,8 @@ class DemoDrive:
             watch.neutral_ns is not None and self._neutral_after_s() < 0.1)
         yield "the car rolled on after the human let go", abs(watch.speed_mps) < 0.05
         error_m, error_deg = watch.odometry_error()
-        yield "odometry lost its way", error_m < ODOMETRY_RATIO * watch.distance_m and error_deg < ODOMETRY_DEG
+        yield "odometry lost its way", (error_m < ODOMETRY_RATIO * watch.distance_m
+                                        and error_deg < PULSE_RATIO * self._config.pulse_deg)
         yield "not every sonar was heard", len(watch.sonar_m) == len(SONARS)
         yield "pings went unanswered", link.pongs >= link.pings - 1
         yield "there were bad frames", link.bad_frames + link.malformed_frames == 0
