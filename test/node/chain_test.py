@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 import unittest
+from functools import partial
 from typing import ClassVar
 
 import rostest
@@ -36,6 +37,7 @@ MONOTONIC_CLOCK = os.path.join(HERE, "monotonic_clock.c")
 STRICT = bool(os.environ.get("CAR_INTERFACE_ALL"))
 SLACK_MS = 0 if STRICT else 150  # a machine that builds and tests other things, too
 MESSAGE_MEDIAN_MS, MESSAGE_P99_MS, MESSAGE_WORST_MS = 1.0, 2.0, 20.0
+BARE_RATIO = 2.5  # to bare rospy, where that alone takes long
 MESSAGE_TRIALS = 10 * TRIALS
 MESSAGE_ATTEMPTS = 3
 HOUR_S = 3600
@@ -135,12 +137,7 @@ class Messages(ChainTest):
 
     def test_letting_go_and_nonsense(self):
         self.drive(Car(self))
-        relay = self.car.start("relay", sys.executable, DRIVER, "relay")
-        sink = self.car.start("sink", sys.executable, DRIVER, "sink")
-        for process in (relay, sink):
-            process.wait_for_info("^ready")
-        floor = self.car.driver("floor", "relay")
-        eventually(lambda: self.floor_ms(floor, sink), "the relay")
+        floor_ms = self.start_bare_rospy()
         rest = self.rest
         faults = {"human_in_loop false": ("human", "0"), "steering NaN": ("steering", "nan"),
                   "e_stop true": ("e_stop", "1")}
@@ -156,31 +153,50 @@ class Messages(ChainTest):
                     if name != "steering":
                         esc_ns = self.car.chip.wait_for(1, lambda counts: counts == ESC_NEUTRAL, fault_ns)
                         times.setdefault((title, "ESC"), []).append((esc_ns - fault_ns) / 1e6)
-                    floors.append(self.floor_ms(floor, sink))
+                    floors.append(floor_ms())
                     self.car.sent(rest, "e_stop", "0")
                     self.car.sent(rest, "steering", "1.0")
                     self.arm()
-            beside = sorted(ms for ms in floors if ms)
-            bare = f"two hops of bare rospy {statistics.median(beside):.2f} ms, p99 {percentile(beside, 99):.2f}"
             for (title, what), times_ms in times.items():
-                self.check_messages(f"{title}, {what}; {bare}", times_ms)
+                self.check_messages(f"{title}, {what}", times_ms, floors)
             return floors, times
         floors, times = measured(attempt, self.arm, MESSAGE_ATTEMPTS)
         self.report("two hops of bare rospy", "sink", [ms for ms in floors if ms])
         for (title, what), times_ms in times.items():
             self.report(title, what, times_ms)
 
-    def report_messages(self, title, what, times_ms):
+    def start_bare_rospy(self):
+        """Have a relay and a sink of bare rospy; a function that measures two hops through them, ms."""
+        relay, sink = (self.car.start(name, sys.executable, DRIVER, name) for name in ("relay", "sink"))
+        for process in (relay, sink):
+            process.wait_for_info("^ready")
+        floor = self.car.driver("floor", "relay")
+        eventually(lambda: self.floor_ms(floor, sink), "the relay")
+        return partial(self.floor_ms, floor, sink)
+
+    def report_messages(self, title, what, times_ms, floors_ms, hops=2):
         """A row of the table, held against the bounds."""
         self.report(title, what, times_ms)
-        self.check_messages(title, times_ms)
+        self.check_messages(title, times_ms, floors_ms, hops)
 
-    def check_messages(self, title, times_ms):
-        """Against the bounds of a message; a machine that does other things, too, gets ten times the worst."""
-        self.assertLessEqual(max(times_ms), (1 if STRICT else 10) * MESSAGE_WORST_MS, title)
-        self.assertLessEqual(statistics.median(times_ms), (1 if STRICT else 3) * MESSAGE_MEDIAN_MS, title)
+    def check_messages(self, title, times_ms, floors_ms, hops=2):
+        """Against the bounds of a message; a machine that does other things, too, gets ten times the worst.
+
+        Args:
+            title: of the row.
+            times_ms: what was measured.
+            floors_ms: of two hops of bare rospy meanwhile, None where one was lost: a slow machine is slow with both.
+            hops: from node to node until the chip is written.
+        """
+        ratio = BARE_RATIO * hops / 2
+        bare_ms = sorted(ms for ms in floors_ms if ms)
+        bare_median_ms, bare_p99_ms = statistics.median(bare_ms), percentile(bare_ms, 99)
+        text = f"{title}; two hops of bare rospy took {bare_median_ms:.2f} ms, p99 {bare_p99_ms:.2f}"
+        median_ms = max(MESSAGE_MEDIAN_MS, ratio * bare_median_ms)
+        self.assertLessEqual(max(times_ms), (1 if STRICT else 10) * MESSAGE_WORST_MS, text)
+        self.assertLessEqual(statistics.median(times_ms), (1 if STRICT else 3) * median_ms, text)
         if STRICT and len(times_ms) >= 100:
-            self.assertLessEqual(percentile(sorted(times_ms), 99), MESSAGE_P99_MS, title)
+            self.assertLessEqual(percentile(sorted(times_ms), 99), max(MESSAGE_P99_MS, ratio * bare_p99_ms), text)
 
     def floor_ms(self, floor, sink):
         mark = sink.stdout.mark()
@@ -195,23 +211,26 @@ class Messages(ChainTest):
 
     def test_radius_and_odometry_that_are_no_number(self):
         self.drive(Car(self), "radius")
-        times = []
+        floor_ms = self.start_bare_rospy()
+        floors, times = [], []
         for _ in range(TRIALS):
             fault_ns = self.car.sent(self.rest, "radius", "nan")
             servo_ns = self.car.chip.wait_for(0, lambda counts: counts == CENTER, fault_ns)
             times.append((servo_ns - fault_ns) / 1e6)
+            floors.append(floor_ms())
             self.car.sent(self.rest, "radius", "1.0")
             self.wait_until_driving()
-        self.report_messages("turn radius NaN", "servo", times)
+        self.report_messages("turn radius NaN", "servo", times, floors)
         for name in ("acceleration", "odometry"):
-            times = []
+            floors, times = [], []
             for _ in range(TRIALS):
                 fault_ns = self.car.sent(self.rest, name, "nan")
                 esc_ns = self.car.chip.wait_for(1, lambda counts: counts == ESC_NEUTRAL, fault_ns)
                 times.append((esc_ns - fault_ns) / 1e6)
+                floors.append(floor_ms())
                 self.car.sent(self.rest, name, "1.0")
                 self.wait_until_driving()
-            self.report_messages(f"{name} NaN", "ESC", times)
+            self.report_messages(f"{name} NaN", "ESC", times, floors, hops=3)
 
 
 class Losses(ChainTest):
