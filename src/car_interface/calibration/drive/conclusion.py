@@ -3,8 +3,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from car_interface.calibration.drive.samples import Samples
+from car_interface.calibration.steering.calibrate import Calibrated, calibrate, yaml_text
+from car_interface.calibration.steering.recorded import RecordedDrive
+from car_interface.calibration.steering.report import report
+from car_interface.calibration.steering.table import LEFT, RIGHT
+from car_interface.common.errors import CarInterfaceError
+from car_interface.recordings.overlap import Trail
 from car_interface.steering.calibration import SteeringCalibration
+
+NO_TRAIL = Trail("", np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 class Conclusion(NamedTuple):
@@ -34,4 +44,25 @@ def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: 
         base_text: the text of its file, whose other parameters are kept.
         name: what the report calls the drive, such as the bag's file name.
     """
-    raise NotImplementedError
+    recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s, False, NO_TRAIL)]
+    try:
+        calibrated = calibrate(recorded, base)
+    except CarInterfaceError as error:
+        return Conclusion("", (), str(error), 0, (0, 0))
+    lines = tuple(report(calibrated, recorded, None))
+    if calibrated.problems:
+        return Conclusion("", lines, "; ".join(calibrated.problems), 0, (0, 0))
+    swapped = _swapped(calibrated, base)
+    if swapped:
+        return Conclusion("", lines, swapped, 0, (0, 0))
+    return Conclusion(yaml_text(calibrated, base_text, lines), lines, "", round(calibrated.center),
+                      (round(calibrated.ends[LEFT]), round(calibrated.ends[RIGHT])))
+
+
+def _swapped(calibrated: Calibrated, base: SteeringCalibration) -> str:
+    """That left and right are exchanged in the base; empty: they aren't."""
+    left, right = calibrated.ends[LEFT], calibrated.ends[RIGHT]
+    if (left - right) * (base.servo_left - base.servo_right) > 0:
+        return ""
+    return (f"servo_left {base.servo_left} turns right: exchange servo_left and servo_right, or steering by hand goes "
+            "the wrong way")

@@ -64,7 +64,6 @@ class Row(NamedTuple):
         duty: for it; NaN = unknown.
         duty_error, radius_error: two standard errors, the second as a ratio of the radius; inf = unknown.
         is_known: the tool would write this one.
-        fraction: 0 to 1, how far it is towards what the drive wants of it.
     """
 
     side: str
@@ -73,7 +72,6 @@ class Row(NamedTuple):
     duty_error: float
     radius_error: float
     is_known: bool
-    fraction: float
 
 
 class Progress(NamedTuple):

@@ -73,7 +73,10 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
         old = LookupTable(base.radius_axis_m, old_duties)
         points[side] = completed(points[side], center, [old(radius_m) for radius_m in radii_m])
         tightest = points[side][0]
-        ends[side] = _farther(tightest.duty, old_end, center) if tightest.source == OLD else end.duty
+        # An end that is a limit, not a stop, stays: the wheels stay behind it by half of the backlash, and each
+        # calibration would make the range smaller by that.
+        keeps_end = tightest.source == OLD or end.is_end and not end.is_stop
+        ends[side] = _farther(tightest.duty, old_end, center) if keeps_end else end.duty
     return Calibrated(curve, center, ends, points, problems, disagreement)
 
 
