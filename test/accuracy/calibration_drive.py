@@ -204,6 +204,8 @@ class Bench:
         self._due = deque()  # (time, knowledge)
         self._step = None
         self._max_m = self._extent_m = 0.0
+        x_m, y_m, yaw_rad = car.vehicle.start
+        self._start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
         self._blocked, self._phases, self._fits_s, self._spent_s = [], Counter(), [], 0.0
 
     def run(self) -> Result:
@@ -329,11 +331,11 @@ class Bench:
             return
         x_m, y_m, yaw_rad = self.vehicle.pose
         cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
-        start = self.car.vehicle.start
+        start = self._start
         for ahead, left in ((0.426, 0.148), (0.426, -0.148), (-0.142, 0.148), (-0.142, -0.148)):
             at = (x_m + ahead * cos_yaw - left * sin_yaw, y_m + ahead * sin_yaw + left * cos_yaw)
             self._max_m = max(self._max_m, abs(at[0]), abs(at[1]))
-            self._extent_m = max(self._extent_m, math.hypot(at[0] - start.x_m, at[1] - start.y_m))
+            self._extent_m = max(self._extent_m, math.hypot(at[0] - start[0], at[1] - start[1]))
 
 
 def mount_fields(mount):

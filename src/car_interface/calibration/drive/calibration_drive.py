@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from car_interface.calibration.drive.area import Area, Pose
+from car_interface.calibration.drive.area import Area, Pose, moved
 from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.knowledge import FitTask, Knowledge
 from car_interface.calibration.drive.motion import Motion
@@ -95,9 +95,9 @@ class CalibrationDrive:
         self._odom.update(None, now_ns)
         if self._drives:  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
             self.samples.update_odometry(x_m, y_m, yaw_rad, speed_mps, measured_ns)
-        moved = self._motion.update(Pose(x_m, y_m, yaw_rad), speed_mps, measured_ns)
+        motion = self._motion.update(Pose(x_m, y_m, yaw_rad), speed_mps, measured_ns)
         if self._pilot is not None:
-            self._pilot.update_motion(*moved, measured_ns)
+            self._pilot.update_motion(*motion, measured_ns)
 
     def update_duty(self, duty: float, now_ns: int) -> None:
         """What the servo board holds on the steering's channel, by /servo/output."""
@@ -132,7 +132,9 @@ class CalibrationDrive:
                 self._pilot.pause()
             return Step(None, 0.0, WAITING if self._pilot is None else PAUSED, trouble)
         if self._pilot is None:
-            area = Area(self._motion.pose[:2], self._config.radius_m - MARGIN_M, self._config.outline)
+            outline = self._config.outline
+            middle = moved(self._motion.pose, (outline.front_m - outline.rear_m) / 2, 0.0)
+            area = Area(middle[:2], self._config.radius_m - MARGIN_M, self._config.outline)
             self._pilot = Pilot(self._base, self._config, self._survey, self._motion, area, self._obstacles)
         self._driven_ns += since_ns
         if self._survey.is_enough:

@@ -50,6 +50,7 @@ class Knowledge(NamedTuple):
         rows: as in Progress.
         missing: as in Progress.
         delay, backlash_duty, center_duty, center_error: of the fit; ``None`` and NaN where unknown.
+        has_understeer: it is known by how much turns widen with speed.
     """
 
     number: int
@@ -63,6 +64,7 @@ class Knowledge(NamedTuple):
     backlash_duty: float | None = None
     center_duty: float = math.nan
     center_error: float = math.nan
+    has_understeer: bool = False
 
 
 def assess(task: FitTask) -> Knowledge:
@@ -83,7 +85,7 @@ def assess(task: FitTask) -> Knowledge:
                  for side in (LEFT, RIGHT) for point in points[side])
     return Knowledge(task.number, "", tuple(duties.tolist()), tuple(curve.curvature(duties).tolist()),
                      tuple(error_ratios(curve, duties, config).tolist()), rows, tuple(find_problems(curve, points)),
-                     curve.delay, curve.backlash_duty, curve.center, BAND * curve.center_sigma)
+                     curve.delay, curve.backlash_duty, curve.center, BAND * curve.center_sigma, curve.understeer.is_known)
 
 
 def error_ratios(curve: Curve, duties: np.ndarray, config: FitConfig) -> np.ndarray:

@@ -28,13 +28,16 @@ WANT_TIGHT_M, WANT_WIDE_M, WIDE_PER_M = 1.3, 2.2, 0.12  # to measure: a wide tur
 TIGHT_PER_M = 0.8  # the tight speed holds from here on
 LITTLE_NEED = 0.3
 NEED_POWER = 2.0  # of a need, in what measuring it is worth: what is known least comes first, though it takes longer
+LENGTH_POWER = 2.0  # of the length: a slope's variance falls with the third power, and the fit smooths
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
 TIGHT_RATIO = 0.6  # of the tightest curvature: tight enough to turn back with
 TURNED_RAD = 2 * math.pi  # a tight turn that lasts this long makes do with less room
 CHOICE_NS = NS_PER_S // 10
 SLOW_MPS = 0.45
-FREE_MPS = 0.3  # a sonar that allows less means: not there
-STUCK_NS = NS_PER_S
+FREE_MPS, CREEP_MPS = 0.35, 0.2  # a sonar that allows less means: not there; and stop, if it was begun
+SEEN_RATIO = 0.7  # of its speed, that the sonars must allow a position that is begun
+STUCK_NS, STUCK_M = 3 * NS_PER_S, 0.15  # so long without moving so far: it can't go on
+QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by how much turns widen with speed
 
 
 class _Choice(NamedTuple):
@@ -63,6 +66,7 @@ class Pilot:
         self._obstacles = obstacles
         self._guarantee = Guarantee(config.braking_mps2, 0.0, config.braking_mps2)
         self._limits = tuple(float(end) for end in sorted((base.servo_left, base.servo_right)))
+        self._ends = (base.servo_left, base.servo_right)
         self._hold: Hold | None = None
         self._need = 0.0
         self._want_m = 0.0
@@ -70,33 +74,36 @@ class Pilot:
         self._is_noted = False  # what is held was measured, and goes on
         self._turned_rad = 0.0
         self._chosen_ns = 0
-        self._free_ns: int | None = None  # when it last could go on
+        self._free_ns: int | None = None  # when it last had moved on
+        self._stood_m = 0.0  # since then
+        self._is_quick = False  # the turn
         self._servo_duty = float(base.servo_center)
 
     def pause(self) -> None:
         """The button was let go: what was half measured is left."""
         self._finish_hold()
         self._free_ns = None
+        self._avoids = False
 
     def update_motion(self, distance_m: float, turned_rad: float, at_ns: int) -> None:
         """What odometry saw since the last call."""
         if self._hold is not None:
             self._hold.update_motion(distance_m, turned_rad, at_ns)
         self._turned_rad += abs(turned_rad)
+        self._stood_m += abs(distance_m)
 
     def step(self, held_duty: float, now_ns: int) -> Step:
         """What to ask for, the servo board holding ``held_duty``."""
         self._servo_duty = held_duty
-        if self._free_ns is None:
-            self._free_ns = now_ns
+        if self._free_ns is None or self._stood_m >= STUCK_M:
+            self._free_ns, self._stood_m = now_ns, 0.0
         self._steer_on(now_ns)
         hold = self._hold
         speed_mps, text = self._allowed_mps(now_ns)
-        if speed_mps:
-            self._free_ns = now_ns
         steering = self._survey.positions.steering(hold.asked_duty(now_ns))
-        if not speed_mps and now_ns - self._free_ns > STUCK_NS:
-            return Step(steering, 0.0, BLOCKED, text, hold.duty)
+        if now_ns - self._free_ns > STUCK_NS:
+            text = text or f"it doesn't move at {speed_mps:.1f} m/s: is the car held, or the battery empty?"
+            return Step(steering, speed_mps, BLOCKED, text, hold.duty)
         phase = self._phase(now_ns)
         return Step(steering, speed_mps, phase, text or self._text(phase, now_ns), hold.duty)
 
@@ -116,8 +123,9 @@ class Pilot:
             self._begin_any(now_ns)
             return
         is_due = now_ns - self._chosen_ns >= CHOICE_NS
-        if self._is_cut_off(now_ns) and not (self._is_turn and self._turned_rad < TURNED_RAD):
-            self._turn(now_ns)
+        is_tightest = self._is_turn and hold.duty in self._ends and self._turned_rad < TURNED_RAD
+        if not is_tightest and self._is_cut_off(now_ns):
+            self._turn(now_ns, tightest=self._is_turn)
         elif self._is_turn:
             if is_due and (hold.length_m >= self._want_m or self._need < LITTLE_NEED and hold.is_settled(now_ns)):
                 self._leave_turn(now_ns)
@@ -170,7 +178,7 @@ class Pilot:
         worth = candidate.need ** NEED_POWER
         ideal = worth / (settle_s + want_m / speed_mps)
         nothing = _Choice(0.0, ideal, want_m, hold)
-        if self._sonar_mps(curvature, now_ns) < speed_mps:
+        if self._sonar_mps(curvature, now_ns) < SEEN_RATIO * speed_mps:
             return nothing
         lead_m = speed_mps * (self._survey.servo_delay_s + self._survey.servo_lag_s)
         after = moved(self._motion.pose, lead_m, (self._live_per_m() + curvature) / 2)
@@ -179,18 +187,21 @@ class Pilot:
         length_m = room_m - speed_mps * settle_s
         if length_m < MIN_LENGTH_M:
             return nothing
-        return _Choice(worth * min(1.0, length_m / want_m) / (settle_s + length_m / speed_mps), ideal, want_m, hold)
+        known = min(1.0, length_m / want_m) ** LENGTH_POWER
+        return _Choice(worth * known / (settle_s + length_m / speed_mps), ideal, want_m, hold)
 
-    def _turn(self, now_ns):
+    def _turn(self, now_ns, tightest=False):
         """Turn tightly towards where there is room."""
         turn_per_m = self._way_per_m(now_ns)
         pose = moved(self._motion.pose, self._reaction_m(), self._path_per_m(now_ns))
         best = Candidate(self._base.servo_left if turn_per_m > 0 else self._base.servo_right, 0.0, 0)
-        for candidate in self._survey.positions.candidates():
-            curvature = self._survey.positions.least_per_m(candidate.duty)
-            if curvature / turn_per_m > TIGHT_RATIO and candidate.need > best.need:
+        positions = self._survey.positions
+        for candidate in [] if tightest else positions.candidates(
+                lambda duty: positions.least_per_m(duty) / turn_per_m > TIGHT_RATIO):
+            curvature = positions.least_per_m(candidate.duty)
+            if candidate.need > best.need:
                 if (self.area.turn_extent_m(pose, curvature) <= self.area.radius_m
-                        and self._sonar_mps(curvature, now_ns) >= self._cruise_mps(curvature)):
+                        and self._sonar_mps(curvature, now_ns) >= SEEN_RATIO * self._cruise_mps(curvature)):
                     best = candidate
         hold = self._hold
         if hold is not None and hold.duty == best.duty:
@@ -218,6 +229,10 @@ class Pilot:
         self._turned_rad, self._chosen_ns = 0.0, now_ns
         if not is_turn:
             self._avoids = False
+        elif self._survey.wants_speeds and choice.hold.duty in self._ends:
+            self._is_quick = not self._is_quick
+        else:
+            self._is_quick = False
 
     def _finish_hold(self):
         """Note what was measured, if it was enough."""
@@ -275,9 +290,11 @@ class Pilot:
         """(the speed, why it stands)."""
         hold = self._hold
         speed_mps = self._cruise_mps(self._expected(hold.duty))
+        if self._is_turn and self._is_quick and hold.is_settled(now_ns):
+            speed_mps = max(speed_mps, min(MAX_QUICK_MPS, math.sqrt(QUICK_MPS2 / abs(self._expected(hold.duty)))))
         seen_mps = min(self._sonar_mps(self._expected(hold.duty), now_ns),
                        self._sonar_mps(self._live_per_m(), now_ns) if self._motion.speed_mps > FREE_MPS else math.inf)
-        if seen_mps < FREE_MPS:
+        if seen_mps < (CREEP_MPS if self._motion.speed_mps > CREEP_MPS / 2 else FREE_MPS):
             return 0.0, self._obstacle_text(now_ns)
         pose, hard_m = self._motion.pose, self._config.radius_m
         extent_m = min(self.area.ways_out(pose, self._path_per_m(now_ns), self._reaction_m(), self._turns)[1])

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, insort
-from typing import NamedTuple
+from typing import Callable, NamedTuple
 
 from car_interface.calibration.drive.knowledge import Knowledge
-from car_interface.calibration.steering.drive import COUNT, DEFAULTS
+from car_interface.calibration.steering.drive import COUNT
 from car_interface.steering.calibration import SteeringCalibration
 
 # Parts of the way from the center to each end, in the order of their importance; ends and center count for most.
@@ -19,8 +19,8 @@ FIRST = ((1.0, 4.0), (-1.0, 4.0), (0.0, 3.0), (0.5, 2.0), (-0.5, 2.0), (0.75, 1.
 MAX_CANDIDATES = 12
 APART_DUTY = 2 * COUNT  # of two candidates
 NEAR_DUTY = 1.5 * COUNT  # what was measured as near to a candidate answers it
+SIDES_DUTY = 5 * COUNT  # positions as near as this to each other are come to from different sides
 ANSWERED = 0.3  # the part of a need that remains until the next fit
-ALLOWED_RATIO, ALLOWED_PER_M = DEFAULTS.known_ratio, DEFAULTS.known_per_m
 UNKNOWN_TURN_PER_M = 0.8  # of the ends before they were driven: as wide as a car in so small an area may turn
 
 
@@ -95,17 +95,17 @@ class Positions:
                 del self._first[index]
                 break
 
-    def candidates(self) -> list[Candidate]:
-        """What is worth measuring, needs falling. Never empty once there is a curve."""
-        found = list(self._first)
+    def candidates(self, accepts: Callable[[float], bool] = lambda duty: True) -> list[Candidate]:
+        """What is worth measuring of the duties that ``accepts`` takes, needs falling."""
+        found = [candidate for candidate in self._first if accepts(candidate.duty)]
         if self._knowledge is not None:
-            found += self._by_errors(MAX_CANDIDATES - len(found))
+            found += self._by_errors(MAX_CANDIDATES - len(found), accepts)
         return sorted(found, key=lambda candidate: -candidate.need)
 
-    def _by_errors(self, count):
+    def _by_errors(self, count, accepts):
         """The greatest errors of the fit, apart from each other."""
         pairs = [(self._remaining(duty, error), duty)
-                 for duty, error in zip(self._knowledge.duties, self._knowledge.errors)]
+                 for duty, error in zip(self._knowledge.duties, self._knowledge.errors) if accepts(duty)]
         pairs.sort(reverse=True)
         found: list[Candidate] = []
         for need, duty in pairs:
@@ -125,7 +125,7 @@ class Positions:
 
     def _other_side(self, duty):
         """The side from which a position wasn't come to last; 0 = it is new, and any will do."""
-        near = [(abs(other - duty), side) for other, side in self._sides.items() if abs(other - duty) <= NEAR_DUTY]
+        near = [(abs(other - duty), side) for other, side in self._sides.items() if abs(other - duty) <= SIDES_DUTY]
         return -min(near)[1] if near else 0
 
     def expected_per_m(self, duty: float) -> float:
@@ -147,23 +147,13 @@ class Positions:
         return _interpolated(duty, duties, [known[one] for one in duties])
 
     def least_per_m(self, duty: float) -> float:
-        """The least curvature, by its magnitude, that a duty can have: curves are monotone. 0 = nothing is known.
-
-        It is that of the next position towards the center that was driven, or by the fit what that is sure of.
+        """The least curvature, by its magnitude, that a duty can have: that of the next position towards the center
+        that was held, as curves are monotone; 0 = there is none. A fit of few positions may be far off in between.
         """
-        base = self._base
-        outward = 1 if duty >= base.servo_center else -1
+        outward = 1 if duty >= self._base.servo_center else -1
         inner = [curvature for at, curvature in self._curvatures if 0 <= (duty - at) * outward]
-        nearest = (inner[-1] if outward > 0 else inner[0]) if inner else 0.0
         sign = self._left_sign * outward
-        least = max(0.0, sign * nearest)
-        knowledge = self._knowledge
-        if knowledge is not None and knowledge.duties[0] <= duty <= knowledge.duties[-1]:
-            curvature = sign * _interpolated(duty, knowledge.duties, knowledge.curvatures)
-            error = _interpolated(duty, knowledge.duties, knowledge.errors) * max(ALLOWED_RATIO * abs(curvature),
-                                                                                  ALLOWED_PER_M)
-            least = max(least, curvature - error)
-        return sign * least
+        return sign * max(0.0, sign * (inner[-1] if outward > 0 else inner[0])) if inner else 0.0
 
     def steering(self, duty: float) -> float:
         """The request, −1 right to 1 left, that turn_arb makes this duty of."""
