@@ -3,18 +3,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from car_interface.calibration.drive.samples import Samples
 from car_interface.calibration.steering.calibrate import Calibrated, calibrate, yaml_text
-from car_interface.calibration.steering.recorded import RecordedDrive
+from car_interface.calibration.steering.drive import RecordedDrive
 from car_interface.calibration.steering.report import report
 from car_interface.calibration.steering.table import LEFT, RIGHT
 from car_interface.common.errors import CarInterfaceError
-from car_interface.recordings.overlap import Trail
 from car_interface.steering.calibration import SteeringCalibration
-
-NO_TRAIL = Trail("", np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 class Conclusion(NamedTuple):
@@ -44,7 +39,7 @@ def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: 
         base_text: the text of its file, whose other parameters are kept.
         name: what the report calls the drive, such as the bag's file name.
     """
-    recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s, False, NO_TRAIL)]
+    recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s, False, None)]
     try:
         calibrated = calibrate(recorded, base)
     except CarInterfaceError as error:

@@ -6,8 +6,8 @@ from array import array
 
 import numpy as np
 
-from car_interface.calibration.steering.drive import Drive
-from car_interface.calibration.steering.recorded import MAX_PULSE, MIN_PULSE, distance_m
+from car_interface.calibration.steering.distance import distance_m
+from car_interface.calibration.steering.drive import MAX_PULSE, MIN_PULSE, Drive
 from car_interface.common.units import NS_PER_S
 from car_interface.recordings.series import Odom
 

@@ -5,10 +5,9 @@ import math
 from typing import NamedTuple, Sequence
 
 from car_interface.calibration.steering import fit as fitting
-from car_interface.calibration.steering.drive import FitConfig, NothingToFit
+from car_interface.calibration.steering.drive import FitConfig, NothingToFit, RecordedDrive
 from car_interface.calibration.steering.fit import Curve
 from car_interface.calibration.steering.problems import find_problems, radius_text
-from car_interface.calibration.steering.recorded import RecordedDrive
 from car_interface.calibration.steering.table import (
     LEFT,
     OLD,
