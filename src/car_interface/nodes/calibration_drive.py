@@ -125,14 +125,9 @@ class CalibrationDriveNode:
             subscribe_any(topic, inbox, partial(self._on_request, topic), wakes=False)
 
     def _introduce(self):
-        size_m = 2 * self._config.radius_m
-        self._text.say(
-            "You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to hold the "
-            "stick." if self._wanted.stick else
-            f"The car drives by itself while you hold the autonomous deadman, within {self._config.radius_m:g} m of "
-            f"where it stands when you first hold it: {size_m:g} x {size_m:g} m have to be free. Let go, and it stops.")
-        self._text.say(f"It will write {self._table.path}."
-                       + (" F: finish now with what is known. Q: give up." if self._has_keys else ""))
+        keys = " F: finish now with what is known. Q: give up." if self._has_keys else ""
+        self._text.say(terminal.introduction(self._wanted.stick, self._config.radius_m, self._text.width))
+        self._text.say(f"It will write {self._table.path}.{keys}")
 
     def step(self, now_ns):
         """Handle what arrived; then the stage."""
@@ -342,7 +337,7 @@ class CalibrationDriveNode:
     def _loading(self, path):
         """How the car gets it."""
         if path != self._table.path:
-            yield f"{self._table.path} is as it was (--yes replaces it). To take the new one: mv {path} {self._table.path}"
+            yield f"{self._table.path} is as it was. To take the new one: mv {path} {self._table.path}"
         yield (f"to load it, launch again with config:={self._table.folder}; the servo board's timeout value is its "
                f"center, duty {self._conclusion.center_duty}, and comes from the same file")
 

@@ -29,7 +29,7 @@ class BagPage:
         if not os.path.exists(self._recording.path):
             return ["no recording: rosbag wrote none (rosrun rosbag record says why)"]
         if self._process is None:
-            self._output = tempfile.TemporaryFile()
+            self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it is read once the process has ended
             self._process = subprocess.Popen([*_command(), self._recording.path], stdin=subprocess.DEVNULL,
                                              stdout=self._output, stderr=subprocess.STDOUT)
         if self._process.poll() is None:

@@ -29,8 +29,8 @@ class BagRecording:
         except OSError as error:
             raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
         self._path = os.path.join(folder, time.strftime(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
-        self._process = subprocess.Popen(["rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O", self._path],
-                                         stdout=subprocess.DEVNULL)
+        command = ["rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O", self._path]
+        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
     def has_subscribed(self, topic: str) -> bool:
         """Whether a recorder has subscribed to a topic: rosbag takes a second to start, on a busy computer some."""

@@ -25,17 +25,32 @@ from car_interface.calibration.drive.step import (
 
 BAR = 24
 STICK_BAR = 37  # odd: it has a middle
+# What comes before the text, and a word for the phase.
+BEFORE = {WAITING: "waits: ", PAUSED: "paused: ", SETTLING: "it steers ", BLOCKED: "blocked: "}
 HEADLINES = {WAITING: "waits", PAUSED: "paused", SETTLING: "steers", MEASURING: "measures", TURNING: "turns back",
              AVOIDING: "avoids", BLOCKED: "blocked", DONE: "over"}
 STICK_HEADLINES = {SETTLING: "steer", MEASURING: "hold", PAUSED: "drive on", WAITING: "waits", DONE: "over"}
 KNOWN, PARTLY, UNKNOWN = "#", "+", "."  # of a radius
 LEGEND = f"{KNOWN} known   {PARTLY} not well enough   {UNKNOWN} not yet"
 MAX_MISSING = 3
+ADVICE = ": drive "  # to a person who drives without this guidance
+
+
+def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
+    """What is about to happen."""
+    if by_stick:
+        text = ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to hold "
+                "the stick.")
+    else:
+        text = (f"The car drives by itself while you hold the autonomous deadman, within {radius_m:g} m of where it "
+                f"stands when you first hold it: {2 * radius_m:g} x {2 * radius_m:g} m have to be free. Let go, and it "
+                "stops.")
+    return "\n".join(_wrapped([text], width))
 
 
 def drive_lines(step: Step, progress: Progress, width: int = 80) -> list[str]:
     """All of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``."""
-    return _wrapped([f"{HEADLINES.get(step.phase, step.phase)}: {step.text}", *_progress_lines(progress)], width)
+    return _wrapped([f"{BEFORE.get(step.phase, '')}{step.text}", *_progress_lines(progress)], width)
 
 
 def stick_lines(guidance: Guidance, progress: Progress, width: int = 80) -> list[str]:
@@ -106,7 +121,7 @@ def _progress_lines(progress: Progress) -> list[str]:
     lines += [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
     if math.isfinite(progress.center_duty):
         lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
-    missing = list(progress.missing)
+    missing = [text.partition(ADVICE)[0] for text in progress.missing]
     if len(missing) > MAX_MISSING:
         missing[MAX_MISSING:] = [f"… and {len(missing) - MAX_MISSING} more"]
     lines += [f"missing: {text}" for text in missing]
@@ -125,5 +140,4 @@ def _cell(steering, length):
 
 def _wrapped(lines: Sequence[str], width: int) -> list[str]:
     """Lines that fit: a terminal that wraps them by itself can't be drawn over."""
-    return [part for line in lines for part in textwrap.wrap(line, max(20, width - 1), subsequent_indent="  ",
-                                                             replace_whitespace=False, drop_whitespace=False)]
+    return [part for line in lines for part in textwrap.wrap(line, max(20, width - 1), subsequent_indent="  ")]

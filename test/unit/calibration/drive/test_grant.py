@@ -24,7 +24,8 @@ def decided(steering=IDLE_STEERING, throttle=IDLE_THROTTLE, planner="speed", aft
     IDLE_STEERING, Steering(NEUTRAL, causes.PLANNER_STALE, "silent"), Steering(PLANNER, causes.PLANNER, "it steers"),
     Steering(NEUTRAL, causes.NO_RADIUS, "0")])
 @pytest.mark.parametrize("throttle", [
-    IDLE_THROTTLE, IDLE_THROTTLE._replace(cause=causes.PLANNER_STALE), IDLE_THROTTLE._replace(cause=causes.COMMAND_STALE),
+    IDLE_THROTTLE, IDLE_THROTTLE._replace(cause=causes.PLANNER_STALE),
+    IDLE_THROTTLE._replace(cause=causes.COMMAND_STALE),
     IDLE_THROTTLE._replace(source=PLANNER, cause=causes.PLANNER), IDLE_THROTTLE._replace(mode="")])
 def test_held_autonomous_deadman_grants_whether_or_not_something_is_asked_for(steering, throttle):
     assert decided(steering, throttle) == (True, "")

@@ -47,14 +47,14 @@ def test_sonars_are_those_of_throttle_arb_though_it_does_not_stop_for_them():
 
 
 def test_throttle_arb_that_does_not_know_the_sonars_is_refused_in_words():
-    with pytest.raises(CarInterfaceError, match="of throttle_arb's parameters sonar_hub/sonars/front_right is missing.*"
-                                                "launch the car by its launch files, or .* _sonars:=false"):
+    with pytest.raises(CarInterfaceError, match=r"of throttle_arb's parameters sonar_hub/sonars/front_right is "
+                                                r"missing.*launch the car by its launch files, or .* _sonars:=false"):
         read_obstacles({"servo": THROTTLE["servo"]})
 
 
 def test_calibration_is_the_one_that_turn_arb_runs_with():
     path = str(package_file("config/turn_arb.yaml"))
     assert read_base(load_yaml(path)) == load_steering(path)
-    with pytest.raises(CarInterfaceError, match="turn_arb's calibration isn't known: its parameter servo_left is missing"
-                                                ".*Is the car launched, and in this namespace"):
+    with pytest.raises(CarInterfaceError, match=r"turn_arb's calibration isn't known: its parameter servo_left is "
+                                                r"missing.*Is the car launched, and in this namespace"):
         read_base({})

@@ -31,14 +31,14 @@ def test_what_every_drive_needs(lacks, sentence):
 
 @pytest.mark.parametrize(("lacks", "sentence"), [
     ({"throttle": False}, f"throttle_arb isn't heard, which drives the ESC: launch with throttle:=true ({LAUNCH})"),
-    ({"calibrates_esc": True}, "throttle_arb was launched with calibration_drive:=true, which is for calibrate_esc and "
-                               "lets no stop brake: launch without"),
+    ({"calibrates_esc": True}, ("throttle_arb was launched with calibration_drive:=true, which is for calibrate_esc "
+                                "and lets no stop brake: launch without")),
     ({"planner": None}, f"planner_interface isn't heard: launch with planner:=speed ({LAUNCH})"),
     ({"planner": "drive"}, "planner_interface obeys drive, not speeds: launch with planner:=speed in its place"),
-    ({"sonars": ("front_left", "rear_left")},
-     "no range of the sonars front_left, rear_left is heard: a sonar that the car doesn't have is `absent` in "
+    ({"sonars": ("front_left", "rear_left")}, (
+        "no range of the sonars front_left, rear_left is heard: a sonar that the car doesn't have is `absent` in "
      "throttle.yaml (obstacle/sonars); _sonars:=false drives without any, and then only you keep it from running into "
-     "something"),
+     "something")),
     ({"others": ["/my_planner publishes /av_turnrad_req, too: end it"]},
      "/my_planner publishes /av_turnrad_req, too: end it"),
 ])
@@ -51,8 +51,8 @@ def test_gamepad_that_is_off_is_waited_for():
     gone = replace(READY, gamepad=(causes.JOY_STALE, "joy silent for 3.02 s"))
     assert missing(gone, by_stick=False) == []
     assert missing_gamepad(gone) == [
-        "the gamepad isn't there (joy silent for 3.02 s): switch it on, or on the virtual car start keyboard_drive in "
-        "another terminal"]
+        ("the gamepad isn't there (joy silent for 3.02 s): switch it on, or on the virtual car start keyboard_drive in "
+         "another terminal")]
     assert missing_gamepad(replace(READY, gamepad=None)) == [
         "teleop_logi isn't heard, which reads the gamepad with the deadman: is it running?"]
 

@@ -65,7 +65,7 @@ def test_package_s_own_file_is_never_written():
 
 
 def test_folder_that_is_not_there_is_named_before_the_drive(tmp_path):
-    with pytest.raises(CarInterfaceError, match="there is no folder .*/nowhere"):
+    with pytest.raises(CarInterfaceError, match=r"there is no folder .*/nowhere"):
         find_table_file(str(tmp_path / "nowhere" / "a.yaml"), None, None, RUNNING)
 
 
@@ -91,7 +91,7 @@ def test_file_that_is_not_replaced_stays_as_it_is(car):
 
 def test_table_that_turn_arb_would_refuse_is_not_written(car):
     old = car.read_text()
-    with pytest.raises(CarInterfaceError, match="no calibration is written, turn_arb would refuse it: .*servo_left"):
+    with pytest.raises(CarInterfaceError, match=r"no calibration is written, turn_arb would refuse it: .*servo_left"):
         find_table_file(str(car), None, None, RUNNING).write(STOCK_TEXT.replace("servo_left: 3800", "servo_left: x"),
                                                              replaces=True)
     assert (car.read_text(), os.listdir(car.parent)) == (old, ["turn_arb.yaml"])

@@ -35,20 +35,24 @@ def test_picture_of_a_drive():
         progress(rows=rows, missing=["no data for right turns tighter than 1 m: drive three slow right circles"],
                  center=4900.4))
     assert made == [
-        "measures: it measures 40% left, duty 4020: 0.8 of 1.3 m",
+        "it measures 40% left, duty 4020: 0.8 of 1.3 m",
         "[#####...................]  24%   0:42 driven, about 2:10 left, 9 positions",
         "left   0.9 m #+. 300 m: 1 of 3 known, 300 m isn't known",
         "right  1.1 m # 1.1 m: 1 of 1 known",
         "straight on: duty 4900 ± 12",
-        "missing: no data for right turns tighter than 1 m: drive three slow right ",
-        "  circles",
+        "missing: no data for right turns tighter than 1 m",
         "# known   + not well enough   . not yet",
     ]
 
 
+def test_picture_while_it_steers_to_a_position():
+    assert terminal.drive_lines(Step(0.4, 1.0, SETTLING, "to 40% left, duty 4020"), progress())[0] == (
+        "it steers to 40% left, duty 4020")
+
+
 def test_picture_before_the_first_fit_has_no_legend_and_no_center():
-    made = terminal.drive_lines(Step(None, 0.0, PAUSED, "hold the autonomous deadman and it goes on: no deadman is held"),
-                                progress(fraction=0.0, left_s=200.0))
+    text = "hold the autonomous deadman and it goes on: no deadman is held"
+    made = terminal.drive_lines(Step(None, 0.0, PAUSED, text), progress(fraction=0.0, left_s=200.0))
     assert made == [
         "paused: hold the autonomous deadman and it goes on: no deadman is held",
         "[........................]   0%   0:42 driven, about 3:20 left, 9 positions",
@@ -116,3 +120,11 @@ def test_radii_of_a_side_name_the_one_that_is_known_least():
 def test_line_for_a_log():
     assert terminal.plain_line(PAUSED, "hold the button", progress()) == (
         " 24%, 0:42 driven, about 2:10 left; paused: hold the button")
+
+
+def test_introduction_says_how_much_room_it_takes():
+    assert terminal.introduction(False, 3.0) == (
+        "The car drives by itself while you hold the autonomous deadman, within 3 m of\n"
+        "  where it stands when you first hold it: 6 x 6 m have to be free. Let go, and\n"
+        "  it stops.")
+    assert terminal.introduction(True, 3.0).startswith("You drive, holding the manual deadman: slowly")
