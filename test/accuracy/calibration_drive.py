@@ -178,7 +178,7 @@ class Bench:
         self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
         self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
         mounts = {name: Mount(*mount_fields(mount)) for name, mount in zip(NAMES, WorldConfig().mounts)}
-        config = DriveConfig(obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
+        config = DriveConfig(braking_mps2=0.4 if car.esc.profile == UNVERIFIED else 1.0, obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
         self._steering = SteeringArbiter(car.base, SteeringConfig(interlock=interlock))

@@ -62,6 +62,14 @@ class Area:
         return math.sqrt(max((x_m + ahead * cos_yaw - left * sin_yaw) ** 2
                              + (y_m + ahead * sin_yaw + left * cos_yaw) ** 2 for ahead, left in self._corners))
 
+    def ahead_m(self, pose: Pose, radius_m: float) -> float:
+        """How far the car can go straight on until its front leaves a circle of that radius; 0 = it has."""
+        cos_yaw, sin_yaw = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        x_m = pose.x_m + self._front_m * cos_yaw - self.center[0]
+        y_m = pose.y_m + self._front_m * sin_yaw - self.center[1]
+        along_m, square = x_m * cos_yaw + y_m * sin_yaw, x_m * x_m + y_m * y_m - radius_m * radius_m
+        return max(0.0, -along_m + math.sqrt(along_m * along_m - square)) if square < 0 else 0.0
+
     def inward_rad(self, pose: Pose) -> float:
         """The angle between the car's heading and the direction to the center, 0 to π."""
         towards_rad = math.atan2(self.center[1] - pose.y_m, self.center[0] - pose.x_m)

@@ -16,7 +16,7 @@ class DriveConfig:
         speed_mps: in wide turns; tight ones are slower.
         tight_speed_mps: in the tightest turns.
         max_time_s: of driving, that is of the held button; then it ends with what there is.
-        braking_mps2: the deceleration that a stop is certain of; without a known kind of ESC that of coasting.
+        braking_mps2: the deceleration that a stop is certain of, such as the drag's where the kind of ESC isn't known.
         outline: of the car from above.
         obstacles: the sonars, as throttle_arb takes them; ``None`` = none is looked at.
 
@@ -28,7 +28,7 @@ class DriveConfig:
     speed_mps: float = 1.2
     tight_speed_mps: float = 0.9
     max_time_s: float = 300.0
-    braking_mps2: float = 1.0
+    braking_mps2: float = 0.4
     outline: Outline = field(default_factory=Outline)
     obstacles: ObstacleConfig | None = None
 

@@ -19,7 +19,7 @@ from car_interface.calibration.drive.step import AVOIDING, BLOCKED, MEASURING, S
 from car_interface.calibration.drive.survey import Survey
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop
+from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop, stopping_speed_mps
 
 REACTION_S = 0.12  # from the decision to turn until the servo's lag begins, and what a step takes
 MIN_LENGTH_M = 0.9  # of a position that is begun
@@ -28,10 +28,12 @@ WANT_TIGHT_M, WANT_WIDE_M, WIDE_PER_M = 1.3, 2.2, 0.12  # to measure: a wide tur
 TIGHT_PER_M = 0.8  # the tight speed holds from here on
 LITTLE_NEED = 0.3
 NEED_POWER = 2.0  # of a need, in what measuring it is worth: what is known least comes first, though it takes longer
-LENGTH_POWER = 2.0  # of the length: a slope's variance falls with the third power, and the fit smooths
+LENGTH_POWER = 1.5  # of the length: a slope's variance falls with the third power, and the fit smooths
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
 TIGHT_RATIO = 0.6  # of the tightest curvature: tight enough to turn back with
-TURNED_RAD = 2 * math.pi  # a tight turn that lasts this long makes do with less room
+TURNED_RAD = 2 * math.pi  # after a whole turn another one may be tried
+PATIENT_RAD = 1.3 * math.pi  # a turn that has lasted this long makes do with any room
+RELEASE_S = 0.15  # from the button to the ESC
 CHOICE_NS = NS_PER_S // 10
 SLOW_MPS = 0.45
 FREE_MPS, CREEP_MPS = 0.35, 0.2  # a sonar that allows less means: not there; and stop, if it was begun
@@ -159,7 +161,7 @@ class Pilot:
             self._is_noted = True
         choices = self._choices(now_ns)
         best = max(choices, key=lambda choice: choice.score, default=None)
-        patience = max(0.0, 1.0 - self._turned_rad / TURNED_RAD)
+        patience = max(0.0, 1.0 - self._turned_rad / PATIENT_RAD)
         if best is not None and best.score and best.score >= LEAVE_RATIO * patience * max(
                 choice.ideal for choice in choices):
             self._begin(best, False, now_ns)
@@ -224,9 +226,12 @@ class Pilot:
         return turns[needs.index(max(needs))]
 
     def _begin(self, choice, is_turn, now_ns, need=0.0):
+        was_turn = self._is_turn
         self._finish_hold()
         self._hold, self._want_m, self._is_turn, self._need = choice.hold, choice.want_m, is_turn, need
-        self._turned_rad, self._chosen_ns = 0.0, now_ns
+        self._chosen_ns = now_ns
+        if not (is_turn and was_turn):
+            self._turned_rad = 0.0
         if not is_turn:
             self._avoids = False
         elif self._survey.wants_speeds and choice.hold.duty in self._ends:
@@ -303,6 +308,9 @@ class Pilot:
             if extent_m > hard_m + 0.1 and self.area.inward_rad(pose) > math.pi / 2:
                 return 0.0, (f"it stands {self.area.extent_m(pose):.1f} m from where it began, with no room to turn: "
                              "move it towards the middle by hand or by the manual deadman, then hold the button again")
+        # Whenever the button is let go the steering goes to the center, and the car is to stop inside all the same.
+        ahead_m = self.area.ahead_m(pose, hard_m)
+        speed_mps = min(speed_mps, max(SLOW_MPS, stopping_speed_mps(ahead_m, RELEASE_S, self._guarantee)))
         return min(speed_mps, seen_mps), ""
 
     def _obstacle_text(self, now_ns):
