@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
 """How well a car calibrates its own steering while a person holds a button: random virtual cars.
 
-    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N] [--trace SEED]
+    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N]
 
 The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
-6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real steering
-arbiter, speed control, converter with the shipped map, throttle arbiter with the ESC's rules, the Teensy byte by byte
-and odometry. A person lets the button go at random moments for a random time, sometimes pushes the car back to the
-middle meanwhile, and does so where the drive asks for it. The fit answers late, as on a slow computer.
+6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
+steering arbiter, speed control, converter with the shipped map, throttle arbiter with the ESC's rules, the Teensy byte
+by byte and odometry. A person lets the button go at random moments for a random time, sometimes pushes the car back to
+the middle meanwhile, and does so where the drive asks for it. The fit answers late, as on a slow computer.
 
 Judged by the vehicle alone: where its corners were, what it ran into; and by turn_arb's core with the table that was
 written, as in steering_calibration.
@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import math
 import random
-import statistics
 import sys
 import tempfile
 import time
@@ -29,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accuracy.steering_calibration import WIDEST_M, Errors, ask, floor
-from accuracy.virtual_drive import COUNT, NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
+from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.conclusion import Conclusion, conclude
 from car_interface.calibration.drive.config import DriveConfig
@@ -178,7 +177,9 @@ class Bench:
         self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
         self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
         mounts = {name: Mount(*mount_fields(mount)) for name, mount in zip(NAMES, WorldConfig().mounts)}
-        config = DriveConfig(braking_mps2=0.4 if car.esc.profile == UNVERIFIED else 1.0, obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
+        config = DriveConfig(
+            braking_mps2=0.4 if car.esc.profile == UNVERIFIED else 1.0,
+            obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
         self._steering = SteeringArbiter(car.base, SteeringConfig(interlock=interlock))
@@ -369,9 +370,9 @@ def row(result: Result) -> str:
     """A line of the table."""
     car = driving_car(result.seed)
     kind = "slash " if result.seed % 4 == 3 else "smooth"
-    text = (f"{result.seed:5d} {kind} {'walls' if car.world else '     '} | {result.held_s:4.0f} {result.total_s:4.0f} s "
-            f"{result.distance_m:4.0f} m {result.positions:3d} {result.pauses:2d} | {result.max_m:4.2f} "
-            f"{result.extent_m:4.2f} {result.collisions} {len(result.blocked)} | {result.step_ms:3.1f} ms | ")
+    text = (f"{result.seed:5d} {kind} {'walls' if car.world else '     '} | "
+            f"{result.held_s:4.0f} {result.total_s:4.0f} s {result.distance_m:4.0f} m {result.positions:3d} "
+            f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} {result.collisions} {len(result.blocked)} | {result.step_ms:3.1f} ms | ")
     if not result.conclusion.yaml_text:
         return text + result.conclusion.refusal[:150]
     made, best = errors(car, result.conclusion.yaml_text)

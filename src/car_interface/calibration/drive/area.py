@@ -11,6 +11,7 @@ from car_interface.throttle.obstacle_stop import Outline
 
 STEP_M = 0.2  # from one pose that is looked at to the next
 TURN_STEP_RAD = 0.2
+SLASH = Outline()
 INWARD_RAD = math.radians(60)  # a car that looks to the center within this angle is on its way back
 MAX_TURN_RAD = 2 * math.pi
 
@@ -48,7 +49,7 @@ class Area:
         outline: of the car.
     """
 
-    def __init__(self, center: tuple[float, float], radius_m: float, outline: Outline = Outline()):
+    def __init__(self, center: tuple[float, float], radius_m: float, outline: Outline = SLASH):
         self.center, self.radius_m = center, radius_m
         half_m = outline.width_m / 2
         self._corners = ((outline.front_m, half_m), (outline.front_m, -half_m),

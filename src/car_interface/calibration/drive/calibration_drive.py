@@ -22,7 +22,7 @@ import math
 from typing import NamedTuple
 
 from car_interface.calibration.drive.area import Area, Pose, moved
-from car_interface.calibration.drive.config import DriveConfig
+from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
 from car_interface.calibration.drive.knowledge import FitTask, Knowledge
 from car_interface.calibration.drive.motion import Motion
 from car_interface.calibration.drive.pilot import Pilot
@@ -37,7 +37,7 @@ from car_interface.throttle.obstacle_stop import ObstacleStop
 GRANT_TIMEOUT_S = 0.5  # the arbiters' states come 10 times a second and more
 ODOM_TIMEOUT_S = 0.5
 DUTY_TIMEOUT_S = 0.5
-MARGIN_M = 0.2  # of the area, for odometry's drift and for what isn't known of the steering
+MARGIN_M = 0.12  # of the area, for odometry's drift and for what isn't known of the steering
 MAX_STEP_NS = NS_PER_S // 5  # the longest time from step to step that counts as driven
 
 
@@ -55,7 +55,7 @@ class CalibrationDrive:
         config: of the drive.
     """
 
-    def __init__(self, base: SteeringCalibration, config: DriveConfig = DriveConfig()):
+    def __init__(self, base: SteeringCalibration, config: DriveConfig = DEFAULTS):
         self._config = config
         self._survey = Survey(base, config.max_time_s)
         self._motion = Motion()
@@ -137,7 +137,10 @@ class CalibrationDrive:
             area = Area(middle[:2], self._config.radius_m - MARGIN_M, self._config.outline)
             self._pilot = Pilot(self._base, self._config, self._survey, self._motion, area, self._obstacles)
         self._driven_ns += since_ns
-        if self._survey.is_enough:
+        if self._survey.positions.is_swapped:
+            self._end = (f"servo_left {self._base.servo_left} turns right: exchange servo_left and servo_right in "
+                         "turn_arb's file, and begin again")
+        elif self._survey.is_enough:
             self._end = f"enough is known after {self.driven_s:.0f} s"
         elif self.driven_s >= self._config.max_time_s:
             self._end = f"the time of {self._config.max_time_s:g} s is over"

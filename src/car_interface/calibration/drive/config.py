@@ -25,8 +25,8 @@ class DriveConfig:
     """
 
     radius_m: float = 3.0
-    speed_mps: float = 1.2
-    tight_speed_mps: float = 0.9
+    speed_mps: float = 1.4
+    tight_speed_mps: float = 1.1
     max_time_s: float = 300.0
     braking_mps2: float = 0.4
     outline: Outline = field(default_factory=Outline)
@@ -38,3 +38,6 @@ class DriveConfig:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ConfigError(name.rsplit("_", 1)[0], value, f"a number from {low:g} to {high:g}")
+
+
+DEFAULTS = DriveConfig()

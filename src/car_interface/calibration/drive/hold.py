@@ -36,7 +36,7 @@ class Hold:
         self._past_duty = float(duty)
         self._past_ns = now_ns
         at_duty = servo_duty
-        if abs(servo_duty - duty) < PAST_DUTY and not from_side or self.from_side != natural:
+        if abs(servo_duty - duty) < PAST_DUTY or self.from_side != natural:
             self._past_duty = min(max(duty + self.from_side * PAST_DUTY, limits[0]), limits[1])
             crossed = duty + self.from_side * min(CROSSED_DUTY, abs(self._past_duty - duty) * 0.8)
             past_s = delay_s + _time_s(abs(self._past_duty - servo_duty), abs(self._past_duty - crossed), lag_s)

@@ -85,14 +85,15 @@ def assess(task: FitTask) -> Knowledge:
                  for side in (LEFT, RIGHT) for point in points[side])
     return Knowledge(task.number, "", tuple(duties.tolist()), tuple(curve.curvature(duties).tolist()),
                      tuple(error_ratios(curve, duties, config).tolist()), rows, tuple(find_problems(curve, points)),
-                     curve.delay, curve.backlash_duty, curve.center, BAND * curve.center_sigma, curve.understeer.is_known)
+                     curve.delay, curve.backlash_duty, curve.center, BAND * curve.center_sigma,
+                     curve.understeer.is_known)
 
 
 def error_ratios(curve: Curve, duties: np.ndarray, config: FitConfig) -> np.ndarray:
-    """What isn't known of the curvature at duties (N,), as ratios of what the tool allows there: (N,).
+    """What isn't known of the curvature at the board's counts (N,), as ratios of what the tool allows there: (N,).
 
-    By the rule of ``table.breakpoints``, without the half of a count that it adds: the board can't output what lies
-    between two counts, but a curve that is known only so far is off at both.
+    By the rule of ``table.breakpoints``.
     """
     allowed = np.maximum(config.known_ratio * np.abs(curve.curvature(duties)), config.known_per_m)
-    return BAND * np.interp(duties, curve.duties, curve.sigmas) / allowed
+    half_count = np.abs(curve.curvature(duties + COUNT) - curve.curvature(duties - COUNT)) / 4
+    return BAND * np.interp(duties, curve.duties, curve.sigmas) / (allowed + half_count)

@@ -201,10 +201,9 @@ class Pilot:
         for candidate in [] if tightest else positions.candidates(
                 lambda duty: positions.least_per_m(duty) / turn_per_m > TIGHT_RATIO):
             curvature = positions.least_per_m(candidate.duty)
-            if candidate.need > best.need:
-                if (self.area.turn_extent_m(pose, curvature) <= self.area.radius_m
-                        and self._sonar_mps(curvature, now_ns) >= SEEN_RATIO * self._cruise_mps(curvature)):
-                    best = candidate
+            if (candidate.need > best.need and self.area.turn_extent_m(pose, curvature) <= self.area.radius_m
+                    and self._sonar_mps(curvature, now_ns) >= SEEN_RATIO * self._cruise_mps(curvature)):
+                best = candidate
         hold = self._hold
         if hold is not None and hold.duty == best.duty:
             self._is_turn = True

@@ -21,6 +21,8 @@ APART_DUTY = 2 * COUNT  # of two candidates
 NEAR_DUTY = 1.5 * COUNT  # what was measured as near to a candidate answers it
 SIDES_DUTY = 5 * COUNT  # positions as near as this to each other are come to from different sides
 ANSWERED = 0.3  # the part of a need that remains until the next fit
+REPEATED = 0.3  # by how much each time a position was held makes it worth less to hold it again
+SURELY_PER_M = 0.1  # an end that turns so tightly to the wrong side does so
 UNKNOWN_TURN_PER_M = 0.8  # of the ends before they were driven: as wide as a car in so small an area may turn
 
 
@@ -57,12 +59,16 @@ class Positions:
     def __init__(self, base: SteeringCalibration):
         self._base = base
         self._left_sign = 1 if base.servo_left > base.servo_right else -1  # of the duty towards a left turn
-        self._first = [Candidate(nearest_count(base.teleop_duty(part), base), need, 0) for part, need in FIRST]
+        ends = {1.0: base.servo_left, -1.0: base.servo_right}
+        self._first = [Candidate(ends.get(part, nearest_count(base.teleop_duty(part), base)), need, 0)
+                       for part, need in FIRST]
         center = self._first[2]
         self._first[2:3] = [center._replace(from_side=1), center._replace(from_side=-1, need=center.need - 0.5)]
+        self._all_first = tuple(self._first)
         self._knowledge: Knowledge | None = None
         self._since_fit: list[Measured] = []
         self._curvatures: list[tuple[int, float]] = []  # sorted, one for each duty that was held
+        self._held: list[int] = []  # sorted, one for each time
         self._sides: dict[int, int] = {}  # by duty: the side from which it was come to last
         self.count = 0
 
@@ -70,6 +76,12 @@ class Positions:
     def first_left(self) -> int:
         """How many of the first positions weren't measured yet."""
         return len(self._first)
+
+    @property
+    def is_swapped(self) -> bool:
+        """Whether an end turns to the other side than its name says."""
+        held, base = dict(self._curvatures), self._base
+        return held.get(base.servo_left, 1.0) < -SURELY_PER_M or held.get(base.servo_right, -1.0) > SURELY_PER_M
 
     def update_knowledge(self, knowledge: Knowledge, measured_since: int) -> None:
         """A fit's result.
@@ -85,6 +97,7 @@ class Positions:
         """A position was held."""
         self.count += 1
         self._since_fit.append(measured)
+        insort(self._held, measured.duty)
         self._sides[measured.duty] = measured.from_side
         at = bisect_left(self._curvatures, (measured.duty, -math.inf))
         if at < len(self._curvatures) and self._curvatures[at][0] == measured.duty:
@@ -100,6 +113,8 @@ class Positions:
         found = [candidate for candidate in self._first if accepts(candidate.duty)]
         if self._knowledge is not None:
             found += self._by_errors(MAX_CANDIDATES - len(found), accepts)
+        elif not found:  # all were held, and there is no curve yet: once more
+            found = [candidate for candidate in self._all_first if accepts(candidate.duty)]
         return sorted(found, key=lambda candidate: -candidate.need)
 
     def _by_errors(self, count, accepts):
@@ -108,20 +123,21 @@ class Positions:
                  for duty, error in zip(self._knowledge.duties, self._knowledge.errors) if accepts(duty)]
         pairs.sort(reverse=True)
         found: list[Candidate] = []
-        for need, duty in pairs:
+        for need, at in pairs:
             if len(found) >= count:
                 break
-            duty = nearest_count(duty, self._base)
+            duty = nearest_count(at, self._base)
             if all(abs(duty - other.duty) >= APART_DUTY for other in found):
                 found.append(Candidate(duty, need, self._other_side(duty)))
         return found
 
     def _remaining(self, duty, error):
-        """What remains of an error after what was measured there since the fit."""
+        """What remains of an error after what was measured there since the fit; less where that was done often."""
         for measured in self._since_fit:
             if abs(measured.duty - duty) <= NEAR_DUTY:
                 error *= ANSWERED
-        return error
+        near = bisect_left(self._held, duty + NEAR_DUTY) - bisect_left(self._held, duty - NEAR_DUTY)
+        return error / (1 + REPEATED * near)
 
     def _other_side(self, duty):
         """The side from which a position wasn't come to last; 0 = it is new, and any will do."""
@@ -151,7 +167,7 @@ class Positions:
         that was held, as curves are monotone; 0 = there is none. A fit of few positions may be far off in between.
         """
         outward = 1 if duty >= self._base.servo_center else -1
-        inner = [curvature for at, curvature in self._curvatures if 0 <= (duty - at) * outward]
+        inner = [curvature for at, curvature in self._curvatures if (duty - at) * outward >= 0]
         sign = self._left_sign * outward
         return sign * max(0.0, sign * (inner[-1] if outward > 0 else inner[0])) if inner else 0.0
 

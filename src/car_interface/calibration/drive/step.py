@@ -12,7 +12,7 @@ class Step(NamedTuple):
     """What to ask for now.
 
     Attributes:
-        steering: for av_steer_req, −1 right to 1 left. ``None``: ask for nothing (the button isn't held, or it is over).
+        steering: for av_steer_req, −1 right to 1 left; ``None`` = ask for nothing (the button isn't held, it is over).
         speed_mps: for av_speed_req; 0 = stop.
         phase: one of the constants above:
             WAITING: the button was never held, or an input is missing: the text says which.
