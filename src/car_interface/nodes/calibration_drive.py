@@ -13,11 +13,9 @@ Subscribes:
     odom (nav_msgs/Odometry), servo/output (std_msgs/Int32MultiArray): what it measures.
     turn_arb/state (SteeringState), throttle_arb/state (ThrottleState), planner_interface/state (PlannerState),
         teleop_logi/state (TeleopState): whether it may drive, and why not.
-    sonar/front_right … sonar/rear_left (sensor_msgs/Range): unless ~sonars is false.
+    sonar/front_right … sonar/rear_left (sensor_msgs/Range): without --no-sonars.
     av_turnrad_req, av_steer_req, av_speed_req (std_msgs/Float32): who else asks.
-Parameters:
-    ~radius 3.0 (m), ~speed 1.2, ~tight_speed 0.9 (m/s), ~max_time 300 (s), ~braking 1.0 (m/s²), ~sonars true.
-    It reads those of turn_arb, throttle_arb and pca9685, too.
+Parameters: none of its own; it reads those of turn_arb and throttle_arb.
 """
 from __future__ import annotations
 
@@ -38,8 +36,7 @@ from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.conclusion import conclude
 from car_interface.calibration.drive.grant import Grant, Steering, Throttle
 from car_interface.calibration.drive.knowledge import assess
-from car_interface.calibration.drive.params import CalibrationDriveConfig, read_base, read_obstacles
-from car_interface.calibration.drive.params import read_config as read_drive_config
+from car_interface.calibration.drive.params import read_base, read_obstacles
 from car_interface.calibration.drive.readiness import Seen, missing, missing_gamepad
 from car_interface.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING
 from car_interface.calibration.drive.stick_guide import StickGuide
@@ -71,27 +68,19 @@ STANDS = frozenset({WAITING, PAUSED, BLOCKED})
 REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
 
 
-def read_config(params) -> CalibrationDriveConfig:
-    """Read the node's configuration from its parameters, without side effects.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    return read_drive_config(params)
-
-
 class CalibrationDriveNode:
     """Carries messages to the drive and its requests to the car, shows how far it is, and writes the result."""
 
     def __init__(self, wanted, params, inbox):
-        config = read_config(params)
+        params.finish()  # it has options instead, which don't stay on the server
+        config = options.drive_config(wanted)
         self._wanted, self._inbox = wanted, inbox
         base = self._base = read_base(rospy.get_param("turn_arb", {}))
         self._table = find_table_file(wanted.output, wanted.base, rospy.get_param("turn_arb/save_to", None), base)
-        self._config = config.drive
-        if config.sonars and not wanted.stick:
+        self._config = config
+        if not wanted.no_sonars and not wanted.stick:
             obstacles = read_obstacles(rospy.get_param("throttle_arb", {}))
-            self._config = replace(config.drive, obstacles=obstacles, outline=obstacles.outline)
+            self._config = replace(config, obstacles=obstacles, outline=obstacles.outline)
         self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, self._config)
         self._sonars = tuple(self._config.obstacles.mounts) if self._config.obstacles else ()
         self._seen, self._grant = Seen(sonars=self._sonars), Grant()
@@ -281,7 +270,7 @@ class CalibrationDriveNode:
     def _announce(self, kind, lines, now_ns):
         """Draw lines over; where that can't be, print them when the kind changes, and now and then."""
         if self._text.is_live:
-            self._text.show(lines)
+            self._text.show(terminal.wrapped(lines, self._text.width))
         elif kind != self._shown_kind or now_ns - self._shown_ns > PLAIN_PERIOD_NS:
             self._shown_kind, self._shown_ns = kind, now_ns
             self._text.say("\n".join(lines))
@@ -316,7 +305,8 @@ class CalibrationDriveNode:
         elif not self._table.is_there or self._wanted.yes:
             self._write(replaces=True)
         elif self._has_keys:
-            self._text.show([f"Replace {self._table.path}? The old one is kept beside it. Y: yes, N: no"])
+            question = f"Replace {self._table.path}? The old one is kept beside it. Y: yes, N: no"
+            self._text.show(terminal.wrapped([question], self._text.width))
             self._stage = self._ask
         else:
             self._write(replaces=False)

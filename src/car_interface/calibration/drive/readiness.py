@@ -70,7 +70,7 @@ def _missing_of_a_program(seen):
         yield f"planner_interface obeys {seen.planner}, not speeds: launch with planner:=speed in its place"
     if seen.sonars:
         yield (f"no range of the sonar{'s' * (len(seen.sonars) > 1)} {', '.join(seen.sonars)} is heard: a sonar that the "
-               "car doesn't have is `absent` in throttle.yaml (obstacle/sonars); _sonars:=false drives without any, and "
+               "car doesn't have is `absent` in throttle.yaml (obstacle/sonars); --no-sonars drives without any, and "
                "then only you keep it from running into something")
     yield from seen.others
 

@@ -45,23 +45,23 @@ def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
         text = (f"The car drives by itself while you hold the autonomous deadman, within {radius_m:g} m of where it "
                 f"stands when you first hold it: {2 * radius_m:g} x {2 * radius_m:g} m have to be free. Let go, and it "
                 "stops.")
-    return "\n".join(_wrapped([text], width))
+    return "\n".join(wrapped([text], width))
 
 
 def drive_lines(step: Step, progress: Progress, width: int = 80) -> list[str]:
     """All of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``."""
-    return _wrapped([f"{BEFORE.get(step.phase, '')}{step.text}", *_progress_lines(progress)], width)
+    return wrapped([f"{BEFORE.get(step.phase, '')}{step.text}", *_progress_lines(progress)], width)
 
 
 def stick_lines(guidance: Guidance, progress: Progress, width: int = 80) -> list[str]:
     """The same for a drive by hand, with a bar of where to hold the stick."""
-    return _wrapped([f"{STICK_HEADLINES.get(guidance.phase, guidance.phase)}: {guidance.text}",
+    return wrapped([f"{STICK_HEADLINES.get(guidance.phase, guidance.phase)}: {guidance.text}",
                      *stick_bar(guidance), *_progress_lines(progress)], width)
 
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:
     """One line for where nothing can be drawn anew: a log, a pipe."""
-    return (f"{progress.fraction:4.0%}, {clock_text(progress.driven_s)} driven, about {clock_text(progress.left_s)} "
+    return (f"{percent(progress.fraction)}, {clock_text(progress.driven_s)} driven, about {clock_text(progress.left_s)} "
             f"left; {phase}: {text}")
 
 
@@ -69,6 +69,11 @@ def progress_bar(fraction: float, length: int = BAR) -> str:
     """``[####....]``; full only when all is done."""
     full = min(length, max(0, math.floor(length * fraction))) if math.isfinite(fraction) else 0
     return f"[{'#' * full}{'.' * (length - full)}]"
+
+
+def percent(fraction: float) -> str:
+    """`` 24%``; 100% only when all is done."""
+    return f"{math.floor(100 * min(1.0, max(0.0, fraction))):3d}%" if math.isfinite(fraction) else "  ?%"
 
 
 def clock_text(seconds: float) -> str:
@@ -116,8 +121,8 @@ def radius_marks(rows: Iterable[Row], side: str) -> str:
 
 
 def _progress_lines(progress: Progress) -> list[str]:
-    lines = [f"{progress_bar(progress.fraction)} {progress.fraction:4.0%}   {clock_text(progress.driven_s)} driven, "
-             f"about {clock_text(progress.left_s)} left, {progress.positions} positions"]
+    lines = [f"{progress_bar(progress.fraction)} {percent(progress.fraction)}   {clock_text(progress.driven_s)} "
+             f"driven, about {clock_text(progress.left_s)} left, {progress.positions} positions"]
     lines += [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
     if math.isfinite(progress.center_duty):
         lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
@@ -138,6 +143,6 @@ def _cell(steering, length):
     return max(0, min(length - 1, half - round(max(-1.0, min(1.0, steering)) * half)))
 
 
-def _wrapped(lines: Sequence[str], width: int) -> list[str]:
+def wrapped(lines: Sequence[str], width: int) -> list[str]:
     """Lines that fit: a terminal that wraps them by itself can't be drawn over."""
     return [part for line in lines for part in textwrap.wrap(line, max(20, width - 1), subsequent_indent="  ")]

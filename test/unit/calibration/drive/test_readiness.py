@@ -37,7 +37,7 @@ def test_what_every_drive_needs(lacks, sentence):
     ({"planner": "drive"}, "planner_interface obeys drive, not speeds: launch with planner:=speed in its place"),
     ({"sonars": ("front_left", "rear_left")}, (
         "no range of the sonars front_left, rear_left is heard: a sonar that the car doesn't have is `absent` in "
-     "throttle.yaml (obstacle/sonars); _sonars:=false drives without any, and then only you keep it from running into "
+     "throttle.yaml (obstacle/sonars); --no-sonars drives without any, and then only you keep it from running into "
      "something")),
     ({"others": ["/my_planner publishes /av_turnrad_req, too: end it"]},
      "/my_planner publishes /av_turnrad_req, too: end it"),

@@ -82,6 +82,12 @@ def test_bar_is_full_only_when_all_is_done(fraction, expected):
     assert terminal.progress_bar(fraction, 4) == expected
 
 
+@pytest.mark.parametrize(("fraction", "expected"), [
+    (0.0, "  0%"), (0.249, " 24%"), (0.997, " 99%"), (1.0, "100%"), (NAN, "  ?%")])
+def test_percent_is_100_only_when_all_is_done(fraction, expected):
+    assert terminal.percent(fraction) == expected
+
+
 @pytest.mark.parametrize(("seconds", "expected"), [
     (0.0, "0:00"), (59.4, "0:59"), (59.6, "1:00"), (125.0, "2:05"), (-3.0, "0:00"), (INF, "?"), (NAN, "?")])
 def test_clock(seconds, expected):
