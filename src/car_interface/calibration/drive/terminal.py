@@ -29,7 +29,6 @@ STICK_BAR = 37  # odd: it has a middle
 BEFORE = {WAITING: "waits: ", PAUSED: "paused: ", SETTLING: "it steers ", BLOCKED: "blocked: "}
 HEADLINES = {WAITING: "waits", PAUSED: "paused", SETTLING: "steers", MEASURING: "measures", TURNING: "turns back",
              AVOIDING: "avoids", BLOCKED: "blocked", DONE: "over"}
-STICK_HEADLINES = {SETTLING: "steer", MEASURING: "hold", PAUSED: "drive on", WAITING: "waits", DONE: "over"}
 KNOWN, PARTLY, UNKNOWN = "#", "+", "."  # of a radius
 LEGEND = f"{KNOWN} known   {PARTLY} not well enough   {UNKNOWN} not yet"
 MAX_MISSING = 3
@@ -39,8 +38,8 @@ ADVICE = ": drive "  # to a person who drives without this guidance
 def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
     """What is about to happen."""
     if by_stick:
-        text = ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to hold "
-                "the stick.")
+        text = ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to "
+                "hold the stick.")
     else:
         text = (f"The car drives by itself while you hold the autonomous deadman, within {radius_m:g} m of where it "
                 f"stands when you first hold it: {2 * radius_m:g} x {2 * radius_m:g} m have to be free. Let go, and it "
@@ -55,8 +54,7 @@ def drive_lines(step: Step, progress: Progress, width: int = 80) -> list[str]:
 
 def stick_lines(guidance: Guidance, progress: Progress, width: int = 80) -> list[str]:
     """The same for a drive by hand, with a bar of where to hold the stick."""
-    return wrapped([f"{STICK_HEADLINES.get(guidance.phase, guidance.phase)}: {guidance.text}",
-                     *stick_bar(guidance), *_progress_lines(progress)], width)
+    return wrapped([guidance.text, *stick_bar(guidance), *_progress_lines(progress)], width)
 
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:
@@ -121,8 +119,9 @@ def radius_marks(rows: Iterable[Row], side: str) -> str:
 
 
 def _progress_lines(progress: Progress) -> list[str]:
-    lines = [f"{progress_bar(progress.fraction)} {percent(progress.fraction)}   {clock_text(progress.driven_s)} "
-             f"driven, about {clock_text(progress.left_s)} left, {progress.positions} positions"]
+    times = f"{clock_text(progress.driven_s)} driven, about {clock_text(progress.left_s)} left"
+    share = f"{progress_bar(progress.fraction)} {percent(progress.fraction)}"
+    lines = [f"{share}   {times}, {progress.positions} positions"]
     lines += [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
     if math.isfinite(progress.center_duty):
         lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")

@@ -103,7 +103,7 @@ def test_steering_in_words(steering, expected):
 def test_stick_is_shown_beside_the_place_to_hold_it():
     guidance = Guidance(0.4, 0.1, 1.4, MEASURING, "hold 40% left", 4020)
     assert terminal.stick_lines(guidance, progress())[:3] == [
-        "hold: hold 40% left",
+        "hold 40% left",
         "left |-----------V----o-+------------------| right  V hold here, o the stick",
         "     hold at 40% left; it is at 10% left; 1.4 s more"]
 
