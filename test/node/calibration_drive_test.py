@@ -13,6 +13,7 @@ import unittest
 import rospy
 import rostest
 import yaml
+from car_interface.common.units import yaw_rad
 from car_interface.msg import PlannerState, SteeringState, ThrottleState
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
@@ -20,7 +21,7 @@ from std_msgs.msg import Float32, Int32, Int32MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
 from terminal import Terminal
-from waiting import PACKAGE, Repeater, Sender, Topic, config, eventually, executable, set_params, skip
+from waiting import PACKAGE, NodeProcess, Repeater, Sender, Topic, config, eventually, executable, set_params, skip
 from witness import measured
 
 AUTONOMOUS, MANUAL = 5, 4  # buttons, as config/teleop_logi.yaml has them
@@ -58,9 +59,13 @@ class Base(unittest.TestCase):
         self.table = os.path.join(self.folder, "turn_arb.yaml")
 
     def start(self, *arguments, ns="/"):
-        terminal = Terminal(executable("calibration_drive"), *arguments, env={"ROS_NAMESPACE": ns})
+        terminal = self.terminal = Terminal(executable("calibration_drive"), *arguments, env={"ROS_NAMESPACE": ns})
         self.addCleanup(terminal.clean_up)
         return terminal
+
+    def newest(self):
+        """The last lines, for a failure."""
+        return [shown(line) for line in self.terminal.lines.since()[-9:]]
 
     def ended(self, terminal, code):
         """What it had printed when it ended."""
@@ -88,7 +93,7 @@ class Refusals(Base):
     def test_help_needs_no_master(self):
         terminal = Terminal(executable("calibration_drive"), "--help", env={"ROS_MASTER_URI": "http://127.0.0.1:1"})
         self.addCleanup(terminal.clean_up)
-        self.assertTrue(self.ended(terminal, 0)[0].startswith("usage: calibration_drive [-h] [-o YAML] "))
+        self.assertTrue(self.ended(terminal, 0)[0].startswith("usage: rosrun car_interface calibration_drive "))
 
     def test_all_that_is_missing_is_listed_with_the_remedy(self):
         set_params(self, "/bare/turn_arb", config("turn_arb.yaml"))
@@ -142,12 +147,36 @@ class Drive(Base):
         def drives():
             if any(message.twist.twist.linear.x > 0.3 for message in self.truth.since(mark)):
                 return True
-            reason = self.steering.since()[-1].reason
-            self.press(None if "let go" in reason else AUTONOMOUS)
-            time.sleep(0.2)
+            self.hold_anew()
             return False
         self.press(AUTONOMOUS)
-        eventually(drives, "a car that drives", START_S)
+        eventually(drives, lambda: f"a car that drives; {self.newest()}", START_S)
+
+    def hold_anew(self):
+        """Hold the autonomous deadman; let go of it first where an arbiter asks for that."""
+        if any(line.startswith("blocked: ") for line in self.newest()):
+            self.drive_to_the_middle()
+        reasons = self.steering.since()[-1].reason, self.throttle.since()[-1].reason
+        self.press(None if any("let go" in reason for reason in reasons) else AUTONOMOUS)
+        time.sleep(0.2)
+
+    def drive_to_the_middle(self):
+        """As the program asks for where it can't go on: by the manual deadman, to the middle of the area."""
+        circle = self.marker("area", 0).points[:-1]
+        x_m, y_m = (sum(getattr(point, axis) for point in circle) / len(circle) for axis in "xy")
+
+        def is_there():
+            pose, speed = self.truth.since()[-1].pose.pose, self.truth.since()[-1].twist.twist.linear.x
+            dx_m, dy_m = x_m - pose.position.x, y_m - pose.position.y
+            off_rad = math.remainder(math.atan2(dy_m, dx_m) - yaw_rad(pose.orientation), 2 * math.pi)
+            self.press(MANUAL, max(-1.0, min(1.0, 1.5 * off_rad)), 0.55 if speed < 0.9 else 0.0)
+            time.sleep(0.05)
+            return math.hypot(dx_m, dy_m) < 0.7
+        eventually(is_there, "the car in the middle", START_S)
+        self.press(MANUAL)
+        self.throttle.wait_for(lambda state: abs(state.speed) < 0.05, self.throttle.mark())
+        self.press(None)
+        self.throttle.wait_for(lambda state: state.cause == "human absent", self.throttle.mark())
 
     def let_go(self):
         """Let go; how long it took until steering and ESC were at rest, in s."""
@@ -216,6 +245,35 @@ class Drive(Base):
         (bag,) = os.listdir(self.folder)
         self.assertIn(f"recording: {self.folder}/{bag}", lines)
 
+    def test_person_with_the_stick_is_told_where_to_hold_it_and_nothing_is_asked_for(self):
+        terminal = self.start("-o", self.table, "--stick")
+        self.wait_for_line(terminal, "^drive slowly, about 1 m/s, with the stick at 100% left")
+        self.press(MANUAL, 0.5, 0.6)
+        self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, self.truth.mark())
+        mark = terminal.lines.mark()
+        self.press(MANUAL, 0.5, 0.45)
+        self.wait_for_line(terminal, "^hold the stick still at 100% left", mark)
+        self.wait_for_line(terminal, r"^left \|V-+o-+\+-+\| right", mark)
+        self.wait_for_line(terminal, "^     hold at 100% left; it is at 50% left", mark)
+        self.press(MANUAL, 1.0, 0.45)
+        self.wait_for_line(terminal, r"^hold 100% left: \d s more at this speed", mark)
+        self.wait_for_line(terminal, r"^left \|X-+\+-+\| right", mark)
+        self.assertEqual((self.requests.since(), self.speeds.since()), ([], []))
+        self.press(None)
+        terminal.type(b"q")
+        self.assertIn("ended before it was over: nothing is written", self.ended(terminal, 1)[-1])
+
+    def test_without_a_terminal_there_are_plain_lines_of_what_it_waits_for_and_does(self):
+        process = NodeProcess(executable("calibration_drive"), "-o", self.table)
+        self.addCleanup(process.clean_up)
+        process.wait_for_info("^  0%, 0:00 driven, about 3:20 left; waiting: hold the autonomous deadman and it begins")
+        self.press(AUTONOMOUS)
+        process.wait_for_info("^  0%, 0:0. driven, .* left; (settling|measuring): ")
+        self.press(None)
+        process.wait_for_info("^ .* left; paused: hold the autonomous deadman and it goes on: human_in_loop is false")
+        self.assertEqual(process.end(), 1)
+        self.assertFalse([line for line in process.stdout.since() if "\x1b[J" in line])
+
     def test_gamepad_that_is_off_is_waited_for(self):
         self.inputs.drop(self.joy)
         terminal = self.start("-o", self.table)
@@ -232,11 +290,9 @@ class Drive(Base):
         terminal = self.begin()
 
         def is_over():
-            reason = self.steering.since()[-1].reason
-            self.press(None if "let go" in reason else AUTONOMOUS)
-            time.sleep(0.3)
+            self.hold_anew()
             return any(shown(line).startswith("Replace ") for line in terminal.lines.since())
-        eventually(is_over, lambda: f"the end; {terminal.lines.since()[-8:]}", WHOLE_S)
+        eventually(is_over, lambda: f"the end; {self.newest()}", WHOLE_S)
         self.press(None)
         terminal.type(b"y")
         lines = self.ended(terminal, 0)

@@ -6,17 +6,18 @@ from typing import Sequence
 
 from car_interface.calibration.drive.config import DriveConfig
 
-DESCRIPTION = """The car calibrates its steering by itself while you hold the autonomous deadman and watch.
-
-Launch it with throttle:=true planner:=speed. It drives within 3 m of where it stands when you first hold the button, so
-6 x 6 m have to be free. Let go, and it stops; move it with the manual deadman, hold the button again, and it goes on."""
-EPILOG = "Remappings such as odom:=my_odom may follow; for a car in a namespace set ROS_NAMESPACE."
+DESCRIPTION = """calibration_drive: the car calibrates its steering by itself while you hold the autonomous deadman and
+watch. Launch it with throttle:=true planner:=speed. It drives within 3 m of where it stands when you first hold the
+button, so 6 x 6 m have to be free. Let go, and it stops; move it with the manual deadman, hold the button again, and it
+goes on."""
+EPILOG = ("Remappings such as odom:=my_odom may follow; for a car in a namespace set ROS_NAMESPACE.\n\ndocs/nodes.md of "
+          "the package lists its topics.")
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """The options, without ROS's own arguments; it exits with code 2 where they are wrong."""
     default = DriveConfig()
-    parser = argparse.ArgumentParser(prog="calibration_drive", description=DESCRIPTION, epilog=EPILOG,
+    parser = argparse.ArgumentParser(prog="rosrun car_interface calibration_drive", description=DESCRIPTION, epilog=EPILOG,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", metavar="YAML", help="the file to write (default: the one that turn_arb was "
                         "launched with)")
