@@ -178,7 +178,7 @@ class Bench:
         self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
         mounts = {name: Mount(*mount_fields(mount)) for name, mount in zip(NAMES, WorldConfig().mounts)}
         config = DriveConfig(
-            braking_mps2=0.4 if car.esc.profile == UNVERIFIED else 1.0,
+            braking_mps2=0.3 if car.esc.profile == UNVERIFIED else 1.0,
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
@@ -240,8 +240,8 @@ class Bench:
         pose = vehicle._pose_after(vehicle.speed_mps * dt_s, curvature)
         vehicle.time_ns += STEP_NS
         if self._world is not None and not self._world.obstacles.is_free(pose):
-            vehicle.speed_mps = 0.0
-            return []
+            vehicle.speed_mps, curvature = -0.7, 0.0  # first straight back
+            pose = vehicle._pose_after(vehicle.speed_mps * dt_s, curvature)
         vehicle.pose = pose
         return vehicle._roll(vehicle.speed_mps * dt_s, dt_s, vehicle.speed_mps, curvature)
 

@@ -5,7 +5,7 @@ A pose is that of the middle of the rear axle, in odometry's frame; curvatures a
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Sequence
 
 from car_interface.throttle.obstacle_stop import Outline
 
@@ -24,11 +24,16 @@ class Pose(NamedTuple):
     yaw_rad: float
 
 
-class Turns(NamedTuple):
-    """The curvatures of the tightest turns to both sides, left positive and right negative."""
+class Turn(NamedTuple):
+    """A tight turn.
 
-    left_per_m: float
-    right_per_m: float
+    Attributes:
+        curvature_per_m: left positive.
+        reaction_m: what the car drives until its wheels are turned for it.
+    """
+
+    curvature_per_m: float
+    reaction_m: float
 
 
 def moved(pose: Pose, distance_m: float, curvature_per_m: float) -> Pose:
@@ -96,28 +101,28 @@ class Area:
             pose, turned_rad = moved(pose, step_m, curvature_per_m), turned_rad + TURN_STEP_RAD
         return farthest_m
 
-    def ways_out(self, pose: Pose, curvature_per_m: float, reaction_m: float, turns: Turns
-                 ) -> tuple[float, tuple[float, float]]:
-        """(the tight turn that stays nearest to the center, how far the car's corners get from it on each).
+    def ways_out(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn]) -> list[float]:
+        """How far the car's corners get from the center on each of the tight turns.
 
         Args:
             pose: now.
-            curvature_per_m: of the arc on which it goes on for ``reaction_m``.
-            reaction_m: what the car drives until the wheels are turned.
-            turns: both tight turns.
+            curvature_per_m: of the arc on which it goes on until its wheels are turned.
+            turns: the tight turns.
         """
-        after = moved(pose, reaction_m, curvature_per_m)
-        before_m = max(self.extent_m(pose), self.extent_m(after))
-        extents = tuple(max(before_m, self.turn_extent_m(after, turn)) for turn in turns)
-        return turns[extents.index(min(extents))], extents
+        extents = []
+        for turn in turns:
+            after = moved(pose, turn.reaction_m, curvature_per_m)
+            extents.append(max(self.extent_m(pose), self.extent_m(after),
+                               self.turn_extent_m(after, turn.curvature_per_m)))
+        return extents
 
-    def free_m(self, pose: Pose, curvature_per_m: float, reaction_m: float, turns: Turns, max_m: float) -> float:
+    def free_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], max_m: float) -> float:
         """How far the car can go on an arc until no tight turn keeps it inside any more, at most ``max_m``."""
         if curvature_per_m and self.circle_extent_m(pose, curvature_per_m) <= self.radius_m:
             return max_m
         gone_m = 0.0
         while gone_m < max_m:
-            if min(self.ways_out(pose, curvature_per_m, reaction_m, turns)[1]) > self.radius_m:
+            if min(self.ways_out(pose, curvature_per_m, turns)) > self.radius_m:
                 return gone_m
             pose, gone_m = moved(pose, STEP_M, curvature_per_m), gone_m + STEP_M
         return max_m

@@ -67,6 +67,9 @@ class CalibrationDrive:
         self._grant = TimedInput("the arbiters' state", GRANT_TIMEOUT_S)
         self._stepped_ns: int | None = None
         self._driven_ns = 0
+        self._ranges = {name: TimedInput(name, config.obstacles.timeout_s)
+                        for name, mount in (config.obstacles.mounts if config.obstacles else {}).items()
+                        if abs(math.remainder(mount.yaw_rad, 2 * math.pi)) < math.pi / 2}  # those that look ahead
         self._end = ""  # why it is over
         self._drives = False  # the button is held
         self._now_ns = 0
@@ -108,6 +111,8 @@ class CalibrationDrive:
         """A sonar's range, as on its topic: inf = no echo, −inf = too near, NaN = nonsense. See ``obstacle_stop``."""
         if self._obstacles is not None:
             self._obstacles.update_range(name, range_m, now_ns)
+        if name in self._ranges:
+            self._ranges[name].update(range_m, now_ns)
 
     def update_grant(self, may_drive: bool, reason: str, now_ns: int) -> None:
         """Whether turn_arb and throttle_arb obey the planner: the autonomous deadman is held, no e-stop, armed.
@@ -137,7 +142,7 @@ class CalibrationDrive:
             area = Area(middle[:2], self._config.radius_m - MARGIN_M, self._config.outline)
             self._pilot = Pilot(self._base, self._config, self._survey, self._motion, area, self._obstacles)
         self._driven_ns += since_ns
-        if self._survey.positions.is_swapped:
+        if self._survey.positions.is_swapped or self._pilot.turns_wrongly:
             self._end = (f"servo_left {self._base.servo_left} turns right: exchange servo_left and servo_right in "
                          "turn_arb's file, and begin again")
         elif self._survey.is_enough:
@@ -153,6 +158,10 @@ class CalibrationDrive:
         for timed in (self._odom, self._duty):
             if timed.is_stale(now_ns):
                 return f"it waits: {timed.stale_reason(now_ns)}"
+        for timed in self._ranges.values():
+            if timed.is_stale(now_ns) or math.isnan(timed.value):
+                why = timed.stale_reason(now_ns) if timed.is_stale(now_ns) else f"{timed.name} measures nonsense"
+                return f"it waits: {why}, and the car doesn't drive blind"
         if self._grant.is_stale(now_ns):
             return f"it waits: {self._grant.stale_reason(now_ns)}"
         grant = self._grant.value

@@ -40,17 +40,17 @@ def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: 
         name: what the report calls the drive, such as the bag's file name.
     """
     recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s, False, None)]
+    lines: tuple[str, ...] = ()
     try:
         calibrated = calibrate(recorded, base)
+        lines = tuple(report(calibrated, recorded, None))
+        refusal = "; ".join(calibrated.problems) or _swapped(calibrated, base)
+        text = "" if refusal else yaml_text(calibrated, base_text, lines)
     except CarInterfaceError as error:
-        return Conclusion("", (), str(error), 0, (0, 0))
-    lines = tuple(report(calibrated, recorded, None))
-    if calibrated.problems:
-        return Conclusion("", lines, "; ".join(calibrated.problems), 0, (0, 0))
-    swapped = _swapped(calibrated, base)
-    if swapped:
-        return Conclusion("", lines, swapped, 0, (0, 0))
-    return Conclusion(yaml_text(calibrated, base_text, lines), lines, "", round(calibrated.center),
+        refusal = str(error)
+    if refusal:
+        return Conclusion("", lines, refusal, 0, (0, 0))
+    return Conclusion(text, lines, "", round(calibrated.center),
                       (round(calibrated.ends[LEFT]), round(calibrated.ends[RIGHT])))
 
 

@@ -25,10 +25,10 @@ class DriveConfig:
     """
 
     radius_m: float = 3.0
-    speed_mps: float = 1.4
-    tight_speed_mps: float = 1.1
+    speed_mps: float = 1.2
+    tight_speed_mps: float = 0.9
     max_time_s: float = 300.0
-    braking_mps2: float = 0.4
+    braking_mps2: float = 0.3
     outline: Outline = field(default_factory=Outline)
     obstacles: ObstacleConfig | None = None
 

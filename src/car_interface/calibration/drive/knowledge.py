@@ -76,7 +76,7 @@ def assess(task: FitTask) -> Knowledge:
         curve = fit([task.drive], config)
     except (NothingToFit, ValueError, IndexError) as error:  # the last two: a handful of samples
         return Knowledge(task.number, str(error))
-    if not (curve.left.curvature_per_m > 0 and curve.right.curvature_per_m > 0):
+    if curve.curvatures.min() >= 0 or curve.curvatures.max() <= 0:
         return Knowledge(task.number, "the car turned to one side only so far")
     points = {side: breakpoints(curve, axis(curve), side, config) for side in (LEFT, RIGHT)}
     duties = np.arange(math.ceil(curve.duties[0] / COUNT), math.floor(curve.duties[-1] / COUNT) + 1) * COUNT

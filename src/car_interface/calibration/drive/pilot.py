@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from car_interface.calibration.drive.area import Area, Turns, moved
+from car_interface.calibration.drive.area import Area, Turn, moved
 from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.hold import Hold
 from car_interface.calibration.drive.motion import Motion
@@ -35,7 +35,11 @@ TURNED_RAD = 2 * math.pi  # after a whole turn another one may be tried
 PATIENT_RAD = 1.3 * math.pi  # a turn that has lasted this long makes do with any room
 RELEASE_S = 0.15  # from the button to the ESC
 CHOICE_NS = NS_PER_S // 10
+WRONG_M, WRONG_PER_M = 0.3, 0.1  # so far, and as tightly to the other side
+TIGHT_DUTY = 20.0  # so near to its end a servo surely turns the wheels tightly
+MAX_LAGS = 2.0
 SLOW_MPS = 0.45
+EARLY_MPS = 0.8  # as long as there is no curve
 FREE_MPS, CREEP_MPS = 0.35, 0.2  # a sonar that allows less means: not there; and stop, if it was begun
 SEEN_RATIO = 0.7  # of its speed, that the sonars must allow a position that is begun
 STUCK_NS, STUCK_M = 3 * NS_PER_S, 0.15  # so long without moving so far: it can't go on
@@ -50,12 +54,14 @@ class _Choice(NamedTuple):
         ideal: the same with all the room that it wants.
         want_m: the length that it wants.
         hold: its hold, if it is begun now.
+        length_m: how long it could be measured, negative where it wouldn't even settle.
     """
 
     score: float
     ideal: float
     want_m: float
     hold: Hold
+    length_m: float = -math.inf
 
 
 class Pilot:
@@ -86,6 +92,13 @@ class Pilot:
         self._finish_hold()
         self._free_ns = None
         self._avoids = False
+
+    @property
+    def turns_wrongly(self) -> bool:
+        """Whether the end that is held now turns to the other side than its name says."""
+        hold = self._hold
+        return (hold is not None and hold.duty in self._ends and hold.length_m >= WRONG_M
+                and hold.measured().curvature_per_m * (1 if hold.duty == self._ends[0] else -1) < -WRONG_PER_M)
 
     def update_motion(self, distance_m: float, turned_rad: float, at_ns: int) -> None:
         """What odometry saw since the last call."""
@@ -139,8 +152,7 @@ class Pilot:
         if self._sonar_mps(self._path_per_m(now_ns), now_ns) < FREE_MPS:
             self._avoids = True
             return True
-        _, extents = self.area.ways_out(self._motion.pose, self._path_per_m(now_ns), self._reaction_m(), self._turns)
-        return min(extents) > self.area.radius_m
+        return min(self._extents_m(now_ns)) > self.area.radius_m
 
     def _begin_any(self, now_ns):
         """The best position for which there is room; else a tight turn."""
@@ -165,6 +177,11 @@ class Pilot:
         if best is not None and best.score and best.score >= LEAVE_RATIO * patience * max(
                 choice.ideal for choice in choices):
             self._begin(best, False, now_ns)
+        elif not patience and best is not None and not best.score:
+            # A circle around the middle leaves room for nothing: from one at the edge the way across is longer.
+            farthest = max(choices, key=lambda choice: choice.length_m)
+            if farthest.length_m > -MIN_LENGTH_M:
+                self._begin(farthest, False, now_ns)
 
     def _choices(self, now_ns):
         """All candidates as they could be begun now."""
@@ -176,26 +193,34 @@ class Pilot:
         speed_mps = self._cruise_mps(curvature)
         hold = self._hold_for(candidate, now_ns)
         settle_s = hold.seconds_to_settle(now_ns)
-        want_m = _want_m(curvature)
+        want_m = wanted_length_m(curvature)
         worth = candidate.need ** NEED_POWER
         ideal = worth / (settle_s + want_m / speed_mps)
         nothing = _Choice(0.0, ideal, want_m, hold)
         if self._sonar_mps(curvature, now_ns) < SEEN_RATIO * speed_mps:
             return nothing
-        lead_m = speed_mps * (self._survey.servo_delay_s + self._survey.servo_lag_s)
-        after = moved(self._motion.pose, lead_m, (self._live_per_m() + curvature) / 2)
-        room_m = lead_m + self.area.free_m(after, curvature, self._reaction_m(speed_mps), self._turns,
-                                           want_m + speed_mps * settle_s - lead_m)
-        length_m = room_m - speed_mps * settle_s
+        # What is expected of a position between others that were held may be far off: it may turn as little as the one.
+        curvatures = {curvature}
+        if candidate.duty not in self._ends:
+            curvatures.add(self._survey.positions.least_per_m(candidate.duty))
+        rooms_m = [self._room_m(candidate.duty, one, speed_mps, want_m + speed_mps * settle_s) for one in curvatures]
+        length_m = min(rooms_m) - speed_mps * settle_s
         if length_m < MIN_LENGTH_M:
-            return nothing
+            return nothing._replace(length_m=length_m)
         known = min(1.0, length_m / want_m) ** LENGTH_POWER
         return _Choice(worth * known / (settle_s + length_m / speed_mps), ideal, want_m, hold)
+
+    def _room_m(self, duty, curvature, speed_mps, max_m):
+        """How far the car can go from here if it steers that duty now and that gives that curvature."""
+        lead_m = speed_mps * (self._survey.servo_delay_s + self._survey.servo_lag_s)
+        after = moved(self._motion.pose, lead_m, (self._live_per_m() + curvature) / 2)
+        return lead_m + self.area.free_m(after, curvature, self._turns(duty, speed_mps), max_m - lead_m)
 
     def _turn(self, now_ns, tightest=False):
         """Turn tightly towards where there is room."""
         turn_per_m = self._way_per_m(now_ns)
-        pose = moved(self._motion.pose, self._reaction_m(), self._path_per_m(now_ns))
+        reaction_m = self._motion.speed_mps * (REACTION_S + self._survey.servo_delay_s + self._survey.servo_lag_s)
+        pose = moved(self._motion.pose, reaction_m, self._path_per_m(now_ns))
         best = Candidate(self._base.servo_left if turn_per_m > 0 else self._base.servo_right, 0.0, 0)
         positions = self._survey.positions
         for candidate in [] if tightest else positions.candidates(
@@ -208,17 +233,22 @@ class Pilot:
         if hold is not None and hold.duty == best.duty:
             self._is_turn = True
             return
-        self._begin(_Choice(0.0, 0.0, _want_m(turn_per_m), self._hold_for(best, now_ns)), True, now_ns, best.need)
+        self._begin(_Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(best, now_ns)), True, now_ns, best.need)
 
     def _way_per_m(self, now_ns):
         """The tight turn to take: the one that stays inside and is free; of two the one about which less is known."""
-        turns = self._turns
+        turns = [self._expected(end) for end in self._ends]
         seen = [self._sonar_mps(turn, now_ns) for turn in turns]
         if min(seen) < FREE_MPS and max(seen) > min(seen) + 0.1:
             return turns[seen.index(max(seen))]
-        way, extents = self.area.ways_out(self._motion.pose, self._path_per_m(now_ns), self._reaction_m(), turns)
+        # A car that looks inward gets out again on the other turn: what counts here is the whole circle of each.
+        reacted = [moved(self._motion.pose, turn.reaction_m, self._path_per_m(now_ns))
+                   for turn in self._turns(self._servo_duty, max(SLOW_MPS, self._motion.speed_mps))]
+        extents = [max(partly_m, self.area.circle_extent_m(pose, turn)) if partly_m <= self.area.radius_m else
+                   partly_m + self.area.radius_m
+                   for partly_m, pose, turn in zip(self._extents_m(now_ns), reacted, turns)]
         if max(extents) > self.area.radius_m:
-            return way
+            return turns[extents.index(min(extents))]
         needs = [max((candidate.need for candidate in self._survey.positions.candidates()
                       if self._survey.positions.least_per_m(candidate.duty) / turn > TIGHT_RATIO), default=0.0)
                  for turn in turns]
@@ -252,9 +282,25 @@ class Pilot:
 
     # --- where it goes ---
 
-    @property
-    def _turns(self):
-        return Turns(*(self._expected(end) for end in (self._base.servo_left, self._base.servo_right)))
+    def _extents_m(self, now_ns):
+        """How far the car's corners get from the center if it turns tightly now, to the left and to the right."""
+        speed_mps = max(SLOW_MPS, self._motion.speed_mps)
+        return self.area.ways_out(self._motion.pose, self._path_per_m(now_ns), self._turns(self._servo_duty, speed_mps))
+
+    def _turns(self, from_duty, speed_mps):
+        """The tight turns to the left and to the right, begun with the servo at a duty."""
+        survey = self._survey
+        found = []
+        for end in self._ends:
+            # The servo creeps up to its end, and some linkages turn the wheels within the last counts.
+            near_duty = max(TIGHT_DUTY, abs(end - survey.positions.half_way_duty(end)))
+            lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
+            reaction_s = REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags
+            curvature, live = self._expected(end), self._motion.curvature_per_m()
+            if abs(from_duty - end) < TIGHT_DUTY and live is not None and live / curvature > 1.0:
+                curvature = live  # an end that is just being found out
+            found.append(Turn(curvature, speed_mps * reaction_s))
+        return found
 
     def _expected(self, duty):
         return self._survey.positions.expected_per_m(duty)
@@ -271,17 +317,13 @@ class Pilot:
             return self._live_per_m()
         return (self._live_per_m() + 2 * self._expected(hold.duty)) / 3
 
-    def _reaction_m(self, speed_mps=None):
-        """What it drives until its wheels are turned."""
-        speed_mps = max(SLOW_MPS, self._motion.speed_mps) if speed_mps is None else speed_mps
-        return speed_mps * (REACTION_S + self._survey.servo_delay_s + self._survey.servo_lag_s)
-
     # --- how fast ---
 
     def _cruise_mps(self, curvature_per_m):
         config = self._config
         ratio = min(1.0, abs(curvature_per_m) / TIGHT_PER_M)
-        return config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
+        speed_mps = config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
+        return min(speed_mps, EARLY_MPS) if self._survey.knowledge is None else speed_mps
 
     def _sonar_mps(self, curvature_per_m, now_ns):
         """What the sonars allow on an arc."""
@@ -301,7 +343,7 @@ class Pilot:
         if seen_mps < (CREEP_MPS if self._motion.speed_mps > CREEP_MPS / 2 else FREE_MPS):
             return 0.0, self._obstacle_text(now_ns)
         pose, hard_m = self._motion.pose, self._config.radius_m
-        extent_m = min(self.area.ways_out(pose, self._path_per_m(now_ns), self._reaction_m(), self._turns)[1])
+        extent_m = min(self._extents_m(now_ns))
         if extent_m > hard_m:
             speed_mps = min(speed_mps, SLOW_MPS)
             if extent_m > hard_m + 0.1 and self.area.inward_rad(pose) > math.pi / 2:
@@ -337,7 +379,7 @@ class Pilot:
         return f"it measures {side}, duty {hold.duty}: {hold.length_m:.1f} of {self._want_m:.1f} m"
 
 
-def _want_m(curvature_per_m):
+def wanted_length_m(curvature_per_m):
     """How long a turn is to be measured."""
     return WANT_WIDE_M if abs(curvature_per_m) < WIDE_PER_M else WANT_TIGHT_M + 0.5 * max(
         0.0, 1 - abs(curvature_per_m) / 0.5)

@@ -16,9 +16,10 @@ from car_interface.steering.calibration import SteeringCalibration
 # Parts of the way from the center to each end, in the order of their importance; ends and center count for most.
 FIRST = ((1.0, 4.0), (-1.0, 4.0), (0.0, 3.0), (0.5, 2.0), (-0.5, 2.0), (0.75, 1.5), (-0.75, 1.5), (0.25, 1.5),
          (-0.25, 1.5), (0.9, 1.5), (-0.9, 1.5))
-MAX_CANDIDATES = 12
+MAX_CANDIDATES = 12  # of the fit's
 APART_DUTY = 2 * COUNT  # of two candidates
 NEAR_DUTY = 1.5 * COUNT  # what was measured as near to a candidate answers it
+LOST_END_NEED = 4.0
 SIDES_DUTY = 5 * COUNT  # positions as near as this to each other are come to from different sides
 ANSWERED = 0.3  # the part of a need that remains until the next fit
 REPEATED = 0.3  # by how much each time a position was held makes it worth less to hold it again
@@ -112,10 +113,20 @@ class Positions:
         """What is worth measuring of the duties that ``accepts`` takes, needs falling."""
         found = [candidate for candidate in self._first if accepts(candidate.duty)]
         if self._knowledge is not None:
-            found += self._by_errors(MAX_CANDIDATES - len(found), accepts)
+            found += [candidate for candidate in self._lost_ends() if accepts(candidate.duty)]
+            found += self._by_errors(MAX_CANDIDATES - len(found) // 2, accepts)
         elif not found:  # all were held, and there is no curve yet: once more
             found = [candidate for candidate in self._all_first if accepts(candidate.duty)]
         return sorted(found, key=lambda candidate: -candidate.need)
+
+    def _lost_ends(self):
+        """The ends that aren't on the fit's curve, such as one that was held once, and too shortly for a segment."""
+        known, held = self._knowledge, {candidate.duty for candidate in self._first}
+        slack_duty = 2 * COUNT + (known.backlash_duty or 0.0) / 2
+        for end in (self._base.servo_left, self._base.servo_right):
+            is_on_it = known.duties[0] - slack_duty <= end <= known.duties[-1] + slack_duty
+            if not is_on_it and end not in held and not any(one.duty == end for one in self._since_fit):
+                yield Candidate(end, LOST_END_NEED, 0)
 
     def _by_errors(self, count, accepts):
         """The greatest errors of the fit, apart from each other."""
@@ -161,6 +172,12 @@ class Positions:
             known.update(self._curvatures)
         duties = sorted(known)
         return _interpolated(duty, duties, [known[one] for one in duties])
+
+    def half_way_duty(self, end: int) -> float:
+        """The position nearest to the center that was held and turns half as tightly as that end; else the end."""
+        tightest = self.expected_per_m(end)
+        found = [at for at, curvature in self._curvatures if curvature * tightest >= tightest * tightest / 2]
+        return min(found, key=lambda at: abs(at - self._base.servo_center), default=float(end))
 
     def least_per_m(self, duty: float) -> float:
         """The least curvature, by its magnitude, that a duty can have: that of the next position towards the center

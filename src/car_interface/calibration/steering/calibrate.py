@@ -74,7 +74,8 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
         tightest = points[side][0]
         # An end that is a limit, not a stop, stays: the wheels stay behind it by half of the backlash, and each
         # calibration would make the range smaller by that.
-        keeps_end = tightest.source == OLD or end.is_end and not end.is_stop
+        is_limit = end.is_end and not end.is_stop and (end.duty - center) * (old_end - center) > 0
+        keeps_end = tightest.source == OLD or is_limit
         ends[side] = _farther(tightest.duty, old_end, center) if keeps_end else end.duty
     return Calibrated(curve, center, ends, points, problems, disagreement)
 

@@ -5,11 +5,11 @@ import math
 
 import pytest
 
-from car_interface.calibration.drive.area import Area, Pose, Turns, moved
+from car_interface.calibration.drive.area import Area, Pose, Turn, moved
 from car_interface.throttle.obstacle_stop import Outline
 
 OUTLINE = Outline(front_m=0.4, rear_m=0.1, width_m=0.3)
-TURNS = Turns(1.0, -1.0)
+TURNS = (Turn(1.0, 0.3), Turn(-1.0, 0.3))
 
 
 def area(radius_m=3.0):
@@ -51,24 +51,29 @@ def test_a_turn_counts_until_the_car_looks_inward_again():
 
 
 def test_the_way_out_is_the_turn_towards_the_center():
-    turn, extents = area().ways_out(Pose(0.0, 1.5, 0.0), 0.0, 0.2, TURNS)
-    assert turn == TURNS.right_per_m and extents[1] < extents[0]
+    left_m, right_m = area().ways_out(Pose(0.0, 1.5, 0.0), 0.0, TURNS)
+    assert right_m < left_m
+
+
+def test_a_turn_that_begins_later_gets_farther_out():
+    extents = area().ways_out(Pose(0.8, 0.0, 0.0), 0.0, [Turn(1.0, reaction_m) for reaction_m in (0.1, 0.5, 0.9)])
+    assert extents == sorted(extents) and extents[0] + 0.3 < extents[2]
 
 
 def test_room_ends_where_the_last_turn_would_leave_the_area():
-    free_m = area().free_m(Pose(0.0, 0.0, 0.0), 0.0, 0.3, TURNS, 10.0)
+    free_m = area().free_m(Pose(0.0, 0.0, 0.0), 0.0, TURNS, 10.0)
     assert 0.8 < free_m < 1.8
     beyond = moved(Pose(0.0, 0.0, 0.0), free_m, 0.0)
-    assert min(area().ways_out(beyond, 0.0, 0.3, TURNS)[1]) > 3.0
-    assert area().free_m(Pose(0.0, 0.0, 0.0), 0.0, 0.3, TURNS, 0.4) == 0.4
+    assert min(area().ways_out(beyond, 0.0, TURNS)) > 3.0
+    assert area().free_m(Pose(0.0, 0.0, 0.0), 0.0, TURNS, 0.4) == 0.4
 
 
 def test_a_circle_inside_has_all_the_room():
-    assert area().free_m(Pose(0.0, 0.0, 0.0), 1.0, 0.3, TURNS, 50.0) == 50.0
+    assert area().free_m(Pose(0.0, 0.0, 0.0), 1.0, TURNS, 50.0) == 50.0
 
 
 def test_there_is_more_room_in_a_larger_area():
-    rooms = [area(radius_m).free_m(Pose(0.0, 0.0, 0.0), 0.1, 0.3, TURNS, 20.0) for radius_m in (3.0, 4.0, 6.0)]
+    rooms = [area(radius_m).free_m(Pose(0.0, 0.0, 0.0), 0.1, TURNS, 20.0) for radius_m in (3.0, 4.0, 6.0)]
     assert rooms == sorted(rooms) and rooms[0] < rooms[2]
 
 
