@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from room_drives import ALL_ALIKE, Sonars
 
 from accuracy.steering_calibration import WIDEST_M, Errors, ask, floor
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
@@ -62,7 +63,6 @@ from car_interface.throttle.limits import ThrottleLimits
 from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
 from car_interface.throttle.speed_control import SpeedControl, SpeedRequest
 from car_interface.throttle.value_map import load_value_map
-from room_drives import ALL_ALIKE, Sonars
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 STOCK, MAP = CONFIG / "turn_arb.yaml", CONFIG / "value_map.csv"
