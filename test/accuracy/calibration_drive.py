@@ -372,7 +372,8 @@ def row(result: Result) -> str:
     kind = "slash " if result.seed % 4 == 3 else "smooth"
     text = (f"{result.seed:5d} {kind} {'walls' if car.world else '     '} | "
             f"{result.held_s:4.0f} {result.total_s:4.0f} s {result.distance_m:4.0f} m {result.positions:3d} "
-            f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} {result.collisions} {len(result.blocked)} | {result.step_ms:3.1f} ms | ")
+            f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} "
+            f"{result.collisions} {len(result.blocked)} | {result.step_ms:3.1f} ms | ")
     if not result.conclusion.yaml_text:
         return text + result.conclusion.refusal[:150]
     made, best = errors(car, result.conclusion.yaml_text)

@@ -233,7 +233,8 @@ class Pilot:
         if hold is not None and hold.duty == best.duty:
             self._is_turn = True
             return
-        self._begin(_Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(best, now_ns)), True, now_ns, best.need)
+        choice = _Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(best, now_ns))
+        self._begin(choice, True, now_ns, best.need)
 
     def _way_per_m(self, now_ns):
         """The tight turn to take: the one that stays inside and is free; of two the one about which less is known."""
