@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from room_drives import ALL_ALIKE, Sonars
 
 from accuracy.steering_calibration import WIDEST_M, Errors, ask, floor
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
@@ -62,7 +63,6 @@ from car_interface.throttle.limits import ThrottleLimits
 from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
 from car_interface.throttle.speed_control import SpeedControl, SpeedRequest
 from car_interface.throttle.value_map import load_value_map
-from room_drives import ALL_ALIKE, Sonars
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 STOCK, MAP = CONFIG / "turn_arb.yaml", CONFIG / "value_map.csv"
@@ -372,7 +372,8 @@ def row(result: Result) -> str:
     kind = "slash " if result.seed % 4 == 3 else "smooth"
     text = (f"{result.seed:5d} {kind} {'walls' if car.world else '     '} | "
             f"{result.held_s:4.0f} {result.total_s:4.0f} s {result.distance_m:4.0f} m {result.positions:3d} "
-            f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} {result.collisions} {len(result.blocked)} | {result.step_ms:3.1f} ms | ")
+            f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} "
+            f"{result.collisions} {len(result.blocked)} | {result.step_ms:3.1f} ms | ")
     if not result.conclusion.yaml_text:
         return text + result.conclusion.refusal[:150]
     made, best = errors(car, result.conclusion.yaml_text)

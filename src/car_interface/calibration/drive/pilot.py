@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from car_interface.calibration.drive.area import Area, Turn, moved
+from car_interface.calibration.drive.area import INWARD_RAD, Area, Turn, moved
 from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.hold import Hold
 from car_interface.calibration.drive.motion import Motion
@@ -233,7 +233,8 @@ class Pilot:
         if hold is not None and hold.duty == best.duty:
             self._is_turn = True
             return
-        self._begin(_Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(best, now_ns)), True, now_ns, best.need)
+        choice = _Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(best, now_ns))
+        self._begin(choice, True, now_ns, best.need)
 
     def _way_per_m(self, now_ns):
         """The tight turn to take: the one that stays inside and is free; of two the one about which less is known."""
@@ -244,13 +245,13 @@ class Pilot:
         # A car that looks inward gets out again on the other turn: what counts here is the whole circle of each.
         reacted = [moved(self._motion.pose, turn.reaction_m, self._path_per_m(now_ns))
                    for turn in self._turns(self._servo_duty, max(SLOW_MPS, self._motion.speed_mps))]
-        extents = [max(partly_m, self.area.circle_extent_m(pose, turn)) if partly_m <= self.area.radius_m else
-                   partly_m + self.area.radius_m
+        is_inward = self.area.inward_rad(self._motion.pose) < INWARD_RAD
+        extents = [max(partly_m, self.area.circle_extent_m(pose, turn)) if is_inward else partly_m
                    for partly_m, pose, turn in zip(self._extents_m(now_ns), reacted, turns)]
         if max(extents) > self.area.radius_m:
             return turns[extents.index(min(extents))]
         needs = [max((candidate.need for candidate in self._survey.positions.candidates()
-                      if self._survey.positions.least_per_m(candidate.duty) / turn > TIGHT_RATIO), default=0.0)
+                      if self._tight_per_m(candidate.duty) / turn > TIGHT_RATIO), default=0.0)
                  for turn in turns]
         return turns[needs.index(max(needs))]
 
@@ -304,6 +305,10 @@ class Pilot:
 
     def _expected(self, duty):
         return self._survey.positions.expected_per_m(duty)
+
+    def _tight_per_m(self, duty):
+        """What a position turns at least; of an end what is expected of it."""
+        return self._expected(duty) if duty in self._ends else self._survey.positions.least_per_m(duty)
 
     def _live_per_m(self):
         """The curvature now; that of the duty that is held, where the car hardly moves."""

@@ -16,7 +16,7 @@ def hold(duty, servo, from_side=0, lag_s=0.15):
 def servo_at(one, servo, until_ns, lag_s=0.15):
     """A servo that follows what is asked, after 30 ms: (where it is, the farthest to each side)."""
     places = [servo]
-    for at_ms in range(0, until_ns // MS):
+    for at_ms in range(until_ns // MS):
         servo += (one.asked_duty((at_ms - 30) * MS if at_ms >= 30 else -1) - servo) * (1 / (1000 * lag_s))
         places.append(servo)
     return servo, min(places), max(places)

@@ -30,7 +30,7 @@ def test_curvature_is_that_of_the_path(curvature):
 
 
 def test_backward_counts_negative_and_has_the_same_curvature():
-    motion, total_m, _ = driven(0.5, speed_mps=-1.0)
+    _, total_m, _ = driven(0.5, speed_mps=-1.0)
     assert total_m == pytest.approx(-0.98, rel=1e-3)
 
 
@@ -40,6 +40,6 @@ def test_a_car_that_hardly_moves_has_no_curvature():
 
 
 def test_what_happened_in_a_gap_does_not_count():
-    motion, before_m, _ = driven(0.0)
+    motion, _, _ = driven(0.0)
     assert motion.update(Pose(9.0, 9.0, 1.0), 1.0, 9_000 * MS) == (0.0, 0.0)
     assert motion.curvature_per_m() is None and motion.pose.x_m == 9.0

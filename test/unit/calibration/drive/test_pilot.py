@@ -19,7 +19,7 @@ MOUNTS = {"front_right": Mount(0.4, -0.1, -0.52), "front_middle": Mount(0.42, 0.
 
 def car(ranges=None, **options):
     one = LightCar(CalibrationDrive(base(), DriveConfig(obstacles=ObstacleConfig(MOUNTS), **options)))
-    one.ranges = {name: math.inf for name in MOUNTS} if ranges is None else ranges
+    one.ranges = dict.fromkeys(MOUNTS, math.inf) if ranges is None else ranges
     return one
 
 
@@ -42,7 +42,7 @@ def test_a_sonar_that_is_silent_lets_it_go_nowhere(name):
 def test_something_right_ahead_stops_it_and_the_text_says_what():
     one = car()
     one.run(2)
-    one.ranges = {name: 0.1 for name in MOUNTS}
+    one.ranges = dict.fromkeys(MOUNTS, 0.1)
     step = one.run(6)
     assert step.phase == BLOCKED and step.speed_mps == 0.0
     assert "sees 0.10 m" in step.text and "move the car to where it is free" in step.text
@@ -59,9 +59,9 @@ def test_something_at_a_distance_slows_it():
 def test_it_goes_on_when_the_view_is_free_again():
     one = car()
     one.run(2)
-    one.ranges = {name: 0.1 for name in MOUNTS}
+    one.ranges = dict.fromkeys(MOUNTS, 0.1)
     one.run(6)
-    one.ranges = {name: math.inf for name in MOUNTS}
+    one.ranges = dict.fromkeys(MOUNTS, math.inf)
     assert one.run(2).speed_mps > 0.3
 
 

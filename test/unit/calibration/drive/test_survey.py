@@ -1,11 +1,11 @@
 """Evidence and progress: when a fit is due, and when it is enough."""
 from __future__ import annotations
 
+from calibration.drive.light_car import base
 from car_interface.calibration.delay import Delay
 from car_interface.calibration.drive.knowledge import Knowledge
 from car_interface.calibration.drive.positions import Measured
 from car_interface.calibration.drive.survey import ENOUGH, FULL_FIT_NS, MIN_POSITIONS, Survey
-from calibration.drive.light_car import base
 
 S = 1_000_000_000
 
