@@ -13,13 +13,13 @@ import unittest
 import rospy
 import rostest
 import yaml
-from car_interface.common.units import yaw_rad
 from car_interface.msg import PlannerState, SteeringState, ThrottleState
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Float32, Int32, Int32MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
+from car_interface.common.units import yaw_rad
 from terminal import Terminal
 from waiting import PACKAGE, NodeProcess, Repeater, Sender, Topic, config, eventually, executable, set_params, skip
 from witness import measured

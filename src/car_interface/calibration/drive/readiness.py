@@ -69,9 +69,9 @@ def _missing_of_a_program(seen):
     elif seen.planner != SPEED:
         yield f"planner_interface obeys {seen.planner}, not speeds: launch with planner:=speed in its place"
     if seen.sonars:
-        yield (f"no range of the sonar{'s' * (len(seen.sonars) > 1)} {', '.join(seen.sonars)} is heard: a sonar that the "
-               "car doesn't have is `absent` in throttle.yaml (obstacle/sonars); --no-sonars drives without any, and "
-               "then only you keep it from running into something")
+        yield (f"no range of the sonar{'s' * (len(seen.sonars) > 1)} {', '.join(seen.sonars)} is heard: a sonar that "
+               "the car doesn't have is `absent` in throttle.yaml (obstacle/sonars); --no-sonars drives without any, "
+               "and then only you keep it from running into something")
     yield from seen.others
 
 
@@ -80,5 +80,7 @@ def missing_gamepad(seen: Seen) -> list[str]:
     if seen.gamepad is None:
         return ["teleop_logi isn't heard, which reads the gamepad with the deadman: is it running?"]
     cause, reason = seen.gamepad
-    return [f"the gamepad isn't there ({reason}): switch it on, or on the virtual car start keyboard_drive in another "
-            "terminal"] if cause in UNHEARD else []
+    if cause not in UNHEARD:
+        return []
+    return [(f"the gamepad isn't there ({reason}): switch it on, or on the virtual car start keyboard_drive in another "
+             "terminal")]

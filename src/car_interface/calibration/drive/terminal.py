@@ -59,8 +59,7 @@ def stick_lines(guidance: Guidance, progress: Progress, width: int = 80) -> list
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:
     """One line for where nothing can be drawn anew: a log, a pipe."""
-    return (f"{percent(progress.fraction)}, {clock_text(progress.driven_s)} driven, about {clock_text(progress.left_s)} "
-            f"left; {phase}: {text}")
+    return f"{percent(progress.fraction)}, {_times(progress)}; {phase}: {text}"
 
 
 def progress_bar(fraction: float, length: int = BAR) -> str:
@@ -119,9 +118,8 @@ def radius_marks(rows: Iterable[Row], side: str) -> str:
 
 
 def _progress_lines(progress: Progress) -> list[str]:
-    times = f"{clock_text(progress.driven_s)} driven, about {clock_text(progress.left_s)} left"
     share = f"{progress_bar(progress.fraction)} {percent(progress.fraction)}"
-    lines = [f"{share}   {times}, {progress.positions} positions"]
+    lines = [f"{share}   {_times(progress)}, {progress.positions} positions"]
     lines += [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
     if math.isfinite(progress.center_duty):
         lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
@@ -130,6 +128,10 @@ def _progress_lines(progress: Progress) -> list[str]:
         missing[MAX_MISSING:] = [f"… and {len(missing) - MAX_MISSING} more"]
     lines += [f"missing: {text}" for text in missing]
     return [*lines, LEGEND] if progress.rows else lines
+
+
+def _times(progress):
+    return f"{clock_text(progress.driven_s)} driven, about {clock_text(progress.left_s)} left"
 
 
 def _error_text(ratio):
