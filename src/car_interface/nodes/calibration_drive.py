@@ -40,7 +40,7 @@ from car_interface.calibration.drive.params import read_base, read_obstacles
 from car_interface.calibration.drive.readiness import Seen, missing, missing_gamepad
 from car_interface.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING
 from car_interface.calibration.drive.stick_guide import StickGuide
-from car_interface.calibration.drive.table_file import find_table_file
+from car_interface.calibration.drive.table_file import board_center, find_table_file
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS
@@ -94,7 +94,7 @@ class CalibrationDriveNode:
         self._shown_kind, self._shown_ns = "", 0
         self._frames, self._rows_drawn = ("odom", "base_link"), 0
         self._steerings = self._speeds = None
-        self._is_over = False
+        self._is_over = self._is_written = False
         self._markers = advertise("~markers", MarkerArray, inbox, latch=True)
         self._subscribe()
         self._has_keys = self._keys.start()
@@ -134,9 +134,10 @@ class CalibrationDriveNode:
         self._text.keep()
         if self._page is not None:
             self._page.close()
-        elif self._recording is not None:
+        if self._recording is not None and not self._is_over:
             self._text.say(f"recording: {self._recording.stop()}")
-        if not self._is_over and sys.exc_info()[0] is None:
+        time.sleep(0.02)  # rospy sends in a thread of its own
+        if not (self._is_over or self._is_written) and sys.exc_info()[0] is None:
             raise CarInterfaceError("ended before it was over: nothing is written")
 
     def _typed(self):
@@ -297,7 +298,8 @@ class CalibrationDriveNode:
         pass
 
     def _on_conclusion(self, conclusion, now_ns):
-        self._text.say("\n".join(conclusion.report))
+        if conclusion.report:
+            self._text.say("\n".join(conclusion.report))
         self._conclusion = conclusion
         self._stage = self._await_page
         if conclusion.refusal:
@@ -320,16 +322,13 @@ class CalibrationDriveNode:
 
     def _write(self, replaces):
         path, line = self._table.write(self._conclusion.yaml_text, replaces)
+        self._is_written = True
         self._text.say(line)
-        for text in self._loading(path):
-            self._text.say(text)
-
-    def _loading(self, path):
-        """How the car gets it."""
         if path != self._table.path:
-            yield f"{self._table.path} is as it was. To take the new one: mv {path} {self._table.path}"
-        yield (f"to load it, launch again with config:={self._table.folder}; the servo board's timeout value is its "
-               f"center, duty {self._conclusion.center_duty}, and comes from the same file")
+            self._text.say(f"{self._table.path} is as it was. To take the new one: mv {path} {self._table.path}")
+        self._text.say(f"to load it, launch again with config:={self._table.folder}")
+        self._text.say(board_center(self._conclusion.center_duty, self._base.servo_center,
+                                    rospy.get_param("pca9685/steering/servo_center", None)))
 
     def _await_page(self, now_ns, typed):
         lines = self._page.step()

@@ -94,3 +94,20 @@ def find_table_file(wanted: str | None, base: str | None, launched_with: str | N
         raise CarInterfaceError(f"{base_path} has servo_channel {kept.servo_channel}, and turn_arb steers channel "
                                 f"{running.servo_channel}: name another file by -o or --base")
     return TableFile(path, Path(base_path).read_text(encoding="utf-8-sig"))
+
+
+def board_center(center_duty: int, old_duty: int, board_duty: int | None) -> str:
+    """A line about the servo board, which is to center the steering by the same duty when nobody commands it.
+
+    Args:
+        center_duty: the new center.
+        old_duty: turn_arb's center so far.
+        board_duty: pca9685's; ``None`` = it has none, as with another driver of the board.
+    """
+    if board_duty == old_duty:
+        return f"the servo board centers the steering by the same file (duty {center_duty}): it needs nothing more"
+    if board_duty is None:
+        return (f"the servo board doesn't read this file: give its driver the new center, too, {center_duty}, as the "
+                "value for when nobody commands it (timeout_value, or servo.yaml)")
+    return (f"pca9685 has another center than turn_arb had, {board_duty} in place of {old_duty}: launch it with this "
+            f"file, too (steering_config), so that it centers by duty {center_duty}")
