@@ -16,7 +16,7 @@ import yaml
 from car_interface.msg import PlannerState, SteeringState, ThrottleState
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Float32, Int32, Int32MultiArray
+from std_msgs.msg import Float32, Int32MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
 from car_interface.common.units import yaw_rad
@@ -123,9 +123,7 @@ class Drive(Base):
         self.requests = Topic("/av_steer_req", Float32)
         self.speeds = Topic("/av_speed_req", Float32)
         self.markers = Topic("/calibration_drive/markers", MarkerArray)
-        self.collisions = Topic("/car_sim/collisions", Int32)
-        for topic in (self.truth, self.outputs, self.steering, self.throttle, self.requests, self.speeds, self.markers,
-                      self.collisions):
+        for topic in (self.truth, self.outputs, self.steering, self.throttle, self.requests, self.speeds, self.markers):
             self.addCleanup(topic.close)
         for topic in (self.truth, self.outputs, self.steering, self.throttle):
             topic.wait_for(lambda _: True, 0, START_S)
@@ -185,7 +183,7 @@ class Drive(Base):
         return self.outputs.wait_for(is_at_rest, mark).at_s - at_s
 
     def begin(self, *arguments):
-        terminal = self.start("-o", self.table, *arguments)
+        terminal = self.start("-o", self.table, "--no-sonars", *arguments)
         self.wait_for_line(terminal, "^waits: hold the autonomous deadman and it begins: human_in_loop is false: ")
         return terminal
 
@@ -264,7 +262,7 @@ class Drive(Base):
         self.assertIn("ended before it was over: nothing is written", self.ended(terminal, 1)[-1])
 
     def test_without_a_terminal_there_are_plain_lines_of_what_it_waits_for_and_does(self):
-        process = NodeProcess(executable("calibration_drive"), "-o", self.table)
+        process = NodeProcess(executable("calibration_drive"), "-o", self.table, "--no-sonars")
         self.addCleanup(process.clean_up)
         process.wait_for_info("^  0%, 0:00 driven, about 3:20 left; waiting: hold the autonomous deadman and it begins")
         self.press(AUTONOMOUS)
@@ -297,7 +295,6 @@ class Drive(Base):
         terminal.type(b"y")
         lines = self.ended(terminal, 0)
         self.assertTrue([line for line in lines if line.startswith(f"written: {self.table}; the old one is ")], lines)
-        self.assertEqual(self.collisions.since()[-1].data, 0)
         with open(self.table, encoding="utf-8") as file:
             table = yaml.safe_load(file)
         self.assertLess(abs(table["servo_center"] - 4980), 2 * COUNT)
