@@ -32,6 +32,7 @@ setup(
     packages=[
         "car_interface",
         "car_interface.calibration",
+        "car_interface.calibration.drive",
         "car_interface.calibration.esc",
         "car_interface.calibration.steering",
         "car_interface.calibration.value_map",

@@ -218,6 +218,21 @@ class ReadConfig(unittest.TestCase):
         self.assertEqual((mixed.vehicle.wheel_diameter_m, mixed.steering_channel), (0.1, 2))
         self.assertEqual(read("car_sim", {"esc": {"servo": {"channel": -1}}}).throttle_channel, 1)
 
+    def test_simulated_room_without_obstacles_has_its_walls(self):
+        empty, full = read("car_sim", {"obstacles": False}).world, read("car_sim", {}).world
+        self.assertEqual((empty.boxes, empty.posts, empty.walls), ((), (), full.walls))
+        self.assertTrue(full.boxes and full.posts)
+
+    def test_car_to_practise_with_has_a_steering_of_its_own_and_obeys_speeds(self):
+        loaded = roslaunch.config.load_config_default([(f"{PACKAGE}/launch/practice.launch", ["ns:=car1"])], None,
+                                                      verbose=False)
+        values = {name[len("/car1/"):]: param.value for name, param in loaded.params.items()}
+        self.assertEqual(values["planner_interface/source"], "speed")
+        self.assertEqual(values["car_sim/steering_duties"][0], 3800)
+        self.assertFalse(values["car_sim/obstacles"])
+        self.assertNotIn("car_sim/steering/servo_center", values)
+        self.assertNotIn("demo_drive", [node.type for node in loaded.nodes])
+
     def test_gamepad_driver_is_joy_on_noetic_and_this_package_s_elsewhere_unless_it_is_named(self):
         def started(distribution, *arguments):
             with mock.patch.dict(os.environ, {"ROS_DISTRO": distribution}):

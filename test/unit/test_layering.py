@@ -25,10 +25,12 @@ MAY_IMPORT = {
     "teensy/sensing": SENSING,
     "sim": ("common",),
     "ros": (*PARTS, "sim"),
-    "nodes": (*PARTS, "sim", "ros"),
+    # One node calibrates while it drives; and it writes what calibrate_steering would.
+    "nodes": (*PARTS, "sim", "ros", "calibration", "calibration/drive", "calibration/steering"),
     "recordings": PARTS,
     "report": (*PARTS, "recordings"),
     "calibration": ("common",),
+    "calibration/drive": (*PARTS, "recordings", "calibration", "calibration/steering"),
     "calibration/esc": (*PARTS, "recordings", "calibration"),
     "calibration/steering": (*PARTS, "recordings", "calibration"),
     "calibration/value_map": (*PARTS, "recordings", "calibration"),

@@ -13,10 +13,10 @@ from functools import partial
 from pathlib import Path
 from typing import Mapping
 
-from car_interface.cli import output
 from car_interface.cli.jobs import add_jobs_argument, for_each
 from car_interface.cli.options import add_namespace_argument, length_m
 from car_interface.cli.topics import add_topic_arguments, topics_of
+from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
 from car_interface.report.page import page
 from car_interface.report.plots import plots

@@ -16,9 +16,9 @@ from pathlib import Path
 from car_interface.calibration.esc.calibrate import calibrate, yaml_text
 from car_interface.calibration.esc.recorded import load_drive
 from car_interface.calibration.esc.report import report
-from car_interface.cli import output
 from car_interface.cli.jobs import add_jobs_argument, load_all
 from car_interface.cli.options import add_namespace_argument
+from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.package_files import package_file
 from car_interface.common.servo_channels import CHANNELS

@@ -19,10 +19,10 @@ from car_interface.calibration.steering.asked import AngleTable
 from car_interface.calibration.steering.calibrate import Calibrated, calibrate, yaml_text
 from car_interface.calibration.steering.recorded import RecordedDrive, load_drive
 from car_interface.calibration.steering.report import report
-from car_interface.cli import output
 from car_interface.cli.jobs import add_jobs_argument, load_all
 from car_interface.cli.options import add_namespace_argument, length_m
 from car_interface.cli.topics import add_topic_arguments, topics_of
+from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file

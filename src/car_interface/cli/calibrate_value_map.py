@@ -27,10 +27,10 @@ from car_interface.calibration.value_map.recorded import (
 from car_interface.calibration.value_map.report import DUTY, report
 from car_interface.calibration.value_map.table import csv_text
 from car_interface.calibration.value_map.throttle import load_throttle
-from car_interface.cli import output
 from car_interface.cli.jobs import add_jobs_argument, load_all
 from car_interface.cli.options import add_namespace_argument, finite
 from car_interface.cli.topics import add_topic_arguments, topics_of
+from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 from typing import Iterator, Sequence
 
-from car_interface.cli import output
 from car_interface.cli.options import finite
+from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.steering.calibration import WIDE_M, SteeringCalibration
 from car_interface.steering.params import load_steering

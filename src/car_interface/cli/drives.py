@@ -12,12 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Mapping
 
-from car_interface.cli import output
 from car_interface.cli.drives_cache import Cache
 from car_interface.cli.jobs import add_jobs_argument, for_each
 from car_interface.cli.options import add_namespace_argument
 from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.cli.version import version
+from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
 from car_interface.recordings.folder import find_recordings, fingerprint
 from car_interface.report.drives_page import csv_text, in_order, page

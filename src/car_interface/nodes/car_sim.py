@@ -31,6 +31,7 @@ Parameters:
     ~understeer 0.0078 (1/m for each (m/s²)²), ~grip 7.8, ~rollover 7.0 (m/s²): by how much its turns widen, the most
         acceleration that its tyres hold, and the lateral one at which it tips; see ``sim.tyres``.
     ~collisions true: walls, boxes and posts stop the car; false = it drives through them.
+    ~obstacles true: boxes and posts stand in the room; false = it has its walls only.
     ~temperature 20 (°C): of the air that the sonars' sound travels through.
     ~wheel_pulses: where the rear wheels (left, right) stand at the start, in pulses: how far to the next ones, and
         the levels of their hall pins, which the Teensy takes for 00 (0.25 and 0.75: they are).
@@ -172,6 +173,12 @@ def read_firmware(params, rng, seed, wheel_pulses) -> FirmwareConfig:
         seed=seed)
 
 
+def _read_world(params):
+    """The room and the air in it."""
+    world = WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60))
+    return world if params.flag("obstacles", True) else replace(world, boxes=(), posts=())
+
+
 @dataclass(frozen=True)
 class CarSimConfig:
     """What the node's parameters say.
@@ -212,7 +219,7 @@ def read_config(params) -> CarSimConfig:
             "steering_channel", params.integer("steering/servo_channel", 0), low=0, high=CHANNELS - 1),
         throttle_channel=params.integer("throttle_channel", _esc_channel(params), low=0, high=CHANNELS - 1),
         vehicle=vehicle,
-        world=WorldConfig(temperature_c=params.number("temperature", 20.0, low=-50, high=60)),
+        world=_read_world(params),
         firmware=read_firmware(params, rng, seed, vehicle.pulse_phase),
         collides=params.flag("collisions", True))
     params.finish(ignored_namespaces=("steering", "esc", "wheels"))

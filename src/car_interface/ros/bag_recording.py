@@ -1,10 +1,11 @@
-"""Records all topics into a bag by rosbag, as a process beside a node."""
+"""Records topics into a bag by rosbag, as a process beside a node."""
 from __future__ import annotations
 
 import os
 import signal
 import subprocess
 import time
+from typing import Sequence
 
 import rospy
 
@@ -14,16 +15,22 @@ RECORDER = "record_"  # rosbag's node, before what makes its name unique
 
 
 class BagRecording:
-    """A ``rosbag record`` of all topics, in a file of its own under ``folder``."""
+    """A ``rosbag record``, in a file of its own under ``folder``.
 
-    def __init__(self, folder: str):
+    Args:
+        folder: made where it isn't there.
+        topics: by their resolved names, also those that nobody publishes yet; none = all.
+        stem: what the file's name begins with.
+    """
+
+    def __init__(self, folder: str, topics: Sequence[str] = (), stem: str = "car"):
         try:
             os.makedirs(folder, exist_ok=True)
         except OSError as error:
             raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
-        self._path = os.path.join(folder, time.strftime("car_%Y-%m-%d_%H-%M-%S.bag"))
-        self._process = subprocess.Popen(["rosrun", "rosbag", "record", "--all", "--quiet", "-O", self._path],
-                                         stdout=subprocess.DEVNULL)
+        self._path = os.path.join(folder, time.strftime(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
+        command = ["rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O", self._path]
+        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
     def has_subscribed(self, topic: str) -> bool:
         """Whether a recorder has subscribed to a topic: rosbag takes a second to start, on a busy computer some."""
@@ -34,9 +41,23 @@ class BagRecording:
         return code == 1 and any(node.rpartition("/")[2].startswith(RECORDER) for name, nodes in state[1]
                                  if name == topic for node in nodes)
 
-    def stop(self) -> str:
-        """Close the bag; its path."""
+    @property
+    def path(self) -> str:
+        """Of the bag."""
+        return self._path
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the recorder has closed the bag, or has failed."""
+        return self._process.poll() is not None
+
+    def begin_stop(self) -> None:
+        """Have the bag closed; ``has_ended`` says when it is."""
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
+
+    def stop(self) -> str:
+        """Close the bag; its path."""
+        self.begin_stop()
         self._process.wait()
         return self._path

@@ -28,6 +28,21 @@ class RosClock:
 
         Before ROS time began, as while /use_sim_time waits for a /clock, it is 0: no message carries less.
         """
+        stamp_ns = self._offset() + time_ns
+        if stamp_ns <= 0:
+            return rospy.Time()
+        newest_ns = self._newest_ns.get(kind)
+        if newest_ns is not None and newest_ns - SET_BACK_NS < stamp_ns <= newest_ns:
+            stamp_ns = newest_ns + 1
+        self._newest_ns[kind] = stamp_ns
+        return rospy.Time(nsecs=stamp_ns)
+
+    def monotonic_ns(self, stamp: rospy.Time) -> int:
+        """The monotonic time of a ROS time."""
+        return stamp.to_nsec() - self._offset()
+
+    def _offset(self):
+        """From monotonic to ROS time."""
         before_ns = time.monotonic_ns()
         ros_ns = rospy.Time.now().to_nsec()
         after_ns = time.monotonic_ns()
@@ -36,11 +51,4 @@ class RosClock:
         if (self._offset_ns is None
                 or abs(offset_ns - self._offset_ns) > SAME_OFFSET_NS + after_ns - before_ns):
             self._offset_ns = offset_ns
-        stamp_ns = self._offset_ns + time_ns
-        if stamp_ns <= 0:
-            return rospy.Time()
-        newest_ns = self._newest_ns.get(kind)
-        if newest_ns is not None and newest_ns - SET_BACK_NS < stamp_ns <= newest_ns:
-            stamp_ns = newest_ns + 1
-        self._newest_ns[kind] = stamp_ns
-        return rospy.Time(nsecs=stamp_ns)
+        return self._offset_ns

@@ -13,12 +13,15 @@ import sys
 from pathlib import Path
 
 NODES = "nodes."
+OPTIONS = {"nodes.calibration_drive": "calibration.drive.options"}  # of nodes that have some: a module with parse()
 
 
 def start(module: str) -> None:
     """Run ``main`` of ``car_interface.<module>``; for a node with -h or --help print its usage instead."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     if module.startswith(NODES) and {"-h", "--help"} & set(sys.argv[1:]):
+        if module in OPTIONS:
+            importlib.import_module(f"car_interface.{OPTIONS[module]}").parse(["--help"])
         print(usage(module))
         return
     importlib.import_module(f"car_interface.{module}").main()

@@ -88,3 +88,11 @@ def test_node_that_is_held_up_between_the_two_clocks_keeps_their_difference(cloc
 def test_stamp_is_zero_while_ros_time_has_not_begun(clock, computer):
     computer.ahead_ns = -computer.monotonic - S
     assert stamp_ns(clock, computer) == 0
+
+
+def test_monotonic_time_of_a_stamp_is_the_one_that_it_was_made_of(clock, computer):
+    at_ns = computer.monotonic
+    stamp = SimpleNamespace(to_nsec=lambda: clock.stamp("value", at_ns).ns)
+    assert clock.monotonic_ns(stamp) == at_ns
+    computer.ahead_ns += 3600 * S  # set; what was stamped before is an hour off then
+    assert abs(clock.monotonic_ns(SimpleNamespace(to_nsec=computer.ros_ns)) - computer.monotonic) < MS

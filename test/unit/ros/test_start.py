@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[3]
 SCRIPTS = sorted((ROOT / "scripts").iterdir())
 NODES = [script for script in SCRIPTS if '"nodes.' in script.read_text(encoding="utf-8")]
 COMMANDS = [script for script in SCRIPTS if script not in NODES]
+WITH_OPTIONS = ("calibration_drive",)  # their usage lists them
 # ROS's own, which an interpreter for unit tests may lack.
 LIBRARIES = {"setup_hardware": "rospkg", "wait_for_name": "rosgraph"}
 
@@ -35,7 +36,7 @@ def test_node_prints_its_usage(script, flag):
     usage = run(script, flag, "__name:=other", flags=["-S"])
     assert usage.startswith(f"usage: rosrun car_interface {script.name} ")
     assert script.name in usage.split("\n\n")[1] and "docs/nodes.md" in usage
-    assert len(usage.splitlines()) < 12
+    assert len(usage.splitlines()) < 12 or script.name in WITH_OPTIONS
 
 
 @pytest.mark.parametrize("script", COMMANDS, ids=lambda script: script.name)

@@ -5,10 +5,9 @@ import math
 from typing import NamedTuple, Sequence
 
 from car_interface.calibration.steering import fit as fitting
-from car_interface.calibration.steering.drive import FitConfig, NothingToFit
+from car_interface.calibration.steering.drive import FitConfig, NothingToFit, RecordedDrive
 from car_interface.calibration.steering.fit import Curve
 from car_interface.calibration.steering.problems import find_problems, radius_text
-from car_interface.calibration.steering.recorded import RecordedDrive
 from car_interface.calibration.steering.table import (
     LEFT,
     OLD,
@@ -73,7 +72,11 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
         old = LookupTable(base.radius_axis_m, old_duties)
         points[side] = completed(points[side], center, [old(radius_m) for radius_m in radii_m])
         tightest = points[side][0]
-        ends[side] = _farther(tightest.duty, old_end, center) if tightest.source == OLD else end.duty
+        # An end that is a limit, not a stop, stays: the wheels stay behind it by half of the backlash, and each
+        # calibration would make the range smaller by that.
+        is_limit = end.is_end and not end.is_stop and (end.duty - center) * (old_end - center) > 0
+        keeps_end = tightest.source == OLD or is_limit
+        ends[side] = _farther(tightest.duty, old_end, center) if keeps_end else end.duty
     return Calibrated(curve, center, ends, points, problems, disagreement)
 
 

@@ -2,15 +2,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from car_interface.calibration.delay import Delay
 
+if TYPE_CHECKING:  # rosbags comes with it, which a car's own computer may not have
+    from car_interface.recordings.overlap import Trail
+
 COUNT = 16.0  # duty of one count of the servo board, which can't output anything in between
 KNOT = COUNT / 2  # duty from one knot of the curve to the next
 MAX_BACKLASH_DUTY = 80.0
+MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that a servo accepts as a command: 0.5 and 2.5 ms of 20 ms
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,17 @@ class Drive(NamedTuple):
     yaw_rad: np.ndarray  # (N,), unwrapped
     duty_t_s: np.ndarray  # (M,), rising
     duty: np.ndarray  # (M,), of the steering channel, each until the next; NaN where there is no pulse
+
+
+class RecordedDrive(NamedTuple):
+    """One recording, or a drive that was measured as it went on."""
+
+    path: str
+    drive: Drive
+    notes: tuple[str, ...]
+    duration_s: float
+    uses_imu: bool
+    trail: Trail | None  # None: of no recording
 
 
 class NothingToFit(ValueError):

@@ -23,7 +23,7 @@ class Side(NamedTuple):
 
 
 def find_side(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray, towards: int, low: float, high: float,
-              config: FitConfig) -> Side:
+              config: FitConfig, backlash_duty: float = 0.0) -> Side:
     """The end of a curve towards lower or higher duties.
 
     Args:
@@ -31,6 +31,7 @@ def find_side(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray, tow
         towards: −1 = lower duties, 1 = higher ones.
         low, high: the outermost duties that were driven.
         config: of the fit.
+        backlash_duty: of the linkage: where the servo is at its limit the wheels stay behind it by half of that.
     """
     farthest = float(low if towards < 0 else high)
     ordered = slice(None, None, towards)
@@ -42,7 +43,7 @@ def find_side(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray, tow
     is_level = curvature >= tightest * (1 - config.stop_ratio) - min(2 * sigma[-1], 2 * config.stop_ratio * tightest)
     begin = len(is_level) - int(np.argmin(is_level[::-1])) if not is_level.all() else 0
     is_stop = (farthest - duty[begin]) * towards >= config.stop_duty and tightest > 5 * sigma[-1]
-    is_end = is_stop or any((farthest - limit) * towards >= -COUNT for limit in config.limits
+    is_end = is_stop or any((farthest - limit) * towards >= -COUNT - backlash_duty / 2 for limit in config.limits
                             if (limit - np.mean(knots)) * towards > 0)
     end_duty = farthest
     if is_stop:

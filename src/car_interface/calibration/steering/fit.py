@@ -135,7 +135,7 @@ def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
     low, high = found.duty[used].min(), found.duty[used].max()
     inside = (all_knots >= low - KNOT) & (all_knots <= high + KNOT)
     knots, curvatures, sigmas = all_knots[inside], curvatures[inside], sigmas[inside]
-    ends = [find_side(knots, curvatures, sigmas, towards, low, high, config) for towards in (-1, 1)]
+    ends = [find_side(knots, curvatures, sigmas, towards, low, high, config, backlash_duty) for towards in (-1, 1)]
     left, right = ends[::-1] if curvatures[-1] > curvatures[0] else ends
     center, center_sigma = find_center(knots, curvatures, sigmas)
     counts = {**total_counts(segmentations), "apart from all others": int(np.sum(~used))}

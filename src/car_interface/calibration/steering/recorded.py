@@ -6,30 +6,17 @@ from typing import Mapping, NamedTuple
 import numpy as np
 
 from car_interface.calibration.steering.asked import AngleTable
-from car_interface.calibration.steering.drive import Drive
+from car_interface.calibration.steering.distance import distance_m
+from car_interface.calibration.steering.drive import MAX_PULSE, MIN_PULSE, Drive, RecordedDrive
 from car_interface.common.errors import CarInterfaceError
 from car_interface.recordings import roles, signals
-from car_interface.recordings.overlap import Trail, trail
+from car_interface.recordings.overlap import trail
 from car_interface.recordings.recording import NoRecording
 from car_interface.recordings.series import Imu, Odom
 
-MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that a servo accepts as a command: 0.5 and 2.5 ms of 20 ms
-BIN_S, MIN_BIN_M, MAX_BIN_GAP_S, MAX_BIN_RAD = 1.0, 0.4, 0.3, 2.0
-MIN_BINS = 5
 IMU_GAP_S = 0.1
 MIN_IMU_RATIO = 0.95  # of a drive that an IMU must cover to be used
 MAX_YAW_DIFFERENCE = 0.03  # of odometry's and the IMU's yaw, as a ratio, without a note
-
-
-class RecordedDrive(NamedTuple):
-    """One recording."""
-
-    path: str
-    drive: Drive
-    notes: tuple[str, ...]
-    duration_s: float
-    uses_imu: bool
-    trail: Trail
 
 
 class ImuHeading(NamedTuple):
@@ -101,48 +88,6 @@ def _asked_duties(found, angle_table, notes):
                           "that made duties of them on that drive, they are taken")
     notes.append(angle_table.note(topic))
     return found.ackermann.t_s, angle_table.duties(found.ackermann)
-
-
-def distance_m(odom: Odom) -> np.ndarray:
-    """The distance travelled at each row of odometry (N,), backward negative.
-
-    It is the integral of the speed, scaled to the distances between positions: speeds show small steps and their
-    direction better, positions long distances.
-    """
-    dx, dy = np.diff(odom.x_m), np.diff(odom.y_m)
-    if np.any(odom.speed_mps):
-        steps_m = np.diff(odom.t_s) * (odom.speed_mps[1:] + odom.speed_mps[:-1]) / 2
-    else:
-        steps_m = np.hypot(dx, dy) * np.sign(dx * np.cos(odom.yaw_rad[:-1]) + dy * np.sin(odom.yaw_rad[:-1]))
-    by_speed_m = np.concatenate([[0.0], np.cumsum(steps_m)])
-    return by_speed_m * _distance_ratio(odom, by_speed_m)
-
-
-def _distance_ratio(odom, by_speed_m):
-    """The ratio of distances between positions to those by speed, over all seconds in which the car drove."""
-    at_s = np.arange(odom.t_s[0], odom.t_s[-1], BIN_S)
-    x_m, y_m, yaw_rad, speed_m = (np.diff(np.interp(at_s, odom.t_s, column))
-                                  for column in (odom.x_m, odom.y_m, odom.yaw_rad, by_speed_m))
-    half_rad = np.clip(np.abs(yaw_rad) / 2, 1e-6, 1.5)
-    arc_m = np.hypot(x_m, y_m) * half_rad / np.sin(half_rad)  # from the chord
-    drove = (np.abs(speed_m) > MIN_BIN_M) & (np.abs(yaw_rad) < MAX_BIN_RAD) & ~_has_gap(odom.t_s, at_s)
-    if drove.sum() < MIN_BINS:
-        return 1.0
-    ratios = arc_m[drove] / np.abs(speed_m[drove])
-    usual = np.median(ratios)
-    inliers = np.abs(ratios - usual) < 0.1 * usual
-    if not inliers.any():
-        return 1.0
-    ratio = float(arc_m[drove][inliers].sum() / np.abs(speed_m[drove][inliers]).sum())
-    return ratio if 0.5 < ratio < 2.0 else 1.0
-
-
-def _has_gap(t_s, at_s):
-    """Which of the bins between consecutive times ``at_s`` (M,) contain a gap between samples ``t_s``: (M−1,)."""
-    before = np.flatnonzero(np.diff(t_s) > MAX_BIN_GAP_S)
-    begun = np.searchsorted(t_s[before], at_s[1:])  # gaps that began before a bin's end
-    ended = np.searchsorted(t_s[before + 1], at_s[:-1], side="right")  # gaps that ended before its begin
-    return begun > ended
 
 
 def imu_heading(odom: Odom, imu: Imu) -> ImuHeading | None:

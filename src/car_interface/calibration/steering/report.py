@@ -8,10 +8,10 @@ from typing import Iterator, Sequence
 import numpy as np
 
 from car_interface.calibration.steering.calibrate import Calibrated
+from car_interface.calibration.steering.drive import RecordedDrive
 from car_interface.calibration.steering.errors import BAND
 from car_interface.calibration.steering.fit import Curve
 from car_interface.calibration.steering.problems import radius_text
-from car_interface.calibration.steering.recorded import RecordedDrive
 from car_interface.calibration.steering.table import DRIVEN, LEFT, OLD, RIGHT, Breakpoint
 from car_interface.calibration.steering.understeer import Understeer
 

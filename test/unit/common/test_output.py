@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from car_interface.cli import output
+from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
 from car_interface.steering.params import load_steering
 

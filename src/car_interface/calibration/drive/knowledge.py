@@ -1,0 +1,99 @@
+"""What is known of a steering by now, by the calibration's own fit, and where least is known.
+
+The only heavy part of the drive, a pure function of what it is given: a node calls it in a second thread. On a desktop
+PC a fit of five minutes takes 1 s where delay and backlash are estimated and 0.1 s where they are given; on a Jetson
+Nano some five times of that.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from car_interface.calibration.delay import Delay
+from car_interface.calibration.drive.step import Row
+from car_interface.calibration.steering.drive import COUNT, Drive, FitConfig, NothingToFit
+from car_interface.calibration.steering.errors import BAND
+from car_interface.calibration.steering.fit import Curve, fit
+from car_interface.calibration.steering.problems import find_problems
+from car_interface.calibration.steering.table import LEFT, RIGHT, UNKNOWN, axis, breakpoints
+from car_interface.steering.calibration import SteeringCalibration
+
+
+class FitTask(NamedTuple):
+    """What to fit.
+
+    Attributes:
+        drive: the samples by now.
+        base: the calibration before.
+        delay, backlash_duty: by the newest full fit; ``None`` = estimate them, which takes most of the time.
+        number: tasks rise; the answer to an older one is left out.
+    """
+
+    drive: Drive
+    base: SteeringCalibration
+    delay: Delay | None
+    backlash_duty: float | None
+    number: int
+
+
+class Knowledge(NamedTuple):
+    """What a fit found.
+
+    Attributes:
+        number: of the task.
+        reason: why there is no curve yet, the end of a sentence; empty = there is one.
+        duties, curvatures: the curve at the board's counts between its ends, duties rising; curvatures in 1/m, left
+            positive.
+        errors: at each, what isn't known of the curvature, as a ratio of what the tool allows: above 1 it refuses.
+        rows: as in Progress.
+        missing: as in Progress.
+        delay, backlash_duty, center_duty, center_error: of the fit; ``None`` and NaN where unknown.
+        has_understeer: it is known by how much turns widen with speed.
+    """
+
+    number: int
+    reason: str
+    duties: tuple[float, ...] = ()
+    curvatures: tuple[float, ...] = ()
+    errors: tuple[float, ...] = ()
+    rows: tuple[Row, ...] = ()
+    missing: tuple[str, ...] = ()
+    delay: Delay | None = None
+    backlash_duty: float | None = None
+    center_duty: float = math.nan
+    center_error: float = math.nan
+    has_understeer: bool = False
+
+
+def assess(task: FitTask) -> Knowledge:
+    """Fit what there is. Never raises for what was driven: a drive without a curve is a Knowledge with a reason."""
+    base = task.base
+    config = FitConfig(understeer=base.understeer, limits=(base.servo_left, base.servo_right), delay=task.delay,
+                       backlash_duty=task.backlash_duty)
+    try:
+        curve = fit([task.drive], config)
+    except (NothingToFit, ValueError, IndexError) as error:  # the last two: a handful of samples
+        return Knowledge(task.number, str(error))
+    if curve.curvatures.min() >= 0 or curve.curvatures.max() <= 0:
+        return Knowledge(task.number, "the car turned to one side only so far")
+    points = {side: breakpoints(curve, axis(curve), side, config) for side in (LEFT, RIGHT)}
+    duties = np.arange(math.ceil(curve.duties[0] / COUNT), math.floor(curve.duties[-1] / COUNT) + 1) * COUNT
+    rows = tuple(Row(side, point.radius_m, point.duty, BAND * point.duty_sigma,
+                     BAND * point.radius_sigma_m / point.radius_m, point.source != UNKNOWN)
+                 for side in (LEFT, RIGHT) for point in points[side])
+    return Knowledge(task.number, "", tuple(duties.tolist()), tuple(curve.curvature(duties).tolist()),
+                     tuple(error_ratios(curve, duties, config).tolist()), rows, tuple(find_problems(curve, points)),
+                     curve.delay, curve.backlash_duty, curve.center, BAND * curve.center_sigma,
+                     curve.understeer.is_known)
+
+
+def error_ratios(curve: Curve, duties: np.ndarray, config: FitConfig) -> np.ndarray:
+    """What isn't known of the curvature at the board's counts (N,), as ratios of what the tool allows there: (N,).
+
+    By the rule of ``table.breakpoints``.
+    """
+    allowed = np.maximum(config.known_ratio * np.abs(curve.curvature(duties)), config.known_per_m)
+    half_count = np.abs(curve.curvature(duties + COUNT) - curve.curvature(duties - COUNT)) / 4
+    return BAND * np.interp(duties, curve.duties, curve.sigmas) / (allowed + half_count)

@@ -1,0 +1,112 @@
+"""What a drive has measured so far: samples, positions, fits, progress. The same for a car that drives itself and for a
+person with the stick.
+"""
+from __future__ import annotations
+
+import math
+
+from car_interface.calibration.drive.knowledge import FitTask, Knowledge
+from car_interface.calibration.drive.positions import Measured, Positions
+from car_interface.calibration.drive.samples import Samples
+from car_interface.calibration.drive.step import Progress
+from car_interface.common.units import NS_PER_S
+from car_interface.steering.calibration import SteeringCalibration
+
+FULL_FIT_NS = 40 * NS_PER_S  # so often delay and backlash are estimated anew
+MIN_POSITIONS = 5  # before the first fit
+ENOUGH = 0.25  # of what the tool allows: an error below this anywhere ends the drive
+FIRST_PART = 0.3  # of the progress bar, for the positions before the first fit
+EARLY_LEFT_S = 200.0  # an estimate while nothing is known
+
+
+class Survey:
+    """One drive's evidence.
+
+    Args:
+        base: the calibration before.
+        max_time_s: of driving.
+    """
+
+    def __init__(self, base: SteeringCalibration, max_time_s: float):
+        self.samples = Samples()
+        self.positions = Positions(base)
+        self.knowledge: Knowledge | None = None  # the newest with a curve
+        self.ends = (base.servo_left, base.servo_right)
+        self._base = base
+        self._max_time_s = max_time_s
+        self._number = 0
+        self._is_out = False  # a task is under way
+        self._since_task = 0  # positions that were held since the newest task
+        self._full_ns = -FULL_FIT_NS
+        self._first = self.positions.first_left
+
+    def add(self, measured: Measured) -> None:
+        """A position was held for long enough."""
+        self.positions.add(measured)
+        self._since_task += 1
+
+    def take_task(self, now_ns: int) -> FitTask | None:
+        """What is to be fitted now, once."""
+        if self._is_out or not self._since_task or self.positions.count < MIN_POSITIONS:
+            return None
+        self._is_out, self._since_task = True, 0
+        self._number += 1
+        known = self.knowledge
+        is_full = known is None or now_ns - self._full_ns >= FULL_FIT_NS
+        if is_full:
+            self._full_ns = now_ns
+        return FitTask(self.samples.drive(), self._base, None if is_full else known.delay,
+                       None if is_full else known.backlash_duty, self._number)
+
+    def update_knowledge(self, knowledge: Knowledge) -> None:
+        """The answer to a task."""
+        if knowledge.number != self._number:
+            return
+        self._is_out = False
+        if knowledge.reason:
+            return
+        self.knowledge = knowledge
+        self.positions.update_knowledge(knowledge, self._since_task)
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether all is known by far."""
+        known = self.knowledge
+        return (known is not None and not known.missing and not self.positions.first_left
+                and max(known.errors) <= ENOUGH and known.number == self._number and not self._is_out)
+
+    @property
+    def wants_speeds(self) -> bool:
+        """Whether it isn't known yet by how much turns widen with speed."""
+        return self.knowledge is not None and not self.knowledge.has_understeer
+
+    @property
+    def servo_lag_s(self) -> float:
+        """The servo's lag by the newest fit; a guess before."""
+        return 0.15 if self.knowledge is None else max(0.02, self.knowledge.delay.lag_s)
+
+    @property
+    def servo_delay_s(self) -> float:
+        """The servo's delay by the newest fit; a guess before."""
+        return 0.05 if self.knowledge is None else self.knowledge.delay.delay_s
+
+    def progress(self, driven_s: float) -> Progress:
+        """How far it is after so long a drive."""
+        fraction = self._fraction()
+        rest_s = max(0.0, self._max_time_s - driven_s)
+        estimate_s = driven_s * (1 - fraction) / fraction if fraction > FIRST_PART else EARLY_LEFT_S
+        known = self.knowledge
+        if known is None:
+            missing = ("nothing was fitted yet: the ends and the center come first",)
+            return Progress(fraction, (), missing, driven_s, min(rest_s, estimate_s), self.positions.count,
+                            math.nan, math.nan)
+        return Progress(fraction, known.rows, known.missing, driven_s, min(rest_s, estimate_s), self.positions.count,
+                        known.center_duty, known.center_error)
+
+    def _fraction(self):
+        first = 1 - self.positions.first_left / self._first
+        if self.knowledge is None:
+            return FIRST_PART * first
+        errors = self.knowledge.errors
+        known = sum(min(1.0, ENOUGH / max(error, 1e-9)) for error in errors) / len(errors)
+        return FIRST_PART * first + (1 - FIRST_PART) * known

@@ -1,0 +1,94 @@
+"""What rviz shows of a calibration drive: its area, where it began, where the car is about to go, what is known."""
+from __future__ import annotations
+
+import math
+
+import rospy
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+CIRCLE_POINTS = 72
+LINE_M, HEIGHT_M = 0.02, 0.02
+ARC_M, MAX_ARC_RAD, ARC_STEPS = 1.6, 2.6, 16  # of the arcs by radius, from the car
+WIDEST_M = 40.0  # wider turns can't be told from straight on
+TEXT_M, ABOVE_M = 0.14, 0.75
+AREA, START = ColorRGBA(0.35, 0.35, 0.4, 1.0), ColorRGBA(0.35, 0.35, 0.4, 1.0)
+PATH, TEXT = ColorRGBA(0.95, 0.3, 0.7, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
+KNOWN, PARTLY = ColorRGBA(0.0, 0.6, 0.2, 0.9), ColorRGBA(0.95, 0.6, 0.0, 0.9)
+UNKNOWN = ColorRGBA(0.85, 0.1, 0.1, 0.9)
+
+
+def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, rows_before, text) -> MarkerArray:
+    """The whole picture; what isn't there is taken away.
+
+    Args:
+        odom_frame, base_frame: odometry's frame, and the car's.
+        start: the area's center in odometry's frame; ``None`` = it hasn't begun.
+        radius_m: of the area.
+        path: where the car is about to go, (x, y) in odometry's frame.
+        rows: records with side (left or right), radius_m, is_known and radius_error: an arc each, from the car.
+        rows_before: how many there were in the picture before.
+        text: above the car.
+    """
+    markers = [_circle(odom_frame, start, radius_m), _cross(odom_frame, start),
+               _line("path", 0, odom_frame, PATH, path, 2 * LINE_M), *_arcs(base_frame, rows),
+               *(_line("known", index, base_frame, UNKNOWN, [], LINE_M) for index in range(len(rows), rows_before))]
+    label = _marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M))
+    label.pose.position = Point(0.16, 0.0, ABOVE_M)
+    label.text = text
+    return MarkerArray([*markers, label])
+
+
+def no_markers(frame) -> MarkerArray:
+    """Takes everything away."""
+    return MarkerArray([Marker(header=_header(frame), action=Marker.DELETEALL)])
+
+
+def _circle(frame, start, radius_m):
+    if start is None:
+        return _line("area", 0, frame, AREA, [], LINE_M)
+    angles = [2 * math.pi * index / CIRCLE_POINTS for index in range(CIRCLE_POINTS + 1)]
+    return _line("area", 0, frame, AREA, [(start[0] + radius_m * math.cos(angle), start[1] + radius_m * math.sin(angle))
+                                          for angle in angles], LINE_M)
+
+
+def _cross(frame, start):
+    if start is None:
+        return _line("area", 1, frame, START, [], LINE_M)
+    x_m, y_m = start
+    arm_m = 0.15
+    return _line("area", 1, frame, START, [(x_m - arm_m, y_m), (x_m + arm_m, y_m), (x_m, y_m), (x_m, y_m + arm_m),
+                                           (x_m, y_m - arm_m)], LINE_M)
+
+
+def _arcs(frame, rows):
+    for index, row in enumerate(rows):
+        sign = 1.0 if row.side == "left" else -1.0
+        color = KNOWN if row.is_known else PARTLY if math.isfinite(row.radius_error) else UNKNOWN
+        points = _arc(sign / row.radius_m) if row.radius_m <= WIDEST_M else []
+        yield _line("known", index, frame, color, points, LINE_M)
+
+
+def _arc(curvature_per_m):
+    """Points of an arc that the middle of the rear axle would drive."""
+    angle_rad = min(MAX_ARC_RAD, ARC_M * abs(curvature_per_m))
+    steps = [math.copysign(angle_rad, curvature_per_m) * index / ARC_STEPS for index in range(ARC_STEPS + 1)]
+    return [(math.sin(step) / curvature_per_m, (1 - math.cos(step)) / curvature_per_m) for step in steps]
+
+
+def _line(ns, index, frame, color, points, width_m):
+    marker = _marker(ns, index, frame, Marker.LINE_STRIP, color, Vector3(width_m, 0.0, 0.0))
+    marker.points = [Point(x_m, y_m, HEIGHT_M) for x_m, y_m in points]
+    if len(points) < 2:  # rviz reports that as an error
+        marker.action = Marker.DELETE
+    return marker
+
+
+def _marker(ns, index, frame, kind, color, scale):
+    return Marker(header=_header(frame), ns=ns, id=index, type=kind, action=Marker.ADD, scale=scale, color=color,
+                  pose=Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0)), frame_locked=True)
+
+
+def _header(frame):
+    return Header(stamp=rospy.Time(), frame_id=frame)  # 0: where the frame is now

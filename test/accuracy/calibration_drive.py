@@ -1,0 +1,402 @@
+#!/usr/bin/env python3
+"""How well a car calibrates its own steering while a person holds a button: random virtual cars.
+
+    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N]
+
+The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
+6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
+steering arbiter, speed control, converter with the shipped map, throttle arbiter with the ESC's rules, the Teensy byte
+by byte and odometry. A person lets the button go at random moments for a random time, sometimes pushes the car back to
+the middle meanwhile, and does so where the drive asks for it. The fit answers late, as on a slow computer.
+
+Judged by the vehicle alone: where its corners were, what it ran into; and by turn_arb's core with the table that was
+written, as in steering_calibration.
+"""
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import sys
+import tempfile
+import time
+from collections import Counter, deque
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from room_drives import ALL_ALIKE, Sonars
+
+from accuracy.steering_calibration import WIDEST_M, Errors, ask, floor
+from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
+from car_interface.calibration.drive.calibration_drive import CalibrationDrive
+from car_interface.calibration.drive.conclusion import Conclusion, conclude
+from car_interface.calibration.drive.config import DriveConfig
+from car_interface.calibration.drive.knowledge import assess
+from car_interface.calibration.drive.step import BLOCKED, DONE
+from car_interface.common.drive_modes import AUTONOMOUS
+from car_interface.interlock.motion_interlock import InterlockConfig
+from car_interface.sim import esc as virtual
+from car_interface.sim.collision import Collisions
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.tyres import TyreConfig
+from car_interface.sim.vehicle import Pose, Vehicle, VehicleConfig
+from car_interface.sim.world import World, WorldConfig
+from car_interface.steering.arbiter import ArbiterConfig as SteeringConfig
+from car_interface.steering.arbiter import SteeringArbiter
+from car_interface.steering.calibration import SteeringCalibration, trimmed
+from car_interface.steering.params import load_steering
+from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
+from car_interface.teensy.link.pinging import Pinger
+from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
+from car_interface.teensy.sensing.odometry import OdometryConfig
+from car_interface.teensy.sensing.plausibility import GateConfig
+from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.calibration import ThrottleCalibration
+from car_interface.throttle.control import ThrottleControl
+from car_interface.throttle.converter import ConversionConfig, Converter
+from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
+from car_interface.throttle.limits import ThrottleLimits
+from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
+from car_interface.throttle.speed_control import SpeedControl, SpeedRequest
+from car_interface.throttle.value_map import load_value_map
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+STOCK, MAP = CONFIG / "turn_arb.yaml", CONFIG / "value_map.csv"
+STEP_NS, TICK_NS = 5 * NS_PER_MS, 20 * NS_PER_MS
+HALF_M = 3.0  # of the area
+MAX_S = 900.0  # of the whole, with all its pauses
+QUICK_FIT_NS, FULL_FIT_NS = 400 * NS_PER_MS, 3000 * NS_PER_MS
+MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
+RADII, CURVATURES = 60, 400
+
+
+class Car(NamedTuple):
+    """A car, what its files say of it, and where it is."""
+
+    vehicle: VehicleConfig
+    base: SteeringCalibration
+    esc: EscConfig
+    world: WorldConfig | None
+
+
+class Result(NamedTuple):
+    """What one drive showed."""
+
+    seed: int
+    conclusion: Conclusion
+    end: str
+    held_s: float
+    total_s: float
+    max_m: float  # the farthest that any corner was from the middle of the area, along x or y
+    extent_m: float  # the same from the start, in a straight line
+    collisions: int
+    distance_m: float
+    positions: int
+    pauses: int
+    blocked: tuple  # texts
+    phases: Counter  # steps by phase
+    step_ms: float
+    fits_s: tuple
+
+
+def driving_car(seed: int) -> Car:
+    """The car of that seed, with its ESC, its tyres and its room; its owner found ends and center roughly."""
+    rng = random.Random(f"calibration drive {seed}")
+    car = random_car(seed)
+    duties = [duty for duty, _ in car.steering.curve]
+    middle = next(duty for (duty, k), (_, after) in zip(car.steering.curve, car.steering.curve[1:]) if k >= 0 >= after)
+    left, right = duties[0] - rng.uniform(-20, 40), duties[-1] + rng.uniform(-20, 40)
+    base = trimmed(load_steering(str(STOCK)), round(left), round(middle + rng.uniform(-60, 60)), round(right))
+    make = rng.choice(MAKES)
+    virtual_esc = make(neutral_duty=car.drive.neutral_duty, forward_band_duty=rng.uniform(60, 110),
+                       reverse_band_duty=rng.uniform(60, 110), dwell_s=rng.uniform(0.1, 0.4))
+    profile = rng.choice((UNVERIFIED, virtual_esc.kind))
+    esc = EscConfig(profile=profile, profile_measured=profile != UNVERIFIED, drag_deceleration_mps2=0.25)
+    tyres = TyreConfig(understeer=rng.uniform(0.0, 0.012), grip_mps2=rng.uniform(5.0, 9.0))
+    steering = replace(car.steering, lag_s=rng.uniform(0.04, 0.18))
+    vehicle = replace(car, esc=virtual_esc, tyres=tyres, steering=steering, start=Pose(
+        rng.uniform(-0.1, 0.1) - 0.14, rng.uniform(-0.1, 0.1), rng.uniform(-0.3, 0.3)))
+    walls = (-HALF_M, HALF_M, -HALF_M, HALF_M)
+    world = WorldConfig(walls=walls, boxes=(), posts=(), cone_rad=math.radians(30), rays=13) if seed % 2 else None
+    return Car(vehicle, base, esc, world)
+
+
+class Person:
+    """Who holds the button, lets it go now and then, and pushes the car back."""
+
+    def __init__(self, rng, base):
+        self._rng, self._base = rng, base
+        self.holds = False
+        self.pauses = 0
+        self._until_s = 1.6  # the ESC is armed meanwhile
+        self._blocked_s = 0.0
+        self.pushes = self._wants_push = False
+
+    def step(self, now_s, car: Vehicle, phase):
+        """Decide what the hands do."""
+        self._blocked_s = self._blocked_s + 0.02 if phase == BLOCKED else 0.0
+        if self.pushes:
+            if now_s > self._until_s or math.hypot(car.pose.x_m, car.pose.y_m) < 0.5:
+                self._release(now_s, 1.0)
+        elif self.holds and (now_s > self._until_s or self._blocked_s > 1.5):
+            self.pauses += 1
+            self._wants_push = self._blocked_s > 1.5 or self._rng.random() < 0.3
+            self._release(now_s, self._rng.choice((0.15, 0.6, 2.0, 5.0)))
+        elif not self.holds and now_s > self._until_s:
+            self.pushes, self._wants_push = self._wants_push and not self.pushes, False
+            self.holds = not self.pushes
+            self._until_s = now_s + (6.0 if self.pushes else self._rng.uniform(8.0, 60.0))
+
+    def _release(self, now_s, for_s):
+        self.holds = self.pushes = False
+        self._until_s = now_s + for_s
+
+    def push(self, car: Vehicle):
+        """Push the car towards the middle, forward or backward, lifting its front round: (m/s, 1/m)."""
+        x_m, y_m, yaw_rad = car.pose
+        off_rad = math.remainder(math.atan2(-y_m, -x_m) - yaw_rad, 2 * math.pi)
+        speed_mps = 0.7
+        if abs(off_rad) > math.pi / 2:
+            off_rad, speed_mps = math.remainder(off_rad + math.pi, 2 * math.pi), -0.7
+        return speed_mps, math.copysign(1.0, speed_mps) * max(-2.0, min(2.0, 2.0 * off_rad))
+
+
+class Bench:
+    """The car, its chain and the drive."""
+
+    def __init__(self, seed: int, trace=None):
+        self.car = car = driving_car(seed)
+        self._rng = rng = random.Random(f"drive {seed}")
+        self._trace = trace
+        self._world = None if car.world is None else World(car.world)
+        self._collisions = None if self._world is None else Collisions(self._world.obstacles)
+        self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
+        self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
+        mounts = {name: Mount(*mount_fields(mount)) for name, mount in zip(NAMES, WorldConfig().mounts)}
+        config = DriveConfig(
+            braking_mps2=0.3 if car.esc.profile == UNVERIFIED else 1.0,
+            obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
+        self.drive = CalibrationDrive(car.base, config)
+        interlock = InterlockConfig(grant_at_start=False)
+        self._steering = SteeringArbiter(car.base, SteeringConfig(interlock=interlock))
+        self._throttle = ThrottleControl(
+            ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915),
+            ArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
+        self._speed = SpeedControl()
+        self._converter = Converter(ConversionConfig(), load_value_map(str(MAP)))
+        self._person = Person(rng, car.base)
+        noise = np.random.default_rng(rng.randrange(1 << 30))
+        self._teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=300 + rng.randrange(3_600_000),
+                                                     clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS)
+        self._magnets = _Magnets(car.vehicle, noise)
+        self._decoder, self._pinger = FrameDecoder(), Pinger(NS_PER_S, SHIPPED, START_NS)
+        v = car.vehicle
+        self._measurements = Measurements(MeasurementConfig(
+            gates=GateConfig(pulse_m=v.pulse_m),
+            odometry=OdometryConfig(v.pulses_per_revolution, v.wheel_diameter_m, v.track_m, v.wheelbase_m)))
+        self._odom, self._odom_ns = None, START_NS
+        self._held = None
+        self._chip = deque([(START_NS, car.base.servo_center, 4915)])
+        self._duties = [car.base.servo_center, 4915]
+        self._due = deque()  # (time, knowledge)
+        self._step = None
+        self._max_m = self._extent_m = 0.0
+        x_m, y_m, yaw_rad = car.vehicle.start
+        self._start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
+        self._blocked, self._phases, self._fits_s, self._spent_s = [], Counter(), [], 0.0
+
+    def run(self) -> Result:
+        """Until it is over."""
+        now_ns, tick_ns = START_NS, START_NS
+        end_ns = START_NS + round(MAX_S * NS_PER_S)
+        while now_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
+            self._hear(now_ns)
+            if now_ns >= tick_ns:
+                tick_ns += TICK_NS
+                self._tick(now_ns)
+            while len(self._chip) > 1 and self._chip[1][0] <= now_ns:
+                self._chip.popleft()
+            pulses = self._push() if self._person.pushes else self.vehicle.step(STEP_NS, *self._chip[0][1:])
+            now_ns = self.vehicle.time_ns
+            for at_ns, side, direction in self._magnets.pass_by(pulses, self.vehicle.speed_mps, now_ns):
+                self._teensy.wheel_pulse(side, direction, at_ns)
+        base_text = STOCK.read_text(encoding="utf-8")
+        conclusion = conclude(self.drive.samples, self.car.base, base_text, "calibration drive")
+        steps = sum(self._phases.values())
+        return Result(0, conclusion, "" if self._step is None else self._step.text, self.drive.driven_s,
+                      (now_ns - START_NS) / NS_PER_S, self._max_m, self._extent_m,
+                      self._collisions.count if self._collisions else 0, self.vehicle.travel_m,
+                      self.drive.progress(now_ns).positions, self._person.pauses, tuple(self._blocked), self._phases,
+                      1e3 * self._spent_s / max(1, steps), tuple(self._fits_s))
+
+    def _push(self):
+        """A step in which the person moves the car, whose wheels roll."""
+        vehicle, dt_s = self.vehicle, STEP_NS / NS_PER_S
+        vehicle.speed_mps, curvature = self._person.push(vehicle)
+        pose = vehicle._pose_after(vehicle.speed_mps * dt_s, curvature)
+        vehicle.time_ns += STEP_NS
+        if self._world is not None and not self._world.obstacles.is_free(pose):
+            vehicle.speed_mps, curvature = -0.7, 0.0  # first straight back
+            pose = vehicle._pose_after(vehicle.speed_mps * dt_s, curvature)
+        vehicle.pose = pose
+        return vehicle._roll(vehicle.speed_mps * dt_s, dt_s, vehicle.speed_mps, curvature)
+
+    def _hear(self, now_ns):
+        """What the Teensy and the sonars send."""
+        teensy = self._teensy
+        if now_ns >= self._pinger.due_ns:
+            teensy.receive(self._pinger.ping(now_ns // NS_PER_MS % 2 ** 32, now_ns), now_ns)
+        for body in self._decoder.feed(teensy.transmit(now_ns)):
+            record = decode(body)
+            if isinstance(record, WheelStatus):
+                self._odom = self._measurements.wheels(record, now_ns) or self._odom
+            elif isinstance(record, SonarStatus):
+                self._measurements.sonar(record, now_ns)
+            elif isinstance(record, Pong):
+                self._measurements.pong(record, self._pinger.pong(record.timestamp1, now_ns), now_ns)
+        if self._odom is not None and now_ns >= self._odom_ns:
+            motion, self._odom_ns = self._odom.motion, now_ns + TICK_NS
+            self.drive.update_odometry(motion.x_m, motion.y_m, motion.yaw_rad, motion.speed_mps,
+                                       self._odom.stamp.time_ns, now_ns)
+            for one in (self._steering, self._throttle, self._speed):
+                one.update_odometry(motion.speed_mps, now_ns)
+            self._converter.update_odometry(motion.speed_mps, now_ns)
+            self._odom = None
+        if self._sonars is not None:
+            for name, range_m in self._sonars.step(self.vehicle.pose, now_ns - START_NS):
+                self.drive.update_range(name, range_m, now_ns)
+
+    def _tick(self, now_ns):
+        person, drive = self._person, self.drive
+        person.step((now_ns - START_NS) / NS_PER_S, self.vehicle, self._step.phase if self._step else "")
+        drive.update_grant(person.holds, "nobody holds it", now_ns)
+        self._fit(now_ns)
+        begun = time.perf_counter()
+        before, self._step = self._step, drive.step(now_ns)
+        self._spent_s += time.perf_counter() - begun
+        step = self._step
+        self._phases[step.phase] += 1
+        if step.phase == BLOCKED and (before is None or before.phase != BLOCKED):
+            self._blocked.append(step.text)
+        self._arbitrate(step, now_ns)
+        self._judge()
+        if self._trace:
+            self._trace(now_ns, self, step)
+
+    def _arbitrate(self, step, now_ns):
+        """From the request to the duties on the chip."""
+        person, throttle, steering = self._person, self._throttle, self._steering
+        for arbiter in (steering, throttle.arbiter):
+            arbiter.update_human(person.holds, now_ns)
+        throttle.arbiter.update_mode(AUTONOMOUS, now_ns)
+        steering.update_teleop(0.0, now_ns)
+        throttle.arbiter.update_teleop(0.0, now_ns)
+        if step.steering is not None:
+            steering.update_planner_steering(step.steering, now_ns)
+            command = self._speed.step(SpeedRequest(step.speed_mps), now_ns)
+            throttle.arbiter.update_planner_state(command.gear, None, now_ns)
+            converted = self._converter.convert(command.acceleration_mps2, now_ns)
+            if converted.value is not None:
+                throttle.update_planner(converted.value, now_ns)
+        decision = steering.decide(now_ns)
+        throttle.arbiter.update_steering(decision.source, decision.reason, now_ns)
+        throttle.update_turn(steering.turn_radius_m(decision.duty), decision.max_speed_mps)
+        made = throttle.decide(now_ns)
+        arbitration = made.arbitration
+        self._speed.update_throttle(arbitration.source, arbitration.asked, made.esc.fraction, made.esc.cause, now_ns)
+        throttle.update_output([-1, made.duty, *[-1] * 14], now_ns)
+        duties = [count_duty(decision.duty), count_duty(made.duty)]
+        if duties != self._duties:
+            self._duties = duties
+            self._chip.append((now_ns + round(self._rng.uniform(1, 22)) * NS_PER_MS, *duties))
+        if duties[0] != self._held or now_ns % (100 * NS_PER_MS) < TICK_NS:
+            self._held = duties[0]
+            self.drive.update_duty(duties[0], now_ns + 2 * NS_PER_MS)
+
+    def _fit(self, now_ns):
+        task = self.drive.take_fit_task()
+        if task is not None:
+            begun = time.perf_counter()
+            knowledge = assess(task)
+            self._fits_s.append((task.delay is None, time.perf_counter() - begun))
+            self._due.append((now_ns + (FULL_FIT_NS if task.delay is None else QUICK_FIT_NS), knowledge))
+        while self._due and self._due[0][0] <= now_ns:
+            self.drive.update_knowledge(self._due.popleft()[1], now_ns)
+
+    def _judge(self):
+        if self._person.pushes:
+            return
+        x_m, y_m, yaw_rad = self.vehicle.pose
+        cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
+        start = self._start
+        for ahead, left in ((0.426, 0.148), (0.426, -0.148), (-0.142, 0.148), (-0.142, -0.148)):
+            at = (x_m + ahead * cos_yaw - left * sin_yaw, y_m + ahead * sin_yaw + left * cos_yaw)
+            self._max_m = max(self._max_m, abs(at[0]), abs(at[1]))
+            self._extent_m = max(self._extent_m, math.hypot(at[0] - start[0], at[1] - start[1]))
+
+
+def mount_fields(mount):
+    """A sonar's pose."""
+    return mount.x_m, mount.y_m, mount.yaw_rad
+
+
+def run(seed: int, trace=None) -> Result:
+    """One car."""
+    return Bench(seed, trace).run()._replace(seed=seed)
+
+
+def errors(car: Car, yaml_text: str) -> tuple[Errors, Errors]:
+    """(of the table, of the board's nearest count alone), for what the car can turn between its ends."""
+    with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
+        file.write(yaml_text)
+        file.flush()
+        table = load_steering(file.name)
+    curve = [(duty, k) for duty, k in car.vehicle.steering.curve]
+    duties, curvatures = zip(*curve)
+    tightest = [float(np.interp(count_duty(end), duties, curvatures)) for end in
+                (car.base.servo_left, car.base.servo_right)]
+    radii = np.concatenate([np.sign(end) * np.exp(np.linspace(np.log(1 / abs(end)), np.log(WIDEST_M), RADII))
+                            for end in tightest])
+    asked = np.linspace(tightest[1], tightest[0], CURVATURES)
+    asked = asked[np.abs(asked) > 1e-4]
+    return ask(car.vehicle, radii, asked, table.planner_duty), floor(car.vehicle, radii, asked)
+
+
+def row(result: Result) -> str:
+    """A line of the table."""
+    car = driving_car(result.seed)
+    kind = "slash " if result.seed % 4 == 3 else "smooth"
+    text = (f"{result.seed:5d} {kind} {'walls' if car.world else '     '} | "
+            f"{result.held_s:4.0f} {result.total_s:4.0f} s {result.distance_m:4.0f} m {result.positions:3d} "
+            f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} "
+            f"{result.collisions} {len(result.blocked)} | {result.step_ms:3.1f} ms | ")
+    if not result.conclusion.yaml_text:
+        return text + result.conclusion.refusal[:150]
+    made, best = errors(car, result.conclusion.yaml_text)
+    beyond = made.radius - best.radius
+    return text + (f"{100 * np.median(made.radius):5.1f} {100 * np.percentile(made.radius, 95):5.1f} | "
+                   f"{100 * np.median(beyond):5.2f} {100 * np.percentile(beyond, 95):5.2f} | "
+                   f"{np.percentile(made.curvature - best.curvature, 95):7.4f}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cars", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, metavar="SEED")
+    options = parser.parse_args()
+    print("  car              | held total  way pos pauses | max_x ext col blk | step   | radius %    | beyond floor |"
+          " curvature")
+    results = []
+    for seed in range(options.first, options.first + options.cars):
+        begun = time.perf_counter()
+        results.append(run(seed))
+        print(row(results[-1]), f"({time.perf_counter() - begun:.0f} s)", dict(results[-1].phases), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""The end of a drive: the tool's own table and report, or its refusal."""
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from calibration.drive.light_car import base
+from calibration.steering.synthetic import drive, mixed, true_curvature
+from car_interface.calibration.drive.conclusion import conclude
+from car_interface.calibration.drive.samples import Samples
+
+pytestmark = pytest.mark.once
+BASE_TEXT = (Path(__file__).resolve().parents[4] / "config/turn_arb.yaml").read_text(encoding="utf-8")
+
+
+class Recorded(Samples):
+    """The samples of a synthetic drive."""
+
+    def __init__(self, whole):
+        super().__init__()
+        self._whole = whole
+
+    def drive(self):
+        return self._whole
+
+    @property
+    def duration_s(self):
+        return float(self._whole.t_s[-1]) if len(self._whole.t_s) else 0.0
+
+
+def test_enough_gives_the_file_with_center_and_ends():
+    found = conclude(Recorded(drive(mixed(3900, 6400))), base(), BASE_TEXT, "drive.bag")
+    assert found.refusal == "" and found.center_duty == pytest.approx(5200, abs=10)
+    assert found.ends_duty == pytest.approx((3900, 6400), abs=20)
+    values = yaml.safe_load(found.yaml_text)
+    assert values["servo_center"] == found.center_duty and values["input_timeout"] == 0.5
+    radii, duties = values["m_turnrad_axis_servo"], values["k_pwmcmd_left_table_servo"]
+    inside = [(radius, duty) for radius, duty in zip(radii, duties) if 1.3 < radius < 6]
+    assert np.allclose([true_curvature(duty) for _, duty in inside], [1 / radius for radius, _ in inside], rtol=0.03)
+    assert found.report[0].startswith("steering by drive.bag: 120 s")
+
+
+def test_too_little_is_refused_in_the_tools_words():
+    found = conclude(Recorded(drive(mixed(5200, 6400))), base(), BASE_TEXT, "drive.bag")
+    assert found.yaml_text == "" and "left turns" in found.refusal and found.center_duty == 0
+
+
+def test_without_samples_it_says_so():
+    found = conclude(Samples(), base(), BASE_TEXT, "drive.bag")
+    assert found.refusal.startswith("drive.bag: no steering can be told from this") and found.report == ()
+
+
+def test_exchanged_ends_are_refused():
+    whole = drive(mixed(3900, 6400), curve=lambda duty: -true_curvature(duty))
+    found = conclude(Recorded(whole), base(), BASE_TEXT, "drive.bag")
+    assert found.yaml_text == "" and "exchange servo_left and servo_right" in found.refusal
+
+
+def test_a_base_that_cannot_be_edited_is_refused_in_words():
+    found = conclude(Recorded(drive(mixed(3900, 6400))), base(), "[]", "drive.bag")
+    assert found.yaml_text == "" and found.refusal

@@ -1,0 +1,52 @@
+"""What a fit of the samples so far knows, and where it knows least."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration.drive.light_car import base
+from calibration.steering.synthetic import drive, from_both_sides, mixed, true_curvature
+from car_interface.calibration.drive.knowledge import FitTask, assess
+from car_interface.calibration.steering.drive import COUNT
+
+pytestmark = pytest.mark.once
+BASE = base()
+
+
+def known(duties, full=None):
+    return assess(FitTask(drive(duties), BASE, full and full.delay, full and full.backlash_duty, 7))
+
+
+def test_a_drive_all_over_is_known_within_what_the_tool_allows():
+    found = known(mixed(3900, 6400))
+    assert (found.number, found.reason, found.missing) == (7, "", ())
+    assert max(found.errors) < 1 and found.center_duty == pytest.approx(5200, abs=10)
+    assert np.allclose(found.curvatures, true_curvature(np.array(found.duties)), atol=0.02)
+    assert {duty % COUNT for duty in found.duties} == {0.0}
+    assert {row.side for row in found.rows} == {"left", "right"} and all(row.is_known for row in found.rows)
+
+
+def test_least_is_known_in_the_gap():
+    places = [duty for duty in mixed(3900, 6400) if not 4200 < duty < 5000]
+    found = known(from_both_sides(places))
+    inside = [error for duty, error in zip(found.duties, found.errors) if 4400 <= duty <= 4800]
+    outside = [error for duty, error in zip(found.duties, found.errors) if 5200 <= duty <= 6200]
+    assert min(inside) > np.median(outside)
+
+
+def test_with_delay_and_backlash_given_it_is_the_same_curve():
+    full = known(mixed(3900, 6400))
+    quick = known(mixed(3900, 6400), full)
+    assert np.allclose(quick.curvatures, full.curvatures, atol=1e-3)
+
+
+@pytest.mark.parametrize("duties", [[5200], [5200, 5216, 5200], [3900, 3950, 4000, 4050, 4100]],
+                         ids=("one", "nearly_one", "one_side"))
+def test_without_a_curve_there_is_a_reason(duties):
+    found = known(duties)
+    assert found.reason and found.duties == ()
+
+
+def test_without_samples_there_is_a_reason():
+    empty = drive([5200])._replace(**{name: np.zeros(0) for name in drive([5200])._fields})
+    assert assess(FitTask(empty, BASE, None, None, 1)).reason

@@ -1,0 +1,80 @@
+"""From position to position: around what the sonars see, and with enough of each."""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from calibration.drive.light_car import LightCar, base
+from car_interface.calibration.drive.calibration_drive import CalibrationDrive
+from car_interface.calibration.drive.config import DriveConfig
+from car_interface.calibration.drive.pilot import wanted_length_m
+from car_interface.calibration.drive.step import AVOIDING, BLOCKED
+from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
+
+pytestmark = pytest.mark.once
+MOUNTS = {"front_right": Mount(0.4, -0.1, -0.52), "front_middle": Mount(0.42, 0.0, 0.0),
+          "front_left": Mount(0.4, 0.1, 0.52)}
+
+
+def car(ranges=None, **options):
+    one = LightCar(CalibrationDrive(base(), DriveConfig(obstacles=ObstacleConfig(MOUNTS), **options)))
+    one.ranges = dict.fromkeys(MOUNTS, math.inf) if ranges is None else ranges
+    return one
+
+
+def test_a_free_view_does_not_slow_it():
+    one = car()
+    one.run(10)
+    assert one.extent_m > 0.8 and not any(step.phase in (AVOIDING, BLOCKED) for step in one.steps)
+
+
+@pytest.mark.parametrize("name", sorted(MOUNTS))
+def test_a_sonar_that_is_silent_lets_it_go_nowhere(name):
+    one = car({other: math.inf for other in MOUNTS if other != name})
+    step = one.run(5)
+    assert one.extent_m < 0.05 and step.steering is None
+    assert step.text == f"it waits: {name} was never heard, and the car doesn't drive blind"
+    one.ranges[name] = math.nan
+    assert one.tick().text == f"it waits: {name} measures nonsense, and the car doesn't drive blind"
+
+
+def test_something_right_ahead_stops_it_and_the_text_says_what():
+    one = car()
+    one.run(2)
+    one.ranges = dict.fromkeys(MOUNTS, 0.1)
+    step = one.run(6)
+    assert step.phase == BLOCKED and step.speed_mps == 0.0
+    assert "sees 0.10 m" in step.text and "move the car to where it is free" in step.text
+
+
+def test_something_at_a_distance_slows_it():
+    free, seen = car(), car()
+    seen.ranges["front_middle"] = 0.5
+    for one in (free, seen):
+        one.run(6)
+    assert max(step.speed_mps for step in seen.steps) < max(step.speed_mps for step in free.steps)
+
+
+def test_it_goes_on_when_the_view_is_free_again():
+    one = car()
+    one.run(2)
+    one.ranges = dict.fromkeys(MOUNTS, 0.1)
+    one.run(6)
+    one.ranges = dict.fromkeys(MOUNTS, math.inf)
+    assert one.run(2).speed_mps > 0.3
+
+
+def test_every_step_asks_for_a_steering_and_no_more_than_the_speeds():
+    one = car(speed_mps=1.0, tight_speed_mps=0.7)
+    one.run(30)
+    assert all(-1.0 <= step.steering <= 1.0 and 0.0 <= step.speed_mps <= 1.6 for step in one.steps)
+
+
+@pytest.mark.parametrize("curvature, length_m", [(0.0, 2.2), (0.05, 2.2), (-1.0, 1.3)])
+def test_wide_turns_are_measured_for_longer_than_tight_ones(curvature, length_m):
+    assert wanted_length_m(curvature) == pytest.approx(length_m)
+
+
+def test_the_names_are_those_of_the_sonars():
+    assert set(MOUNTS) <= set(NAMES)

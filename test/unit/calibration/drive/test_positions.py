@@ -1,0 +1,143 @@
+"""Which position comes next, and what curvature is expected of it."""
+from __future__ import annotations
+
+import pytest
+
+from calibration.drive.light_car import base
+from car_interface.calibration.drive.knowledge import Knowledge
+from car_interface.calibration.drive.positions import APART_DUTY, FIRST, Measured, Positions, nearest_count
+
+DUTIES = tuple(range(3904, 6401, 16))
+
+
+def knowledge(errors=None, number=1):
+    errors = {} if errors is None else errors
+    curvatures = tuple((5200 - duty) / 1300 for duty in DUTIES)
+    return Knowledge(number, "", DUTIES, curvatures, tuple(errors.get(duty, 0.1) for duty in DUTIES))
+
+
+def measured(duty, curvature=0.0, from_side=1):
+    return Measured(duty, from_side, 1.5, curvature)
+
+
+def all_first(positions):
+    for candidate in list(positions.candidates()):
+        positions.add(measured(candidate.duty, from_side=candidate.from_side or 1))
+
+
+def test_ends_and_center_come_first():
+    assert [candidate.duty for candidate in Positions(base()).candidates()[:4]] == [3900, 6400, 5184, 5184]
+
+
+def test_the_center_is_come_to_from_both_sides():
+    positions = Positions(base())
+    assert sorted(one.from_side for one in positions.candidates() if one.duty == 5184) == [-1, 1]
+    positions.add(measured(5184, from_side=1))
+    assert [one.from_side for one in positions.candidates() if one.duty == 5184] == [-1]
+
+
+def test_each_of_the_first_is_asked_for_until_it_was_held():
+    positions = Positions(base())
+    assert positions.first_left == len(FIRST) + 1
+    all_first(positions)
+    assert (positions.first_left, positions.count) == (0, len(FIRST) + 1)
+
+
+def test_without_a_curve_they_are_asked_for_again():
+    positions = Positions(base())
+    all_first(positions)
+    assert len(positions.candidates()) == len(FIRST) + 1
+
+
+def test_then_the_greatest_errors_come_first_and_apart_from_each_other():
+    positions = Positions(base())
+    all_first(positions)
+    positions.update_knowledge(knowledge({4512: 3.0, 4528: 2.9, 5792: 2.0}), 0)
+    duties = [candidate.duty for candidate in positions.candidates()]
+    assert duties[:2] == [4512, 5792]
+    assert all(abs(one - other) >= APART_DUTY for one in duties for other in duties if one != other)
+
+
+def test_an_end_that_the_fit_lost_is_asked_for_again():
+    positions = Positions(base())
+    all_first(positions)
+    short = knowledge()
+    positions.update_knowledge(short._replace(duties=short.duties[8:], curvatures=short.curvatures[8:],
+                                              errors=short.errors[8:]), 0)
+    assert positions.candidates()[0].duty == 3900
+    positions.add(measured(3900))
+    assert positions.candidates()[0].duty != 3900, "the next fit tells"
+
+
+def test_what_was_held_since_the_fits_samples_counts_for_less():
+    positions = Positions(base())
+    all_first(positions)
+    positions.update_knowledge(knowledge({4512: 3.0, 5792: 2.0}), 0)
+    positions.add(measured(4512))
+    assert positions.candidates()[0].duty == 5792
+    positions.update_knowledge(knowledge({4512: 3.0, 5792: 1.0}, 2), 0)
+    assert positions.candidates()[0].duty == 4512, "the new fit has it, and still knows too little"
+
+
+def test_a_position_is_come_to_from_the_other_side_the_next_time():
+    positions = Positions(base())
+    all_first(positions)
+    positions.add(measured(4512, from_side=-1))
+    positions.update_knowledge(knowledge({4512: 3.0}), 0)
+    assert positions.candidates()[0].from_side == 1
+
+
+def test_only_what_is_accepted_is_offered():
+    positions = Positions(base())
+    positions.update_knowledge(knowledge(), 0)
+    assert all(candidate.duty > 6000 for candidate in positions.candidates(lambda duty: duty > 6000))
+
+
+def test_expected_curvature_is_a_guess_then_between_what_was_held_then_the_fits():
+    positions = Positions(base())
+    assert positions.expected_per_m(3900) > 0.5 and positions.expected_per_m(6400) < -0.5
+    positions.add(measured(3900, 1.0))
+    positions.add(measured(5200, 0.0))
+    assert positions.expected_per_m(4550) == pytest.approx(0.5)
+    positions.update_knowledge(knowledge()._replace(curvatures=(0.25,) * len(DUTIES)), 0)
+    assert positions.expected_per_m(4550) == 0.25
+
+
+def test_the_least_curvature_is_that_of_the_next_one_towards_the_center():
+    positions = Positions(base())
+    assert positions.least_per_m(3900) == 0.0
+    positions.add(measured(3900, 1.0))
+    positions.add(measured(4200, 0.3))
+    positions.add(measured(6000, -0.4))
+    assert [positions.least_per_m(duty) for duty in (3900, 4000, 4300, 6300)] == [1.0, 0.3, 0.0, -0.4]
+
+
+def test_half_way_is_where_a_linkage_turns_half_as_tightly():
+    positions = Positions(base())
+    positions.add(measured(3900, 1.0))
+    assert positions.half_way_duty(3900) == 3900
+    for duty, curvature in ((4200, 0.7), (4600, 0.4)):
+        positions.add(measured(duty, curvature))
+    assert positions.half_way_duty(3900) == 4200
+
+
+@pytest.mark.parametrize("servo", [(3900, 5180, 6400), (6400, 5180, 3900)], ids=("usual", "the_other_way_round"))
+def test_the_request_is_what_turn_arb_makes_the_duty_of(servo):
+    one = base(*servo)
+    positions = Positions(one)
+    for duty in range(3900, 6401, 50):
+        assert one.teleop_duty(positions.steering(duty)) == duty
+
+
+def test_an_end_that_turns_to_the_other_side_is_noticed():
+    positions = Positions(base())
+    positions.add(measured(3900, 1.0))
+    positions.add(measured(6400, -1.0))
+    assert not positions.is_swapped
+    positions.add(measured(3900, -1.0))
+    assert positions.is_swapped
+
+
+@pytest.mark.parametrize("duty, count", [(5000, 5008), (5007, 5008), (3000, 3900), (9000, 6400)])
+def test_a_position_is_a_count_between_the_ends(duty, count):
+    assert nearest_count(duty, base()) == count

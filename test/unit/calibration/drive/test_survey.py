@@ -1,0 +1,106 @@
+"""Evidence and progress: when a fit is due, and when it is enough."""
+from __future__ import annotations
+
+from calibration.drive.light_car import base
+from car_interface.calibration.delay import Delay
+from car_interface.calibration.drive.knowledge import Knowledge
+from car_interface.calibration.drive.positions import Measured
+from car_interface.calibration.drive.survey import ENOUGH, FULL_FIT_NS, MIN_POSITIONS, Survey
+
+S = 1_000_000_000
+
+
+def survey():
+    return Survey(base(), 300.0)
+
+
+def hold(one, count):
+    for candidate in one.positions.candidates()[:count]:
+        one.add(Measured(candidate.duty, candidate.from_side or 1, 1.5, 0.0))
+
+
+def knowledge(number, error=0.1, missing=()):
+    duties = tuple(range(3904, 6401, 16))
+    return Knowledge(number, "", duties, (0.0,) * len(duties), (error,) * len(duties), (), missing,
+                     Delay(0.02, 0.12, 0.9), 20.0, 5200.0, 8.0)
+
+
+def test_the_first_fit_waits_for_some_positions():
+    one = survey()
+    hold(one, MIN_POSITIONS - 1)
+    assert one.take_task(0) is None
+    hold(one, 1)
+    assert one.take_task(0).number == 1
+
+
+def test_one_fit_at_a_time_and_only_after_something_new():
+    one = survey()
+    hold(one, MIN_POSITIONS)
+    one.take_task(0)
+    hold(one, 1)
+    assert one.take_task(S) is None, "one is under way"
+    one.update_knowledge(knowledge(1))
+    assert one.take_task(S).number == 2
+    one.update_knowledge(knowledge(2))
+    assert one.take_task(S) is None, "nothing new"
+
+
+def test_delay_and_backlash_are_estimated_now_and_then():
+    one = survey()
+    hold(one, MIN_POSITIONS)
+    assert one.take_task(0).delay is None
+    one.update_knowledge(knowledge(1))
+    hold(one, 1)
+    assert one.take_task(S).backlash_duty == 20.0
+    one.update_knowledge(knowledge(2))
+    hold(one, 1)
+    assert one.take_task(FULL_FIT_NS).delay is None
+
+
+def test_a_fit_that_failed_changes_nothing_and_the_next_one_may_come():
+    one = survey()
+    hold(one, MIN_POSITIONS)
+    one.take_task(0)
+    one.update_knowledge(Knowledge(1, "too little"))
+    assert one.knowledge is None
+    hold(one, 1)
+    assert one.take_task(S) is not None
+
+
+def test_an_answer_to_an_older_task_is_left_out():
+    one = survey()
+    hold(one, MIN_POSITIONS)
+    one.take_task(0)
+    one.update_knowledge(knowledge(0))
+    assert one.knowledge is None
+
+
+def finished(error, missing=()):
+    one = survey()
+    hold(one, 99)
+    one.take_task(0)
+    one.update_knowledge(knowledge(1, error, missing))
+    return one
+
+
+def test_it_is_enough_when_all_is_known_by_far():
+    assert finished(0.9 * ENOUGH).is_enough
+    assert not finished(1.1 * ENOUGH).is_enough
+    assert not finished(0.9 * ENOUGH, ("drive straight on",)).is_enough
+    assert not survey().is_enough
+
+
+def test_progress_grows_and_time_left_shrinks():
+    early = survey()
+    hold(early, 3)
+    poor, good = finished(4.0), finished(1.2 * ENOUGH)
+    fractions = [survey().progress(0.0).fraction, early.progress(10.0).fraction, poor.progress(60.0).fraction,
+                 good.progress(60.0).fraction]
+    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] < 1.0
+    assert poor.progress(60.0).left_s > good.progress(60.0).left_s
+    assert poor.progress(290.0).left_s <= 10.0, "the time ends"
+    assert finished(0.5 * ENOUGH).progress(60.0).fraction == 1.0
+
+
+def test_before_the_first_fit_it_says_what_is_missing():
+    assert survey().progress(0.0).missing == ("nothing was fitted yet: the ends and the center come first",)

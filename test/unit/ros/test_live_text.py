@@ -1,0 +1,65 @@
+"""Lines that are drawn over on a terminal, and only those that stay elsewhere."""
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from car_interface.ros.live_text import LiveText
+
+
+class Screen(io.StringIO):
+    def __init__(self, is_terminal):
+        super().__init__()
+        self._is_terminal = is_terminal
+
+    def isatty(self):
+        return self._is_terminal
+
+
+@pytest.fixture
+def screen(monkeypatch):
+    def make(is_terminal):
+        made = Screen(is_terminal)
+        monkeypatch.setattr(sys, "stdout", made)
+        return made
+    return make
+
+
+def test_block_is_drawn_over_when_it_has_changed(screen):
+    shown, text = screen(True), LiveText()
+    text.show(["a", "b"])
+    text.show(["a", "b"])
+    text.show(["c"])
+    assert shown.getvalue() == "\r\x1b[Ja\nb\n\r\x1b[2A\x1b[Jc\n"
+
+
+def test_line_that_stays_takes_the_block_s_place(screen):
+    shown, text = screen(True), LiveText()
+    text.show(["a"])
+    text.say("stays")
+    text.show(["a"])
+    assert shown.getvalue() == "\r\x1b[Ja\n\r\x1b[1A\x1b[Jstays\n\r\x1b[Ja\n"
+
+
+def test_block_that_is_kept_is_not_drawn_over(screen):
+    shown, text = screen(True), LiveText()
+    text.show(["a"])
+    text.keep()
+    text.say("below")
+    assert shown.getvalue() == "\r\x1b[Ja\n\r\x1b[Jbelow\n"
+
+
+def test_block_that_is_taller_than_the_terminal_is_cut(screen, monkeypatch):
+    monkeypatch.setenv("LINES", "4")
+    shown, text = screen(True), LiveText()
+    text.show(["a", "b", "c", "d"])
+    assert shown.getvalue() == "\r\x1b[Ja\nb\nc\n"
+
+
+def test_elsewhere_only_lines_that_stay_are_printed(screen):
+    shown, text = screen(False), LiveText()
+    text.show(["a"])
+    text.say("stays")
+    assert (text.is_live, shown.getvalue()) == (False, "stays\n")
