@@ -22,7 +22,7 @@ from car_interface.steering.calibration import SteeringCalibration
 
 MIN_LENGTH_M = 0.9  # of a position that is begun
 KEPT_LENGTH_M = 0.6  # one that was cut short counts from here on
-WANT_TIGHT_M, WANT_WIDE_M, WIDE_PER_M = 1.3, 2.2, 0.12  # to measure: a wide turn's curvature is known less well
+WANT_TIGHT_M, WANT_WIDE_M, WIDE_PER_M = 0.9, 2.2, 0.12  # to measure: a wide turn's curvature is known less well
 BLIND_M = 0.3  # after a pause
 LITTLE_NEED = 0.3
 NEED_POWER = 2.0  # of a need, in what measuring it is worth: what is known least comes first, though it takes longer
@@ -325,5 +325,5 @@ class Pilot:
 
 def wanted_length_m(curvature_per_m):
     """How long a turn is to be measured."""
-    return WANT_WIDE_M if abs(curvature_per_m) < WIDE_PER_M else WANT_TIGHT_M + 0.5 * max(
+    return WANT_WIDE_M if abs(curvature_per_m) < WIDE_PER_M else WANT_TIGHT_M + 0.8 * max(
         0.0, 1 - abs(curvature_per_m) / 0.5)

@@ -24,7 +24,8 @@ SIDES_DUTY = 5 * COUNT  # positions as near as this to each other are come to fr
 ANSWERED = 0.3  # the part of a need that remains until the next fit
 REPEATED = 0.3  # by how much each time a position was held makes it worth less to hold it again
 MAX_NEED = 1.5  # of the fit's: how much more isn't known says little, and the first positions come first
-STEEP_RATIO, STEEP_PER_M, STEEP_NEED = 0.08, 0.03, 1.5  # of the curvature from count to count
+MAX_NICE_NEED = 1.0  # of what the tool doesn't refuse
+STEEP_RATIO, STEEP_PER_M, STEEP_NEED = 0.08, 0.03, 1.2  # of the curvature from count to count
 SURELY_PER_M = 0.1  # an end that turns so tightly to the wrong side does so
 UNKNOWN_TURN_PER_M = 0.8  # of the ends before they were driven: as wide as a car in so small an area may turn
 
@@ -151,19 +152,21 @@ class Positions:
     def _needs(self):
         """What remains of the fit's, (K,). Where one count changes much no fit knows what lies between two of them."""
         known = self._knowledge
-        needs = [self._remaining(duty, min(need, MAX_NEED))
-                 for duty, need in zip(known.duties, known.needs or known.errors)]
+        needs = [self._remaining(duty, max(min(error, MAX_NEED), min(need, MAX_NICE_NEED)))
+                 for duty, error, need in zip(known.duties, known.errors, known.needs or known.errors)]
         for index in self._gaps():
             needs[index] = max(needs[index], STEEP_NEED)
         return needs
 
     def _gaps(self):
-        """The indices of the counts where one count changes much, and that weren't held."""
+        """The indices of the counts where one count changes much, or that would be refused, and that weren't held."""
         duties, curvatures = self._knowledge.duties, self._knowledge.curvatures
         low, high = sorted((self._base.servo_left, self._base.servo_right))
         for index in range(1, len(duties) - 1):
             changes = abs(curvatures[index + 1] - curvatures[index - 1]) / 2
-            if (changes > max(STEEP_RATIO * abs(curvatures[index]), STEEP_PER_M) and low <= duties[index] <= high
+            is_steep = changes > max(STEEP_RATIO * abs(curvatures[index]), STEEP_PER_M)
+            # What the tool would refuse beside positions that were held often is a bend between them.
+            if ((is_steep or self._knowledge.errors[index] > 1) and low <= duties[index] <= high
                     and not self._was_held(duties[index])):
                 yield index
 

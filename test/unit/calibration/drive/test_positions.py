@@ -88,8 +88,8 @@ def test_where_one_count_changes_much_each_is_to_be_held_whatever_the_fit_says()
 def test_what_is_needed_is_more_than_what_the_tool_asks_for():
     positions = Positions(base())
     all_first(positions)
-    positions.update_knowledge(knowledge({4512: 1.0})._replace(
-        needs=tuple(1.2 if duty == 5792 else 0.1 for duty in DUTIES)), 0)
+    positions.update_knowledge(knowledge({4512: 0.6})._replace(
+        needs=tuple(0.9 if duty == 5792 else 0.1 for duty in DUTIES)), 0)
     assert positions.candidates()[0].duty == 5792
 
 
