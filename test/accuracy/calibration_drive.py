@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from room_drives import ALL_ALIKE, Sonars
 
-from accuracy.steering_calibration import WIDEST_M, Errors, ask, floor
+from accuracy.steering_calibration import MEDIAN_SHARE, P95_PER_M, P95_SHARE, WIDEST_M, Errors, ask, floor
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.conclusion import Conclusion, conclude
@@ -178,7 +178,7 @@ class Bench:
         self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
         mounts = {name: Mount(*mount_fields(mount)) for name, mount in zip(NAMES, WorldConfig().mounts)}
         config = DriveConfig(
-            braking_mps2=0.3 if car.esc.profile == UNVERIFIED else 1.0,
+            braking_mps2=0.15 if car.esc.profile == UNVERIFIED else 1.0,
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
@@ -366,21 +366,39 @@ def errors(car: Car, yaml_text: str) -> tuple[Errors, Errors]:
     return ask(car.vehicle, radii, asked, table.planner_duty), floor(car.vehicle, radii, asked)
 
 
-def row(result: Result) -> str:
-    """A line of the table."""
+def row(result: Result, pair: tuple[Errors, Errors] | None) -> str:
+    """A line of the table; the errors are those of ``errors``, ``None`` = nothing was written."""
     car = driving_car(result.seed)
     kind = "slash " if result.seed % 4 == 3 else "smooth"
     text = (f"{result.seed:5d} {kind} {'walls' if car.world else '     '} | "
             f"{result.held_s:4.0f} {result.total_s:4.0f} s {result.distance_m:4.0f} m {result.positions:3d} "
             f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} "
             f"{result.collisions} {len(result.blocked)} | {result.step_ms:3.1f} ms | ")
-    if not result.conclusion.yaml_text:
-        return text + result.conclusion.refusal[:150]
-    made, best = errors(car, result.conclusion.yaml_text)
+    return text + (result.conclusion.refusal[:150] if pair is None else figures(*pair))
+
+
+def figures(made: Errors, best: Errors) -> str:
+    """The radius and what of it the board's counts don't explain, in %, median and 95 of 100; the curvature, 1/m."""
     beyond = made.radius - best.radius
-    return text + (f"{100 * np.median(made.radius):5.1f} {100 * np.percentile(made.radius, 95):5.1f} | "
-                   f"{100 * np.median(beyond):5.2f} {100 * np.percentile(beyond, 95):5.2f} | "
-                   f"{np.percentile(made.curvature - best.curvature, 95):7.4f}")
+    return (f"{100 * np.median(made.radius):5.1f} {100 * np.percentile(made.radius, 95):5.1f} | "
+            f"{100 * np.median(beyond):5.2f} {100 * np.percentile(beyond, 95):5.2f} | "
+            f"{np.percentile(made.curvature, 95):7.4f} {np.percentile(made.curvature - best.curvature, 95):7.4f}")
+
+
+def is_good(result: Result, pair: tuple[Errors, Errors] | None) -> bool:
+    """Whether a drive is what is asked of it, its table by the bounds of steering_calibration."""
+    if pair is None or result.held_s > 300.1 or result.max_m > HALF_M or result.collisions:
+        return False
+    beyond = Errors(*(made - best for made, best in zip(*pair)))
+    return bool(np.median(beyond.radius) <= MEDIAN_SHARE and np.percentile(beyond.radius, 95) <= P95_SHARE
+                and np.percentile(beyond.curvature, 95) <= P95_PER_M)
+
+
+def judge(seed: int, trace=None) -> tuple[Result, tuple[Errors, Errors] | None]:
+    """Let one car drive: the result, and the errors of its table."""
+    result = run(seed, trace)
+    text = result.conclusion.yaml_text
+    return result, errors(driving_car(seed), text) if text else None
 
 
 def main():
@@ -389,13 +407,24 @@ def main():
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
     options = parser.parse_args()
     print("  car              | held total  way pos pauses | max_x ext col blk | step   | radius %    | beyond floor |"
-          " curvature")
-    results = []
+          " curvature, beyond")
+    judged = []
     for seed in range(options.first, options.first + options.cars):
         begun = time.perf_counter()
-        results.append(run(seed))
-        print(row(results[-1]), f"({time.perf_counter() - begun:.0f} s)", dict(results[-1].phases), flush=True)
-    return 0
+        judged.append(judge(seed))
+        print(row(*judged[-1]), "" if is_good(*judged[-1]) else "missed", f"({time.perf_counter() - begun:.0f} s)",
+              flush=True)
+    pairs = [pair for _, pair in judged if pair is not None]
+    if pairs:
+        made, best = (Errors(*(np.concatenate([pair[which][part] for pair in pairs]) for part in range(2)))
+                      for which in range(2))
+        print("all written: ", figures(made, best))
+        print("counts alone:", figures(best, best))
+    results = [result for result, _ in judged]
+    print(f"{len(pairs)} of {len(judged)} written, {sum(is_good(*one) for one in judged)} as is asked for; "
+          f"{sum(result.collisions for result in results)} collisions, {max(result.max_m for result in results):.2f} m "
+          f"from the middle at most, {max(result.held_s for result in results):.0f} s of held button at most")
+    return 0 if all(is_good(*one) for one in judged) else 1
 
 
 if __name__ == "__main__":

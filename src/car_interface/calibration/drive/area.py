@@ -4,6 +4,7 @@ A pose is that of the middle of the rear axle, in odometry's frame; curvatures a
 """
 from __future__ import annotations
 
+import cmath
 import math
 from typing import NamedTuple, Sequence
 
@@ -13,7 +14,8 @@ STEP_M = 0.2  # from one pose that is looked at to the next
 TURN_STEP_RAD = 0.2
 SLASH = Outline()
 INWARD_RAD = math.radians(60)  # a car that looks to the center within this angle is on its way back
-MAX_TURN_RAD = 2 * math.pi
+INWARD_COS = math.cos(INWARD_RAD)
+TURN_STEPS = math.ceil(2 * math.pi / TURN_STEP_RAD)
 
 
 class Pose(NamedTuple):
@@ -22,6 +24,9 @@ class Pose(NamedTuple):
     x_m: float
     y_m: float
     yaw_rad: float
+
+
+NOWHERE = Pose(0.0, 0.0, 0.0)
 
 
 class Turn(NamedTuple):
@@ -57,16 +62,11 @@ class Area:
     def __init__(self, center: tuple[float, float], radius_m: float, outline: Outline = SLASH):
         self.center, self.radius_m = center, radius_m
         half_m = outline.width_m / 2
-        self._corners = ((outline.front_m, half_m), (outline.front_m, -half_m),
-                         (-outline.rear_m, half_m), (-outline.rear_m, -half_m))
-        self._front_m, self._half_m = outline.front_m, half_m
+        self._front_m, self._rear_m, self._half_m = outline.front_m, outline.rear_m, half_m
 
     def extent_m(self, pose: Pose) -> float:
         """How far the car's farthest corner is from the center."""
-        x_m, y_m = pose.x_m - self.center[0], pose.y_m - self.center[1]
-        cos_yaw, sin_yaw = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        return math.sqrt(max((x_m + ahead * cos_yaw - left * sin_yaw) ** 2
-                             + (y_m + ahead * sin_yaw + left * cos_yaw) ** 2 for ahead, left in self._corners))
+        return math.sqrt(self._square(self._seen_from(pose)))
 
     def ahead_m(self, pose: Pose, radius_m: float) -> float:
         """How far the car can go straight on until its front leaves a circle of that radius; 0 = it has."""
@@ -93,13 +93,27 @@ class Area:
         whole_m = self.circle_extent_m(pose, curvature_per_m)
         if whole_m <= self.radius_m:
             return whole_m
-        farthest_m, turned_rad, step_m = 0.0, 0.0, TURN_STEP_RAD / abs(curvature_per_m)
-        while turned_rad < MAX_TURN_RAD:
-            farthest_m = max(farthest_m, self.extent_m(pose))
-            if self.inward_rad(pose) < INWARD_RAD:
+        # In the car's frame one step of an arc is one multiplication: this runs thousands of times a second.
+        rel = self._seen_from(pose)
+        step = complex(*moved(NOWHERE, TURN_STEP_RAD / abs(curvature_per_m), curvature_per_m)[:2])
+        back = cmath.rect(1.0, -math.copysign(TURN_STEP_RAD, curvature_per_m))
+        square = 0.0
+        for _ in range(TURN_STEPS):
+            square = max(square, self._square(rel))
+            if -rel.real > INWARD_COS * abs(rel):
                 break
-            pose, turned_rad = moved(pose, step_m, curvature_per_m), turned_rad + TURN_STEP_RAD
-        return farthest_m
+            rel = (rel + step) * back
+        return math.sqrt(square)
+
+    def _seen_from(self, pose):
+        """The car's place relative to the center in the car's frame: ahead, and to the left as the imaginary part."""
+        return complex(pose.x_m - self.center[0], pose.y_m - self.center[1]) * cmath.rect(1.0, -pose.yaw_rad)
+
+    def _square(self, rel):
+        """The square of the farthest corner's distance from the center, m²."""
+        ahead_m, left_m, front_m, rear_m, half_m = rel.real, abs(rel.imag), self._front_m, self._rear_m, self._half_m
+        along_m = max(abs(ahead_m + front_m), abs(ahead_m - rear_m))
+        return along_m * along_m + (left_m + half_m) ** 2
 
     def ways_out(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn]) -> list[float]:
         """How far the car's corners get from the center on each of the tight turns.
@@ -116,13 +130,23 @@ class Area:
                                self.turn_extent_m(after, turn.curvature_per_m)))
         return extents
 
-    def free_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], max_m: float) -> float:
-        """How far the car can go on an arc until no tight turn keeps it inside any more, at most ``max_m``."""
+    def free_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], max_m: float,
+               min_ahead_m: float = 0.0) -> float:
+        """How far the car can go on an arc until no tight turn keeps it inside any more, at most ``max_m``.
+
+        Args:
+            pose: where the arc begins.
+            curvature_per_m: of the arc.
+            turns: the tight turns.
+            max_m: as above.
+            min_ahead_m: so far it must be able to go straight on from everywhere, as it does when it is let go.
+        """
         if curvature_per_m and self.circle_extent_m(pose, curvature_per_m) <= self.radius_m:
             return max_m
         gone_m = 0.0
         while gone_m < max_m:
-            if min(self.ways_out(pose, curvature_per_m, turns)) > self.radius_m:
+            if (self.ahead_m(pose, self.radius_m) < min_ahead_m
+                    or min(self.ways_out(pose, curvature_per_m, turns)) > self.radius_m):
                 return gone_m
             pose, gone_m = moved(pose, STEP_M, curvature_per_m), gone_m + STEP_M
         return max_m

@@ -24,7 +24,8 @@ from typing import NamedTuple
 from car_interface.calibration.drive.area import Area, Pose, moved
 from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
 from car_interface.calibration.drive.knowledge import FitTask, Knowledge
-from car_interface.calibration.drive.motion import Motion
+from car_interface.calibration.drive.motion import Coasting, Motion
+from car_interface.calibration.drive.outlook import Outlook
 from car_interface.calibration.drive.pilot import Pilot
 from car_interface.calibration.drive.samples import Samples
 from car_interface.calibration.drive.step import DONE, PAUSED, WAITING, Progress, Step
@@ -59,6 +60,7 @@ class CalibrationDrive:
         self._config = config
         self._survey = Survey(base, config.max_time_s)
         self._motion = Motion()
+        self._coasting = Coasting()
         self._obstacles = None if config.obstacles is None else ObstacleStop(config.obstacles)
         self._pilot: Pilot | None = None
         self._base = base
@@ -82,7 +84,7 @@ class CalibrationDrive:
     @property
     def start(self) -> tuple[float, float] | None:
         """The area's center in odometry's frame, for rviz; ``None`` before the button was first held."""
-        return None if self._pilot is None else self._pilot.area.center
+        return None if self._pilot is None else self._pilot.outlook.area.center
 
     def update_odometry(self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, measured_ns: int,
                         now_ns: int) -> None:
@@ -98,6 +100,7 @@ class CalibrationDrive:
         self._odom.update(None, now_ns)
         if self._drives:  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
             self.samples.update_odometry(x_m, y_m, yaw_rad, speed_mps, measured_ns)
+        self._coasting.update(speed_mps, self._drives, measured_ns)
         motion = self._motion.update(Pose(x_m, y_m, yaw_rad), speed_mps, measured_ns)
         if self._pilot is not None:
             self._pilot.update_motion(*motion, measured_ns)
@@ -140,7 +143,9 @@ class CalibrationDrive:
             outline = self._config.outline
             middle = moved(self._motion.pose, (outline.front_m - outline.rear_m) / 2, 0.0)
             area = Area(middle[:2], self._config.radius_m - MARGIN_M, self._config.outline)
-            self._pilot = Pilot(self._base, self._config, self._survey, self._motion, area, self._obstacles)
+            outlook = Outlook(self._base, self._config, self._survey, self._motion, area, self._obstacles)
+            self._pilot = Pilot(self._base, self._survey, self._motion, outlook)
+        self._pilot.outlook.update_coasting(self._coasting.least_mps2)
         self._driven_ns += since_ns
         if self._survey.positions.is_swapped or self._pilot.turns_wrongly:
             self._end = (f"servo_left {self._base.servo_left} turns right: exchange servo_left and servo_right in "

@@ -16,7 +16,8 @@ class DriveConfig:
         speed_mps: in wide turns; tight ones are slower.
         tight_speed_mps: in the tightest turns.
         max_time_s: of driving, that is of the held button; then it ends with what there is.
-        braking_mps2: the deceleration that a stop is certain of, such as the drag's where the kind of ESC isn't known.
+        braking_mps2: the deceleration that a stop is certain of, such as the drag's, less a slope's 0.2 m/s² for each
+            2 %, where the kind of ESC isn't known. Where it is seen to coast with less, that counts.
         outline: of the car from above.
         obstacles: the sonars, as throttle_arb takes them; ``None`` = none is looked at.
 
@@ -28,7 +29,7 @@ class DriveConfig:
     speed_mps: float = 1.2
     tight_speed_mps: float = 0.9
     max_time_s: float = 300.0
-    braking_mps2: float = 0.3
+    braking_mps2: float = 0.15
     outline: Outline = field(default_factory=Outline)
     obstacles: ObstacleConfig | None = None
 

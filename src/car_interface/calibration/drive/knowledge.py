@@ -20,6 +20,10 @@ from car_interface.calibration.steering.problems import find_problems
 from car_interface.calibration.steering.table import LEFT, RIGHT, UNKNOWN, axis, breakpoints
 from car_interface.steering.calibration import SteeringCalibration
 
+# Where one count changes much the tool allows an error of half of that. But with less of one the nearest count to a
+# radius is the best one more often.
+NEEDED_RATIO = 0.25
+
 
 class FitTask(NamedTuple):
     """What to fit.
@@ -51,6 +55,7 @@ class Knowledge(NamedTuple):
         missing: as in Progress.
         delay, backlash_duty, center_duty, center_error: of the fit; ``None`` and NaN where unknown.
         has_understeer: it is known by how much turns widen with speed.
+        needs: at each of the duties, how much it is worth to measure it: see ``error_ratios``.
     """
 
     number: int
@@ -65,6 +70,7 @@ class Knowledge(NamedTuple):
     center_duty: float = math.nan
     center_error: float = math.nan
     has_understeer: bool = False
+    needs: tuple[float, ...] = ()
 
 
 def assess(task: FitTask) -> Knowledge:
@@ -86,14 +92,14 @@ def assess(task: FitTask) -> Knowledge:
     return Knowledge(task.number, "", tuple(duties.tolist()), tuple(curve.curvature(duties).tolist()),
                      tuple(error_ratios(curve, duties, config).tolist()), rows, tuple(find_problems(curve, points)),
                      curve.delay, curve.backlash_duty, curve.center, BAND * curve.center_sigma,
-                     curve.understeer.is_known)
+                     curve.understeer.is_known, tuple(error_ratios(curve, duties, config, NEEDED_RATIO).tolist()))
 
 
-def error_ratios(curve: Curve, duties: np.ndarray, config: FitConfig) -> np.ndarray:
+def error_ratios(curve: Curve, duties: np.ndarray, config: FitConfig, count_ratio: float = 1.0) -> np.ndarray:
     """What isn't known of the curvature at the board's counts (N,), as ratios of what the tool allows there: (N,).
 
-    By the rule of ``table.breakpoints``.
+    By the rule of ``table.breakpoints``, with ``count_ratio`` of what it allows for the board's counts.
     """
     allowed = np.maximum(config.known_ratio * np.abs(curve.curvature(duties)), config.known_per_m)
     half_count = np.abs(curve.curvature(duties + COUNT) - curve.curvature(duties - COUNT)) / 4
-    return BAND * np.interp(duties, curve.duties, curve.sigmas) / (allowed + half_count)
+    return BAND * np.interp(duties, curve.duties, curve.sigmas) / (allowed + count_ratio * half_count)

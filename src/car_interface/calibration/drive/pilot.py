@@ -10,40 +10,32 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from car_interface.calibration.drive.area import INWARD_RAD, Area, Turn, moved
-from car_interface.calibration.drive.config import DriveConfig
+from car_interface.calibration.drive.area import INWARD_RAD, moved
 from car_interface.calibration.drive.hold import Hold
 from car_interface.calibration.drive.motion import Motion
+from car_interface.calibration.drive.outlook import FREE_MPS, REACTION_S, Outlook
 from car_interface.calibration.drive.positions import Candidate
 from car_interface.calibration.drive.step import AVOIDING, BLOCKED, MEASURING, SETTLING, TURNING, Step
 from car_interface.calibration.drive.survey import Survey
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop, stopping_speed_mps
 
-REACTION_S = 0.12  # from the decision to turn until the servo's lag begins, and what a step takes
 MIN_LENGTH_M = 0.9  # of a position that is begun
 KEPT_LENGTH_M = 0.6  # one that was cut short counts from here on
-WANT_TIGHT_M, WANT_WIDE_M, WIDE_PER_M = 1.3, 2.2, 0.12  # to measure: a wide turn's curvature is known less well
-TIGHT_PER_M = 0.8  # the tight speed holds from here on
+WANT_TIGHT_M, WANT_WIDE_M, WIDE_PER_M = 0.9, 2.2, 0.12  # to measure: a wide turn's curvature is known less well
+BLIND_M = 0.3  # after a pause
 LITTLE_NEED = 0.3
 NEED_POWER = 2.0  # of a need, in what measuring it is worth: what is known least comes first, though it takes longer
 LENGTH_POWER = 1.5  # of the length: a slope's variance falls with the third power, and the fit smooths
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
 TIGHT_RATIO = 0.6  # of the tightest curvature: tight enough to turn back with
+TIGHT_WAY_RATIO = 0.4  # tight enough to be measured on the way into or out of a turn to that side
 TURNED_RAD = 2 * math.pi  # after a whole turn another one may be tried
 PATIENT_RAD = 1.3 * math.pi  # a turn that has lasted this long makes do with any room
-RELEASE_S = 0.15  # from the button to the ESC
 CHOICE_NS = NS_PER_S // 10
 WRONG_M, WRONG_PER_M = 0.3, 0.1  # so far, and as tightly to the other side
-TIGHT_DUTY = 20.0  # so near to its end a servo surely turns the wheels tightly
-MAX_LAGS = 2.0
-SLOW_MPS = 0.45
-EARLY_MPS = 0.8  # as long as there is no curve
-FREE_MPS, CREEP_MPS = 0.35, 0.2  # a sonar that allows less means: not there; and stop, if it was begun
-SEEN_RATIO = 0.7  # of its speed, that the sonars must allow a position that is begun
+SEEN_MPS = 0.45  # that the sonars must allow a position that is begun
 STUCK_NS, STUCK_M = 3 * NS_PER_S, 0.15  # so long without moving so far: it can't go on
-QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by how much turns widen with speed
 
 
 class _Choice(NamedTuple):
@@ -55,6 +47,7 @@ class _Choice(NamedTuple):
         want_m: the length that it wants.
         hold: its hold, if it is begun now.
         length_m: how long it could be measured, negative where it wouldn't even settle.
+        worth: for the time that it takes.
     """
 
     score: float
@@ -62,17 +55,15 @@ class _Choice(NamedTuple):
     want_m: float
     hold: Hold
     length_m: float = -math.inf
+    worth: float = 0.0
 
 
 class Pilot:
     """Decides steering and speed while the button is held."""
 
-    def __init__(self, base: SteeringCalibration, config: DriveConfig, survey: Survey, motion: Motion, area: Area,
-                 obstacles: ObstacleStop | None):
-        self.area = area
-        self._base, self._config, self._survey, self._motion = base, config, survey, motion
-        self._obstacles = obstacles
-        self._guarantee = Guarantee(config.braking_mps2, 0.0, config.braking_mps2)
+    def __init__(self, base: SteeringCalibration, survey: Survey, motion: Motion, outlook: Outlook):
+        self.outlook = outlook
+        self._base, self._survey, self._motion = base, survey, motion
         self._limits = tuple(float(end) for end in sorted((base.servo_left, base.servo_right)))
         self._ends = (base.servo_left, base.servo_right)
         self._hold: Hold | None = None
@@ -85,13 +76,14 @@ class Pilot:
         self._free_ns: int | None = None  # when it last had moved on
         self._stood_m = 0.0  # since then
         self._is_quick = False  # the turn
-        self._servo_duty = float(base.servo_center)
+        self._was_paused = False
 
     def pause(self) -> None:
         """The button was let go: what was half measured is left."""
         self._finish_hold()
         self._free_ns = None
         self._avoids = False
+        self._was_paused = True
 
     @property
     def turns_wrongly(self) -> bool:
@@ -109,12 +101,12 @@ class Pilot:
 
     def step(self, held_duty: float, now_ns: int) -> Step:
         """What to ask for, the servo board holding ``held_duty``."""
-        self._servo_duty = held_duty
+        self.outlook.servo_duty = held_duty
         if self._free_ns is None or self._stood_m >= STUCK_M:
             self._free_ns, self._stood_m = now_ns, 0.0
         self._steer_on(now_ns)
         hold = self._hold
-        speed_mps, text = self._allowed_mps(now_ns)
+        speed_mps, text = self.outlook.allowed_mps(hold, self._is_turn and self._is_quick, now_ns)
         steering = self._survey.positions.steering(hold.asked_duty(now_ns))
         if now_ns - self._free_ns > STUCK_NS:
             text = text or f"it doesn't move at {speed_mps:.1f} m/s: is the car held, or the battery empty?"
@@ -126,7 +118,7 @@ class Pilot:
         """The next 2 m, by the position that is held."""
         if self._hold is None:
             return []
-        pose, curvature = self._motion.pose, self._expected(self._hold.duty)
+        pose, curvature = self._motion.pose, self.outlook.expected_per_m(self._hold.duty)
         return [moved(pose, 0.1 * index, curvature)[:2] for index in range(21)]
 
     # --- which position ---
@@ -149,10 +141,13 @@ class Pilot:
 
     def _is_cut_off(self, now_ns):
         """Whether the arc ends here: by the area, or by a sonar."""
-        if self._sonar_mps(self._path_per_m(now_ns), now_ns) < FREE_MPS:
+        look = self.outlook
+        if look.sonar_mps(look.path_per_m(self._hold, now_ns), now_ns) < FREE_MPS:
             self._avoids = True
             return True
-        return min(self._extents_m(now_ns)) > self.area.radius_m
+        if self._is_turn:  # it is on its way back
+            return min(look.extents_m(self._hold, now_ns)) > look.area.radius_m
+        return look.is_outside_soon(self._hold, now_ns)
 
     def _begin_any(self, now_ns):
         """The best position for which there is room; else a tight turn."""
@@ -182,76 +177,99 @@ class Pilot:
             farthest = max(choices, key=lambda choice: choice.length_m)
             if farthest.length_m > -MIN_LENGTH_M:
                 self._begin(farthest, False, now_ns)
+        elif self._is_noted:
+            self._measure_in_turn(now_ns)
 
     def _choices(self, now_ns):
-        """All candidates as they could be begun now."""
-        return [self._choice(candidate, now_ns) for candidate in self._survey.positions.candidates()]
+        """The candidates as they could be begun now, without those that can't be the best any more."""
+        ideals = sorted((self._ideal(candidate, now_ns) for candidate in self._survey.positions.candidates()),
+                        key=lambda choice: -choice.ideal)
+        found, best = [], 0.0
+        for ideal in ideals:
+            if ideal.ideal < best:
+                break
+            found.append(self._choice(ideal, now_ns))
+            best = max(best, found[-1].score)
+        return found
 
-    def _choice(self, candidate: Candidate, now_ns):
-        """What a candidate is worth from here."""
-        curvature = self._expected(candidate.duty)
-        speed_mps = self._cruise_mps(curvature)
+    def _ideal(self, candidate: Candidate, now_ns):
+        """What a candidate is worth with all the room that it wants."""
+        curvature = self.outlook.expected_per_m(candidate.duty)
         hold = self._hold_for(candidate, now_ns)
-        settle_s = hold.seconds_to_settle(now_ns)
         want_m = wanted_length_m(curvature)
+        seconds = hold.seconds_to_settle(now_ns) + want_m / self.outlook.cruise_mps(curvature)
         worth = candidate.need ** NEED_POWER
-        ideal = worth / (settle_s + want_m / speed_mps)
-        nothing = _Choice(0.0, ideal, want_m, hold)
-        if self._sonar_mps(curvature, now_ns) < SEEN_RATIO * speed_mps:
-            return nothing
+        return _Choice(0.0, worth / seconds, want_m, hold, worth=worth)
+
+    def _choice(self, ideal, now_ns):
+        """What it is worth from here."""
+        hold, want_m = ideal.hold, ideal.want_m
+        curvature = self.outlook.expected_per_m(hold.duty)
+        seen_mps = self.outlook.sonar_mps(curvature, now_ns)
+        if seen_mps < SEEN_MPS:
+            return ideal
+        speed_mps = min(seen_mps, self.outlook.cruise_mps(curvature))
+        settle_s = hold.seconds_to_settle(now_ns)
         # What is expected of a position between others that were held may be far off: it may turn as little as the one.
         curvatures = {curvature}
-        if candidate.duty not in self._ends:
-            curvatures.add(self._survey.positions.least_per_m(candidate.duty))
-        rooms_m = [self._room_m(candidate.duty, one, speed_mps, want_m + speed_mps * settle_s) for one in curvatures]
+        if hold.duty not in self._ends:
+            curvatures.add(self._survey.positions.least_per_m(hold.duty))
+        rooms_m = [self.outlook.room_m(hold.duty, one, speed_mps, want_m + speed_mps * settle_s) for one in curvatures]
         length_m = min(rooms_m) - speed_mps * settle_s
         if length_m < MIN_LENGTH_M:
-            return nothing._replace(length_m=length_m)
+            return ideal._replace(length_m=length_m)
         known = min(1.0, length_m / want_m) ** LENGTH_POWER
-        return _Choice(worth * known / (settle_s + length_m / speed_mps), ideal, want_m, hold)
-
-    def _room_m(self, duty, curvature, speed_mps, max_m):
-        """How far the car can go from here if it steers that duty now and that gives that curvature."""
-        lead_m = speed_mps * (self._survey.servo_delay_s + self._survey.servo_lag_s)
-        after = moved(self._motion.pose, lead_m, (self._live_per_m() + curvature) / 2)
-        return lead_m + self.area.free_m(after, curvature, self._turns(duty, speed_mps), max_m - lead_m)
+        return ideal._replace(score=ideal.worth * known / (settle_s + length_m / speed_mps))
 
     def _turn(self, now_ns, tightest=False):
         """Turn tightly towards where there is room."""
         turn_per_m = self._way_per_m(now_ns)
         reaction_m = self._motion.speed_mps * (REACTION_S + self._survey.servo_delay_s + self._survey.servo_lag_s)
-        pose = moved(self._motion.pose, reaction_m, self._path_per_m(now_ns))
+        pose = moved(self._motion.pose, reaction_m, self.outlook.path_per_m(self._hold, now_ns))
         best = Candidate(self._base.servo_left if turn_per_m > 0 else self._base.servo_right, 0.0, 0)
-        positions = self._survey.positions
-        for candidate in [] if tightest else positions.candidates(
-                lambda duty: positions.least_per_m(duty) / turn_per_m > TIGHT_RATIO):
-            curvature = positions.least_per_m(candidate.duty)
-            if (candidate.need > best.need and self.area.turn_extent_m(pose, curvature) <= self.area.radius_m
-                    and self._sonar_mps(curvature, now_ns) >= SEEN_RATIO * self._cruise_mps(curvature)):
-                best = candidate
-        hold = self._hold
-        if hold is not None and hold.duty == best.duty:
+        if not tightest:
+            best = self._tight_candidate(turn_per_m, pose, now_ns) or best
+        if self._hold is not None and self._hold.duty == best.duty:
             self._is_turn = True
             return
         choice = _Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(best, now_ns))
         self._begin(choice, True, now_ns, best.need)
 
+    def _tight_candidate(self, turn_per_m, pose, now_ns, least_need=0.0):
+        """The tight position to that side of which least is known, and that stays inside; ``None``: there is none."""
+        positions, area = self._survey.positions, self.outlook.area
+        for candidate in positions.candidates(lambda duty: positions.least_per_m(duty) / turn_per_m > TIGHT_RATIO):
+            curvature = positions.least_per_m(candidate.duty)
+            if (candidate.need > least_need and area.turn_extent_m(pose, curvature) <= area.radius_m
+                    and self.outlook.sonar_mps(curvature, now_ns) >= SEEN_MPS):
+                return candidate
+        return None
+
+    def _measure_in_turn(self, now_ns):
+        """A turn that has to go on, at a position that is known by now: take another one that is as tight."""
+        is_left = self.outlook.expected_per_m(self._hold.duty) > 0
+        turn_per_m = self.outlook.expected_per_m(self._ends[0 if is_left else 1])
+        other = self._tight_candidate(turn_per_m, self._motion.pose, now_ns, LITTLE_NEED)
+        if other is not None and other.duty != self._hold.duty:
+            choice = _Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(other, now_ns))
+            self._begin(choice, True, now_ns, other.need)
+
     def _way_per_m(self, now_ns):
         """The tight turn to take: the one that stays inside and is free; of two the one about which less is known."""
-        turns = [self._expected(end) for end in self._ends]
-        seen = [self._sonar_mps(turn, now_ns) for turn in turns]
+        turns = [self.outlook.expected_per_m(end) for end in self._ends]
+        seen = [self.outlook.sonar_mps(turn, now_ns) for turn in turns]
         if min(seen) < FREE_MPS and max(seen) > min(seen) + 0.1:
             return turns[seen.index(max(seen))]
         # A car that looks inward gets out again on the other turn: what counts here is the whole circle of each.
-        reacted = [moved(self._motion.pose, turn.reaction_m, self._path_per_m(now_ns))
-                   for turn in self._turns(self._servo_duty, max(SLOW_MPS, self._motion.speed_mps))]
-        is_inward = self.area.inward_rad(self._motion.pose) < INWARD_RAD
-        extents = [max(partly_m, self.area.circle_extent_m(pose, turn)) if is_inward else partly_m
-                   for partly_m, pose, turn in zip(self._extents_m(now_ns), reacted, turns)]
-        if max(extents) > self.area.radius_m:
+        reacted = [moved(self._motion.pose, turn.reaction_m, self.outlook.path_per_m(self._hold, now_ns))
+                   for turn in self.outlook.turns_now()]
+        is_inward = self.outlook.area.inward_rad(self._motion.pose) < INWARD_RAD
+        extents = [max(partly_m, self.outlook.area.circle_extent_m(pose, turn)) if is_inward else partly_m
+                   for partly_m, pose, turn in zip(self.outlook.extents_m(self._hold, now_ns), reacted, turns)]
+        if max(extents) > self.outlook.area.radius_m:
             return turns[extents.index(min(extents))]
         needs = [max((candidate.need for candidate in self._survey.positions.candidates()
-                      if self._tight_per_m(candidate.duty) / turn > TIGHT_RATIO), default=0.0)
+                      if self.outlook.expected_per_m(candidate.duty) / turn > TIGHT_WAY_RATIO), default=0.0)
                  for turn in turns]
         return turns[needs.index(max(needs))]
 
@@ -260,6 +278,10 @@ class Pilot:
         self._finish_hold()
         self._hold, self._want_m, self._is_turn, self._need = choice.hold, choice.want_m, is_turn, need
         self._chosen_ns = now_ns
+        if self._was_paused:
+            # Meanwhile the servo went elsewhere, and the fit doesn't know at which side of its backlash the linkage
+            # lies until the servo has moved once more: what is held first shows nothing.
+            self._was_paused, self._is_noted, self._want_m = False, True, BLIND_M
         if not (is_turn and was_turn):
             self._turned_rad = 0.0
         if not is_turn:
@@ -278,91 +300,8 @@ class Pilot:
 
     def _hold_for(self, candidate, now_ns):
         survey = self._survey
-        return Hold(candidate.duty, candidate.from_side, self._servo_duty, self._limits, survey.servo_lag_s,
+        return Hold(candidate.duty, candidate.from_side, self.outlook.servo_duty, self._limits, survey.servo_lag_s,
                     survey.servo_delay_s, now_ns)
-
-    # --- where it goes ---
-
-    def _extents_m(self, now_ns):
-        """How far the car's corners get from the center if it turns tightly now, to the left and to the right."""
-        speed_mps = max(SLOW_MPS, self._motion.speed_mps)
-        return self.area.ways_out(self._motion.pose, self._path_per_m(now_ns), self._turns(self._servo_duty, speed_mps))
-
-    def _turns(self, from_duty, speed_mps):
-        """The tight turns to the left and to the right, begun with the servo at a duty."""
-        survey = self._survey
-        found = []
-        for end in self._ends:
-            # The servo creeps up to its end, and some linkages turn the wheels within the last counts.
-            near_duty = max(TIGHT_DUTY, abs(end - survey.positions.half_way_duty(end)))
-            lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
-            reaction_s = REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags
-            curvature, live = self._expected(end), self._motion.curvature_per_m()
-            if abs(from_duty - end) < TIGHT_DUTY and live is not None and live / curvature > 1.0:
-                curvature = live  # an end that is just being found out
-            found.append(Turn(curvature, speed_mps * reaction_s))
-        return found
-
-    def _expected(self, duty):
-        return self._survey.positions.expected_per_m(duty)
-
-    def _tight_per_m(self, duty):
-        """What a position turns at least; of an end what is expected of it."""
-        return self._expected(duty) if duty in self._ends else self._survey.positions.least_per_m(duty)
-
-    def _live_per_m(self):
-        """The curvature now; that of the duty that is held, where the car hardly moves."""
-        curvature = self._motion.curvature_per_m()
-        return self._expected(self._servo_duty) if curvature is None else curvature
-
-    def _path_per_m(self, now_ns):
-        """The curvature of the arc ahead: as it is measured, or, while the servo is on its way, as is expected."""
-        hold = self._hold
-        if hold is None or hold.is_settled(now_ns):
-            return self._live_per_m()
-        return (self._live_per_m() + 2 * self._expected(hold.duty)) / 3
-
-    # --- how fast ---
-
-    def _cruise_mps(self, curvature_per_m):
-        config = self._config
-        ratio = min(1.0, abs(curvature_per_m) / TIGHT_PER_M)
-        speed_mps = config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
-        return min(speed_mps, EARLY_MPS) if self._survey.knowledge is None else speed_mps
-
-    def _sonar_mps(self, curvature_per_m, now_ns):
-        """What the sonars allow on an arc."""
-        if self._obstacles is None:
-            return math.inf
-        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns)
-        return math.inf if bound is None else bound.speed_mps
-
-    def _allowed_mps(self, now_ns):
-        """(the speed, why it stands)."""
-        hold = self._hold
-        speed_mps = self._cruise_mps(self._expected(hold.duty))
-        if self._is_turn and self._is_quick and hold.is_settled(now_ns):
-            speed_mps = max(speed_mps, min(MAX_QUICK_MPS, math.sqrt(QUICK_MPS2 / abs(self._expected(hold.duty)))))
-        seen_mps = min(self._sonar_mps(self._expected(hold.duty), now_ns),
-                       self._sonar_mps(self._live_per_m(), now_ns) if self._motion.speed_mps > FREE_MPS else math.inf)
-        if seen_mps < (CREEP_MPS if self._motion.speed_mps > CREEP_MPS / 2 else FREE_MPS):
-            return 0.0, self._obstacle_text(now_ns)
-        pose, hard_m = self._motion.pose, self._config.radius_m
-        extent_m = min(self._extents_m(now_ns))
-        if extent_m > hard_m:
-            speed_mps = min(speed_mps, SLOW_MPS)
-            if extent_m > hard_m + 0.1 and self.area.inward_rad(pose) > math.pi / 2:
-                return 0.0, (f"it stands {self.area.extent_m(pose):.1f} m from where it began, with no room to turn: "
-                             "move it towards the middle by hand or by the manual deadman, then hold the button again")
-        # Whenever the button is let go the steering goes to the center, and the car is to stop inside all the same.
-        ahead_m = self.area.ahead_m(pose, hard_m)
-        speed_mps = min(speed_mps, max(SLOW_MPS, stopping_speed_mps(ahead_m, RELEASE_S, self._guarantee)))
-        return min(speed_mps, seen_mps), ""
-
-    def _obstacle_text(self, now_ns):
-        bound = self._obstacles.bound(self._expected(self._hold.duty), False, self._guarantee, now_ns)
-        why = f"{bound.words} {bound.speed_mps:.1f} m/s" if bound is not None else "something is near"
-        return f"{why}: no way on from here; move the car to where it is free by hand, then hold the button again"
 
     def _phase(self, now_ns):
         if self._avoids:
@@ -386,5 +325,5 @@ class Pilot:
 
 def wanted_length_m(curvature_per_m):
     """How long a turn is to be measured."""
-    return WANT_WIDE_M if abs(curvature_per_m) < WIDE_PER_M else WANT_TIGHT_M + 0.5 * max(
+    return WANT_WIDE_M if abs(curvature_per_m) < WIDE_PER_M else WANT_TIGHT_M + 0.8 * max(
         0.0, 1 - abs(curvature_per_m) / 0.5)

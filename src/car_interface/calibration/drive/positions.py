@@ -23,6 +23,9 @@ LOST_END_NEED = 4.0
 SIDES_DUTY = 5 * COUNT  # positions as near as this to each other are come to from different sides
 ANSWERED = 0.3  # the part of a need that remains until the next fit
 REPEATED = 0.3  # by how much each time a position was held makes it worth less to hold it again
+MAX_NEED = 1.5  # of the fit's: how much more isn't known says little, and the first positions come first
+MAX_NICE_NEED = 1.0  # of what the tool doesn't refuse
+STEEP_RATIO, STEEP_PER_M, STEEP_NEED = 0.08, 0.03, 1.2  # of the curvature from count to count
 SURELY_PER_M = 0.1  # an end that turns so tightly to the wrong side does so
 UNKNOWN_TURN_PER_M = 0.8  # of the ends before they were driven: as wide as a car in so small an area may turn
 
@@ -130,8 +133,7 @@ class Positions:
 
     def _by_errors(self, count, accepts):
         """The greatest errors of the fit, apart from each other."""
-        pairs = [(self._remaining(duty, error), duty)
-                 for duty, error in zip(self._knowledge.duties, self._knowledge.errors) if accepts(duty)]
+        pairs = [(need, duty) for need, duty in zip(self._needs(), self._knowledge.duties) if accepts(duty)]
         pairs.sort(reverse=True)
         found: list[Candidate] = []
         for need, at in pairs:
@@ -141,6 +143,35 @@ class Positions:
             if all(abs(duty - other.duty) >= APART_DUTY for other in found):
                 found.append(Candidate(duty, need, self._other_side(duty)))
         return found
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether there are counts that weren't held where one count changes much: see ``_needs``."""
+        return self._knowledge is not None and any(self._gaps())
+
+    def _needs(self):
+        """What remains of the fit's, (K,). Where one count changes much no fit knows what lies between two of them."""
+        known = self._knowledge
+        needs = [self._remaining(duty, max(min(error, MAX_NEED), min(need, MAX_NICE_NEED)))
+                 for duty, error, need in zip(known.duties, known.errors, known.needs or known.errors)]
+        for index in self._gaps():
+            needs[index] = max(needs[index], STEEP_NEED)
+        return needs
+
+    def _gaps(self):
+        """The indices of the counts where one count changes much, or that would be refused, and that weren't held."""
+        duties, curvatures = self._knowledge.duties, self._knowledge.curvatures
+        low, high = sorted((self._base.servo_left, self._base.servo_right))
+        for index in range(1, len(duties) - 1):
+            changes = abs(curvatures[index + 1] - curvatures[index - 1]) / 2
+            is_steep = changes > max(STEEP_RATIO * abs(curvatures[index]), STEEP_PER_M)
+            # What the tool would refuse beside positions that were held often is a bend between them.
+            if ((is_steep or self._knowledge.errors[index] > 1) and low <= duties[index] <= high
+                    and not self._was_held(duties[index])):
+                yield index
+
+    def _was_held(self, duty):
+        return bisect_left(self._held, duty + COUNT / 2) > bisect_left(self._held, duty - COUNT / 2)
 
     def _remaining(self, duty, error):
         """What remains of an error after what was measured there since the fit; less where that was done often."""

@@ -73,7 +73,8 @@ class Survey:
         """Whether all is known by far."""
         known = self.knowledge
         return (known is not None and not known.missing and not self.positions.first_left
-                and max(known.errors) <= ENOUGH and known.number == self._number and not self._is_out)
+                and max(known.errors) <= ENOUGH and not self.positions.has_gaps
+                and known.number == self._number and not self._is_out)
 
     @property
     def wants_speeds(self) -> bool:

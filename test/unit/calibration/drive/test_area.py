@@ -68,6 +68,14 @@ def test_room_ends_where_the_last_turn_would_leave_the_area():
     assert area().free_m(Pose(0.0, 0.0, 0.0), 0.0, TURNS, 0.4) == 0.4
 
 
+def test_room_ends_earlier_where_it_must_be_able_to_go_straight_on():
+    pose = Pose(-2.0, 1.0, 0.3)
+    far_m = area().free_m(pose, 0.0, TURNS, 10.0)
+    near_m = area().free_m(pose, 0.0, TURNS, 10.0, 2.0)
+    assert 0.0 < near_m < far_m
+    assert area().ahead_m(moved(pose, near_m, 0.0), 3.0) == pytest.approx(2.0, abs=0.2)
+
+
 def test_a_circle_inside_has_all_the_room():
     assert area().free_m(Pose(0.0, 0.0, 0.0), 1.0, TURNS, 50.0) == 50.0
 

@@ -34,6 +34,12 @@ def test_least_is_known_in_the_gap():
     assert min(inside) > np.median(outside)
 
 
+def test_where_one_count_changes_much_more_is_needed_than_the_tool_asks_for():
+    found = known(mixed(3900, 6400))
+    assert len(found.needs) == len(found.duties)
+    assert all(need >= error for need, error in zip(found.needs, found.errors))
+
+
 def test_with_delay_and_backlash_given_it_is_the_same_curve():
     full = known(mixed(3900, 6400))
     quick = known(mixed(3900, 6400), full)

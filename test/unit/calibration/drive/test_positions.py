@@ -5,7 +5,14 @@ import pytest
 
 from calibration.drive.light_car import base
 from car_interface.calibration.drive.knowledge import Knowledge
-from car_interface.calibration.drive.positions import APART_DUTY, FIRST, Measured, Positions, nearest_count
+from car_interface.calibration.drive.positions import (
+    APART_DUTY,
+    FIRST,
+    STEEP_NEED,
+    Measured,
+    Positions,
+    nearest_count,
+)
 
 DUTIES = tuple(range(3904, 6401, 16))
 
@@ -52,10 +59,38 @@ def test_without_a_curve_they_are_asked_for_again():
 def test_then_the_greatest_errors_come_first_and_apart_from_each_other():
     positions = Positions(base())
     all_first(positions)
-    positions.update_knowledge(knowledge({4512: 3.0, 4528: 2.9, 5792: 2.0}), 0)
+    positions.update_knowledge(knowledge({4512: 1.4, 4528: 1.3, 5792: 1.2}), 0)
     duties = [candidate.duty for candidate in positions.candidates()]
     assert duties[:2] == [4512, 5792]
     assert all(abs(one - other) >= APART_DUTY for one in duties for other in duties if one != other)
+
+
+def test_the_first_come_before_whatever_a_fit_of_few_positions_does_not_know():
+    positions = Positions(base())
+    positions.update_knowledge(knowledge({4512: 9.0}), 0)
+    assert [candidate.duty for candidate in positions.candidates()[:3]] == [3900, 6400, 5184]
+
+
+def test_where_one_count_changes_much_each_is_to_be_held_whatever_the_fit_says():
+    positions = Positions(base())
+    all_first(positions)
+    steep = knowledge()
+    curvatures = tuple(0.2 if duty < 5008 else 0.1 if duty == 5008 else -0.1 for duty in DUTIES)
+    positions.update_knowledge(steep._replace(curvatures=curvatures), 0)
+    asked = {candidate.duty for candidate in positions.candidates() if candidate.need == STEEP_NEED}
+    assert asked & {4992, 5008, 5024} and asked <= {4992, 5008, 5024}
+    assert positions.has_gaps
+    for duty in (4992, 5008, 5024):
+        positions.add(measured(duty))
+    assert all(candidate.need < 0.2 for candidate in positions.candidates()) and not positions.has_gaps
+
+
+def test_what_is_needed_is_more_than_what_the_tool_asks_for():
+    positions = Positions(base())
+    all_first(positions)
+    positions.update_knowledge(knowledge({4512: 0.6})._replace(
+        needs=tuple(0.9 if duty == 5792 else 0.1 for duty in DUTIES)), 0)
+    assert positions.candidates()[0].duty == 5792
 
 
 def test_an_end_that_the_fit_lost_is_asked_for_again():

@@ -90,6 +90,22 @@ def test_it_is_enough_when_all_is_known_by_far():
     assert not survey().is_enough
 
 
+def test_it_is_not_enough_while_a_count_was_not_held_where_one_changes_much():
+    one = finished(0.9 * ENOUGH)
+    assert one.is_enough
+    flat = one.knowledge
+    steep = tuple(0.2 if duty < 5008 else -0.1 for duty in flat.duties)
+    hold(one, 1)
+    one.take_task(S)
+    one.update_knowledge(flat._replace(number=2, curvatures=steep))
+    assert not one.is_enough
+    for duty in (4992, 5008):
+        one.add(Measured(duty, 1, 1.5, 0.0))
+    one.take_task(2 * S)
+    one.update_knowledge(flat._replace(number=3, curvatures=steep))
+    assert one.is_enough
+
+
 def test_progress_grows_and_time_left_shrinks():
     early = survey()
     hold(early, 3)

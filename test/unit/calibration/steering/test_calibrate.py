@@ -90,6 +90,22 @@ def test_side_that_was_not_driven_keeps_its_old_duties_and_is_a_problem(fits):
     assert [problem.split(":")[0] for problem in found.problems] == ["no data for right turns"]
 
 
+@pytest.mark.parametrize("is_stop, duty", [(False, 3600), (True, 4000.0)], ids=["limit_stays", "stop_is_the_end"])
+def test_limit_that_the_wheels_stay_behind_is_kept(fits, is_stop, duty):
+    # Half of the backlash is between servo and wheels: else each calibration would make the range smaller by that.
+    fits[None] = line_curve(left=Side(4000.0, 1.0, 0.001, is_stop, True, 4000.0))
+    found = calibrate([recorded()], BASE, AXIS_M)
+    assert found.ends == {LEFT: duty, RIGHT: 6400.0}
+    assert found.points[LEFT][0].duty == pytest.approx(4000)
+
+
+def test_limit_on_the_other_side_of_the_center_is_not_kept(fits):
+    fits[None] = line_curve(left=Side(4000.0, 1.0, 0.001, False, True, 4000.0))
+    swapped = replace(BASE, servo_left=6600, servo_right=3600, left_duties=(6500, 5900, 5110),
+                      right_duties=(3700, 4400, 5090))
+    assert calibrate([recorded()], swapped, AXIS_M).ends[LEFT] == 4000.0
+
+
 def test_center_that_was_not_driven_is_the_bases(fits):
     fits[None] = replace(line_curve(), center=math.nan, center_sigma=math.nan)
     found = calibrate([recorded()], BASE, AXIS_M)

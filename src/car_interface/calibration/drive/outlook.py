@@ -1,0 +1,153 @@
+"""Where the car goes from here, and how fast it may: inside the area, around what the sonars see, and so that it stops
+inside when the button is let go, with the servo's lag and with the least deceleration that was seen.
+"""
+from __future__ import annotations
+
+import math
+
+from car_interface.calibration.drive.area import Area, Turn, moved
+from car_interface.calibration.drive.config import DriveConfig
+from car_interface.calibration.drive.hold import Hold
+from car_interface.calibration.drive.motion import Motion
+from car_interface.calibration.drive.survey import Survey
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop, stopping_speed_mps
+
+REACTION_S = 0.12  # from the decision to turn until the servo's lag begins, and what a step takes
+TIGHT_PER_M = 0.8  # the tight speed holds from here on
+TIGHT_DUTY = 20.0  # so near to its end a servo surely turns the wheels tightly
+MAX_LAGS = 2.0
+RELEASE_S = 0.15  # from the button to the ESC
+COASTS_MPS2 = 0.2  # nothing brakes once the button is let go: a car's drag, less a gentle slope
+LATE_M = 0.2  # by so much sooner it slows: without a brake its speed is behind what is asked for
+SLOW_MPS = 0.4
+EARLY_MPS = 0.8  # as long as there is no curve
+FREE_MPS, CREEP_MPS = 0.35, 0.2  # a sonar that allows less means: not there; and stop, if it was begun
+QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by how much turns widen with speed
+
+
+class Outlook:
+    """The way ahead of one car.
+
+    Attributes:
+        area: in which it stays.
+        servo_duty: what the servo board holds.
+    """
+
+    def __init__(self, base: SteeringCalibration, config: DriveConfig, survey: Survey, motion: Motion, area: Area,
+                 obstacles: ObstacleStop | None):
+        self.area = area
+        self.servo_duty = float(base.servo_center)
+        self._config, self._survey, self._motion, self._obstacles = config, survey, motion, obstacles
+        self._ends = (base.servo_left, base.servo_right)
+        self._guarantee = Guarantee(config.braking_mps2, 0.0, config.braking_mps2)
+        self._coasting = self._guarantee
+        self.update_coasting(math.inf)
+        self._ways_out: tuple = (None, [])
+
+    def update_coasting(self, least_mps2: float) -> None:
+        """The least deceleration that was seen after the button had been let go."""
+        coasts_mps2 = min(self._config.braking_mps2, COASTS_MPS2, least_mps2)
+        self._coasting = Guarantee(coasts_mps2, 0.0, coasts_mps2)
+
+    # --- where it goes ---
+
+    def expected_per_m(self, duty: float) -> float:
+        """The curvature to expect at a duty."""
+        return self._survey.positions.expected_per_m(duty)
+
+    def live_per_m(self) -> float:
+        """The curvature now; that of the duty that is held, where the car hardly moves."""
+        curvature = self._motion.curvature_per_m()
+        return self.expected_per_m(self.servo_duty) if curvature is None else curvature
+
+    def path_per_m(self, hold: Hold | None, now_ns: int) -> float:
+        """The curvature of the arc ahead: as it is measured, or, while the servo is on its way, as is expected."""
+        if hold is None or hold.is_settled(now_ns):
+            return self.live_per_m()
+        return (self.live_per_m() + 2 * self.expected_per_m(hold.duty)) / 3
+
+    def turns(self, from_duty: float, speed_mps: float) -> list[Turn]:
+        """The tight turns to the left and to the right, begun with the servo at a duty."""
+        survey = self._survey
+        found = []
+        for end in self._ends:
+            # The servo creeps up to its end, and some linkages turn the wheels within the last counts.
+            near_duty = max(TIGHT_DUTY, abs(end - survey.positions.half_way_duty(end)))
+            lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
+            reaction_s = REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags
+            curvature, live = self.expected_per_m(end), self._motion.curvature_per_m()
+            if abs(from_duty - end) < TIGHT_DUTY and live is not None and live / curvature > 1.0:
+                curvature = live  # an end that is just being found out
+            found.append(Turn(curvature, speed_mps * reaction_s))
+        return found
+
+    def turns_now(self) -> list[Turn]:
+        """The same from here."""
+        return self.turns(self.servo_duty, max(SLOW_MPS, self._motion.speed_mps))
+
+    def extents_m(self, hold: Hold | None, now_ns: int) -> list[float]:
+        """How far the car's corners get from the center if it turns tightly now, to the left and to the right."""
+        asked = self._motion.pose, self.path_per_m(hold, now_ns), self.turns_now()
+        if self._ways_out[0] != asked:  # asked for several times in a step
+            self._ways_out = asked, self.area.ways_out(*asked)
+        return self._ways_out[1]
+
+    def room_m(self, duty: float, curvature_per_m: float, speed_mps: float, max_m: float) -> float:
+        """How far the car can go from here if it steers that duty now and that gives that curvature."""
+        lead_m = speed_mps * (self._survey.servo_delay_s + self._survey.servo_lag_s)
+        after = moved(self._motion.pose, lead_m, (self.live_per_m() + curvature_per_m) / 2)
+        return lead_m + self.area.free_m(after, curvature_per_m, self.turns(duty, speed_mps), max_m - lead_m,
+                                         self._stop_m())
+
+    def is_outside_soon(self, hold: Hold, now_ns: int) -> bool:
+        """Whether it has to turn now to stay inside, or to stop inside when it is let go."""
+        return (min(self.extents_m(hold, now_ns)) > self.area.radius_m
+                or self.area.ahead_m(self._motion.pose, self.area.radius_m) < self._stop_m())
+
+    def _stop_m(self):
+        """What it takes to stop from the slow speed when the button is let go."""
+        return RELEASE_S * SLOW_MPS + SLOW_MPS ** 2 / (2 * self._coasting.stop_mps2)
+
+    # --- how fast ---
+
+    def cruise_mps(self, curvature_per_m: float) -> float:
+        """The speed in such a turn."""
+        config = self._config
+        ratio = min(1.0, abs(curvature_per_m) / TIGHT_PER_M)
+        speed_mps = config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
+        return min(speed_mps, EARLY_MPS) if self._survey.knowledge is None else speed_mps
+
+    def sonar_mps(self, curvature_per_m: float, now_ns: int) -> float:
+        """What the sonars allow on an arc."""
+        if self._obstacles is None:
+            return math.inf
+        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns)
+        return math.inf if bound is None else bound.speed_mps
+
+    def allowed_mps(self, hold: Hold, is_quick: bool, now_ns: int) -> tuple[float, str]:
+        """(the speed for a position, why it stands); ``is_quick``: as fast as the tyres hold, once it is settled."""
+        expected, speed_now_mps = self.expected_per_m(hold.duty), self._motion.speed_mps
+        speed_mps = self.cruise_mps(expected)
+        if is_quick and hold.is_settled(now_ns):
+            speed_mps = max(speed_mps, min(MAX_QUICK_MPS, math.sqrt(QUICK_MPS2 / abs(expected))))
+        seen_mps = min(self.sonar_mps(expected, now_ns),
+                       self.sonar_mps(self.live_per_m(), now_ns) if speed_now_mps > FREE_MPS else math.inf)
+        if seen_mps < (CREEP_MPS if speed_now_mps > CREEP_MPS / 2 else FREE_MPS):
+            return 0.0, self._obstacle_text(expected, now_ns)
+        pose, hard_m = self._motion.pose, self._config.radius_m
+        extent_m = min(self.extents_m(hold, now_ns))
+        if extent_m > hard_m:
+            speed_mps = min(speed_mps, SLOW_MPS)
+            if extent_m > hard_m + 0.1 and self.area.inward_rad(pose) > math.pi / 2:
+                return 0.0, (f"it stands {self.area.extent_m(pose):.1f} m from where it began, with no room to turn: "
+                             "move it towards the middle by hand or by the manual deadman, then hold the button again")
+        # Whenever the button is let go the steering goes to the center, and the car is to stop inside all the same.
+        ahead_m = self.area.ahead_m(pose, hard_m) - LATE_M
+        speed_mps = min(speed_mps, max(SLOW_MPS, stopping_speed_mps(ahead_m, RELEASE_S, self._coasting)))
+        return min(speed_mps, seen_mps), ""
+
+    def _obstacle_text(self, curvature_per_m, now_ns):
+        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns)
+        why = f"{bound.words} {bound.speed_mps:.1f} m/s" if bound is not None else "something is near"
+        return f"{why}: no way on from here; move the car to where it is free by hand, then hold the button again"
