@@ -151,7 +151,7 @@ class PlannerInterface:
             self._publish_stop()
             self._decision = PlannerDecision(causes.NO_REQUEST, "planner_interface has ended")
             self._publish_state(time.monotonic_ns())
-            time.sleep(0.02)  # rospy sends in a thread of its own
+            time.sleep(0.02)  # for what a socket did not take at once
 
     def _has_fallen_silent(self, now_ns):
         return (self._decision is not None and self._decision.request is not None

@@ -73,7 +73,7 @@ from car_interface.throttle.params import read_config
 RATE_HZ = 50
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 50
 LIVE_RATE = 100  # duty per second
-# rospy sends in a thread of its own, which needs the interpreter: state and log wait until the command was sent.
+# Who gets the command needs a core: state and log wait until it is on its way.
 REPORT_AFTER_NS = 500_000
 # A log line takes a millisecond of CPU time, which on a busy computer the servo board's node needs for the command; and
 # teleop_logi's state, which a line may quote, arrives after its human_in_loop.
@@ -149,7 +149,7 @@ class ThrottleArb:
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
         self._commands.publish(self._neutral)
-        time.sleep(0.02)  # rospy sends in a thread of its own
+        time.sleep(0.02)  # for what a socket did not take at once
 
     def _on_overflow(self, now_ns):
         self._control.mark_stale(now_ns)
