@@ -109,7 +109,7 @@ class GenericValueConverter:
         rospy.loginfo("waiting for odometry on %s and commands on %s",
                       *(rospy.resolve_name(inbox.resolve_name(name))
                         for name in ("~input/odometry", "~input/control_cmd")))
-        subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
+        subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)  # only a command asks for it
         subscribe("~input/control_cmd", Control, inbox, self._on_command)
         self._command_topics.start(self._diagnostics.report_now)
 

@@ -192,7 +192,7 @@ class Pca9685:
         finally:
             self._supervisor.close()
             self._guard.end(time.monotonic_ns(), self._timeout_counts(), is_safe)
-        time.sleep(0.02)  # rospy sends in a thread of its own
+        time.sleep(0.02)  # for what a socket did not take at once
 
     def _switch_off(self):
         self._channels.make_safe()

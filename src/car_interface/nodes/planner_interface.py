@@ -132,8 +132,9 @@ class PlannerInterface:
             if source != obeyed:
                 subscribe_any(topic, inbox, lambda message, now_ns, source=source:
                               self._sources.count_other(source, sender_of(message)), wakes=False)
-        subscribe("~input/odometry", Odometry, inbox, self._on_odometry)
-        subscribe("throttle_arb/state", ThrottleState, inbox, self._on_throttle)
+        # The speed is controlled at the timer's ticks alone.
+        subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)
+        subscribe("throttle_arb/state", ThrottleState, inbox, self._on_throttle, wakes=False)
 
     def step(self, now_ns):
         """Handle what arrived; then the timer, and the moment at which the source falls silent."""
@@ -151,7 +152,7 @@ class PlannerInterface:
             self._publish_stop()
             self._decision = PlannerDecision(causes.NO_REQUEST, "planner_interface has ended")
             self._publish_state(time.monotonic_ns())
-            time.sleep(0.02)  # rospy sends in a thread of its own
+            time.sleep(0.02)  # for what a socket did not take at once
 
     def _has_fallen_silent(self, now_ns):
         return (self._decision is not None and self._decision.request is not None

@@ -96,7 +96,7 @@ class TeleopLogi:
     def shut_down(self):
         """Release the deadman."""
         self._human.publish(False)
-        time.sleep(0.02)  # rospy sends in a thread of its own
+        time.sleep(0.02)  # for what a socket did not take at once
 
     def _on_joy(self, message, now_ns):
         self._gamepad.update(message.axes, message.buttons, now_ns)

@@ -73,7 +73,7 @@ from car_interface.throttle.params import read_config
 RATE_HZ = 50
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 50
 LIVE_RATE = 100  # duty per second
-# rospy sends in a thread of its own, which needs the interpreter: state and log wait until the command was sent.
+# Who gets the command needs a core: state and log wait until it is on its way.
 REPORT_AFTER_NS = 500_000
 # A log line takes a millisecond of CPU time, which on a busy computer the servo board's node needs for the command; and
 # teleop_logi's state, which a line may quote, arrives after its human_in_loop.
@@ -127,12 +127,14 @@ class ThrottleArb:
         subscribe_changes("~input/value", Float64Stamped, inbox, self._on_value, self._decide)
         subscribe_changes("turn_arb/state", SteeringState, inbox, self._on_steering, self._decide,
                           value_of=lambda state: (state.source, state.turn_radius, state.max_speed))
-        for topic, message_type, handler in (
-                ("~input/odometry", Odometry, self._on_odometry),
-                ("generic_value_converter/state", ConverterState, self._on_converter),
-                ("planner_interface/state", PlannerState, self._on_planner_state),
-                ("/servo/output", Int32MultiArray, self._on_output)):
-            subscribe(topic, message_type, inbox, self._deciding(handler))
+        # Without a change these have nothing that can't wait for the next tick.
+        subscribe_changes("~input/odometry", Odometry, inbox, self._on_odometry, self._decide,
+                          value_of=lambda odometry: math.isfinite(odometry.twist.twist.linear.x))
+        subscribe_changes("generic_value_converter/state", ConverterState, inbox, self._on_converter, self._decide,
+                          value_of=lambda state: state.cause)
+        subscribe_changes("planner_interface/state", PlannerState, inbox, self._on_planner_state, self._decide,
+                          value_of=lambda state: (state.cause, state.gear))
+        subscribe("/servo/output", Int32MultiArray, inbox, self._on_output, wakes=False)
         # Only quoted: no line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
 
@@ -149,7 +151,7 @@ class ThrottleArb:
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
         self._commands.publish(self._neutral)
-        time.sleep(0.02)  # rospy sends in a thread of its own
+        time.sleep(0.02)  # for what a socket did not take at once
 
     def _on_overflow(self, now_ns):
         self._control.mark_stale(now_ns)

@@ -63,7 +63,7 @@ RATE_HZ = 100
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 100  # the converter waits 0.25 s for a state
 LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a servo's travel
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
-# rospy sends in a thread of its own, which needs the interpreter: state and log wait until the command was sent.
+# Who gets the command needs a core: state and log wait until it is on its way.
 REPORT_AFTER_NS = 500_000
 LOG_AFTER_NS = 20_000_000  # teleop_logi's state, which a line may quote, arrives after its human_in_loop
 

@@ -30,6 +30,7 @@ from rospy.impl.paramserver import get_param_server_cache
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.common.standstill import StandstillWatch
+from car_interface.ros.direct_connection import send_directly
 from car_interface.ros.garbage import IdleCollector, node_activity
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.logs import LogStream, LogThreads
@@ -50,6 +51,7 @@ def run(name: str, node_class) -> None:
     """
     sys.stdout, sys.stderr = LogStream(sys.stdout), LogStream(sys.stderr)
     logging.raiseExceptions = False  # a full disk must not end the node
+    send_directly()
     _register(name)
     _keep_rosout_parameter()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
