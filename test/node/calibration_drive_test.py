@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import time
-import unittest
 
 import rospy
 import rostest
