@@ -177,6 +177,8 @@ class Drive(DriveTest):
 
     def test_person_with_the_stick_is_told_where_to_hold_it_and_nothing_is_asked_for(self):
         terminal = self.start("-o", self.table, "--stick")
+        self.wait_for_line(terminal, "^hold the manual deadman: human_in_loop is false: no deadman is held")
+        self.press(MANUAL)
         self.wait_for_line(terminal, "^drive slowly, about 1 m/s, with the stick at 100% left")
         self.press(MANUAL, 0.5, 0.6)
         self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, self.truth.mark())

@@ -196,8 +196,8 @@ class CalibrationDriveNode:
             self._grant.update_other(rospy.resolve_name(topic), sender, now_ns)
 
     def _update_grant(self, now_ns):
-        if not self._wanted.stick:
-            self._drive.update_grant(*self._grant.decide(now_ns), now_ns)
+        grant = self._grant
+        self._drive.update_grant(*(grant.decide_by_hand if self._wanted.stick else grant.decide)(now_ns), now_ns)
 
     # --- before the drive ---
 
