@@ -183,14 +183,15 @@ class StickPerson:
 
     def __init__(self, test, rng):
         self._test, self._rng = test, rng
-        self._looked_s = 0.0
+        self._looked_s, self._lets_go = 0.0, False
         self._stick = self._aim = self._bias = 0.0
         self._turns_to = 0.0  # away from a wall
 
     def step(self):
         """Look, and move the sticks; 20 times a second."""
         now_s = time.monotonic()
-        if any("let go" in line for line in self._test.newest()):  # the gamepad was late
+        if self._lets_go:  # as the program asks for where the gamepad was late
+            self._lets_go = False
             self._test.press(None)
             time.sleep(0.2)
         if now_s - self._looked_s >= self.LOOKS_S:
@@ -211,7 +212,8 @@ class StickPerson:
         if at < 2:
             return
         target, held = re.match(r" +hold at (.*?); it is at (.*?)(?:;.*)?$", lines[at]).groups()
-        text = " ".join(lines[max(0, at - 3):at - 1])
+        text = " ".join(" ".join(lines[max(0, at - 3):at - 1]).split())
+        self._lets_go = "let go" in text
         pushes = re.search(r"push to (.*?) first", text)
         aim = _value(pushes.group(1) if pushes else target)
         if abs(aim - self._aim) > 0.005:  # another place: where exactly the thumb comes to rest, nobody knows
