@@ -8,7 +8,8 @@ Publishes, at 50 Hz while it may drive, without --stick:
     av_steer_req (std_msgs/Float32): −1 right .. +1 left.
     av_speed_req (std_msgs/Float32): m/s, for planner_interface with source ``speed``.
 And:
-    ~markers (visualization_msgs/MarkerArray, latched, 5 Hz): the area, where it goes, what is known of which radius.
+    ~markers (visualization_msgs/MarkerArray, latched, 5 Hz): the area, where it goes, what is known of which radius;
+        with --stick what to do in place of the first two.
 Subscribes:
     odom (nav_msgs/Odometry), servo/output (std_msgs/Int32MultiArray): what it measures.
     turn_arb/state (SteeringState), throttle_arb/state (ThrottleState), planner_interface/state (PlannerState),
@@ -151,6 +152,8 @@ class CalibrationDriveNode:
 
     def _on_odometry(self, message, now_ns):
         self._seen.odom = True
+        if self._page is not None:  # it is over, and another thread reads what was measured
+            return
         self._frames = message.header.frame_id or "odom", message.child_frame_id or "base_link"
         measured_ns = self._clock.monotonic_ns(message.header.stamp)
         if not 0 <= now_ns - measured_ns <= MAX_ODOM_AGE_NS:
@@ -160,7 +163,7 @@ class CalibrationDriveNode:
                                     message.twist.twist.linear.x, measured_ns, now_ns)
 
     def _on_output(self, message, now_ns):
-        if len(message.data) == CHANNELS:
+        if len(message.data) == CHANNELS and self._page is None:
             self._seen.duty = duty = message.data[self._base.servo_channel]
             self._output.update(duty, now_ns)
             self._drive.update_duty(duty, now_ns)
@@ -193,8 +196,8 @@ class CalibrationDriveNode:
             self._grant.update_other(rospy.resolve_name(topic), sender, now_ns)
 
     def _update_grant(self, now_ns):
-        if not self._wanted.stick:
-            self._drive.update_grant(*self._grant.decide(now_ns), now_ns)
+        grant = self._grant
+        self._drive.update_grant(*(grant.decide_by_hand if self._wanted.stick else grant.decide)(now_ns), now_ns)
 
     # --- before the drive ---
 
@@ -261,12 +264,15 @@ class CalibrationDriveNode:
             self._text.show(lines(step, progress, self._text.width))
         else:
             self._announce(kind, [terminal.plain_line(step.phase, step.text, progress)], now_ns)
-        if not self._wanted.stick:
-            rows = progress.rows
-            self._markers.publish(drive_markers(
-                *self._frames, self._drive.start, self._config.radius_m, self._drive.expected_path(), rows,
-                self._rows_drawn, f"{progress.fraction:.0%}, {terminal.HEADLINES.get(step.phase, step.phase)}"))
-            self._rows_drawn = len(rows)
+        self._show_markers(step, progress)
+
+    def _show_markers(self, step, progress):
+        drive, rows = self._drive, progress.rows
+        start, path = (None, []) if self._wanted.stick else (drive.start, drive.expected_path())
+        text = step.text if self._wanted.stick else terminal.HEADLINES.get(step.phase, step.phase)
+        self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, rows, self._rows_drawn,
+                                            f"{terminal.percent(progress.fraction).strip()}, {text}"))
+        self._rows_drawn = len(rows)
 
     def _announce(self, kind, lines, now_ns):
         """Draw lines over; where that can't be, print them when the kind changes, and now and then."""

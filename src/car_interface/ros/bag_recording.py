@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -15,7 +16,7 @@ RECORDER = "record_"  # rosbag's node, before what makes its name unique
 
 
 class BagRecording:
-    """A ``rosbag record``, in a file of its own under ``folder``.
+    """A ``rosbag record``, in a file of its own under ``folder``. It ends with this process, however that ends.
 
     Args:
         folder: made where it isn't there.
@@ -29,8 +30,11 @@ class BagRecording:
         except OSError as error:
             raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
         self._path = os.path.join(folder, time.strftime(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
-        command = ["rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O", self._path]
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        command = [*_ending_with_parent(), "rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O",
+                   self._path]
+        # In a session of its own, a terminal's Ctrl-C and hang-up are for the node, which closes the bag then.
+        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                                         start_new_session=True)
 
     def has_subscribed(self, topic: str) -> bool:
         """Whether a recorder has subscribed to a topic: rosbag takes a second to start, on a busy computer some."""
@@ -61,3 +65,8 @@ class BagRecording:
         self.begin_stop()
         self._process.wait()
         return self._path
+
+
+def _ending_with_parent():
+    """What has a command closed by SIGINT when the node is killed, and can't: rosbag would record for ever."""
+    return ("setpriv", "--pdeathsig", "INT") if shutil.which("setpriv") else ()

@@ -86,6 +86,13 @@ class Grant:
                    or _planner_trouble(self._planner.value) or "; ".join(self.others(now_ns)))
         return Granted(not trouble, trouble)
 
+    def decide_by_hand(self, now_ns: int) -> Granted:
+        """Whether turn_arb obeys a person's stick."""
+        if self._steering.is_stale(now_ns):
+            return Granted(False, self._steering.stale_reason(now_ns))
+        steering = self._steering.value
+        return Granted(steering.source == TELEOP, "" if steering.source == TELEOP else steering.reason)
+
 
 def _steering_trouble(steering):
     if steering.source == PLANNER or steering.source == NEUTRAL and steering.cause in IDLE:

@@ -1,7 +1,7 @@
 """The same drive by hand: it tells a person who steers with the stick where to hold it, and for how long still.
 
 The person keeps the car away from walls, and slow; nothing is published. Fits, progress and end are those of
-``CalibrationDrive``, and so is the loop of a node, but for update_range and update_grant.
+``CalibrationDrive``, and so is the loop of a node, but for update_range.
 """
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from car_interface.steering.calibration import SteeringCalibration
 TIMEOUT_S = 0.5
 HOLD_M = 2.0  # of each position; a person needs no more precision than the fit, which takes what it gets
 NEAR_DUTY = 24.0  # a stick that is held as near as this to the position holds it
-STILL_DUTY = 12.0  # and one that moves by no more than this
+STILL_DUTY = 24.0  # and one that moves by no more than this, as the fit takes a segment: a thumb is on two counts
 SETTLE_NS = NS_PER_S // 2
 SLOW_MPS, MAX_LATERAL_MPS2 = 0.25, 4.0  # as the fit takes a segment
 MAX_STEP_NS = NS_PER_S // 5
@@ -43,10 +43,12 @@ class StickGuide:
         self._odom = TimedInput("odom", TIMEOUT_S)
         self._duty = TimedInput("/servo/output", TIMEOUT_S)
         self._target: Candidate | None = None
-        self._still_duty, self._still_ns = math.nan, 0  # where the stick is held, and since when
+        self._low_duty = self._high_duty = math.nan  # between which the stick is held, and since when
+        self._still_ns = 0
         self._length_m = self._turned_rad = 0.0  # while it was held
         self._passed = False  # the stick came from the side that was asked for
         self._driven_ns, self._stepped_ns = 0, None
+        self._why_not = ""  # it may not be driven
         self._end = ""
         self._now_ns = 0
 
@@ -76,11 +78,18 @@ class StickGuide:
         """As CalibrationDrive's: it shows where the stick is."""
         self._duty.update(duty, now_ns)
         self.samples.update_duty(duty, now_ns)
-        if not abs(duty - self._still_duty) <= STILL_DUTY:
+        low_duty, high_duty = min(self._low_duty, duty), max(self._high_duty, duty)  # NaN stays
+        if high_duty - low_duty <= STILL_DUTY:
+            self._low_duty, self._high_duty = low_duty, high_duty
+        else:
             self._note()
-            self._still_duty, self._still_ns = duty, now_ns
+            self._low_duty, self._high_duty, self._still_ns = duty, duty, now_ns
         if self._target is not None and (duty - self._target.duty) * self._target.from_side >= NEAR_DUTY:
             self._passed = True
+
+    def update_grant(self, may_drive: bool, reason: str, now_ns: int) -> None:
+        """Whether turn_arb obeys the stick: the manual deadman is held; and why not, in its own words."""
+        self._why_not = "" if may_drive else reason
 
     def step(self, now_ns: int) -> Guidance:
         """What to do now; 10 times a second and more."""
@@ -108,6 +117,8 @@ class StickGuide:
         curvature = self._motion.curvature_per_m() or 0.0
         lateral_mps2 = abs(curvature) * self._motion.speed_mps ** 2
         where = _words(steering)
+        if not moves and self._why_not:
+            return self._say(left_s, PAUSED, f"hold the manual deadman: {self._why_not}")
         if not moves:
             return self._say(left_s, PAUSED, f"drive slowly, about 1 m/s, with the stick at {where}")
         if lateral_mps2 > MAX_LATERAL_MPS2:
@@ -126,7 +137,7 @@ class StickGuide:
     def _is_held(self, now_ns):
         """Whether the stick is held still at the position, come to from the right side, and the servo has followed."""
         target = self._target
-        return (target is not None and abs(self._still_duty - target.duty) <= NEAR_DUTY
+        return (target is not None and abs((self._low_duty + self._high_duty) / 2 - target.duty) <= NEAR_DUTY
                 and (self._passed or not target.from_side or target.duty in self._survey.ends)
                 and now_ns - self._still_ns >= SETTLE_NS)
 

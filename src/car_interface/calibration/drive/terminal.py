@@ -32,6 +32,7 @@ HEADLINES = {WAITING: "waits", PAUSED: "paused", SETTLING: "steers", MEASURING: 
 KNOWN, PARTLY, UNKNOWN = "#", "+", "."  # of a radius
 LEGEND = f"{KNOWN} known   {PARTLY} not well enough   {UNKNOWN} not yet"
 MAX_MISSING = 3
+ENOUGH = "nothing is missing; it goes on to know it better: F finishes now"
 ADVICE = ": drive "  # to a person who drives without this guidance
 
 
@@ -103,13 +104,13 @@ def stick_bar(guidance: Guidance, length: int = STICK_BAR) -> list[str]:
 
 
 def radius_marks(rows: Iterable[Row], side: str) -> str:
-    """A mark for each radius of a side, tight first: ``0.9 m ##+... 300 m: 2 of 6 known, 1.4 m to ±12%``."""
+    """A mark for each radius of a side, tight first: ``0.9 m ##+... 300 m: 2 of 6, 1.4 m to ±12%``."""
     ours = [row for row in rows if row.side == side]
     if not ours:
         return "nothing known yet"
     marks = "".join(KNOWN if row.is_known else PARTLY if math.isfinite(row.radius_error) else UNKNOWN for row in ours)
     known = sum(row.is_known for row in ours)
-    text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {known} of {len(ours)} known"
+    text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {known} of {len(ours)}"
     open_ones = [row for row in ours if not row.is_known]
     if open_ones:
         worst = max(open_ones, key=lambda row: row.radius_error)
@@ -127,6 +128,8 @@ def _progress_lines(progress: Progress) -> list[str]:
     if len(missing) > MAX_MISSING:
         missing[MAX_MISSING:] = [f"… and {len(missing) - MAX_MISSING} more"]
     lines += [f"missing: {text}" for text in missing]
+    if progress.rows and not missing:
+        lines.append(ENOUGH)
     return [*lines, LEGEND] if progress.rows else lines
 
 

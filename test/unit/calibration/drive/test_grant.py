@@ -80,3 +80,16 @@ def test_other_program_that_asks_refuses_for_a_second():
         reason = "/my_planner publishes /av_turnrad_req, too: end it" if now_ns <= NS_PER_S else ""
         assert grant.decide(now_ns) == (not reason, reason)
         assert grant.others(now_ns) == ([reason] if reason else [])
+
+
+@pytest.mark.parametrize(("steering", "granted"), [
+    (Steering(TELEOP, causes.TELEOP, "tele_steer_req is 0.2"), (True, "")),
+    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "no deadman is held"), (False, "no deadman is held")),
+    (Steering(LOCKED, causes.E_STOP, "e_stop is on"), (False, "e_stop is on")),
+    (Steering(PLANNER, causes.PLANNER, "av_steer_req is 0.2"), (False, "av_steer_req is 0.2"))])
+def test_person_s_stick_is_granted_by_turn_arb_alone(steering, granted):
+    grant = Grant()
+    assert grant.decide_by_hand(0) == (False, "turn_arb's state was never heard")
+    grant.update_steering(steering, 0)
+    assert grant.decide_by_hand(0) == granted
+    assert grant.decide_by_hand(NS_PER_S) == (False, "turn_arb's state silent for 1.00 s")

@@ -49,6 +49,12 @@ def test_it_begins_with_an_end_and_asks_for_a_slow_drive():
     assert guidance.text == "drive slowly, about 1 m/s, with the stick at 100% left"
 
 
+def test_who_stands_without_the_deadman_is_told_why_in_the_arbiter_s_words():
+    one = car()
+    one.holds = False
+    assert one.tick(0.0, 5184).text == "hold the manual deadman: human_in_loop is false"
+
+
 def test_without_odometry_it_says_so():
     guide = StickGuide(base())
     assert "odom was never heard" in guide.step(1).text
@@ -77,6 +83,15 @@ def test_a_stick_that_wanders_is_not_held():
     for tick in range(300):
         guidance = one.tick(1.0, 3900 + (tick % 20) * 10)
     assert guidance.phase == SETTLING and guidance.text == "hold the stick still at 100% left"
+
+
+def test_a_thumb_that_trembles_between_two_counts_holds_the_stick_still():
+    one = car()
+    for tick in range(200):
+        guidance = one.tick(1.0, 3904 + 16 * (tick // 5 % 2))
+        if guidance.phase == MEASURING:
+            break
+    assert guidance.phase == MEASURING
 
 
 def test_a_stick_held_next_to_the_position_does():

@@ -37,12 +37,24 @@ def test_picture_of_a_drive():
     assert made == [
         "it measures 40% left, duty 4020: 0.8 of 1.3 m",
         "[#####...................]  24%   0:42 driven, about 2:10 left, 9 positions",
-        "left   0.9 m #+. 300 m: 1 of 3 known, 300 m isn't known",
-        "right  1.1 m # 1.1 m: 1 of 1 known",
+        "left   0.9 m #+. 300 m: 1 of 3, 300 m isn't known",
+        "right  1.1 m # 1.1 m: 1 of 1",
         "straight on: duty 4900 ± 12",
         "missing: no data for right turns tighter than 1 m",
         "# known   + not well enough   . not yet",
     ]
+
+
+def test_picture_where_nothing_is_missing_says_that_it_can_be_ended():
+    made = terminal.drive_lines(Step(0.4, 1.0, MEASURING, "it measures"), progress(rows=[row()]))
+    assert made[-2:] == ["nothing is missing; it goes on to know it better: F finishes now",
+                         "# known   + not well enough   . not yet"]
+
+
+def test_line_of_a_side_fits_a_terminal_of_80_columns_with_all_the_radii_of_a_table():
+    rows = [row("right", 0.96, INF), *(row("right", 10.0, INF) for _ in range(28)), row("right", 300.0, INF)]
+    made = terminal.drive_lines(Step(0.4, 1.0, MEASURING, "it measures"), progress(rows=rows))
+    assert f"right  0.96 m {'.' * 30} 300 m: 0 of 30, 0.96 m isn't known" in made
 
 
 def test_picture_while_it_steers_to_a_position():
@@ -118,8 +130,8 @@ def test_bar_of_the_stick(target, held, expected):
 
 def test_radii_of_a_side_name_the_one_that_is_known_least():
     rows = [row(radius_m=0.9), row(radius_m=1.4, error=0.11), row(radius_m=2.0, error=0.3), row("right", 5.0, INF)]
-    assert terminal.radius_marks(rows, "left") == "0.9 m #++ 2 m: 1 of 3 known, 2 m to ±30%"
-    assert terminal.radius_marks(rows, "right") == "5 m . 5 m: 0 of 1 known, 5 m isn't known"
+    assert terminal.radius_marks(rows, "left") == "0.9 m #++ 2 m: 1 of 3, 2 m to ±30%"
+    assert terminal.radius_marks(rows, "right") == "5 m . 5 m: 0 of 1, 5 m isn't known"
     assert terminal.radius_marks([], "left") == "nothing known yet"
 
 
