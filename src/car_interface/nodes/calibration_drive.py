@@ -137,7 +137,7 @@ class CalibrationDriveNode:
             self._page.close()
         if self._recording is not None and not self._is_over:
             self._text.say(f"recording: {self._recording.stop()}")
-        time.sleep(0.02)  # rospy sends in a thread of its own
+        time.sleep(0.02)  # for what a socket did not take at once
         if not (self._is_over or self._is_written) and sys.exc_info()[0] is None:
             raise CarInterfaceError("ended before it was over: nothing is written")
 
