@@ -385,13 +385,13 @@ def figures(made: Errors, best: Errors) -> str:
             f"{np.percentile(made.curvature, 95):7.4f} {np.percentile(made.curvature - best.curvature, 95):7.4f}")
 
 
-def is_good(result: Result, pair: tuple[Errors, Errors] | None) -> bool:
-    """Whether a drive is what is asked of it, its table by the bounds of steering_calibration."""
+def is_good(result: Result, pair: tuple[Errors, Errors] | None, p95_per_m: float = P95_PER_M) -> bool:
+    """Whether a drive is what is asked of it, its table by the bounds of steering_calibration, or another p95_per_m."""
     if pair is None or result.held_s > 300.1 or result.max_m > HALF_M or result.collisions:
         return False
     beyond = Errors(*(made - best for made, best in zip(*pair)))
     return bool(np.median(beyond.radius) <= MEDIAN_SHARE and np.percentile(beyond.radius, 95) <= P95_SHARE
-                and np.percentile(beyond.curvature, 95) <= P95_PER_M)
+                and np.percentile(beyond.curvature, 95) <= p95_per_m)
 
 
 def judge(seed: int, trace=None) -> tuple[Result, tuple[Errors, Errors] | None]:

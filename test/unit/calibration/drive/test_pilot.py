@@ -9,7 +9,8 @@ from calibration.drive.light_car import LightCar, base
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.pilot import wanted_length_m
-from car_interface.calibration.drive.step import AVOIDING, BLOCKED
+from car_interface.calibration.drive.positions import Candidate, Positions
+from car_interface.calibration.drive.step import AVOIDING, BLOCKED, MEASURING
 from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
 
 pytestmark = pytest.mark.once
@@ -46,6 +47,27 @@ def test_something_right_ahead_stops_it_and_the_text_says_what():
     step = one.run(6)
     assert step.phase == BLOCKED and step.speed_mps == 0.0
     assert "sees 0.10 m" in step.text and "move the car to where it is free" in step.text
+
+
+def test_something_ahead_ends_what_it_holds_and_it_turns_away():
+    one = car()
+    one.run(2)
+    before = len(one.steps)
+    one.ranges = dict.fromkeys(MOUNTS, 0.1)
+    one.run(2)
+    found = [step for step in one.steps[before:] if step.phase == AVOIDING]
+    assert found and {step.target_duty for step in found} <= {3900, 6400}
+
+
+@pytest.mark.parametrize("from_side, lowest_duty", [(1, 4512), (-1, 4512 - 90)],
+                         ids=("as_it_comes", "past_it_and_back"))
+def test_a_position_is_come_to_from_the_side_that_is_asked_for(monkeypatch, from_side, lowest_duty):
+    monkeypatch.setattr(Positions, "candidates", lambda self, accepts=lambda duty: True: [
+        candidate for candidate in (Candidate(4512, 1.0, from_side),) if accepts(candidate.duty)])
+    one = car(radius_m=20.0)
+    one.run(3, until=lambda step: step.phase == MEASURING)
+    asked = [base().teleop_duty(step.steering) for step in one.steps if step.target_duty == 4512]
+    assert min(asked) == pytest.approx(lowest_duty, abs=1)
 
 
 def test_something_at_a_distance_slows_it():
