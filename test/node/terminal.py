@@ -10,6 +10,8 @@ import threading
 
 from waiting import Record, eventually
 
+READ_S = 2.0  # where another process of the program's still has the terminal
+
 
 class Terminal:
     """A program that is the foreground process of a terminal of its own.
@@ -41,8 +43,9 @@ class Terminal:
         os.write(self._master, keys)
 
     def wait_for_exit(self):
-        """The exit code; −n for signal n."""
+        """The exit code; −n for signal n. All that the program has printed is read by then."""
         _, status = eventually(self._ended, f"the end of {self.lines.name}")
+        self._reader.join(READ_S)
         return os.WEXITSTATUS(status) if os.WIFEXITED(status) else -os.WTERMSIG(status)
 
     def clean_up(self):
