@@ -63,6 +63,7 @@ def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadLis
         gamepad: listens to the gamepad; ``None`` when teleop_logi doesn't run.
     """
     logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes becomes a finding
+    threading.excepthook = lambda *_: None  # rospy's server may be closed before its thread has begun to wait
     rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
     rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
     listener = _Listener()
