@@ -15,7 +15,7 @@ from waiting import PACKAGE, NodeProcess, eventually, executable, skip
 WHOLE_S = 900
 
 
-class Whole(DriveTest):
+class WholeDrive(DriveTest):
     def setUp(self):
         if not os.environ.get("CAR_INTERFACE_ALL"):
             skip(self, "a drive of some minutes: ./dev test --all")
@@ -23,6 +23,7 @@ class Whole(DriveTest):
         shutil.copy(os.path.join(PACKAGE, "config", "turn_arb.yaml"), self.table)
         with open(self.table, encoding="utf-8") as file:
             self.old_text = file.read()
+        self.drive_to(0.0, 0.0)  # as the person is told to: with enough floor around it
 
     def drive(self, is_over):
         """Hold the deadman until it is over."""
@@ -48,6 +49,8 @@ class Whole(DriveTest):
         self.assertEqual(process.wait_for_exit(), 0, process.stderr.since())
         self.check_table(made)
 
+
+class Autonomous(WholeDrive):
     def test_table_is_replaced_after_a_question_and_the_car_turns_as_it_says(self):
         terminal = self.begin()
         self.drive(lambda: any(shown(line).startswith("Replace ") for line in terminal.lines.since()))
@@ -70,6 +73,10 @@ class Whole(DriveTest):
         with open(self.table, encoding="utf-8") as file:
             self.assertEqual(file.read(), self.old_text)
         self.check_table(beside)
+
+
+class ByTheStick(WholeDrive):
+    """After the others: it ends near a wall now and then."""
 
     def test_person_with_the_stick_gets_a_table_and_no_question_with_yes(self):
         terminal = self.start("-o", self.table, "--stick", "--yes")
