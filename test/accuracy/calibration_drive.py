@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
 """How well a car calibrates its own steering while a person holds a button: random virtual cars.
 
-    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N]
+    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N] [--releases EVERY_S]
 
 The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
 6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
 steering arbiter, speed control, converter with the shipped map, throttle arbiter with the ESC's rules, the Teensy byte
 by byte and odometry. A person lets the button go at random moments for a random time, sometimes pushes the car back to
 the middle meanwhile, and does so where the drive asks for it. The fit answers late, as on a slow computer.
+
+With --releases the button is let go for good at regular moments, too, each time in a copy of the whole, which rolls
+until it stands: whether it stays inside whenever a person lets go.
 
 Judged by the vehicle alone: where its corners were, what it ran into; and by turn_arb's core with the table that was
 written, as in steering_calibration.
@@ -16,13 +19,17 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+import pickle
 import random
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter, deque
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +41,7 @@ from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.conclusion import Conclusion, conclude
 from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.knowledge import assess
-from car_interface.calibration.drive.step import BLOCKED, DONE
+from car_interface.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
 from car_interface.common.drive_modes import AUTONOMOUS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
@@ -72,6 +79,7 @@ MAX_S = 900.0  # of the whole, with all its pauses
 QUICK_FIT_NS, FULL_FIT_NS = 400 * NS_PER_MS, 3000 * NS_PER_MS
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
 RADII, CURVATURES = 60, 400
+ROLLS_S, STANDS_MPS = 20.0, 0.02
 
 
 class Car(NamedTuple):
@@ -165,6 +173,61 @@ class Person:
         return speed_mps, math.copysign(1.0, speed_mps) * max(-2.0, min(2.0, 2.0 * off_rad))
 
 
+class Release(NamedTuple):
+    """What a car did after the button had been let go for good."""
+
+    at_s: float
+    speed_mps: float
+    distance_m: float
+    extent_m: float  # as Result's
+    max_m: float
+    hit_mps: float | None  # the speed at which it ran into something
+    took_s: float
+
+
+class Releases:
+    """A trace that lets the button go at regular moments while the car is driven, each time in a copy."""
+
+    def __init__(self, every_s: float):
+        self.found: list[Release] = []
+        self._every_ns = round(every_s * NS_PER_S)
+        self._next_ns = START_NS
+
+    def __call__(self, now_ns, bench, step):
+        if now_ns >= self._next_ns and step.steering is not None and bench.vehicle.speed_mps > STANDS_MPS:
+            self._next_ns = now_ns + self._every_ns
+            self.found.append(bench.let_go())
+
+    def text(self) -> str:
+        """A line that sums them up."""
+        found = self.found
+        if not found:
+            return "never let go"
+        out_m = [one.extent_m - HALF_M for one in found if one.extent_m > HALF_M]
+        hits_mps = [one.hit_mps for one in found if one.hit_mps is not None]
+        return (f"let go {len(found)} times: {len(out_m)} leave {HALF_M:g} m, by {max(out_m, default=0.0):.2f} m at "
+                f"most ({max(one.max_m for one in found):.2f} m along x or y); {len(hits_mps)} hit a wall, at "
+                f"{max(hits_mps, default=0.0):.2f} m/s at most; rolls {max(one.distance_m for one in found):.2f} m, "
+                f"{max(one.took_s for one in found):.1f} s at most")
+
+
+def ignore(*_):
+    """Take a call that changes nothing."""
+
+
+class PausedDrive:
+    """What the drive is once nobody holds the button: it asks for nothing."""
+
+    def step(self, now_ns):
+        """Nothing."""
+        return Step(None, 0.0, PAUSED, "")
+
+    def take_fit_task(self):
+        """None is due."""
+
+    update_odometry = update_range = update_duty = update_grant = update_knowledge = ignore
+
+
 class Bench:
     """The car, its chain and the drive."""
 
@@ -204,6 +267,7 @@ class Bench:
         self._duties = [car.base.servo_center, 4915]
         self._due = deque()  # (time, knowledge)
         self._step = None
+        self._tick_ns = START_NS
         self._max_m = self._extent_m = 0.0
         x_m, y_m, yaw_rad = car.vehicle.start
         self._start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
@@ -211,27 +275,63 @@ class Bench:
 
     def run(self) -> Result:
         """Until it is over."""
-        now_ns, tick_ns = START_NS, START_NS
         end_ns = START_NS + round(MAX_S * NS_PER_S)
-        while now_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
-            self._hear(now_ns)
-            if now_ns >= tick_ns:
-                tick_ns += TICK_NS
-                self._tick(now_ns)
-            while len(self._chip) > 1 and self._chip[1][0] <= now_ns:
-                self._chip.popleft()
-            pulses = self._push() if self._person.pushes else self.vehicle.step(STEP_NS, *self._chip[0][1:])
-            now_ns = self.vehicle.time_ns
-            for at_ns, side, direction in self._magnets.pass_by(pulses, self.vehicle.speed_mps, now_ns):
-                self._teensy.wheel_pulse(side, direction, at_ns)
+        while self.vehicle.time_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
+            self._advance()
         base_text = STOCK.read_text(encoding="utf-8")
         conclusion = conclude(self.drive.samples, self.car.base, base_text, "calibration drive")
         steps = sum(self._phases.values())
         return Result(0, conclusion, "" if self._step is None else self._step.text, self.drive.driven_s,
-                      (now_ns - START_NS) / NS_PER_S, self._max_m, self._extent_m,
+                      (self.vehicle.time_ns - START_NS) / NS_PER_S, self._max_m, self._extent_m,
                       self._collisions.count if self._collisions else 0, self.vehicle.travel_m,
-                      self.drive.progress(now_ns).positions, self._person.pauses, tuple(self._blocked), self._phases,
-                      1e3 * self._spent_s / max(1, steps), tuple(self._fits_s))
+                      self.drive.progress(self.vehicle.time_ns).positions, self._person.pauses, tuple(self._blocked),
+                      self._phases, 1e3 * self._spent_s / max(1, steps), tuple(self._fits_s))
+
+    def _advance(self):
+        """By one step of the car."""
+        now_ns = self.vehicle.time_ns
+        self._hear(now_ns)
+        if now_ns >= self._tick_ns:
+            self._tick_ns += TICK_NS
+            self._tick(now_ns)
+        while len(self._chip) > 1 and self._chip[1][0] <= now_ns:
+            self._chip.popleft()
+        pulses = self._push() if self._person.pushes else self.vehicle.step(STEP_NS, *self._chip[0][1:])
+        now_ns = self.vehicle.time_ns
+        for at_ns, side, direction in self._magnets.pass_by(pulses, self.vehicle.speed_mps, now_ns):
+            self._teensy.wheel_pulse(side, direction, at_ns)
+
+    def let_go(self) -> Release:
+        """What happens if the button is let go now, for good; this bench goes on as if it had not been."""
+        reads, writes = os.pipe()
+        child = os.fork()  # the virtual firmware can't be copied otherwise
+        if child == 0:
+            try:
+                os.write(writes, pickle.dumps(self._roll()))
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                os._exit(0)
+        os.close(writes)
+        with os.fdopen(reads, "rb") as answer:
+            release = pickle.load(answer)
+        os.waitpid(child, 0)
+        return release
+
+    def _roll(self):
+        """Let the button go until the car stands."""
+        self.drive, self._trace = PausedDrive(), None
+        self._person = SimpleNamespace(holds=False, pushes=False, step=ignore)
+        self._max_m = self._extent_m = 0.0
+        vehicle, collisions = self.vehicle, self._collisions
+        begin_ns, speed_mps, travel_m = vehicle.time_ns, vehicle.speed_mps, vehicle.travel_m
+        hits = collisions.count if collisions else 0
+        while vehicle.time_ns < begin_ns + ROLLS_S * NS_PER_S and abs(vehicle.speed_mps) > STANDS_MPS:
+            self._advance()
+        self._judge()
+        hit_mps = collisions.speed_mps if collisions and collisions.count > hits else None
+        return Release((begin_ns - START_NS) / NS_PER_S, speed_mps, vehicle.travel_m - travel_m,
+                       self._extent_m, self._max_m, hit_mps, (vehicle.time_ns - begin_ns) / NS_PER_S)
 
     def _push(self):
         """A step in which the person moves the car, whose wheels roll."""
@@ -405,15 +505,19 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cars", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
+    parser.add_argument("--releases", type=float, metavar="EVERY_S")
     options = parser.parse_args()
     print("  car              | held total  way pos pauses | max_x ext col blk | step   | radius %    | beyond floor |"
           " curvature, beyond")
     judged = []
     for seed in range(options.first, options.first + options.cars):
         begun = time.perf_counter()
-        judged.append(judge(seed))
+        releases = None if options.releases is None else Releases(options.releases)
+        judged.append(judge(seed, releases))
         print(row(*judged[-1]), "" if is_good(*judged[-1]) else "missed", f"({time.perf_counter() - begun:.0f} s)",
               flush=True)
+        if releases is not None:
+            print("     ", releases.text(), flush=True)
     pairs = [pair for _, pair in judged if pair is not None]
     if pairs:
         made, best = (Errors(*(np.concatenate([pair[which][part] for pair in pairs]) for part in range(2)))
