@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How well a car calibrates its own steering while a person holds a button: random virtual cars.
 
-    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N] [--releases EVERY_S]
+    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N] [--releases EVERY_S] [--rolls]
 
 The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
 6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
@@ -10,7 +10,7 @@ by byte and odometry. A person lets the button go at random moments for a random
 the middle meanwhile, and does so where the drive asks for it. The fit answers late, as on a slow computer.
 
 With --releases the button is let go for good at regular moments, too, each time in a copy of the whole, which rolls
-until it stands: whether it stays inside whenever a person lets go.
+until it stands: whether it stays inside whenever a person lets go. With --rolls nothing but its own drag stops it then.
 
 Judged by the vehicle alone: where its corners were, what it ran into; and by turn_arb's core with the table that was
 written, as in steering_calibration.
@@ -111,8 +111,11 @@ class Result(NamedTuple):
     fits_s: tuple
 
 
-def driving_car(seed: int) -> Car:
-    """The car of that seed, with its ESC, its tyres and its room; its owner found ends and center roughly."""
+def driving_car(seed: int, rolls: bool = False) -> Car:
+    """The car of that seed, with its ESC, its tyres and its room; its owner found ends and center roughly.
+
+    rolls: its ESC drags nothing in neutral, and nobody calibrated it: let go it only has its own drag.
+    """
     rng = random.Random(f"calibration drive {seed}")
     car = random_car(seed)
     duties = [duty for duty, _ in car.steering.curve]
@@ -123,6 +126,8 @@ def driving_car(seed: int) -> Car:
     virtual_esc = make(neutral_duty=car.drive.neutral_duty, forward_band_duty=rng.uniform(60, 110),
                        reverse_band_duty=rng.uniform(60, 110), dwell_s=rng.uniform(0.1, 0.4))
     profile = rng.choice((UNVERIFIED, virtual_esc.kind))
+    if rolls:
+        virtual_esc, profile = replace(virtual_esc, drag_brake=0.0), UNVERIFIED
     esc = EscConfig(profile=profile, profile_measured=profile != UNVERIFIED, drag_deceleration_mps2=0.25)
     tyres = TyreConfig(understeer=rng.uniform(0.0, 0.012), grip_mps2=rng.uniform(5.0, 9.0))
     steering = replace(car.steering, lag_s=rng.uniform(0.04, 0.18))
@@ -231,8 +236,8 @@ class PausedDrive:
 class Bench:
     """The car, its chain and the drive."""
 
-    def __init__(self, seed: int, trace=None):
-        self.car = car = driving_car(seed)
+    def __init__(self, seed: int, trace=None, rolls: bool = False):
+        self.car = car = driving_car(seed, rolls)
         self._rng = rng = random.Random(f"drive {seed}")
         self._trace = trace
         self._world = None if car.world is None else World(car.world)
@@ -444,9 +449,9 @@ def mount_fields(mount):
     return mount.x_m, mount.y_m, mount.yaw_rad
 
 
-def run(seed: int, trace=None) -> Result:
+def run(seed: int, trace=None, rolls: bool = False) -> Result:
     """One car."""
-    return Bench(seed, trace).run()._replace(seed=seed)
+    return Bench(seed, trace, rolls).run()._replace(seed=seed)
 
 
 def errors(car: Car, yaml_text: str) -> tuple[Errors, Errors]:
@@ -494,9 +499,9 @@ def is_good(result: Result, pair: tuple[Errors, Errors] | None, p95_per_m: float
                 and np.percentile(beyond.curvature, 95) <= p95_per_m)
 
 
-def judge(seed: int, trace=None) -> tuple[Result, tuple[Errors, Errors] | None]:
+def judge(seed: int, trace=None, rolls: bool = False) -> tuple[Result, tuple[Errors, Errors] | None]:
     """Let one car drive: the result, and the errors of its table."""
-    result = run(seed, trace)
+    result = run(seed, trace, rolls)
     text = result.conclusion.yaml_text
     return result, errors(driving_car(seed), text) if text else None
 
@@ -506,6 +511,7 @@ def main():
     parser.add_argument("--cars", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
     parser.add_argument("--releases", type=float, metavar="EVERY_S")
+    parser.add_argument("--rolls", action="store_true", help="all ESCs are unverified and drag nothing in neutral")
     options = parser.parse_args()
     print("  car              | held total  way pos pauses | max_x ext col blk | step   | radius %    | beyond floor |"
           " curvature, beyond")
@@ -513,7 +519,7 @@ def main():
     for seed in range(options.first, options.first + options.cars):
         begun = time.perf_counter()
         releases = None if options.releases is None else Releases(options.releases)
-        judged.append(judge(seed, releases))
+        judged.append(judge(seed, releases, options.rolls))
         print(row(*judged[-1]), "" if is_good(*judged[-1]) else "missed", f"({time.perf_counter() - begun:.0f} s)",
               flush=True)
         if releases is not None:
