@@ -35,13 +35,14 @@ from typing import NamedTuple
 import numpy as np
 from room_drives import ALL_ALIKE, Sonars
 
+from accuracy.releases import ROLLS_S, STANDS_MPS, PausedDrive, Release, Releases, ignore
 from accuracy.steering_calibration import MEDIAN_SHARE, P95_PER_M, P95_SHARE, WIDEST_M, Errors, ask, floor
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.conclusion import Conclusion, conclude
 from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.knowledge import assess
-from car_interface.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
+from car_interface.calibration.drive.step import BLOCKED, DONE
 from car_interface.common.drive_modes import AUTONOMOUS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
@@ -79,7 +80,6 @@ MAX_S = 900.0  # of the whole, with all its pauses
 QUICK_FIT_NS, FULL_FIT_NS = 400 * NS_PER_MS, 3000 * NS_PER_MS
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
 RADII, CURVATURES = 60, 400
-ROLLS_S, STANDS_MPS = 20.0, 0.02
 
 
 class Car(NamedTuple):
@@ -176,61 +176,6 @@ class Person:
         if abs(off_rad) > math.pi / 2:
             off_rad, speed_mps = math.remainder(off_rad + math.pi, 2 * math.pi), -0.7
         return speed_mps, math.copysign(1.0, speed_mps) * max(-2.0, min(2.0, 2.0 * off_rad))
-
-
-class Release(NamedTuple):
-    """What a car did after the button had been let go for good."""
-
-    at_s: float
-    speed_mps: float
-    distance_m: float
-    extent_m: float  # as Result's
-    max_m: float
-    hit_mps: float | None  # the speed at which it ran into something
-    took_s: float
-
-
-class Releases:
-    """A trace that lets the button go at regular moments while the car is driven, each time in a copy."""
-
-    def __init__(self, every_s: float):
-        self.found: list[Release] = []
-        self._every_ns = round(every_s * NS_PER_S)
-        self._next_ns = START_NS
-
-    def __call__(self, now_ns, bench, step):
-        if now_ns >= self._next_ns and step.steering is not None and bench.vehicle.speed_mps > STANDS_MPS:
-            self._next_ns = now_ns + self._every_ns
-            self.found.append(bench.let_go())
-
-    def text(self) -> str:
-        """A line that sums them up."""
-        found = self.found
-        if not found:
-            return "never let go"
-        out_m = [one.extent_m - HALF_M for one in found if one.extent_m > HALF_M]
-        hits_mps = [one.hit_mps for one in found if one.hit_mps is not None]
-        return (f"let go {len(found)} times: {len(out_m)} leave {HALF_M:g} m, by {max(out_m, default=0.0):.2f} m at "
-                f"most ({max(one.max_m for one in found):.2f} m along x or y); {len(hits_mps)} hit a wall, at "
-                f"{max(hits_mps, default=0.0):.2f} m/s at most; rolls {max(one.distance_m for one in found):.2f} m, "
-                f"{max(one.took_s for one in found):.1f} s at most")
-
-
-def ignore(*_):
-    """Take a call that changes nothing."""
-
-
-class PausedDrive:
-    """What the drive is once nobody holds the button: it asks for nothing."""
-
-    def step(self, now_ns):
-        """Nothing."""
-        return Step(None, 0.0, PAUSED, "")
-
-    def take_fit_task(self):
-        """None is due."""
-
-    update_odometry = update_range = update_duty = update_grant = update_knowledge = ignore
 
 
 class Bench:
@@ -518,7 +463,7 @@ def main():
     judged = []
     for seed in range(options.first, options.first + options.cars):
         begun = time.perf_counter()
-        releases = None if options.releases is None else Releases(options.releases)
+        releases = None if options.releases is None else Releases(options.releases, HALF_M)
         judged.append(judge(seed, releases, options.rolls))
         print(row(*judged[-1]), "" if is_good(*judged[-1]) else "missed", f"({time.perf_counter() - begun:.0f} s)",
               flush=True)
