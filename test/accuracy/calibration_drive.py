@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
 """How well a car calibrates its own steering while a person holds a button: random virtual cars.
 
-    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N]
+    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N] [--releases EVERY_S] [--rolls]
 
 The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
 6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
 steering arbiter, speed control, converter with the shipped map, throttle arbiter with the ESC's rules, the Teensy byte
 by byte and odometry. A person lets the button go at random moments for a random time, sometimes pushes the car back to
 the middle meanwhile, and does so where the drive asks for it. The fit answers late, as on a slow computer.
+
+With --releases the button is let go for good at regular moments, too, each time in a copy of the whole, which rolls
+until it stands: whether it stays inside whenever a person lets go. With --rolls nothing but its own drag stops it then.
 
 Judged by the vehicle alone: where its corners were, what it ran into; and by turn_arb's core with the table that was
 written, as in steering_calibration.
@@ -16,18 +19,23 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+import pickle
 import random
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter, deque
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 from room_drives import ALL_ALIKE, Sonars
 
+from accuracy.releases import ROLLS_S, STANDS_MPS, PausedDrive, Release, Releases, ignore
 from accuracy.steering_calibration import MEDIAN_SHARE, P95_PER_M, P95_SHARE, WIDEST_M, Errors, ask, floor
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
@@ -103,8 +111,11 @@ class Result(NamedTuple):
     fits_s: tuple
 
 
-def driving_car(seed: int) -> Car:
-    """The car of that seed, with its ESC, its tyres and its room; its owner found ends and center roughly."""
+def driving_car(seed: int, rolls: bool = False) -> Car:
+    """The car of that seed, with its ESC, its tyres and its room; its owner found ends and center roughly.
+
+    rolls: its ESC drags nothing in neutral, and nobody calibrated it: let go it only has its own drag.
+    """
     rng = random.Random(f"calibration drive {seed}")
     car = random_car(seed)
     duties = [duty for duty, _ in car.steering.curve]
@@ -115,6 +126,8 @@ def driving_car(seed: int) -> Car:
     virtual_esc = make(neutral_duty=car.drive.neutral_duty, forward_band_duty=rng.uniform(60, 110),
                        reverse_band_duty=rng.uniform(60, 110), dwell_s=rng.uniform(0.1, 0.4))
     profile = rng.choice((UNVERIFIED, virtual_esc.kind))
+    if rolls:
+        virtual_esc, profile = replace(virtual_esc, drag_brake=0.0), UNVERIFIED
     esc = EscConfig(profile=profile, profile_measured=profile != UNVERIFIED, drag_deceleration_mps2=0.25)
     tyres = TyreConfig(understeer=rng.uniform(0.0, 0.012), grip_mps2=rng.uniform(5.0, 9.0))
     steering = replace(car.steering, lag_s=rng.uniform(0.04, 0.18))
@@ -168,8 +181,8 @@ class Person:
 class Bench:
     """The car, its chain and the drive."""
 
-    def __init__(self, seed: int, trace=None):
-        self.car = car = driving_car(seed)
+    def __init__(self, seed: int, trace=None, rolls: bool = False):
+        self.car = car = driving_car(seed, rolls)
         self._rng = rng = random.Random(f"drive {seed}")
         self._trace = trace
         self._world = None if car.world is None else World(car.world)
@@ -204,6 +217,7 @@ class Bench:
         self._duties = [car.base.servo_center, 4915]
         self._due = deque()  # (time, knowledge)
         self._step = None
+        self._tick_ns = START_NS
         self._max_m = self._extent_m = 0.0
         x_m, y_m, yaw_rad = car.vehicle.start
         self._start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
@@ -211,27 +225,63 @@ class Bench:
 
     def run(self) -> Result:
         """Until it is over."""
-        now_ns, tick_ns = START_NS, START_NS
         end_ns = START_NS + round(MAX_S * NS_PER_S)
-        while now_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
-            self._hear(now_ns)
-            if now_ns >= tick_ns:
-                tick_ns += TICK_NS
-                self._tick(now_ns)
-            while len(self._chip) > 1 and self._chip[1][0] <= now_ns:
-                self._chip.popleft()
-            pulses = self._push() if self._person.pushes else self.vehicle.step(STEP_NS, *self._chip[0][1:])
-            now_ns = self.vehicle.time_ns
-            for at_ns, side, direction in self._magnets.pass_by(pulses, self.vehicle.speed_mps, now_ns):
-                self._teensy.wheel_pulse(side, direction, at_ns)
+        while self.vehicle.time_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
+            self._advance()
         base_text = STOCK.read_text(encoding="utf-8")
         conclusion = conclude(self.drive.samples, self.car.base, base_text, "calibration drive")
         steps = sum(self._phases.values())
         return Result(0, conclusion, "" if self._step is None else self._step.text, self.drive.driven_s,
-                      (now_ns - START_NS) / NS_PER_S, self._max_m, self._extent_m,
+                      (self.vehicle.time_ns - START_NS) / NS_PER_S, self._max_m, self._extent_m,
                       self._collisions.count if self._collisions else 0, self.vehicle.travel_m,
-                      self.drive.progress(now_ns).positions, self._person.pauses, tuple(self._blocked), self._phases,
-                      1e3 * self._spent_s / max(1, steps), tuple(self._fits_s))
+                      self.drive.progress(self.vehicle.time_ns).positions, self._person.pauses, tuple(self._blocked),
+                      self._phases, 1e3 * self._spent_s / max(1, steps), tuple(self._fits_s))
+
+    def _advance(self):
+        """By one step of the car."""
+        now_ns = self.vehicle.time_ns
+        self._hear(now_ns)
+        if now_ns >= self._tick_ns:
+            self._tick_ns += TICK_NS
+            self._tick(now_ns)
+        while len(self._chip) > 1 and self._chip[1][0] <= now_ns:
+            self._chip.popleft()
+        pulses = self._push() if self._person.pushes else self.vehicle.step(STEP_NS, *self._chip[0][1:])
+        now_ns = self.vehicle.time_ns
+        for at_ns, side, direction in self._magnets.pass_by(pulses, self.vehicle.speed_mps, now_ns):
+            self._teensy.wheel_pulse(side, direction, at_ns)
+
+    def let_go(self) -> Release:
+        """What happens if the button is let go now, for good; this bench goes on as if it had not been."""
+        reads, writes = os.pipe()
+        child = os.fork()  # the virtual firmware can't be copied otherwise
+        if child == 0:
+            try:
+                os.write(writes, pickle.dumps(self._roll()))
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                os._exit(0)
+        os.close(writes)
+        with os.fdopen(reads, "rb") as answer:
+            release = pickle.load(answer)
+        os.waitpid(child, 0)
+        return release
+
+    def _roll(self):
+        """Let the button go until the car stands."""
+        self.drive, self._trace = PausedDrive(), None
+        self._person = SimpleNamespace(holds=False, pushes=False, step=ignore)
+        self._max_m = self._extent_m = 0.0
+        vehicle, collisions = self.vehicle, self._collisions
+        begin_ns, speed_mps, travel_m = vehicle.time_ns, vehicle.speed_mps, vehicle.travel_m
+        hits = collisions.count if collisions else 0
+        while vehicle.time_ns < begin_ns + ROLLS_S * NS_PER_S and abs(vehicle.speed_mps) > STANDS_MPS:
+            self._advance()
+        self._judge()
+        hit_mps = collisions.speed_mps if collisions and collisions.count > hits else None
+        return Release((begin_ns - START_NS) / NS_PER_S, speed_mps, vehicle.travel_m - travel_m,
+                       self._extent_m, self._max_m, hit_mps, (vehicle.time_ns - begin_ns) / NS_PER_S)
 
     def _push(self):
         """A step in which the person moves the car, whose wheels roll."""
@@ -344,9 +394,9 @@ def mount_fields(mount):
     return mount.x_m, mount.y_m, mount.yaw_rad
 
 
-def run(seed: int, trace=None) -> Result:
+def run(seed: int, trace=None, rolls: bool = False) -> Result:
     """One car."""
-    return Bench(seed, trace).run()._replace(seed=seed)
+    return Bench(seed, trace, rolls).run()._replace(seed=seed)
 
 
 def errors(car: Car, yaml_text: str) -> tuple[Errors, Errors]:
@@ -394,9 +444,9 @@ def is_good(result: Result, pair: tuple[Errors, Errors] | None, p95_per_m: float
                 and np.percentile(beyond.curvature, 95) <= p95_per_m)
 
 
-def judge(seed: int, trace=None) -> tuple[Result, tuple[Errors, Errors] | None]:
+def judge(seed: int, trace=None, rolls: bool = False) -> tuple[Result, tuple[Errors, Errors] | None]:
     """Let one car drive: the result, and the errors of its table."""
-    result = run(seed, trace)
+    result = run(seed, trace, rolls)
     text = result.conclusion.yaml_text
     return result, errors(driving_car(seed), text) if text else None
 
@@ -405,15 +455,20 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cars", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
+    parser.add_argument("--releases", type=float, metavar="EVERY_S")
+    parser.add_argument("--rolls", action="store_true", help="all ESCs are unverified and drag nothing in neutral")
     options = parser.parse_args()
     print("  car              | held total  way pos pauses | max_x ext col blk | step   | radius %    | beyond floor |"
           " curvature, beyond")
     judged = []
     for seed in range(options.first, options.first + options.cars):
         begun = time.perf_counter()
-        judged.append(judge(seed))
+        releases = None if options.releases is None else Releases(options.releases, HALF_M)
+        judged.append(judge(seed, releases, options.rolls))
         print(row(*judged[-1]), "" if is_good(*judged[-1]) else "missed", f"({time.perf_counter() - begun:.0f} s)",
               flush=True)
+        if releases is not None:
+            print("     ", releases.text(), flush=True)
     pairs = [pair for _, pair in judged if pair is not None]
     if pairs:
         made, best = (Errors(*(np.concatenate([pair[which][part] for pair in pairs]) for part in range(2)))
