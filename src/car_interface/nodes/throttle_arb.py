@@ -127,14 +127,12 @@ class ThrottleArb:
         subscribe_changes("~input/value", Float64Stamped, inbox, self._on_value, self._decide)
         subscribe_changes("turn_arb/state", SteeringState, inbox, self._on_steering, self._decide,
                           value_of=lambda state: (state.source, state.turn_radius, state.max_speed))
-        # Without a change these have nothing that can't wait for the next tick.
-        subscribe_changes("~input/odometry", Odometry, inbox, self._on_odometry, self._decide,
-                          value_of=lambda odometry: math.isfinite(odometry.twist.twist.linear.x))
-        subscribe_changes("generic_value_converter/state", ConverterState, inbox, self._on_converter, self._decide,
-                          value_of=lambda state: state.cause)
-        subscribe_changes("planner_interface/state", PlannerState, inbox, self._on_planner_state, self._decide,
-                          value_of=lambda state: (state.cause, state.gear))
-        subscribe("/servo/output", Int32MultiArray, inbox, self._on_output, wakes=False)
+        for topic, message_type, handler in (
+                ("~input/odometry", Odometry, self._on_odometry),
+                ("generic_value_converter/state", ConverterState, self._on_converter),
+                ("planner_interface/state", PlannerState, self._on_planner_state),
+                ("/servo/output", Int32MultiArray, self._on_output)):
+            subscribe(topic, message_type, inbox, self._deciding(handler))
         # Only quoted: no line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
 
