@@ -53,14 +53,14 @@ from car_interface.common import causes
 from car_interface.common.drive_modes import MODES
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS, one_channel
+from car_interface.common.servo_channels import CHANNELS
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
-from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.servo_messages import one_channel_duty
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, source_name
@@ -73,8 +73,8 @@ from car_interface.throttle.params import read_config
 RATE_HZ = 50
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 50
 LIVE_RATE = 100  # duty per second
-# Who gets the command needs a core: state and log wait until it is on its way.
-REPORT_AFTER_NS = 500_000
+# Who gets the command needs a core: state and log wait until the chip has it.
+REPORT_AFTER_NS = 1_000_000
 # A log line takes a millisecond of CPU time, which on a busy computer the servo board's node needs for the command; and
 # teleop_logi's state, which a line may quote, arrives after its human_in_loop.
 LOG_AFTER_NS = 20_000_000
@@ -99,7 +99,6 @@ class ThrottleArb:
         self._ticks = 0
         self._now_ns = now_ns  # of the newest decision
         self._decision = None
-        self._command = self._commanded_duty = None  # the command message, and the duty in it
         self._was_commanded = False  # since the last tick
         self._pending = []  # decisions whose command was published, but not yet state and log line
         self._report_ns = 0
@@ -127,12 +126,14 @@ class ThrottleArb:
         subscribe_changes("~input/value", Float64Stamped, inbox, self._on_value, self._decide)
         subscribe_changes("turn_arb/state", SteeringState, inbox, self._on_steering, self._decide,
                           value_of=lambda state: (state.source, state.turn_radius, state.max_speed))
-        for topic, message_type, handler in (
-                ("~input/odometry", Odometry, self._on_odometry),
-                ("generic_value_converter/state", ConverterState, self._on_converter),
-                ("planner_interface/state", PlannerState, self._on_planner_state),
-                ("/servo/output", Int32MultiArray, self._on_output)):
-            subscribe(topic, message_type, inbox, self._deciding(handler))
+        # Without a change these have nothing that can't wait for the next tick.
+        subscribe_changes("~input/odometry", Odometry, inbox, self._on_odometry, self._decide,
+                          value_of=lambda odometry: math.isfinite(odometry.twist.twist.linear.x))
+        subscribe_changes("generic_value_converter/state", ConverterState, inbox, self._on_converter, self._decide,
+                          value_of=lambda state: state.cause)
+        subscribe_changes("planner_interface/state", PlannerState, inbox, self._on_planner_state, self._decide,
+                          value_of=lambda state: (state.cause, state.gear))
+        subscribe("/servo/output", Int32MultiArray, inbox, self._on_output, wakes=False)
         # Only quoted: no line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
 
@@ -235,7 +236,7 @@ class ThrottleArb:
 
         def apply(values):
             self._control.calibrate(trimmed(calibration, **values))
-            self._neutral = duty_vector(one_channel(self._channel, values["neutral"]))
+            self._neutral = one_channel_duty(self._channel, values["neutral"])
             self._neutrals.publish(self._neutral)
 
         def parameters(values):
@@ -260,10 +261,7 @@ class ThrottleArb:
             self._neutrals.publish(self._neutral)
 
     def _publish_command(self, decision):
-        if decision.duty != self._commanded_duty:
-            self._commanded_duty = decision.duty
-            self._command = duty_vector(one_channel(self._channel, decision.duty))
-        self._commands.publish(self._command)
+        self._commands.publish(one_channel_duty(self._channel, decision.duty))
         self._was_commanded = True
 
     def _report_pending(self, now_ns):

@@ -45,14 +45,13 @@ from car_interface.cfg import SteeringTrimConfig
 from car_interface.common import causes
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import one_channel
 from car_interface.msg import SteeringState, TeleopState
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
-from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.servo_messages import one_channel_duty
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
@@ -63,8 +62,8 @@ RATE_HZ = 100
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 100  # the converter waits 0.25 s for a state
 LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a servo's travel
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
-# Who gets the command needs a core: state and log wait until it is on its way.
-REPORT_AFTER_NS = 500_000
+# Who gets the command needs a core: state and log wait until the chip has it.
+REPORT_AFTER_NS = 1_000_000
 LOG_AFTER_NS = 20_000_000  # teleop_logi's state, which a line may quote, arrives after its human_in_loop
 
 
@@ -109,7 +108,6 @@ class TurnArb:
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = None
-        self._command = self._commanded_duty = None  # the command message, and the duty in it
         self._pending = []  # decisions whose command was published, but not yet state and log line
         self._report_ns = 0
         self._unlogged = []  # decisions without a log line yet, and when it is due
@@ -203,7 +201,7 @@ class TurnArb:
 
         def apply(values):
             self._arbiter.calibrate(trimmed(calibration, **values))
-            self._neutral = duty_vector(one_channel(self._channel, values["servo_center"]))
+            self._neutral = one_channel_duty(self._channel, values["servo_center"])
             self._neutrals.publish(self._neutral)
 
         def parameters(values):
@@ -271,10 +269,7 @@ class TurnArb:
         return status
 
     def _publish_command(self, decision):
-        if decision.duty != self._commanded_duty:
-            self._commanded_duty = decision.duty
-            self._command = duty_vector(one_channel(self._channel, decision.duty))
-        self._commands.publish(self._command)
+        self._commands.publish(one_channel_duty(self._channel, decision.duty))
 
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
