@@ -117,13 +117,18 @@ class ChipServer:
         except OSError as error:
             data, number = b"", error.errno or errno.EIO
         self._send(fd, ANSWER.pack(number) + data)
+        if packet[0] == OBSERVE:
+            self._outputs = self._pins()
+            self._send(fd, OUTPUTS.pack(*self._outputs))
+        elif self._observers:
+            self._tell_observers()
+
+    def _tell_observers(self):
         outputs = self._pins()
         if outputs != self._outputs:
             self._outputs = outputs
             for observer in tuple(self._observers):
                 self._send(observer, OUTPUTS.pack(*outputs))
-        elif packet[0] == OBSERVE:
-            self._send(fd, OUTPUTS.pack(*outputs))
 
     def _send(self, fd, packet):
         with contextlib.suppress(OSError):  # it is dropped when its end is seen
