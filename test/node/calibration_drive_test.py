@@ -172,11 +172,12 @@ class Drive(DriveTest):
         self.assertEqual(self.marker_actions(), {3})  # DELETEALL: rviz shows nothing of it any more
 
     def test_terminal_that_is_closed_stops_the_car_and_leaves_the_recording_and_no_process(self):
-        errors = tempfile.NamedTemporaryFile("r", prefix="calibration_drive")
-        self.addCleanup(errors.close)
+        descriptor, errors = tempfile.mkstemp(prefix="calibration_drive")
+        os.close(descriptor)
+        self.addCleanup(os.remove, errors)
         shell = self.terminal = Terminal("bash", "--norc", "--noprofile", "-i")
         self.addCleanup(shell.clean_up)
-        shell.type(f"{executable('calibration_drive')} -o {self.table} --no-sonars 2>{errors.name}\n".encode())
+        shell.type(f"{executable('calibration_drive')} -o {self.table} --no-sonars 2>{errors}\n".encode())
         self.wait_for_line(shell, "^waits: hold the autonomous deadman and it begins: ")
         self.drive()
         at_s = time.monotonic()
@@ -188,7 +189,8 @@ class Drive(DriveTest):
         self.check_rest(at_rest_s)
         self.recording()
         self.assertEqual(self.marker_actions(), {3})
-        said = errors.read()
+        with open(errors, encoding="utf-8") as file:
+            said = file.read()
         self.assertIn("ended before it was over: nothing is written", said)
         self.assertNotIn("Traceback", said)
 

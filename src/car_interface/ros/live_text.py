@@ -56,4 +56,5 @@ class LiveText:
 
 def _writes():
     """How often this process has written to its terminal."""
-    return sum(stream.written for stream in (sys.stdout, sys.stderr) if isinstance(stream, LogStream) and stream.isatty())
+    streams = [stream for stream in (sys.stdout, sys.stderr) if isinstance(stream, LogStream) and stream.isatty()]
+    return sum(stream.written for stream in streams)
