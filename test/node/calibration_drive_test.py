@@ -7,7 +7,9 @@ import math
 import os
 import re
 import signal
+import tempfile
 import time
+from contextlib import suppress
 
 import rospy
 import rostest
@@ -22,11 +24,22 @@ from witness import measured
 
 CENTER, NEUTRAL = round(5100 / COUNT), round(4915 / COUNT)  # counts on the chip's channels 0 and 1
 LET_GO_S = 0.3  # from the button to the chip; without the deadman it would take 0.5 s until a request is stale
+SLOW = os.path.join(os.path.dirname(os.path.abspath(__file__)), "slow_calibration_drive.py")
 STALE_S = 0.8  # from the end of the program to the chip: 0.5 s, and what it takes as above
 
 
 def tearDownModule():
     os.remove(rospy.get_param("/pca9685/virtual_log"))
+
+
+def processes_with(text):
+    """The command lines, of all processes, in which a text is found."""
+    found = []
+    for path in glob.glob("/proc/[0-9]*/cmdline"):
+        with suppress(OSError), open(path, encoding="utf-8", errors="replace") as file:
+            line = file.read().replace("\0", " ")
+            found += [line] if text in line else []
+    return found
 
 
 class Refusals(ProgramTest):
@@ -158,6 +171,29 @@ class Drive(DriveTest):
         self.assertEqual(terminal.settings(), terminal.settings_before)
         self.assertEqual(self.marker_actions(), {3})  # DELETEALL: rviz shows nothing of it any more
 
+    def test_terminal_that_is_closed_stops_the_car_and_leaves_the_recording_and_no_process(self):
+        descriptor, errors = tempfile.mkstemp(prefix="calibration_drive")
+        os.close(descriptor)
+        self.addCleanup(os.remove, errors)
+        shell = self.terminal = Terminal("bash", "--norc", "--noprofile", "-i")
+        self.addCleanup(shell.clean_up)
+        shell.type(f"{executable('calibration_drive')} -o {self.table} --no-sonars 2>{errors}\n".encode())
+        self.wait_for_line(shell, "^waits: hold the autonomous deadman and it begins: ")
+        self.drive()
+        at_s = time.monotonic()
+        shell.hang_up()
+        self.assertLess(self.rest_after_s(at_s), STALE_S)
+        at_rest_s = time.monotonic()
+        eventually(lambda: not processes_with(self.folder), lambda: f"the end of {processes_with(self.folder)}")
+        self.wait_until_it_stands()  # though it is still held
+        self.check_rest(at_rest_s)
+        self.recording()
+        self.assertEqual(self.marker_actions(), {3})
+        with open(errors, encoding="utf-8") as file:
+            said = file.read()
+        self.assertIn("ended before it was over: nothing is written", said)
+        self.assertNotIn("Traceback", said)
+
     def marker_actions(self):
         return {marker.action for marker in self.markers.since()[-1].markers}
 
@@ -195,6 +231,17 @@ class Drive(DriveTest):
         self.press(None)
         terminal.type(b"q")
         self.assertIn("ended before it was over: nothing is written", self.ended(terminal, 1)[-1])
+
+    def test_what_comes_after_its_end_is_no_part_of_the_calibration(self):
+        terminal = Terminal(SLOW, "-o", self.table, "--stick")
+        self.addCleanup(terminal.clean_up)
+        self.wait_for_line(terminal, "^hold the manual deadman: ")
+        terminal.type(b"f")
+        self.ended(terminal, 1)
+        begun, ended = (re.findall(r"\d+ odometries, \d+ duties", shown(self.wait_for_line(terminal, f"^{when}: ")))
+                        for when in ("at its end", "later"))
+        self.assertEqual(begun, ended)
+        self.assertNotEqual(begun, ["0 odometries, 0 duties"])
 
     def test_without_a_terminal_there_are_plain_lines_of_what_it_waits_for_and_does(self):
         process = NodeProcess(executable("calibration_drive"), "-o", self.table, "--no-sonars")

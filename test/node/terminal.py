@@ -4,6 +4,7 @@ from __future__ import annotations
 import os
 import pty
 import re
+import select
 import signal
 import termios
 import threading
@@ -11,6 +12,7 @@ import threading
 from waiting import Record, eventually
 
 READ_S = 2.0  # where another process of the program's still has the terminal
+POLL_S = 0.1
 
 
 class Terminal:
@@ -27,6 +29,7 @@ class Terminal:
         if self.pid == 0:
             os.execvpe(command[0], command, {**os.environ, **(env or {})})
         self.settings_before = self.settings()
+        self._hangs_up = threading.Event()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -42,6 +45,13 @@ class Terminal:
         """As if typed."""
         os.write(self._master, keys)
 
+    def hang_up(self):
+        """As if its window was closed."""
+        self._hangs_up.set()
+        self._reader.join()  # it is no hang-up while a read is under way
+        os.close(self._master)
+        self._master = None
+
     def wait_for_exit(self):
         """The exit code; −n for signal n. All that the program has printed is read by then."""
         _, status = eventually(self._ended, f"the end of {self.lines.name}")
@@ -53,7 +63,8 @@ class Terminal:
         if self.pid is not None:
             os.kill(self.pid, signal.SIGKILL)
             self.wait_for_exit()
-        os.close(self._master)
+        if self._master is not None:
+            os.close(self._master)
 
     def _ended(self):
         pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -64,7 +75,9 @@ class Terminal:
 
     def _read(self):
         rest = b""
-        while True:
+        while not self._hangs_up.is_set():
+            if not select.select([self._master], [], [], POLL_S)[0]:
+                continue
             try:
                 data = os.read(self._master, 4096)
             except OSError:  # the program has ended

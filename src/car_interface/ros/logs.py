@@ -21,11 +21,13 @@ class LogStream:
 
     def __init__(self, stream):
         self._stream = stream  # None: it was closed at start
+        self.written = 0  # how often something was
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
     def write(self, text: str) -> None:
         """Write and flush."""
+        self.written += 1
         try:
             if self._stream is not None:
                 self._stream.write(text)

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from car_interface.ros.live_text import LiveText
+from car_interface.ros.logs import LogStream
 
 
 class Screen(io.StringIO):
@@ -56,6 +57,30 @@ def test_block_that_is_taller_than_the_terminal_is_cut(screen, monkeypatch):
     shown, text = screen(True), LiveText()
     text.show(["a", "b", "c", "d"])
     assert shown.getvalue() == "\r\x1b[Ja\nb\nc\n"
+
+
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+def test_block_below_which_something_was_printed_is_left_as_it_is(screen, monkeypatch, name):
+    shown = screen(True)
+    monkeypatch.setattr(sys, "stdout", LogStream(shown))
+    monkeypatch.setattr(sys, "stderr", LogStream(shown))
+    text = LiveText()
+    text.show(["a", "b"])
+    getattr(sys, name).write("a warning\n")
+    text.show(["c"])
+    text.show(["d"])
+    assert shown.getvalue() == "\r\x1b[Ja\nb\na warning\n\r\x1b[Jc\n\r\x1b[1A\x1b[Jd\n"
+
+
+def test_log_that_goes_elsewhere_moves_no_block(screen, monkeypatch):
+    shown = screen(True)
+    monkeypatch.setattr(sys, "stdout", LogStream(shown))
+    monkeypatch.setattr(sys, "stderr", LogStream(Screen(False)))
+    text = LiveText()
+    text.show(["a"])
+    sys.stderr.write("a warning\n")
+    text.show(["b"])
+    assert shown.getvalue() == "\r\x1b[Ja\n\r\x1b[1A\x1b[Jb\n"
 
 
 def test_elsewhere_only_lines_that_stay_are_printed(screen):

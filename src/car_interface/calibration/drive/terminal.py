@@ -30,6 +30,7 @@ BEFORE = {WAITING: "waits: ", PAUSED: "paused: ", SETTLING: "it steers ", BLOCKE
 HEADLINES = {WAITING: "waits", PAUSED: "paused", SETTLING: "steers", MEASURING: "measures", TURNING: "turns back",
              AVOIDING: "avoids", BLOCKED: "blocked", DONE: "over"}
 KNOWN, PARTLY, UNKNOWN = "#", "+", "."  # of a radius
+UNKNOWN_RATIO = 1.0  # a radius error from which on the radius may be any
 LEGEND = f"{KNOWN} known   {PARTLY} not well enough   {UNKNOWN} not yet"
 MAX_MISSING = 3
 ENOUGH = "nothing is missing; it goes on to know it better: F finishes now"
@@ -108,7 +109,7 @@ def radius_marks(rows: Iterable[Row], side: str) -> str:
     ours = [row for row in rows if row.side == side]
     if not ours:
         return "nothing known yet"
-    marks = "".join(KNOWN if row.is_known else PARTLY if math.isfinite(row.radius_error) else UNKNOWN for row in ours)
+    marks = "".join(KNOWN if row.is_known else PARTLY if row.radius_error < UNKNOWN_RATIO else UNKNOWN for row in ours)
     known = sum(row.is_known for row in ours)
     text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {known} of {len(ours)}"
     open_ones = [row for row in ours if not row.is_known]
@@ -138,7 +139,7 @@ def _times(progress):
 
 
 def _error_text(ratio):
-    return f"to ±{ratio:.0%}" if ratio < 1 else "isn't known"
+    return f"to ±{ratio:.0%}" if ratio < UNKNOWN_RATIO else "isn't known"
 
 
 def _cell(steering, length):

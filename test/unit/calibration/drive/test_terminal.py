@@ -129,9 +129,10 @@ def test_bar_of_the_stick(target, held, expected):
 
 
 def test_radii_of_a_side_name_the_one_that_is_known_least():
-    rows = [row(radius_m=0.9), row(radius_m=1.4, error=0.11), row(radius_m=2.0, error=0.3), row("right", 5.0, INF)]
-    assert terminal.radius_marks(rows, "left") == "0.9 m #++ 2 m: 1 of 3, 2 m to ±30%"
-    assert terminal.radius_marks(rows, "right") == "5 m . 5 m: 0 of 1, 5 m isn't known"
+    rows = [row(radius_m=0.9), row(radius_m=1.4, error=0.11), row(radius_m=2.0, error=0.99),
+            *(row("right", radius_m, error) for radius_m, error in ((5.0, INF), (10.0, 1.0)))]
+    assert terminal.radius_marks(rows, "left") == "0.9 m #++ 2 m: 1 of 3, 2 m to ±99%"
+    assert terminal.radius_marks(rows, "right") == "5 m .. 10 m: 0 of 2, 5 m isn't known"
     assert terminal.radius_marks([], "left") == "nothing known yet"
 
 
