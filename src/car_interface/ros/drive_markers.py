@@ -17,7 +17,6 @@ AREA, START = ColorRGBA(0.35, 0.35, 0.4, 1.0), ColorRGBA(0.35, 0.35, 0.4, 1.0)
 PATH, TEXT = ColorRGBA(0.95, 0.3, 0.7, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
 KNOWN, PARTLY = ColorRGBA(0.0, 0.6, 0.2, 0.9), ColorRGBA(0.95, 0.6, 0.0, 0.9)
 UNKNOWN = ColorRGBA(0.85, 0.1, 0.1, 0.9)
-UNKNOWN_RATIO = 1.0  # a radius error from which on the radius may be any, as in the terminal
 
 
 def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, rows_before, text) -> MarkerArray:
@@ -28,7 +27,7 @@ def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, rows_befo
         start: the area's center in odometry's frame; ``None`` = it hasn't begun.
         radius_m: of the area.
         path: where the car is about to go, (x, y) in odometry's frame.
-        rows: records with side (left or right), radius_m, is_known and radius_error: an arc each, from the car.
+        rows: records with side (left or right), radius_m, is_known and is_measured: an arc each, from the car.
         rows_before: how many there were in the picture before.
         text: above the car.
     """
@@ -66,7 +65,7 @@ def _cross(frame, start):
 def _arcs(frame, rows):
     for index, row in enumerate(rows):
         sign = 1.0 if row.side == "left" else -1.0
-        color = KNOWN if row.is_known else PARTLY if row.radius_error < UNKNOWN_RATIO else UNKNOWN
+        color = KNOWN if row.is_known else PARTLY if row.is_measured else UNKNOWN
         points = _arc(sign / row.radius_m) if row.radius_m <= WIDEST_M else []
         yield _line("known", index, frame, color, points, LINE_M)
 

@@ -73,6 +73,11 @@ class Row(NamedTuple):
     radius_error: float
     is_known: bool
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether anything is known; with an error as large as the radius it may be any."""
+        return self.radius_error < 1.0
+
 
 class Progress(NamedTuple):
     """How far the drive is.

@@ -30,7 +30,6 @@ BEFORE = {WAITING: "waits: ", PAUSED: "paused: ", SETTLING: "it steers ", BLOCKE
 HEADLINES = {WAITING: "waits", PAUSED: "paused", SETTLING: "steers", MEASURING: "measures", TURNING: "turns back",
              AVOIDING: "avoids", BLOCKED: "blocked", DONE: "over"}
 KNOWN, PARTLY, UNKNOWN = "#", "+", "."  # of a radius
-UNKNOWN_RATIO = 1.0  # a radius error from which on the radius may be any
 LEGEND = f"{KNOWN} known   {PARTLY} not well enough   {UNKNOWN} not yet"
 MAX_MISSING = 3
 ENOUGH = "nothing is missing; it goes on to know it better: F finishes now"
@@ -109,13 +108,13 @@ def radius_marks(rows: Iterable[Row], side: str) -> str:
     ours = [row for row in rows if row.side == side]
     if not ours:
         return "nothing known yet"
-    marks = "".join(KNOWN if row.is_known else PARTLY if row.radius_error < UNKNOWN_RATIO else UNKNOWN for row in ours)
+    marks = "".join(KNOWN if row.is_known else PARTLY if row.is_measured else UNKNOWN for row in ours)
     known = sum(row.is_known for row in ours)
     text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {known} of {len(ours)}"
     open_ones = [row for row in ours if not row.is_known]
     if open_ones:
         worst = max(open_ones, key=lambda row: row.radius_error)
-        text += f", {worst.radius_m:g} m {_error_text(worst.radius_error)}"
+        text += f", {worst.radius_m:g} m {_error_text(worst)}"
     return text
 
 
@@ -138,8 +137,8 @@ def _times(progress):
     return f"{clock_text(progress.driven_s)} driven, about {clock_text(progress.left_s)} left"
 
 
-def _error_text(ratio):
-    return f"to ±{ratio:.0%}" if ratio < UNKNOWN_RATIO else "isn't known"
+def _error_text(row):
+    return f"to ±{row.radius_error:.0%}" if row.is_measured else "isn't known"
 
 
 def _cell(steering, length):
