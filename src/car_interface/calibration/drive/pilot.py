@@ -29,7 +29,8 @@ NEED_POWER = 2.0  # of a need, in what measuring it is worth: what is known leas
 LENGTH_POWER = 1.5  # of the length: a slope's variance falls with the third power, and the fit smooths
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
 TIGHT_RATIO = 0.6  # of the tightest curvature: tight enough to turn back with
-SAME_TURN_RATIO, MISSING_NEED = 0.25, 1.0  # to be measured in a turn that has to go on
+SAME_TURN_RATIO = 0.25  # of the tightest curvature, as above: to be measured in a turn that has to go on
+MISSING_NEED = 1.0  # the tool refuses a table without it, or no fit knows it
 TIGHT_WAY_RATIO = 0.4  # tight enough to be measured on the way into or out of a turn to that side
 TURNED_RAD = 2 * math.pi  # after a whole turn another one may be tried
 PATIENT_RAD = 1.3 * math.pi  # a turn that has lasted this long makes do with any room
@@ -263,7 +264,7 @@ class Pilot:
                 self._begin(choice, True, now_ns, other.need)
 
     def _missing_in_turn(self, turn_per_m, now_ns):
-        """The best choice to that side without which no table would be written; ``None``: there is no room for one."""
+        """The best choice to that side that is refused or a gap by now; ``None``: there is none with room for it."""
         candidates = self._survey.positions.candidates(
             lambda duty: self.outlook.expected_per_m(duty) / turn_per_m > SAME_TURN_RATIO)
         choices = [self._choice(self._ideal(candidate, now_ns), now_ns) for candidate in candidates

@@ -27,7 +27,6 @@ from car_interface.calibration.steering.segments import (
     knots_of,
     observations,
     segmentation,
-    slope_sigma_per_m,
     total_counts,
 )
 from car_interface.calibration.steering.smooth import Smooth
@@ -121,9 +120,7 @@ def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
     all_knots, found = knots_of(segmentations), observations(segmentations, backlash_duty)
     smooth = Smooth(found)
     slope_per_m = found.weights @ np.gradient(smooth.curvatures, KNOT)
-    # Whether turns widen with speed is told by small differences: a heading that was seen to be good doesn't count here.
-    usual_per_m = slope_sigma_per_m(found.distance_m, config.heading_sigma_rad, config)
-    understeer = estimate_understeer(found._replace(sigma_per_m=usual_per_m), slope_per_m)
+    understeer = estimate_understeer(found, slope_per_m)
     value = understeer.value if understeer.is_known else config.understeer
     if value:
         found = without_understeer(found, value)

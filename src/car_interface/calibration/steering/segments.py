@@ -75,7 +75,7 @@ def segmentation(drive: Drive, delay: Delay, config: FitConfig) -> Segmentation:
     counts["shorter than a segment must be"] = sum(segment is None for segment in segments)
     found = [segment for segment in segments if segment is not None]
     heading_sigma_rad = _heading_sigma_rad(found, config)
-    found = [one._replace(sigma_per_m=float(slope_sigma_per_m(one.length_m, heading_sigma_rad, config))) for one in found]
+    found = [one._replace(sigma_per_m=_slope_sigma_per_m(one.length_m, heading_sigma_rad, config)) for one in found]
     return Segmentation(wheels, other_lags, found, counts, config)
 
 
@@ -87,10 +87,10 @@ def _heading_sigma_rad(segments, config):
     return min(max(seen_rad, config.min_heading_sigma_rad), config.heading_sigma_rad)
 
 
-def slope_sigma_per_m(length_m: np.ndarray, heading_sigma_rad: float, config: FitConfig) -> np.ndarray:
-    """The standard errors of slopes of the heading over ways of these lengths (S,), in 1/m: (S,)."""
-    independent = np.clip(np.asarray(length_m) / INDEPENDENT_M, 2.0, SLOPE_POINTS)
-    return np.hypot(heading_sigma_rad * np.sqrt(12 / independent) / length_m, config.min_sigma_per_m)
+def _slope_sigma_per_m(length_m, heading_sigma_rad, config):
+    """The standard error of a slope of the heading over a way of that length, in 1/m."""
+    independent = max(2.0, min(SLOPE_POINTS, length_m / INDEPENDENT_M))
+    return math.hypot(heading_sigma_rad * math.sqrt(12 / independent) / length_m, config.min_sigma_per_m)
 
 
 def _usable(wheels, config):
@@ -142,7 +142,7 @@ def _segment(wheels, first, end, config):
     wander_rad = math.sqrt(float(beside_rad @ beside_rad) / (SLOPE_POINTS - 2))
     length = abs(length)
     return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, (wheels.t_s[first] + wheels.t_s[end - 1]) / 2,
-                   curvature, float(slope_sigma_per_m(length, config.heading_sigma_rad, config)), length,
+                   curvature, _slope_sigma_per_m(length, config.heading_sigma_rad, config), length,
                    float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25, wander_rad)
 
 
