@@ -16,7 +16,7 @@ from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop, stoppi
 REACTION_S = 0.12  # from the decision to turn until the servo's lag begins, and what a step takes
 TIGHT_PER_M = 0.8  # the tight speed holds from here on
 TIGHT_DUTY = 20.0  # so near to its end a servo surely turns the wheels tightly
-MAX_LAGS = 2.0
+MAX_LAGS = 4.0
 RELEASE_S = 0.15  # from the button to the ESC
 COASTS_MPS2 = 0.2  # nothing brakes once the button is let go: a car's drag, less a gentle slope
 LATE_M = 0.2  # by so much sooner it slows: without a brake its speed is behind what is asked for

@@ -29,6 +29,8 @@ NEED_POWER = 2.0  # of a need, in what measuring it is worth: what is known leas
 LENGTH_POWER = 1.5  # of the length: a slope's variance falls with the third power, and the fit smooths
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
 TIGHT_RATIO = 0.6  # of the tightest curvature: tight enough to turn back with
+SAME_TURN_RATIO = 0.25  # of the tightest curvature, as above: to be measured in a turn that has to go on
+MISSING_NEED = 1.0  # the tool refuses a table without it, or no fit knows it
 TIGHT_WAY_RATIO = 0.4  # tight enough to be measured on the way into or out of a turn to that side
 TURNED_RAD = 2 * math.pi  # after a whole turn another one may be tried
 PATIENT_RAD = 1.3 * math.pi  # a turn that has lasted this long makes do with any room
@@ -177,7 +179,7 @@ class Pilot:
             farthest = max(choices, key=lambda choice: choice.length_m)
             if farthest.length_m > -MIN_LENGTH_M:
                 self._begin(farthest, False, now_ns)
-        elif self._is_noted:
+        elif self._is_noted or self._need < LITTLE_NEED:
             self._measure_in_turn(now_ns)
 
     def _choices(self, now_ns):
@@ -246,13 +248,29 @@ class Pilot:
         return None
 
     def _measure_in_turn(self, now_ns):
-        """A turn that has to go on, at a position that is known by now: take another one that is as tight."""
+        """A turn that has to go on, at a position that is known by now: take another one that turns to the same side.
+
+        One that is missing may turn less tightly, where there is room for it; else one that is as tight will do.
+        """
         is_left = self.outlook.expected_per_m(self._hold.duty) > 0
         turn_per_m = self.outlook.expected_per_m(self._ends[0 if is_left else 1])
-        other = self._tight_candidate(turn_per_m, self._motion.pose, now_ns, LITTLE_NEED)
-        if other is not None and other.duty != self._hold.duty:
-            choice = _Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(other, now_ns))
-            self._begin(choice, True, now_ns, other.need)
+        missing = self._missing_in_turn(turn_per_m, now_ns)
+        if missing is not None:
+            self._begin(missing, True, now_ns, MISSING_NEED)
+        elif self._is_noted:
+            other = self._tight_candidate(turn_per_m, self._motion.pose, now_ns, LITTLE_NEED)
+            if other is not None and other.duty != self._hold.duty:
+                choice = _Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(other, now_ns))
+                self._begin(choice, True, now_ns, other.need)
+
+    def _missing_in_turn(self, turn_per_m, now_ns):
+        """The best choice to that side that is refused or a gap by now; ``None``: there is none with room for it."""
+        candidates = self._survey.positions.candidates(
+            lambda duty: self.outlook.expected_per_m(duty) / turn_per_m > SAME_TURN_RATIO)
+        choices = [self._choice(self._ideal(candidate, now_ns), now_ns) for candidate in candidates
+                   if candidate.need >= MISSING_NEED and candidate.duty != self._hold.duty]
+        best = max(choices, key=lambda choice: choice.score, default=None)
+        return best if best is not None and best.score else None
 
     def _way_per_m(self, now_ns):
         """The tight turn to take: the one that stays inside and is free; of two the one about which less is known."""

@@ -29,7 +29,9 @@ class FitConfig:
         min_length_m, max_length_m, min_duration_s: of a segment.
         max_gap_s: between samples of odometry that belong together.
         max_jump_rad: of the heading from sample to sample.
-        heading_sigma_rad: standard error of odometry's heading.
+        heading_sigma_rad: standard error of odometry's heading, at most: where a drive shows that it is better, that
+            counts.
+        min_heading_sigma_rad: the same, at least.
         min_sigma_per_m: no segment's curvature is known better: floors are uneven, tyres flex.
         delay: of the servo; ``None`` = estimated.
         backlash_duty: of the linkage; ``None`` = estimated.
@@ -52,6 +54,7 @@ class FitConfig:
     max_gap_s: float = 0.3
     max_jump_rad: float = 0.5
     heading_sigma_rad: float = 0.008
+    min_heading_sigma_rad: float = 0.003
     min_sigma_per_m: float = 0.001
     delay: Delay | None = None
     backlash_duty: float | None = None

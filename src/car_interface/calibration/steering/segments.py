@@ -23,6 +23,7 @@ INDEPENDENT_M = 0.15  # headings this far apart have independent errors
 DUTY_SIGMA = 1.0  # of the wheels' position, in duty, when the linkage lies at one side of its backlash
 LAG_SIGMA_S = 0.015  # of the servo's lag, by which the position is known when the linkage floats in its backlash
 MIN_SEGMENTS, MIN_COUNTS = 4, 4
+MOST_PERCENT = 90  # of the segments, by which a drive's heading is judged
 
 
 class Segment(NamedTuple):
@@ -36,6 +37,7 @@ class Segment(NamedTuple):
     sigma_per_m: float
     length_m: float
     speed_mps: float  # the mean of its fourth power, as turns widen by that
+    wander_rad: float  # how far the heading is off its slope, root mean square
 
 
 class Segmentation(NamedTuple):
@@ -71,7 +73,24 @@ def segmentation(drive: Drive, delay: Delay, config: FitConfig) -> Segmentation:
     segments = [_segment(wheels, first, end, config) for begin, stop in zip(edges[::2], edges[1::2])
                 for first, end in _split(wheels, begin, stop, config)]
     counts["shorter than a segment must be"] = sum(segment is None for segment in segments)
-    return Segmentation(wheels, other_lags, [segment for segment in segments if segment is not None], counts, config)
+    found = [segment for segment in segments if segment is not None]
+    heading_sigma_rad = _heading_sigma_rad(found, config)
+    found = [one._replace(sigma_per_m=_slope_sigma_per_m(one.length_m, heading_sigma_rad, config)) for one in found]
+    return Segmentation(wheels, other_lags, found, counts, config)
+
+
+def _heading_sigma_rad(segments, config):
+    """The standard error of this drive's heading: as far as it is off the segments' slopes in nine of ten."""
+    if len(segments) < MIN_SEGMENTS:
+        return config.heading_sigma_rad
+    seen_rad = float(np.percentile([segment.wander_rad for segment in segments], MOST_PERCENT))
+    return min(max(seen_rad, config.min_heading_sigma_rad), config.heading_sigma_rad)
+
+
+def _slope_sigma_per_m(length_m, heading_sigma_rad, config):
+    """The standard error of a slope of the heading over a way of that length, in 1/m."""
+    independent = max(2.0, min(SLOPE_POINTS, length_m / INDEPENDENT_M))
+    return math.hypot(heading_sigma_rad * math.sqrt(12 / independent) / length_m, config.min_sigma_per_m)
 
 
 def _usable(wheels, config):
@@ -117,12 +136,14 @@ def _segment(wheels, first, end, config):
     # Evenly by distance, so that where the car was slow doesn't count for more.
     at = np.linspace(distance_m[0], distance_m[-1], SLOPE_POINTS)
     off = at - at.mean()
-    curvature = float(off @ np.interp(at, distance_m, wheels.yaw_rad[samples]) / (off @ off))
+    yaw_rad = np.interp(at, distance_m, wheels.yaw_rad[samples])
+    curvature = float(off @ yaw_rad / (off @ off))
+    beside_rad = yaw_rad - yaw_rad.mean() - off * curvature
+    wander_rad = math.sqrt(float(beside_rad @ beside_rad) / (SLOPE_POINTS - 2))
     length = abs(length)
-    independent = max(2.0, min(SLOPE_POINTS, length / INDEPENDENT_M))
-    sigma = math.hypot(config.heading_sigma_rad * math.sqrt(12 / independent) / length, config.min_sigma_per_m)
     return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, (wheels.t_s[first] + wheels.t_s[end - 1]) / 2,
-                   curvature, sigma, length, float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25)
+                   curvature, _slope_sigma_per_m(length, config.heading_sigma_rad, config), length,
+                   float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25, wander_rad)
 
 
 def all_segments(segmentations: Sequence[Segmentation]) -> list[Segment]:

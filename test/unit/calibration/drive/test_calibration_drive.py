@@ -3,9 +3,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from calibration.drive.light_car import CURVE, LightCar, S, base
+from car_interface.calibration.drive.area import Area, Pose
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.step import BLOCKED, DONE, MEASURING, PAUSED, SETTLING, TURNING, WAITING
@@ -88,6 +90,29 @@ def test_it_stays_within_the_area_and_ends_with_enough_or_after_its_time():
     progress = one.drive.progress(one.now_ns)
     assert progress.center_duty == pytest.approx(5200, abs=20) and progress.left_s == 0.0
     assert len([row for row in progress.rows if row.is_known]) > len(progress.rows) / 2
+
+
+def test_some_of_the_area_is_kept_for_what_is_not_known():
+    one, middle, farthest_m = car(radius_m=2.5), (0.142, 0.0), 0.0
+    for _ in range(50 * 60):
+        one.tick()
+        farthest_m = max(farthest_m, Area(middle, 2.5).extent_m(one.pose))
+    assert 2.2 < farthest_m < 2.44, "of a car that does exactly what is expected"
+
+
+def test_a_car_that_was_seen_to_coast_far_is_slower_from_then_on():
+    speeds = []
+    for coasts_mps2 in (0.1, 0.3):
+        one = car()
+        one.run(4)
+        one.holds = False
+        for tick in range(120):
+            one.tick(speed_mps=0.8 - 0.02 * coasts_mps2 * tick)
+        one.pose, one.speed_mps = Pose(0.0, 0.0, 0.0), 0.0  # it is carried back
+        one.holds, before = True, len(one.steps)
+        one.run(60)
+        speeds.append(np.mean([step.speed_mps for step in one.steps[before:]]))
+    assert speeds[0] < speeds[1] - 0.03
 
 
 @pytest.mark.parametrize("radius_m", [2.8, 4.0])

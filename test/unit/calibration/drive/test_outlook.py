@@ -13,6 +13,7 @@ from car_interface.calibration.drive.hold import Hold
 from car_interface.calibration.drive.knowledge import Knowledge
 from car_interface.calibration.drive.motion import Motion
 from car_interface.calibration.drive.outlook import Outlook
+from car_interface.calibration.drive.positions import Measured
 from car_interface.calibration.drive.survey import Survey
 
 LEFT, CENTER, RIGHT = 3900, 5184, 6400
@@ -73,7 +74,7 @@ def test_it_has_to_turn_before_the_edge_and_not_in_the_middle():
 def test_a_car_that_coasts_far_turns_sooner():
     hold, now_ns = settled(CENTER)
     # Along the edge the turn alone would do later.
-    along = Pose(1.25, 1.9, -0.2)
+    along = Pose(1.2, 1.85, -0.2)
     assert not outlook(along, 0.4).is_outside_soon(hold, now_ns)
     assert outlook(along, 0.4, coasting_mps2=0.1).is_outside_soon(hold, now_ns)
 
@@ -96,6 +97,16 @@ def test_a_servo_that_is_at_the_other_end_turns_later():
     one = outlook(ACROSS)
     from_right, from_left = (one.turns(duty, 1.0)[0].reaction_m for duty in (RIGHT, LEFT))
     assert from_right > from_left
+
+
+@pytest.mark.parametrize("half_duty, lags", [(4600, 1.0), (3916, 3.9)], ids=("smooth", "steep_at_its_end"))
+def test_a_linkage_that_turns_the_wheels_within_the_last_counts_turns_later(half_duty, lags):
+    one = outlook(ACROSS)
+    for duty, curvature_per_m in ((LEFT, 1.0), (half_duty, 0.6), (CENTER, 0.0)):
+        one._survey.add(Measured(duty, 1, 1.0, curvature_per_m))
+    reaction_m = one.turns(CENTER, 1.0)[0].reaction_m
+    # A servo's lag of 0.15 s: after so many of them the wheels turn half as tightly as at the end.
+    assert reaction_m == pytest.approx(0.17 + 0.15 * lags, abs=0.05)
 
 
 def test_without_sonars_nothing_bounds_it():

@@ -8,9 +8,10 @@ import pytest
 from calibration.drive.light_car import LightCar, base
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.config import DriveConfig
+from car_interface.calibration.drive.outlook import Outlook
 from car_interface.calibration.drive.pilot import wanted_length_m
 from car_interface.calibration.drive.positions import Candidate, Positions
-from car_interface.calibration.drive.step import AVOIDING, BLOCKED, MEASURING
+from car_interface.calibration.drive.step import AVOIDING, BLOCKED, MEASURING, TURNING
 from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
 
 pytestmark = pytest.mark.once
@@ -68,6 +69,40 @@ def test_a_position_is_come_to_from_the_side_that_is_asked_for(monkeypatch, from
     one.run(3, until=lambda step: step.phase == MEASURING)
     asked = [base().teleop_duty(step.steering) for step in one.steps if step.target_duty == 4512]
     assert min(asked) == pytest.approx(lowest_duty, abs=1)
+
+
+@pytest.mark.parametrize("free_sign", [1, -1], ids=("left", "right"))
+def test_it_turns_away_to_the_side_where_the_sonars_see_more(monkeypatch, free_sign):
+    one = car()
+    one.run(60, until=lambda step: step.phase == MEASURING and step.target_duty not in (3900, 6400))
+    monkeypatch.setattr(Outlook, "sonar_mps", lambda self, curvature_per_m, now_ns: (
+        1.0 if free_sign * curvature_per_m > 0.7 else 0.1))
+    before = len(one.steps)
+    one.run(0.1)
+    found = [step for step in one.steps[before:] if step.phase == AVOIDING]
+    assert found and all(free_sign * step.steering > 0.7 for step in found)
+
+
+@pytest.mark.parametrize("has_room", [True, False])
+def test_a_position_is_begun_where_there_is_room_even_if_it_turns_as_little_as_its_neighbour(monkeypatch, has_room):
+    monkeypatch.setattr(Positions, "candidates", lambda self, accepts=lambda duty: True: [
+        candidate for candidate in (Candidate(4512, 1.0, 0),) if accepts(candidate.duty)])
+    monkeypatch.setattr(Positions, "least_per_m", lambda self, duty: 0.05)
+    monkeypatch.setattr(Outlook, "room_m", lambda self, duty, curvature_per_m, speed_mps, max_m: (
+        max_m if has_room or curvature_per_m != 0.05 else 0.3))
+    one = car()
+    one.run(0.1)
+    assert (one.steps[-1].target_duty == 4512) == has_room
+
+
+@pytest.mark.parametrize("need, is_measured", [(1.2, True), (0.9, False)], ids=("missing", "known"))
+def test_a_turn_measures_what_is_missing_though_it_turns_less_tightly(monkeypatch, need, is_measured):
+    monkeypatch.setattr(Positions, "candidates", lambda self, accepts=lambda duty: True: [
+        candidate for candidate in (Candidate(5184, 9.0, 0), Candidate(4096, need, 0)) if accepts(candidate.duty)])
+    one = car()
+    one.run(30)
+    phases = [step.phase for step in one.steps if step.target_duty == 4096]
+    assert (phases[:1] == [TURNING]) == is_measured
 
 
 def test_something_at_a_distance_slows_it():
