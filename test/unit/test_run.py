@@ -36,7 +36,7 @@ def test_tests_with_an_order_or_a_limit_of_their_own_exist():
 
 @pytest.mark.parametrize("name, expected", [
     ("test_layering", (["test_layering.py"], [], [], [])),
-    ("messages", ([], ["messages_test.py"], [], [])),
+    ("messages_test", ([], ["messages_test.py"], [], [])),
     ("turn_arb.test", ([], [], [], ["turn_arb.test"])),
     ("car_display.test", ([], [], ["car_display.test"], [])),
 ])

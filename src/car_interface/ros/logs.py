@@ -7,10 +7,16 @@ from __future__ import annotations
 
 import io
 import logging
+import traceback
 from logging.handlers import QueueHandler, QueueListener
 from queue import Queue
 
 MAX_LINES = 1000  # that wait for a handler; more are dropped
+
+
+def keep_tracebacks_from_terminal() -> None:
+    """Have the tracebacks that rospy prints go to the log file, such as that of a peer which leaves in a handshake."""
+    traceback.print_exc = lambda *_, **__: logging.getLogger("car_interface").error("%s", traceback.format_exc())
 
 
 class LogStream:

@@ -33,7 +33,7 @@ from car_interface.common.standstill import StandstillWatch
 from car_interface.ros.direct_connection import send_directly
 from car_interface.ros.garbage import IdleCollector, node_activity
 from car_interface.ros.inbox import Inbox
-from car_interface.ros.logs import LogStream, LogThreads
+from car_interface.ros.logs import LogStream, LogThreads, keep_tracebacks_from_terminal
 from car_interface.ros.name_lookup import own_name, wait_for_name
 from car_interface.ros.refused_start import build_node
 
@@ -51,6 +51,7 @@ def run(name: str, node_class) -> None:
     """
     sys.stdout, sys.stderr = LogStream(sys.stdout), LogStream(sys.stderr)
     logging.raiseExceptions = False  # a full disk must not end the node
+    keep_tracebacks_from_terminal()
     send_directly()
     _register(name)
     _keep_rosout_parameter()

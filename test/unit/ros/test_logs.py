@@ -4,6 +4,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 # In an interpreter of its own: pytest's handlers are the root logger's, too.
 SCRIPT = """
 import logging, threading
@@ -44,3 +46,37 @@ def test_disk_that_stalls_holds_up_neither_the_node_nor_the_terminal():
     assert late[:2] == ["disk: the bus is held down", "disk: line 0"] and last == "written: True"
     assert len(late) == 1 + 1000  # one was under way; of the rest as many as may wait
     assert done.stderr == ""
+
+
+PEER_LEAVES = """
+import logging, socket, sys, threading
+from rospy.impl.tcpros_base import TCPServer
+from car_interface.ros.logs import keep_tracebacks_from_terminal
+
+logged = threading.Event()
+
+class LogFile(logging.Handler):
+    def emit(self, record):
+        print("log file:", record.getMessage().splitlines()[-1], flush=True)
+        logged.set()
+
+def answer(peer, address):
+    raise BrokenPipeError(32, "Broken pipe")
+
+logging.getLogger("car_interface").addHandler(LogFile())
+logging.getLogger("car_interface").propagate = False
+if sys.argv[1:]:
+    keep_tracebacks_from_terminal()
+server = TCPServer(answer)
+server.start()
+socket.create_connection(("127.0.0.1", server.get_full_addr()[1])).close()
+logged.wait(30.0 if sys.argv[1:] else 1.0)
+"""
+
+
+@pytest.mark.parametrize("arguments, expected", [
+    (["kept"], ("log file: BrokenPipeError: [Errno 32] Broken pipe\n", False)), ([], ("", True))])
+def test_peer_that_leaves_in_a_handshake_prints_no_traceback(arguments, expected):
+    done = subprocess.run([sys.executable, "-B", "-c", PEER_LEAVES, *arguments], capture_output=True, text=True,
+                          check=True, timeout=60, env={"PYTHONPATH": ":".join(sys.path), "ROS_IP": "127.0.0.1"})
+    assert (done.stdout, "Traceback" in done.stderr) == expected

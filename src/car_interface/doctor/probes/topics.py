@@ -4,6 +4,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import traceback
 from typing import NamedTuple
 
 import rospy
@@ -63,7 +64,8 @@ def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadLis
         gamepad: listens to the gamepad; ``None`` when teleop_logi doesn't run.
     """
     logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes becomes a finding
-    threading.excepthook = lambda *_: None  # rospy's server may be closed before its thread has begun to wait
+    # rospy prints tracebacks of a peer that leaves in a handshake, and of a server that ends before its thread waits.
+    traceback.print_exc = threading.excepthook = lambda *_, **__: None
     rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
     rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
     listener = _Listener()
