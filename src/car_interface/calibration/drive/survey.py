@@ -14,7 +14,7 @@ from car_interface.steering.calibration import SteeringCalibration
 
 FULL_FIT_NS = 40 * NS_PER_S  # so often delay and backlash are estimated anew
 MIN_POSITIONS = 5  # before the first fit
-ENOUGH = 0.15  # of what the tool allows: an error below this anywhere ends the drive
+ENOUGH = 0.1  # of what the tool allows: an error below this anywhere ends the drive
 FIRST_PART = 0.3  # of the progress bar, for the positions before the first fit
 EARLY_LEFT_S = 200.0  # an estimate while nothing is known
 
