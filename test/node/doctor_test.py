@@ -306,7 +306,7 @@ class OnATerminal(DoctorTest):
 
     def test_reader_that_leaves_is_no_fault(self):
         done = run("bash", "-c", f"{executable('doctor')} | head -n 1")
-        self.assertEqual((len(done.stdout.splitlines()), done.stderr), (1, ""))
+        self.assertEqual((len(done.stdout.splitlines()), done.stderr), (1, ""), done.stderr)
 
     def test_wrong_option_is_refused(self):
         for options in (["--address", "0x99"], ["--address", "x"], ["--what"]):

@@ -23,6 +23,7 @@ from car_interface.doctor.checks.findings import BAD, Finding, render, summarise
 from car_interface.doctor.examination import VIRTUAL, Options, examine
 from car_interface.doctor.task import Task
 
+TOPICS = "car_interface.doctor.probes.topics"  # imported only when there is a master: it imports rospy
 LEAVE_S = 0.5
 
 
@@ -66,6 +67,7 @@ def main():
         code = show(examine(options))
     except OSError:
         code = BAD  # nobody reads any more, or the disk is full
-    if "car_interface.doctor.probes.topics" in sys.modules:
-        Task("topics", sys.modules["car_interface.doctor.probes.topics"].leave).wait(time.monotonic() + LEAVE_S)
+    leave = getattr(sys.modules.get(TOPICS), "leave", None)  # None too while a thread is still importing the module
+    if leave is not None:
+        Task("topics", leave).wait(time.monotonic() + LEAVE_S)
     os._exit(code)  # a look that still hangs must not keep the doctor from ending

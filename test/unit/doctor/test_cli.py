@@ -3,9 +3,11 @@ from __future__ import annotations
 
 import io
 import sys
+import types
 
 import pytest
 
+from car_interface.doctor import cli
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
 from car_interface.doctor.cli import read_options, show
 from car_interface.doctor.examination import Options
@@ -44,3 +46,18 @@ def test_findings_are_shown_a_line_each_and_the_worst_is_the_exit_code(levels, w
     monkeypatch.setattr(sys, "stdout", io.StringIO())
     assert show(iter([Finding(level, "bus", "what", "do") for level in levels])) == worst
     assert len(sys.stdout.getvalue().splitlines()) == len(levels) + 1
+
+
+@pytest.mark.parametrize("left", [True, False], ids=["imported", "still_being_imported"])
+def test_reader_that_leaves_ends_it_as_a_failure_also_while_rospy_is_being_imported(left, monkeypatch):
+    def show(findings):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    calls, codes = [], []
+    probes = types.SimpleNamespace(**({"leave": lambda: calls.append("leave")} if left else {}))
+    monkeypatch.setitem(sys.modules, cli.TOPICS, probes)
+    monkeypatch.setattr(cli, "show", show)
+    monkeypatch.setattr(cli.os, "_exit", codes.append)
+    monkeypatch.setattr(sys, "argv", ["doctor"])
+    cli.main()
+    assert (codes, calls) == ([BAD], ["leave"] if left else [])
