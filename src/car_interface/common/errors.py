@@ -6,6 +6,10 @@ class CarInterfaceError(Exception):
     """The base of all errors that this package raises."""
 
 
+class EndedEarly(CarInterfaceError):
+    """Somebody, or a signal, ended a program before its work was done: no fault of the program, but no success."""
+
+
 class ConfigError(CarInterfaceError, ValueError):
     """An invalid parameter, table or file.
 

@@ -42,7 +42,7 @@ from car_interface.calibration.drive.readiness import Seen, missing, missing_gam
 from car_interface.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING
 from car_interface.calibration.drive.stick_guide import StickGuide
 from car_interface.calibration.drive.table_file import board_center, find_table_file
-from car_interface.common.errors import CarInterfaceError
+from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.staleness import TimedInput
@@ -139,7 +139,7 @@ class CalibrationDriveNode:
             self._text.say(f"recording: {self._recording.stop()}")
         time.sleep(0.02)  # for what a socket did not take at once
         if not (self._is_over or self._is_written) and sys.exc_info()[0] is None:
-            raise CarInterfaceError("ended before it was over: nothing is written")
+            raise EndedEarly("ended before it was over: nothing is written")
 
     def _typed(self):
         """The keys that were typed, in lower case; Q ends it."""

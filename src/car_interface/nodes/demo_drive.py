@@ -25,7 +25,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
-from car_interface.common.errors import CarInterfaceError
+from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.units import NS_PER_S, yaw_rad
@@ -265,7 +265,7 @@ class DemoDrive:
             self._recording.stop()
         if (self._drive is None or self._drive.stage != DONE) and sys.exc_info()[0] is None:
             print(flush=True)  # end the status line before the log line
-            raise CarInterfaceError("the drive was ended before it was over")
+            raise EndedEarly("the drive was ended before it was over")
 
     def _wait_until_ready(self, now_ns):
         missing = self._watch.missing()

@@ -27,7 +27,7 @@ from contextlib import suppress
 import rospy
 from rospy.impl.paramserver import get_param_server_cache
 
-from car_interface.common.errors import CarInterfaceError
+from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.params import Params
 from car_interface.common.standstill import StandstillWatch
 from car_interface.ros.direct_connection import send_directly
@@ -66,6 +66,9 @@ def run(name: str, node_class) -> None:
     failed = False
     try:
         spin(node_class, inbox, IdleCollector())
+    except EndedEarly as error:
+        rospy.logwarn("%s", error)
+        failed = True
     except Exception as error:
         rospy.logfatal("%s", describe_error(error))
         failed = True

@@ -105,6 +105,17 @@ def test_a_turn_measures_what_is_missing_though_it_turns_less_tightly(monkeypatc
     assert (phases[:1] == [TURNING]) == is_measured
 
 
+def test_a_turn_at_a_position_that_is_known_goes_over_to_what_is_missing_at_once(monkeypatch):
+    monkeypatch.setattr(Positions, "candidates", lambda self, accepts=lambda duty: True: [
+        candidate for candidate in (Candidate(5184, 9.0, 0), Candidate(4096, 1.2, 0)) if accepts(candidate.duty)])
+    one = car()
+    one.run(60, until=lambda step: step.target_duty == 5184 and step.phase == MEASURING)
+    one.run(60, until=lambda step: step.target_duty == 3900)
+    begun_s = one.seconds
+    step = one.run(60, until=lambda step: step.target_duty != 3900)
+    assert step.target_duty == 4096 and (one.seconds - begun_s) * one.speed_mps < wanted_length_m(1.0)
+
+
 def test_something_at_a_distance_slows_it():
     free, seen = car(), car()
     seen.ranges["front_middle"] = 0.5
