@@ -64,7 +64,7 @@ class Autonomous(WholeDrive):
     def test_without_a_terminal_the_table_is_written_beside_the_old_one(self):
         process = NodeProcess(executable("calibration_drive"), "-o", self.table)
         self.addCleanup(process.clean_up)
-        process.wait_for_info("waiting: hold the autonomous deadman and it begins: human_in_loop is false")
+        process.wait_for_info("waiting: no deadman is held; hold the autonomous deadman and it begins")
         self.drive(lambda: not process.runs())
         self.assertEqual(process.wait_for_exit(), 0, process.stderr.since())
         beside = os.path.join(self.folder, "turn_arb.new.yaml")
@@ -80,7 +80,7 @@ class ByTheStick(WholeDrive):
 
     def test_person_with_the_stick_gets_a_table_and_no_question_with_yes(self):
         terminal = self.start("-o", self.table, "--stick", "--yes")
-        self.wait_for_line(terminal, "^hold the manual deadman: human_in_loop is false: ")
+        self.wait_for_line(terminal, "^no deadman is held; hold the manual deadman")
         person = StickPerson(self, random.Random(1))
 
         def is_over():

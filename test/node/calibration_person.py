@@ -161,7 +161,7 @@ class DriveTest(ProgramTest):
     def begin(self, *arguments):
         """Start it without sonars, until it waits for the deadman."""
         terminal = self.start("-o", self.table, *arguments)
-        self.wait_for_line(terminal, "^waits: hold the autonomous deadman and it begins: human_in_loop is false: ")
+        self.wait_for_line(terminal, "^waits: no deadman is held; hold the autonomous deadman and it begins")
         return terminal
 
     def marker(self, ns, index):

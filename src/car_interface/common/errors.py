@@ -7,7 +7,7 @@ class CarInterfaceError(Exception):
 
 
 class EndedEarly(CarInterfaceError):
-    """Somebody, or a signal, ended a program before its work was done: no fault of the program, but no success."""
+    """A program's work wasn't done: somebody ended it, or what it found is too little. No fault, but no success."""
 
 
 class ConfigError(CarInterfaceError, ValueError):

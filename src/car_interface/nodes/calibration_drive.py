@@ -115,9 +115,10 @@ class CalibrationDriveNode:
             subscribe_any(topic, inbox, partial(self._on_request, topic), wakes=False)
 
     def _introduce(self):
-        keys = " F: finish now with what is known. Q: give up." if self._has_keys else ""
         self._text.say(terminal.introduction(self._wanted.stick, self._config.radius_m, self._text.width))
-        self._text.say(f"It will write {self._table.path}.{keys}")
+        self._text.say(f"It will write {self._table.path}.")
+        if self._has_keys:
+            self._text.say("F: finish now with what is known. Q: give up.")
 
     def step(self, now_ns):
         """Handle what arrived; then the stage."""
@@ -251,7 +252,7 @@ class CalibrationDriveNode:
         if not self._wanted.stick and step.steering is not None:
             self._steerings.publish(Float32(step.steering))
             self._speeds.publish(Float32(step.speed_mps))
-        if is_shown:
+        if is_shown or step.phase == DONE:
             self._show(now_ns)
         if step.phase == DONE:
             self._begin_end()
@@ -282,6 +283,10 @@ class CalibrationDriveNode:
             self._shown_kind, self._shown_ns = kind, now_ns
             self._text.say("\n".join(lines))
 
+    def _fitted(self, lines):
+        """Lines that are no longer than the terminal is wide; as they are where there is none."""
+        return terminal.wrapped(lines, self._text.width) if self._text.is_live else lines
+
     def _stop_asking(self):
         """No request any more; the last one is to stand."""
         if self._step is not None and self._speeds is not None:
@@ -305,7 +310,7 @@ class CalibrationDriveNode:
 
     def _on_conclusion(self, conclusion, now_ns):
         if conclusion.report:
-            self._text.say("\n".join(conclusion.report))
+            self._text.say("\n".join(self._fitted(conclusion.report)))
         self._conclusion = conclusion
         self._stage = self._await_page
         if conclusion.refusal:
@@ -345,7 +350,7 @@ class CalibrationDriveNode:
         self._is_over = True
         self._inbox.end()
         if self._refusal:
-            raise CarInterfaceError(self._refusal)
+            raise EndedEarly(self._refusal)
 
 
 def main():

@@ -40,6 +40,7 @@ TRAIL_POINTS = 2000
 JUMP_M = 5.0
 ARROW_M, ARROW_STEPS = 1.0, 20
 ARROW_HEAD_M = 0.16
+BEHIND_M, ABOVE_M = 0.8, 0.2  # of the text: the arrow lies before the car
 # Beyond the axles, and of the body above the ground.
 OVERHANG_M, CLEARANCE_M = 0.10, 0.035
 TIRE_WIDTH_M = 0.05
@@ -47,7 +48,7 @@ LINE_M = 0.02
 
 BODY, CABIN = ColorRGBA(0.10, 0.35, 0.75, 1.0), ColorRGBA(0.06, 0.10, 0.18, 1.0)
 TIRE = ColorRGBA(0.08, 0.08, 0.08, 1.0)
-ARROW, TRAIL, TEXT = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.0, 0.6, 0.35, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
+ARROW, TRAIL, TEXT = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.3, 0.5, 0.9, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
 NO_ROTATION = Quaternion(0.0, 0.0, 0.0, 1.0)
 
 
@@ -174,7 +175,7 @@ class CarDisplay:
         head.points = [line.points[-1], Point(x_m + ARROW_HEAD_M * math.cos(heading_rad),
                                               y_m + ARROW_HEAD_M * math.sin(heading_rad), LINE_M)]
         label = self._marker("steering", 2, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, 0.12),
-                             _at(self._wheelbase_m / 2, 0.0, 0.5))
+                             _at(-BEHIND_M, 0.0, ABOVE_M))
         label.text = f"{source_name(state.source)}: {_turn_text(state.turn_radius)}"
         return [line, head, label]
 

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 
 import rospy
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -12,10 +13,12 @@ CIRCLE_POINTS = 72
 LINE_M, HEIGHT_M = 0.02, 0.02
 ARC_M, MAX_ARC_RAD, ARC_STEPS = 1.6, 2.6, 16  # of the arcs by radius, from the car
 WIDEST_M = 40.0  # wider turns can't be told from straight on
-TEXT_M, ABOVE_M = 0.14, 0.75
+TEXT_M, TEXT_COLUMNS = 0.14, 28
+BEHIND_M, ABOVE_M = 0.8, 0.4  # where no arc lies, and above what car_display writes there
 AREA, START = ColorRGBA(0.35, 0.35, 0.4, 1.0), ColorRGBA(0.35, 0.35, 0.4, 1.0)
-PATH, TEXT = ColorRGBA(0.95, 0.3, 0.7, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
-KNOWN, PARTLY = ColorRGBA(0.0, 0.6, 0.2, 0.9), ColorRGBA(0.95, 0.6, 0.0, 0.9)
+PATH, TEXT = ColorRGBA(0.75, 0.0, 0.75, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
+# No arc is blue as the trail, which car_display draws, or as orange as its arrow.
+KNOWN, PARTLY = ColorRGBA(0.0, 0.6, 0.2, 0.9), ColorRGBA(0.95, 0.75, 0.0, 0.9)
 UNKNOWN = ColorRGBA(0.85, 0.1, 0.1, 0.9)
 
 
@@ -29,14 +32,14 @@ def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, rows_befo
         path: where the car is about to go, (x, y) in odometry's frame.
         rows: records with side (left or right), radius_m, is_known and is_measured: an arc each, from the car.
         rows_before: how many there were in the picture before.
-        text: above the car.
+        text: behind the car.
     """
     markers = [_circle(odom_frame, start, radius_m), _cross(odom_frame, start),
                _line("path", 0, odom_frame, PATH, path, 2 * LINE_M), *_arcs(base_frame, rows),
                *(_line("known", index, base_frame, UNKNOWN, [], LINE_M) for index in range(len(rows), rows_before))]
     label = _marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M))
-    label.pose.position = Point(0.16, 0.0, ABOVE_M)
-    label.text = text
+    label.pose.position = Point(-BEHIND_M, 0.0, ABOVE_M)
+    label.text = textwrap.fill(text, TEXT_COLUMNS)
     return MarkerArray([*markers, label])
 
 

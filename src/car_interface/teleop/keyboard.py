@@ -30,8 +30,8 @@ SLOWLY_PER_S, SLOWLY_FROM = 0.07, 0.05
 
 def help_text(has_releases: bool) -> str:
     """What the keys do, for the start of a program."""
-    hold = "hold M" if has_releases else ("press M, then hold another key: this terminal doesn't say when a key is "
-                                         f"released, so each counts for {HOLD_NS / NS_PER_S:g} s")
+    hold = "hold M" if has_releases else ("press M, then hold another key: this terminal doesn't say when a key\n"
+                                         f"is released, so each counts for {HOLD_NS / NS_PER_S:g} s")
     return ("M        deadman: you drive\n"
             "P        deadman: the planner drives\n"
             "W A S D  or the arrows: faster, left, slower, right\n"

@@ -255,8 +255,9 @@ def test_once_all_keys_were_released_for_a_second_nothing_is_held(steps, counts)
 
 def test_help_names_every_key_and_how_to_hold_the_deadman():
     assert all(word in help_text(True) for word in ("M ", "P ", "W A S D", "space", "Q ", "To drive: hold M."))
-    assert ("To drive: press M, then hold another key: this terminal doesn't say when a key is released, so each "
-            "counts for 0.7 s.") in help_text(False)
+    assert help_text(False).endswith("To drive: press M, then hold another key: this terminal doesn't say when a key\n"
+                                     "is released, so each counts for 0.7 s.")
+    assert max(map(len, help_text(False).splitlines())) < 80
 
 
 # --- slow pushes and the scale ---

@@ -162,18 +162,18 @@ class CalibrationDrive:
         """Why it can't drive now; empty: it can."""
         for timed in (self._odom, self._duty):
             if timed.is_stale(now_ns):
-                return f"it waits: {timed.stale_reason(now_ns)}"
+                return timed.stale_reason(now_ns)
         for timed in self._ranges.values():
             if timed.is_stale(now_ns) or math.isnan(timed.value):
                 why = timed.stale_reason(now_ns) if timed.is_stale(now_ns) else f"{timed.name} measures nonsense"
-                return f"it waits: {why}, and the car doesn't drive blind"
+                return f"{why}, and the car doesn't drive blind"
         if self._grant.is_stale(now_ns):
-            return f"it waits: {self._grant.stale_reason(now_ns)}"
+            return self._grant.stale_reason(now_ns)
         grant = self._grant.value
         if grant.may_drive:
             return ""
         verb = "begins" if self._pilot is None else "goes on"
-        return f"hold the autonomous deadman and it {verb}: {grant.reason}"
+        return f"{grant.reason}; hold the autonomous deadman and it {verb}"
 
     @property
     def driven_s(self) -> float:

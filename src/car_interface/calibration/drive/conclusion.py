@@ -6,7 +6,7 @@ from typing import NamedTuple
 from car_interface.calibration.drive.samples import Samples
 from car_interface.calibration.steering.calibrate import Calibrated, calibrate, yaml_text
 from car_interface.calibration.steering.drive import RecordedDrive
-from car_interface.calibration.steering.report import report
+from car_interface.calibration.steering.report import report, short_report
 from car_interface.calibration.steering.table import LEFT, RIGHT
 from car_interface.common.errors import CarInterfaceError
 from car_interface.steering.calibration import SteeringCalibration
@@ -17,7 +17,7 @@ class Conclusion(NamedTuple):
 
     Attributes:
         yaml_text: for turn_arb's file, the base with the new values; empty = refused.
-        report: calibrate_steering's own lines.
+        report: the most important lines of calibrate_steering's own; the file has them all.
         refusal: why nothing is to be written, in the tool's words; empty = nothing is missing.
         center_duty: the new servo_center, for servo.yaml too; 0 = refused.
         ends_duty: the new servo_left and servo_right; (0, 0) = refused.
@@ -43,9 +43,9 @@ def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: 
     lines: tuple[str, ...] = ()
     try:
         calibrated = calibrate(recorded, base)
-        lines = tuple(report(calibrated, recorded, None))
+        lines = tuple(short_report(calibrated, recorded))
         refusal = "; ".join(calibrated.problems) or _swapped(calibrated, base)
-        text = "" if refusal else yaml_text(calibrated, base_text, lines)
+        text = "" if refusal else yaml_text(calibrated, base_text, list(report(calibrated, recorded, None)))
     except CarInterfaceError as error:
         refusal = str(error)
     if refusal:

@@ -21,6 +21,9 @@ PLANNER_DRIVES = ("", AUTONOMOUS)  # modes in which the planner both steers and 
 IDLE = frozenset({causes.NO_REQUEST, causes.NO_RADIUS, causes.PLANNER_STALE, causes.COMMAND_STALE})
 
 
+ABSENT = "human_in_loop is false: "  # how turn_arb begins its reason; what follows says it to a person
+
+
 class Steering(NamedTuple):
     """Of turn_arb's state."""
 
@@ -91,18 +94,22 @@ class Grant:
         if self._steering.is_stale(now_ns):
             return Granted(False, self._steering.stale_reason(now_ns))
         steering = self._steering.value
-        return Granted(steering.source == TELEOP, "" if steering.source == TELEOP else steering.reason)
+        return Granted(steering.source == TELEOP, "" if steering.source == TELEOP else _plain(steering.reason))
+
+
+def _plain(reason):
+    return reason[len(ABSENT):] if reason.startswith(ABSENT) else reason
 
 
 def _steering_trouble(steering):
     if steering.source == PLANNER or steering.source == NEUTRAL and steering.cause in IDLE:
         return ""
-    return f"the gamepad steers ({steering.reason})" if steering.source == TELEOP else steering.reason
+    return f"the gamepad steers ({steering.reason})" if steering.source == TELEOP else _plain(steering.reason)
 
 
 def _throttle_trouble(throttle):
     if throttle.source in (LOCKED, NO_HUMAN):
-        return throttle.reason
+        return _plain(throttle.reason)
     if throttle.source == TELEOP:
         return f"the gamepad drives ({throttle.reason})"
     if throttle.mode not in PLANNER_DRIVES:

@@ -118,7 +118,7 @@ class StickGuide:
         lateral_mps2 = abs(curvature) * self._motion.speed_mps ** 2
         where = _words(steering)
         if not moves and self._why_not:
-            return self._say(left_s, PAUSED, f"hold the manual deadman: {self._why_not}")
+            return self._say(left_s, PAUSED, f"{self._why_not}; hold the manual deadman")
         if not moves:
             return self._say(left_s, PAUSED, f"drive slowly, about 1 m/s, with the stick at {where}")
         if lateral_mps2 > MAX_LATERAL_MPS2:

@@ -98,7 +98,7 @@ class Survey:
         estimate_s = driven_s * (1 - fraction) / fraction if fraction > FIRST_PART else EARLY_LEFT_S
         known = self.knowledge
         if known is None:
-            missing = ("nothing was fitted yet: the ends and the center come first",)
+            missing = ("everything; the ends and straight on come first",)
             return Progress(fraction, (), missing, driven_s, min(rest_s, estimate_s), self.positions.count,
                             math.nan, math.nan)
         return Progress(fraction, known.rows, known.missing, driven_s, min(rest_s, estimate_s), self.positions.count,

@@ -32,7 +32,7 @@ HEADLINES = {WAITING: "waits", PAUSED: "paused", SETTLING: "steers", MEASURING: 
 KNOWN, PARTLY, UNKNOWN = "#", "+", "."  # of a radius
 LEGEND = f"{KNOWN} known   {PARTLY} not well enough   {UNKNOWN} not yet"
 MAX_MISSING = 3
-ENOUGH = "nothing is missing; it goes on to know it better: F finishes now"
+ENOUGH, GOES_ON = "nothing is missing", "; it goes on to know it better: F finishes now"
 ADVICE = ": drive "  # to a person who drives without this guidance
 
 
@@ -50,12 +50,16 @@ def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
 
 def drive_lines(step: Step, progress: Progress, width: int = 80) -> list[str]:
     """All of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``."""
-    return wrapped([f"{BEFORE.get(step.phase, '')}{step.text}", *_progress_lines(progress)], width)
+    is_over = step.phase == DONE  # what comes then is printed below
+    headline = [] if is_over else [f"{BEFORE.get(step.phase, '')}{step.text}"]
+    return wrapped([*headline, *_progress_lines(progress, is_over)], width)
 
 
 def stick_lines(guidance: Guidance, progress: Progress, width: int = 80) -> list[str]:
     """The same for a drive by hand, with a bar of where to hold the stick."""
-    return wrapped([guidance.text, *stick_bar(guidance), *_progress_lines(progress)], width)
+    is_over = guidance.phase == DONE
+    headline = [] if is_over else [guidance.text, *stick_bar(guidance)]
+    return wrapped([*headline, *_progress_lines(progress, is_over)], width)
 
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:
@@ -118,9 +122,9 @@ def radius_marks(rows: Iterable[Row], side: str) -> str:
     return text
 
 
-def _progress_lines(progress: Progress) -> list[str]:
+def _progress_lines(progress: Progress, is_over: bool) -> list[str]:
     share = f"{progress_bar(progress.fraction)} {percent(progress.fraction)}"
-    lines = [f"{share}   {_times(progress)}, {progress.positions} positions"]
+    lines = [f"{share}   {_times(progress)}, {progress.positions} position{'s' * (progress.positions != 1)}"]
     lines += [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
     if math.isfinite(progress.center_duty):
         lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
@@ -129,7 +133,7 @@ def _progress_lines(progress: Progress) -> list[str]:
         missing[MAX_MISSING:] = [f"… and {len(missing) - MAX_MISSING} more"]
     lines += [f"missing: {text}" for text in missing]
     if progress.rows and not missing:
-        lines.append(ENOUGH)
+        lines.append(ENOUGH if is_over else ENOUGH + GOES_ON)
     return [*lines, LEGEND] if progress.rows else lines
 
 

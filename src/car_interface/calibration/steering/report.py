@@ -15,6 +15,8 @@ from car_interface.calibration.steering.problems import radius_text
 from car_interface.calibration.steering.table import DRIVEN, LEFT, OLD, RIGHT, Breakpoint
 from car_interface.calibration.steering.understeer import Understeer
 
+SHORT_ROWS = 8
+
 
 def report(calibrated: Calibrated, recorded: Sequence[RecordedDrive], axis_m: Sequence[float] | None) -> Iterator[str]:
     """Yield the lines.
@@ -24,15 +26,11 @@ def report(calibrated: Calibrated, recorded: Sequence[RecordedDrive], axis_m: Se
         recorded: the drives.
         axis_m: the radii that were asked for, if they were.
     """
-    curve, points = calibrated.curve, calibrated.points
-    length_m = curve.observations.distance_m[curve.used].sum()
-    yield (f"steering by {', '.join(Path(one.path).name for one in recorded)}: "
-           f"{sum(one.duration_s for one in recorded):.0f} s, {curve.used.sum()} segments of steady steering, "
-           f"{length_m:.0f} m in them"
-           + (", heading by the IMU" if all(one.uses_imu for one in recorded) else ""))
+    points = calibrated.points
+    yield _first_line(calibrated.curve, recorded)
     for one in recorded:
         yield from (f"  {one.path}: {note}" for note in one.notes)
-    yield from _curve_lines(curve)
+    yield from _curve_lines(calibrated.curve)
     added = [point.radius_m for point in points[LEFT] if axis_m and point.radius_m > axis_m[-1]]
     if added:
         yield (f"  --axis ends at {axis_m[-1]:g} m: {added[0]:g} to {added[-1]:g} m are added, or turn_arb would "
@@ -47,15 +45,47 @@ def report(calibrated: Calibrated, recorded: Sequence[RecordedDrive], axis_m: Se
         yield f"  {calibrated.disagreement}?"
 
 
+def short_report(calibrated: Calibrated, recorded: Sequence[RecordedDrive]) -> Iterator[str]:
+    """Yield the most important of it, for a terminal: a table of few radii that fits 80 columns, and no problems."""
+    curve, points = calibrated.curve, calibrated.points
+    yield _first_line(curve, recorded)
+    yield _servo_line(curve)
+    yield from _center_and_end_lines(curve)
+    yield "  radius         left  ±duty   ±radius        right  ±duty   ±radius"
+    rows = list(zip(points[LEFT], points[RIGHT]))
+    shown = min(len(rows), SHORT_ROWS)
+    for index in range(shown):
+        left, right = rows[round(index * (len(rows) - 1) / max(1, shown - 1))]
+        yield f"  {left.radius_m:6g} m  {_few_cells(left)}   {_few_cells(right)}"
+    yield (f"  ({shown} of {len(rows)} radii; ±: two standard errors; e: the end, no tighter turn can be had"
+           + ("; *: nothing was driven" if any(one.source == OLD for row in rows for one in row) else "") + ")")
+
+
+def _first_line(curve, recorded):
+    length_m = curve.observations.distance_m[curve.used].sum()
+    return (f"steering by {', '.join(Path(one.path).name for one in recorded)}: "
+            f"{sum(one.duration_s for one in recorded):.0f} s, {curve.used.sum()} segments of steady steering, "
+            f"{length_m:.0f} m in them"
+            + (", heading by the IMU" if all(one.uses_imu for one in recorded) else ""))
+
+
 def _curve_lines(curve: Curve):
     left_out = ", ".join(f"{count} {reason}" for reason, count in curve.counts.items() if count)
     yield f"  left out (intervals): {left_out or 'none'}"
-    yield (f"  the servo follows after {curve.delay.delay_s:.2f} s, with a lag of {curve.delay.lag_s:.2f} s; backlash "
-           f"of the steering: {curve.backlash_duty:.0f} ± {BAND * curve.backlash_sigma:.0f} duty")
+    yield _servo_line(curve)
     yield _understeer_line(curve.understeer)
     fitted = curve.observations.weights @ _at_all_knots(curve)
     off = np.abs(curve.observations.curvature_per_m - fitted)[curve.used]
     yield f"  segments lie off the curve by {np.median(off):.4f} 1/m (median), {np.percentile(off, 95):.4f} (95 %)"
+    yield from _center_and_end_lines(curve)
+
+
+def _servo_line(curve):
+    return (f"  the servo follows after {curve.delay.delay_s:.2f} s, with a lag of {curve.delay.lag_s:.2f} s; backlash "
+            f"of the steering: {curve.backlash_duty:.0f} ± {BAND * curve.backlash_sigma:.0f} duty")
+
+
+def _center_and_end_lines(curve):
     if not math.isnan(curve.center):
         yield f"  straight on: duty {curve.center:.0f} ± {BAND * curve.center_sigma:.0f}"
     for side, end in ((LEFT, curve.left), (RIGHT, curve.right)):
@@ -82,7 +112,12 @@ def _at_all_knots(curve):
 def _cells(point: Breakpoint):
     if point.source == OLD:
         return f"{point.duty:8.0f} *{'old':>26}{'':8}"
+    return f"{_few_cells(point)} {point.segments:7d} {point.distance_m:6.0f}"
+
+
+def _few_cells(point: Breakpoint):
+    if point.source == OLD:
+        return f"{point.duty:8.0f} *{'old':>14}"
     mark = " " if point.source == DRIVEN else "e"
     ratio = min(9.99, BAND * point.radius_sigma_m / point.radius_m)
-    return (f"{point.duty:8.0f}{mark} {min(9999, BAND * point.duty_sigma):5.0f} {ratio:8.1%} {point.segments:7d} "
-            f"{point.distance_m:6.0f}")
+    return f"{point.duty:8.0f}{mark} {min(9999, BAND * point.duty_sigma):5.0f} {ratio:8.1%}"

@@ -41,6 +41,7 @@ def test_enough_gives_the_file_with_center_and_ends():
     inside = [(radius, duty) for radius, duty in zip(radii, duties) if 1.3 < radius < 6]
     assert np.allclose([true_curvature(duty) for _, duty in inside], [1 / radius for radius, _ in inside], rtol=0.03)
     assert found.report[0].startswith("steering by drive.bag: 120 s")
+    assert len(found.report) < 20 < len([line for line in found.yaml_text.splitlines() if line.startswith("#")])
 
 
 def test_too_little_is_refused_in_the_tools_words():

@@ -32,7 +32,8 @@ def test_held_autonomous_deadman_grants_whether_or_not_something_is_asked_for(st
 
 
 @pytest.mark.parametrize(("steering", "throttle", "reason"), [
-    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "no deadman is held"), IDLE_THROTTLE, "no deadman is held"),
+    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false: no deadman is held"), IDLE_THROTTLE,
+     "no deadman is held"),
     (Steering(LOCKED, causes.E_STOP, "e_stop is on"), IDLE_THROTTLE, "e_stop is on"),
     (Steering(TELEOP, causes.TELEOP, "tele_steer_req is 0.002"), IDLE_THROTTLE,
      "the gamepad steers (tele_steer_req is 0.002)"),
@@ -84,7 +85,9 @@ def test_other_program_that_asks_refuses_for_a_second():
 
 @pytest.mark.parametrize(("steering", "granted"), [
     (Steering(TELEOP, causes.TELEOP, "tele_steer_req is 0.2"), (True, "")),
-    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "no deadman is held"), (False, "no deadman is held")),
+    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false: no deadman is held"),
+     (False, "no deadman is held")),
+    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false"), (False, "human_in_loop is false")),
     (Steering(LOCKED, causes.E_STOP, "e_stop is on"), (False, "e_stop is on")),
     (Steering(PLANNER, causes.PLANNER, "av_steer_req is 0.2"), (False, "av_steer_req is 0.2"))])
 def test_person_s_stick_is_granted_by_turn_arb_alone(steering, granted):

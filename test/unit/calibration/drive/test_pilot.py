@@ -36,9 +36,9 @@ def test_a_sonar_that_is_silent_lets_it_go_nowhere(name):
     one = car({other: math.inf for other in MOUNTS if other != name})
     step = one.run(5)
     assert one.extent_m < 0.05 and step.steering is None
-    assert step.text == f"it waits: {name} was never heard, and the car doesn't drive blind"
+    assert step.text == f"{name} was never heard, and the car doesn't drive blind"
     one.ranges[name] = math.nan
-    assert one.tick().text == f"it waits: {name} measures nonsense, and the car doesn't drive blind"
+    assert one.tick().text == f"{name} measures nonsense, and the car doesn't drive blind"
 
 
 def test_something_right_ahead_stops_it_and_the_text_says_what():

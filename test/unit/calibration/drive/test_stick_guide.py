@@ -52,7 +52,7 @@ def test_it_begins_with_an_end_and_asks_for_a_slow_drive():
 def test_who_stands_without_the_deadman_is_told_why_in_the_arbiter_s_words():
     one = car()
     one.holds = False
-    assert one.tick(0.0, 5184).text == "hold the manual deadman: human_in_loop is false"
+    assert one.tick(0.0, 5184).text == "human_in_loop is false; hold the manual deadman"
 
 
 def test_without_odometry_it_says_so():

@@ -119,4 +119,4 @@ def test_progress_grows_and_time_left_shrinks():
 
 
 def test_before_the_first_fit_it_says_what_is_missing():
-    assert survey().progress(0.0).missing == ("nothing was fitted yet: the ends and the center come first",)
+    assert survey().progress(0.0).missing == ("everything; the ends and straight on come first",)

@@ -8,6 +8,7 @@ import pytest
 from car_interface.calibration.drive import terminal
 from car_interface.calibration.drive.step import (
     BLOCKED,
+    DONE,
     MEASURING,
     PAUSED,
     SETTLING,
@@ -51,6 +52,18 @@ def test_picture_where_nothing_is_missing_says_that_it_can_be_ended():
                          "# known   + not well enough   . not yet"]
 
 
+def test_last_picture_has_neither_a_headline_nor_an_instruction_any_more():
+    over = "ended by hand after 42 s"
+    for made in (terminal.drive_lines(Step(None, 0.0, DONE, over), progress(rows=[row()])),
+                 terminal.stick_lines(Guidance(0.0, 0.1, 0.0, DONE, over), progress(rows=[row()]))):
+        assert made[0].startswith("[#####") and made[-2] == "nothing is missing"
+
+
+def test_one_position_is_one():
+    one = progress()._replace(positions=1)
+    assert terminal.drive_lines(Step(0.4, 1.0, MEASURING, "it measures"), one)[1].endswith(" left, 1 position")
+
+
 def test_line_of_a_side_fits_a_terminal_of_80_columns_with_all_the_radii_of_a_table():
     rows = [row("right", 0.96, INF), *(row("right", 10.0, INF) for _ in range(28)), row("right", 300.0, INF)]
     made = terminal.drive_lines(Step(0.4, 1.0, MEASURING, "it measures"), progress(rows=rows))
@@ -63,10 +76,10 @@ def test_picture_while_it_steers_to_a_position():
 
 
 def test_picture_before_the_first_fit_has_no_legend_and_no_center():
-    text = "hold the autonomous deadman and it goes on: no deadman is held"
+    text = "no deadman is held; hold the autonomous deadman and it goes on"
     made = terminal.drive_lines(Step(None, 0.0, PAUSED, text), progress(fraction=0.0, left_s=200.0))
     assert made == [
-        "paused: hold the autonomous deadman and it goes on: no deadman is held",
+        "paused: no deadman is held; hold the autonomous deadman and it goes on",
         "[........................]   0%   0:42 driven, about 3:20 left, 9 positions",
         "left   nothing known yet",
         "right  nothing known yet",

@@ -12,7 +12,7 @@ import pytest
 from calibration.steering.known_curve import line_curve, recorded
 from car_interface.calibration.steering.calibrate import Calibrated
 from car_interface.calibration.steering.ends import Side
-from car_interface.calibration.steering.report import report
+from car_interface.calibration.steering.report import report, short_report
 from car_interface.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT, Breakpoint
 from car_interface.calibration.steering.understeer import Understeer
 
@@ -122,6 +122,30 @@ def test_radii_that_were_added_to_the_axis_are_named():
                for line in lines(points=points, axis_m=(2.0, 20.0)))
     assert not any("--axis" in line for line in lines(points=points, axis_m=(2.0, 300.0)))
     assert not any("--axis" in line for line in lines(points=points))
+
+
+def test_short_report_fits_80_columns_with_eight_radii_and_both_ends():
+    points = {side: [point(1.0 + index, 5000.0 + index, OLD if index == 29 else DRIVEN) for index in range(30)]
+              for side in (LEFT, RIGHT)}
+    curve = line_curve()
+    found = list(short_report(Calibrated(curve, curve.center, {}, points, ["no center"], ""), [recorded()]))
+    assert found[:3] == ["steering by a.bag: 60 s, 151 segments of steady steering, 302 m in them",
+                         "  the servo follows after 0.10 s, with a lag of 0.15 s; backlash of the steering: 6 ± 2 duty",
+                         "  straight on: duty 5200 ± 4"]
+    assert found[5:7] == ["  radius         left  ±duty   ±radius        right  ±duty   ±radius",
+                          "       1 m      5000      4    19.6%       5000      4    19.6%"]
+    assert [line.split()[0] for line in found[6:14]] == ["1", "5", "9", "13", "18", "22", "26", "30"]
+    assert found[13] == "      30 m      5029 *           old       5029 *           old"
+    assert found[14] == ("  (8 of 30 radii; ±: two standard errors; e: the end, no tighter turn can be had; "
+                         "*: nothing was driven)")
+    assert max(map(len, found[3:14])) < 80 and len(found) == 15
+
+
+def test_short_report_of_a_short_table_has_it_all():
+    curve = line_curve()
+    found = list(short_report(Calibrated(curve, curve.center, {}, POINTS, [], ""), [recorded()]))
+    assert [line.split()[0] for line in found[6:8]] == ["1", "2"] and found[8].startswith("  (2 of 2 radii; ")
+    assert "nothing was driven" not in found[8]
 
 
 def test_problems_and_a_disagreement_end_it():
