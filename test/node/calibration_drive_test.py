@@ -246,7 +246,7 @@ class Drive(DriveTest):
     def test_without_a_terminal_there_are_plain_lines_of_what_it_waits_for_and_does(self):
         process = NodeProcess(executable("calibration_drive"), "-o", self.table, "--no-sonars")
         self.addCleanup(process.clean_up)
-        process.wait_for_info("^  0%, 0:00 driven, about 3:20 left; waiting: .* hold the autonomous deadman ")
+        process.wait_for_info("^  0%, 0:00 driven, about 4:00 left; waiting: .* hold the autonomous deadman ")
         self.press(AUTONOMOUS)
         process.wait_for_info(r"^ +\d+%, \d:\d\d driven, .* left; (settling|measuring|turning): ")
         self.press(None)

@@ -209,7 +209,7 @@ class CalibrationDriveNode:
         if lacks and now_ns - self._begun_ns > READY_WITHIN_NS:
             self._text.show([])
             for text in (*lacks, *gamepad):
-                self._text.say(f"  - {text}")
+                self._say(f"  - {text}")
             self._is_over = True
             raise CarInterfaceError("it can't begin: " + ("these are missing" if len(lacks + gamepad) > 1 else
                                                           "this is missing") + ", see above")
@@ -227,7 +227,7 @@ class CalibrationDriveNode:
         if self._ticks % RATE_HZ == 0 and recording.has_subscribed(rospy.resolve_name("odom")):
             self._begin_drive()
         elif recording.has_ended or now_ns - self._begun_ns > RECORDER_WITHIN_NS:
-            self._text.say("no recording: rosrun rosbag record doesn't run; the calibration doesn't need it")
+            self._say("no recording: rosrun rosbag record doesn't run; the calibration doesn't need it")
             self._begin_drive()
 
     def _begin_drive(self):
@@ -283,9 +283,9 @@ class CalibrationDriveNode:
             self._shown_kind, self._shown_ns = kind, now_ns
             self._text.say("\n".join(lines))
 
-    def _fitted(self, lines):
-        """Lines that are no longer than the terminal is wide; as they are where there is none."""
-        return terminal.wrapped(lines, self._text.width) if self._text.is_live else lines
+    def _say(self, *lines):
+        """Print lines that stay, of sentences: no longer than the terminal is wide, and as they are where there is none."""
+        self._text.say("\n".join(terminal.wrapped(lines, self._text.width) if self._text.is_live else lines))
 
     def _stop_asking(self):
         """No request any more; the last one is to stand."""
@@ -310,7 +310,7 @@ class CalibrationDriveNode:
 
     def _on_conclusion(self, conclusion, now_ns):
         if conclusion.report:
-            self._text.say("\n".join(self._fitted(conclusion.report)))
+            self._say(*conclusion.report)
         self._conclusion = conclusion
         self._stage = self._await_page
         if conclusion.refusal:
@@ -338,8 +338,8 @@ class CalibrationDriveNode:
         if path != self._table.path:
             self._text.say(f"{self._table.path} is as it was. To take the new one: mv {path} {self._table.path}")
         self._text.say(f"to load it, launch again with config:={self._table.folder}")
-        self._text.say(board_center(self._conclusion.center_duty, self._base.servo_center,
-                                    rospy.get_param("pca9685/steering/servo_center", None)))
+        self._say(board_center(self._conclusion.center_duty, self._base.servo_center,
+                               rospy.get_param("pca9685/steering/servo_center", None)))
 
     def _await_page(self, now_ns, typed):
         lines = self._page.step()

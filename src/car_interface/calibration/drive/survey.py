@@ -15,8 +15,8 @@ from car_interface.steering.calibration import SteeringCalibration
 FULL_FIT_NS = 40 * NS_PER_S  # so often delay and backlash are estimated anew
 MIN_POSITIONS = 5  # before the first fit
 ENOUGH = 0.1  # of what the tool allows: an error below this anywhere ends the drive
-FIRST_PART = 0.3  # of the progress bar, for the positions before the first fit
-EARLY_LEFT_S = 200.0  # an estimate while nothing is known
+EARLY_S = 240.0  # an estimate while nothing is known: virtual cars take 229 to 300 s
+MIN_LEFT_S = 5.0  # as long as it isn't over
 
 
 class Survey:
@@ -38,7 +38,6 @@ class Survey:
         self._is_out = False  # a task is under way
         self._since_task = 0  # positions that were held since the newest task
         self._full_ns = -FULL_FIT_NS
-        self._first = self.positions.first_left
 
     def add(self, measured: Measured) -> None:
         """A position was held for long enough."""
@@ -93,21 +92,22 @@ class Survey:
 
     def progress(self, driven_s: float) -> Progress:
         """How far it is after so long a drive."""
-        fraction = self._fraction()
-        rest_s = max(0.0, self._max_time_s - driven_s)
-        estimate_s = driven_s * (1 - fraction) / fraction if fraction > FIRST_PART else EARLY_LEFT_S
+        left_s = min(max(0.0, self._max_time_s - driven_s), self._left_s(driven_s))
+        fraction = driven_s / (driven_s + left_s) if driven_s > 0 else 0.0
         known = self.knowledge
         if known is None:
             missing = ("everything; the ends and straight on come first",)
-            return Progress(fraction, (), missing, driven_s, min(rest_s, estimate_s), self.positions.count,
-                            math.nan, math.nan)
-        return Progress(fraction, known.rows, known.missing, driven_s, min(rest_s, estimate_s), self.positions.count,
-                        known.center_duty, known.center_error)
+            return Progress(fraction, (), missing, driven_s, left_s, self.positions.count, math.nan, math.nan)
+        return Progress(fraction, known.rows, known.missing, driven_s, left_s, self.positions.count, known.center_duty,
+                        known.center_error)
 
-    def _fraction(self):
-        first = 1 - self.positions.first_left / self._first
+    def _left_s(self, driven_s):
+        """An estimate: an error shrinks with the root of the time that is spent on it, and none has to be smaller than
+        ENOUGH."""
+        if self.is_enough:
+            return 0.0
         if self.knowledge is None:
-            return FIRST_PART * first
+            return max(MIN_LEFT_S, EARLY_S - driven_s)
         errors = self.knowledge.errors
-        known = sum(min(1.0, ENOUGH / max(error, 1e-9)) for error in errors) / len(errors)
-        return FIRST_PART * first + (1 - FIRST_PART) * known
+        ratio = sum(max(1.0, error / ENOUGH) ** 2 for error in errors) / len(errors)
+        return max(MIN_LEFT_S, max(1.0, driven_s) * (ratio - 1))

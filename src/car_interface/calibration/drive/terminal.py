@@ -102,9 +102,8 @@ def stick_bar(guidance: Guidance, length: int = STICK_BAR) -> list[str]:
         cells[_cell(guidance.held, length)] = "o"
     target = _cell(guidance.steering, length)
     cells[target] = "X" if cells[target] == "o" else "V"
-    left = f"; {guidance.seconds_left:.1f} s more" if guidance.seconds_left > 0 else ""
     return [f"left |{''.join(cells)}| right  V hold here, o the stick",
-            f"     hold at {steering_text(guidance.steering)}; it is at {steering_text(guidance.held)}{left}"]
+            f"     hold at {steering_text(guidance.steering)}; it is at {steering_text(guidance.held)}"]
 
 
 def radius_marks(rows: Iterable[Row], side: str) -> str:

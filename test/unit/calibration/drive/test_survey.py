@@ -1,11 +1,15 @@
 """Evidence and progress: when a fit is due, and when it is enough."""
 from __future__ import annotations
 
+import math
+
+import pytest
+
 from calibration.drive.light_car import base
 from car_interface.calibration.delay import Delay
 from car_interface.calibration.drive.knowledge import Knowledge
 from car_interface.calibration.drive.positions import Measured
-from car_interface.calibration.drive.survey import ENOUGH, FULL_FIT_NS, MIN_POSITIONS, Survey
+from car_interface.calibration.drive.survey import ENOUGH, FULL_FIT_NS, MIN_LEFT_S, MIN_POSITIONS, Survey
 
 S = 1_000_000_000
 
@@ -116,6 +120,14 @@ def test_progress_grows_and_time_left_shrinks():
     assert poor.progress(60.0).left_s > good.progress(60.0).left_s
     assert poor.progress(290.0).left_s <= 10.0, "the time ends"
     assert finished(0.5 * ENOUGH).progress(60.0).fraction == 1.0
+
+
+def test_time_left_is_what_the_errors_take_that_shrink_with_the_root_of_time():
+    found = finished(2 * ENOUGH).progress(60.0)
+    assert (found.fraction, found.left_s) == pytest.approx((0.25, 180.0))
+    assert finished(0.9 * ENOUGH, ("drive straight on",)).progress(60.0).left_s == MIN_LEFT_S, "not yet over"
+    assert finished(math.inf).progress(60.0).left_s == 240.0, "the rest of the time"
+    assert [survey().progress(driven_s).left_s for driven_s in (0.0, 40.0)] == [240.0, 200.0]
 
 
 def test_before_the_first_fit_it_says_what_is_missing():

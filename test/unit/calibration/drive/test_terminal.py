@@ -130,7 +130,7 @@ def test_stick_is_shown_beside_the_place_to_hold_it():
     assert terminal.stick_lines(guidance, progress())[:3] == [
         "hold 40% left",
         "left |-----------V----o-+------------------| right  V hold here, o the stick",
-        "     hold at 40% left; it is at 10% left; 1.4 s more"]
+        "     hold at 40% left; it is at 10% left"]
 
 
 @pytest.mark.parametrize(("target", "held", "expected"), [
