@@ -284,7 +284,7 @@ class CalibrationDriveNode:
             self._text.say("\n".join(lines))
 
     def _say(self, *lines):
-        """Print lines that stay, of sentences: no longer than the terminal is wide, and as they are where there is none."""
+        """Print sentences that stay, wrapped to the terminal's width; whole where there is no terminal."""
         self._text.say("\n".join(terminal.wrapped(lines, self._text.width) if self._text.is_live else lines))
 
     def _stop_asking(self):
