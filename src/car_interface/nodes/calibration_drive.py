@@ -318,8 +318,8 @@ class CalibrationDriveNode:
         elif not self._table.is_there or self._wanted.yes:
             self._write(replaces=True)
         elif self._has_keys:
-            question = f"Replace {self._table.path}? The old one is kept beside it. Y: yes, N: no"
-            self._text.show(terminal.wrapped([question], self._text.width))
+            question = f"Replace {self._table.path}? The old one is kept beside it."
+            self._text.show(terminal.wrapped([question, "Y: yes, N: no"], self._text.width))
             self._stage = self._ask
         else:
             self._write(replaces=False)

@@ -152,4 +152,5 @@ def _cell(steering, length):
 
 def wrapped(lines: Sequence[str], width: int) -> list[str]:
     """Lines that fit: a terminal that wraps them by itself can't be drawn over."""
-    return [part for line in lines for part in textwrap.wrap(line, max(20, width - 1), subsequent_indent="  ")]
+    return [part for line in lines for part in textwrap.wrap(
+        line, max(20, width - 1), subsequent_indent=" " * (2 + len(line) - len(line.lstrip())))]

@@ -57,7 +57,7 @@ def short_report(calibrated: Calibrated, recorded: Sequence[RecordedDrive]) -> I
     for index in range(shown):
         left, right = rows[round(index * (len(rows) - 1) / max(1, shown - 1))]
         yield f"  {left.radius_m:6g} m  {_few_cells(left)}   {_few_cells(right)}"
-    yield (f"  ({shown} of {len(rows)} radii; ±: two standard errors; e: the end, no tighter turn can be had"
+    yield (f"  ({shown} of {len(rows)} radii; ±: two standard errors; e: the end, the tightest turn"
            + ("; *: nothing was driven" if any(one.source == OLD for row in rows for one in row) else "") + ")")
 
 

@@ -94,6 +94,11 @@ def test_instruction_that_is_longer_than_the_terminal_is_wrapped_and_whole():
     assert f"blocked: {text}" in " ".join(" ".join(made).split())
 
 
+def test_wrapped_line_goes_on_two_columns_to_the_right_of_where_it_began():
+    made = terminal.wrapped(["  the servo follows after 0.01 s", "a"], 25)
+    assert made == ["  the servo follows", "    after 0.01 s", "a"]
+
+
 def test_many_things_that_are_missing_are_cut_to_three_and_a_count():
     made = terminal.drive_lines(Step(0.0, 1.0, SETTLING, "to 40% left"), progress(missing=["a", "b", "c", "d", "e"]))
     assert [line for line in made if line.startswith("missing")] == [
