@@ -6,12 +6,15 @@ from typing import Sequence
 
 from car_interface.calibration.drive.config import DriveConfig
 
-DESCRIPTION = """calibration_drive: the car calibrates its steering by itself while you hold the autonomous deadman and
-watch. Launch it with throttle:=true planner:=speed. It drives within 3 m of where it stands when you first
-hold the button, so 6 x 6 m have to be free. Let go, and it stops; move it with the manual deadman, hold the
-button again, and it goes on."""
-EPILOG = ("Remappings such as odom:=my_odom may follow; for a car in a namespace set ROS_NAMESPACE.\n\n"
-          "docs/nodes.md of the package lists its topics.")
+DESCRIPTION = """calibration_drive: the car calibrates its steering by itself while you hold the
+autonomous deadman and watch. Launch it with throttle:=true planner:=speed. It
+drives within 3 m of where it stands when you first hold the button, so 6 x 6 m
+have to be free. Let go, and it stops; move it with the manual deadman, hold
+the button again, and it goes on."""
+EPILOG = """Remappings such as odom:=my_odom may follow; for a car in a namespace set
+ROS_NAMESPACE.
+
+docs/nodes.md of the package lists its topics."""
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -29,8 +32,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
                         "the stick")
     for name, value, text in (
             ("radius", default.radius_m, "M: no part of the car leaves a circle of this radius around where it began"),
-            ("speed", default.speed_mps, "M/S: in wide turns"),
-            ("tight-speed", default.tight_speed_mps, "M/S: in the tightest turns"),
+            ("speed", default.speed_mps, "M/S: the speed in wide turns"),
+            ("tight-speed", default.tight_speed_mps, "M/S: the speed in the tightest turns"),
             ("max-time", default.max_time_s, "S: of the held button; then it ends with what there is"),
             ("braking", default.braking_mps2, "M/S^2: the deceleration that a stop is certain of")):
         metavar, _, words = text.partition(": ")

@@ -39,7 +39,7 @@ def test_help_says_what_happens_and_what_it_takes(capsys):
         parse(["--help"])
     shown = capsys.readouterr().out
     assert raised.value.code == 0
-    for words in ("while you hold the autonomous deadman and", "throttle:=true planner:=speed", "Let go, and it stops",
+    for words in ("autonomous deadman and watch", "throttle:=true planner:=speed", "Let go, and it stops",
                   "6 x 6 m", "--stick", "--radius M", "(default: 3)"):
         assert words in shown
 
