@@ -285,7 +285,8 @@ class CalibrationDriveNode:
 
     def _say(self, *lines):
         """Print sentences that stay, wrapped to the terminal's width; whole where there is no terminal."""
-        self._text.say("\n".join(terminal.wrapped(lines, self._text.width) if self._text.is_live else lines))
+        if lines:
+            self._text.say("\n".join(terminal.wrapped(lines, self._text.width) if self._text.is_live else lines))
 
     def _stop_asking(self):
         """No request any more; the last one is to stand."""
@@ -309,12 +310,13 @@ class CalibrationDriveNode:
         pass
 
     def _on_conclusion(self, conclusion, now_ns):
-        if conclusion.report:
-            self._say(*conclusion.report)
+        self._say(*conclusion.report)
         self._conclusion = conclusion
         self._stage = self._await_page
         if conclusion.refusal:
-            self._refusal = f"no calibration is written: {conclusion.refusal}"
+            self._say(*terminal.missing_lines(conclusion.missing))
+            why = terminal.REFUSED if conclusion.missing else conclusion.refusal
+            self._refusal = f"no calibration is written: {why}"
         elif not self._table.is_there or self._wanted.yes:
             self._write(replaces=True)
         elif self._has_keys:

@@ -21,6 +21,7 @@ class Conclusion(NamedTuple):
         refusal: why nothing is to be written, in the tool's words; empty = nothing is missing.
         center_duty: the new servo_center, for servo.yaml too; 0 = refused.
         ends_duty: the new servo_left and servo_right; (0, 0) = refused.
+        missing: what the refusal is made of, where more driving is what it takes: sentences; else empty.
     """
 
     yaml_text: str
@@ -28,6 +29,7 @@ class Conclusion(NamedTuple):
     refusal: str
     center_duty: int
     ends_duty: tuple[int, int]
+    missing: tuple[str, ...] = ()
 
 
 def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: str) -> Conclusion:
@@ -41,15 +43,17 @@ def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: 
     """
     recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s, False, None)]
     lines: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
     try:
         calibrated = calibrate(recorded, base)
         lines = tuple(short_report(calibrated, recorded))
-        refusal = "; ".join(calibrated.problems) or _swapped(calibrated, base)
+        missing = tuple(calibrated.problems)
+        refusal = "; ".join(missing) or _swapped(calibrated, base)
         text = "" if refusal else yaml_text(calibrated, base_text, list(report(calibrated, recorded, None)))
     except CarInterfaceError as error:
         refusal = str(error)
     if refusal:
-        return Conclusion("", lines, refusal, 0, (0, 0))
+        return Conclusion("", lines, refusal, 0, (0, 0), missing)
     return Conclusion(text, lines, "", round(calibrated.center),
                       (round(calibrated.ends[LEFT]), round(calibrated.ends[RIGHT])))
 

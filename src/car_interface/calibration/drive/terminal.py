@@ -34,6 +34,8 @@ LEGEND = f"{KNOWN} known   {PARTLY} not well enough   {UNKNOWN} not yet"
 MAX_MISSING = 3
 ENOUGH, GOES_ON = "nothing is missing", "; it goes on to know it better: F finishes now"
 ADVICE = ": drive "  # to a person who drives without this guidance
+REFUSED = ("what is missing stands above: drive again, longer or with more room. calibrate_steering makes one table of "
+           "both recordings, too")
 
 
 def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
@@ -65,6 +67,11 @@ def stick_lines(guidance: Guidance, progress: Progress, width: int = 80) -> list
 def plain_line(phase: str, text: str, progress: Progress) -> str:
     """One line for where nothing can be drawn anew: a log, a pipe."""
     return f"{percent(progress.fraction)}, {_times(progress)}; {phase}: {text}"
+
+
+def missing_lines(missing: Iterable[str]) -> list[str]:
+    """What is missing, without the tool's advice for a drive without guidance."""
+    return [f"missing: {text.partition(ADVICE)[0]}" for text in missing]
 
 
 def progress_bar(fraction: float, length: int = BAR) -> str:
@@ -127,10 +134,10 @@ def _progress_lines(progress: Progress, is_over: bool) -> list[str]:
     lines += [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
     if math.isfinite(progress.center_duty):
         lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
-    missing = [text.partition(ADVICE)[0] for text in progress.missing]
+    missing = missing_lines(progress.missing)
     if len(missing) > MAX_MISSING:
-        missing[MAX_MISSING:] = [f"… and {len(missing) - MAX_MISSING} more"]
-    lines += [f"missing: {text}" for text in missing]
+        missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]
+    lines += missing
     if progress.rows and not missing:
         lines.append(ENOUGH if is_over else ENOUGH + GOES_ON)
     return [*lines, LEGEND] if progress.rows else lines

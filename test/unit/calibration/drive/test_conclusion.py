@@ -47,6 +47,7 @@ def test_enough_gives_the_file_with_center_and_ends():
 def test_too_little_is_refused_in_the_tools_words():
     found = conclude(Recorded(drive(mixed(5200, 6400))), base(), BASE_TEXT, "drive.bag")
     assert found.yaml_text == "" and "left turns" in found.refusal and found.center_duty == 0
+    assert "; ".join(found.missing) == found.refusal
 
 
 def test_without_samples_it_says_so():
@@ -57,7 +58,7 @@ def test_without_samples_it_says_so():
 def test_exchanged_ends_are_refused():
     whole = drive(mixed(3900, 6400), curve=lambda duty: -true_curvature(duty))
     found = conclude(Recorded(whole), base(), BASE_TEXT, "drive.bag")
-    assert found.yaml_text == "" and "exchange servo_left and servo_right" in found.refusal
+    assert found.yaml_text == "" and "exchange servo_left and servo_right" in found.refusal and found.missing == ()
 
 
 def test_a_base_that_cannot_be_edited_is_refused_in_words():

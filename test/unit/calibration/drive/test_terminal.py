@@ -105,6 +105,11 @@ def test_many_things_that_are_missing_are_cut_to_three_and_a_count():
         "missing: a", "missing: b", "missing: c", "missing: … and 2 more"]
 
 
+def test_what_is_missing_at_the_end_is_listed_whole_and_without_advice_for_another_kind_of_drive():
+    assert terminal.missing_lines(["no data for left turns: drive three", "no center"]) == [
+        "missing: no data for left turns", "missing: no center"]
+
+
 @pytest.mark.parametrize(("fraction", "expected"), [
     (0.0, "[....]"), (0.49, "[#...]"), (0.5, "[##..]"), (0.999, "[###.]"), (1.0, "[####]"), (7.0, "[####]"),
     (-1.0, "[....]"), (NAN, "[....]")])
