@@ -19,8 +19,6 @@ ARMING = esc.STATE_NAMES[esc.ARMING]  # of ThrottleState.esc
 PLANNER_DRIVES = ("", AUTONOMOUS)  # modes in which the planner both steers and drives; empty: a deadman without modes
 # Neutral for one of these means only that nothing was asked for.
 IDLE = frozenset({causes.NO_REQUEST, causes.NO_RADIUS, causes.PLANNER_STALE, causes.COMMAND_STALE})
-
-
 ABSENT = "human_in_loop is false: "  # how turn_arb begins its reason; what follows says it to a person
 
 
