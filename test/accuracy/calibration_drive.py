@@ -2,6 +2,7 @@
 """How well a car calibrates its own steering while a person holds a button: random virtual cars.
 
     PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N] [--releases EVERY_S] [--rolls]
+        [--braking M/S^2]
 
 The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
 6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
@@ -40,7 +41,7 @@ from accuracy.steering_calibration import MEDIAN_SHARE, P95_PER_M, P95_SHARE, WI
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.conclusion import Conclusion, conclude
-from car_interface.calibration.drive.config import DriveConfig
+from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
 from car_interface.calibration.drive.knowledge import assess
 from car_interface.calibration.drive.step import BLOCKED, DONE
 from car_interface.common.drive_modes import AUTONOMOUS
@@ -181,7 +182,7 @@ class Person:
 class Bench:
     """The car, its chain and the drive."""
 
-    def __init__(self, seed: int, trace=None, rolls: bool = False):
+    def __init__(self, seed: int, trace=None, rolls: bool = False, braking_mps2: float = DEFAULTS.braking_mps2):
         self.car = car = driving_car(seed, rolls)
         self._rng = rng = random.Random(f"drive {seed}")
         self._trace = trace
@@ -191,7 +192,7 @@ class Bench:
         self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
         mounts = {name: Mount(*mount_fields(mount)) for name, mount in zip(NAMES, WorldConfig().mounts)}
         config = DriveConfig(
-            braking_mps2=0.15 if car.esc.profile == UNVERIFIED else 1.0,
+            braking_mps2=braking_mps2,
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
@@ -394,9 +395,9 @@ def mount_fields(mount):
     return mount.x_m, mount.y_m, mount.yaw_rad
 
 
-def run(seed: int, trace=None, rolls: bool = False) -> Result:
-    """One car."""
-    return Bench(seed, trace, rolls).run()._replace(seed=seed)
+def run(seed: int, *how) -> Result:
+    """One car; the arguments of Bench."""
+    return Bench(seed, *how).run()._replace(seed=seed)
 
 
 def errors(car: Car, yaml_text: str) -> tuple[Errors, Errors]:
@@ -444,9 +445,9 @@ def is_good(result: Result, pair: tuple[Errors, Errors] | None, p95_per_m: float
                 and np.percentile(beyond.curvature, 95) <= p95_per_m)
 
 
-def judge(seed: int, trace=None, rolls: bool = False) -> tuple[Result, tuple[Errors, Errors] | None]:
-    """Let one car drive: the result, and the errors of its table."""
-    result = run(seed, trace, rolls)
+def judge(seed: int, *how) -> tuple[Result, tuple[Errors, Errors] | None]:
+    """Let one car drive: the result, and the errors of its table. The arguments are those of Bench."""
+    result = run(seed, *how)
     text = result.conclusion.yaml_text
     return result, errors(driving_car(seed), text) if text else None
 
@@ -457,6 +458,8 @@ def main():
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
     parser.add_argument("--releases", type=float, metavar="EVERY_S")
     parser.add_argument("--rolls", action="store_true", help="all ESCs are unverified and drag nothing in neutral")
+    parser.add_argument("--braking", type=float, default=DEFAULTS.braking_mps2, metavar="M/S^2",
+                        help="what the drive is told, as the program's option of that name")
     options = parser.parse_args()
     print("  car              | held total  way pos pauses | max_x ext col blk | step   | radius %    | beyond floor |"
           " curvature, beyond")
@@ -464,7 +467,7 @@ def main():
     for seed in range(options.first, options.first + options.cars):
         begun = time.perf_counter()
         releases = None if options.releases is None else Releases(options.releases, HALF_M)
-        judged.append(judge(seed, releases, options.rolls))
+        judged.append(judge(seed, releases, options.rolls, options.braking))
         print(row(*judged[-1]), "" if is_good(*judged[-1]) else "missed", f"({time.perf_counter() - begun:.0f} s)",
               flush=True)
         if releases is not None:

@@ -8,9 +8,9 @@ tight circles at both ends.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from car_interface.calibration.drive.area import INWARD_RAD, moved
+from car_interface.calibration.drive.choices import MIN_LENGTH_M, MISSING_NEED, Choices
 from car_interface.calibration.drive.hold import Hold
 from car_interface.calibration.drive.motion import Motion
 from car_interface.calibration.drive.outlook import FREE_MPS, REACTION_S, Outlook
@@ -20,44 +20,15 @@ from car_interface.calibration.drive.survey import Survey
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
 
-MIN_LENGTH_M = 0.9  # of a position that is begun
 KEPT_LENGTH_M = 0.6  # one that was cut short counts from here on
-WANT_TIGHT_M, WANT_WIDE_M, WIDE_PER_M = 0.9, 2.2, 0.12  # to measure: a wide turn's curvature is known less well
 BLIND_M = 0.3  # after a pause
 LITTLE_NEED = 0.3
-NEED_POWER = 2.0  # of a need, in what measuring it is worth: what is known least comes first, though it takes longer
-LENGTH_POWER = 1.5  # of the length: a slope's variance falls with the third power, and the fit smooths
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
-TIGHT_RATIO = 0.6  # of the tightest curvature: tight enough to turn back with
-SAME_TURN_RATIO = 0.25  # of the tightest curvature, as above: to be measured in a turn that has to go on
-MISSING_NEED = 1.0  # the tool refuses a table without it, or no fit knows it
-TIGHT_WAY_RATIO = 0.4  # tight enough to be measured on the way into or out of a turn to that side
 TURNED_RAD = 2 * math.pi  # after a whole turn another one may be tried
 PATIENT_RAD = 1.3 * math.pi  # a turn that has lasted this long makes do with any room
 CHOICE_NS = NS_PER_S // 10
 WRONG_M, WRONG_PER_M = 0.3, 0.1  # so far, and as tightly to the other side
-SEEN_MPS = 0.45  # that the sonars must allow a position that is begun
 STUCK_NS, STUCK_M = 3 * NS_PER_S, 0.15  # so long without moving so far: it can't go on
-
-
-class _Choice(NamedTuple):
-    """A position that could be begun now.
-
-    Attributes:
-        score: what measuring it is worth for each second: with the room that there is. 0 = there is no room for it.
-        ideal: the same with all the room that it wants.
-        want_m: the length that it wants.
-        hold: its hold, if it is begun now.
-        length_m: how long it could be measured, negative where it wouldn't even settle.
-        worth: for the time that it takes.
-    """
-
-    score: float
-    ideal: float
-    want_m: float
-    hold: Hold
-    length_m: float = -math.inf
-    worth: float = 0.0
 
 
 class Pilot:
@@ -66,7 +37,7 @@ class Pilot:
     def __init__(self, base: SteeringCalibration, survey: Survey, motion: Motion, outlook: Outlook):
         self.outlook = outlook
         self._base, self._survey, self._motion = base, survey, motion
-        self._limits = tuple(float(end) for end in sorted((base.servo_left, base.servo_right)))
+        self._choices = Choices(base, survey, outlook)
         self._ends = (base.servo_left, base.servo_right)
         self._hold: Hold | None = None
         self._need = 0.0
@@ -153,9 +124,9 @@ class Pilot:
 
     def _begin_any(self, now_ns):
         """The best position for which there is room; else a tight turn."""
-        self._finish_hold()
+        self._note_hold()
         self._chosen_ns = now_ns
-        choices = self._choices(now_ns)
+        choices = self._choices.all(now_ns)
         best = max(choices, key=lambda choice: choice.score, default=None)
         if best is None or best.score < BEGIN_RATIO * max(choice.ideal for choice in choices):
             self._turn(now_ns)
@@ -168,7 +139,7 @@ class Pilot:
         if self._hold.length_m >= self._want_m and not self._is_noted:
             self._survey.add(self._hold.measured())
             self._is_noted = True
-        choices = self._choices(now_ns)
+        choices = self._choices.all(now_ns)
         best = max(choices, key=lambda choice: choice.score, default=None)
         patience = max(0.0, 1.0 - self._turned_rad / PATIENT_RAD)
         if best is not None and best.score and best.score >= LEAVE_RATIO * patience * max(
@@ -182,47 +153,6 @@ class Pilot:
         elif self._is_noted or self._need < LITTLE_NEED:
             self._measure_in_turn(now_ns)
 
-    def _choices(self, now_ns):
-        """The candidates as they could be begun now, without those that can't be the best any more."""
-        ideals = sorted((self._ideal(candidate, now_ns) for candidate in self._survey.positions.candidates()),
-                        key=lambda choice: -choice.ideal)
-        found, best = [], 0.0
-        for ideal in ideals:
-            if ideal.ideal < best:
-                break
-            found.append(self._choice(ideal, now_ns))
-            best = max(best, found[-1].score)
-        return found
-
-    def _ideal(self, candidate: Candidate, now_ns):
-        """What a candidate is worth with all the room that it wants."""
-        curvature = self.outlook.expected_per_m(candidate.duty)
-        hold = self._hold_for(candidate, now_ns)
-        want_m = wanted_length_m(curvature)
-        seconds = hold.seconds_to_settle(now_ns) + want_m / self.outlook.cruise_mps(curvature)
-        worth = candidate.need ** NEED_POWER
-        return _Choice(0.0, worth / seconds, want_m, hold, worth=worth)
-
-    def _choice(self, ideal, now_ns):
-        """What it is worth from here."""
-        hold, want_m = ideal.hold, ideal.want_m
-        curvature = self.outlook.expected_per_m(hold.duty)
-        seen_mps = self.outlook.sonar_mps(curvature, now_ns)
-        if seen_mps < SEEN_MPS:
-            return ideal
-        speed_mps = min(seen_mps, self.outlook.cruise_mps(curvature))
-        settle_s = hold.seconds_to_settle(now_ns)
-        # What is expected of a position between others that were held may be far off: it may turn as little as the one.
-        curvatures = {curvature}
-        if hold.duty not in self._ends:
-            curvatures.add(self._survey.positions.least_per_m(hold.duty))
-        rooms_m = [self.outlook.room_m(hold.duty, one, speed_mps, want_m + speed_mps * settle_s) for one in curvatures]
-        length_m = min(rooms_m) - speed_mps * settle_s
-        if length_m < MIN_LENGTH_M:
-            return ideal._replace(length_m=length_m)
-        known = min(1.0, length_m / want_m) ** LENGTH_POWER
-        return ideal._replace(score=ideal.worth * known / (settle_s + length_m / speed_mps))
-
     def _turn(self, now_ns, tightest=False):
         """Turn tightly towards where there is room."""
         turn_per_m = self._way_per_m(now_ns)
@@ -230,22 +160,11 @@ class Pilot:
         pose = moved(self._motion.pose, reaction_m, self.outlook.path_per_m(self._hold, now_ns))
         best = Candidate(self._base.servo_left if turn_per_m > 0 else self._base.servo_right, 0.0, 0)
         if not tightest:
-            best = self._tight_candidate(turn_per_m, pose, now_ns) or best
+            best = self._choices.tight(turn_per_m, pose, now_ns) or best
         if self._hold is not None and self._hold.duty == best.duty:
             self._is_turn = True
             return
-        choice = _Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(best, now_ns))
-        self._begin(choice, True, now_ns, best.need)
-
-    def _tight_candidate(self, turn_per_m, pose, now_ns, least_need=0.0):
-        """The tight position to that side of which least is known, and that stays inside; ``None``: there is none."""
-        positions, area = self._survey.positions, self.outlook.area
-        for candidate in positions.candidates(lambda duty: positions.least_per_m(duty) / turn_per_m > TIGHT_RATIO):
-            curvature = positions.least_per_m(candidate.duty)
-            if (candidate.need > least_need and area.turn_extent_m(pose, curvature) <= area.radius_m
-                    and self.outlook.sonar_mps(curvature, now_ns) >= SEEN_MPS):
-                return candidate
-        return None
+        self._begin(self._choices.turn(best, turn_per_m, now_ns), True, now_ns, best.need)
 
     def _measure_in_turn(self, now_ns):
         """A turn that has to go on, at a position that is known by now: take another one that turns to the same side.
@@ -254,23 +173,13 @@ class Pilot:
         """
         is_left = self.outlook.expected_per_m(self._hold.duty) > 0
         turn_per_m = self.outlook.expected_per_m(self._ends[0 if is_left else 1])
-        missing = self._missing_in_turn(turn_per_m, now_ns)
+        missing = self._choices.missing_in_turn(self._hold.duty, turn_per_m, now_ns)
         if missing is not None:
             self._begin(missing, True, now_ns, MISSING_NEED)
         elif self._is_noted:
-            other = self._tight_candidate(turn_per_m, self._motion.pose, now_ns, LITTLE_NEED)
+            other = self._choices.tight(turn_per_m, self._motion.pose, now_ns, LITTLE_NEED)
             if other is not None and other.duty != self._hold.duty:
-                choice = _Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(other, now_ns))
-                self._begin(choice, True, now_ns, other.need)
-
-    def _missing_in_turn(self, turn_per_m, now_ns):
-        """The best choice to that side that is refused or a gap by now; ``None``: there is none with room for it."""
-        candidates = self._survey.positions.candidates(
-            lambda duty: self.outlook.expected_per_m(duty) / turn_per_m > SAME_TURN_RATIO)
-        choices = [self._choice(self._ideal(candidate, now_ns), now_ns) for candidate in candidates
-                   if candidate.need >= MISSING_NEED and candidate.duty != self._hold.duty]
-        best = max(choices, key=lambda choice: choice.score, default=None)
-        return best if best is not None and best.score else None
+                self._begin(self._choices.turn(other, turn_per_m, now_ns), True, now_ns, other.need)
 
     def _way_per_m(self, now_ns):
         """The tight turn to take: the one that stays inside and is free; of two the one about which less is known."""
@@ -286,9 +195,7 @@ class Pilot:
                    for partly_m, pose, turn in zip(self.outlook.extents_m(self._hold, now_ns), reacted, turns)]
         if max(extents) > self.outlook.area.radius_m:
             return turns[extents.index(min(extents))]
-        needs = [max((candidate.need for candidate in self._survey.positions.candidates()
-                      if self.outlook.expected_per_m(candidate.duty) / turn > TIGHT_WAY_RATIO), default=0.0)
-                 for turn in turns]
+        needs = self._choices.turns_needs()
         return turns[needs.index(max(needs))]
 
     def _begin(self, choice, is_turn, now_ns, need=0.0):
@@ -310,16 +217,16 @@ class Pilot:
             self._is_quick = False
 
     def _finish_hold(self):
+        """Note what was measured, and hold it no more."""
+        self._note_hold()
+        self._hold, self._is_noted = None, False
+
+    def _note_hold(self):
         """Note what was measured, if it was enough."""
-        hold, self._hold = self._hold, None
+        hold = self._hold
         if hold is not None and hold.length_m >= KEPT_LENGTH_M and not self._is_noted:
             self._survey.add(hold.measured())
-        self._is_noted = False
-
-    def _hold_for(self, candidate, now_ns):
-        survey = self._survey
-        return Hold(candidate.duty, candidate.from_side, self.outlook.servo_duty, self._limits, survey.servo_lag_s,
-                    survey.servo_delay_s, now_ns)
+            self._is_noted = True
 
     def _phase(self, now_ns):
         if self._avoids:
@@ -339,9 +246,3 @@ class Pilot:
         if phase == SETTLING:
             return f"to {side}, duty {hold.duty}"
         return f"it measures {side}, duty {hold.duty}: {hold.length_m:.1f} of {self._want_m:.1f} m"
-
-
-def wanted_length_m(curvature_per_m):
-    """How long a turn is to be measured."""
-    return WANT_WIDE_M if abs(curvature_per_m) < WIDE_PER_M else WANT_TIGHT_M + 0.8 * max(
-        0.0, 1 - abs(curvature_per_m) / 0.5)

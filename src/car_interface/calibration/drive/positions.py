@@ -118,7 +118,7 @@ class Positions:
         if self._knowledge is not None:
             found += [candidate for candidate in self._lost_ends() if accepts(candidate.duty)]
             found += self._by_errors(MAX_CANDIDATES - len(found) // 2, accepts)
-        elif not found:  # all were held, and there is no curve yet: once more
+        elif not self._first:  # all were held, and there is no curve yet: once more
             found = [candidate for candidate in self._all_first if accepts(candidate.duty)]
         return sorted(found, key=lambda candidate: -candidate.need)
 
@@ -202,6 +202,10 @@ class Positions:
                     known[end] = sign * max(outer, sign * nearest)
             known.update(self._curvatures)
         duties = sorted(known)
+        index = bisect_left(duties, base.servo_center)
+        if 0 < index < len(duties) and known[duties[index - 1]] * known[duties[index]] < 0:
+            known[base.servo_center] = 0.0  # not half way between both: many linkages are flat in the middle
+            duties.insert(index, base.servo_center)
         return _interpolated(duty, duties, [known[one] for one in duties])
 
     def half_way_duty(self, end: int) -> float:

@@ -9,7 +9,6 @@ from calibration.drive.light_car import LightCar, base
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.outlook import Outlook
-from car_interface.calibration.drive.pilot import wanted_length_m
 from car_interface.calibration.drive.positions import Candidate, Positions
 from car_interface.calibration.drive.step import AVOIDING, BLOCKED, MEASURING, TURNING
 from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
@@ -74,7 +73,7 @@ def test_a_position_is_come_to_from_the_side_that_is_asked_for(monkeypatch, from
 @pytest.mark.parametrize("free_sign", [1, -1], ids=("left", "right"))
 def test_it_turns_away_to_the_side_where_the_sonars_see_more(monkeypatch, free_sign):
     one = car()
-    one.run(60, until=lambda step: step.phase == MEASURING and step.target_duty not in (3900, 6400))
+    one.run(60, until=lambda step: step.phase == MEASURING and abs(step.steering) < 0.5)
     monkeypatch.setattr(Outlook, "sonar_mps", lambda self, curvature_per_m, now_ns: (
         1.0 if free_sign * curvature_per_m > 0.7 else 0.1))
     before = len(one.steps)
@@ -113,7 +112,18 @@ def test_a_turn_at_a_position_that_is_known_goes_over_to_what_is_missing_at_once
     one.run(60, until=lambda step: step.target_duty == 3900)
     begun_s = one.seconds
     step = one.run(60, until=lambda step: step.target_duty != 3900)
-    assert step.target_duty == 4096 and (one.seconds - begun_s) * one.speed_mps < wanted_length_m(1.0)
+    assert step.target_duty == 4096 and (one.seconds - begun_s) * one.speed_mps < 0.9
+
+
+def test_a_turn_goes_on_at_what_was_measured_without_coming_to_it_anew():
+    one = car()
+    first = one.run(60, until=lambda step: step.phase == MEASURING)
+    begun = len(one.steps)
+    one.run(60, until=lambda step: step.phase == TURNING)
+    one.run(0.5)
+    assert first.target_duty in (3900, 6400)
+    assert {(step.phase, step.target_duty, step.steering) for step in one.steps[begun:]} == {
+        (MEASURING, first.target_duty, first.steering), (TURNING, first.target_duty, first.steering)}
 
 
 def test_something_at_a_distance_slows_it():
@@ -151,11 +161,6 @@ def test_every_step_asks_for_a_steering_and_no_more_than_the_speeds():
     one = car(speed_mps=1.0, tight_speed_mps=0.7)
     one.run(30)
     assert all(-1.0 <= step.steering <= 1.0 and 0.0 <= step.speed_mps <= 1.6 for step in one.steps)
-
-
-@pytest.mark.parametrize("curvature, length_m", [(0.0, 2.2), (0.05, 2.2), (-1.0, 0.9)])
-def test_wide_turns_are_measured_for_longer_than_tight_ones(curvature, length_m):
-    assert wanted_length_m(curvature) == pytest.approx(length_m)
 
 
 def test_the_names_are_those_of_the_sonars():

@@ -56,6 +56,13 @@ def test_without_a_curve_they_are_asked_for_again():
     assert len(positions.candidates()) == len(FIRST) + 1
 
 
+def test_what_was_held_is_not_asked_for_again_while_another_of_the_first_is_left():
+    positions = Positions(base())
+    for candidate in positions.candidates(lambda duty: duty > 5200):
+        positions.add(measured(candidate.duty))
+    assert positions.candidates(lambda duty: duty > 5200) == []
+
+
 def test_then_the_greatest_errors_come_first_and_apart_from_each_other():
     positions = Positions(base())
     all_first(positions)
@@ -136,6 +143,15 @@ def test_expected_curvature_is_a_guess_then_between_what_was_held_then_the_fits(
     assert positions.expected_per_m(4550) == pytest.approx(0.5)
     positions.update_knowledge(knowledge()._replace(curvatures=(0.25,) * len(DUTIES)), 0)
     assert positions.expected_per_m(4550) == 0.25
+
+
+def test_the_rough_center_is_expected_to_be_straight_on_until_it_was_held():
+    positions = Positions(base())
+    positions.add(measured(3900, 0.7))
+    positions.add(measured(6000, -0.2))
+    assert [positions.expected_per_m(duty) for duty in (3900, 4540, 5180, 5590)] == pytest.approx([0.7, 0.35, 0, -0.1])
+    positions.add(measured(5184, 0.1))
+    assert positions.expected_per_m(5180) == pytest.approx(0.1, abs=0.01)
 
 
 def test_the_least_curvature_is_that_of_the_next_one_towards_the_center():
