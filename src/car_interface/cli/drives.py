@@ -134,4 +134,4 @@ def _read(path, config):
         text = f"{error.filename or full}: {error.strerror}"
     except Exception as error:  # one bad recording must not prevent the table of the others
         text = f"no row can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
-    return Row(path, error=text.replace(full, Path(path).name))
+    return Row(path, error=text.replace(full, Path(path).name, 1))  # a command to type keeps the whole path

@@ -8,7 +8,7 @@ import pytest
 
 from car_interface.recordings import signals
 from car_interface.recordings.recording import NoRecording
-from car_interface.recordings.signals import ODOM, OUTPUT, PULSES, VALUE, load
+from car_interface.recordings.signals import IMU, ODOM, OUTPUT, PULSES, VALUE, load
 from car_interface.recordings.timeline import BREAK_S
 from written_recordings import START_NS, Written, odometry, stamp, write_ros1
 
@@ -123,6 +123,14 @@ def test_topic_of_another_type_is_named(tmp_path):
     path = write_ros1(tmp_path / "a.bag", [Written(0.0, "/odom", "std_msgs/Float64", {"data": 1.0})])
     with pytest.raises(NoRecording, match="/odom is of type std_msgs/Float64"):
         load(str(path), [ODOM])
+
+
+def test_topic_that_the_user_names_is_of_another_type_though_that_is_another_role_s(tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [*ODOMETRY, Written(0.0, "/imu/data", "sensor_msgs/Imu", {})])
+    with pytest.raises(NoRecording, match="/imu/data is of type sensor_msgs/Imu; accepted: nav_msgs/Odometry$"):
+        load(str(path), [ODOM], optional=[IMU], odom="/imu/data")
+    with pytest.raises(NoRecording, match="/odom is of type nav_msgs/Odometry; accepted: sensor_msgs/Imu$"):
+        load(str(path), [ODOM], optional=[IMU], imu="/odom")
 
 
 def test_topic_with_nothing_that_can_be_used_is_named(tmp_path):
