@@ -55,7 +55,10 @@ def trends(rows: Sequence[Row]) -> str:
 
 def _distance(axes, rows):
     title(axes, "Distance in m")
-    axes.bar(range(len(rows)), _column(rows, lambda row: row.distance_m), color=SENT, width=0.7)
+    heights = _column(rows, lambda row: row.distance_m)
+    axes.bar(range(len(rows)), heights, color=SENT, width=0.7)
+    _mark_zeros(axes, heights)
+    axes.set_ylim(0, max(1.0, 1.08 * float(np.nanmax(heights))))
 
 
 def _losses(axes, rows):
@@ -69,9 +72,17 @@ def _losses(axes, rows):
         if heights.any():
             axes.bar(range(len(rows)), heights, bottom=bottom, color=colour, width=0.7, label=cause or "others")
             bottom += heights
+    _mark_zeros(axes, np.where([row.losses is None for row in rows], np.nan, bottom))
     axes.set_ylim(0, max(1.0, 1.15 * bottom.max()))
     axes.yaxis.get_major_locator().set_params(integer=True)
     legend(axes)
+
+
+def _mark_zeros(axes, heights):
+    """A point where a bar would have no height; without a bar and a point nothing is known (NaN)."""
+    at = np.flatnonzero(heights == 0)
+    if at.size:  # not clipped and empty would have no place for the layout
+        axes.plot(at, np.zeros(at.size), color=FAINT, marker="o", markersize=3, linestyle="none", clip_on=False)
 
 
 def _center(axes, rows):
@@ -118,7 +129,8 @@ def _line(axes, rows, number, colour, label, least):
 def _label(axes, rows):
     """Dates below some of the drives."""
     axes.set_xlim(-0.6, len(rows) - 0.4)
-    shown = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MAX_LABELS)).round().astype(int))
+    step = -(-len(rows) // MAX_LABELS)
+    shown = np.arange(len(rows) - 1, -1, -step)[::-1]  # evenly, so that none covers its neighbour; the newest has one
     axes.set_xticks(shown)
     axes.set_xticklabels([_date(rows[index]) for index in shown])
 

@@ -41,7 +41,9 @@ td.number, th.number { text-align: right; width: 1%; font-variant-numeric: tabul
 svg { display: block; width: 100%; height: auto; margin: 8px 0 2px; }
 details summary { cursor: pointer; color: var(--faint); }
 .scroll { overflow-x: auto; }
-.verdict a { color: inherit; }
+.verdict a, .figures a { color: inherit; }
+@media (max-width: 700px) { main { padding: 12px 8px 32px; } section, header { padding: 16px 14px; }
+  .scroll > svg { min-width: 640px; } .summary th { width: 120px; } }
 @media print { body { background: white; } section, header { break-inside: avoid; border: 0; padding: 8px 0; } }
 """
 # A browser must not load anything, nor run scripts, which texts of a recording could contain.
@@ -59,7 +61,8 @@ def document(title: str, body: str) -> str:
 
 def section(name: str, title: str, text: str, *parts: str) -> str:
     """A section of the page; name and title are plain text, the rest is HTML."""
-    return (f'<section id="{name}">\n<h2>{escape(title)}</h2>\n<p class="faint">{text}</p>\n' + "".join(parts)
+    shown = (f'<div class="scroll">{part}</div>\n' if part.startswith("<svg") else part for part in parts)
+    return (f'<section id="{name}">\n<h2>{escape(title)}</h2>\n<p class="faint">{text}</p>\n' + "".join(shown)
             + "</section>\n")
 
 

@@ -127,9 +127,9 @@ def test_topic_of_another_type_is_named(tmp_path):
 
 def test_topic_that_the_user_names_is_of_another_type_though_that_is_another_role_s(tmp_path):
     path = write_ros1(tmp_path / "a.bag", [*ODOMETRY, Written(0.0, "/imu/data", "sensor_msgs/Imu", {})])
-    with pytest.raises(NoRecording, match="/imu/data is of type sensor_msgs/Imu; accepted: nav_msgs/Odometry$"):
+    with pytest.raises(NoRecording, match=r"/imu/data is of type sensor_msgs/Imu; accepted: nav_msgs/Odometry$"):
         load(str(path), [ODOM], optional=[IMU], odom="/imu/data")
-    with pytest.raises(NoRecording, match="/odom is of type nav_msgs/Odometry; accepted: sensor_msgs/Imu$"):
+    with pytest.raises(NoRecording, match=r"/odom is of type nav_msgs/Odometry; accepted: sensor_msgs/Imu$"):
         load(str(path), [ODOM], optional=[IMU], imu="/odom")
 
 

@@ -53,7 +53,30 @@ def test_what_no_drive_tells_has_no_panel_and_what_one_lacks_is_a_gap(figure):
 def test_axis_is_labelled_with_dates(figure):
     trends([BLIND, *ROWS * 10])
     labels = [label.get_text() for label in figure[0].axes[-1].get_xticklabels()]
-    assert labels[0] == "no date" and labels[-1] == "2023-11-17\n22:13" and len(labels) == drives_plots.MAX_LABELS
+    assert labels[-1] == "2023-11-17\n22:13" and len(labels) == 7
+    trends([BLIND, *ROWS])
+    labels = [label.get_text() for label in figure[1].axes[-1].get_xticklabels()]
+    assert labels[0] == "no date" and len(labels) == 5
+
+
+@pytest.mark.parametrize("count", range(2, 60))
+def test_labels_stand_evenly_so_that_none_covers_its_neighbour(figure, count):
+    trends(ROWS[:1] * count)
+    at = figure[0].axes[-1].get_xticks()
+    assert len(at) <= drives_plots.MAX_LABELS and at[-1] == count - 1
+    assert len({after - before for before, after in zip(at, at[1:])}) <= 1 and at[0] < max(2, at[-1] / 3)
+
+
+def test_zero_has_a_point_so_that_it_does_not_look_like_what_is_not_known(figure):
+    known, blind = ROWS[0]._replace(distance_m=0.0, losses={}), BLIND._replace(distance_m=None)
+    trends([blind, known, ROWS[1]])
+    for axes in figure[0].axes[:2]:
+        assert [line.get_xdata().tolist() for line in axes.lines] == [[1]]
+
+
+def test_layout_holds_with_what_is_not_known(recwarn):
+    trends([BLIND, *ROWS])
+    assert [str(warning.message) for warning in recwarn] == []
 
 
 def test_rare_causes_are_drawn_together(figure):

@@ -65,9 +65,25 @@ def test_recording_of_odometry_alone_says_none_and_not_nothing(tmp_path):
     found = row(summarize(str(path)), "a.bag")
     assert found.distance_m == pytest.approx(4.9)
     for name in ("gamepad_s", "planner_s", "losses", "straight_per_m", "left_ratio", "drive_mps2", "hold_mps2",
-                 "brake_mps2", "frames", "corrupt", "unanswered"):
+                 "brake_mps2", "frames", "corrupt", "unanswered", "faults", "errors"):
         assert getattr(found, name) is None, name
     assert "/turn_arb/state" in found.lacks and found.notes == ["odom: /ekf (the only nav_msgs/Odometry)"]
+
+
+def test_fault_that_odometry_alone_shows_counts(tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.1 * step) for step in range(50) if not 20 < step < 40])
+    found = row(summarize(str(path)), "a.bag")
+    assert (found.faults, found.errors) == (1, 0)
+
+
+def test_value_map_is_judged_by_what_it_got_and_not_by_what_autoware_asked_for_before_the_speed_control(tmp_path):
+    asked = [message._replace(topic="/planner_interface/output/control_cmd") for message in accelerating()
+             if message.topic == "/control/command/control_cmd"]
+    wild = [message._replace(fields={"longitudinal": {"acceleration": 3.0}}) if "control_cmd" in message.topic else
+            message for message in accelerating()]
+    messages = sorted([*wild, *asked], key=lambda message: message.time_s)
+    found = row(summarize(str(write_ros1(tmp_path / "a.bag", messages))), "a.bag")
+    assert found.drive_mps2 == pytest.approx(-0.2, abs=0.02) and found.notes == []
 
 
 def accelerating(duration_s=4.0, source=PLANNER):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.report.following import Accelerating, Bins, Following, MedianOf
+from car_interface.report.following import MAX_LATERAL_MPS2, Accelerating, Bins, Following, MedianOf
 
 
 def test_median_is_the_middle_of_its_bin_and_numbers_beyond_count_at_the_ends():
@@ -46,6 +46,14 @@ def test_straight_on_is_a_difference():
 def test_what_can_not_be_compared_does_not_count(case):
     found = following(**{"sent": 0.5, "driven": 0.5, **case})
     assert found.straight_per_m().samples == 0 and [one.samples for one in found.ratios()] == [0, 0]
+
+
+def test_bend_in_which_tyres_slide_judges_no_table():
+    for speed_mps, samples in ((1.7, 1), (1.8, 0)):  # 1.44 and 1.62 m/s² sideways
+        found = Following(SimpleNamespace(curvature_per_m=0.6, unchanged_since_s=0.0), MAX_LATERAL_MPS2)
+        found.add(1.0, 0.5, speed_mps)
+        assert found.ratios()[0].samples == samples
+    assert following(0.6, 0.5, speed_mps=9.0).ratios()[0].samples == 1
 
 
 def accelerating(requested, driven, speed_mps=1.0):

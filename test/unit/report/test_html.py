@@ -49,9 +49,10 @@ def test_range_has_no_negative_zero():
     assert range_text(-0.001, 1.0, "m/s") == "0.00 to 1.00 m/s"
 
 
-def test_section_escapes_its_title_only():
+def test_section_escapes_its_title_only_and_a_plot_can_be_scrolled():
     assert section("link", "A < B", "<i>text</i>", "<svg/>", "<br>") == (
-        '<section id="link">\n<h2>A &lt; B</h2>\n<p class="faint"><i>text</i></p>\n<svg/><br></section>\n')
+        '<section id="link">\n<h2>A &lt; B</h2>\n<p class="faint"><i>text</i></p>\n'
+        '<div class="scroll"><svg/></div>\n<br></section>\n')
 
 
 def test_table_escapes_names_and_takes_cells_as_html():
