@@ -115,7 +115,8 @@ def _columns(path, wanted, optional, topics, namespace):
         elif is_needed and note:
             raise NoRecording(f"{path}: {note}")
         elif is_needed:
-            recording.require(path, [topic], namespace, f"the {part}: {role.what}")
+            hint = "" if topics.get(part) else _hint(part)
+            recording.require(path, [topic], namespace, f"the {part}: {role.what}{hint}")
     if OUTPUT in wanted | optional:
         columns.update(_output_column(path, recorded, OUTPUT in wanted, topics, namespace))
         types.update((column.topic, roles.DUTY_TYPES) for part, column in columns.items() if part == OUTPUT)
@@ -137,6 +138,10 @@ def _output_column(path, recorded, is_wanted, topics, namespace):
                 return {OUTPUT: kind(topic)}
     if is_wanted or given:
         topic = (given or usual)[0][1][0]
-        recording.require(path, [topic], namespace)
+        recording.require(path, [topic], namespace, f"{roles.OUTPUT.what}{'' if given else _hint(OUTPUT)}")
         raise NoRecording(f"{path} has no messages of {topic}")
     return {}
+
+
+def _hint(part):
+    return f" (one of another name: --map TOPIC={part})"

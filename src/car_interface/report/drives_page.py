@@ -12,10 +12,12 @@ from car_interface.common.units import NS_PER_S
 from car_interface.report.drives_row import Row
 from car_interface.report.html import MIN_DATE_NS, date_text, document, ratio_text, section, span_text, table
 
-HEADINGS = ("recording", "date (UTC)", "driven", "who drove", "lost or locked", "steering", "value map", "link", "faults")
+HEADINGS = ("recording", "date (UTC)", "driven", "who drove", "lost or locked", "steering", "value map", "link",
+            "faults")
 # Wider than other pages, and only the first column is wrapped.
 STYLE = ("<style>main { max-width: 1440px; } #drives th, #drives td { overflow-wrap: normal; }"
-         " #drives td:nth-child(n+2) { white-space: nowrap; } #drives td:first-child { min-width: 250px; overflow-wrap: anywhere; }"
+         " #drives td:nth-child(n+2) { white-space: nowrap; }"
+         " #drives td:first-child { min-width: 250px; overflow-wrap: anywhere; }"
          " @media (max-width: 700px) { #drives td:first-child { min-width: 150px; } }</style>\n")
 CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s", "planner_s", "losses",
                "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
