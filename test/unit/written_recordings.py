@@ -39,7 +39,7 @@ def write_ros1(path: Path, messages: Iterable[Written], chunk_bytes: int | None 
 
 
 def rename_topics(bag, path: Path, names: dict) -> Path:
-    """A copy of a ROS 1 bag in which topics have other names, those of somebody else's car."""
+    """A copy of a ROS 1 bag, in order of time, in which topics have other names, those of somebody else's car."""
     with Ros1Reader(bag) as reader, Ros1Writer(path) as writer:
         connections = {one.id: writer.add_connection(
             names.get(one.topic, one.topic), one.msgtype, typestore=typestore(Stores.ROS1_NOETIC))

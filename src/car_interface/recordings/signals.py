@@ -115,7 +115,7 @@ def _columns(path, wanted, optional, topics, namespace):
         elif is_needed and note:
             raise NoRecording(f"{path}: {note}")
         elif is_needed:
-            hint = "" if topics.get(part) else _hint(part)
+            hint = _hint(part) if topics.get(part) in (None, *role.topics) else ""
             recording.require(path, [topic], namespace, f"the {part}: {role.what}{hint}")
     if OUTPUT in wanted | optional:
         columns.update(_output_column(path, recorded, OUTPUT in wanted, topics, namespace))
@@ -138,10 +138,10 @@ def _output_column(path, recorded, is_wanted, topics, namespace):
                 return {OUTPUT: kind(topic)}
     if is_wanted or given:
         topic = (given or usual)[0][1][0]
-        recording.require(path, [topic], namespace, f"{roles.OUTPUT.what}{'' if given else _hint(OUTPUT)}")
+        recording.require(path, [topic], namespace, "" if given else f"{roles.OUTPUT.what}{_hint(OUTPUT)}")
         raise NoRecording(f"{path} has no messages of {topic}")
     return {}
 
 
 def _hint(part):
-    return f" (one of another name: --map TOPIC={part})"
+    return f"; name another by --map TOPIC={part}"

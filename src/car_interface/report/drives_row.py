@@ -106,5 +106,5 @@ def _link(teensy):
 
 
 def _median(found):
-    """A median in five decimals, if there are enough samples."""
-    return round(found.median, 5) if found.samples >= MIN_SAMPLES else None
+    """A median in five decimals, no -0.0, if there are enough samples."""
+    return round(found.median, 5) + 0.0 if found.samples >= MIN_SAMPLES else None

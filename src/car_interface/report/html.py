@@ -37,6 +37,7 @@ td.number, th.number { text-align: right; width: 1%; font-variant-numeric: tabul
 .summary th { width: 230px; font-weight: 500; }
 .bad { color: var(--bad); font-weight: 600; } .warn { color: var(--warn); font-weight: 600; }
 .good { color: var(--good); font-weight: 600; }
+.level { white-space: nowrap; }
 .dot { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 7px; }
 svg { display: block; width: 100%; height: auto; margin: 8px 0 2px; }
 details summary { cursor: pointer; color: var(--faint); }

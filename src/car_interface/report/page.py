@@ -25,7 +25,7 @@ from car_interface.steering.arbiter import PLANNER, TELEOP
 
 MIN_RATIOS = 30  # samples, for a ratio to be shown
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
-LEVELS = {WARN: '<span class="warn">warning</span>', ERROR: '<span class="bad">error</span>'}
+LEVELS = {WARN: '<span class="warn level">warning</span>', ERROR: '<span class="bad level">error</span>'}
 
 
 def page(drive: Summary, plots: dict[str, Plot]) -> str:

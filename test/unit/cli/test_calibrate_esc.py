@@ -210,7 +210,7 @@ def test_recording_with_topics_of_other_names_comes_to_the_same_calibration(bag,
     names = {"/odom": "/ekf/odometry", "/servo/output": "/board/duties"}
     other = rename_topics(bag, tmp_path / "other.bag", names)
     assert run(other, "-o", tmp_path / "other.yaml") == 1
-    assert ("has no topic /servo/output, which says what the ESC got (one of another name: --map TOPIC=output)"
+    assert ("has no topic /servo/output, which says what the ESC got; name another by --map TOPIC=output; it has "
             in capsys.readouterr().err)
     assert run(bag, "-o", tmp_path / "own.yaml") == 0
     capsys.readouterr()

@@ -87,10 +87,10 @@ def test_drive_by_hand_is_known_by_itself(tmp_path, capsys):
 @pytest.mark.once
 def test_recording_with_topics_of_other_names_comes_to_the_same_map(bag, tmp_path, capsys):
     names = {"/odom": "/ekf/odometry", "/servo/output": "/board/duties", "/generic/output/value": "/esc/value"}
-    other = rename_topics(bag, tmp_path / "other.bag", names)
+    own, other = (rename_topics(bag, tmp_path / f"{name}.bag", to) for name, to in (("own", {}), ("other", names)))
     assert run(other, "-o", tmp_path / "other.csv") == 1
-    assert "(one of another name: --map TOPIC=value); it has /esc/value\n" in capsys.readouterr().err
-    assert run(bag, "-o", tmp_path / "own.csv") == 0
+    assert "; name another by --map TOPIC=value; it has /esc/value\n" in capsys.readouterr().err
+    assert run(own, "-o", tmp_path / "own.csv") == 0
     capsys.readouterr()
     assert run(other, "-o", tmp_path / "other.csv", "--map", "/esc/value=value", "--map", "/board/duties=output") == 0
     assert "other.bag: odom: /ekf/odometry (the only nav_msgs/Odometry)" in capsys.readouterr().out

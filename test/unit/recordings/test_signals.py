@@ -115,8 +115,11 @@ def test_message_of_another_version_is_told_with_its_type(tmp_path):
 
 
 def test_missing_output_is_named(tmp_path):
-    with pytest.raises(NoRecording, match=r"a\.bag has no topic /servo/output"):
-        load(str(write_ros1(tmp_path / "a.bag", ODOMETRY)), [OUTPUT])
+    path = write_ros1(tmp_path / "a.bag", ODOMETRY)
+    with pytest.raises(NoRecording, match=r"a\.bag has no topic /servo/output, .* name another by --map TOPIC=output;"):
+        load(str(path), [OUTPUT])
+    with pytest.raises(NoRecording, match=r"a\.bag has no topic /board; it has /odom$"):
+        load(str(path), [OUTPUT], output="/board")
 
 
 def test_topic_of_another_type_is_named(tmp_path):

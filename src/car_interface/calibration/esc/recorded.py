@@ -59,7 +59,7 @@ def load_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[str,
     """
     topics = topics or {}
     recording.require(path, [topics.get(signals.OUTPUT, signals.OUTPUT_TOPIC)], namespace,
-                      f"which says what the ESC got (one of another name: --map TOPIC={signals.OUTPUT})")
+                      f"which says what the ESC got; name another by --map TOPIC={signals.OUTPUT}")
     found = signals.load(path, (signals.ODOM, signals.OUTPUT), optional=(signals.PULSES,), namespace=namespace,
                          progress=True, **topics)
     neutral, notes = _drive_s_neutral(path, namespace, calibration)
