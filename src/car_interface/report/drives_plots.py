@@ -91,9 +91,9 @@ def _center(axes, rows):
 
 
 def _sides(axes, rows):
-    title(axes, "Tighter than the tables say, in %")
+    title(axes, "Tighter than the tables say, in % of the radius")
     for colour, side, name in ((SENT, "left", "left_ratio"), (REQUESTED, "right", "right_ratio")):
-        _line(axes, rows, lambda row, name=name: _percent(getattr(row, name)), colour, side, least=3.0)
+        _line(axes, rows, lambda row, name=name: _tighter_percent(getattr(row, name)), colour, side, least=3.0)
     legend(axes)
 
 
@@ -147,5 +147,9 @@ def _column(rows, number):
     return np.array([np.nan if value is None else value for value in values], float)
 
 
-def _percent(ratio):
-    return None if ratio is None else 100 * (ratio - 1)
+def _tighter_percent(ratio):
+    """By how much the radius is less than the tables'; the table of drives has the same number.
+
+    A car that hardly turns is drawn as 100 % wider, for the other drives to be seen.
+    """
+    return None if ratio is None else max(-100.0, 100 * (1 - 1 / ratio))

@@ -8,6 +8,7 @@ from typing import Iterable, Sequence
 from car_interface.common.units import NS_PER_S
 
 SAME_RATIO = 0.015  # from 1: it counts as the same
+MANY_TIMES = 10  # more than that is no percentage any more
 MIN_DATE_NS = 1_000_000_000 * NS_PER_S  # September 2001: before ROS; the clock of a simulation begins at 0
 OPEN_ROWS, MAX_ROWS = 25, 500  # of a table: shown at once, and altogether
 STYLE = """
@@ -114,6 +115,8 @@ def ratio_text(ratio: float, wanted: str, more: str, less: str) -> str:
     """A ratio in words: as ``wanted``, or by how many percent more or less than that."""
     if abs(ratio - 1) < SAME_RATIO:
         return f"as {wanted}"
+    if ratio > MANY_TIMES:
+        return f"more than {MANY_TIMES} times {more} than {wanted}"
     return f"{abs(ratio - 1):.0%} {more if ratio > 1 else less} than {wanted}"
 
 

@@ -30,6 +30,11 @@ def shown(*rows):
             for line in text.split("\n") if line.startswith("<tr><td")]
 
 
+def test_car_that_hardly_turns_is_no_percentage():
+    assert shown(FULL._replace(straight_per_m=None, left_ratio=0.002, right_ratio=None))[0][5] == (
+        "left: more than 10 times wider")
+
+
 def test_dates_are_headed_with_their_time_zone():
     assert "<th>date (UTC)</th>" in page("drives", [FULL], "")
 

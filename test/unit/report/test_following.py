@@ -40,6 +40,11 @@ def test_car_that_does_exactly_what_it_was_sent_is_off_by_nothing():
     assert accelerating(1.0, 1.0) == [0.0, None, None]
 
 
+@pytest.mark.parametrize("driven", [0.0, -0.3], ids=["goes_straight_on", "turns_to_the_other_side"])
+def test_ratio_of_a_car_that_does_not_turn_has_an_inverse(driven):
+    assert 0 < following(0.5, driven).ratios()[0].median < 0.01
+
+
 def test_straight_on_is_a_difference():
     found = following(0.01, 0.05)
     assert found.straight_per_m() == MedianOf(pytest.approx(0.04, abs=0.001), 1)

@@ -35,7 +35,8 @@ def test_document_loads_nothing_and_runs_no_script():
 
 
 @pytest.mark.parametrize("ratio, words", [(1.0, "as asked"), (1.014, "as asked"), (0.986, "as asked"),
-                                          (1.1, "10% faster than asked"), (0.5, "50% slower than asked")])
+                                          (1.1, "10% faster than asked"), (0.5, "50% slower than asked"),
+                                          (500.0, "more than 10 times faster than asked")])
 def test_ratio_is_in_words(ratio, words):
     assert ratio_text(ratio, "asked", "faster", "slower") == words
 
