@@ -134,6 +134,8 @@ def test_topic_that_the_user_names_is_of_another_type_though_that_is_another_rol
         load(str(path), [ODOM], optional=[IMU], odom="/imu/data")
     with pytest.raises(NoRecording, match=r"/odom is of type nav_msgs/Odometry; accepted: sensor_msgs/Imu$"):
         load(str(path), [ODOM], optional=[IMU], imu="/odom")
+    with pytest.raises(NoRecording, match=r"/odom is of type nav_msgs/Odometry; accepted: std_msgs/Int32MultiArray$"):
+        load(str(path), [ODOM], command="/odom")
 
 
 def test_topic_with_nothing_that_can_be_used_is_named(tmp_path):

@@ -91,6 +91,7 @@ def test_zero_has_a_point_so_that_it_does_not_look_like_what_is_not_known(figure
 
 def test_layout_holds_with_what_is_not_known(recwarn):
     trends([BLIND, *ROWS])
+    trends([BLIND, ROWS[1], ROWS[3]])  # nothing is 0
     assert [str(warning.message) for warning in recwarn] == []
 
 

@@ -89,11 +89,18 @@ def test_topic_of_another_type_that_the_user_names_is_refused_by_its_type(topics
         summarize(str(path), **topics)
 
 
-@pytest.mark.parametrize("name", ["av_turnrad_req", "/av_turnrad_req"])
-def test_topic_that_the_user_gave_to_one_role_plays_no_other_by_its_usual_name(name, tmp_path):
-    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), Written(0.1, "/av_turnrad_req", "std_msgs/Float32", {})])
-    assert summarize(str(path)).present == {"odom", "av_turnrad_req"}
-    assert summarize(str(path), stick=name).present == {"odom", "/teleop_logi/tele_steer_req"}
+RADIUS, STICK = "av_turnrad_req", "/teleop_logi/tele_steer_req"
+
+
+@pytest.mark.parametrize("recorded, role, named, usual, present", [
+    ("/" + RADIUS, "stick", RADIUS, RADIUS, STICK), ("/" + RADIUS, "stick", "/" + RADIUS, RADIUS, STICK),
+    (STICK, "radius", STICK, STICK, RADIUS), (STICK, "radius", STICK[1:], STICK, RADIUS),
+], ids=["radius_as_stick", "by_its_whole_name", "stick_as_radius", "by_its_relative_name"])
+def test_topic_that_the_user_gave_to_one_role_plays_no_other_by_its_usual_name(
+        recorded, role, named, usual, present, tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), Written(0.1, recorded, "std_msgs/Float32", {})])
+    assert summarize(str(path)).present == {"odom", usual}
+    assert summarize(str(path), **{role: named}).present == {"odom", present}
 
 
 @pytest.mark.parametrize("messages, words", [
