@@ -9,22 +9,26 @@ shows each number. What the drive does not show is refused, with what to drive f
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Mapping
 
 from car_interface.calibration.esc.calibrate import calibrate, yaml_text
 from car_interface.calibration.esc.recorded import load_drive
 from car_interface.calibration.esc.report import report
 from car_interface.cli.jobs import add_jobs_argument, load_all
 from car_interface.cli.options import add_namespace_argument
+from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.package_files import package_file
 from car_interface.common.servo_channels import CHANNELS
+from car_interface.recordings import roles
 from car_interface.throttle.params import load_throttle
 
 BASE = "config/throttle.yaml"
+ROLES = (roles.ODOM, roles.OUTPUT)
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Config:
         base: path of the file for throttle_arb with which was driven; its other parameters are kept.
         force: write what the drive shows, although it does not show all.
         channel: of the servo board, 0..15; ``None`` = the base's.
-        odom_topic: of odometry.
+        topics: named by the user, by role.
         namespace: the car's.
         jobs: recordings to read at the same time.
 
@@ -50,7 +54,7 @@ class Config:
     base: str
     force: bool = False
     channel: int | None = None
-    odom_topic: str = "odom"
+    topics: Mapping[str, str] = field(default_factory=dict)
     namespace: str = "/"
     jobs: int = 1
 
@@ -68,8 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="write what the drive shows, although it does not show "
                         "all; the rest stays as it was. Without the kind of ESC nothing is written")
     parser.add_argument("--channel", type=int, metavar="N", help="of the servo board (default: the base's)")
-    parser.add_argument("--odom", default="odom", metavar="TOPIC", help="of odometry, any nav_msgs/Odometry "
-                        "(default: odom)")
+    add_topic_arguments(parser, ROLES)
     add_namespace_argument(parser)
     add_jobs_argument(parser)
 
@@ -81,7 +84,7 @@ def config_of(options: argparse.Namespace) -> Config:
         ConfigError: naming the option.
     """
     return Config(tuple(options.bags), options.output, options.base or str(package_file(BASE)), options.force,
-                  options.channel, options.odom, options.namespace, options.jobs)
+                  options.channel, topics_of(options), options.namespace, options.jobs)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -91,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     base = load_throttle(config.base)
     base_text = Path(config.base).read_text(encoding="utf-8-sig")
     driven = base.calibration if config.channel is None else replace(base.calibration, channel=config.channel)
-    load = partial(load_drive, calibration=driven, odom_topic=config.odom_topic, namespace=config.namespace)
+    load = partial(load_drive, calibration=driven, topics=config.topics, namespace=config.namespace)
     recorded = load_all(load, config.recordings, config.jobs)
     calibrated = calibrate(recorded, base.calibration)
     lines = list(report(calibrated, recorded, base))

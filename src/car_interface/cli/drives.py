@@ -9,7 +9,6 @@ import os
 import sys
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Mapping
 
 from car_interface.cli.drives_cache import Cache
@@ -18,12 +17,14 @@ from car_interface.cli.options import add_namespace_argument
 from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.cli.version import version
 from car_interface.common import output
-from car_interface.common.errors import CarInterfaceError
+from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.recordings.folder import find_recordings, fingerprint
 from car_interface.report.drives_page import csv_text, in_order, page
 from car_interface.report.drives_plots import trends
 from car_interface.report.drives_row import VERSION, Row, row
 from car_interface.report.summary import ROLES, summarize
+
+MAX_SHOWN = 5  # in the terminal, of the recordings that can't be read
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,9 @@ class Config:
         topics: named by the user, by role.
         fresh: read all recordings again.
         jobs: recordings to read at the same time.
+
+    Raises:
+        ConfigError: naming the option.
     """
 
     folder: str
@@ -49,7 +53,17 @@ class Config:
     @property
     def csv(self) -> str:
         """Path of the CSV."""
-        return str(Path(self.output).with_suffix(".csv"))
+        return os.path.splitext(self.output)[0] + ".csv"
+
+    @property
+    def title(self) -> str:
+        """The folder's name for its readers; "." has none."""
+        is_named = os.path.basename(os.path.normpath(self.folder)).strip(".")
+        return self.folder if is_named else os.path.realpath(self.folder)
+
+    def __post_init__(self):
+        if self.output == self.csv:
+            raise ConfigError("--output", self.output, "the page's name, as in drives.html: the CSV lies beside it")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,18 +87,32 @@ def run(options: argparse.Namespace) -> int:
     if not paths:
         raise CarInterfaceError(f"{config.folder} has no recording: no .bag, no .mcap, no .db3, here or below")
     recordings = [os.path.join(config.folder, path) for path in paths]
-    for path in (config.output, config.csv):
-        output.check(path, recordings)
+    _check_output(config, recordings, options.output is None)
     rows, read = read_rows(config, paths)
     rows = in_order(rows)
     drawn = trends([one for one in rows if not one.error])
-    for path, text in ((config.csv, csv_text(rows)), (config.output, page(config.folder, rows, drawn))):
+    for path, text in ((config.csv, csv_text(rows)), (config.output, page(config.title, rows, drawn))):
         output.write(path, text.encode("utf-8", "replace"))  # a file's name may be no UTF-8
-    bad = sum(bool(one.error) for one in rows)
+    bad = [one for one in rows if one.error]
+    for one in bad[:MAX_SHOWN]:
+        print(f"drives: {one.error}", file=sys.stderr)
+    if len(bad) > MAX_SHOWN:
+        print(f"drives: and {len(bad) - MAX_SHOWN} more that can't be read: the page says why", file=sys.stderr)
     print(f"{config.folder}: {len(rows)} recording{'s' if len(rows) > 1 else ''}, {read} read now, {len(rows) - read} "
-          f"read before" + (f"; {bad} can't be read" if bad else ""))
+          f"read before" + (f"; {len(bad)} can't be read" if bad else ""))
     print(f"written: {config.output}, {config.csv}")
-    return 0
+    return int(len(bad) == len(rows))
+
+
+def _check_output(config, recordings, is_default):
+    """Refuse, before the work, what can't be written."""
+    try:
+        for path in (config.output, config.csv):
+            output.check(path, recordings)
+    except CarInterfaceError as error:
+        if not is_default:
+            raise
+        raise CarInterfaceError(f"{error}; -o FILE writes it elsewhere") from error
 
 
 def read_rows(config: Config, paths: list[str]) -> tuple[list[Row], int]:
@@ -133,5 +161,6 @@ def _read(path, config):
     except OSError as error:
         text = f"{error.filename or full}: {error.strerror}"
     except Exception as error:  # one bad recording must not prevent the table of the others
-        text = f"no row can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
-    return Row(path, error=text.replace(full, Path(path).name))
+        text = f"{full}: no row can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
+    # It begins with the recording's name; a command to type keeps the whole path.
+    return Row(path, error=text.replace(full, path, 1))

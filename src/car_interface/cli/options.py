@@ -13,7 +13,10 @@ def add_namespace_argument(parser: argparse.ArgumentParser) -> None:
 
 def finite(text: str) -> float:
     """A finite number out of an option's text."""
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is no finite number")
     return value

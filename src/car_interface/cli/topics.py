@@ -15,7 +15,7 @@ def add_topic_arguments(parser: argparse.ArgumentParser, roles: Sequence[Role]) 
         parser: of the command.
         roles: those that the command reads.
     """
-    lines = [f"{role.name} ({role.what}; default: {' or '.join(role.topics)}"
+    lines = [f"{role.name} ({role.what}; default: {' or '.join((*role.preferred, *role.topics))}"
              + (", else the only topic of its type)" if role.is_guessed else ")") for role in roles]
     parser.add_argument("--map", action="append", default=[], metavar="TOPIC=ROLE", dest="mapped",
                         help="what a recorded topic is, as in --map /vesc/odom=odom; may be repeated. Roles: "

@@ -8,6 +8,7 @@ from car_interface.recordings.recording import METADATA, ROS2_SUFFIXES
 
 # A bag that is being recorded, or whose recorder was killed, has the second one.
 ROS1_SUFFIXES = (".bag", ".bag.active")
+ORIGINAL = ".orig"  # rosbag reindex keeps a damaged a.bag as a.orig.bag
 
 
 class Fingerprint(NamedTuple):
@@ -20,7 +21,8 @@ class Fingerprint(NamedTuple):
 def find_recordings(folder: str) -> list[str]:
     """The paths of all recordings in a folder and below it, relative to it, in order.
 
-    A ROS 2 bag is its folder, or a file that lies in no such folder. Hidden folders are left out.
+    A ROS 2 bag is its folder, or a file that lies in no such folder. Left out are hidden folders, and what rosbag
+    reindex has kept of a recording that it repaired.
 
     Raises:
         OSError: the folder can't be read.
@@ -33,7 +35,7 @@ def find_recordings(folder: str) -> list[str]:
             continue
         folders[:] = [name for name in folders if not name.startswith(".")]
         found += [os.path.relpath(os.path.join(place, name), folder) for name in files
-                  if name.endswith((*ROS1_SUFFIXES, *ROS2_SUFFIXES))]
+                  if name.endswith((*ROS1_SUFFIXES, *ROS2_SUFFIXES)) and not _is_original(name, files)]
     return sorted(found)
 
 
@@ -48,6 +50,12 @@ def fingerprint(path: str) -> Fingerprint:
         paths = [os.path.join(path, name) for name in sorted(os.listdir(path))]
     stats = [os.stat(one) for one in paths]
     return Fingerprint(sum(one.st_size for one in stats), max((one.st_mtime_ns for one in stats), default=0))
+
+
+def _is_original(name, files):
+    """Whether the repaired recording lies beside it."""
+    stem, suffix = os.path.splitext(name)
+    return stem.endswith(ORIGINAL) and stem[:-len(ORIGINAL)] + suffix in files
 
 
 def _raise_for(folder):

@@ -6,6 +6,7 @@ are deserialized, so that others may have unknown types.
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import sys
 import time
@@ -25,6 +26,7 @@ ROS2_SUFFIXES = (".db3", ".mcap")
 METADATA = "metadata.yaml"
 BAR_AFTER_S = 1.0
 MESSAGES_PER_CLOCK_CHECK = 256
+NESTED = re.compile(r"""\((["'])(.*?)\1,\)""")  # the arguments of another error, within rosbags' text of one
 
 
 class Recorded(NamedTuple):
@@ -103,7 +105,8 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
         definitions = Definitions(is_ros2=isinstance(reader, Ros2Reader))
         decoders = {}
         for connection in connections:
-            _check_type(path, connection, topics, names)
+            if isinstance(topics, Mapping):
+                _check_type(path, connection.topic, connection.msgtype, topics[names[connection.topic]])
             try:
                 decoders[connection.id] = definitions.decoder(connection)
             except UnknownType as error:
@@ -155,6 +158,22 @@ def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "
             below = "" if namespace.strip("/") == "" else f" below {namespace}"
             raise NoRecording(f"{path} has no topic {topic}{below}{', ' + why if why else ''}; it has "
                               + (", ".join(similar) if similar else "none at all"))
+
+
+def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace: str = "/") -> None:
+    """Check that topics were recorded with accepted types.
+
+    Args:
+        path: of the recording.
+        topics: the accepted type, or several, by name, as for ``read``; those that weren't recorded are left out.
+        namespace: the car's.
+
+    Raises:
+        NoRecording: names the first that wasn't.
+    """
+    recorded = contents(path).topics
+    for name, topic in absolute_names(recorded, topics, namespace).items():
+        _check_type(path, name, recorded[name].type, topics[topic])
 
 
 def is_of_type(kind: str, accepted: Iterable[str]) -> bool:
@@ -231,14 +250,10 @@ def _counts(reader):
     return {connection.id: connection.msgcount for connection in reader.connections}
 
 
-def _check_type(path, connection, topics, names):
-    if not isinstance(topics, Mapping):
-        return
-    accepted = topics[names[connection.topic]]
+def _check_type(path, name, kind, accepted):
     accepted = (accepted,) if isinstance(accepted, str) else accepted
-    if not is_of_type(connection.msgtype, accepted):
-        raise NoRecording(f"{path}: {connection.topic} is of type {_short(connection.msgtype)}; accepted: "
-                          + " or ".join(map(_short, accepted)))
+    if not is_of_type(kind, accepted):
+        raise NoRecording(f"{path}: {name} is of type {_short(kind)}; accepted: " + " or ".join(map(_short, accepted)))
 
 
 def _short(name):
@@ -248,10 +263,11 @@ def _short(name):
 
 def _error_text(file, error):
     text = " ".join(str(error).split()) or type(error).__name__
+    text = NESTED.sub(r"\2", text).rstrip(".")
     reindex = f"rosbag reindex {shlex.quote(str(file))}"
     is_ros1 = not file.is_dir() and file.suffix not in ROS2_SUFFIXES
     if is_ros1 and "not indexed" in text:
-        return f"{file} was never closed (its recorder was killed, or still runs): {reindex}"
+        return f"{file} was never closed: if its recorder still runs, end it by Ctrl-C; if it was killed: {reindex}"
     if is_ros1 and isinstance(error, ReaderError1) and ("empty" in text or "magic" in text):
         return f"{file} can't be read as a recording: it {'is empty' if 'empty' in text else 'is no bag'}"
     if is_ros1:

@@ -24,6 +24,7 @@ class Role(NamedTuple):
     types: tuple[str, ...]  # that are accepted
     what: str
     is_guessed: bool = False  # whether the only topic of such a type is taken where no usual name was recorded
+    preferred: tuple[str, ...] = ()  # names that go before the usual ones where the user names none
 
 
 ODOM = Role("odom", ("odom",), ("nav_msgs/Odometry",), "pose and speed", True)
@@ -38,7 +39,9 @@ ACKERMANN = Role("ackermann", ("drive", "ackermann_cmd"),
 RADIUS = Role("radius", ("av_turnrad_req",), NUMBER_TYPES, "turn radius in m that a planner asks for, left positive")
 ACCELERATION = Role("acceleration", ("control/command/control_cmd",),
                     ("car_interface/Control", "autoware_control_msgs/Control"),
-                    "acceleration that a planner asks for", True)
+                    "acceleration that a planner asks for, or its speed control", True,
+                    # With planner_interface this one is what the value map gets; Autoware's is what that gets.
+                    preferred=("planner_interface/output/control_cmd",))
 STICK = Role("stick", ("/teleop_logi/tele_steer_req",), NUMBER_TYPES, "steering by the gamepad, -1 to 1")
 
 
@@ -61,7 +64,8 @@ def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given:
     if given is not None and given != role.topics[0]:
         return Found(given)
     with_messages = {name: topic for name, topic in recorded.items() if topic.count}
-    usual = next((topic for topic in role.topics if fits(with_messages, topic, role, namespace)), None)
+    names = role.topics if given else (*role.preferred, *role.topics)
+    usual = next((topic for topic in names if fits(with_messages, topic, role, namespace)), None)
     candidates = _candidates(recorded, role, namespace) if role.is_guessed and usual is None else []
     if not candidates:
         there = (topic for topic in role.topics if absolute_names(recorded, [topic], namespace))
@@ -71,6 +75,21 @@ def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given:
         return Found(candidates[0], f"{role.name}: {candidates[0]} (the only {kind})")
     return Found(role.topics[0], f"{role.name}: there are {' and '.join(candidates)}, and no {role.topics[0]}; say "
                                  f"which by --map, as in --map {candidates[0]}={role.name}")
+
+
+def without(recorded: Mapping[str, Topic], given: Mapping[str, str | None], role: Role,
+            namespace: str) -> dict[str, Topic]:
+    """The recorded topics that can play a role: those that the user gave to other roles can't.
+
+    Args:
+        recorded: the topics by absolute name.
+        given: by the user, by role; ``None`` = not given.
+        role: to play.
+        namespace: the car's.
+    """
+    others = [topic for name, topic in given.items() if topic is not None and name != role.name]
+    taken = absolute_names(recorded, others, namespace)
+    return {name: topic for name, topic in recorded.items() if name not in taken}
 
 
 def fits(recorded: Mapping[str, Topic], topic: str, role: Role, namespace: str) -> bool:

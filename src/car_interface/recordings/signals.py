@@ -29,6 +29,7 @@ VALUE_TOPIC, IMU_TOPIC, OUTPUT_TOPIC = (role.topics[0] for role in (roles.VALUE,
 # The parts with a topic of their own.
 KINDS = {ODOM: (roles.ODOM, OdomColumn), IMU: (roles.IMU, ImuColumn), VALUE: (roles.VALUE, ValueColumn),
          ACKERMANN: (roles.ACKERMANN, AckermannColumn)}
+ROLES = (*(role for role, _ in KINDS.values()), roles.OUTPUT, roles.COMMAND)
 PULSE_TYPES = {WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/TeensyClock"}
 
 
@@ -99,20 +100,23 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
 def _columns(path, wanted, optional, topics, namespace):
     """An empty column for each part that will be read, the accepted types by topic, and what was guessed."""
     recorded = recording.contents(path).topics
+    recording.check_types(path, {topics[role.name]: role.types for role in ROLES if topics.get(role.name)}, namespace)
     columns, types, guesses = {}, {}, []
     for part, (role, kind) in KINDS.items():
         if part not in wanted | optional and (part != IMU or not topics.get(IMU)):
             continue
-        topic, note = roles.find(recorded, role, namespace, topics.get(part))
+        free = roles.without(recorded, topics, role, namespace)
+        topic, note = roles.find(free, role, namespace, topics.get(part))
         guesses += [note] if note else []
         is_needed = part in wanted or topics.get(part) is not None
-        if roles.fits(recorded, topic, role, namespace) or \
-                is_needed and recording.absolute_names(recorded, [topic], namespace):
+        if roles.fits(free, topic, role, namespace) or \
+                is_needed and recording.absolute_names(free, [topic], namespace):
             columns[part], types[topic] = kind(topic), role.types
         elif is_needed and note:
             raise NoRecording(f"{path}: {note}")
         elif is_needed:
-            recording.require(path, [topic], namespace, f"the {part}: {role.what}")
+            hint = _hint(part) if topics.get(part) in (None, *role.topics) else ""
+            recording.require(path, [topic], namespace, f"the {part}: {role.what}{hint}")
     if OUTPUT in wanted | optional:
         columns.update(_output_column(path, recorded, OUTPUT in wanted, topics, namespace))
         types.update((column.topic, roles.DUTY_TYPES) for part, column in columns.items() if part == OUTPUT)
@@ -134,6 +138,10 @@ def _output_column(path, recorded, is_wanted, topics, namespace):
                 return {OUTPUT: kind(topic)}
     if is_wanted or given:
         topic = (given or usual)[0][1][0]
-        recording.require(path, [topic], namespace)
+        recording.require(path, [topic], namespace, "" if given else f"{roles.OUTPUT.what}{_hint(OUTPUT)}")
         raise NoRecording(f"{path} has no messages of {topic}")
     return {}
+
+
+def _hint(part):
+    return f"; name another by --map TOPIC={part}"

@@ -71,6 +71,11 @@ class Coverage:
         return {topic: _both(noting[topic], handler) if topic in noting else handler
                 for topic, handler in handlers.items()}
 
+    @property
+    def is_blind(self) -> bool:
+        """Whether nothing was recorded that answers any question."""
+        return not self._last_s
+
     def gaps(self) -> list[Gap]:
         """The questions that the recording can't answer, for all of it or for a time."""
         found = []

@@ -12,10 +12,13 @@ from car_interface.common.units import NS_PER_S
 from car_interface.report.drives_row import Row
 from car_interface.report.html import MIN_DATE_NS, date_text, document, ratio_text, section, span_text, table
 
-HEADINGS = ("recording", "date", "driven", "who drove", "lost or locked", "steering", "value map", "link", "faults")
+HEADINGS = ("recording", "date (UTC)", "driven", "who drove", "lost or locked", "steering", "value map", "link",
+            "faults")
 # Wider than other pages, and only the first column is wrapped.
 STYLE = ("<style>main { max-width: 1440px; } #drives th, #drives td { overflow-wrap: normal; }"
-         " #drives td:nth-child(n+2) { white-space: nowrap; } #drives td:first-child { min-width: 260px; }</style>\n")
+         " #drives td:nth-child(n+2) { white-space: nowrap; }"
+         " #drives td:first-child { min-width: 250px; overflow-wrap: anywhere; }"
+         " @media (max-width: 700px) { #drives td:first-child { min-width: 150px; } }</style>\n")
 CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s", "planner_s", "losses",
                "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
                "map_brake_mps2", "frames", "corrupt_frames", "port_reopened", "teensy_reboots", "pings_unanswered",
@@ -41,21 +44,26 @@ def page(folder: str, rows: Sequence[Row], trends: str) -> str:
     figures = "".join(f"<div><b>{value}</b><span>{what}</span></div>" for value, what in _figures(rows, drives))
     body = (f'{STYLE}<header id="summary">\n<h1>Drives in {escape(folder)}</h1>\n'
             f'<p class="faint">{first_to_last}</p>\n<div class="figures">{figures}</div>\n</header>\n')
-    text = "A point or a bar for each drive, in order of date; where it is missing, the recording can't tell."
+    text = ("A point or a bar for each drive, in order of date; a point on the axis is 0, and where there is neither, "
+            "the recording can't tell.")
     body += section("trends", "Trends", text, trends) if trends else ""
-    text = ("Newest first. Steering: what the car drove when turn_arb sent it straight on, and how much tighter or "
-            "wider than the tables its turns were. Value map: by how much it accelerated more than the planner "
-            "requested, where that was to drive, to hold the speed, to brake.")
-    cells = [_cells(row) for row in reversed(rows)]
-    return document(f"Drives in {folder}", body + section("drives", "Drives", text, table(
-        HEADINGS, cells, numbers=0, open_rows=len(cells))))
+    text = ("Newest first. Steering: the curve that the car drove when turn_arb sent it straight on, and how much "
+            "tighter or wider than the tables its turns were, where it was slow enough for its tyres. Value map: by "
+            "how much it accelerated more than the planner requested, where that was to drive, to hold the speed, to "
+            "brake.")
+    cells = [_cells(row) for row in reversed(drives)]
+    body += section("drives", "Drives", text, table(HEADINGS, cells, numbers=0, open_rows=len(cells))) if cells else ""
+    bad = [(escape(row.path), f'<span class="bad">{escape(row.error)}</span>') for row in rows if row.error]
+    body += section("unreadable", "Can't be read", "Not in the table and the trends.", table(
+        ("recording", "why"), bad, numbers=0, open_rows=len(bad))) if bad else ""
+    return document(f"Drives in {folder}", body)
 
 
 def _figures(rows, drives):
     """Yield the most important numbers: text, and what it is."""
     yield str(len(drives)), "drives" if len(drives) != 1 else "drive"
     if len(drives) != len(rows):
-        yield str(len(rows) - len(drives)), "can't be read"
+        yield str(len(rows) - len(drives)), '<a href="#unreadable">can\'t be read</a>'
     known = [row.distance_m for row in drives if row.distance_m is not None]
     if known:
         yield f"{sum(known) / 1000:.2f} km", "driven"
@@ -68,8 +76,6 @@ def _figures(rows, drives):
 def _cells(row):
     """A row of the table, in HTML."""
     name = escape(row.path)
-    if row.error:
-        return (f'{name}<br><span class="bad">{escape(row.error)}</span>', *[""] * (len(HEADINGS) - 1))
     lacks = [f"can't tell: no {', no '.join(row.lacks)}"] if row.lacks else []
     below = _joined([*lacks, *row.notes])
     return (f'{name}<br><span class="faint">{below}</span>', _date(row),
@@ -110,10 +116,11 @@ def _steering(row):
     if row.straight_per_m is row.left_ratio is row.right_ratio is None:
         yield "can't tell"
     if row.straight_per_m is not None:
-        yield f"straight on: {row.straight_per_m:+.3f} 1/m"
+        side = "" if abs(row.straight_per_m) < 0.0005 else " left" if row.straight_per_m > 0 else " right"
+        yield f"straight on: {abs(row.straight_per_m):.3f} 1/m{side}"
     for side, ratio in (("left", row.left_ratio), ("right", row.right_ratio)):
         if ratio is not None:
-            yield f"{side}: {ratio_text(1 / ratio, 'the tables', 'wider', 'tighter')}"
+            yield f"{side}: {ratio_text(1 / ratio, 'the tables', 'wider', 'tighter').replace(' than the tables', '')}"
 
 
 def _map(row):
@@ -136,6 +143,8 @@ def _link(row):
 
 
 def _faults(row):
+    if row.faults is None:
+        return "can't tell"
     if not row.faults and row.lacks:
         return "0 seen"
     return f"{row.faults}" + (f', <span class="bad">{row.errors} errors</span>' if row.errors else "")

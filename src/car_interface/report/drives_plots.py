@@ -55,7 +55,10 @@ def trends(rows: Sequence[Row]) -> str:
 
 def _distance(axes, rows):
     title(axes, "Distance in m")
-    axes.bar(range(len(rows)), _column(rows, lambda row: row.distance_m), color=SENT, width=0.7)
+    heights = _column(rows, lambda row: row.distance_m)
+    axes.bar(range(len(rows)), heights, color=SENT, width=0.7)
+    _mark_zeros(axes, heights)
+    axes.set_ylim(0, max(1.0, 1.08 * float(np.nanmax(heights))))
 
 
 def _losses(axes, rows):
@@ -69,9 +72,17 @@ def _losses(axes, rows):
         if heights.any():
             axes.bar(range(len(rows)), heights, bottom=bottom, color=colour, width=0.7, label=cause or "others")
             bottom += heights
+    _mark_zeros(axes, np.where([row.losses is None for row in rows], np.nan, bottom))
     axes.set_ylim(0, max(1.0, 1.15 * bottom.max()))
     axes.yaxis.get_major_locator().set_params(integer=True)
     legend(axes)
+
+
+def _mark_zeros(axes, heights):
+    """A point where a bar would have no height; without a bar and a point nothing is known (NaN)."""
+    at = np.flatnonzero(heights == 0)
+    if at.size:  # not clipped and empty would have no place for the layout
+        axes.plot(at, np.zeros(at.size), color=FAINT, marker="o", markersize=3, linestyle="none", clip_on=False)
 
 
 def _center(axes, rows):
@@ -80,9 +91,9 @@ def _center(axes, rows):
 
 
 def _sides(axes, rows):
-    title(axes, "Tighter than the tables say, in %")
+    title(axes, "Tighter than the tables say, in % of the radius")
     for colour, side, name in ((SENT, "left", "left_ratio"), (REQUESTED, "right", "right_ratio")):
-        _line(axes, rows, lambda row, name=name: _percent(getattr(row, name)), colour, side, least=3.0)
+        _line(axes, rows, lambda row, name=name: _tighter_percent(getattr(row, name)), colour, side, least=3.0)
     legend(axes)
 
 
@@ -118,7 +129,8 @@ def _line(axes, rows, number, colour, label, least):
 def _label(axes, rows):
     """Dates below some of the drives."""
     axes.set_xlim(-0.6, len(rows) - 0.4)
-    shown = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MAX_LABELS)).round().astype(int))
+    step = -(-len(rows) // MAX_LABELS)
+    shown = np.arange(len(rows) - 1, -1, -step)[::-1]  # evenly, so that none covers its neighbour; the newest has one
     axes.set_xticks(shown)
     axes.set_xticklabels([_date(rows[index]) for index in shown])
 
@@ -135,5 +147,9 @@ def _column(rows, number):
     return np.array([np.nan if value is None else value for value in values], float)
 
 
-def _percent(ratio):
-    return None if ratio is None else 100 * (ratio - 1)
+def _tighter_percent(ratio):
+    """By how much the radius is less than the tables'; the table of drives has the same number.
+
+    A car that hardly turns is drawn as 100 % wider, for the other drives to be seen.
+    """
+    return None if ratio is None else max(-100.0, 100 * (1 - 1 / ratio))

@@ -9,7 +9,7 @@ from car_interface.report.faults import ERROR
 from car_interface.report.summary import Summary
 from car_interface.steering.arbiter import PLANNER, TELEOP
 
-VERSION = 1  # of a row's content: rows of another version are computed again
+VERSION = 2  # of a row's content: rows of another version are computed again
 MIN_SAMPLES = 30  # for a median
 
 
@@ -61,7 +61,7 @@ class Row(NamedTuple):
 def row(drive: Summary, path: str) -> Row:
     """The row of a summarized recording, which is shown as ``path``."""
     has_state, has_odom = bool(drive.steering.episodes), "odom" in drive.present
-    source_s, faults = drive.steering.source_s, drive.faults.entries
+    source_s = drive.steering.source_s
     left, right = map(_median, drive.motion.by_tables.ratios())
     driving, holding, braking = map(_median, drive.motion.accelerating.differences_mps2())
     return Row(
@@ -71,8 +71,7 @@ def row(drive: Summary, path: str) -> Row:
         losses=_losses(drive) if has_state or drive.throttle.episodes else None,
         straight_per_m=_median(drive.motion.by_tables.straight_per_m()), left_ratio=left, right_ratio=right,
         drive_mps2=driving, hold_mps2=holding, brake_mps2=braking, **_link(drive.teensy),
-        faults=sum(fault.times for fault in faults) + drive.faults.dropped,
-        errors=sum(fault.times for fault in faults if fault.level == ERROR),
+        **_faults(drive),
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
                for gap in drive.coverage.gaps()],
         notes=list(drive.notes))
@@ -82,6 +81,15 @@ def _losses(drive):
     """How often something was lost or locked, by cause."""
     lost = [*drive.steering.losses(), *drive.throttle.losses()]
     return dict(Counter(one.cause or one.reason for one in lost))
+
+
+def _faults(drive):
+    """How many faults there were; nobody knows where nothing was recorded that would tell of any."""
+    found = drive.faults.entries
+    if not found and drive.coverage.is_blind:
+        return {}
+    return {"faults": sum(fault.times for fault in found) + drive.faults.dropped,
+            "errors": sum(fault.times for fault in found if fault.level == ERROR)}
 
 
 def _link(teensy):
@@ -98,5 +106,5 @@ def _link(teensy):
 
 
 def _median(found):
-    """A median in five decimals, if there are enough samples."""
-    return round(found.median, 5) if found.samples >= MIN_SAMPLES else None
+    """A median in five decimals, no -0.0, if there are enough samples."""
+    return round(found.median, 5) + 0.0 if found.samples >= MIN_SAMPLES else None

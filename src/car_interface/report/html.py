@@ -8,6 +8,7 @@ from typing import Iterable, Sequence
 from car_interface.common.units import NS_PER_S
 
 SAME_RATIO = 0.015  # from 1: it counts as the same
+MANY_TIMES = 10  # more than that is no percentage any more
 MIN_DATE_NS = 1_000_000_000 * NS_PER_S  # September 2001: before ROS; the clock of a simulation begins at 0
 OPEN_ROWS, MAX_ROWS = 25, 500  # of a table: shown at once, and altogether
 STYLE = """
@@ -37,11 +38,14 @@ td.number, th.number { text-align: right; width: 1%; font-variant-numeric: tabul
 .summary th { width: 230px; font-weight: 500; }
 .bad { color: var(--bad); font-weight: 600; } .warn { color: var(--warn); font-weight: 600; }
 .good { color: var(--good); font-weight: 600; }
+.level { white-space: nowrap; }
 .dot { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 7px; }
 svg { display: block; width: 100%; height: auto; margin: 8px 0 2px; }
 details summary { cursor: pointer; color: var(--faint); }
 .scroll { overflow-x: auto; }
-.verdict a { color: inherit; }
+.verdict a, .figures a { color: inherit; }
+@media (max-width: 700px) { main { padding: 12px 8px 32px; } section, header { padding: 16px 14px; }
+  .scroll > svg { min-width: 640px; } .summary th { width: 120px; } }
 @media print { body { background: white; } section, header { break-inside: avoid; border: 0; padding: 8px 0; } }
 """
 # A browser must not load anything, nor run scripts, which texts of a recording could contain.
@@ -59,7 +63,8 @@ def document(title: str, body: str) -> str:
 
 def section(name: str, title: str, text: str, *parts: str) -> str:
     """A section of the page; name and title are plain text, the rest is HTML."""
-    return (f'<section id="{name}">\n<h2>{escape(title)}</h2>\n<p class="faint">{text}</p>\n' + "".join(parts)
+    shown = (f'<div class="scroll">{part}</div>\n' if part.startswith("<svg") else part for part in parts)
+    return (f'<section id="{name}">\n<h2>{escape(title)}</h2>\n<p class="faint">{text}</p>\n' + "".join(shown)
             + "</section>\n")
 
 
@@ -110,6 +115,8 @@ def ratio_text(ratio: float, wanted: str, more: str, less: str) -> str:
     """A ratio in words: as ``wanted``, or by how many percent more or less than that."""
     if abs(ratio - 1) < SAME_RATIO:
         return f"as {wanted}"
+    if ratio > MANY_TIMES:
+        return f"more than {MANY_TIMES} times {more} than {wanted}"
     return f"{abs(ratio - 1):.0%} {more if ratio > 1 else less} than {wanted}"
 
 

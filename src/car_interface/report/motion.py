@@ -9,7 +9,7 @@ from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
 from car_interface.report.asked import AskedWatch
 from car_interface.report.downsample import Path, Trace
 from car_interface.report.faults import WARN, Fault, FaultLog
-from car_interface.report.following import Accelerating, Following
+from car_interface.report.following import MAX_LATERAL_MPS2, Accelerating, Following
 from car_interface.report.steering_state import SteeringWatch
 
 WINDOW_S = 0.3  # over which accelerations and curvatures are taken: a dozen reports of the wheels
@@ -37,7 +37,8 @@ class MotionWatch:
         path: where the car was, by who steered.
         distance_m, moving_s: how far, and how long it drove.
         turn_rate_radps: in the last WINDOW_S, left positive; ``None`` = not known yet.
-        by_tables, by_planner: how tightly it turned against what turn_arb sent, and against what a planner asked for.
+        by_tables, by_planner: how tightly it turned against what turn_arb sent (in slow bends, by which the tables can
+            be judged), and against what a planner asked for.
         accelerating: how its accelerations differed from those that a planner requested.
     """
 
@@ -48,7 +49,7 @@ class MotionWatch:
         self.path = Path()
         self.distance_m = self.moving_s = 0.0
         self.turn_rate_radps: float | None = None
-        self.by_tables, self.by_planner = Following(steering), Following(asked)
+        self.by_tables, self.by_planner = Following(steering, MAX_LATERAL_MPS2), Following(asked)
         self.accelerating = Accelerating()
         self._window: deque = deque()  # stamp in s, speed, yaw, distance of the last WINDOW_S
         self._yaw = self._signed_distance_m = 0.0

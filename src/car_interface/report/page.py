@@ -4,7 +4,6 @@ from __future__ import annotations
 import math
 from html import escape
 
-from car_interface.report.coverage import QUESTIONS
 from car_interface.report.faults import ERROR, WARN
 from car_interface.report.figures import DRIVER_COLOURS, DRIVER_NAMES
 from car_interface.report.html import (
@@ -26,7 +25,7 @@ from car_interface.steering.arbiter import PLANNER, TELEOP
 
 MIN_RATIOS = 30  # samples, for a ratio to be shown
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
-LEVELS = {WARN: '<span class="warn">warning</span>', ERROR: '<span class="bad">error</span>'}
+LEVELS = {WARN: '<span class="warn level">warning</span>', ERROR: '<span class="bad level">error</span>'}
 
 
 def page(drive: Summary, plots: dict[str, Plot]) -> str:
@@ -70,7 +69,7 @@ def _figures(drive):
         yield span_text(driven_s), "somebody drove"
     faults = drive.faults
     times = sum(fault.times for fault in faults.entries) + faults.dropped
-    yield str(times) if times or not _is_blind(drive) else "unknown", "faults and timeouts"
+    yield str(times) if times or not drive.coverage.is_blind else "unknown", "faults and timeouts"
 
 
 def _verdict(drive):
@@ -95,17 +94,11 @@ def _verdict(drive):
         parts.append('There were no errors; the warnings are listed <a href="#faults">below</a>.')
     elif not gaps:
         parts.append('<span class="good">Nothing went wrong that this recording shows.</span>')
-    elif not _is_blind(drive):
+    elif not drive.coverage.is_blind:
         parts.append("What was recorded shows no fault.")
     if gaps:
         parts.append(f'<span class="warn">{_gaps_text(drive)}</span>')
     return " ".join(parts)
-
-
-def _is_blind(drive):
-    """Whether nothing was recorded that could tell of a fault."""
-    gaps = drive.coverage.gaps()
-    return len(gaps) == len(QUESTIONS) and all(math.isnan(gap.start_s) for gap in gaps)
 
 
 def _gaps_text(drive):
@@ -141,7 +134,7 @@ def _motion_lines(drive):
         yield "Acceleration", _range_of(traces["acceleration"], "m/s²")
     ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
     if ratios:
-        yield "Turned against the tables", "; ".join(ratios)
+        yield "Slow turns against the tables", "; ".join(ratios)
     by_imu = drive.imu.odometry_ratio()
     if by_imu.samples >= MIN_RATIOS:
         yield "Turned by odometry", ratio_text(by_imu.median, "the IMU says", "more", "less")
@@ -246,7 +239,7 @@ def _faults(drive):
 
 def _steering(drive, plots):
     text = ("What the planner requested, what turn_arb sent to the servo, and what the car did by its wheels. "
-            "Sent and driven curvature are the same when the steering is calibrated.")
+            "Sent and driven curvature are the same when the steering is calibrated, as long as no tyre slides.")
     advice = " ".join(f"To the {side} the car turns {_ratio_text(ratio)}."
                       for side, ratio in _known_ratios(drive.motion.by_tables) if abs(ratio - 1) > WRONG_RATIO)
     if advice:
@@ -285,7 +278,8 @@ def _limits(drive):
              escape(episode.node), escape(episode.cause), escape(episode.reason)) for episode in drive.limits.episodes]
     counts = ", ".join(f"{node} {times_text(count)}" for node, count in sorted(drive.limits.counts.items()) if count)
     return section("limits", "Limits", text, f"<p>Requests cut: {counts}.</p>\n" if counts else "",
-                   table(("from", "for", "by", "limit", "why"), rows, numbers=2) if rows else "<p>None was cut.</p>\n",
+                   table(("from", "for", "by", "limit", "why"), rows, numbers=2) if rows else
+                   "<p>None was cut.</p>\n" if drive.steering.episodes or drive.throttle.episodes else "",
                    _missing(drive, "turn_arb/state", "throttle_arb/state"))
 
 

@@ -6,8 +6,16 @@ from functools import partial
 
 from car_interface.common.units import NS_PER_S
 from car_interface.recordings import roles
-from car_interface.recordings.recording import NoRecording, absolute_names, contents, other_version, read, require
-from car_interface.recordings.roles import find, fits, other_cars
+from car_interface.recordings.recording import (
+    NoRecording,
+    absolute_names,
+    check_types,
+    contents,
+    other_version,
+    read,
+    require,
+)
+from car_interface.recordings.roles import find, fits, other_cars, without
 from car_interface.report import asked, imu, motion, planner_state, steering_state, teensy_link, throttle_state
 from car_interface.report.asked import AskedWatch
 from car_interface.report.coverage import Coverage
@@ -28,6 +36,7 @@ from car_interface.steering.arbiter import PLANNER
 SONARS = tuple(f"sonar/{end}_{side}" for end in ("front", "rear") for side in ("right", "middle", "left"))
 ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, roles.VALUE, roles.ACKERMANN, roles.RADIUS, roles.ACCELERATION,
          roles.STICK)
+ROLE_OF = {role.topics[0]: role for role in ROLES}
 MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN)  # a topic with such a name may be something else: it is not read then
 TYPES = {
     **{role.topics[0]: role.types for role in ROLES},
@@ -103,12 +112,11 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     given = {name: topic for name, topic in topics.items() if topic is not None}
     if given:
         require(path, given.values(), namespace)
-    found = {role.topics[0]: find(has.topics, role, namespace, given.get(role.name)) for role in ROLES}
-    keys = {found[name].topic if name in found else name: name for name in TYPES}
-    for role in MAY_BE_OTHERS:
-        topic = found[role.topics[0]].topic
-        if role.name not in given and not fits(has.topics, topic, role, namespace):
-            del keys[topic]
+        check_types(path, {given[role.name]: role.types for role in ROLES if role.name in given}, namespace)
+    free = {role.name: without(has.topics, given, role, namespace) for role in ROLES}
+    found = {role.topics[0]: find(free[role.name], role, namespace, given.get(role.name)) for role in ROLES}
+    keys = {found[name].topic if name in found else name: name for name in TYPES
+            if name not in found or _is_read(has.topics, free, found[name].topic, ROLE_OF[name], given, namespace)}
     types = {topic: TYPES[name] for topic, name in keys.items()}
     with_messages = {name: topic for name, topic in has.topics.items() if topic.count}
     names = absolute_names(with_messages, types, namespace)
@@ -137,6 +145,16 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     summary.faults.finish()
     summary.notes += filter(None, [summary.imu.note(found["imu/data"].topic)])
     return summary
+
+
+def _is_read(recorded, free, topic, role, given, namespace):
+    """Whether the topic that was found for a role is read as that."""
+    if role.name in given:
+        return True
+    if role in MAY_BE_OTHERS:
+        return fits(free[role.name], topic, role, namespace)
+    names = absolute_names(recorded, [topic], namespace)
+    return names.keys() <= free[role.name].keys()
 
 
 def _empty(path, namespace, has, present, wheelbase_m):

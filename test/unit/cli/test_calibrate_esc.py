@@ -15,7 +15,7 @@ from car_interface.cli.calibrate_esc import Config
 from car_interface.cli.main import main
 from car_interface.common.errors import ConfigError
 from car_interface.throttle.params import load_throttle
-from written_recordings import Written, write_ros1
+from written_recordings import Written, rename_topics, write_ros1
 
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.append(str(ROOT / "test"))
@@ -204,6 +204,20 @@ def test_recording_without_the_board_s_output_is_refused(tmp_path, capsys):
         Written(0.0, "/servo/cmdVector", "std_msgs/Int32MultiArray", {"data": [4915] * 16})])
     assert run(path, "-o", tmp_path / "new.yaml") == 1
     assert "has no topic /servo/output, which says what the ESC got" in capsys.readouterr().err
+
+
+def test_recording_with_topics_of_other_names_comes_to_the_same_calibration(bag, tmp_path, capsys):
+    names = {"/odom": "/ekf/odometry", "/servo/output": "/board/duties"}
+    other = rename_topics(bag, tmp_path / "other.bag", names)
+    assert run(other, "-o", tmp_path / "other.yaml") == 1
+    assert ("has no topic /servo/output, which says what the ESC got; name another by --map TOPIC=output; it has "
+            in capsys.readouterr().err)
+    assert run(bag, "-o", tmp_path / "own.yaml") == 0
+    capsys.readouterr()
+    assert run(other, "-o", tmp_path / "other.yaml", "--map", "/board/duties=output") == 0
+    assert "odom: /ekf/odometry (the only nav_msgs/Odometry)" in capsys.readouterr().out
+    own, found = (yaml.safe_load((tmp_path / name).read_text(encoding="utf-8")) for name in ("own.yaml", "other.yaml"))
+    assert own == found
 
 
 def test_configuration_refuses_a_channel_that_is_none():

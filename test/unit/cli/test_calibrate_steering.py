@@ -28,7 +28,7 @@ from car_interface.common.units import stamp_ns, yaw_rad
 from car_interface.recordings.recording import read
 from car_interface.sim.vehicle import Vehicle
 from car_interface.steering.params import load_steering
-from written_recordings import START_NS, Written, odometry, stamp, write_ros1
+from written_recordings import START_NS, Written, odometry, rename_topics, stamp, write_ros1
 
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.append(str(ROOT / "test"))
@@ -324,6 +324,19 @@ def test_person_comes_to_a_position_from_both_sides():
     beyond = min(asked)
     assert first > 4000 > beyond and last == 4000  # from 5100, then from below
     assert asked.count(4000.0) * 0.02 == pytest.approx(2 * virtual_drive.HELD_S, abs=0.1)
+
+
+def tables(path):
+    """What turn_arb loads of a file."""
+    return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+
+
+@pytest.mark.once
+def test_recording_with_topics_of_other_names_comes_to_the_same_tables(bag, calibrated, tmp_path, capsys):
+    other = rename_topics(bag, tmp_path / "other.bag", {"/odom": "/ekf/odometry", "/servo/output": "/board/duties"})
+    assert run(other, "-o", tmp_path / "made.yaml", "--map", "/board/duties=output") == 0
+    assert "other.bag: odom: /ekf/odometry (the only nav_msgs/Odometry)" in capsys.readouterr().out
+    assert tables(tmp_path / "made.yaml") == tables(calibrated.path)
 
 
 @pytest.mark.once

@@ -17,7 +17,7 @@ from car_interface.cli.calibrate_value_map import Config, add_arguments, config_
 from car_interface.cli.main import main
 from car_interface.common.errors import ConfigError
 from car_interface.throttle.value_map import load_value_map
-from written_recordings import Written, write_ros1, write_ros2
+from written_recordings import Written, rename_topics, write_ros1, write_ros2
 
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.append(str(ROOT / "test"))
@@ -82,6 +82,19 @@ def test_drive_by_hand_is_known_by_itself(tmp_path, capsys):
     assert run(path, "-o", tmp_path / "map.csv") == 0
     assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.1
     assert "value: duty:1; accelerations by" in capsys.readouterr().out
+
+
+@pytest.mark.once
+def test_recording_with_topics_of_other_names_comes_to_the_same_map(bag, tmp_path, capsys):
+    names = {"/odom": "/ekf/odometry", "/servo/output": "/board/duties", "/generic/output/value": "/esc/value"}
+    own, other = (rename_topics(bag, tmp_path / f"{name}.bag", to) for name, to in (("own", {}), ("other", names)))
+    assert run(other, "-o", tmp_path / "other.csv") == 1
+    assert "; name another by --map TOPIC=value; it has /esc/value\n" in capsys.readouterr().err
+    assert run(own, "-o", tmp_path / "own.csv") == 0
+    capsys.readouterr()
+    assert run(other, "-o", tmp_path / "other.csv", "--map", "/esc/value=value", "--map", "/board/duties=output") == 0
+    assert "other.bag: odom: /ekf/odometry (the only nav_msgs/Odometry)" in capsys.readouterr().out
+    assert (tmp_path / "other.csv").read_bytes() == (tmp_path / "own.csv").read_bytes()
 
 
 def throttle_state(time_s, source, asked=0.5):

@@ -56,11 +56,11 @@ def test_table_has_a_row_for_each_recording_of_whatever_kind(folder, capsys):
     shown = capsys.readouterr()
     assert shown.out == (f"{folder}: 3 recordings, 3 read now, 0 read before; 1 can't be read\n"
                          f"written: {folder}/drives.html, {folder}/drives.csv\n")
-    assert shown.err == ""
+    assert shown.err == "drives: day/broken.bag can't be read as a recording: it is no bag\n"
     ros2, ros1, broken = lines(folder)
     assert [row["recording"] for row in (ros2, ros1, broken)] == ["day/ros2", "drive.bag", "day/broken.bag"]
     assert ros1["distance_km"] == ros2["distance_km"] and float(ros1["distance_km"]) == pytest.approx(0.0225, abs=1e-4)
-    assert broken["error"] == "broken.bag can't be read as a recording: it is no bag"
+    assert broken["error"] == "day/broken.bag can't be read as a recording: it is no bag"
     with open(os.path.join(folder, "drives.html"), encoding="utf-8") as file:
         page = file.read()
     assert page.endswith("</html>\n") and 'data-plot="trends"' in page and "day/ros2" in page
@@ -100,7 +100,7 @@ def test_damaged_cache_is_said_and_built_again(folder, read, capsys):
     capsys.readouterr()
     assert run(folder) == 0
     assert len(read) == 3 and lines(folder) == first
-    assert capsys.readouterr().err == f"drives: {path} is damaged: all recordings are read again\n"
+    assert f"drives: {path} is damaged: all recordings are read again\n" in capsys.readouterr().err
     read.clear()
     assert run(folder) == 0 and read == ["broken.bag"]
 
@@ -120,10 +120,11 @@ def test_what_was_read_before_an_interruption_is_kept(folder, read, monkeypatch)
 
 def test_recording_that_breaks_the_table_becomes_a_row(folder, monkeypatch):
     monkeypatch.setattr(drives, "row", lambda drive, path: {}[path])
-    assert run(folder) == 0
+    assert run(folder) == 1
     assert {row["error"] for row in lines(folder)} == {
-        "no row can be made of it (KeyError: 'drive.bag')", "no row can be made of it (KeyError: 'day/ros2')",
-        "broken.bag can't be read as a recording: it is no bag"}
+        "drive.bag: no row can be made of it (KeyError: 'drive.bag')",
+        "day/ros2: no row can be made of it (KeyError: 'day/ros2')",
+        "day/broken.bag can't be read as a recording: it is no bag"}
 
 
 def test_recording_without_a_drive_or_of_a_killed_recorder_is_a_row_that_says_why(tmp_path, capsys):
@@ -131,11 +132,22 @@ def test_recording_without_a_drive_or_of_a_killed_recorder_is_a_row_that_says_wh
     folder.mkdir()
     write_ros1(folder / "chatter.bag", [Written(0.0, "/chatter", "std_msgs/String", {"data": "x"})])
     (folder / "killed.bag.active").write_bytes(b"#ROSBAG V2.0\n")
-    assert run(str(folder)) == 0
+    assert run(str(folder)) == 1
     errors = {row["recording"]: row["error"] for row in lines(str(folder))}
     assert errors["chatter.bag"] == (
         "chatter.bag has no message of odom, turn_arb/state or /servo/output; it has /chatter")
-    assert "killed.bag.active is cut off or damaged" in errors["killed.bag.active"]
+    assert errors["killed.bag.active"].startswith("killed.bag.active is cut off or damaged")
+    assert f": rosbag reindex {folder / 'killed.bag.active'} saves what is left" in errors["killed.bag.active"]
+
+
+def test_folder_in_which_nothing_can_be_read_fails_and_the_terminal_says_why(tmp_path, capsys):
+    for name in "abcdefg":
+        write_ros1(tmp_path / f"{name}.bag", [odometry(0.0)])
+    assert run(str(tmp_path), "--map", "/typo=odom") == 1
+    shown = capsys.readouterr()
+    assert shown.err.split("\n")[0] == "drives: a.bag has no topic /typo; it has /odom"
+    assert shown.err.split("\n")[5:] == ["drives: and 2 more that can't be read: the page says why", ""]
+    assert "7 can't be read" in shown.out
 
 
 def test_guess_is_a_note_of_the_row_and_a_name_can_be_given(tmp_path):
@@ -146,6 +158,30 @@ def test_guess_is_a_note_of_the_row_and_a_name_can_be_given(tmp_path):
     assert lines(str(folder))[0]["notes"] == "odom: /ekf (the only nav_msgs/Odometry)"
     assert run(str(folder), "--odom", "/ekf") == 0
     assert lines(str(folder))[0]["notes"] == "odom: /ekf (as you say)"
+
+
+def test_csv_is_no_name_for_the_page_which_would_replace_it(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(folder, "-o", "all.csv") == 1
+    assert capsys.readouterr().err == ("drives: --output is 'all.csv'; accepted: the page's name, as in drives.html: "
+                                       "the CSV lies beside it\n")
+    assert not os.path.exists("all.csv")
+
+
+def test_folder_is_called_by_its_name_where_it_is_named_by_a_dot(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert run(".") == 0
+    assert capsys.readouterr().out.endswith("written: ./drives.html, ./drives.csv\n")
+    with open("drives.html", encoding="utf-8") as file:
+        assert f"<h1>Drives in {folder}</h1>" in file.read()
+
+
+def test_place_where_nothing_can_be_written_is_said_before_the_work_with_the_option_for_another(folder, read, capsys):
+    os.mkdir(os.path.join(folder, "drives.html"))
+    assert run(folder) == 1
+    assert capsys.readouterr().err == (f"drives: {folder}/drives.html is a folder: name a file for the output; -o FILE "
+                                       "writes it elsewhere\n")
+    assert read == []
 
 
 @pytest.mark.parametrize("make, words", [
@@ -204,4 +240,20 @@ def test_page_in_chromium_has_no_errors_and_loads_nothing(folder):
         wide = browser.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
         height = browser.evaluate("document.querySelector('svg[data-plot=trends]').getBoundingClientRect().height")
     assert browser.complaints == [] and browser.requests == [Path(page).resolve().as_uri()]
-    assert rows == 4 and wide == 0 and height > 300
+    assert rows == 3 and wide == 0 and height > 300
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium on this computer")
+def test_table_fits_a_wide_window_and_plots_can_be_read_on_a_phone(folder):
+    assert run(folder) == 0
+    page = Path(folder) / "drives.html"
+    with Browser(find_browser(), width=1500) as browser:
+        browser.open(page)
+        hidden = browser.evaluate("(scroll => scroll.scrollWidth - scroll.clientWidth)"
+                                  "(document.querySelector('#drives .scroll'))")
+    with Browser(find_browser(), width=500) as browser:
+        browser.open(page)
+        plot = browser.evaluate("document.querySelector('svg[data-plot=trends]').getBoundingClientRect().width")
+        wide = browser.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    assert hidden == 0 and plot >= 640 and wide == 0

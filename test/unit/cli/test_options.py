@@ -35,8 +35,8 @@ def test_finite_number_is_read(text, number):
     assert finite(text) == number
 
 
-@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "Infinity", "1e999"])
-def test_number_that_is_not_finite_is_refused_by_its_text(text):
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "Infinity", "1e999", "", "a", "1,5", "0x10"])
+def test_text_that_is_no_finite_number_is_refused_by_its_text(text):
     with pytest.raises(argparse.ArgumentTypeError) as caught:
         finite(text)
     assert str(caught.value) == f"'{text}' is no finite number"
@@ -50,14 +50,7 @@ def test_length_is_above_0(text):
     assert str(caught.value) == f"{text!r} is no length above 0 m"
 
 
-@pytest.mark.parametrize("text", ["", "a", "1,5", "0x10"])
-def test_text_that_is_no_number_is_a_value_error(text):
-    with pytest.raises(ValueError):
-        finite(text)
-
-
-@pytest.mark.parametrize("text, message", [("inf", "'inf' is no finite number"), ("a", "invalid finite value: 'a'")])
-def test_parser_names_the_option_and_ends_with_2(text, message, capsys):
+def test_parser_names_the_option_and_ends_with_2(capsys):
     with pytest.raises(SystemExit) as caught:
-        parser().parse_args(["--number", text])
-    assert caught.value.code == 2 and f"argument --number: {message}" in capsys.readouterr().err
+        parser().parse_args(["--number", "a"])
+    assert caught.value.code == 2 and "argument --number: 'a' is no finite number\n" in capsys.readouterr().err

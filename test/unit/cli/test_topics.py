@@ -7,7 +7,7 @@ import pytest
 
 from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.common.errors import ConfigError
-from car_interface.recordings.roles import ACKERMANN, IMU, ODOM, OUTPUT
+from car_interface.recordings.roles import ACCELERATION, ACKERMANN, COMMAND, IMU, ODOM, OUTPUT
 
 
 def parsed(*arguments):
@@ -18,6 +18,15 @@ def parsed(*arguments):
 
 def test_nothing_is_named_by_default_nor_by_the_usual_name():
     assert topics_of(parsed()) == topics_of(parsed("--odom", "odom"), imu=None) == {}
+
+
+def test_help_names_the_usual_topics_in_the_order_in_which_they_count():
+    parser = argparse.ArgumentParser()
+    add_topic_arguments(parser, (COMMAND, ACCELERATION))
+    text = " ".join(parser.format_help().split())
+    assert "default: /servo/cmdVector or command)" in text
+    assert ("default: planner_interface/output/control_cmd or control/command/control_cmd, else the only topic of its "
+            "type)") in text
 
 
 def test_map_names_a_topic_for_each_role_and_odom_is_a_short_form():

@@ -26,6 +26,11 @@ def test_folder_of_ros_2_is_one_recording_and_not_its_files(tmp_path):
     assert find_recordings(str(tmp_path)) == ["drive", "other/a.bag"]
 
 
+def test_damaged_recording_that_rosbag_has_repaired_is_left_out_but_not_one_of_such_a_name_alone(tmp_path):
+    make(tmp_path, "a.bag", "a.orig.bag", "b.bag.active", "b.bag.orig.active", "c.orig.bag", "d/a.orig.bag")
+    assert find_recordings(str(tmp_path)) == ["a.bag", "b.bag.active", "c.orig.bag", "d/a.orig.bag"]
+
+
 def test_hidden_folders_are_left_out(tmp_path):
     make(tmp_path, ".trash/a.bag", "b.bag")
     assert find_recordings(str(tmp_path)) == ["b.bag"]

@@ -5,7 +5,18 @@ import pytest
 
 from car_interface.recordings import roles
 from car_interface.recordings.recording import Topic
-from car_interface.recordings.roles import ACKERMANN, COMMAND, IMU, ODOM, VALUE, Found, find, other_cars
+from car_interface.recordings.roles import (
+    ACCELERATION,
+    ACKERMANN,
+    COMMAND,
+    IMU,
+    ODOM,
+    VALUE,
+    Found,
+    find,
+    other_cars,
+    without,
+)
 
 ODOMETRY, DRIVE = "nav_msgs/msg/Odometry", "ackermann_msgs/msg/AckermannDriveStamped"
 
@@ -49,6 +60,20 @@ def test_second_usual_name_serves_where_the_first_was_not_recorded():
     duties = "std_msgs/msg/Int32MultiArray"
     assert find(recorded(command=duties), COMMAND) == Found("command")
     assert find(recorded(command=duties, servo__cmdVector=duties), COMMAND) == Found("/servo/cmdVector")
+
+
+def test_what_the_speed_control_sends_to_the_value_map_goes_before_what_autoware_asks_for_unless_that_is_named():
+    usual, control = "control/command/control_cmd", "car_interface/msg/Control"
+    both = recorded(control__command__control_cmd=control, planner_interface__output__control_cmd=control)
+    assert find(both, ACCELERATION) == Found("planner_interface/output/control_cmd")
+    assert find(both, ACCELERATION, given=usual) == Found(usual)
+
+
+def test_topic_that_the_user_gave_to_another_role_is_not_free():
+    topics = recorded("/odom", "/car/ekf")
+    assert list(without(topics, {"imu": "/odom", "value": None}, ODOM, "/")) == ["/car/ekf"]
+    assert list(without(topics, {"imu": "ekf"}, ODOM, "/car")) == ["/odom"]
+    assert list(without(topics, {"odom": "/odom"}, ODOM, "/")) == ["/odom", "/car/ekf"]
 
 
 @pytest.mark.parametrize("role, kind", [(VALUE, "std_msgs/msg/Float64"), (COMMAND, "std_msgs/msg/Int32MultiArray")])

@@ -8,7 +8,7 @@ import pytest
 
 from car_interface.recordings import signals
 from car_interface.recordings.recording import NoRecording
-from car_interface.recordings.signals import ODOM, OUTPUT, PULSES, VALUE, load
+from car_interface.recordings.signals import IMU, ODOM, OUTPUT, PULSES, VALUE, load
 from car_interface.recordings.timeline import BREAK_S
 from written_recordings import START_NS, Written, odometry, stamp, write_ros1
 
@@ -115,14 +115,27 @@ def test_message_of_another_version_is_told_with_its_type(tmp_path):
 
 
 def test_missing_output_is_named(tmp_path):
-    with pytest.raises(NoRecording, match=r"a\.bag has no topic /servo/output"):
-        load(str(write_ros1(tmp_path / "a.bag", ODOMETRY)), [OUTPUT])
+    path = write_ros1(tmp_path / "a.bag", ODOMETRY)
+    with pytest.raises(NoRecording, match=r"a\.bag has no topic /servo/output, .* name another by --map TOPIC=output;"):
+        load(str(path), [OUTPUT])
+    with pytest.raises(NoRecording, match=r"a\.bag has no topic /board; it has /odom$"):
+        load(str(path), [OUTPUT], output="/board")
 
 
 def test_topic_of_another_type_is_named(tmp_path):
     path = write_ros1(tmp_path / "a.bag", [Written(0.0, "/odom", "std_msgs/Float64", {"data": 1.0})])
     with pytest.raises(NoRecording, match="/odom is of type std_msgs/Float64"):
         load(str(path), [ODOM])
+
+
+def test_topic_that_the_user_names_is_of_another_type_though_that_is_another_role_s(tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [*ODOMETRY, Written(0.0, "/imu/data", "sensor_msgs/Imu", {})])
+    with pytest.raises(NoRecording, match=r"/imu/data is of type sensor_msgs/Imu; accepted: nav_msgs/Odometry$"):
+        load(str(path), [ODOM], optional=[IMU], odom="/imu/data")
+    with pytest.raises(NoRecording, match=r"/odom is of type nav_msgs/Odometry; accepted: sensor_msgs/Imu$"):
+        load(str(path), [ODOM], optional=[IMU], imu="/odom")
+    with pytest.raises(NoRecording, match=r"/odom is of type nav_msgs/Odometry; accepted: std_msgs/Int32MultiArray$"):
+        load(str(path), [ODOM], command="/odom")
 
 
 def test_topic_with_nothing_that_can_be_used_is_named(tmp_path):

@@ -17,7 +17,7 @@ FULL = Row("a.bag", start_ns=START_NS, duration_s=125.0, distance_m=1234.5, game
            losses={"planner silent": 2, "e_stop": 1}, straight_per_m=-0.0123, left_ratio=1.25, right_ratio=1.005,
            drive_mps2=-0.204, hold_mps2=0.011, brake_mps2=None, frames=990, corrupt=10, reopened=1, reboots=2,
            unanswered=3, faults=5, errors=2)
-BLIND = Row("b.bag", start_ns=47_000_000_000, duration_s=61.2, distance_m=84.2, faults=0, errors=0,
+BLIND = Row("b.bag", start_ns=47_000_000_000, duration_s=61.2, distance_m=84.2,
             lacks=["/turn_arb/state", "/rosout for 12 s"], notes=["odom: /ekf (the only nav_msgs/Odometry)"])
 BAD = Row("<c>.bag", error="c.bag can't be read as a recording: it is no bag")
 
@@ -30,11 +30,20 @@ def shown(*rows):
             for line in text.split("\n") if line.startswith("<tr><td")]
 
 
+def test_car_that_hardly_turns_is_no_percentage():
+    assert shown(FULL._replace(straight_per_m=None, left_ratio=0.002, right_ratio=None))[0][5] == (
+        "left: more than 10 times wider")
+
+
+def test_dates_are_headed_with_their_time_zone():
+    assert "<th>date (UTC)</th>" in page("drives", [FULL], "")
+
+
 def test_row_says_everything_that_its_recording_tells():
     assert shown(FULL)[0] == [
         "a.bag", "2023-11-14 22:13", "1.234 km / 2 min 5 s", "gamepad 12.0 s / planner 1 min 40 s",
         "planner silent (2×) / e_stop",
-        "straight on: -0.012 1/m / left: 20% tighter than the tables / right: as the tables",
+        "straight on: 0.012 1/m right / left: 20% tighter / right: as the tables",
         "driving: -0.20 m/s² / holding: +0.01 m/s²",
         ("10 of 1000 frames corrupt / port opened again: 1 / Teensy started anew: 2 / pings unanswered: 3"),
         "5, 2 errors"]
@@ -44,12 +53,27 @@ def test_recording_that_can_not_tell_says_so_in_every_column_and_why():
     (name, *cells), = shown(BLIND)
     assert name == ("b.bag / can't tell: no /turn_arb/state, no /rosout for 12 s / "
                     "odom: /ekf (the only nav_msgs/Odometry)")
-    assert cells == ["no date", "0.084 km / 61.2 s", *["can't tell"] * 5, "0 seen"]
+    assert cells == ["no date", "0.084 km / 61.2 s", *["can't tell"] * 6]
 
 
-def test_recording_that_can_not_be_read_says_why_and_its_name_is_escaped():
-    text = page("drives", [BAD], "")
-    assert "&lt;c&gt;.bag<br><span class=\"bad\">c.bag can&#x27;t be read as a recording: it is no bag</span>" in text
+def test_no_fault_of_a_recording_that_shows_some_kinds_only_is_none_seen():
+    assert shown(BLIND._replace(faults=0, errors=0))[0][-1] == "0 seen"
+    assert shown(FULL._replace(faults=0, errors=0))[0][-1] == "0"
+
+
+@pytest.mark.parametrize("curvature, words", [(0.0123, "0.012 1/m left"), (0.0004, "0.000 1/m")],
+                         ids=["left", "straight"])
+def test_side_to_which_the_center_is_off_is_named(curvature, words):
+    row = FULL._replace(straight_per_m=curvature, left_ratio=None, right_ratio=None)
+    assert shown(row)[0][5] == f"straight on: {words}"
+
+
+def test_recording_that_can_not_be_read_says_why_below_the_table_and_its_name_is_escaped():
+    text = page("drives", [FULL, BAD], "")
+    assert text.index('id="unreadable"') > text.index('id="drives"') and '<a href="#unreadable">' in text
+    assert ("<td>&lt;c&gt;.bag</td><td><span class=\"bad\">c.bag can&#x27;t be read as a recording: it is no bag"
+            "</span></td>") in text
+    assert 'id="drives"' not in page("drives", [BAD], "") and 'id="unreadable"' not in page("drives", [FULL], "")
 
 
 def test_drive_without_a_loss_on_which_nobody_drove_says_so():
@@ -60,11 +84,11 @@ def test_drive_without_a_loss_on_which_nobody_drove_says_so():
 def test_newest_comes_first_and_the_head_has_the_sums():
     rows = in_order([BAD, FULL._replace(path="later.bag", start_ns=START_NS + DAY_NS), BLIND, FULL])
     assert [row.path for row in rows] == ["b.bag", "a.bag", "later.bag", "<c>.bag"]
-    assert [line[0].split(" ")[0] for line in shown(*rows)] == ["<c>.bag", "later.bag", "a.bag", "b.bag"]
+    assert [line[0].split(" ")[0] for line in shown(*rows)] == ["later.bag", "a.bag", "b.bag", "<c>.bag"]
     text = page("drives", rows, "<svg/>")
     figures = re.findall("<div><b>(.*?)</b><span>(.*?)</span></div>", text)
-    assert figures == [("3", "drives"), ("1", "can't be read"), ("2.55 km", "driven"), ("5 min 11 s", "recorded"),
-                       ("6", "times lost or locked")]
+    assert figures == [("3", "drives"), ("1", '<a href="#unreadable">can\'t be read</a>'), ("2.55 km", "driven"),
+                       ("5 min 11 s", "recorded"), ("6", "times lost or locked")]
     assert '<p class="faint">2023-11-14 22:13:20 UTC to 2023-11-15 22:13:20 UTC</p>' in text and "<svg/>" in text
 
 
@@ -80,6 +104,7 @@ def test_csv_has_a_line_for_each_row_and_leaves_empty_what_nobody_knows():
         "2023-11-14T22:13:20Z", "1.2345", "3", "e_stop: 1; planner silent: 2")
     assert (full["map_drive_mps2"], full["map_brake_mps2"], full["corrupt_frames"]) == ("-0.204", "", "10")
     assert (blind["start_utc"], blind["losses"], blind["cant_tell"]) == ("", "", "/turn_arb/state; /rosout for 12 s")
+    assert blind["faults"] == blind["errors"] == ""
     assert bad["error"] == BAD.error and set(bad.values()) == {"<c>.bag", BAD.error, ""}
 
 

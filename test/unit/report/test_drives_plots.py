@@ -4,6 +4,7 @@ from __future__ import annotations
 import pytest
 
 from car_interface.report import drives_plots
+from car_interface.report.drives_page import page
 from car_interface.report.drives_plots import trends
 from car_interface.report.drives_row import Row
 from written_recordings import START_NS
@@ -31,16 +32,30 @@ def test_every_trend_has_a_panel(figure):
     assert trends(ROWS) == "<svg/>"
     assert titles(figure[0]) == [
         "Distance in m", "Lost or locked while somebody drove, times",
-        "Driven when sent straight on: 1/radius in 1/m, left up", "Tighter than the tables say, in %",
+        "Driven when sent straight on: 1/radius in 1/m, left up", "Tighter than the tables say, in % of the radius",
         "Acceleration beyond what the planner requested, in m/s²",
         "Corrupt frames of the Teensy's link, in %; x: its port was opened again, or it started anew"]
     distance, losses, center, sides, value_map, link = figure[0].axes
     assert [bar.get_height() for bar in distance.patches] == [0, 10, 20, 30]
     assert [bar.get_height() for bar in losses.patches] == [0, 1, 0, 1]
     assert center.lines[-1].get_ydata().tolist() == pytest.approx([0, 0.002, 0.004, 0.006])
-    assert sides.lines[1].get_ydata().tolist() == pytest.approx([0, 1, 2, 3]) and sides.lines[1].get_label() == "left"
+    assert sides.lines[1].get_ydata().tolist() == pytest.approx([100 - 100 / (1 + ratio / 100) for ratio in range(4)])
+    assert sides.lines[1].get_label() == "left"
     assert value_map.lines[2].get_label() == "holding the speed"
     assert link.lines[0].get_ydata()[3] == pytest.approx(100 * 3 / 903) and link.lines[1].get_xdata().tolist() == [2]
+
+
+def test_plot_and_table_have_the_same_percentage(figure):
+    rows = [row._replace(left_ratio=1.25) for row in ROWS[:2]]
+    trends(rows)
+    assert figure[0].axes[3].lines[1].get_ydata().tolist() == pytest.approx([20, 20])
+    assert "left: 20% tighter<" in page("drives", rows, "")
+
+
+def test_car_that_does_not_turn_hides_no_other_drive(figure):
+    trends([ROWS[0]._replace(left_ratio=0.002), *ROWS[1:]])
+    assert figure[0].axes[3].lines[1].get_ydata()[0] == -100
+    assert figure[0].axes[3].get_ylim()[1] < 120
 
 
 def test_what_no_drive_tells_has_no_panel_and_what_one_lacks_is_a_gap(figure):
@@ -53,7 +68,31 @@ def test_what_no_drive_tells_has_no_panel_and_what_one_lacks_is_a_gap(figure):
 def test_axis_is_labelled_with_dates(figure):
     trends([BLIND, *ROWS * 10])
     labels = [label.get_text() for label in figure[0].axes[-1].get_xticklabels()]
-    assert labels[0] == "no date" and labels[-1] == "2023-11-17\n22:13" and len(labels) == drives_plots.MAX_LABELS
+    assert labels[-1] == "2023-11-17\n22:13" and len(labels) == 7
+    trends([BLIND, *ROWS])
+    labels = [label.get_text() for label in figure[1].axes[-1].get_xticklabels()]
+    assert labels[0] == "no date" and len(labels) == 5
+
+
+@pytest.mark.parametrize("count", range(2, 60))
+def test_labels_stand_evenly_so_that_none_covers_its_neighbour(figure, count):
+    trends(ROWS[:1] * count)
+    at = figure[0].axes[-1].get_xticks()
+    assert len(at) <= drives_plots.MAX_LABELS and at[-1] == count - 1
+    assert len({after - before for before, after in zip(at, at[1:])}) <= 1 and at[0] < max(2, at[-1] / 3)
+
+
+def test_zero_has_a_point_so_that_it_does_not_look_like_what_is_not_known(figure):
+    known, blind = ROWS[0]._replace(distance_m=0.0, losses={}), BLIND._replace(distance_m=None)
+    trends([blind, known, ROWS[1]])
+    for axes in figure[0].axes[:2]:
+        assert [line.get_xdata().tolist() for line in axes.lines] == [[1]]
+
+
+def test_layout_holds_with_what_is_not_known(recwarn):
+    trends([BLIND, *ROWS])
+    trends([BLIND, ROWS[1], ROWS[3]])  # nothing is 0
+    assert [str(warning.message) for warning in recwarn] == []
 
 
 def test_rare_causes_are_drawn_together(figure):

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import json
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -65,9 +66,41 @@ def test_recording_of_odometry_alone_says_none_and_not_nothing(tmp_path):
     found = row(summarize(str(path)), "a.bag")
     assert found.distance_m == pytest.approx(4.9)
     for name in ("gamepad_s", "planner_s", "losses", "straight_per_m", "left_ratio", "drive_mps2", "hold_mps2",
-                 "brake_mps2", "frames", "corrupt", "unanswered"):
+                 "brake_mps2", "frames", "corrupt", "unanswered", "faults", "errors"):
         assert getattr(found, name) is None, name
     assert "/turn_arb/state" in found.lacks and found.notes == ["odom: /ekf (the only nav_msgs/Odometry)"]
+
+
+def test_fault_that_odometry_alone_shows_counts(tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.1 * step) for step in range(50) if not 20 < step < 40])
+    found = row(summarize(str(path)), "a.bag")
+    assert (found.faults, found.errors) == (1, 0)
+
+
+def test_value_map_is_judged_by_what_it_got_and_not_by_what_autoware_asked_for_before_the_speed_control(tmp_path):
+    asked = [message._replace(topic="/planner_interface/output/control_cmd") for message in accelerating()
+             if message.topic == "/control/command/control_cmd"]
+    wild = [message._replace(fields={"longitudinal": {"acceleration": 3.0}}) if "control_cmd" in message.topic else
+            message for message in accelerating()]
+    messages = sorted([*wild, *asked], key=lambda message: message.time_s)
+    found = row(summarize(str(write_ros1(tmp_path / "a.bag", messages))), "a.bag")
+    assert found.drive_mps2 == pytest.approx(-0.2, abs=0.02) and found.notes == []
+
+
+def turning(speed_mps, duration_s=5.0):
+    """turn_arb sends 2 m to the left, and the car drives 2.5 m."""
+    for step in range(int(duration_s * 50)):
+        time_s, yaw_rad = step / 50, speed_mps / 2.5 * step / 50
+        yield odometry(time_s, 2.5 * math.sin(yaw_rad), -2.5 * math.cos(yaw_rad), yaw_rad, speed_mps)
+        if step % 5 == 0:
+            yield Written(time_s, "/turn_arb/state", "car_interface/SteeringState", {
+                "stamp": stamp(time_s), "source": PLANNER, "cause": causes.PLANNER, "turn_radius": 2.0, "duty": 3846})
+
+
+@pytest.mark.parametrize("speed_mps, ratio", [(1.0, 0.8), (3.0, None)], ids=["slow", "so_fast_that_tyres_slide"])
+def test_tables_are_judged_by_slow_bends(tmp_path, speed_mps, ratio):
+    found = row(summarize(str(write_ros1(tmp_path / "a.bag", turning(speed_mps)))), "a.bag")
+    assert found.left_ratio == (ratio if ratio is None else pytest.approx(ratio, abs=0.005))
 
 
 def accelerating(duration_s=4.0, source=PLANNER):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.report.following import Accelerating, Bins, Following, MedianOf
+from car_interface.report.following import MAX_LATERAL_MPS2, Accelerating, Bins, Following, MedianOf
 
 
 def test_median_is_the_middle_of_its_bin_and_numbers_beyond_count_at_the_ends():
@@ -34,6 +34,17 @@ def test_bend_is_a_ratio_by_side(sent, driven, sides):
         assert samples == (wanted is not None) and (wanted is None or median == pytest.approx(wanted, abs=0.002))
 
 
+def test_car_that_does_exactly_what_it_was_sent_is_off_by_nothing():
+    assert following(0.5, 0.5).ratios()[0].median == pytest.approx(1.0, abs=1e-9)
+    assert following(0.0, 0.0).straight_per_m().median == pytest.approx(0.0, abs=1e-9)
+    assert accelerating(1.0, 1.0) == [0.0, None, None]
+
+
+@pytest.mark.parametrize("driven", [0.0, -0.3], ids=["goes_straight_on", "turns_to_the_other_side"])
+def test_ratio_of_a_car_that_does_not_turn_has_an_inverse(driven):
+    assert 0 < following(0.5, driven).ratios()[0].median < 0.01
+
+
 def test_straight_on_is_a_difference():
     found = following(0.01, 0.05)
     assert found.straight_per_m() == MedianOf(pytest.approx(0.04, abs=0.001), 1)
@@ -46,6 +57,14 @@ def test_straight_on_is_a_difference():
 def test_what_can_not_be_compared_does_not_count(case):
     found = following(**{"sent": 0.5, "driven": 0.5, **case})
     assert found.straight_per_m().samples == 0 and [one.samples for one in found.ratios()] == [0, 0]
+
+
+def test_bend_in_which_tyres_slide_judges_no_table():
+    for speed_mps, samples in ((1.7, 1), (1.8, 0)):  # 1.44 and 1.62 m/s² sideways
+        found = Following(SimpleNamespace(curvature_per_m=0.6, unchanged_since_s=0.0), MAX_LATERAL_MPS2)
+        found.add(1.0, 0.5, speed_mps)
+        assert found.ratios()[0].samples == samples
+    assert following(0.6, 0.5, speed_mps=9.0).ratios()[0].samples == 1
 
 
 def accelerating(requested, driven, speed_mps=1.0):

@@ -35,7 +35,8 @@ def test_document_loads_nothing_and_runs_no_script():
 
 
 @pytest.mark.parametrize("ratio, words", [(1.0, "as asked"), (1.014, "as asked"), (0.986, "as asked"),
-                                          (1.1, "10% faster than asked"), (0.5, "50% slower than asked")])
+                                          (1.1, "10% faster than asked"), (0.5, "50% slower than asked"),
+                                          (500.0, "more than 10 times faster than asked")])
 def test_ratio_is_in_words(ratio, words):
     assert ratio_text(ratio, "asked", "faster", "slower") == words
 
@@ -49,9 +50,10 @@ def test_range_has_no_negative_zero():
     assert range_text(-0.001, 1.0, "m/s") == "0.00 to 1.00 m/s"
 
 
-def test_section_escapes_its_title_only():
+def test_section_escapes_its_title_only_and_a_plot_can_be_scrolled():
     assert section("link", "A < B", "<i>text</i>", "<svg/>", "<br>") == (
-        '<section id="link">\n<h2>A &lt; B</h2>\n<p class="faint"><i>text</i></p>\n<svg/><br></section>\n')
+        '<section id="link">\n<h2>A &lt; B</h2>\n<p class="faint"><i>text</i></p>\n'
+        '<div class="scroll"><svg/></div>\n<br></section>\n')
 
 
 def test_table_escapes_names_and_takes_cells_as_html():

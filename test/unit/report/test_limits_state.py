@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from car_interface.report.limits_state import LimitsWatch
 from car_interface.report.page import page
 from car_interface.report.summary import summarize
-from written_recordings import Written, drive, write_ros1
+from written_recordings import Written, drive, odometry, write_ros1
 
 REASON = "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.00 m was asked for"
 
@@ -65,3 +65,8 @@ def test_page_shows_each_cut_and_their_count(tmp_path):
 
 def test_page_of_a_drive_without_cuts_says_so(tmp_path):
     assert "None was cut." in limited_page(tmp_path, [])
+
+
+def test_page_of_a_recording_that_can_not_tell_does_not_say_so(tmp_path):
+    text = page(summarize(str(write_ros1(tmp_path / "a.bag", [odometry(0.0)]))), {})
+    assert "None was cut." not in text and "Not recorded: turn_arb/state, throttle_arb/state." in text

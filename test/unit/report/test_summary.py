@@ -79,6 +79,30 @@ def test_other_topic_of_odometry_is_named_or_guessed_and_said(tmp_path):
         summarize(path, odom="/missing")
 
 
+@pytest.mark.parametrize("topics, words", [
+    ({"odom": "/imu/data"}, "/imu/data is of type sensor_msgs/Imu; accepted: nav_msgs/Odometry"),
+    ({"imu": "/odom"}, "/odom is of type nav_msgs/Odometry; accepted: sensor_msgs/Imu"),
+], ids=["usual_name_of_another_role", "only_odometry"])
+def test_topic_of_another_type_that_the_user_names_is_refused_by_its_type(topics, words, tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), Written(0.1, "/imu/data", "sensor_msgs/Imu", {})])
+    with pytest.raises(NoRecording, match=f"{words}$"):
+        summarize(str(path), **topics)
+
+
+RADIUS, STICK = "av_turnrad_req", "/teleop_logi/tele_steer_req"
+
+
+@pytest.mark.parametrize("recorded, role, named, usual, present", [
+    ("/" + RADIUS, "stick", RADIUS, RADIUS, STICK), ("/" + RADIUS, "stick", "/" + RADIUS, RADIUS, STICK),
+    (STICK, "radius", STICK, STICK, RADIUS), (STICK, "radius", STICK[1:], STICK, RADIUS),
+], ids=["radius_as_stick", "by_its_whole_name", "stick_as_radius", "by_its_relative_name"])
+def test_topic_that_the_user_gave_to_one_role_plays_no_other_by_its_usual_name(
+        recorded, role, named, usual, present, tmp_path):
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), Written(0.1, recorded, "std_msgs/Float32", {})])
+    assert summarize(str(path)).present == {"odom", usual}
+    assert summarize(str(path), **{role: named}).present == {"odom", present}
+
+
 @pytest.mark.parametrize("messages, words", [
     pytest.param([Written(0.0, "/chatter", "std_msgs/String", {"data": "x"})], "it has /chatter", id="other_topics"),
     pytest.param([], "no topic at all", id="empty"),

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple, Sequence
+from typing import Mapping, NamedTuple, Sequence
 
 import numpy as np
 
@@ -42,7 +42,7 @@ class RecordedDrive(NamedTuple):
     trail: Trail
 
 
-def load_drive(path: str, calibration: ThrottleCalibration, odom_topic: str = "odom",
+def load_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[str, str] | None = None,
                namespace: str = "/") -> RecordedDrive:
     """Read one recording.
 
@@ -50,16 +50,18 @@ def load_drive(path: str, calibration: ThrottleCalibration, odom_topic: str = "o
         path: of the recording.
         calibration: the ESC's channel and duties in the drive; its neutral may have been another one, which
             throttle_arb's state tells.
-        odom_topic: of odometry.
+        topics: named by the user, by role: ``odom`` and ``output``.
         namespace: the car's.
 
     Raises:
         NoRecording: it can't be read, or lacks what is needed.
         CarInterfaceError: it is no drive that shows an ESC.
     """
-    recording.require(path, [signals.OUTPUT_TOPIC], namespace, "which says what the ESC got")
+    topics = topics or {}
+    recording.require(path, [topics.get(signals.OUTPUT, signals.OUTPUT_TOPIC)], namespace,
+                      f"which says what the ESC got; name another by --map TOPIC={signals.OUTPUT}")
     found = signals.load(path, (signals.ODOM, signals.OUTPUT), optional=(signals.PULSES,), namespace=namespace,
-                         odom=odom_topic, progress=True)
+                         progress=True, **topics)
     neutral, notes = _drive_s_neutral(path, namespace, calibration)
     used = trimmed(calibration, neutral)
     ends = used.duty_table[-1], used.duty_table[0]
