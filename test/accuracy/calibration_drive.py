@@ -2,7 +2,7 @@
 """How well a car calibrates its own steering while a person holds a button: random virtual cars.
 
     PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N] [--releases EVERY_S] [--rolls]
-        [--braking M/S^2]
+        [--braking M/S^2] [--radius M]
 
 The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
 6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
@@ -112,10 +112,11 @@ class Result(NamedTuple):
     fits_s: tuple
 
 
-def driving_car(seed: int, rolls: bool = False) -> Car:
+def driving_car(seed: int, rolls: bool = False, half_m: float = HALF_M) -> Car:
     """The car of that seed, with its ESC, its tyres and its room; its owner found ends and center roughly.
 
     rolls: its ESC drags nothing in neutral, and nobody calibrated it: let go it only has its own drag.
+    half_m: from the middle of its room to its walls.
     """
     rng = random.Random(f"calibration drive {seed}")
     car = random_car(seed)
@@ -134,7 +135,7 @@ def driving_car(seed: int, rolls: bool = False) -> Car:
     steering = replace(car.steering, lag_s=rng.uniform(0.04, 0.18))
     vehicle = replace(car, esc=virtual_esc, tyres=tyres, steering=steering, start=Pose(
         rng.uniform(-0.1, 0.1) - 0.14, rng.uniform(-0.1, 0.1), rng.uniform(-0.3, 0.3)))
-    walls = (-HALF_M, HALF_M, -HALF_M, HALF_M)
+    walls = (-half_m, half_m, -half_m, half_m)
     world = WorldConfig(walls=walls, boxes=(), posts=(), cone_rad=math.radians(30), rays=13) if seed % 2 else None
     return Car(vehicle, base, esc, world)
 
@@ -182,8 +183,9 @@ class Person:
 class Bench:
     """The car, its chain and the drive."""
 
-    def __init__(self, seed: int, trace=None, rolls: bool = False, braking_mps2: float = DEFAULTS.braking_mps2):
-        self.car = car = driving_car(seed, rolls)
+    def __init__(self, seed: int, trace=None, rolls: bool = False, braking_mps2: float = DEFAULTS.braking_mps2,
+                 radius_m: float = HALF_M):
+        self.car = car = driving_car(seed, rolls, radius_m)
         self._rng = rng = random.Random(f"drive {seed}")
         self._trace = trace
         self._world = None if car.world is None else World(car.world)
@@ -192,7 +194,7 @@ class Bench:
         self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
         mounts = {name: Mount(*mount_fields(mount)) for name, mount in zip(NAMES, WorldConfig().mounts)}
         config = DriveConfig(
-            braking_mps2=braking_mps2,
+            braking_mps2=braking_mps2, radius_m=radius_m,
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
@@ -436,9 +438,10 @@ def figures(made: Errors, best: Errors) -> str:
             f"{np.percentile(made.curvature, 95):7.4f} {np.percentile(made.curvature - best.curvature, 95):7.4f}")
 
 
-def is_good(result: Result, pair: tuple[Errors, Errors] | None, p95_per_m: float = P95_PER_M) -> bool:
+def is_good(result: Result, pair: tuple[Errors, Errors] | None, p95_per_m: float = P95_PER_M,
+            half_m: float = HALF_M) -> bool:
     """Whether a drive is what is asked of it, its table by the bounds of steering_calibration, or another p95_per_m."""
-    if pair is None or result.held_s > 300.1 or result.max_m > HALF_M or result.collisions:
+    if pair is None or result.held_s > 300.1 or result.max_m > half_m or result.collisions:
         return False
     beyond = Errors(*(made - best for made, best in zip(*pair)))
     return bool(np.median(beyond.radius) <= MEDIAN_SHARE and np.percentile(beyond.radius, 95) <= P95_SHARE
@@ -460,15 +463,18 @@ def main():
     parser.add_argument("--rolls", action="store_true", help="all ESCs are unverified and drag nothing in neutral")
     parser.add_argument("--braking", type=float, default=DEFAULTS.braking_mps2, metavar="M/S^2",
                         help="what the drive is told, as the program's option of that name")
+    parser.add_argument("--radius", type=float, default=HALF_M, metavar="M",
+                        help="of the area, and from the middle of the room to its walls")
     options = parser.parse_args()
     print("  car              | held total  way pos pauses | max_x ext col blk | step   | radius %    | beyond floor |"
           " curvature, beyond")
-    judged = []
+    judged, good = [], []
     for seed in range(options.first, options.first + options.cars):
         begun = time.perf_counter()
-        releases = None if options.releases is None else Releases(options.releases, HALF_M)
-        judged.append(judge(seed, releases, options.rolls, options.braking))
-        print(row(*judged[-1]), "" if is_good(*judged[-1]) else "missed", f"({time.perf_counter() - begun:.0f} s)",
+        releases = None if options.releases is None else Releases(options.releases, options.radius)
+        judged.append(judge(seed, releases, options.rolls, options.braking, options.radius))
+        good.append(is_good(*judged[-1], half_m=options.radius))
+        print(row(*judged[-1]), "" if good[-1] else "missed", f"({time.perf_counter() - begun:.0f} s)",
               flush=True)
         if releases is not None:
             print("     ", releases.text(), flush=True)
@@ -479,10 +485,10 @@ def main():
         print("all written: ", figures(made, best))
         print("counts alone:", figures(best, best))
     results = [result for result, _ in judged]
-    print(f"{len(pairs)} of {len(judged)} written, {sum(is_good(*one) for one in judged)} as is asked for; "
+    print(f"{len(pairs)} of {len(judged)} written, {sum(good)} as is asked for; "
           f"{sum(result.collisions for result in results)} collisions, {max(result.max_m for result in results):.2f} m "
           f"from the middle at most, {max(result.held_s for result in results):.0f} s of held button at most")
-    return 0 if all(is_good(*one) for one in judged) else 1
+    return 0 if all(good) else 1
 
 
 if __name__ == "__main__":
