@@ -15,7 +15,7 @@ from car_interface.steering.calibration import SteeringCalibration
 FULL_FIT_NS = 40 * NS_PER_S  # so often delay and backlash are estimated anew
 MIN_POSITIONS = 5  # before the first fit
 ENOUGH = 0.1  # of what the tool allows: an error below this anywhere ends the drive
-EARLY_S = 240.0  # an estimate while nothing is known: virtual cars take 229 to 300 s
+EARLY_S = 240.0  # of the whole drive, a guess while nothing is known
 MIN_LEFT_S = 5.0  # as long as it isn't over
 
 
