@@ -33,6 +33,8 @@ OFF_CHECK_PERIOD_NS = 500 * NS_PER_MS
 PROBE_PERIOD_NS = NS_PER_S
 FIRST_RETRY_NS, LAST_RETRY_NS = 20 * NS_PER_MS, 200 * NS_PER_MS
 LASTING_NS = 500 * NS_PER_MS  # a node that was frozen for less soon publishes by itself what the guard wrote
+MAX_LASTING_NS = 8 * NS_PER_S  # doubled up to here each time that it came back, until it was steady for so long:
+STEADY_NS = 60 * NS_PER_S
 GIVE_UP_NS = 600 * NS_PER_S  # a dead node's guard that can't reach the chip ends at last
 
 # Actions. After each of them one of ``succeeded``, ``failed`` and ``finish`` is called.
@@ -63,6 +65,8 @@ class Guard:
         self._sequence = 0
         self._last_ns = 0  # the newest sign of life
         self._since_ns = 0  # when it began to act
+        self._lasting_ns = LASTING_NS
+        self._back_ns = 0  # when the node came back last
         self._safe_ns = 0  # when the timeout values were verified first
         self._try_ns = 0
         self._retry_ns = FIRST_RETRY_NS
@@ -78,8 +82,12 @@ class Guard:
         return self.state in (ACTING, SAFE, OFF)
 
     def acts_alone(self, now_ns: int) -> bool:
-        """Whether nobody else tells what the chip holds: the node is dead, or has been silent for longer."""
-        return self.is_acting and (self.node_is_dead or now_ns - self._since_ns >= LASTING_NS)
+        """Whether nobody else tells what the chip holds: the node is dead, or has been silent for longer.
+
+        Who tells it then is a process that has to be started. On a computer that stands still again and again those
+        starts would be its load: the more often the node has come back, the longer it has to be silent.
+        """
+        return self.is_acting and (self.node_is_dead or now_ns - self._since_ns >= self._lasting_ns)
 
     def status(self) -> bytes:
         """The message to the node."""
@@ -101,6 +109,9 @@ class Guard:
         self._limit_ns = ENDING_SILENCE_NS if message.kind == ENDING else self._silence_ns
         self._is_over |= message.kind == ENDED
         if self.state == WAITING or self.is_acting and message.acknowledged == self.interventions:
+            if self.acts_alone(now_ns):
+                self._lasting_ns = min(2 * self._lasting_ns, MAX_LASTING_NS)
+            self._back_ns = now_ns
             self.state = WATCHING
             self._try_ns = now_ns
 
@@ -124,6 +135,8 @@ class Guard:
             self.interventions += 1
             self.state = ACTING
             self._since_ns = self._try_ns = now_ns
+            if now_ns - self._back_ns >= STEADY_NS:
+                self._lasting_ns = LASTING_NS
             self._retry_ns = FIRST_RETRY_NS
         return self._due_action(now_ns)
 

@@ -357,3 +357,39 @@ def test_guard_of_a_frozen_node_tells_what_the_chip_holds_half_a_second_later(wa
     assert watching.guard.acts_alone(acted_ns + 500 * MS)
     watching.tell(acknowledged=1)
     assert not watching.guard.acts_alone(acted_ns + 500 * MS)
+
+
+def lasting_ms(bench, silent_ms=20_000):
+    """How long after it acted the guard of a node that is silent for so long tells what the chip holds."""
+    bench.tell(acknowledged=bench.guard.interventions)
+    bench.wait(SILENCE_MS)
+    bench.do(ASSERT)
+    acted_ns = bench.now_ns
+    found = next(ms for ms in range(0, 20_000, 250) if bench.guard.acts_alone(acted_ns + ms * MS))
+    bench.wait(silent_ms)
+    bench.tell(acknowledged=bench.guard.interventions)
+    return found
+
+
+def test_guard_of_a_node_that_comes_back_again_and_again_waits_longer_each_time(watching):
+    assert [lasting_ms(watching) for _ in range(6)] == [500, 1000, 2000, 4000, 8000, 8000]
+
+
+def test_short_silences_change_nothing_about_that(watching):
+    assert [lasting_ms(watching, 400) for _ in range(3)] == [500, 500, 500]
+
+
+@pytest.mark.parametrize("steady_s, expected_ms", [(59, 2000), (60, 500)])
+def test_guard_of_a_node_that_was_steady_for_a_minute_tells_as_soon_as_at_first(watching, steady_s, expected_ms):
+    lasting_ms(watching), lasting_ms(watching)
+    for _ in range(10 * steady_s - 2):
+        watching.wait(100)
+        watching.tell()
+    assert lasting_ms(watching) == expected_ms
+
+
+def test_guard_tells_at_once_when_a_node_dies_that_had_come_back(watching):
+    lasting_ms(watching), lasting_ms(watching)
+    watching.die()
+    watching.do(ASSERT)
+    assert watching.guard.acts_alone(watching.now_ns)
