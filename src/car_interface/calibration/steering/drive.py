@@ -35,6 +35,7 @@ class FitConfig:
         min_sigma_per_m: no segment's curvature is known better: floors are uneven, tyres flex.
         delay: of the servo; ``None`` = estimated.
         backlash_duty: of the linkage; ``None`` = estimated.
+        backlash_sigma: the standard error of the one that is given.
         max_backlash_duty: the upper bound of that estimate.
         known_ratio, known_per_m: a breakpoint is supported when its curvature is known to this ratio or to this
             magnitude, to either side, beyond half of what the board's next count would change.
@@ -58,6 +59,7 @@ class FitConfig:
     min_sigma_per_m: float = 0.001
     delay: Delay | None = None
     backlash_duty: float | None = None
+    backlash_sigma: float = 0.0
     max_backlash_duty: float = MAX_BACKLASH_DUTY
     known_ratio: float = 0.08
     known_per_m: float = 0.01

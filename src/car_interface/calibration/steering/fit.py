@@ -21,7 +21,7 @@ from car_interface.calibration.delay import Delay
 from car_interface.calibration.steering.backlash import estimate_backlash
 from car_interface.calibration.steering.drive import COUNT, DEFAULTS, KNOT, Drive, FitConfig, NothingToFit
 from car_interface.calibration.steering.ends import Side, find_center, find_side
-from car_interface.calibration.steering.errors import BEND_RATIO, bends, bounded
+from car_interface.calibration.steering.errors import BEND_RATIO, bends, bounded, unseen
 from car_interface.calibration.steering.segments import (
     Observations,
     knots_of,
@@ -111,7 +111,7 @@ def fit(drives: Sequence[Drive], config: FitConfig = DEFAULTS) -> Curve:
     if config.backlash_duty is None:
         backlash_duty, backlash_sigma = estimate_backlash(segmentations, config)
     else:
-        backlash_duty, backlash_sigma = config.backlash_duty, 0.0
+        backlash_duty, backlash_sigma = config.backlash_duty, config.backlash_sigma
     return _curve(segmentations, delay, backlash_duty, backlash_sigma, config)
 
 
@@ -130,7 +130,7 @@ def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
     curvatures = smooth.monotone(sigmas)
     # Where all positions were approached from the same side half of the backlash's error is the position's.
     sigmas = np.hypot(sigmas, np.abs(np.gradient(curvatures, KNOT)) * backlash_sigma / 2)
-    sigmas = np.hypot(sigmas, BEND_RATIO * bends(all_knots, found, used))
+    sigmas = np.hypot(sigmas, np.maximum(BEND_RATIO * bends(all_knots, found, used), unseen(all_knots, found, used)))
     sigmas = bounded(curvatures, sigmas)
     low, high = found.duty[used].min(), found.duty[used].max()
     inside = (all_knots >= low - KNOT) & (all_knots <= high + KNOT)
