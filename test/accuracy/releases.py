@@ -62,4 +62,4 @@ class PausedDrive:
     def take_fit_task(self):
         """None is due."""
 
-    update_odometry = update_range = update_duty = update_grant = update_knowledge = ignore
+    update_odometry = update_range = update_duty = update_grant = update_stopping = update_knowledge = ignore

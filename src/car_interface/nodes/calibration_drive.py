@@ -199,6 +199,8 @@ class CalibrationDriveNode:
     def _update_grant(self, now_ns):
         grant = self._grant
         self._drive.update_grant(*(grant.decide_by_hand if self._wanted.stick else grant.decide)(now_ns), now_ns)
+        if not self._wanted.stick:
+            self._drive.update_stopping(grant.stops_by_itself)
 
     # --- before the drive ---
 

@@ -6,16 +6,14 @@ from __future__ import annotations
 
 import cmath
 import math
-from typing import NamedTuple, Sequence
+from typing import Callable, NamedTuple, Sequence
 
 from car_interface.throttle.obstacle_stop import Outline
 
 STEP_M = 0.2  # from one pose that is looked at to the next
-TURN_STEP_RAD = 0.2
 SLASH = Outline()
 INWARD_RAD = math.radians(60)  # a car that looks to the center within this angle is on its way back
 INWARD_COS = math.cos(INWARD_RAD)
-TURN_STEPS = math.ceil(2 * math.pi / TURN_STEP_RAD)
 
 
 class Pose(NamedTuple):
@@ -24,9 +22,6 @@ class Pose(NamedTuple):
     x_m: float
     y_m: float
     yaw_rad: float
-
-
-NOWHERE = Pose(0.0, 0.0, 0.0)
 
 
 class Turn(NamedTuple):
@@ -57,10 +52,13 @@ class Area:
         center: x and y in m.
         radius_m: of the circle.
         outline: of the car.
+        stop_radius_m: of the one in which it comes to a stop when it is let go; ``None`` = of the same.
     """
 
-    def __init__(self, center: tuple[float, float], radius_m: float, outline: Outline = SLASH):
+    def __init__(self, center: tuple[float, float], radius_m: float, outline: Outline = SLASH,
+                 stop_radius_m: float | None = None):
         self.center, self.radius_m = center, radius_m
+        self.stop_radius_m = radius_m if stop_radius_m is None else stop_radius_m
         half_m = outline.width_m / 2
         self._front_m, self._rear_m, self._half_m = outline.front_m, outline.rear_m, half_m
 
@@ -81,29 +79,41 @@ class Area:
         towards_rad = math.atan2(self.center[1] - pose.y_m, self.center[0] - pose.x_m)
         return abs(math.remainder(towards_rad - pose.yaw_rad, 2 * math.pi))
 
-    def circle_extent_m(self, pose: Pose, curvature_per_m: float) -> float:
-        """How far the car's farthest corner is from the center anywhere on the whole circle of an arc."""
+    def circle_extent_m(self, pose: Pose, curvature_per_m: float, stop_m: float = 0.0) -> float:
+        """How far the car's farthest corner is from the center anywhere on the whole circle of an arc, or after it went
+        straight on from there for ``stop_m``."""
         radius_m = 1 / curvature_per_m
         x_m = pose.x_m - radius_m * math.sin(pose.yaw_rad) - self.center[0]
         y_m = pose.y_m + radius_m * math.cos(pose.yaw_rad) - self.center[1]
-        return math.hypot(x_m, y_m) + math.hypot(abs(radius_m) + self._half_m, self._front_m)
+        return math.hypot(x_m, y_m) + math.hypot(abs(radius_m) + self._half_m, self._front_m + stop_m)
 
-    def turn_extent_m(self, pose: Pose, curvature_per_m: float) -> float:
+    def has_circle(self, curvature_per_m: float) -> bool:
+        """Whether the car stays inside on a whole circle around the center."""
+        centered = Pose(self.center[0], self.center[1] - 1 / curvature_per_m, 0.0)
+        return self.circle_extent_m(centered, curvature_per_m) <= self.radius_m
+
+    def turn_extent_m(self, pose: Pose, curvature_per_m: float, stop_m: float = 0.0) -> float:
         """The same on a tight turn from here until the car looks inward again."""
-        whole_m = self.circle_extent_m(pose, curvature_per_m)
+        whole_m = self.circle_extent_m(pose, curvature_per_m, stop_m)
         if whole_m <= self.radius_m:
             return whole_m
-        # In the car's frame one step of an arc is one multiplication: this runs thousands of times a second.
+        # In the car's frame, and a right turn mirrored: every corner moves on a circle around the turn's center.
+        turn_m = 1 / abs(curvature_per_m)
         rel = self._seen_from(pose)
-        step = complex(*moved(NOWHERE, TURN_STEP_RAD / abs(curvature_per_m), curvature_per_m)[:2])
-        back = cmath.rect(1.0, -math.copysign(TURN_STEP_RAD, curvature_per_m))
-        square = 0.0
-        for _ in range(TURN_STEPS):
-            square = max(square, self._square(rel))
-            if -rel.real > INWARD_COS * abs(rel):
-                break
-            rel = (rel + step) * back
-        return math.sqrt(square)
+        middle = (rel if curvature_per_m > 0 else rel.conjugate()) + 1j * turn_m
+        middle_m, middle_rad = abs(middle), cmath.phase(middle)
+        until_rad = _inward_after_rad(turn_m / max(middle_m, 1e-9), middle_rad)
+        farthest_m = 0.0
+        for ahead_m in (self._front_m + stop_m, -self._rear_m):
+            for left_m in (self._half_m, -self._half_m):
+                corner = complex(ahead_m, left_m - turn_m)
+                off_rad = (middle_rad - cmath.phase(corner)) % (2 * math.pi)
+                if off_rad <= until_rad:
+                    farthest_m = max(farthest_m, middle_m + abs(corner))
+                else:
+                    farthest_m = max(farthest_m, abs(middle + corner),
+                                     abs(middle + corner * cmath.rect(1.0, until_rad)))
+        return farthest_m
 
     def _seen_from(self, pose):
         """The car's place relative to the center in the car's frame: ahead, and to the left as the imaginary part."""
@@ -130,23 +140,65 @@ class Area:
                                self.turn_extent_m(after, turn.curvature_per_m)))
         return extents
 
-    def free_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], max_m: float,
-               min_ahead_m: float = 0.0) -> float:
-        """How far the car can go on an arc until no tight turn keeps it inside any more, at most ``max_m``.
+    def excesses_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], stop_m: float) -> list[float]:
+        """By how much the car leaves the area on each of the tight turns, or where it stops when it is let go on it.
+
+        Args:
+            pose: now.
+            curvature_per_m: as above.
+            turns: the tight turns.
+            stop_m: what it takes to stop, straight on, at the speed of those turns.
+        """
+        excesses = []
+        for turn, extent_m in zip(turns, self.ways_out(pose, curvature_per_m, turns)):
+            after = moved(pose, turn.reaction_m, curvature_per_m)
+            excesses.append(max(extent_m - self.radius_m, self.turn_extent_m(
+                after, turn.curvature_per_m, stop_m) - self.stop_radius_m))
+        return excesses
+
+    def rooms_m(self, pose: Pose, curvature_per_m: float, turns_at: Callable[[Pose], Sequence[Turn]], max_m: float,
+                stop_m: float = 0.0, min_ahead_m: Callable[[float], float] = lambda gone_m: 0.0) -> list[float]:
+        """How far the car can go on an arc to end with each of the tight turns: (T,), at most ``max_m``.
+
+        From everywhere on its way one of them, whichever, keeps it inside; so does that one at its end.
 
         Args:
             pose: where the arc begins.
             curvature_per_m: of the arc.
-            turns: the tight turns.
+            turns_at: the tight turns as they could be begun at a pose, T of them.
             max_m: as above.
-            min_ahead_m: so far it must be able to go straight on from everywhere, as it does when it is let go.
+            stop_m: what it takes to stop on those turns.
+            min_ahead_m: so far it must be able to go straight on after a distance, as it does when it is let go.
         """
         if curvature_per_m and self.circle_extent_m(pose, curvature_per_m) <= self.radius_m:
-            return max_m
+            return [max_m for _ in turns_at(pose)]
+        rooms_m = [0.0 for _ in turns_at(pose)]
         gone_m = 0.0
-        while gone_m < max_m:
-            if (self.ahead_m(pose, self.radius_m) < min_ahead_m
-                    or min(self.ways_out(pose, curvature_per_m, turns)) > self.radius_m):
-                return gone_m
-            pose, gone_m = moved(pose, STEP_M, curvature_per_m), gone_m + STEP_M
-        return max_m
+        while self.ahead_m(pose, self.radius_m) >= min_ahead_m(gone_m):
+            stays = [excess_m <= 0 for excess_m in self.excesses_m(pose, curvature_per_m, turns_at(pose), stop_m)]
+            rooms_m = [gone_m if inside else room_m for inside, room_m in zip(stays, rooms_m)]
+            if not any(stays) or gone_m >= max_m:
+                break
+            step_m = min(STEP_M, max_m - gone_m)
+            pose, gone_m = moved(pose, step_m, curvature_per_m), gone_m + step_m
+        return rooms_m
+
+
+def _inward_after_rad(ratio, middle_rad):
+    """After which angle of a left turn the car looks inward, 0 to 2π.
+
+    Args:
+        ratio: of the turn's radius to the distance of its center from the area's.
+        middle_rad: the direction of the turn's center, as seen from the area's, in the car's frame.
+    """
+    # With φ = middle_rad less what was turned it looks inward where −cos φ ≥ c √(1 + ratio² − 2 ratio sin φ): a
+    # quadratic equation for sin φ.
+    square = INWARD_COS * INWARD_COS
+    root = 1 - square + square * ratio * ratio * (square - 1)
+    if root < 0:
+        return 2 * math.pi  # it never does
+    low, high = square * ratio - math.sqrt(root), square * ratio + math.sqrt(root)
+    first_rad = math.pi - math.asin(max(-1.0, low))
+    last_rad = math.pi - math.asin(min(1.0, high))
+    turned_rad = (middle_rad - first_rad) % (2 * math.pi)
+    return 0.0 if turned_rad >= 2 * math.pi - (first_rad - last_rad) else turned_rad

@@ -24,11 +24,12 @@ from typing import NamedTuple
 from car_interface.calibration.drive.area import Area, Pose, moved
 from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
 from car_interface.calibration.drive.knowledge import FitTask, Knowledge
-from car_interface.calibration.drive.motion import Coasting, Motion
+from car_interface.calibration.drive.motion import Motion
 from car_interface.calibration.drive.outlook import Outlook
 from car_interface.calibration.drive.pilot import Pilot
 from car_interface.calibration.drive.samples import Samples
 from car_interface.calibration.drive.step import DONE, PAUSED, WAITING, Progress, Step
+from car_interface.calibration.drive.stops import Stops
 from car_interface.calibration.drive.survey import Survey
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
@@ -60,7 +61,7 @@ class CalibrationDrive:
         self._config = config
         self._survey = Survey(base, config.max_time_s)
         self._motion = Motion()
-        self._coasting = Coasting()
+        self._stops = Stops()
         self._obstacles = None if config.obstacles is None else ObstacleStop(config.obstacles)
         self._pilot: Pilot | None = None
         self._base = base
@@ -74,6 +75,7 @@ class CalibrationDrive:
                         if abs(math.remainder(mount.yaw_rad, 2 * math.pi)) < math.pi / 2}  # those that look ahead
         self._end = ""  # why it is over
         self._drives = False  # the button is held
+        self._is_slowed = False  # by more than its own drag, or moved by hands
         self._now_ns = 0
 
     @property
@@ -100,8 +102,10 @@ class CalibrationDrive:
         self._odom.update(None, now_ns)
         if self._drives:  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
             self.samples.update_odometry(x_m, y_m, yaw_rad, speed_mps, measured_ns)
-        self._coasting.update(speed_mps, self._drives, measured_ns)
         motion = self._motion.update(Pose(x_m, y_m, yaw_rad), speed_mps, measured_ns)
+        if self._is_slowed:
+            self._stops.discard()
+        self._stops.update(motion[0], speed_mps, self._motion.pose.yaw_rad, self._drives, measured_ns)
         if self._pilot is not None:
             self._pilot.update_motion(*motion, measured_ns)
 
@@ -127,6 +131,12 @@ class CalibrationDrive:
         """
         self._grant.update(_Grant(may_drive, reason), now_ns)
 
+    def update_stopping(self, by_itself: bool) -> None:
+        """Whether nothing but its drag and its ESC in neutral slows it: no hands, and throttle_arb doesn't brake. That
+        brakes only while it is sure that no reverse comes of it: the next time it may not.
+        """
+        self._is_slowed = not by_itself
+
     def step(self, now_ns: int) -> Step:
         """What to ask for now. Call it 20 to 100 times a second; it takes 0.1 to 3 ms on a PC."""
         since_ns = 0 if self._stepped_ns is None else min(now_ns - self._stepped_ns, MAX_STEP_NS)
@@ -142,10 +152,10 @@ class CalibrationDrive:
         if self._pilot is None:
             outline = self._config.outline
             middle = moved(self._motion.pose, (outline.front_m - outline.rear_m) / 2, 0.0)
-            area = Area(middle[:2], self._config.radius_m - MARGIN_M, self._config.outline)
-            outlook = Outlook(self._base, self._config, self._survey, self._motion, area, self._obstacles)
+            radius_m = self._config.radius_m
+            area = Area(middle[:2], radius_m - MARGIN_M, self._config.outline, radius_m)
+            outlook = Outlook(self._base, self._config, self._survey, self._motion, area, self._obstacles, self._stops)
             self._pilot = Pilot(self._base, self._survey, self._motion, outlook)
-        self._pilot.outlook.update_coasting(self._coasting.least_mps2)
         self._driven_ns += since_ns
         if self._survey.positions.is_swapped or self._pilot.turns_wrongly:
             self._end = (f"servo_left {self._base.servo_left} turns right: exchange servo_left and servo_right in "

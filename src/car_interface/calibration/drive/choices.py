@@ -18,6 +18,7 @@ MIN_BEND_M, BEND_PER_M = 0.6, 0.3  # the same where it turns so tightly: less sh
 WANT_TIGHT_M, WANT_WIDE_M, WIDE_PER_M = 0.9, 2.2, 0.12  # to measure: a wide turn's curvature is known less well
 NEED_POWER = 2.0  # of a need, in what measuring it is worth: what is known least comes first, though it takes longer
 LENGTH_POWER = 1.5  # of the length: a slope's variance falls with the third power, and the fit smooths
+TURN_WORTH, TURN_S = 0.5, 3.0  # of the turn that follows, as a part of a position's; and how long it takes
 TIGHT_RATIO = 0.6  # of the tightest curvature: tight enough to turn back with
 SAME_TURN_RATIO = 0.25  # of the tightest curvature, as above: to be measured in a turn that has to go on
 MISSING_NEED = 1.0  # the tool refuses a table without it, or no fit knows it
@@ -29,12 +30,14 @@ class Choice(NamedTuple):
     """A position that could be begun now.
 
     Attributes:
-        score: what measuring it is worth for each second: with the room that there is. 0 = there is no room for it.
-        ideal: the same with all the room that it wants.
+        score: what measuring it is worth for each second, and the turn that follows: with the room that there is.
+            0 = there is no room for it.
+        ideal: the same with all the room that it wants, and with the turn that is worth more.
         want_m: the length that it wants.
         hold: its hold, if it is begun now.
-        length_m: where there is no room for it, how long it could be measured, negative where it wouldn't even settle.
+        length_m: how long it could be measured, negative where it wouldn't even settle.
         worth: for the time that it takes.
+        side: the tight turn with which it is to end: 0 = to the left, 1 = to the right; ``None`` = there is no room.
     """
 
     score: float
@@ -43,6 +46,7 @@ class Choice(NamedTuple):
     hold: Hold
     length_m: float = -math.inf
     worth: float = 0.0
+    side: int | None = None
 
 
 class Choices:
@@ -55,13 +59,15 @@ class Choices:
 
     def all(self, now_ns: int) -> list[Choice]:
         """The candidates as they could be begun now, without those that can't be the best any more."""
-        ideals = sorted((self._ideal(candidate, now_ns) for candidate in self._survey.positions.candidates()),
+        candidates = self._survey.positions.candidates()
+        turns_worth = [TURN_WORTH * need ** NEED_POWER for need in self._turns_needs(candidates)]
+        ideals = sorted((self._ideal(candidate, max(turns_worth), now_ns) for candidate in candidates),
                         key=lambda choice: -choice.ideal)
         found, best = [], 0.0
         for ideal in ideals:
             if ideal.ideal < best:
                 break
-            found.append(self._from_here(ideal, now_ns))
+            found.append(self._from_here(ideal, turns_worth, now_ns))
             best = max(best, found[-1].score)
         return found
 
@@ -75,7 +81,7 @@ class Choices:
         """
         candidates = self._survey.positions.candidates(
             lambda duty: self._outlook.expected_per_m(duty) / turn_per_m > SAME_TURN_RATIO)
-        choices = [self._from_here(self._ideal(candidate, now_ns), now_ns) for candidate in candidates
+        choices = [self._from_here(self._ideal(candidate, 0.0, now_ns), (0.0, 0.0), now_ns) for candidate in candidates
                    if candidate.need >= MISSING_NEED and candidate.duty != held_duty]
         best = max(choices, key=lambda choice: choice.score, default=None)
         return best if best is not None and best.score else None
@@ -92,22 +98,24 @@ class Choices:
 
     def turns_needs(self) -> list[float]:
         """The greatest need of what each of the tight turns would show."""
-        candidates = self._survey.positions.candidates()
+        return self._turns_needs(self._survey.positions.candidates())
+
+    def _turns_needs(self, candidates):
         return [max((candidate.need for candidate in candidates
                      if self._outlook.expected_per_m(candidate.duty) / turn > TIGHT_WAY_RATIO), default=0.0)
                 for turn in map(self._outlook.expected_per_m, self._ends)]
 
-    def _ideal(self, candidate, now_ns):
+    def _ideal(self, candidate, turn_worth, now_ns):
         """What a candidate is worth with all the room that it wants."""
         curvature = self._outlook.expected_per_m(candidate.duty)
         hold = self._hold_for(candidate, now_ns)
         want_m = wanted_length_m(curvature)
         seconds = hold.seconds_to_settle(now_ns) + want_m / self._outlook.cruise_mps(curvature)
         worth = candidate.need ** NEED_POWER
-        return Choice(0.0, worth / seconds, want_m, hold, worth=worth)
+        return Choice(0.0, (worth + turn_worth) / (seconds + TURN_S), want_m, hold, worth=worth)
 
-    def _from_here(self, ideal, now_ns):
-        """What it is worth from here."""
+    def _from_here(self, ideal, turns_worth, now_ns):
+        """What it is worth from here, ending with the tight turn that makes it worth most."""
         hold, want_m = ideal.hold, ideal.want_m
         curvature = self._outlook.expected_per_m(hold.duty)
         seen_mps = self._outlook.sonar_mps(curvature, now_ns)
@@ -115,16 +123,21 @@ class Choices:
             return ideal
         speed_mps = min(seen_mps, self._outlook.cruise_mps(curvature))
         settle_s = hold.seconds_to_settle(now_ns)
+        settle_m = settle_s * min(speed_mps, self._outlook.now_mps)
         # What is expected of a position between others that were held may be far off: it may turn as little as the one.
         curvatures = {curvature}
         if hold.duty not in self._ends:
             curvatures.add(self._survey.positions.least_per_m(hold.duty))
-        rooms_m = [self._outlook.room_m(hold.duty, one, speed_mps, want_m + speed_mps * settle_s) for one in curvatures]
-        length_m = min(rooms_m) - speed_mps * settle_s
-        if length_m < (MIN_LENGTH_M if abs(curvature) < BEND_PER_M else MIN_BEND_M):
-            return ideal._replace(length_m=length_m)
-        known = min(1.0, length_m / want_m) ** LENGTH_POWER
-        return ideal._replace(score=ideal.worth * known / (settle_s + length_m / speed_mps))
+        rooms_m = [self._outlook.rooms_m(hold.duty, one, speed_mps, want_m + settle_m) for one in curvatures]
+        lengths_m = [min(rooms) - settle_m for rooms in zip(*rooms_m)]
+        least_m = MIN_LENGTH_M if abs(curvature) < BEND_PER_M else MIN_BEND_M
+        best = ideal._replace(length_m=max(lengths_m))
+        for side, (length_m, turn_worth) in enumerate(zip(lengths_m, turns_worth)):
+            if length_m >= least_m:
+                known = min(1.0, length_m / want_m) ** LENGTH_POWER
+                score = (ideal.worth * known + turn_worth) / (settle_s + length_m / speed_mps + TURN_S)
+                best = max(best, ideal._replace(score=score, length_m=length_m, side=side), key=lambda one: one.score)
+        return best
 
     def _hold_for(self, candidate, now_ns):
         survey = self._survey

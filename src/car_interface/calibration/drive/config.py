@@ -17,7 +17,8 @@ class DriveConfig:
         tight_speed_mps: in the tightest turns.
         max_time_s: of driving, that is of the held button; then it ends with what there is.
         braking_mps2: the deceleration that a stop is certain of, such as the drag's, less a slope's 0.2 m/s² for each
-            2 %, where the kind of ESC isn't known. Where it is seen to coast with less, that counts.
+            2 %, where the kind of ESC isn't known. Where it is seen to stop with less, that counts, and with more once
+            two stops or more without a brake have shown it.
         outline: of the car from above.
         obstacles: the sonars, as throttle_arb takes them; ``None`` = none is looked at.
 

@@ -16,6 +16,7 @@ from car_interface.throttle import esc
 STATE_TIMEOUT_S = 0.5  # they come 10 times a second and more
 OTHER_TIMEOUT_S = 1.0
 ARMING = esc.STATE_NAMES[esc.ARMING]  # of ThrottleState.esc
+SLOWS = frozenset(esc.STATE_NAMES[state] for state in (esc.BRAKING, esc.HOLD, esc.REVERSE))
 PLANNER_DRIVES = ("", AUTONOMOUS)  # modes in which the planner both steers and drives; empty: a deadman without modes
 # Neutral for one of these means only that nothing was asked for.
 IDLE = frozenset({causes.NO_REQUEST, causes.NO_RADIUS, causes.PLANNER_STALE, causes.COMMAND_STALE})
@@ -72,6 +73,13 @@ class Grant:
     def update_other(self, topic: str, sender: str, now_ns: int) -> None:
         """Another program asked for something on a topic of a planner."""
         self._others.setdefault(topic, TimedInput(topic, OTHER_TIMEOUT_S)).update(sender, now_ns)
+
+    @property
+    def stops_by_itself(self) -> bool:
+        """Whether nobody steers or drives now with the manual deadman, and the ESC neither brakes nor reverses."""
+        is_by_hand = any(timed.was_received and timed.value.source == TELEOP
+                         for timed in (self._steering, self._throttle))
+        return not is_by_hand and not (self._throttle.was_received and self._throttle.value.esc in SLOWS)
 
     def others(self, now_ns: int) -> list[str]:
         """Who else asks, as sentences."""

@@ -14,7 +14,7 @@ import numpy as np
 from car_interface.calibration.delay import Delay
 from car_interface.calibration.drive.step import Row
 from car_interface.calibration.steering.drive import COUNT, Drive, FitConfig, NothingToFit
-from car_interface.calibration.steering.errors import BAND
+from car_interface.calibration.steering.errors import BAND, unseen
 from car_interface.calibration.steering.fit import Curve, fit
 from car_interface.calibration.steering.problems import find_problems
 from car_interface.calibration.steering.table import LEFT, RIGHT, UNKNOWN, axis, breakpoints
@@ -23,6 +23,7 @@ from car_interface.steering.calibration import SteeringCalibration
 # Where one count changes much the tool allows an error of half of that. But with less of one the nearest count to a
 # radius is the best one more often.
 NEEDED_RATIO = 0.25
+UNSEEN_NEED = 2.0  # so much more a bend is to be found than the tool takes it to be likely
 
 
 class FitTask(NamedTuple):
@@ -33,6 +34,7 @@ class FitTask(NamedTuple):
         base: the calibration before.
         delay, backlash_duty: by the newest full fit; ``None`` = estimate them, which takes most of the time.
         number: tasks rise; the answer to an older one is left out.
+        backlash_sigma: the standard error of the backlash that is given.
     """
 
     drive: Drive
@@ -40,6 +42,7 @@ class FitTask(NamedTuple):
     delay: Delay | None
     backlash_duty: float | None
     number: int
+    backlash_sigma: float = 0.0
 
 
 class Knowledge(NamedTuple):
@@ -53,9 +56,9 @@ class Knowledge(NamedTuple):
         errors: at each, what isn't known of the curvature, as a ratio of what the tool allows: above 1 it refuses.
         rows: as in Progress.
         missing: as in Progress.
-        delay, backlash_duty, center_duty, center_error: of the fit; ``None`` and NaN where unknown.
+        delay, backlash_duty, backlash_sigma, center_duty, center_error: of the fit; ``None`` and NaN where unknown.
         has_understeer: it is known by how much turns widen with speed.
-        needs: at each of the duties, how much it is worth to measure it: see ``error_ratios``.
+        needs: at each of the duties, how much it is worth to measure it: see ``needs``.
     """
 
     number: int
@@ -67,6 +70,7 @@ class Knowledge(NamedTuple):
     missing: tuple[str, ...] = ()
     delay: Delay | None = None
     backlash_duty: float | None = None
+    backlash_sigma: float = 0.0
     center_duty: float = math.nan
     center_error: float = math.nan
     has_understeer: bool = False
@@ -77,7 +81,7 @@ def assess(task: FitTask) -> Knowledge:
     """Fit what there is. Never raises for what was driven: a drive without a curve is a Knowledge with a reason."""
     base = task.base
     config = FitConfig(understeer=base.understeer, limits=(base.servo_left, base.servo_right), delay=task.delay,
-                       backlash_duty=task.backlash_duty)
+                       backlash_duty=task.backlash_duty, backlash_sigma=task.backlash_sigma)
     try:
         curve = fit([task.drive], config)
     except (NothingToFit, ValueError, IndexError) as error:  # the last two: a handful of samples
@@ -91,15 +95,29 @@ def assess(task: FitTask) -> Knowledge:
                  for side in (LEFT, RIGHT) for point in points[side])
     return Knowledge(task.number, "", tuple(duties.tolist()), tuple(curve.curvature(duties).tolist()),
                      tuple(error_ratios(curve, duties, config).tolist()), rows, tuple(find_problems(curve, points)),
-                     curve.delay, curve.backlash_duty, curve.center, BAND * curve.center_sigma,
-                     curve.understeer.is_known, tuple(error_ratios(curve, duties, config, NEEDED_RATIO).tolist()))
+                     curve.delay, curve.backlash_duty, curve.backlash_sigma, curve.center, BAND * curve.center_sigma,
+                     curve.understeer.is_known, tuple(needs(curve, duties, config).tolist()))
 
 
-def error_ratios(curve: Curve, duties: np.ndarray, config: FitConfig, count_ratio: float = 1.0) -> np.ndarray:
+def error_ratios(curve: Curve, duties: np.ndarray, config: FitConfig) -> np.ndarray:
     """What isn't known of the curvature at the board's counts (N,), as ratios of what the tool allows there: (N,).
 
-    By the rule of ``table.breakpoints``, with ``count_ratio`` of what it allows for the board's counts.
+    By the rule of ``table.breakpoints``.
     """
+    return BAND * np.interp(duties, curve.duties, curve.sigmas) / _allowed_per_m(curve, duties, config)
+
+
+def needs(curve: Curve, duties: np.ndarray, config: FitConfig) -> np.ndarray:
+    """How much it is worth to measure the board's counts (N,): (N,). As ``error_ratios``, but stricter where one count
+    changes much and between places that are far apart.
+    """
+    unseen_per_m = UNSEEN_NEED * unseen(duties, curve.observations, curve.used)
+    sigmas = np.maximum(np.interp(duties, curve.duties, curve.sigmas), unseen_per_m)
+    return BAND * sigmas / _allowed_per_m(curve, duties, config, NEEDED_RATIO)
+
+
+def _allowed_per_m(curve, duties, config, count_ratio=1.0):
+    """What the tool allows, with so much of what it does for the board's counts."""
     allowed = np.maximum(config.known_ratio * np.abs(curve.curvature(duties)), config.known_per_m)
     half_count = np.abs(curve.curvature(duties + COUNT) - curve.curvature(duties - COUNT)) / 4
-    return BAND * np.interp(duties, curve.duties, curve.sigmas) / (allowed + count_ratio * half_count)
+    return allowed + count_ratio * half_count

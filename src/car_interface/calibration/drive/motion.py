@@ -9,9 +9,6 @@ from car_interface.common.units import NS_PER_S
 
 WINDOW_S = 0.25
 MIN_WINDOW_M = 0.08  # a shorter way shows no curvature
-COASTS_NS, MEASURED_NS = NS_PER_S // 2, NS_PER_S  # until the ESC is surely in neutral; and of each measurement
-HANDS_MPS2 = -0.05  # nobody calibrates on a slope down which the car gets faster by itself
-MIN_COASTING_MPS, MIN_COASTING_MPS2 = 0.25, 0.1
 MAX_STEP_S = 0.3  # between two odometries that belong together
 
 
@@ -50,35 +47,3 @@ class Motion:
         if distance_m < MIN_WINDOW_M:
             return None
         return sum(entry[2] for entry in self._window) / distance_m
-
-
-class Coasting:
-    """The least deceleration that was seen after the button had been let go, when nothing drives the car.
-
-    Attributes:
-        least_mps2: of all times, in m/s²; inf = it wasn't seen yet.
-    """
-
-    def __init__(self):
-        self.least_mps2 = math.inf
-        self._begin: tuple[int, float] | None = None  # time and speed
-        self._released_ns: int | None = None
-
-    def update(self, speed_mps: float, is_driven: bool, at_ns: int) -> None:
-        """Take an odometry. Once the car stands, or gets faster, what moves it are hands."""
-        if is_driven:
-            self._released_ns, self._begin = at_ns, None
-            return
-        if self._released_ns is None or at_ns - self._released_ns < COASTS_NS:
-            return
-        if speed_mps < MIN_COASTING_MPS:
-            self._released_ns = None
-        elif self._begin is None:
-            self._begin = at_ns, speed_mps
-        elif at_ns - self._begin[0] >= MEASURED_NS:
-            seen_mps2 = (self._begin[1] - speed_mps) / ((at_ns - self._begin[0]) / NS_PER_S)
-            self._begin = at_ns, speed_mps
-            if seen_mps2 < HANDS_MPS2:
-                self._released_ns = None
-            else:
-                self.least_mps2 = min(self.least_mps2, max(MIN_COASTING_MPS2, seen_mps2))

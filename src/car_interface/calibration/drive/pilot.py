@@ -12,6 +12,7 @@ import math
 from car_interface.calibration.drive.area import INWARD_RAD, moved
 from car_interface.calibration.drive.choices import MIN_LENGTH_M, MISSING_NEED, Choices
 from car_interface.calibration.drive.hold import Hold
+from car_interface.calibration.drive.lost_turns import LostTurns
 from car_interface.calibration.drive.motion import Motion
 from car_interface.calibration.drive.outlook import FREE_MPS, REACTION_S, Outlook
 from car_interface.calibration.drive.positions import Candidate
@@ -20,7 +21,7 @@ from car_interface.calibration.drive.survey import Survey
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
 
-KEPT_LENGTH_M = 0.6  # one that was cut short counts from here on
+KEPT_LENGTH_M = 0.5  # one that was cut short counts from here on
 BLIND_M = 0.3  # after a pause
 LITTLE_NEED = 0.3
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
@@ -50,6 +51,9 @@ class Pilot:
         self._stood_m = 0.0  # since then
         self._is_quick = False  # the turn
         self._was_paused = False
+        self._side: int | None = None  # of the turn with which the position is to end
+        self._is_side_free = False  # that turn stayed inside a step ago
+        self._lost = LostTurns()
 
     def pause(self) -> None:
         """The button was let go: what was half measured is left."""
@@ -57,6 +61,7 @@ class Pilot:
         self._free_ns = None
         self._avoids = False
         self._was_paused = True
+        self._lost.asked = None
 
     @property
     def turns_wrongly(self) -> bool:
@@ -69,6 +74,7 @@ class Pilot:
         """What odometry saw since the last call."""
         if self._hold is not None:
             self._hold.update_motion(distance_m, turned_rad, at_ns)
+            self._lost.update_motion(turned_rad)
         self._turned_rad += abs(turned_rad)
         self._stood_m += abs(distance_m)
 
@@ -81,6 +87,8 @@ class Pilot:
         hold = self._hold
         speed_mps, text = self.outlook.allowed_mps(hold, self._is_turn and self._is_quick, now_ns)
         steering = self._survey.positions.steering(hold.asked_duty(now_ns))
+        if self._lost.asked is not None:
+            return Step(steering, 0.0, BLOCKED, self._lost.text(self._turns_per_m()), hold.duty)
         if now_ns - self._free_ns > STUCK_NS:
             text = text or f"it doesn't move at {speed_mps:.1f} m/s: is the car held, or the battery empty?"
             return Step(steering, speed_mps, BLOCKED, text, hold.duty)
@@ -106,11 +114,30 @@ class Pilot:
         is_tightest = self._is_turn and hold.duty in self._ends and self._turned_rad < TURNED_RAD
         if not is_tightest and self._is_cut_off(now_ns):
             self._turn(now_ns, tightest=self._is_turn)
+        elif self._misses_turn(now_ns):
+            self._turn(now_ns, side=self._side)
         elif self._is_turn:
+            self._look_for_lost_turn()
             if is_due and (hold.length_m >= self._want_m or self._need < LITTLE_NEED and hold.is_settled(now_ns)):
                 self._leave_turn(now_ns)
         elif hold.length_m >= self._want_m:
             self._begin_any(now_ns)
+
+    def _look_for_lost_turn(self):
+        """Ask for help where positions to one side are missing, and it only ever turns to the other."""
+        lost = self._lost.drive(0 if self.outlook.expected_per_m(self._hold.duty) > 0 else 1)
+        if (lost is not None and self._choices.turns_needs()[lost] >= MISSING_NEED
+                and self.outlook.area.has_circle(self._turns_per_m()[lost])):
+            self._lost.ask(lost)
+
+    def _misses_turn(self, now_ns):
+        """Whether the turn with which it is to end would leave the area from now on."""
+        if self._side is None:
+            return False
+        was_free = self._is_side_free
+        self._is_side_free = self.outlook.excesses_m(self._hold, now_ns)[self._side] <= 0
+        return (was_free and not self._is_side_free and self._hold.length_m >= KEPT_LENGTH_M
+                and self.outlook.sonar_mps(self._turns_per_m()[self._side], now_ns) >= FREE_MPS)
 
     def _is_cut_off(self, now_ns):
         """Whether the arc ends here: by the area, or by a sonar."""
@@ -119,7 +146,7 @@ class Pilot:
             self._avoids = True
             return True
         if self._is_turn:  # it is on its way back
-            return min(look.extents_m(self._hold, now_ns)) > look.area.radius_m
+            return min(look.excesses_m(self._hold, now_ns)) > 0
         return look.is_outside_soon(self._hold, now_ns)
 
     def _begin_any(self, now_ns):
@@ -153,16 +180,16 @@ class Pilot:
         elif self._is_noted or self._need < LITTLE_NEED:
             self._measure_in_turn(now_ns)
 
-    def _turn(self, now_ns, tightest=False):
-        """Turn tightly towards where there is room."""
-        turn_per_m = self._way_per_m(now_ns)
+    def _turn(self, now_ns, tightest=False, side=None):
+        """Turn tightly towards where there is room, or to a side."""
+        turn_per_m = self._way_per_m(now_ns) if side is None else self._turns_per_m()[side]
         reaction_m = self._motion.speed_mps * (REACTION_S + self._survey.servo_delay_s + self._survey.servo_lag_s)
         pose = moved(self._motion.pose, reaction_m, self.outlook.path_per_m(self._hold, now_ns))
         best = Candidate(self._base.servo_left if turn_per_m > 0 else self._base.servo_right, 0.0, 0)
         if not tightest:
             best = self._choices.tight(turn_per_m, pose, now_ns) or best
         if self._hold is not None and self._hold.duty == best.duty:
-            self._is_turn = True
+            self._is_turn, self._side = True, None
             return
         self._begin(self._choices.turn(best, turn_per_m, now_ns), True, now_ns, best.need)
 
@@ -181,20 +208,25 @@ class Pilot:
             if other is not None and other.duty != self._hold.duty:
                 self._begin(self._choices.turn(other, turn_per_m, now_ns), True, now_ns, other.need)
 
+    def _turns_per_m(self):
+        """The curvatures of the tight turns to the left and to the right."""
+        return [self.outlook.expected_per_m(end) for end in self._ends]
+
     def _way_per_m(self, now_ns):
         """The tight turn to take: the one that stays inside and is free; of two the one about which less is known."""
-        turns = [self.outlook.expected_per_m(end) for end in self._ends]
+        turns = self._turns_per_m()
         seen = [self.outlook.sonar_mps(turn, now_ns) for turn in turns]
         if min(seen) < FREE_MPS and max(seen) > min(seen) + 0.1:
             return turns[seen.index(max(seen))]
         # A car that looks inward gets out again on the other turn: what counts here is the whole circle of each.
         reacted = [moved(self._motion.pose, turn.reaction_m, self.outlook.path_per_m(self._hold, now_ns))
                    for turn in self.outlook.turns_now()]
-        is_inward = self.outlook.area.inward_rad(self._motion.pose) < INWARD_RAD
-        extents = [max(partly_m, self.outlook.area.circle_extent_m(pose, turn)) if is_inward else partly_m
-                   for partly_m, pose, turn in zip(self.outlook.extents_m(self._hold, now_ns), reacted, turns)]
-        if max(extents) > self.outlook.area.radius_m:
-            return turns[extents.index(min(extents))]
+        area = self.outlook.area
+        is_inward = area.inward_rad(self._motion.pose) < INWARD_RAD
+        excesses = [max(partly_m, area.circle_extent_m(pose, turn) - area.radius_m) if is_inward else partly_m
+                    for partly_m, pose, turn in zip(self.outlook.excesses_m(self._hold, now_ns), reacted, turns)]
+        if max(excesses) > 0:
+            return turns[excesses.index(min(excesses))]
         needs = self._choices.turns_needs()
         return turns[needs.index(max(needs))]
 
@@ -209,6 +241,7 @@ class Pilot:
             self._was_paused, self._is_noted, self._want_m = False, True, BLIND_M
         if not (is_turn and was_turn):
             self._turned_rad = 0.0
+        self._side, self._is_side_free = None if is_turn else choice.side, False
         if not is_turn:
             self._avoids = False
         elif self._survey.wants_speeds and choice.hold.duty in self._ends:

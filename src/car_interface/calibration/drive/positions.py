@@ -24,6 +24,7 @@ SIDES_DUTY = 5 * COUNT  # positions as near as this to each other are come to fr
 ANSWERED = 0.3  # the part of a need that remains until the next fit
 REPEATED = 0.3  # by how much each time a position was held makes it worth less to hold it again
 MAX_NEED = 1.5  # of the fit's: how much more isn't known says little, and the first positions come first
+NEARLY = 0.9  # of what the tool refuses: the last fit's errors differ by some percent from those before
 MAX_NICE_NEED = 1.0  # of what the tool doesn't refuse
 STEEP_RATIO, STEEP_PER_M, STEEP_NEED = 0.08, 0.03, 1.2  # of the curvature from count to count
 SURELY_PER_M = 0.1  # an end that turns so tightly to the wrong side does so
@@ -132,11 +133,13 @@ class Positions:
                 yield Candidate(end, LOST_END_NEED, 0)
 
     def _by_errors(self, count, accepts):
-        """The greatest errors of the fit, apart from each other."""
-        pairs = [(need, duty) for need, duty in zip(self._needs(), self._knowledge.duties) if accepts(duty)]
-        pairs.sort(reverse=True)
+        """The greatest errors of the fit, apart from each other; of equal needs that of which least is known."""
+        known = self._knowledge
+        unknown = map(max, known.errors, known.needs or known.errors)
+        rows = [(need, much, duty) for need, much, duty in zip(self._needs(), unknown, known.duties) if accepts(duty)]
+        rows.sort(reverse=True)
         found: list[Candidate] = []
-        for need, at in pairs:
+        for need, _, at in rows:
             if len(found) >= count:
                 break
             duty = nearest_count(at, self._base)
@@ -159,14 +162,14 @@ class Positions:
         return needs
 
     def _gaps(self):
-        """The indices of the counts where one count changes much, or that would be refused, and that weren't held."""
+        """The indices of the counts where one count changes much, or that are nearly refused, and that weren't held."""
         duties, curvatures = self._knowledge.duties, self._knowledge.curvatures
         low, high = sorted((self._base.servo_left, self._base.servo_right))
         for index in range(1, len(duties) - 1):
             changes = abs(curvatures[index + 1] - curvatures[index - 1]) / 2
             is_steep = changes > max(STEEP_RATIO * abs(curvatures[index]), STEEP_PER_M)
             # What the tool would refuse beside positions that were held often is a bend between them.
-            if ((is_steep or self._knowledge.errors[index] > 1) and low <= duties[index] <= high
+            if ((is_steep or self._knowledge.errors[index] > NEARLY) and low <= duties[index] <= high
                     and not self._was_held(duties[index])):
                 yield index
 

@@ -55,7 +55,8 @@ class Survey:
         if is_full:
             self._full_ns = now_ns
         return FitTask(self.samples.drive(), self._base, None if is_full else known.delay,
-                       None if is_full else known.backlash_duty, self._number)
+                       None if is_full else known.backlash_duty, self._number,
+                       0.0 if is_full else known.backlash_sigma)
 
     def update_knowledge(self, knowledge: Knowledge) -> None:
         """The answer to a task."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from car_interface.calibration.drive.area import Pose, moved
 from car_interface.calibration.drive.knowledge import assess
+from car_interface.calibration.drive.positions import Positions
 from car_interface.steering.calibration import SteeringCalibration
 
 S, TICK_NS = 1_000_000_000, 20_000_000
@@ -21,6 +22,12 @@ def base(left=3900, center=5180, right=6400):
     return SteeringCalibration(left, center, right, 0, RADII_M, (left, inner[0], center), (right, inner[1], center))
 
 
+def offer(monkeypatch, *candidates):
+    """These are worth measuring, whatever is known by then."""
+    monkeypatch.setattr(Positions, "candidates", lambda self, accepts=lambda duty: True: [
+        candidate for candidate in candidates if accepts(candidate.duty)])
+
+
 class LightCar:
     """The car, driven by whatever a drive asks for.
 
@@ -30,8 +37,10 @@ class LightCar:
         seconds: since the start.
     """
 
-    def __init__(self, drive, curve=CURVE, lag_s=0.1, accelerates_mps2=2.0, fits=True):
+    def __init__(self, drive, curve=CURVE, lag_s=0.1, accelerates_mps2=2.0, fits=True,
+                 slows_mps2=2.0):
         self.drive, self._curve, self._lag_s, self._accelerates_mps2 = drive, curve, lag_s, accelerates_mps2
+        self._slows_mps2 = slows_mps2
         self.pose, self.speed_mps, self.servo, self.duty = Pose(0.0, 0.0, 0.0), 0.0, 5180.0, 5180
         self.now_ns, self.extent_m = START_NS, 0.0
         self.holds, self.fits = True, fits
@@ -69,8 +78,7 @@ class LightCar:
         return step
 
     def _move(self, asked_mps):
-        most = self._accelerates_mps2 * 0.02
-        self.speed_mps += max(-most, min(most, asked_mps - self.speed_mps))
+        self.speed_mps += max(-0.02 * self._slows_mps2, min(0.02 * self._accelerates_mps2, asked_mps - self.speed_mps))
         self.servo += (self.duty - self.servo) * -math.expm1(-0.02 / self._lag_s)
         self.pose = moved(self.pose, 0.02 * self.speed_mps, float(np.interp(self.servo, *self._curve)))
         self.extent_m = max(self.extent_m, math.hypot(self.pose.x_m, self.pose.y_m))

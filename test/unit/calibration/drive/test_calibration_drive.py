@@ -6,10 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from calibration.drive.light_car import CURVE, LightCar, S, base
-from car_interface.calibration.drive.area import Area, Pose
+from calibration.drive.light_car import CURVE, LightCar, S, base, offer
+from car_interface.calibration.drive.area import Area, Pose, moved
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.config import DriveConfig
+from car_interface.calibration.drive.positions import Candidate
 from car_interface.calibration.drive.step import BLOCKED, DONE, MEASURING, PAUSED, SETTLING, TURNING, WAITING
 
 pytestmark = pytest.mark.once
@@ -100,19 +101,55 @@ def test_some_of_the_area_is_kept_for_what_is_not_known():
     assert 2.2 < farthest_m < 2.44, "of a car that does exactly what is expected"
 
 
-def test_a_car_that_was_seen_to_coast_far_is_slower_from_then_on():
+def test_whenever_the_button_is_let_go_a_car_that_only_coasts_stops_inside():
+    coasts_mps2 = 0.15
+    one, area, farthest_m = car(slows_mps2=coasts_mps2), Area((0.142, 0.0), 3.0), 0.0
+    for _ in range(50 * 100):
+        one.tick()
+        stop_m = 0.25 * one.speed_mps + one.speed_mps ** 2 / (2 * coasts_mps2)
+        farthest_m = max(farthest_m, area.extent_m(moved(one.pose, stop_m, 0.0)))
+    assert 2.8 < farthest_m < 3.0
+
+
+def let_go(one, mps2, yaw_rad):
+    """It is carried to the middle and driven in a direction; then the button is let go until it stands."""
+    one.holds = False
+    one.run(0.5)
+    one.pose, one.speed_mps = Pose(0.0, 0.0, yaw_rad), 0.8
+    one.run(0.5)
+    one.holds, one.pose, one.speed_mps = True, Pose(0.0, 0.0, yaw_rad), 0.8
+    for _ in range(3):
+        one.tick(speed_mps=0.8)
+    one.holds = False
+    while one.speed_mps > 0:
+        one.tick(speed_mps=max(0.0, one.speed_mps - 0.02 * mps2))
+    one.run(0.2)
+
+
+@pytest.mark.parametrize(("seen_mps2", "faster"), [(0.1, -1), (0.8, 1)])
+def test_by_how_it_was_seen_to_stop_it_is_slower_or_faster_from_then_on(monkeypatch, seen_mps2, faster):
+    offer(monkeypatch, Candidate(5184, 1.0, 0))  # all do the same
     speeds = []
-    for coasts_mps2 in (0.1, 0.3):
+    for mps2 in (0.2, seen_mps2):
         one = car()
-        one.run(4)
-        one.holds = False
-        for tick in range(120):
-            one.tick(speed_mps=0.8 - 0.02 * coasts_mps2 * tick)
-        one.pose, one.speed_mps = Pose(0.0, 0.0, 0.0), 0.0  # it is carried back
-        one.holds, before = True, len(one.steps)
-        one.run(60)
+        one.run(1)
+        for yaw_rad in (0.0, 1.5, 3.0, 4.5):
+            let_go(one, mps2, yaw_rad)
+        one.pose, one.holds, before = Pose(0.0, 0.0, 0.0), True, len(one.steps)
+        one.run(40)
         speeds.append(np.mean([step.speed_mps for step in one.steps[before:]]))
-    assert speeds[0] < speeds[1] - 0.03
+    assert faster * (speeds[1] - speeds[0]) > 0.03
+
+
+def test_while_it_does_not_stop_by_itself_nothing_is_learned_of_how_it_stops():
+    for by_itself in (False, True):
+        one = car()
+        one.run(3)
+        one.holds = False
+        one.drive.update_stopping(by_itself)
+        for _ in range(100):
+            one.tick(speed_mps=0.0)
+        assert (one.drive._stops.least_mps2 == math.inf) is not by_itself
 
 
 @pytest.mark.parametrize("radius_m", [2.8, 4.0])

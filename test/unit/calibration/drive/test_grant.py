@@ -55,6 +55,26 @@ def test_anything_else_refuses_in_the_arbiters_own_words(steering, throttle, rea
     assert decided(steering, throttle) == (False, reason)
 
 
+@pytest.mark.parametrize(("steering", "throttle", "by_itself"), [
+    (NEUTRAL, NEUTRAL, True), (PLANNER, PLANNER, True), (NO_HUMAN, NO_HUMAN, True), (TELEOP, NEUTRAL, False),
+    (NEUTRAL, TELEOP, False)])
+def test_car_that_a_person_drives_with_the_manual_deadman_does_not_stop_by_itself(steering, throttle, by_itself):
+    grant = Grant()
+    assert grant.stops_by_itself
+    grant.update_steering(IDLE_STEERING._replace(source=steering), 0)
+    assert grant.stops_by_itself is (steering != TELEOP)
+    grant.update_throttle(IDLE_THROTTLE._replace(source=throttle), 0)
+    assert grant.stops_by_itself is by_itself
+
+
+@pytest.mark.parametrize(("esc", "by_itself"), [("NEUTRAL", True), ("FORWARD", True), ("BRAKING", False),
+                                                ("HOLD", False), ("REVERSE", False)])
+def test_car_whose_esc_brakes_does_not_stop_by_itself(esc, by_itself):
+    grant = Grant()
+    grant.update_throttle(IDLE_THROTTLE._replace(source=NO_HUMAN, esc=esc), 0)
+    assert grant.stops_by_itself is by_itself
+
+
 def test_planner_interface_with_another_source_refuses():
     assert decided(planner="drive") == (False, "planner_interface obeys drive")
 

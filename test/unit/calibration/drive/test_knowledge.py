@@ -14,7 +14,8 @@ BASE = base()
 
 
 def known(duties, full=None):
-    return assess(FitTask(drive(duties), BASE, full and full.delay, full and full.backlash_duty, 7))
+    sigma = 0.0 if full is None else full.backlash_sigma
+    return assess(FitTask(drive(duties), BASE, full and full.delay, full and full.backlash_duty, 7, sigma))
 
 
 def test_a_drive_all_over_is_known_within_what_the_tool_allows():
@@ -34,16 +35,26 @@ def test_least_is_known_in_the_gap():
     assert min(inside) > np.median(outside)
 
 
+def test_a_gap_is_to_be_measured_sooner_than_the_tool_asks_for_it():
+    places = [duty for duty in mixed(3900, 6400) if not 4500 < duty < 4800]
+    found = known(from_both_sides(places))
+    found = {duty: (error, need) for duty, error, need in zip(found.duties, found.errors, found.needs)}
+    (error, need), (_, next_to_it) = found[4640], found[4496]
+    assert need > 1.5 * error and need > 2 * next_to_it
+
+
 def test_where_one_count_changes_much_more_is_needed_than_the_tool_asks_for():
     found = known(mixed(3900, 6400))
     assert len(found.needs) == len(found.duties)
     assert all(need >= error for need, error in zip(found.needs, found.errors))
 
 
-def test_with_delay_and_backlash_given_it_is_the_same_curve():
+def test_with_delay_and_backlash_given_it_is_the_same_curve_with_the_same_errors():
     full = known(mixed(3900, 6400))
     quick = known(mixed(3900, 6400), full)
-    assert np.allclose(quick.curvatures, full.curvatures, atol=1e-3)
+    assert np.allclose(quick.curvatures, full.curvatures, atol=1e-6)
+    assert full.backlash_sigma > 0
+    assert np.allclose(quick.errors, full.errors, atol=1e-6)
 
 
 @pytest.mark.parametrize("duties", [[5200], [5200, 5216, 5200], [3900, 3950, 4000, 4050, 4100]],

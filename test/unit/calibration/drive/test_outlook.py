@@ -20,16 +20,23 @@ LEFT, CENTER, RIGHT = 3900, 5184, 6400
 ACROSS = Pose(-2.0, 0.0, 0.0)
 
 
-def outlook(pose, speed_mps=1.0, braking_mps2=1.0, coasting_mps2=math.inf):
+class SeenStops:
+    """Stops that showed this."""
+
+    def __init__(self, least_mps2=math.inf, sure_mps2=0.0):
+        self.least_mps2, self.sure_mps2 = least_mps2, sure_mps2
+
+
+def outlook(pose, speed_mps=1.0, braking_mps2=1.0, **stops):
     """Of a car that rolls straight on and is at a pose by now."""
     motion, config = Motion(), DriveConfig(braking_mps2=braking_mps2)
     for tick in range(20):
         motion.update(moved(pose, -0.02 * speed_mps * (19 - tick), 0.0), speed_mps, tick * S // 50)
     survey = Survey(base(), 300.0)
     survey.knowledge = Knowledge(1, "", delay=Delay(0.05, 0.15, 1.0))
-    one = Outlook(base(), config, survey, motion, Area((0.0, 0.0), 2.88), None)
+    one = Outlook(base(), config, survey, motion, Area((0.0, 0.0), 2.88), None,
+                  SeenStops(**stops))
     one.servo_duty = CENTER
-    one.update_coasting(coasting_mps2)
     return one
 
 
@@ -45,7 +52,7 @@ def allowed_mps(one):
 @pytest.mark.parametrize("coasts_mps2", [0.1, 0.2])
 @pytest.mark.parametrize("x_m", [-2.0, -1.0, 0.0])
 def test_when_the_button_is_let_go_it_coasts_to_a_stop_inside(x_m, coasts_mps2):
-    speed_mps, text = allowed_mps(outlook(Pose(x_m, 0.0, 0.0), coasting_mps2=coasts_mps2))
+    speed_mps, text = allowed_mps(outlook(Pose(x_m, 0.0, 0.0), least_mps2=coasts_mps2))
     assert text == "" and speed_mps > 0.4
     assert x_m + 0.43 + 0.15 * speed_mps + speed_mps ** 2 / (2 * coasts_mps2) < 3.0
 
@@ -56,8 +63,44 @@ def test_a_brake_that_is_known_does_not_brake_when_the_button_is_let_go():
 
 
 def test_a_car_that_was_seen_to_coast_far_is_slower():
-    speeds = [allowed_mps(outlook(Pose(0.0, 0.0, 0.0), coasting_mps2=least))[0] for least in (0.1, 0.15, math.inf)]
+    speeds = [allowed_mps(outlook(Pose(0.0, 0.0, 0.0), least_mps2=least))[0] for least in (0.1, 0.15, math.inf)]
     assert speeds == sorted(speeds) and speeds[0] < speeds[2] - 0.1
+
+
+def test_a_car_that_surely_stops_sooner_is_faster():
+    speeds = [allowed_mps(outlook(Pose(0.0, 0.0, 0.0), least_mps2=0.4, sure_mps2=sure_mps2))[0]
+              for sure_mps2 in (0.0, 0.3, 0.6)]
+    assert speeds[1] > speeds[0] + 0.1 and speeds[2] > speeds[1] + 0.1
+
+
+def test_what_is_not_sure_yet_makes_no_car_slower_than_it_was():
+    least, sure = outlook(ACROSS, least_mps2=0.3), outlook(ACROSS, least_mps2=0.3, sure_mps2=0.05)
+    assert allowed_mps(least)[0] == allowed_mps(sure)[0]
+
+
+@pytest.mark.parametrize("sure_mps2, slow_mps", [(0.0, 0.33), (0.5, 0.535), (1.5, 0.6)])
+def test_at_the_edge_it_is_as_fast_as_it_stops_within_the_same_way(sure_mps2, slow_mps):
+    assert outlook(ACROSS, sure_mps2=sure_mps2).slow_mps == pytest.approx(slow_mps, abs=0.01)
+
+
+def test_a_car_that_surely_stops_soon_turns_later():
+    hold, now_ns = settled(CENTER)
+    along = Pose(1.0, 1.75, -0.2)
+    far, soon = (outlook(along, 0.4, least_mps2=0.1, sure_mps2=sure_mps2) for sure_mps2 in (0.0, 1.0))
+    assert far.is_outside_soon(hold, now_ns) and not soon.is_outside_soon(hold, now_ns)
+
+
+def test_a_car_with_no_room_to_turn_is_to_be_moved_to_the_middle():
+    speed_mps, text = allowed_mps(outlook(Pose(2.3, 0.0, 0.0), 0.0))
+    assert speed_mps == 0.0 and "no room to turn: move it towards the middle by hand or by" in text
+
+
+def test_one_that_turns_too_widely_for_that_is_to_be_placed_for_its_turn():
+    one = outlook(Pose(2.0, 0.0, 0.0), 0.0)
+    for duty, curvature_per_m in ((LEFT, 0.6), (RIGHT, -0.55)):
+        one._survey.add(Measured(duty, 1, 1.0, curvature_per_m))
+    text = allowed_mps(one)[1]
+    assert "no room to turn: place it so that the middle is about 1.7 m to its left, by hand or by" in text
 
 
 def test_tight_turns_are_slower_than_wide_ones():
@@ -74,15 +117,38 @@ def test_it_has_to_turn_before_the_edge_and_not_in_the_middle():
 def test_a_car_that_coasts_far_turns_sooner():
     hold, now_ns = settled(CENTER)
     # Along the edge the turn alone would do later.
-    along = Pose(1.2, 1.85, -0.2)
+    along = Pose(1.0, 1.85, -0.2)
     assert not outlook(along, 0.4).is_outside_soon(hold, now_ns)
-    assert outlook(along, 0.4, coasting_mps2=0.1).is_outside_soon(hold, now_ns)
+    assert outlook(along, 0.4, least_mps2=0.1).is_outside_soon(hold, now_ns)
 
 
-def test_there_is_less_room_for_a_car_that_coasts_far_and_none_beyond_the_edge():
-    rooms = [outlook(ACROSS, coasting_mps2=least).room_m(CENTER, 0.0, 1.0, 10.0) for least in (0.1, math.inf)]
-    assert rooms[0] <= rooms[1] < 4.4
-    assert outlook(Pose(2.5, 0.0, 0.0)).room_m(CENTER, 0.0, 1.0, 10.0) < 0.5
+def test_there_is_room_across_the_area_and_none_beyond_the_edge():
+    assert 1.2 < max(outlook(ACROSS).rooms_m(CENTER, 0.0, 1.0, 10.0)) < 4.4
+    assert max(outlook(Pose(2.5, 0.0, 0.0)).rooms_m(CENTER, 0.0, 1.0, 10.0)) < 0.5
+
+
+def test_room_ends_where_a_car_that_coasts_far_could_no_longer_stop():
+    along = Pose(0.6, 1.85, -0.2)  # where the turn alone would do for longer
+    rooms = [max(outlook(along, 0.4, least_mps2=least).rooms_m(CENTER, 0.0, 0.4, 10.0)) for least in (0.1, math.inf)]
+    assert rooms[0] < rooms[1]
+
+
+def test_there_is_no_room_where_a_car_is_too_fast_to_coast_to_a_stop_inside():
+    rooms = [max(outlook(ACROSS, speed_mps).rooms_m(CENTER, 0.0, 1.2, 10.0)) for speed_mps in (0.5, 0.9, 1.5)]
+    # From 0.9 m/s it coasts for 2.2 m with 0.2 m/s², from 1.5 m/s for 5.9 m; there are 4.4.
+    assert rooms[0] == pytest.approx(rooms[1], abs=0.3) and rooms[0] > 1.2 and rooms[2] < 0.5
+
+
+def test_room_counts_with_the_speed_to_which_it_slows_on_its_way():
+    # Where the turn begins both are as slow as is allowed there.
+    rooms = [outlook(ACROSS).rooms_m(CENTER, 0.0, speed_mps, 10.0) for speed_mps in (1.0, 3.0)]
+    assert rooms[0] == pytest.approx(rooms[1])
+
+
+def test_room_counts_with_the_speed_that_it_has_while_it_steers():
+    slow, fast = (outlook(ACROSS, speed_mps) for speed_mps in (0.5, 2.0))
+    assert slow.now_mps == pytest.approx(0.5) and fast.now_mps == pytest.approx(2.0)
+    assert outlook(ACROSS, 0.0).now_mps == pytest.approx(0.33)
 
 
 def test_the_path_is_the_positions_while_the_servo_is_on_its_way():

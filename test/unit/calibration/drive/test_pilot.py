@@ -5,7 +5,8 @@ import math
 
 import pytest
 
-from calibration.drive.light_car import LightCar, base
+from calibration.drive.light_car import LightCar, base, offer
+from car_interface.calibration.drive.area import Area
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.outlook import Outlook
@@ -62,8 +63,7 @@ def test_something_ahead_ends_what_it_holds_and_it_turns_away():
 @pytest.mark.parametrize("from_side, lowest_duty", [(1, 4512), (-1, 4512 - 90)],
                          ids=("as_it_comes", "past_it_and_back"))
 def test_a_position_is_come_to_from_the_side_that_is_asked_for(monkeypatch, from_side, lowest_duty):
-    monkeypatch.setattr(Positions, "candidates", lambda self, accepts=lambda duty: True: [
-        candidate for candidate in (Candidate(4512, 1.0, from_side),) if accepts(candidate.duty)])
+    offer(monkeypatch, Candidate(4512, 1.0, from_side))
     one = car(radius_m=20.0)
     one.run(3, until=lambda step: step.phase == MEASURING)
     asked = [base().teleop_duty(step.steering) for step in one.steps if step.target_duty == 4512]
@@ -84,11 +84,10 @@ def test_it_turns_away_to_the_side_where_the_sonars_see_more(monkeypatch, free_s
 
 @pytest.mark.parametrize("has_room", [True, False])
 def test_a_position_is_begun_where_there_is_room_even_if_it_turns_as_little_as_its_neighbour(monkeypatch, has_room):
-    monkeypatch.setattr(Positions, "candidates", lambda self, accepts=lambda duty: True: [
-        candidate for candidate in (Candidate(4512, 1.0, 0),) if accepts(candidate.duty)])
+    offer(monkeypatch, Candidate(4512, 1.0, 0))
     monkeypatch.setattr(Positions, "least_per_m", lambda self, duty: 0.05)
-    monkeypatch.setattr(Outlook, "room_m", lambda self, duty, curvature_per_m, speed_mps, max_m: (
-        max_m if has_room or curvature_per_m != 0.05 else 0.3))
+    monkeypatch.setattr(Outlook, "rooms_m", lambda self, duty, curvature_per_m, speed_mps, max_m: [
+        max_m if has_room or curvature_per_m != 0.05 else 0.3] * 2)
     one = car()
     one.run(0.1)
     assert (one.steps[-1].target_duty == 4512) == has_room
@@ -96,8 +95,7 @@ def test_a_position_is_begun_where_there_is_room_even_if_it_turns_as_little_as_i
 
 @pytest.mark.parametrize("need, is_measured", [(1.2, True), (0.9, False)], ids=("missing", "known"))
 def test_a_turn_measures_what_is_missing_though_it_turns_less_tightly(monkeypatch, need, is_measured):
-    monkeypatch.setattr(Positions, "candidates", lambda self, accepts=lambda duty: True: [
-        candidate for candidate in (Candidate(5184, 9.0, 0), Candidate(4096, need, 0)) if accepts(candidate.duty)])
+    offer(monkeypatch, Candidate(5184, 9.0, 0), Candidate(4096, need, 0))
     one = car()
     one.run(30)
     phases = [step.phase for step in one.steps if step.target_duty == 4096]
@@ -105,8 +103,7 @@ def test_a_turn_measures_what_is_missing_though_it_turns_less_tightly(monkeypatc
 
 
 def test_a_turn_at_a_position_that_is_known_goes_over_to_what_is_missing_at_once(monkeypatch):
-    monkeypatch.setattr(Positions, "candidates", lambda self, accepts=lambda duty: True: [
-        candidate for candidate in (Candidate(5184, 9.0, 0), Candidate(4096, 1.2, 0)) if accepts(candidate.duty)])
+    offer(monkeypatch, Candidate(5184, 9.0, 0), Candidate(4096, 1.2, 0))
     one = car()
     one.run(60, until=lambda step: step.target_duty == 5184 and step.phase == MEASURING)
     one.run(60, until=lambda step: step.target_duty == 3900)
@@ -124,6 +121,44 @@ def test_a_turn_goes_on_at_what_was_measured_without_coming_to_it_anew():
     assert first.target_duty in (3900, 6400)
     assert {(step.phase, step.target_duty, step.steering) for step in one.steps[begun:]} == {
         (MEASURING, first.target_duty, first.steering), (TURNING, first.target_duty, first.steering)}
+
+
+@pytest.mark.parametrize("needs, end", [((4.0, 0.1), 3900), ((0.1, 4.0), 6400)], ids=("left", "right"))
+def test_a_way_across_ends_in_time_for_the_turn_about_which_less_is_known(monkeypatch, needs, end):
+    offer(monkeypatch, Candidate(5184, 4.0, 0), Candidate(3900, needs[0], 0), Candidate(6400, needs[1], 0))
+    rooms_m = Outlook.rooms_m
+    # The ends are measured in turns only.
+    monkeypatch.setattr(Outlook, "rooms_m", lambda self, duty, curvature_per_m, *how: (
+        [0.0, 0.0] if abs(curvature_per_m) > 0.5 else rooms_m(self, duty, curvature_per_m, *how)))
+    one = car()
+    one.run(100)
+    turns = [step.target_duty for before, step in zip(one.steps, one.steps[1:])
+             if step.phase == TURNING and before.phase == MEASURING]
+    assert len(turns) >= 5 and turns.count(end) >= 0.8 * len(turns)
+
+
+def test_a_person_is_asked_to_place_it_where_no_way_leads_to_the_turns_that_are_missing(monkeypatch):
+    offer(monkeypatch, Candidate(6400, 5.0, 0), Candidate(4096, 1.2, 0))
+    monkeypatch.setattr(Outlook, "rooms_m", lambda self, duty, curvature_per_m, speed_mps, max_m: [-5.0, -5.0])
+    one = car()
+    step = one.run(90, until=lambda step: step.phase == BLOCKED)
+    assert step.speed_mps == 0.0 and step.text.startswith("left turns are missing, and no way leads to one: place the")
+    assert "is about 1.2 m to its left" in step.text
+    assert one.run(2).text == step.text and one.speed_mps == 0.0
+    one.holds = False
+    one.run(1)
+    one.holds = True
+    assert one.run(1).phase == TURNING
+
+
+@pytest.mark.parametrize("need, has_circle", [(0.9, True), (1.2, False)], ids=("nothing_is_missing", "none_fits"))
+def test_nobody_is_asked_in_vain(monkeypatch, need, has_circle):
+    offer(monkeypatch, Candidate(6400, 5.0, 0), Candidate(4096, need, 0))
+    monkeypatch.setattr(Outlook, "rooms_m", lambda self, duty, curvature_per_m, speed_mps, max_m: [-5.0, -5.0])
+    monkeypatch.setattr(Area, "has_circle", lambda self, curvature_per_m: has_circle)
+    one = car()
+    one.run(60)
+    assert not any(step.phase == BLOCKED for step in one.steps)
 
 
 def test_something_at_a_distance_slows_it():

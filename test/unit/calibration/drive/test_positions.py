@@ -72,10 +72,39 @@ def test_then_the_greatest_errors_come_first_and_apart_from_each_other():
     assert all(abs(one - other) >= APART_DUTY for one in duties for other in duties if one != other)
 
 
+@pytest.mark.parametrize("errors", [{4416: 3.0, 5696: 2.0}, {4416: 2.0, 5696: 3.0}])
+def test_of_what_the_tool_refuses_that_of_which_least_is_known_comes_first(errors):
+    positions = Positions(base())
+    all_first(positions)
+    positions.update_knowledge(knowledge(errors), 0)
+    first, second = positions.candidates()[:2]
+    assert first.duty == max(errors, key=errors.get) and first.need == second.need
+
+
+@pytest.mark.parametrize("needs", [{4416: 3.0, 5696: 2.0}, {4416: 2.0, 5696: 3.0}])
+def test_so_it_is_of_what_the_tool_would_write(needs):
+    positions = Positions(base())
+    all_first(positions)
+    positions.update_knowledge(knowledge()._replace(needs=tuple(needs.get(duty, 0.1) for duty in DUTIES)), 0)
+    first, second = positions.candidates()[:2]
+    assert first.duty == max(needs, key=needs.get) and first.need == second.need
+
+
 def test_the_first_come_before_whatever_a_fit_of_few_positions_does_not_know():
     positions = Positions(base())
     positions.update_knowledge(knowledge({4512: 9.0}), 0)
     assert [candidate.duty for candidate in positions.candidates()[:3]] == [3900, 6400, 5184]
+
+
+@pytest.mark.parametrize(("error", "has_gap"), [(0.88, False), (0.92, True), (1.5, True)])
+def test_what_is_nearly_refused_between_positions_that_were_held_often_is_a_gap(error, has_gap):
+    positions = Positions(base())
+    all_first(positions)
+    for duty in 3 * (4624, 4656):
+        positions.add(measured(duty))
+    positions.update_knowledge(knowledge({4640: error}), 0)
+    assert positions.has_gaps is has_gap
+    assert ((4640, STEEP_NEED) in [(one.duty, one.need) for one in positions.candidates()]) is has_gap
 
 
 def test_where_one_count_changes_much_each_is_to_be_held_whatever_the_fit_says():

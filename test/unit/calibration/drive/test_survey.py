@@ -26,7 +26,7 @@ def hold(one, count):
 def knowledge(number, error=0.1, missing=()):
     duties = tuple(range(3904, 6401, 16))
     return Knowledge(number, "", duties, (0.0,) * len(duties), (error,) * len(duties), (), missing,
-                     Delay(0.02, 0.12, 0.9), 20.0, 5200.0, 8.0)
+                     Delay(0.02, 0.12, 0.9), 20.0, 1.5, 5200.0, 8.0)
 
 
 def test_the_first_fit_waits_for_some_positions():
@@ -55,10 +55,12 @@ def test_delay_and_backlash_are_estimated_now_and_then():
     assert one.take_task(0).delay is None
     one.update_knowledge(knowledge(1))
     hold(one, 1)
-    assert one.take_task(S).backlash_duty == 20.0
+    quick = one.take_task(S)
+    assert (quick.delay, quick.backlash_duty, quick.backlash_sigma) == (Delay(0.02, 0.12, 0.9), 20.0, 1.5)
     one.update_knowledge(knowledge(2))
     hold(one, 1)
-    assert one.take_task(FULL_FIT_NS).delay is None
+    full = one.take_task(FULL_FIT_NS)
+    assert (full.delay, full.backlash_duty, full.backlash_sigma) == (None, None, 0.0)
 
 
 def test_a_fit_that_failed_changes_nothing_and_the_next_one_may_come():
