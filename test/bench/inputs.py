@@ -63,7 +63,7 @@ def twist(speed_mps: float = SPEED_MPS, radius_m: float = RADIUS_M) -> Twist:
 def steering_state() -> SteeringState:
     """Return turn_arb's state while the planner steers."""
     return SteeringState(stamp=rospy.Time.now(), source=SteeringState.PLANNER, cause=causes.PLANNER,
-                         reason="av_turnrad_req is 2.000 m", duty=5000, turn_radius=RADIUS_M, speed=SPEED_MPS,
+                         reason="av_turnrad_req is 2.000 m", duty=DUTIES.data[0], turn_radius=RADIUS_M, speed=SPEED_MPS,
                          asked_radius=RADIUS_M, max_speed=MAX_SPEED_MPS)
 
 
@@ -88,7 +88,7 @@ INPUTS = {
     "odometry": Input("/odom", Odometry, lambda held: odometry()),
     "steering_state": Input("/turn_arb/state", SteeringState, lambda held: steering_state(), 25),
     "joy": Input("/joy", Joy, lambda held: joy(int(held))),
-    "output": Input("/servo/output", Int32MultiArray, lambda held: DUTIES, 1),
+    "output": Input("/servo/output", Int32MultiArray, lambda held: DUTIES, 10),
 }
 # State, and whether by it the node waits for the deadman alone.
 ARBITERS = {

@@ -7,7 +7,7 @@
     inputs ARBITERS NAME...
                         publishes these of inputs.INPUTS. The deadman is first released, until the arbiters (turn_arb,
                         throttle_arb, both with a comma between, or none) have seen that; then nothing changes
-    board [TOPIC...]    answers /servo/cmdVector by /servo/output, on a change and once a second, as the servo board;
+    board [TOPIC...]    answers /servo/cmdVector by /servo/output, on a change and at 10 Hz, as the servo board;
                         receives the same of other topics
     pipe PORT [RATE]    reads a serial port and publishes a ready-made teensy_wheel or teensy_distance for each frame;
                         with a RATE also odom, tf and joint_states at that rate, and a range with each teensy_distance
@@ -117,7 +117,7 @@ class Board:
 
     def __init__(self):
         self._duties = [-1] * 16
-        self._duties[ESC] = NEUTRAL
+        self._duties[0], self._duties[ESC] = DUTIES.data[0], NEUTRAL  # what turn_arb's state says, see inputs
         self._outputs = publisher("/servo/output", Int32MultiArray)
 
     def on_command(self, message):
@@ -138,7 +138,7 @@ def board(*others):
     ready()
     while not rospy.is_shutdown():
         held.publish()
-        time.sleep(1.0)
+        time.sleep(0.1)
 
 
 class Measurements:

@@ -309,6 +309,31 @@ class Losses(ChainTest):
             self.car.turn_arb().wait_for_info("NO_HUMAN|TELEOP|NEUTRAL")
             self.arm()
 
+    def test_board_that_does_not_receive_turn_arb_is_given_no_throttle(self):
+        """Throttle without steering: turn_arb's state arrives at throttle_arb, its commands don't at a new pca9685.
+
+        The master forgets that turn_arb publishes them, so that only nodes that start afterwards miss them.
+        """
+        self.drive(Car(self))
+        car = self.car
+        turn_arb = car.uri_of("/turn_arb")
+        commands = ("/turn_arb", "/servo/cmdVector")
+        car.master_api.unregisterPublisher(*commands, turn_arb)
+        car.processes["pca9685"].send(signal.SIGKILL)
+        car.processes["pca9685"].wait_for_exit()
+        started_ns = time.monotonic_ns()
+        car.node("pca9685", "_device:=virtual", f"_virtual_log:={car.chip.path}").wait_for_info("running at")
+        log = car.processes["throttle_arb"].stderr
+        reason = re.compile("NEUTRAL: the servo board holds 5104 on channel 0, where turn_arb commands 3800$")
+        log.wait_for(reason.search)
+        mark = log.mark()
+        car.sent(self.rest, "human", "0")
+        car.sent(self.rest, "human", "1")
+        log.wait_for(reason.search, mark)
+        self.assertEqual([counts for counts in car.chip.values_since(1, started_ns) if counts > ESC_NEUTRAL], [])
+        car.master_api.registerPublisher(*commands, "std_msgs/Int32MultiArray", turn_arb)
+        self.wait_until_driving()
+
     def test_converter(self):
         """It commands nothing itself: throttle_arb stops without its values, and drives on when they come back."""
         self.drive(Car(self))

@@ -176,7 +176,7 @@ class NodesThatLoseMessages(unittest.TestCase):
     def test_throttle_arb_has_the_esc_at_neutral_until_the_deadman_was_let_go(self):
         node = Built(ThrottleArb, {
             **config("throttle.yaml"), "grant_at_start": True, "e_stop_timeout": 0, "human_timeout": 0,
-            "steering_timeout": 0, "command_timeout": 0, "odometry_timeout": 0})
+            "steering_timeout": 0, "command_timeout": 0, "odometry_timeout": 0, "output_required": False})
 
         def all_heard(*deadman):
             node.hear("turn_arb/state", SteeringState(source=SteeringState.TELEOP))

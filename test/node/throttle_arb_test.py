@@ -38,8 +38,9 @@ def odometry(velocity):
     return message
 
 
-def output(duty):
-    return Int32MultiArray(data=[-1, duty] + [-1] * 14)
+def output(duty, steering=0):
+    """What the board holds; the steering's duty as in a SteeringState that names none."""
+    return Int32MultiArray(data=[steering, duty] + [-1] * 14)
 
 
 class Rig:
@@ -67,7 +68,7 @@ class Rig:
         self.inputs = Repeater(period_s=0.04)
         test.addCleanup(self.inputs.end)
         if board:
-            self._holds = NEUTRAL
+            self._holds, self._steering = NEUTRAL, 0
             self._outputs = Sender(f"{namespace}servo/output", Int32MultiArray)
             echo = rospy.Subscriber(f"{namespace}servo/cmdVector", Int32MultiArray, self._answer, tcp_nodelay=True)
             test.addCleanup(echo.unregister)
@@ -76,7 +77,12 @@ class Rig:
     def _answer(self, vector):
         if vector.data[1] != self._holds:
             self._holds = vector.data[1]
-            self.inputs.hold(self._outputs, output(self._holds))
+            self.inputs.hold(self._outputs, output(self._holds, self._steering))
+
+    def hold_steering(self, duty):
+        """Have the board hold a duty on the steering's channel."""
+        self._steering = duty
+        self.inputs.hold(self._outputs, output(self._holds, duty))
 
     def drop(self, *senders):
         self.inputs.drop(*senders)
@@ -145,7 +151,8 @@ class Limits(ThrottleTest):
 class Obstacles(unittest.TestCase):
     def test_what_a_sonar_ahead_sees_stops_the_car_and_a_silent_one_too(self):
         set_params(self, "/walls/throttle_arb", {**config("throttle.yaml"), "obstacle_stop": True,
-                                                 "grant_at_start": True, "sonar_hub": config("sonars.yaml")})
+                                                 "grant_at_start": True, "output_required": False,
+                                                 "sonar_hub": config("sonars.yaml")})
         start_node(self, "throttle_arb", "__ns:=/walls", "/servo/cmdVector:=servo/cmdVector", "/e_stop:=e_stop",
                    "/servo/output:=servo/output", "/teleop_logi/human_in_loop:=teleop_logi/human_in_loop",
                    "/teleop_logi/tele_throt_req:=teleop_logi/tele_throt_req", "/teleop_logi/mode:=teleop_logi/mode",
@@ -390,6 +397,59 @@ class Braking(ThrottleTest):
         self.assertRegex(state.esc_reason, "the servo board gave no pulse; let go of the deadman, center the stick")
 
 
+class BothActuatorsOrNone(ThrottleTest):
+    """Throttle is given only while the servo board holds what turn_arb commands."""
+
+    NAMESPACE, BOARD = "/braking/", True
+
+    def test_servo_that_does_not_follow_stops_the_car_until_it_follows_again(self):
+        log = Topic("/rosout", Log).connected()
+        diagnostics = Topic("/diagnostics", DiagnosticArray)
+        for topic in (log, diagnostics):
+            self.addCleanup(topic.close)
+        self.rig.present(teleop=1.0, speed=4.0)
+        self.rig.wait_for(lambda state: state.esc == "FORWARD")
+        mark = log.mark()
+        self.hold(self.rig.steering, SteeringState(source=SteeringState.TELEOP, duty=3818))
+        state = self.rig.wait_for(lambda state: state.cause == "steering not held")
+        reason = "the servo board holds 0 on channel 0, where turn_arb commands 3818"
+        self.assertEqual((state.source, state.reason, state.asked), (ThrottleState.NEUTRAL, reason, 0.0))
+        self.rig.wait_for(lambda state: state.granted == -0.5)  # this one is known to brake
+        log.wait_for(lambda entry: entry.name == "/braking/throttle_arb" and entry.msg == f"NEUTRAL: {reason}"
+                     and entry.level == Log.WARN, mark)
+        diagnostics.wait_for(lambda array: any(
+            status.name == "braking/throttle_arb: throttle" and status.level == DiagnosticStatus.WARN
+            and reason in status.message for status in array.status))
+        self.rig.hold_steering(3824)  # the nearest count
+        state = self.rig.wait_for(lambda state: state.source == ThrottleState.TELEOP)
+        self.assertEqual(state.asked, 1.0)
+
+    def test_board_that_falls_silent_stops_the_car(self):
+        self.rig.present(teleop=1.0)
+        self.rig.wait_for(lambda state: state.esc == "FORWARD")
+        self.rig.drop(self.rig._outputs)
+        state = self.rig.wait_for(lambda state: state.cause == "board silent")
+        self.assertRegex(state.reason, r"^/servo/output silent for 0\.5\d s$")
+
+    def test_board_that_never_reported_is_not_driven_which_is_told(self):
+        set_params(self, "/boardless/throttle_arb", {**config("throttle.yaml"), "grant_at_start": True})
+        start_node(self, "throttle_arb", "__ns:=/boardless", "/servo/cmdVector:=servo/cmdVector", "/e_stop:=e_stop",
+                   "/servo/output:=servo/output", "throttle_arb/input/odometry:=odom",
+                   "throttle_arb/input/value:=generic/output/value",
+                   *(f"/teleop_logi/{name}:=teleop_logi/{name}"
+                     for name in ("human_in_loop", "tele_throt_req", "mode", "scale_button")))
+        rig = Rig(self, "/boardless/")
+        diagnostics = Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(diagnostics.close)
+        rig.present(teleop=1.0)
+        state = rig.wait_for(lambda state: state.cause == "board never heard")
+        self.assertEqual(state.granted, 0.0)
+        self.assertIn("takes output_required: false", state.reason)
+        diagnostics.wait_for(lambda array: any(
+            "boardless/throttle_arb: throttle" in status.name and status.level == DiagnosticStatus.WARN
+            and "/servo/output was never heard" in status.message for status in array.status))
+
+
 class CalibrationDrive(ThrottleTest):
     """An ESC whose kind is to be found out: it gets a person's stick, and all say so."""
 
@@ -505,7 +565,7 @@ class ByItself(unittest.TestCase):
                 self.assertIn(text, lines[0])
 
     def test_esc_that_is_driven_gets_neutral_when_the_node_ends(self):
-        set_params(self, "/ending/throttle_arb", config("throttle.yaml"))
+        set_params(self, "/ending/throttle_arb", {**config("throttle.yaml"), "output_required": False})
         process = start_node(self, "throttle_arb", "__ns:=/ending", "/servo/cmdVector:=servo/cmdVector",
                              "/servo/output:=servo/output", "/e_stop:=e_stop",
                              "throttle_arb/input/odometry:=odom", "throttle_arb/input/value:=generic/output/value",

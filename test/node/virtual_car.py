@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import xmlrpc.client
 
 import rospkg
 
@@ -123,6 +124,17 @@ class Car:
         """Start a node with its shipped configuration."""
         program = (PYTHON38, os.path.join(PACKAGE, "scripts", node)) if self._python38 else (executable(node),)
         return self.start(node, *program, *arguments, env=self._node_env)
+
+    @property
+    def master_api(self):
+        """The master's XML-RPC server."""
+        return xmlrpc.client.ServerProxy(self._env["ROS_MASTER_URI"])
+
+    def uri_of(self, node):
+        """The URI of a node's XML-RPC server."""
+        code, text, uri = self.master_api.lookupNode("/test", node)
+        assert code == 1, text
+        return uri
 
     def load(self, node, *names):
         """Set a node's parameters from files in config/."""

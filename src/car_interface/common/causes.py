@@ -34,6 +34,9 @@ MODE_UNKNOWN = "mode unknown"
 CONVERTING = "converting"  # the converter has a value for the newest command
 STEERING_STALE = "steering silent"
 STEERING_STOPPED = "steering stopped"
+STEERING_NOT_HELD = "steering not held"  # the servo board does not hold what turn_arb commands
+BOARD_STALE = "board silent"
+BOARD_NEVER_RECEIVED = "board never heard"
 COMMAND_STALE = "command silent"
 COMMAND_NOT_FINITE = "command not finite"
 ODOMETRY_STALE = "odometry silent"
@@ -102,9 +105,9 @@ LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
 # Causes for which the motion interlock inhibits steering and throttle.
 INHIBITS = LOCKS | {STARTING, HUMAN_STALE, HUMAN_NEVER_RECEIVED, HUMAN_ABSENT, NOT_REARMED}
 # An input arrived before and has stopped arriving.
-STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEERING_STALE, MODE_STALE,
+STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEERING_STALE, BOARD_STALE, MODE_STALE,
                    COMMAND_STALE, ODOMETRY_STALE, JOY_STALE})
 NOT_FINITE = frozenset({TELEOP_NOT_FINITE, PLANNER_NOT_FINITE, COMMAND_NOT_FINITE, ODOMETRY_NOT_FINITE,
                         REQUEST_NOT_FINITE, JOY_NOT_FINITE})
 # Something worked and failed, as opposed to an operator who stopped the car or has not started it yet.
-LOSSES = STALE | NOT_FINITE | {NOT_REARMED, JOY_INCOMPLETE, ESC_MOTION}
+LOSSES = STALE | NOT_FINITE | {NOT_REARMED, JOY_INCOMPLETE, ESC_MOTION, STEERING_NOT_HELD}

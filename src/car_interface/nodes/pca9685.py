@@ -4,8 +4,8 @@ Subscribes:
     command, /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties 0..65535 of the PWM period, −1 = unchanged.
     servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, which the timeout values follow.
 Publishes:
-    /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at 1 Hz.
-        While the guard acts alone ``ros.output_relay`` publishes it.
+    /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at
+        10 Hz. While the guard acts alone ``ros.output_relay`` publishes it.
     /diagnostics: the board, its faults and how often each channel timed out; the guard; who publishes on its topics;
         1 Hz.
 Parameters:
@@ -56,7 +56,7 @@ from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.ros.virtual_board import VirtualBoardBus, chip_path
 
-OUTPUT_RATE_HZ = 1
+OUTPUT_RATE_HZ = 10
 SWITCH_OFF_TIMEOUT_NS = NS_PER_S  # how long a node that ends tries to switch the chip off
 COMMANDS = ("command", "/servo/cmdVector")
 NEUTRALS = "servo/neutral"

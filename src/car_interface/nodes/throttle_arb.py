@@ -12,7 +12,8 @@ Subscribes:
     generic_value_converter/state (ConverterState): why there is no value.
     planner_interface/state (PlannerState): the planner's gear, and why it has no request. Never received = drive.
     turn_arb/state (SteeringState): steering and throttle stop together.
-    /servo/output (std_msgs/Int32MultiArray): what the servo board holds.
+    /servo/output (std_msgs/Int32MultiArray): what the servo board holds. Throttle is given only while that is what
+        turn_arb commands for the steering; see ``throttle.board_watch``.
     sonar/front_right … sonar/rear_left (sensor_msgs/Range): only with ~obstacle_stop.
     teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
 Publishes:
@@ -28,6 +29,9 @@ Parameters:
     ~esc/profile unverified, and the ESC's numbers: see ``throttle.esc_config``.
     ~teleop_timeout 0.5, ~mode_timeout 0.5, ~command_timeout 0.5 (the planner's value), ~odometry_timeout 0.5,
         ~steering_timeout 0.25, ~human_timeout 0.5 (s, 0 = never): an older input is stale.
+    ~output_timeout 0.5 (s, 0 = never): the same of /servo/output.  ~output_required true: false = a board node that
+        never published it is driven unchecked.  ~board/pwm_min 0, ~board/pwm_max 65535: the board's limits; the rest
+        of ~board, pca9685's YAML file, is not read.
     ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's.
     ~planner/max_speed, ~planner/max_acceleration, ~planner/max_braking, ~human/… 0 (m/s, m/s², 0 = none): limits of
         what each asks for, at the measured speed.  ~slow_down true: a planner's car that is too fast for the turn that
@@ -202,6 +206,11 @@ class ThrottleArb:
 
     def _on_steering(self, message, now_ns):
         self._arbiter.update_steering(message.source, message.reason, now_ns)
+        if message.channel < CHANNELS:
+            self._arbiter.update_steering_command(message.channel, message.duty, now_ns)
+        else:
+            self._warnings.warn("channel", f"turn_arb/state names channel {message.channel} of the servo board; "
+                                           f"accepted: 0 to {CHANNELS - 1}")
         self._control.update_turn(message.turn_radius, message.max_speed)
 
     def _on_range(self, sonar, message, now_ns):
@@ -356,8 +365,9 @@ AGES = {"e_stop": "e_stop_age", "human_in_loop": "human_age", "turn_arb's state"
 
 def _is_alarming(decision):
     """Whether somebody has to act: the car is locked, an input failed, or the car moved against the ESC's state."""
-    return (decision.arbitration.source == LOCKED or decision.arbitration.cause in causes.LOSSES
-            or decision.esc.cause in causes.LOSSES)
+    arbitration = decision.arbitration
+    return (arbitration.source == LOCKED or arbitration.cause in causes.LOSSES
+            or arbitration.cause == causes.BOARD_NEVER_RECEIVED or decision.esc.cause in causes.LOSSES)
 
 
 def main():

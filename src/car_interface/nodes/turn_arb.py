@@ -274,7 +274,7 @@ class TurnArb:
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
             stamp=rospy.Time.now(), source=decision.source, cause=decision.cause, reason=decision.reason,
-            duty=decision.duty, turn_radius=self._arbiter.turn_radius_m(decision.duty),
+            duty=decision.duty, channel=self._channel, turn_radius=self._arbiter.turn_radius_m(decision.duty),
             odometry_age=self._arbiter.odometry_age_s(time.monotonic_ns()), speed=self._arbiter.speed_mps,
             limit=decision.limit, limit_reason=decision.limit_reason, asked_radius=decision.asked_radius_m,
             max_speed=decision.max_speed_mps, cuts=self._arbiter.cuts,

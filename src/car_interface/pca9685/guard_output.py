@@ -1,4 +1,4 @@
-"""Which of a guard's readings of its chip are published, as the node would: on change, and repeated at 1 Hz.
+"""Which of a guard's readings of its chip are published, as the node would: on change, and repeated at 10 Hz.
 
 A reading is published when it arrives or not at all: a repetition by a timer could come after another node has begun
 to drive the chip.
@@ -10,7 +10,7 @@ from __future__ import annotations
 from car_interface.common.units import NS_PER_S
 from car_interface.pca9685.registers import duty_of_counts
 
-PERIOD_NS = NS_PER_S
+PERIOD_NS = NS_PER_S // 10
 MAX_PENDING = 100  # older ones are dropped
 
 

@@ -6,7 +6,7 @@ and when the guard has ended, once it has published the last reading. It has a s
 the node or of a launch file don't end it, ``rosnode kill`` does. Without a ROS master it waits for one.
 
 Publishes:
-    /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip; on change and at 1 Hz.
+    /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip; on change and at 10 Hz.
 """
 from __future__ import annotations
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.common.drive_modes import HUMAN_DRIVES, MODES
 from car_interface.common.staleness import TimedInput
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
+from car_interface.throttle.board_watch import BoardConfig, BoardWatch
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
 from car_interface.throttle.stick import Scale, StickConfig, shaped
 
@@ -37,6 +38,7 @@ class ArbiterConfig:
         interlock: the rules of emergency stop and deadman.
         steering_timeout_s, teleop_timeout_s, mode_timeout_s, command_timeout_s, odometry_timeout_s: an older input
             (turn_arb's state, the gamepad's throttle and mode, the planner's value, odometry) is stale; 0 = never.
+        board: how the servo board is checked; ``None`` = it is not.
     """
 
     stick: StickConfig = field(default_factory=StickConfig)
@@ -46,6 +48,7 @@ class ArbiterConfig:
     mode_timeout_s: float = 0.5
     command_timeout_s: float = 0.5
     odometry_timeout_s: float = 0.5
+    board: BoardConfig | None = None
 
 
 class NoValue(NamedTuple):
@@ -71,9 +74,10 @@ class Arbitration(NamedTuple):
 class ThrottleArbiter:
     """Decides who drives from the newest of each input.
 
-    Locked, no human, or turn_arb stopped → stop; else the human, if the mode says so or the stick is beyond its dead
-    band; else the planner, if it has a value and odometry is fresh; else neutral. A gamepad or a mode that was received
-    once and is stale, or can't be read, means stop, not the planner: the human still believes to be driving.
+    Locked, no human, turn_arb stopped, or the servo board does not follow it → stop; else the human, if the mode says
+    so or the stick is beyond its dead band; else the planner, if it has a value and odometry is fresh; else neutral. A
+    gamepad or a mode that was received once and is stale, or can't be read, means stop, not the planner: the human
+    still believes to be driving.
     """
 
     def __init__(self, config: ArbiterConfig = ArbiterConfig()):
@@ -89,6 +93,7 @@ class ThrottleArbiter:
         self._planner_state = TimedInput("planner_interface's state", PLANNER_STATE_TIMEOUT_S)
         self._odometry = TimedInput("odometry", config.odometry_timeout_s)
         self._no_value: NoValue | None = None
+        self._board = None if config.board is None else BoardWatch(config.board)
 
     @property
     def scale(self) -> float:
@@ -117,6 +122,16 @@ class ThrottleArbiter:
     def update_steering(self, source: int, reason: str, now_ns: int) -> None:
         """Who steers, and why: of turn_arb's state."""
         self._steering.update((source, reason), now_ns)
+
+    def update_steering_command(self, channel: int, duty: int, now_ns: int) -> None:
+        """The duty that turn_arb commands, and its channel."""
+        if self._board is not None:
+            self._board.update_command(channel, duty, now_ns)
+
+    def update_output(self, duties: Sequence[int], now_ns: int) -> None:
+        """The 16 duties that the servo board holds."""
+        if self._board is not None:
+            self._board.update_output(duties, now_ns)
 
     def update_teleop(self, throttle: float, now_ns: int) -> None:
         """The gamepad's throttle, −1 brake or reverse to +1 forward."""
@@ -157,6 +172,8 @@ class ThrottleArbiter:
         for timed in (self._human, self._steering, self._teleop, self._mode, self._planner, self._planner_state,
                       self._odometry):
             timed.mark_stale()
+        if self._board is not None:
+            self._board.mark_stale()
 
     def is_released(self, now_ns: int) -> bool:
         """Whether the deadman is known to be released."""
@@ -182,11 +199,12 @@ class ThrottleArbiter:
 
     def decide(self, now_ns: int) -> Arbitration:
         """Who drives at ``now_ns``, with what request, and why."""
+        board = self._board and self._board.trouble(now_ns)  # judged without a human, too: it takes a while to agree
         inhibit = self._interlock.inhibit(now_ns)
         if inhibit is not None:
             return _stop(LOCKED if inhibit.locked else NO_HUMAN, inhibit.cause, inhibit.reason)
-        return (self._steering_trouble(now_ns) or self._mode_trouble(now_ns) or self._by_hand(now_ns)
-                or self._by_planner(now_ns))
+        return (self._steering_trouble(now_ns) or board and _stop(NEUTRAL, *board) or self._mode_trouble(now_ns)
+                or self._by_hand(now_ns) or self._by_planner(now_ns))
 
     def _steering_trouble(self, now_ns):
         """Steering and throttle stop together."""

@@ -106,6 +106,7 @@ class ThrottleControl:
         """The 16 duties that the servo board holds."""
         duty = duties[self._duties.calibration.channel]
         self._output.update(duty, now_ns)
+        self.arbiter.update_output(duties, now_ns)
         self._esc.update_held(self._duties.request_of_duty(duty), now_ns)
 
     def _request_of_value(self, value):

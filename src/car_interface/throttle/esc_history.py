@@ -11,7 +11,8 @@ from car_interface.throttle.esc_config import EscConfig
 
 # A duty is rounded to counts of 16, and there are about 1640 from neutral to an end: half a count is 0.005.
 NEUTRAL_TOLERANCE = 0.01
-# /servo/output comes on change and at 1 Hz: after two that are missing it is not known what the board holds.
+# /servo/output comes on change and at 10 Hz. The process that publishes it in place of a dead pca9685 takes up to 1.5 s
+# to begin; after a second more it is not known what the board holds.
 HELD_TIMEOUT_NS = round(2.5 * NS_PER_S)
 
 FORWARD, NEUTRAL, PULLED, FAINT = "forward", "neutral", "pulled", "faint"

@@ -12,6 +12,7 @@ from car_interface.common.params import Params
 from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.steering.params import load_yaml
 from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.board_watch import BOARD, read_board
 from car_interface.throttle.calibration import ThrottleCalibration, read_calibration
 from car_interface.throttle.esc_config import EscConfig, read_esc
 from car_interface.throttle.limits import ThrottleLimits, read_limits
@@ -60,7 +61,7 @@ def read_config(params, is_complete: bool = True) -> ThrottleConfig:
     config = ThrottleConfig(tuning=read_tuning(params, LIVE_RANGE), calibration=read_calibration(params),
                             arbiter=read_arbiter(params), esc=read_esc(params), limits=read_limits(params, is_complete),
                             obstacles=read_obstacle_stop(params, is_complete))
-    params.finish(ignored_namespaces=(HUB.rstrip("/"),))
+    params.finish(ignored_namespaces=(HUB.rstrip("/"), BOARD.rstrip("/")))
     return config
 
 
@@ -75,7 +76,8 @@ def read_arbiter(params) -> ArbiterConfig:
                          teleop_timeout_s=params.timeout("teleop_timeout", 0.5),
                          mode_timeout_s=params.timeout("mode_timeout", 0.5),
                          command_timeout_s=params.timeout("command_timeout", 0.5),
-                         odometry_timeout_s=params.timeout("odometry_timeout", 0.5))
+                         odometry_timeout_s=params.timeout("odometry_timeout", 0.5),
+                         board=read_board(params))
 
 
 def load_throttle(path: str) -> ThrottleConfig:

@@ -36,9 +36,9 @@ def test_full_on_is_65535(readings):
     assert published(readings, (0, FOREIGN)) == [(0, [5104, 65535] + [0] * 14)]
 
 
-def test_reading_that_stays_the_same_is_repeated_once_a_second(readings):
-    assert [at_ms for at_ms, _ in published(readings, *((at_ms, SAFE) for at_ms in range(0, 3001, 50)))] == [
-        0, 1000, 2000, 3000]
+def test_reading_that_stays_the_same_is_repeated_ten_times_a_second(readings):
+    assert [at_ms for at_ms, _ in published(readings, *((at_ms, SAFE) for at_ms in range(0, 401, 50)))] == [
+        0, 100, 200, 300, 400]
 
 
 def test_nothing_is_repeated_without_a_reading(readings):

@@ -1,0 +1,270 @@
+"""Whether the servo board holds what turn_arb commands, as stories on a clock of their own. Time is passed in."""
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from car_interface.common import causes
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
+from car_interface.throttle.arbiter import ArbiterConfig, ThrottleArbiter
+from car_interface.throttle.board_watch import BoardConfig, BoardWatch, read_board
+
+MS = 1_000_000
+S = 1000 * MS
+TICK = 10 * MS
+CENTER, LEFT = 5100, 3818
+
+
+def vector(duty, channel=0):
+    duties = [-1] * 16
+    duties[channel] = duty
+    return duties
+
+
+class Car:
+    """A turn_arb, a board and a throttle_arb that judges them, in steps of 10 ms.
+
+    Args:
+        state_late, report_late: how late a state of turn_arb and a report of the board arrive, in ms.
+    """
+
+    def __init__(self, state_late=1, report_late=1, channel=0, **config):
+        self.watch = BoardWatch(BoardConfig(**config))
+        self.channel = channel
+        self._late = {"state": state_late * MS, "report": report_late * MS}
+        self._arrivals = []
+        self.now = 1000 * S
+        self.troubles = []  # (time since the start in ms, cause or None)
+        self._sent = {}
+
+    def step(self, commanded, held):
+        """Pass 10 ms, in which turn_arb's state names a duty and the board reports one; None = it is silent."""
+        for kind, value in (("state", commanded), ("report", held)):
+            if value is not None:
+                self._arrivals.append((self.now + self._late[kind], kind, value))
+        self.now += TICK
+        for at, kind, value in sorted(a for a in self._arrivals if a[0] <= self.now):
+            if kind == "state":
+                self.watch.update_command(self.channel, value, at)
+            else:
+                self.watch.update_output(vector(value, self.channel), at)
+        self._arrivals = [a for a in self._arrivals if a[0] > self.now]
+        trouble = self.watch.trouble(self.now)
+        self.troubles.append(trouble and trouble.cause)
+        return trouble
+
+    def run(self, ms, commanded, held):
+        """The trouble at the end; ``commanded`` and ``held`` are duties, or functions of the time in ms."""
+        for at in range(0, ms, 10):
+            trouble = self.step(commanded(at) if callable(commanded) else commanded,
+                                held(at) if callable(held) else held)
+        return trouble
+
+    def ms_until_trouble(self, commanded, held, limit=5000):
+        """How long the car drives on with a fault, in ms; inf = for ever."""
+        for at in range(0, limit, 10):
+            if self.step(commanded(at) if callable(commanded) else commanded,
+                         held(at) if callable(held) else held):
+                return at + 10
+        return math.inf
+
+
+def agreed(**arguments):
+    car = Car(**arguments)
+    assert car.run(700, CENTER, CENTER) is None
+    return car
+
+
+def test_board_that_never_reported_is_not_driven_and_the_reason_names_the_parameter():
+    car = Car()
+    trouble = car.run(2000, CENTER, None)
+    assert trouble.cause == causes.BOARD_NEVER_RECEIVED
+    assert "output_required: false" in trouble.reason
+
+
+def test_foreign_board_that_never_reports_is_driven_unchecked_if_the_parameter_says_so():
+    assert Car(output_required=False).run(100, CENTER, None) is None
+
+
+def test_foreign_board_that_does_report_is_checked():
+    car = Car(output_required=False)
+    assert car.run(1000, LEFT, CENTER).cause == causes.STEERING_NOT_HELD
+
+
+def test_throttle_is_given_once_both_agreed_for_half_a_second():
+    car = Car()
+    assert car.run(500, CENTER, CENTER).cause == causes.STEERING_NOT_HELD
+    assert car.run(60, CENTER, CENTER) is None
+
+
+def test_reason_at_the_start_says_for_how_long_they_agreed():
+    assert Car().run(300, CENTER, CENTER).reason == "the servo board has held turn_arb's command for 0.29 of 0.5 s"
+
+
+def test_board_that_does_not_follow_a_command_ends_the_throttle_after_half_a_second():
+    assert agreed().ms_until_trouble(LEFT, CENTER) == pytest.approx(500, abs=20)
+
+
+def test_channel_that_timed_out_ends_the_throttle_after_half_a_second():
+    car = agreed()
+    car.run(1000, LEFT, LEFT)
+    assert 400 <= car.ms_until_trouble(LEFT, CENTER) <= 500
+
+
+def test_reason_names_both_duties_and_the_channel():
+    car = agreed(channel=3)
+    assert (car.run(1000, LEFT, CENTER).reason
+            == "the servo board holds 5100 on channel 3, where turn_arb commands 3818")
+
+
+def test_channel_that_the_board_never_set_is_a_difference():
+    assert (Car().run(1000, CENTER, -1).reason
+            == "the servo board holds nothing on channel 0, where turn_arb commands 5100")
+
+
+def test_board_that_falls_silent_ends_the_throttle_after_its_timeout():
+    car = agreed()
+    assert car.ms_until_trouble(CENTER, None) == pytest.approx(500, abs=20)
+    assert car.watch.trouble(car.now).cause == causes.BOARD_STALE
+
+
+def test_board_that_reports_again_must_agree_for_half_a_second():
+    car = agreed()
+    car.run(1000, CENTER, None)
+    assert car.run(450, CENTER, CENTER) is not None
+    assert car.run(120, CENTER, CENTER) is None
+
+
+def test_board_that_follows_again_must_do_so_for_half_a_second():
+    car = agreed()
+    car.run(1000, LEFT, CENTER)
+    assert car.run(500, LEFT, LEFT) is not None
+    assert car.run(70, LEFT, LEFT) is None
+
+
+def test_dropped_messages_take_the_agreement_away():
+    car = agreed()
+    car.watch.mark_stale()
+    assert car.watch.trouble(car.now).cause == causes.BOARD_STALE
+    assert car.run(300, CENTER, CENTER).cause == causes.STEERING_NOT_HELD
+    assert car.run(300, CENTER, CENTER) is None
+
+
+@pytest.mark.parametrize("held", [pytest.param(3808, id="rounded_down"), pytest.param(3824, id="rounded_up"),
+                                  pytest.param(3834, id="a_count_more")])
+def test_rounding_of_the_board_is_no_difference(held):
+    car = agreed()
+    assert car.ms_until_trouble(LEFT, held) == math.inf
+
+
+def test_two_counts_are_a_difference():
+    assert agreed().ms_until_trouble(LEFT, LEFT + 32) < 600
+
+
+def test_limits_of_the_board_are_no_difference():
+    car = Car(pwm_min=(4000,) * 16, pwm_max=(6000,) * 16)
+    car.run(700, CENTER, CENTER)
+    assert car.ms_until_trouble(3800, 4000, 2000) == math.inf
+    assert car.ms_until_trouble(6700, 6000, 2000) == math.inf
+    assert car.ms_until_trouble(3800, 3800) < 600
+
+
+def sweep(period_ms, amplitude=1200):
+    """Commands that go to and fro, as a driver's stick does, sent at 100 Hz."""
+    return lambda at: round(CENTER + amplitude * math.sin(2 * math.pi * at / period_ms))
+
+
+@pytest.mark.parametrize("state_late, report_late", [
+    pytest.param(1, 1, id="prompt"), pytest.param(1, 25, id="reports_late"), pytest.param(25, 1, id="states_late"),
+    pytest.param(40, 45, id="both_late")])
+@pytest.mark.parametrize("period_ms", [400, 1000, 3000])
+def test_board_that_follows_a_moving_stick_is_never_in_trouble(state_late, report_late, period_ms):
+    car = agreed(state_late=state_late, report_late=report_late)
+    wave = sweep(period_ms)
+    assert car.ms_until_trouble(wave, wave, 10_000) == math.inf
+
+
+def test_board_that_follows_on_a_busy_computer_is_not_in_trouble():
+    random.seed(4)
+    car = agreed()
+    wave = sweep(1500)
+    for at in range(0, 20_000, 10):
+        # Most messages are prompt; one in twenty waits for a core for up to 100 ms.
+        car._late = {kind: MS * (random.randrange(100) if random.random() < 0.05 else 2) for kind in car._late}
+        assert car.step(wave(at), wave(at)) is None
+
+
+@pytest.mark.parametrize("period_ms", [500, 700, 1000, 2000, 4000])
+def test_servo_that_stands_still_while_the_stick_goes_to_and_fro_ends_the_throttle(period_ms):
+    """A driver whose car doesn't steer moves the stick; each pass over the servo's position must not excuse it."""
+    assert agreed().ms_until_trouble(sweep(period_ms), CENTER) < 1600
+
+
+def test_second_sender_that_has_the_servo_half_of_the_time_ends_the_throttle():
+    car = agreed()
+    assert car.ms_until_trouble(LEFT, lambda at: LEFT if at // 10 % 2 else CENTER) < 1500
+
+
+def test_stall_of_the_judge_alone_is_no_difference():
+    """What arrives after it is judged at its own time of arrival."""
+    car = agreed()
+    car.step(LEFT, CENTER)
+    car.now += 400 * MS
+    assert car.run(1000, LEFT, LEFT) is None
+    assert set(car.troubles[-100:]) == {None}
+
+
+def test_arbiter_gives_no_throttle_and_says_why_although_human_and_steering_are_well():
+    arbiter = ThrottleArbiter(ArbiterConfig(board=BoardConfig()))
+    now = S
+    for _ in range(150):
+        now += TICK
+        arbiter.update_human(True, now)
+        arbiter.update_steering(3, "", now)
+        arbiter.update_steering_command(0, CENTER, now)
+        arbiter.update_output(vector(CENTER), now)
+        arbiter.update_teleop(0.8, now)
+        arbitration = arbiter.decide(now)
+    assert arbitration.drive > 0
+    for _ in range(60):
+        now += TICK
+        arbiter.update_human(True, now)
+        arbiter.update_steering(3, "", now)
+        arbiter.update_steering_command(0, LEFT, now)
+        arbiter.update_teleop(0.8, now)
+        arbiter.update_output(vector(CENTER), now)
+        arbitration = arbiter.decide(now)
+    assert (arbitration.drive, arbitration.is_stop, arbitration.cause) == (0.0, True, causes.STEERING_NOT_HELD)
+
+
+def test_agreement_is_judged_without_a_human_too():
+    """Otherwise each press of the deadman would wait for half a second."""
+    arbiter = ThrottleArbiter(ArbiterConfig(board=BoardConfig()))
+    now = S
+    for _ in range(100):
+        now += TICK
+        arbiter.update_human(False, now)
+        arbiter.update_steering(3, "", now)
+        arbiter.update_steering_command(0, CENTER, now)
+        arbiter.update_output(vector(CENTER), now)
+        assert arbiter.decide(now).cause == causes.HUMAN_ABSENT
+    arbiter.update_human(True, now)
+    arbiter.update_teleop(0.8, now)
+    assert arbiter.decide(now).drive > 0
+
+
+def test_configuration_is_read_with_the_board_s_own_limits():
+    config = read_board(Params({"output_required": False, "output_timeout": 0.7,
+                                "board": {"pwm_min": 3000, "pwm_max": [6000] * 16, "timeout": 250}}))
+    assert config == BoardConfig(False, 0.7, (3000,) * 16, (6000,) * 16)
+
+
+@pytest.mark.parametrize("values, name", [
+    ({"output_required": "maybe"}, "output_required"), ({"output_timeout": -1}, "output_timeout"),
+    ({"board": {"pwm_min": [1, 2]}}, "board/pwm_min"), ({"board": {"pwm_max": 70000}}, "board/pwm_max")])
+def test_impossible_parameter_is_named(values, name):
+    with pytest.raises(ConfigError, match=name):
+        read_board(Params(values))
