@@ -111,7 +111,7 @@ class LostParameters(unittest.TestCase):
         launch.stdout.wait_for(lambda line: "the parameters are accepted now" in line, marks[1], RESPAWN_S)
         self.assertFalse([line for line in launch.stderr.since() + launch.stdout.since() if "Traceback" in line])
 
-    def lose(self, launch, process, node, changes, parameter, reason, in_vain=()):
+    def lose(self, launch, process, node, changes, parameter, reason):
         """Change parameters on the server (None = deleted), kill the node, and put them back.
 
         Args:
@@ -119,7 +119,6 @@ class LostParameters(unittest.TestCase):
             node: whose parameters.
             changes: by path.
             parameter, reason: what the node refuses and says.
-            in_vain: other nodes that refuse something at the same time.
         """
         values = self.parameters(node)
         for path, value in changes.items():
@@ -131,10 +130,7 @@ class LostParameters(unittest.TestCase):
         self.assert_refused(launch, marks, node, parameter, reason)
         self.assertTrue(pid_of(process))
         rospy.set_param(node, values)
-        for other in in_vain:
-            other()
         self.assert_goes_on(launch, marks)
-        return marks
 
     def test_pca9685_with_a_chip_in_software_opens_no_bus(self):
         outputs = Topic("/servo/output", Int32MultiArray)
