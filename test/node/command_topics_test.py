@@ -216,8 +216,8 @@ class ChannelThatTimedOut(unittest.TestCase):
     def start(self, namespace):
         """Its node in a namespace; it reports that all is well, since no channel was ever commanded."""
         self.node, self.topic = f"{namespace}/pca9685", f"{namespace}/servo/cmdVector"
-        process = start_node(self, "pca9685", f"__ns:={namespace}", "_device:=virtual", f"/servo/cmdVector:={self.topic}",
-                             f"/servo/output:={namespace}/servo/output")
+        process = start_node(self, "pca9685", f"__ns:={namespace}", "_device:=virtual",
+                             f"/servo/cmdVector:={self.topic}", f"/servo/output:={namespace}/servo/output")
         self.wait_until_fine((0, 0))
         return process
 
@@ -264,7 +264,8 @@ class ChannelThatTimedOut(unittest.TestCase):
                 self.assert_error(marks, f"; {name}, which commanded it last, is gone",
                                   f"Start {name} again; or, where nobody is to command channel 3 any more, start this "
                                   f"node again: rosnode kill {self.node}")
-                self.log.wait_for(lambda line: line.name == self.node and "channel timed out: channel 3" in line.msg, log)
+                self.log.wait_for(
+                    lambda line: line.name == self.node and "channel timed out: channel 3" in line.msg, log)
         process, _ = self.publish()
         self.wait_until_fine(self.marks())
         end(process)
@@ -285,7 +286,8 @@ class ChannelThatTimedOut(unittest.TestCase):
         self.assertEqual(doctor.wait_for_exit(), 2)
         shown = doctor.stdout.since()
         for subject in ("topics", "reports"):
-            self.assertTrue([line for line in shown if subject in line and "channel timed out: channel 3" in line], shown)
+            self.assertTrue([line for line in shown if subject in line and "channel timed out: channel 3" in line],
+                            shown)
 
     def test_channel_that_was_made_safe_when_the_node_stood_still_is_told_so(self):
         process = self.start("/still")

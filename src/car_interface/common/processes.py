@@ -1,4 +1,4 @@
-"""Which processes have a device open, and how a process was started, by /proc. Those of other users are visible to root only."""
+"""Which processes have a device open, and how one was started, by /proc. Those of other users only root sees."""
 from __future__ import annotations
 
 import os

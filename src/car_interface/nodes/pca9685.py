@@ -6,8 +6,8 @@ Subscribes:
 Publishes:
     /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at 1 Hz.
         While the guard acts alone ``ros.output_relay`` publishes it.
-    /diagnostics: the board, its faults and how often each channel timed out; the guard; who publishes on its topics;
-        1 Hz.
+    /diagnostics: the board, its faults, which channels have timed out and how often each did; the guard; who publishes
+        on its topics; 1 Hz, and when a channel times out.
 Parameters:
     ~device /dev/i2c-1: the bus, by path or number; ``virtual`` = a chip in software.
     ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides these two.
@@ -22,6 +22,8 @@ Parameters:
     ~guard true: start a guard, which makes the board safe when this node dies or hangs; see ``ros.pca9685_guard``.
     ~guard_off_after 10 (s): so long after it began to act the guard switches every output off.
 The virtual chip has a service and parameters of its own: see ``ros.virtual_board``.
+Arguments, by a launch file: --device, --address, --virtual-chip, which these parameters must agree with: see
+    ``common.fixed_parameters``.
 """
 from __future__ import annotations
 

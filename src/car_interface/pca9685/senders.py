@@ -76,8 +76,9 @@ def _timeout_fault(channels, since_ns, was_made_safe, node, now_ns, topics, proc
     publisher = _publishers(topics).get(node)
     remedy = "See which node should command it"
     if node:
-        reason += f"; {publisher or node}, which commanded {'it' if len(channels) == 1 else 'them'} last, "
-        reason += "publishes, but commands nothing there" if publisher else "is gone" if topics else "no longer commands"
+        them = "it" if len(channels) == 1 else "them"
+        now = "publishes, but commands nothing there" if publisher else "is gone" if topics else "no longer commands"
+        reason += f"; {publisher or node}, which commanded {them} last, {now}"
         remedy = f"See its report on /diagnostics and whether it hangs: rosnode ping {node}"
     if node and topics and not publisher:
         remedy = (f"Start {node} again; or, where nobody is to command {listed(channels)} any more, start this node "

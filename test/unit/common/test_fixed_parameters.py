@@ -66,13 +66,15 @@ def test_parameter_that_is_as_the_launch_file_has_it_is_taken(reader, fixed, val
                  "^x is missing; accepted: virtual, by the launch file that started this process$",
                  id="missing_and_the_default_is_not_taken"),
     pytest.param("text_or_integer", "/dev/i2c-1", "virtual", "/dev/i2c-1",
-                 "^x is '/dev/i2c-1'; accepted: virtual, by the launch file that started this process$", id="other_text"),
+                 "^x is '/dev/i2c-1'; accepted: virtual, by the launch file that started this process$",
+                 id="other_text"),
     pytest.param("integer", 64, "0x40", "0x41", "^x is '0x41'; accepted: 0x40, by", id="other_number"),
     pytest.param("flag", False, "true", None, "^x is missing; accepted: true, by", id="flag_that_is_missing"),
     pytest.param("flag", False, "true", False, "^x is False; accepted: true, by", id="other_flag"),
     pytest.param("flag", False, "maybe", False, "^x is False; accepted: maybe, by", id="no_flag_in_the_launch_file"),
-    pytest.param("path", None, None, "/tmp/other", "^x is '/tmp/other'; accepted: none, by the launch file that started "
-                                                   "this process; its argument x sets it$", id="set_where_none_may_be"),
+    pytest.param("path", None, None, "/tmp/other",
+                 "^x is '/tmp/other'; accepted: none, by the launch file that started this process; its argument x "
+                 "sets it$", id="set_where_none_may_be"),
 ])
 def test_parameter_that_is_missing_or_differs_is_refused(reader, default, fixed, value, message):
     params = Params({} if value is None else {"x": value}, fixed={"x": fixed})
@@ -82,7 +84,7 @@ def test_parameter_that_is_missing_or_differs_is_refused(reader, default, fixed,
 
 
 def test_value_that_cannot_be_is_refused_as_without_a_launch_file():
-    with pytest.raises(ConfigError, match="^address is 'foo'; accepted: an integer from 64 to 127$"):
+    with pytest.raises(ConfigError, match=r"^address is 'foo'; accepted: an integer from 64 to 127$"):
         Params({"address": "foo"}, fixed={"address": "foo"}).integer("address", 64, 64, 127)
 
 

@@ -81,12 +81,11 @@ def test_texts_are_compared_without_numbers():
 
 def test_channel_that_timed_out_is_a_fault_of_the_board_from_then_until_it_is_commanded_again():
     faults = FaultLog()
+    reason = f"{causes.CHANNEL_TIMED_OUT}: channel 0, for {{}} s; /turn_arb, which commanded it last, is gone"
     reports = NodeReports(faults, (), "rosgraph_msgs/msg/Log")
     for time_s, level, message in (
             (1.0, OK, "running at 50.03 Hz"),
-            (2.0, ERROR, f"{causes.CHANNEL_TIMED_OUT}: channel 0, for 0.3 s; /turn_arb, which commanded it last, is gone"),
-            (3.0, ERROR, f"{causes.CHANNEL_TIMED_OUT}: channel 0, for 1.3 s; /turn_arb, which commanded it last, is gone"),
-            (4.0, OK, "running at 50.03 Hz")):
+            (2.0, ERROR, reason.format(0.3)), (3.0, ERROR, reason.format(1.3)), (4.0, OK, "running at 50.03 Hz")):
         status = SimpleNamespace(name="pca9685: servo board", level=level, message=message)
         reports.on_diagnostics(time_s, SimpleNamespace(status=[status]))
     faults.finish()

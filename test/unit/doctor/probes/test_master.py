@@ -142,8 +142,8 @@ def launched(monkeypatch):
     ("pca9685", ["--device", "virtual", "__name:=pca9685"]),
     ("car_nodes", ["--device", "virtual", "--port", "/tmp/a", "--throttle", "true"]),
 ])
-def test_parameters_that_a_launch_file_fixed_are_known_when_the_server_has_lost_them(master, node, launched, monkeypatch,
-                                                                                   process, arguments):
+def test_parameters_that_a_launch_file_fixed_are_known_when_they_are_lost(master, node, launched, monkeypatch, process,
+                                                                          arguments):
     launched[process] = arguments
     asked = master({f"/{process}": node}, [f"/{process}"])
     board = look(asked, "pca9685")
