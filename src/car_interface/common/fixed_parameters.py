@@ -15,8 +15,8 @@ from car_interface.common.errors import ConfigError
 FIXED = {"pca9685": ("device", "address", "virtual_chip"), "teensy_sensor_hub": ("port",),
          "car_sim": ("port", "virtual_chip"), "car_nodes": ("throttle", "planner")}
 PARTS = {"car_nodes": ("car_nodes", "pca9685", "teensy_sensor_hub")}  # the nodes in a process of several
-# What the launch files have where the parameter must not be set, and its default depends on node and master.
-AUTO = "auto"
+# What the launch files have where the parameter must not be set: its default is that of this node and this master only.
+AUTO = {"virtual_chip": "auto"}
 REMAPPING = ":="  # in the arguments that ROS takes
 
 
@@ -33,7 +33,7 @@ def fixed_parameters(node: str, arguments: Sequence[str], process: str | None = 
     """
     nodes = PARTS.get(process or node, (process or node,))
     given = _parse(arguments, {_option(name): name for each in nodes for name in FIXED.get(each, ())})
-    return {name: None if given[name] == AUTO else given[name] for name in FIXED.get(node, ()) if name in given}
+    return {name: None if given[name] == AUTO.get(name) else given[name] for name in FIXED.get(node, ()) if name in given}
 
 
 def _parse(arguments, names):

@@ -17,6 +17,12 @@ def test_arguments_fix_the_parameters_of_their_node():
         "port": "/tmp/a", "virtual_chip": "/tmp/chip"}
 
 
+def test_auto_is_no_device():
+    """A default that a real car shares must not count."""
+    assert fixed_parameters("pca9685", ["--device", "auto"]) == {"device": "auto"}
+    assert fixed_parameters("teensy_sensor_hub", ["--port", "auto"]) == {"port": "auto"}
+
+
 def test_node_that_is_started_by_hand_has_none():
     assert fixed_parameters("pca9685", ["_device:=virtual", *ROS]) == {}
     assert fixed_parameters("pca9685", []) == {}
