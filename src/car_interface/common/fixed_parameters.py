@@ -33,7 +33,8 @@ def fixed_parameters(node: str, arguments: Sequence[str], process: str | None = 
     """
     nodes = PARTS.get(process or node, (process or node,))
     given = _parse(arguments, {_option(name): name for each in nodes for name in FIXED.get(each, ())})
-    return {name: None if given[name] == AUTO.get(name) else given[name] for name in FIXED.get(node, ()) if name in given}
+    return {name: None if given[name] == AUTO.get(name) else given[name]
+            for name in FIXED.get(node, ()) if name in given}
 
 
 def _parse(arguments, names):
