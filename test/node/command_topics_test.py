@@ -1,5 +1,8 @@
 #!/usr/bin/env python3
-"""Wrong message types and second publishers on the topics that nodes obey are on /diagnostics within 2 s."""
+"""What is wrong with the publishers of the topics that nodes obey is on /diagnostics within 2 s.
+
+Wrong message types, second publishers, and channels of the servo board that nobody commands any more.
+"""
 from __future__ import annotations
 
 import signal
@@ -11,8 +14,9 @@ import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
+from std_msgs.msg import Int32MultiArray
 
-from waiting import Topic, config, eventually, retried, set_params, start, start_node
+from waiting import Repeater, Sender, Topic, config, eventually, retried, set_params, start, start_node
 
 WITHIN_S = 2.0
 START_S = 60.0  # for a program to start, on a busy machine
@@ -23,25 +27,26 @@ VECTOR = "{layout: {dim: [], data_offset: 0}, data: [%s]}"
 
 
 class Reports(Topic):
-    """The reports about command topics, of all nodes."""
+    """The reports of one kind, of all nodes."""
 
-    def __init__(self):
+    def __init__(self, kind="command topics"):
+        self.kind = kind
         super().__init__("/diagnostics", DiagnosticArray)
 
     def add(self, what):
         for status in what.status:
-            if status.name.endswith(": command topics"):
+            if status.name.endswith(f": {self.kind}"):
                 super().add(status)
 
     def wait_until(self, node, wanted, since, within_s=15.0):
         """The first report of a node that is wanted, and when it came."""
-        name = f"{node.strip('/')}: command topics"
+        name = f"{node.strip('/')}: {self.kind}"
         heard = self.wait_for(lambda status: status.name == name and wanted(status), since, within_s)
         return heard.what, heard.at_s
 
     def newest(self, node):
         """A node's newest message."""
-        name = f"{node.strip('/')}: command topics"
+        name = f"{node.strip('/')}: {self.kind}"
         return next((status.message for status in reversed(self.since()) if status.name == name), None)
 
 
@@ -197,6 +202,110 @@ class CommandTopicsTest(unittest.TestCase):
         lines = [line for line in self.log.since(marks[1]) if "publish on /e_stop" in line.msg]
         self.assertEqual([line.name for line in lines if line.name == "/turn_arb"], ["/turn_arb"])
         self.assertIn("End all but the one that shall command: rosnode kill /rostopic_", lines[0].msg)
+
+
+class ChannelThatTimedOut(unittest.TestCase):
+    """A pca9685 of the test's own; its channel 3 is commanded, and no longer."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.master = rosgraph.Master(rospy.get_name())
+        cls.boards, cls.topics = Reports("servo board"), Reports()
+        cls.log = Topic("/rosout", Log).connected()
+
+    def start(self, namespace):
+        """Its node in a namespace; it reports that all is well, since no channel was ever commanded."""
+        self.node, self.topic = f"{namespace}/pca9685", f"{namespace}/servo/cmdVector"
+        process = start_node(self, "pca9685", f"__ns:={namespace}", "_device:=virtual",
+                             f"/servo/cmdVector:={self.topic}", f"/servo/output:={namespace}/servo/output")
+        self.wait_until_fine((0, 0))
+        return process
+
+    def marks(self):
+        return self.boards.mark(), self.topics.mark()
+
+    def wait_until_fine(self, marks):
+        self.boards.wait_until(self.node, lambda status: status.message == "running at 50.03 Hz", marks[0], START_S)
+        self.topics.wait_until(self.node, lambda status: status.message == FINE, marks[1], START_S)
+
+    def publish(self):
+        """Command channel 3 as a person does, with a program of its own; it and its name."""
+        before = set(dict(self.master.getSystemState()[0]).get(self.topic, []))
+        marks = self.marks()
+        process = start(self, "rostopic", "pub", "-r", "20", self.topic, "std_msgs/Int32MultiArray",
+                        VECTOR % ", ".join(["-1"] * 3 + ["5100"] + ["-1"] * 12))
+        name, = eventually(lambda: set(dict(self.master.getSystemState()[0]).get(self.topic, [])) - before,
+                           "a publisher", START_S)
+        self.topics.wait_until(self.node, lambda status: any(value.key == self.topic and name in value.value
+                                                             for value in status.values), marks[1], START_S)
+        return process, name
+
+    def assert_error(self, marks, reason, remedy):
+        """Both reports are errors with this reason and remedy, and the cause."""
+        for reports, mark in zip((self.boards, self.topics), marks):
+            status, _ = reports.wait_until(self.node, lambda status: reason in status.message, mark)
+            self.assertEqual(status.level, ERROR)
+            self.assertRegex(status.message, r"channel timed out: channel 3, for \d+\.\d s")
+            values = {value.key: value.value for value in status.values}
+            self.assertEqual(values["cause"], "channel timed out")
+            self.assertIn(remedy, values["remedy"])
+
+    def test_commander_that_is_killed_or_ends_is_named_until_the_channel_is_commanded_again(self):
+        self.start("/gone")
+        for number in (signal.SIGKILL, signal.SIGINT):
+            with self.subTest(number.name):
+                process, name = self.publish()
+                self.wait_until_fine(self.marks())
+                marks, log = self.marks(), self.log.mark()
+                process.end(number)
+                ended_s = time.monotonic()
+                _, at_s = self.boards.wait_until(self.node, lambda status: status.level == ERROR, marks[0])
+                self.assertLess(at_s - ended_s, WITHIN_S)
+                self.assert_error(marks, f"; {name}, which commanded it last, is gone",
+                                  f"Start {name} again; or, where nobody is to command channel 3 any more, start this "
+                                  f"node again: rosnode kill {self.node}")
+                self.log.wait_for(
+                    lambda line: line.name == self.node and "channel timed out: channel 3" in line.msg, log)
+        process, _ = self.publish()
+        self.wait_until_fine(self.marks())
+        end(process)
+
+    def test_commander_that_falls_silent_is_named_and_the_doctor_passes_it_on(self):
+        self.start("/silent")
+        inputs = Repeater(period_s=0.02)
+        self.addCleanup(inputs.end)
+        sender = Sender(self.topic, Int32MultiArray)
+        self.addCleanup(sender.close)
+        inputs.hold(sender, Int32MultiArray(data=[-1] * 3 + [5100] + [-1] * 12))
+        self.wait_until_fine(self.marks())
+        marks = self.marks()
+        inputs.drop(sender)
+        self.assert_error(marks, f"{rospy.get_name()} on 127.0.0.1, which commanded it last, publishes, but commands "
+                                 "nothing there", f"rosnode ping {rospy.get_name()}")
+        doctor = start_node(self, "doctor", "--ns", "/silent")
+        self.assertEqual(doctor.wait_for_exit(), 2)
+        shown = doctor.stdout.since()
+        for subject in ("topics", "reports"):
+            self.assertTrue([line for line in shown if subject in line and "channel timed out: channel 3" in line],
+                            shown)
+
+    def test_channel_that_was_made_safe_when_the_node_stood_still_is_told_so(self):
+        process = self.start("/still")
+        inputs = Repeater(period_s=0.02)
+        self.addCleanup(inputs.end)
+        sender = Sender(self.topic, Int32MultiArray)
+        self.addCleanup(sender.close)
+        inputs.hold(sender, Int32MultiArray(data=[-1] * 3 + [5100] + [-1] * 12))
+        outputs = Topic("/still/servo/output", Int32MultiArray)
+        self.addCleanup(outputs.close)
+        outputs.wait_for(lambda output: output.data[3] == 5104)
+        process.send(signal.SIGSTOP)
+        outputs.wait_for(lambda output: output.data[3] == 0, outputs.mark())  # its guard
+        marks = self.marks()
+        inputs.drop(sender)
+        process.send(signal.SIGCONT)
+        self.assert_error(marks, ", since this node stood still or lost messages: no command has come after that; ",
+                          f"rosnode ping {rospy.get_name()}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 /* An I2C bus with a PCA9685 on it where there is none, to be preloaded: the plain file that $FAKE_I2C names answers the
  * ioctls of linux/i2c-dev.h, and holds the chip's 256 registers, so that all processes which open it share the chip.
  * Each open, lock, question for a lock, and transfer is a line in the file that $FAKE_I2C_LOG names: monotonic time in ns,
- * process, and what. While there is a file $FAKE_I2C.held the bus is held down: transfers fail after a second. */
+ * process, and what. While there is a file $FAKE_I2C.held the bus is held down: transfers fail after a second.
+ * Whoever opens a path below /dev/i2c- gets that bus, too; an attempt to open one below /dev/ttyAMA is a line and fails. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -188,8 +189,16 @@ int fcntl64(int fd, int command, ...)
 
 static int noted_open(int (*next)(const char *, int, ...), const char *path, int flags, int mode)
 {
-    int fd = next(path, flags, mode);
+    int fd;
 
+    if (getenv("FAKE_I2C") && !strncmp(path, "/dev/i2c-", 9))
+        path = getenv("FAKE_I2C");
+    if (!strncmp(path, "/dev/ttyAMA", 11)) {
+        note(path);
+        errno = ENOENT;
+        return -1;
+    }
+    fd = next(path, flags, mode);
     if (fd >= 0 && is_bus(fd))
         note("open");
     return fd;

@@ -8,6 +8,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from car_interface.common.fixed_parameters import FIXED, PARTS
+
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
 REQUIRED: set[tuple[str, str]] = set()  # (file, argument): those that a user must give
@@ -68,3 +70,23 @@ def test_an_argument_of_one_name_has_the_same_default_in_every_file():
         if argument.name not in differ:
             defaults.setdefault(argument.name, set()).add(argument.default)
     assert {name: found for name, found in defaults.items() if len(found) > 1} == {}
+
+
+NODES = [(path.name, node) for path in LAUNCH_FILES for node in ElementTree.parse(str(path)).getroot().iter("node")
+         if node.get("type") in FIXED]
+
+
+@pytest.mark.parametrize("file, node", NODES, ids=[f"{file}:{node.get('type')}" for file, node in NODES])
+def test_node_gets_its_devices_as_arguments_as_well_as_by_parameters(file, node):
+    kind, text = node.get("type"), node.get("args")
+    given = re.findall(r"--([\w-]+) '([^']+)'", text)  # quoted: a path may have a space
+    assert " ".join(text.split()) == " ".join(f"--{name} '{value}'" for name, value in given)
+    names = {name for each in PARTS.get(kind, (kind,)) for name in FIXED[each]}
+    assert {name.replace("-", "_") for name, _ in given} == names
+    root = ElementTree.parse(str(ROOT / "launch" / file)).getroot()
+    values = {param.get("name"): param.get("value") for param in root.iter("param")}
+    assert {name.replace("-", "_"): value for name, value in given} == {name: values[name] for name in names}
+
+
+def test_each_node_that_opens_a_device_is_started_so():
+    assert {node.get("type") for _, node in NODES} == set(FIXED)

@@ -93,6 +93,7 @@ GUARD_ABSENT = "guard absent"  # nothing would make the board safe if its node d
 GUARD_BLOCKED = "guard blocked"  # the guard can't reach the board
 NODE_STOOD_STILL = "node stood still"  # for so long that what was sent meanwhile is no longer obeyed
 FOREIGN_WRITE = "foreign write"  # another program wrote to the board
+CHANNEL_TIMED_OUT = "channel timed out"  # it was commanded, is no longer, and is at its timeout value
 
 STEERING_CUTS = frozenset({LATERAL_LIMITED, JERK_LIMITED})
 THROTTLE_CUTS = frozenset({SPEED_LIMITED, CURVE_SLOWED, SPEED_LATE, ACCELERATION_LIMITED, BRAKING_LIMITED,

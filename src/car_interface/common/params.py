@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import math
 import os
-from typing import Any, Callable, Sequence
+from types import MappingProxyType
+from typing import Any, Callable, Mapping, Sequence
 
 from car_interface.common.errors import ConfigError
 
 REQUIRED = object()
 DURATION_S = (0.0, 3600.0)  # range of every timeout
+BY_LAUNCH_FILE = "by the launch file that started this process"
 
 
 class Params:
@@ -26,11 +28,15 @@ class Params:
         private: the content of the namespace, as rospy returns it: nested dicts for names with a slash.
         search_parents: looks up a name that the private namespace lacks in the namespaces around it; None when there is
             none.
+        fixed: what a launch file gave to the process itself, see ``fixed_parameters``: a scalar that is missing or
+            differs from that is refused; ``None`` = it must not be set.
     """
 
-    def __init__(self, private: dict[str, Any] | None, search_parents: Callable[[str], Any] = lambda name: None):
+    def __init__(self, private: dict[str, Any] | None, search_parents: Callable[[str], Any] = lambda name: None,
+                 fixed: Mapping[str, str | None] = MappingProxyType({})):
         self._values = _flatten(private or {})
         self._search_parents = search_parents
+        self._fixed = fixed
         self._known: set = set()
 
     def number(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, above=None,
@@ -63,7 +69,8 @@ class Params:
 
     def flag(self, name: str, default=REQUIRED) -> bool:
         """True or false."""
-        return self._scalar(name, default, False, lambda v: v if isinstance(v, bool) else None, "true or false")
+        return self._scalar(name, default, False, lambda v: v if isinstance(v, bool) else None, "true or false",
+                            read_fixed=lambda text: {"true": True, "false": False}.get(text.lower()))
 
     def text(self, name: str, default=REQUIRED, may_be_empty=False) -> str:
         """A string; not an empty one unless ``may_be_empty``."""
@@ -109,9 +116,24 @@ class Params:
             raise ConfigError(f"unknown parameter {unknown[0]}", self._values[unknown[0]],
                               "only " + ", ".join(sorted(self._known)))
 
-    def _scalar(self, name, default, search_parents, read, accepted):
+    def _scalar(self, name, default, search_parents, read, accepted, read_fixed=None):
+        if name in self._fixed:
+            return self._fixed_scalar(name, default, read, accepted, read_fixed or read)
         value = self._get(name, default, search_parents, accepted)
         return None if value is None else self._checked(name, value, read, accepted)
+
+    def _fixed_scalar(self, name, default, read, accepted, read_fixed):
+        """A parameter that must be as the launch file has it."""
+        self._known.add(name)
+        value, fixed = self._values.get(name), self._fixed[name]
+        if fixed is None:
+            if value is not None:
+                raise ConfigError(name, value, f"none, {BY_LAUNCH_FILE}; its argument {name} sets it")
+            return default
+        result = None if value is None else self._checked(name, value, read, accepted)
+        if result is None or result != read_fixed(fixed):
+            raise ConfigError(name, value, f"{fixed}, {BY_LAUNCH_FILE}")
+        return result
 
     def _list(self, name, default, search_parents, read, element):
         accepted = f"a list, each {element}"

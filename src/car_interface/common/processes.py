@@ -1,4 +1,4 @@
-"""Which processes have a device open, by /proc. Those of other users are visible to root only."""
+"""Which processes have a device open, and how one was started, by /proc. Those of other users only root sees."""
 from __future__ import annotations
 
 import os
@@ -22,15 +22,28 @@ def openers(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
 
 def process_name(pid: int, proc: str = "/proc") -> str:
     """The name of a program; for an interpreter that of its script."""
-    try:
-        with open(os.path.join(proc, str(pid), "cmdline"), "rb") as file:
-            names = [os.path.basename(part) for part in file.read().decode(errors="replace").split("\0") if part]
-    except OSError:
+    names = [os.path.basename(part) for part in _command_line(pid, proc) if part]
+    if not names:
         return "unknown"
     scripts = [name for name in names[1:] if not name.startswith("-")]
     if names and names[0].startswith(INTERPRETERS) and scripts:
         return scripts[0]
-    return names[0].rstrip(":") if names else "unknown"
+    return names[0].rstrip(":")
+
+
+def script_arguments(pid: int, script: str, proc: str = "/proc") -> list[str]:
+    """The arguments of a process that runs a script of this name; none where it runs something else or has ended."""
+    words = _command_line(pid, proc)
+    places = [place for place, word in enumerate(words) if os.path.basename(word) == script]
+    return words[places[0] + 1:] if places else []
+
+
+def _command_line(pid, proc):
+    try:
+        with open(os.path.join(proc, str(pid), "cmdline"), "rb") as file:
+            return file.read().decode(errors="replace").split("\0")[:-1]
+    except OSError:
+        return []
 
 
 def _names_in(folder):

@@ -105,18 +105,19 @@ def survey(master: Master | None, options: Options) -> Car:
     cars = find_cars(graph.nodes)
     namespace = options.namespace or (cars[0] if len(cars) == 1 else "/")
     tasks = [Task("nodes", master.node, name, namespace, graph) for name in NODES] if master else []
-    hub = _parameters(master, namespace, "teensy_sensor_hub")
-    board = _parameters(master, namespace, "pca9685")
+    nodes = [task.wait(time.monotonic() + SURVEY_S)[0] for task in tasks]
+    nodes = [node for node in nodes if node is not None]
+    hub = _parameters(master, namespace, "teensy_sensor_hub", nodes)
+    board = _parameters(master, namespace, "pca9685", nodes)
     of_hub = _text(hub, "port")
     port = options.port or of_hub or (STABLE_PORT if os.path.exists(STABLE_PORT) else USUAL_PORT)
     prescale, oscillator_hz = _prescale(board)
-    answers = [task.wait(time.monotonic() + SURVEY_S)[0] for task in tasks]
     return Car(
         namespace=namespace, others=[car for car in cars if car != namespace],
         was_chosen=options.namespace is not None or namespace in cars or not cars,
         joy_is_published=bool(graph.publishers.get(f"{namespace.rstrip('/')}/joy")),
-        port_is_virtual=port == _text(_parameters(master, namespace, SIMULATOR), "port"),
-        nodes=[node for node in answers if node is not None],
+        port_is_virtual=port == _text(_parameters(master, namespace, SIMULATOR, nodes), "port"),
+        nodes=nodes,
         uses_sim_time=bool(master and master.parameter("/use_sim_time")),
         port=port, baud=_number(hub, "baud", USUAL_BAUD),
         bus=_bus(options.bus or _text(board, "device") or _number(board, "device", USUAL_BUS)),
@@ -125,9 +126,12 @@ def survey(master: Master | None, options: Options) -> Car:
         port_is_the_nodes=bool(of_hub) and os.path.realpath(port) == os.path.realpath(of_hub))
 
 
-def _parameters(master, namespace, node):
-    values = master.parameter(f"{namespace.rstrip('/')}/{node}") if master else None
-    return Params(values if isinstance(values, dict) else {})
+def _parameters(master, namespace, name, nodes):
+    """A node's parameters; what its launch file gave to its process goes before what the server holds by now."""
+    values = master.parameter(f"{namespace.rstrip('/')}/{name}") if master else None
+    fixed = [master.fixed_parameters(node) for node in nodes if node.name == name]
+    given = {key: value for values in fixed for key, value in values.items() if value is not None}
+    return Params({**(values if isinstance(values, dict) else {}), **given})
 
 
 def _text(params, name):

@@ -13,12 +13,14 @@ required and missing.
 Parameters, beside those of each node below its own name:
     ~throttle false: true = with throttle_arb.
     ~planner false: true = with planner_interface.
+Arguments, by a launch file: --throttle, --planner, and those of pca9685 and teensy_sensor_hub.
 """
 from __future__ import annotations
 
 import gc
 import logging
 import math
+import sys
 import threading
 import time
 from typing import Callable
@@ -26,6 +28,7 @@ from typing import Callable
 import rospy
 
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685 import Pca9685
@@ -36,6 +39,7 @@ from car_interface.nodes.turn_arb import TurnArb
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.runtime import describe_error, run, spin
 
+PROCESS = "car_nodes"
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
          "generic_value_converter": GenericValueConverter, "throttle_arb": ThrottleArb,
          "planner_interface": PlannerInterface}
@@ -90,7 +94,8 @@ class Part:
     def _run(self):
         fault = "it ended"
         try:
-            spin(self._build, self._inbox)
+            spin(self._build, self._inbox,
+                 read_fixed=lambda: fixed_parameters(self.name, sys.argv[1:], process=PROCESS))
             fault = "" if self._is_final else fault
         except Exception as error:
             fault = describe_error(error)
@@ -157,4 +162,4 @@ def _name_part(record):
 
 def main():
     """Run the process."""
-    run("car_nodes", CarNodes)
+    run(PROCESS, CarNodes)

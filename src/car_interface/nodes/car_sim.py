@@ -39,6 +39,8 @@ Parameters:
     ~sonar_pulse_end 38000 (µs): so long a sonar that hears nothing holds its echo pin.
     ~seed: of all that isn't given: wheel_pulses, clock_start_ms (up to an hour), clock_drift_ppm (±50); of the garbage
         in the Teensy's memory at power-up, and of the noise on its line. Not given it differs each time; it is logged.
+Arguments, by a launch file: --port, --virtual-chip, which these parameters must agree with: see
+    ``common.fixed_parameters``.
 """
 from __future__ import annotations
 

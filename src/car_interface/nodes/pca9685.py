@@ -6,8 +6,8 @@ Subscribes:
 Publishes:
     /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at
         10 Hz. While the guard acts alone ``ros.output_relay`` publishes it.
-    /diagnostics: the board, its faults and how often each channel timed out; the guard; who publishes on its topics;
-        1 Hz.
+    /diagnostics: the board, its faults, which channels have timed out and how often each did; the guard; who publishes
+        on its topics; 1 Hz, and when a channel times out.
 Parameters:
     ~device /dev/i2c-1: the bus, by path or number; ``virtual`` = a chip in software.
     ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides these two.
@@ -22,6 +22,8 @@ Parameters:
     ~guard true: start a guard, which makes the board safe when this node dies or hangs; see ``ros.pca9685_guard``.
     ~guard_off_after 10 (s): so long after it began to act the guard switches every output off.
 The virtual chip has a service and parameters of its own: see ``ros.virtual_board``.
+Arguments, by a launch file: --device, --address, --virtual-chip, which these parameters must agree with: see
+    ``common.fixed_parameters``.
 """
 from __future__ import annotations
 
@@ -36,7 +38,6 @@ from std_msgs.msg import Int32MultiArray
 from car_interface.common.causes import FOREIGN_WRITE, NODE_STOOD_STILL
 from car_interface.common.errors import DeviceError
 from car_interface.common.file_lock import lock_byte
-from car_interface.common.publishers import Publisher, second_publisher
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_S
@@ -45,7 +46,7 @@ from car_interface.pca9685.bus_errors import explain
 from car_interface.pca9685.channels import Channels
 from car_interface.pca9685.config import VIRTUAL, read_config
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for
-from car_interface.pca9685.senders import ChannelSenders
+from car_interface.pca9685.senders import ChannelSenders, listed
 from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
@@ -118,11 +119,12 @@ class Pca9685:
         self._dropped = 0  # commands that arrived meanwhile
         self._held_back = 0  # commands that arrived before the guard had left the chip to this node again
         self._timeouts: Counter = Counter()  # by channel
+        self._timeout_reported_ns = now_ns - NS_PER_S  # when the last one was
         self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
         self._published = [UNCHANGED] * CHANNELS
         # Several nodes publish on each, but no two of them command the same channel.
         self._senders = ChannelSenders()
-        self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_conflicts)
+        self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_faults)
         self._diagnostics = Diagnostics(inbox, self._name(), {
             "servo board": self._report,
             "guard": lambda status: self._guard.report(status, time.monotonic_ns(), self._supervisor.running),
@@ -130,7 +132,7 @@ class Pca9685:
         if config.required:
             self._open_or_end(now_ns)
         bus.serve(inbox)
-        inbox.on_overflow(lambda now_ns: self._channels.make_safe())
+        inbox.on_overflow(self._channels.make_safe)
         for topic in COMMANDS:
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
         subscribe(NEUTRALS, Int32MultiArray, inbox, self._on_neutral)
@@ -172,7 +174,7 @@ class Pca9685:
         """What the chip should hold now. The supervisor asks at each attempt to write."""
         now_ns = time.monotonic_ns()
         if self._guard.watch.is_late(now_ns):
-            self._channels.make_safe()  # a transfer took so long that the guard acts
+            self._channels.make_safe(now_ns)  # a transfer took so long that the guard acts
         self._expire(now_ns)
         return self._channels.targets
 
@@ -180,7 +182,10 @@ class Pca9685:
         expired = self._channels.expire(now_ns)
         if expired:
             self._timeouts.update(expired)
-            self._warnings.warn(f"timeout of {expired}", f"no command for {_listed(expired)}: now at timeout value")
+            if now_ns - self._timeout_reported_ns >= NS_PER_S:  # commands that are too slow expire many times a second
+                self._timeout_reported_ns = now_ns
+                self._diagnostics.report_now()
+            self._warnings.warn(f"timeout of {expired}", f"no command for {listed(expired)}: now at timeout value")
 
     def shut_down(self):
         """Timeout values for a whole period, then every output off: an ESC sees neutral before it sees nothing."""
@@ -195,7 +200,7 @@ class Pca9685:
         time.sleep(0.02)  # for what a socket did not take at once
 
     def _switch_off(self):
-        self._channels.make_safe()
+        self._channels.make_safe(time.monotonic_ns())
         self._retry(self._update_now)
         time.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
         self._retry(lambda: self._update_now() and self._supervisor.all_off(time.monotonic_ns()))
@@ -232,17 +237,17 @@ class Pca9685:
         self._dropped += not self._supervisor.running
         if accepted.refused:
             first = accepted.refused[0]
-            self._warnings.warn("refused", f"{_listed(accepted.refused)} refused: {message.data[first]} of channel "
+            self._warnings.warn("refused", f"{listed(accepted.refused)} refused: {message.data[first]} of channel "
                                              f"{first} is no duty; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
         if accepted.clamped:
-            self._warnings.warn("clamped", f"{_listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
+            self._warnings.warn("clamped", f"{listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
 
-    def _channel_conflicts(self, now_ns, topics):
-        """The channels that several nodes command, as faults of the command topics."""
-        known = {publisher.node: publisher for topic in topics for publisher in topic.publishers}
-        return [second_publisher(_listed(channels), f"{len(nodes)} nodes command {_listed(channels)}",
-                                 [known.get(node) or Publisher(node, "an unknown machine", "") for node in nodes])
-                for nodes, channels in self._senders.conflicts(now_ns).items()]
+    def _channel_faults(self, now_ns, topics):
+        """The channels that timed out, and those that several nodes command, as faults of the command topics."""
+        return [*self._timeout_faults(now_ns, topics), *self._senders.conflict_faults(now_ns, topics)]
+
+    def _timeout_faults(self, now_ns, topics):
+        return self._senders.timeout_faults(self._channels.timed_out(now_ns), now_ns, topics, rospy.get_name())
 
     def _on_neutral(self, message, now_ns):
         """Let timeout values follow the neutrals of the nodes that command the channels."""
@@ -256,7 +261,7 @@ class Pca9685:
                                              f"its timeout value is {self._channels.timeout_values[channel]}: too far "
                                              "to follow. Start both nodes with the same YAML file")
         if followed.changed:
-            self._warnings.warn("followed", f"the timeout value of {_listed(sorted(followed.changed))} follows "
+            self._warnings.warn("followed", f"the timeout value of {listed(sorted(followed.changed))} follows "
                                               "servo/neutral, away from the YAML file's. To save it: ~save of the node "
                                               "that was tuned")
 
@@ -305,6 +310,12 @@ class Pca9685:
             status.summary(OK, f"running at {frequency_for(self._prescale, self._oscillator_hz):.2f} Hz")
         else:
             status.summary(ERROR, ". ".join(self._fault or ("not opened yet", "")))
+        faults = self._timeout_faults(time.monotonic_ns(), self._command_topics.topics)
+        for fault in faults:
+            status.mergeSummary(ERROR, fault.reason)
+        if faults:
+            status.add("cause", faults[0].cause)
+            status.add("remedy", ". ".join(fault.remedy for fault in faults))
         status.add("bus", self._device)
         status.add("address", f"0x{self._address:02x}")
         period_ms = 1e3 / frequency_for(self._prescale, self._oscillator_hz)
@@ -332,10 +343,6 @@ class Pca9685:
 
     def _name(self):
         return f"PCA9685 at 0x{self._address:02x} on {self._device}"
-
-
-def _listed(channels):
-    return ("channel " if len(channels) == 1 else "channels ") + ", ".join(map(str, channels))
 
 
 def main():

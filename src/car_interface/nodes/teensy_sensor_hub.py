@@ -35,6 +35,7 @@ Parameters:
         ~min_range 0.02, ~max_range 2.0 (m), ~no_echo inf (or max_range), ~median false (true = over five of a sonar),
         ~temperature 20 (°C), ~no_echo_timeouts/front_right … ~no_echo_timeouts/rear_left 38 (ms: when the sensor ends
         its pulse by itself).
+Argument, by a launch file: --port, which ~port must agree with: see ``common.fixed_parameters``.
 """
 from __future__ import annotations
 

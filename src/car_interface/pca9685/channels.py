@@ -40,6 +40,13 @@ class Accepted(NamedTuple):
     refused: Sequence[int]  # those whose value is not a duty; they keep their target, and their timeout runs on
 
 
+class TimedOut(NamedTuple):
+    """Why a channel that was commanded is at its timeout value."""
+
+    since_ns: int  # when its timeout had passed, or when ``make_safe`` was called
+    was_made_safe: bool  # by ``make_safe``, and no command has come since
+
+
 class Followed(NamedTuple):
     """The channels whose timeout values a vector of neutrals changed, and those that refused it."""
 
@@ -66,6 +73,7 @@ class Channels:
         self._targets = [counts_of_duty(duty) for duty in self.timeout_values]
         self._commanded: set[int] = set()  # the others are at their timeout value
         self._deadlines_ns: dict[int, int] = {}
+        self._timed_out: dict[int, TimedOut] = {}  # until the next command
 
     def command(self, duties: Sequence[int], now_ns: int) -> Accepted:
         """Set targets by a vector of 16 duties, −1 = unchanged. Each duty restarts its channel's timeout.
@@ -88,6 +96,7 @@ class Channels:
                 clamped.append(channel)
             self._targets[channel] = counts_of_duty(allowed)
             self._commanded.add(channel)
+            self._timed_out.pop(channel, None)
             if config.timeout_ms:
                 self._deadlines_ns[channel] = now_ns + config.timeout_ms * NS_PER_MS
             given.append(channel)
@@ -97,7 +106,7 @@ class Channels:
         """Set every channel whose command is too old to its timeout value, and return these channels."""
         expired = [channel for channel, deadline_ns in self._deadlines_ns.items() if now_ns >= deadline_ns]
         for channel in expired:
-            del self._deadlines_ns[channel]
+            self._timed_out[channel] = TimedOut(self._deadlines_ns.pop(channel), False)
             self._commanded.discard(channel)
             self._targets[channel] = counts_of_duty(self.timeout_values[channel])
         return expired
@@ -125,11 +134,21 @@ class Channels:
                 self._targets[channel] = counts_of_duty(duty)
         return Followed(changed, refused)
 
-    def make_safe(self) -> None:
+    def make_safe(self, now_ns: int) -> None:
         """Set every channel to its timeout value now."""
+        self._timed_out.update((channel, TimedOut(now_ns, True)) for channel in self._commanded)
         self._deadlines_ns.clear()
         self._commanded.clear()
         self._targets = [counts_of_duty(duty) for duty in self.timeout_values]
+
+    def timed_out(self, now_ns: int) -> dict[int, TimedOut]:
+        """Return the channels that were commanded, are no longer, and are at their timeout values for that.
+
+        A channel that was made safe is among them once its timeout has passed without a command: whoever commands it
+        has done nothing wrong before.
+        """
+        return {channel: each for channel, each in sorted(self._timed_out.items()) if not each.was_made_safe
+                or now_ns - each.since_ns >= self._configs[channel].timeout_ms * NS_PER_MS}
 
     def next_deadline_ns(self) -> float:
         """When the next command expires; inf = none will."""

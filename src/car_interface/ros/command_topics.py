@@ -33,7 +33,7 @@ class CommandTopics:
         self._shared = shared
         self._types = types
         self._more_faults = more_faults or (lambda now_ns, topics: [])
-        self._topics: list[CommandTopic] = []
+        self.topics: list[CommandTopic] = []  # as they were found last; none = not yet
         self._log = FaultLog()
         self.reports = {REPORT: self._report}
 
@@ -45,22 +45,22 @@ class CommandTopics:
             on_fault: as ``MasterWatch`` takes it.
         """
         def on_topics(topics, now_ns):
-            self._topics = topics
+            self.topics = topics
             report_now()
         MasterWatch(self._inbox, on_fault, on_topics, (*self._shared, *REPORTS), self._types)
 
     def _report(self, status):
         """For /diagnostics: each fault with its remedy, and all publishers."""
         now_ns = time.monotonic_ns()
-        faults = [fault for topic in self._topics for fault in find_faults(topic)]
-        faults += self._more_faults(now_ns, self._topics)
+        faults = [fault for topic in self.topics for fault in find_faults(topic)]
+        faults += self._more_faults(now_ns, self.topics)
         for fault in self._log.update(faults, now_ns):
             rospy.logwarn("%s", fault.text)
-        status.summary(OK, "each has the publishers that it should have" if self._topics else "not looked at yet")
+        status.summary(OK, "each has the publishers that it should have" if self.topics else "not looked at yet")
         for fault in faults:
             status.mergeSummary(ERROR if self._log.is_lasting(fault, now_ns) else WARN, fault.reason)
         status.add("cause", ", ".join(dict.fromkeys(fault.cause for fault in faults)))
         status.add("remedy", ". ".join(dict.fromkeys(fault.remedy for fault in faults)))
-        for topic in self._topics:
+        for topic in self.topics:
             status.add(topic.name, ", ".join(map(str, topic.publishers)) or "no publisher")
         return status

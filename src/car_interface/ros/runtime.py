@@ -23,11 +23,13 @@ import threading
 import time
 import traceback
 from contextlib import suppress
+from typing import Callable, Mapping
 
 import rospy
 from rospy.impl.paramserver import get_param_server_cache
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
+from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.params import Params
 from car_interface.common.standstill import StandstillWatch
 from car_interface.ros.direct_connection import send_directly
@@ -65,7 +67,7 @@ def run(name: str, node_class) -> None:
     rospy.core.add_shutdown_hook(lambda reason: unregistered.set())  # called after rospy's own hooks
     failed = False
     try:
-        spin(node_class, inbox, IdleCollector())
+        spin(node_class, inbox, IdleCollector(), lambda: fixed_parameters(name, sys.argv[1:]))
     except EndedEarly as error:
         rospy.logwarn("%s", error)
         failed = True
@@ -108,17 +110,20 @@ def _on_end_signals(act):
             signal.signal(number, lambda *_: act())
 
 
-def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None) -> None:
+def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None,
+         read_fixed: Callable[[], Mapping[str, str | None]] = dict) -> None:
     """Run a node in this thread: read its parameters, build it, step it until it ends, shut it down.
 
     Args:
         collector: what collects garbage whenever the node is idle; ``None`` = another thread does, and sees when this
             one is.
+        read_fixed: returns what a launch file gave to this process for the node.
     """
     name = inbox.node_name
 
     def build():
-        return node_class(Params(rospy.get_param(name, {}), lambda wanted: _search_parents(name, wanted)), inbox)
+        fixed = read_fixed()
+        return node_class(Params(rospy.get_param(name, {}), lambda wanted: _search_parents(name, wanted), fixed), inbox)
     node = build_node(build, inbox)
     if node is None:
         return

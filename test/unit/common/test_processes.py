@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from car_interface.common.processes import openers, process_name
+from car_interface.common.processes import openers, process_name, script_arguments
 
 
 @pytest.fixture
@@ -38,3 +38,14 @@ def test_this_process_is_not_among_the_openers(tmp_path):
     with open(tmp_path / "port", "w", encoding="ascii") as file:
         assert os.readlink(f"/proc/self/fd/{file.fileno()}") == str(tmp_path / "port")
         assert openers(str(tmp_path / "port")) == []
+
+
+def test_arguments_of_a_script_are_those_behind_it(proc):
+    words = ["/usr/bin/python3", "-u", "/opt/pca9685", "--port", "", "__name:=a"]
+    (proc / "proc" / "7" / "cmdline").write_bytes(b"\0".join(word.encode() for word in words) + b"\0")
+    assert script_arguments(7, "pca9685", str(proc / "proc")) == ["--port", "", "__name:=a"]
+
+
+def test_other_script_and_process_that_has_ended_have_no_arguments(proc):
+    assert script_arguments(7, "car_nodes", str(proc / "proc")) == []
+    assert script_arguments(9, "pca9685", str(proc / "proc")) == []

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.pca9685.channels import ChannelConfig, Channels, blocks, differences
+from car_interface.pca9685.channels import ChannelConfig, Channels, TimedOut, blocks, differences
 
 MS = 1_000_000
 NOW = 5_000 * MS
@@ -143,9 +143,64 @@ def test_channels_each_have_their_own_timeout_and_value():
 def test_made_safe_every_channel_holds_its_timeout_value_and_no_deadline():
     board = channels()
     board.command([3800] * 16, NOW)
-    board.make_safe()
+    board.make_safe(NOW)
     assert board.targets == [CENTER_COUNTS] * 16
     assert board.next_deadline_ns() == math.inf
+
+
+def test_channel_that_was_never_commanded_has_not_timed_out():
+    board = channels()
+    board.command(vector({0: 3800}), NOW)
+    board.make_safe(NOW)
+    board.expire(NOW + 10_000 * MS)
+    assert list(board.timed_out(NOW + 10_000 * MS)) == [0]
+
+
+def test_channel_has_timed_out_since_its_deadline_and_until_its_next_command():
+    board = channels()
+    board.command(vector({0: 3800, 1: 4000}), NOW)
+    assert board.timed_out(NOW + 249 * MS) == {}
+    board.expire(NOW + 300 * MS)
+    assert board.timed_out(NOW + 9000 * MS) == {channel: TimedOut(NOW + 250 * MS, False) for channel in (0, 1)}
+    board.command(vector({1: 4000}), NOW + 9000 * MS)
+    assert list(board.timed_out(NOW + 9000 * MS)) == [0]
+    board.expire(NOW + 9250 * MS)
+    assert board.timed_out(NOW + 9250 * MS)[1].since_ns == NOW + 9250 * MS
+
+
+def test_value_that_is_refused_does_not_end_a_timeout():
+    board = channels()
+    board.command(vector({0: 3800}), NOW)
+    board.expire(NOW + 250 * MS)
+    board.command(vector({0: 65536}), NOW + 300 * MS)
+    assert list(board.timed_out(NOW + 300 * MS)) == [0]
+
+
+def test_channel_that_was_made_safe_has_timed_out_once_no_command_came_in_its_timeout():
+    board = channels()
+    board.command(vector({0: 3800, 1: 4000}), NOW)
+    board.make_safe(NOW + 100 * MS)
+    board.make_safe(NOW + 200 * MS)
+    board.command(vector({1: 4000}), NOW + 200 * MS)
+    assert board.timed_out(NOW + 349 * MS) == {}
+    assert board.timed_out(NOW + 350 * MS) == {0: TimedOut(NOW + 100 * MS, True)}
+
+
+def test_channel_that_had_timed_out_before_it_was_made_safe_has_since_then():
+    board = channels()
+    board.command(vector({0: 3800}), NOW)
+    board.expire(NOW + 250 * MS)
+    board.make_safe(NOW + 500 * MS)
+    assert board.timed_out(NOW + 500 * MS) == {0: TimedOut(NOW + 250 * MS, False)}
+
+
+def test_channel_without_a_timeout_has_timed_out_only_when_it_was_made_safe():
+    board = channels(timeout_ms=0)
+    board.command(vector({0: 3800}), NOW)
+    board.expire(NOW + 10_000 * MS)
+    assert board.timed_out(NOW + 10_000 * MS) == {}
+    board.make_safe(NOW + 10_000 * MS)
+    assert board.timed_out(NOW + 10_000 * MS) == {0: TimedOut(NOW + 10_000 * MS, True)}
 
 
 def test_limits_that_meet_leave_one_duty():
@@ -244,7 +299,7 @@ def test_channels_made_safe_hold_the_neutral_that_was_heard():
     channels = following()
     channels.command([4000] * 16, 0)
     channels.follow(neutrals(c0=5152))
-    channels.make_safe()
+    channels.make_safe(0)
     assert channels.targets == [5152 // 16] + [CENTER_COUNTS] * 15
     channels.follow(neutrals(c1=5152))
     assert channels.targets[1] == 5152 // 16

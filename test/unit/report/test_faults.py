@@ -3,10 +3,12 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
 
 import pytest
 
-from car_interface.report.faults import ERROR, OK, WARN, Fault, FaultLog, without_numbers
+from car_interface.common import causes
+from car_interface.report.faults import ERROR, OK, WARN, Fault, FaultLog, NodeReports, without_numbers
 from car_interface.report.page import page
 from car_interface.report.summary import summarize
 from written_recordings import HOSTILE, Written, odometry, stamp, write_ros1
@@ -75,3 +77,18 @@ def test_repeated_moment_is_one_fault_with_a_count():
 
 def test_texts_are_compared_without_numbers():
     assert without_numbers("off by -1.5e-3 m, inf s") == "off by # m, # s"
+
+
+def test_channel_that_timed_out_is_a_fault_of_the_board_from_then_until_it_is_commanded_again():
+    faults = FaultLog()
+    reason = f"{causes.CHANNEL_TIMED_OUT}: channel 0, for {{}} s; /turn_arb, which commanded it last, is gone"
+    reports = NodeReports(faults, (), "rosgraph_msgs/msg/Log")
+    for time_s, level, message in (
+            (1.0, OK, "running at 50.03 Hz"),
+            (2.0, ERROR, reason.format(0.3)), (3.0, ERROR, reason.format(1.3)), (4.0, OK, "running at 50.03 Hz")):
+        status = SimpleNamespace(name="pca9685: servo board", level=level, message=message)
+        reports.on_diagnostics(time_s, SimpleNamespace(status=[status]))
+    faults.finish()
+    fault, = faults.entries
+    assert (fault.start_s, fault.end_s, fault.level, fault.where) == (2.0, 4.0, ERROR, "pca9685")
+    assert fault.what.startswith("channel timed out: channel 0")

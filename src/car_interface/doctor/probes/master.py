@@ -2,11 +2,15 @@
 from __future__ import annotations
 
 import importlib
+import socket
 import xmlrpc.client
 from typing import Any, NamedTuple
+from urllib.parse import urlsplit
 
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.params import Params
+from car_interface.common.processes import script_arguments
 from car_interface.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
 
 CALLER = "/doctor"
@@ -101,6 +105,20 @@ class Master:
             return SILENT
         return RUNNING
 
+    def fixed_parameters(self, node: Node) -> dict:
+        """What a launch file gave to the process of a node that runs on this computer; else nothing is known of it."""
+        if not node.runs:
+            return {}
+        process = node.process.rpartition("/")[2]
+        try:
+            uri = self.ask("lookupNode", node.process)
+            if not _is_here(urlsplit(uri).hostname):
+                return {}
+            _, _, pid = ask(uri, "getPid", CALLER)
+            return fixed_parameters(node.name, script_arguments(pid, process), process)
+        except Exception:  # it has ended meanwhile, or was started with arguments that it refuses and reports
+            return {}
+
     def search_parents(self, path: str, name: str) -> Any:
         """A parameter from the nearest of the namespaces around a node; ``None`` when none has it."""
         try:
@@ -113,6 +131,16 @@ def ask(uri: str, question: str, *arguments: Any) -> Any:
     """Any XML-RPC server's answer."""
     with xmlrpc.client.ServerProxy(uri, transport=_HastyTransport()) as server:
         return getattr(server, question)(*arguments)
+
+
+def _is_here(host):
+    """Whether a host name or address is this computer's."""
+    with socket.socket() as probe:
+        try:
+            probe.bind((host, 0))
+        except OSError:
+            return False
+    return True
 
 
 class _HastyTransport(xmlrpc.client.Transport):
@@ -131,7 +159,8 @@ def read_parameters(master: Master, node: Node) -> Reading | None:
         private = {}
     try:
         module = importlib.import_module(f"car_interface.nodes.{node.name}")
-        module.read_config(Params(private, lambda name: master.search_parents(node.path, name)))
+        module.read_config(Params(private, lambda name: master.search_parents(node.path, name),
+                                  master.fixed_parameters(node)))
     except CarInterfaceError as error:
         return Reading(node.path, str(error), node.state != ABSENT)
     except ImportError as error:

@@ -10,6 +10,7 @@ import pytest
 from car_interface.doctor.checks.car import ABSENT, KILLED, RUNNING, SILENT
 from car_interface.doctor.probes import master as probe
 from car_interface.doctor.probes.master import Graph, Master
+from car_interface.pca9685 import config
 
 
 def uri_of(listener):
@@ -126,3 +127,42 @@ def test_process_that_runs_counts_more_than_what_an_earlier_node_left(master, no
 def test_process_that_was_killed_is_named(master, refused):
     found = look(master({"/car_nodes": refused}, ["/car_nodes"]))
     assert (found.state, found.process) == (KILLED, "/car_nodes")
+
+
+@pytest.fixture
+def launched(monkeypatch):
+    """The arguments of the node's process, by the name of its script."""
+    arguments = {}
+    monkeypatch.setattr(probe, "script_arguments",
+                        lambda pid, script: arguments.get(script, []) if pid == 7 else [])
+    return arguments
+
+
+@pytest.mark.parametrize("process, arguments", [
+    ("pca9685", ["--device", "virtual", "__name:=pca9685"]),
+    ("car_nodes", ["--device", "virtual", "--port", "/tmp/a", "--throttle", "true"]),
+])
+def test_parameters_that_a_launch_file_fixed_are_known_when_they_are_lost(master, node, launched, monkeypatch, process,
+                                                                          arguments):
+    launched[process] = arguments
+    asked = master({f"/{process}": node}, [f"/{process}"])
+    board = look(asked, "pca9685")
+    assert asked.fixed_parameters(board) == {"device": "virtual"}
+    asked.parameter = lambda path: None
+    monkeypatch.setattr(probe.importlib, "import_module", lambda name: config)  # the node itself needs ROS
+    assert probe.read_parameters(asked, board).fault == \
+        "device is missing; accepted: virtual, by the launch file that started this process"
+
+
+def test_nothing_is_known_of_a_process_on_another_computer_or_with_wrong_arguments(master, node, launched, monkeypatch):
+    asked = master({"/pca9685": node}, ["/pca9685"])
+    launched["pca9685"] = ["--devise", "virtual"]
+    assert asked.fixed_parameters(look(asked, "pca9685")) == {}
+    launched["pca9685"] = ["--device", "virtual"]
+    monkeypatch.setattr(probe, "_is_here", lambda host: False)
+    assert asked.fixed_parameters(look(asked, "pca9685")) == {}
+
+
+@pytest.mark.parametrize("host, is_here", [("127.0.0.1", True), ("192.0.2.1", False)])  # the latter: RFC 5737
+def test_address_is_this_computer_s_or_not(host, is_here):
+    assert probe._is_here(host) == is_here
