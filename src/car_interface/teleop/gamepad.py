@@ -44,10 +44,10 @@ REMEDIES = {
 REST_DEADBANDS, MIN_REST = 2, 0.002
 # A cross gives -1, 0 and 1 only, but for rounding: a value in between is a stick's.
 CROSS_TOLERANCE = 0.01
-# After a change from a deadman by which the human drives throttle_arb may not know of it yet: mode is a topic of its
-# own. So long, which is more than its default mode_timeout, a pull begins with a stop (NaN), in order with the pulls
-# themselves: one that follows a pull from before the change must not be taken for the second one, which is reverse.
-MODE_SETTLES_NS = round(0.6 * NS_PER_S)
+# When a planner's deadman is pressed throttle_arb may not know of it yet: mode is a topic of its own, and says manual
+# while no deadman is held. A second pull would be reverse then. So for this long, its default mode_timeout and as much
+# for the message, a pull that follows another begins with a stop (NaN), which is in order with the pulls themselves.
+MODE_SETTLES_NS = round(1.0 * NS_PER_S)
 STOP_NS = round(0.06 * NS_PER_S)  # three messages
 PULL_BEGINS = 0.02  # the least that esc/dead_band_reverse can be
 
@@ -179,8 +179,9 @@ class Gamepad:
         self._throttle = Stick(config.override_deadband, brakes=True)
         self._moved_between: set[int] = set()  # axes that gave what a cross doesn't
         self._mode = ""  # of the deadman that is held and counts
-        self._human_drove_ns = self._stops_until_ns = -math.inf
-        self._was_pulled = False
+        self._human_ns = self._held_ns = -math.inf  # when the human's mode was last published, and a deadman held
+        self._had_pull = self._was_pulled = self._was_planners = False  # of the throttle
+        self._stops_until_ns = -math.inf
 
     def update(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """A message: axes −1..1, buttons 0 or 1."""
@@ -249,9 +250,9 @@ class Gamepad:
         mode = self._held_mode(buttons)
         if not mode:
             self._rearm_reason = ""
-        before, self._mode = self._mode, "" if self._rearm_reason else mode
+        self._mode = "" if self._rearm_reason else mode
         self._read_sticks(axes, now_ns)
-        self._look_for_pulls(before, now_ns)
+        self._look_for_pulls(now_ns)
         if not mode:
             return self._released(causes.NO_DEADMAN, "no deadman is held")
         if self._rearm_reason:
@@ -276,7 +277,6 @@ class Gamepad:
     def _distrust_sticks(self):
         self._moved_between.clear()
         self._mode = ""
-        self._was_pulled = False
         for stick in (self._steering, self._throttle):
             stick.distrust()
 
@@ -295,14 +295,24 @@ class Gamepad:
         """Whether an axis is where a Logitech gamepad in D mode has its cross, and moved as that does."""
         return is_d_mode_cross(index, self.axes, self.buttons) and index not in self._moved_between
 
-    def _look_for_pulls(self, mode_before, now_ns):
-        """Have a pull begin with a stop where throttle_arb may still believe that the human drives."""
-        if HUMAN_DRIVES & {mode_before, self._mode}:
-            self._human_drove_ns = now_ns
-        is_pulled = self._throttle.overrides(now_ns) and self._throttle.override() <= -PULL_BEGINS
-        if is_pulled and not self._was_pulled and now_ns - self._human_drove_ns < MODE_SETTLES_NS:
+    def _look_for_pulls(self, now_ns):
+        """Have a pull begin with a stop where throttle_arb may count it as the second one under a human's deadman."""
+        stick, is_planners = self._throttle, bool(self._mode) and self._mode not in HUMAN_DRIVES
+        if not is_planners:
+            self._human_ns = now_ns
+        if self._mode:
+            self._held_ns = now_ns
+        elif now_ns - self._held_ns >= MODE_SETTLES_NS:
+            self._had_pull = False
+        pull = stick.override() * stick.overrides(now_ns) if is_planners else stick.deflection * stick.counts
+        is_pulled = bool(self._mode) and pull <= -PULL_BEGINS
+        begins = is_pulled and not (self._was_pulled and is_planners == self._was_planners)
+        if not is_planners:
+            self._stops_until_ns = -math.inf
+        elif begins and self._had_pull and now_ns - self._human_ns < MODE_SETTLES_NS:
             self._stops_until_ns = now_ns + STOP_NS
-        self._was_pulled = is_pulled
+        self._had_pull = self._had_pull or is_pulled
+        self._was_pulled, self._was_planners = is_pulled, is_planners
 
     # --- requests ---
 

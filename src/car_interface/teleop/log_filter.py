@@ -10,8 +10,9 @@ PERIOD_NS = 10 * NS_PER_S
 class RequestsLogFilter:
     """Finds changes of the cause, and of what becomes of the sticks.
 
-    Where a human comes or goes, or is there, each is new. Changes among the causes without a human are new at most once in 10 s each:
-    a gamepad at the edge of its range comes and goes several times a second. The one that lasts becomes new in the end.
+    Where a human comes or goes, or is there, each is new. Changes among the causes without a human are new at most once
+    in 10 s each: a gamepad at the edge of its range comes and goes several times a second. The one that lasts becomes
+    new in the end.
     """
 
     def __init__(self):

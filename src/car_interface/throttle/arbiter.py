@@ -255,7 +255,7 @@ class ThrottleArbiter:
                                False, DRIVE)
         if self._overrode_ns is None or now_ns - self._overrode_ns >= OVERRIDE_HOLD_S * NS_PER_S:
             return None
-        reason = f"the throttle stick overrode the planner, which gets it back after {OVERRIDE_HOLD_S:g} s at the center"
+        reason = f"the throttle stick overrode the planner, which waits until it was centered for {OVERRIDE_HOLD_S:g} s"
         return Arbitration(TELEOP, causes.OVERRIDE, reason, 0.0, 0.0, 0.0, False, DRIVE)
 
     def _by_planner(self, now_ns):

@@ -251,7 +251,8 @@ def test_after_dropped_messages_nothing_is_held_until_all_deadmen_were_let_go():
     gamepad = gamepad_at_rest()
     gamepad.update([0.5, 0.5], MANUAL, NOW)
     gamepad.mark_stale()
-    assert gamepad.requests(NOW)[:5] == (False, 0.0, 0.0, causes.JOY_STALE, "joy was not heard since messages were dropped")
+    assert gamepad.requests(NOW)[:5] == (False, 0.0, 0.0, causes.JOY_STALE,
+                                         "joy was not heard since messages were dropped")
     gamepad.update([0.0, 0.0], MANUAL, NOW)
     assert gamepad.requests(NOW).reason == "messages were dropped; let go of the deadman, then hold it again"
     gamepad.update([0.5, 0.5], NONE, NOW)
@@ -520,7 +521,7 @@ def test_so_does_one_that_is_held_through_the_change(between):
 def test_later_pull_does_not():
     person = Person()
     person.hold((0.0, -1.0), MANUAL, 0.3)
-    person.hold(REST, AUTONOMOUS, 0.8)
+    person.hold(REST, AUTONOMOUS, 1.2)
     for _ in range(3):
         assert person.hold((0.0, -1.0), AUTONOMOUS).throttle == -1.0
         person.hold(REST, AUTONOMOUS)

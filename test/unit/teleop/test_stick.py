@@ -13,7 +13,7 @@ MOVES = st.lists(st.tuples(st.floats(-1, 1), st.booleans(), st.booleans(), st.in
 
 
 def after(moves, brakes=True):
-    """A stick after moves (deflection, planner's deadman, believable, lasts ms), and the deflections with their time."""
+    """A stick after moves (deflection, planner's deadman, believable, lasts ms); with these and their times."""
     stick, now_ns, seen = Stick(DEADBAND, brakes), 0, []
     for deflection, is_planners, is_believable, lasts_ms in moves:
         stick.update(deflection, is_planners, is_believable, now_ns)
@@ -37,7 +37,7 @@ def test_stick_beyond_its_dead_band_overrides_now_if_it_may_and_a_pull_always_do
 @given(MOVES)
 @settings(max_examples=500)
 def test_nothing_overrides_longer_than_the_hold_after_the_stick_came_to_rest(moves):
-    stick, seen, now_ns = after([*moves, (0.0, True, True, 1)])
+    stick, seen, _ = after([*moves, (0.0, True, True, 1)])
     assert not stick.overrides(seen[-1][2] + HOLD_NS)
 
 
