@@ -36,6 +36,7 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int8, String
 
 from car_interface.common import causes
+from car_interface.common.drive_modes import HUMAN_DRIVES
 from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import TeleopState
 from car_interface.ros.command_topics import CommandTopics
@@ -125,10 +126,15 @@ class TeleopLogi:
         # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
             self._human.publish(False)
-        if before is None or requests.mode != before.mode:
+        # The mode is sent before the stick of a human who takes over, and after that of one who hands over: neither must
+        # look like an override in between.
+        is_new_mode = before is None or requests.mode != before.mode
+        if is_new_mode and requests.mode in HUMAN_DRIVES:
             self._modes.publish(requests.mode)
         self._steering.publish(requests.steering)
         self._throttle.publish(requests.throttle)
+        if is_new_mode and requests.mode not in HUMAN_DRIVES:
+            self._modes.publish(requests.mode)
         if requests.human_in_loop:
             self._human.publish(True)
         has_changed = before is None or before.kind != requests.kind

@@ -134,6 +134,8 @@ class ThrottleArbiter:
     def update_mode(self, mode: str, now_ns: int) -> None:
         """Who steers and who drives while a deadman is held: one of ``common.drive_modes``."""
         self._mode.update(mode, now_ns)
+        if not self._is_planners:
+            self._overrode_ns = None
 
     def update_scale_button(self, pressed: int) -> bool:
         """The gamepad's buttons for the scale, 1, 0 or −1; whether the scale has changed."""

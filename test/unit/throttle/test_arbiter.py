@@ -448,6 +448,13 @@ def test_stick_from_before_a_planner_s_deadman_holds_nothing():
     assert arbiter.decide(now_ns).source == PLANNER
 
 
+def test_what_an_override_holds_ends_where_the_human_takes_over():
+    arbiter, now_ns = driven(AUTONOMOUS, (FORWARD, 0.3), (REST, 0.1))
+    for mode in (MANUAL, AUTONOMOUS):
+        arbiter.update_mode(mode, now_ns)
+    assert arbiter.decide(now_ns).source == PLANNER
+
+
 def test_what_an_override_holds_ends_with_the_deadman():
     arbiter, now_ns = driven(AUTONOMOUS, (FORWARD, 0.3), (REST, 0.1))
     arbiter.update_human(False, now_ns)
