@@ -187,9 +187,9 @@ class HumanFirst(unittest.TestCase):
         self.stands()
 
     def test_push_drives_and_a_pull_stops_a_planner_that_reverses(self):
-        self.ask(-SPEED_MPS)
+        self.ask(-2.5)
         self.press(AUTONOMOUS)
-        self.wait(self.truth, lambda message: message.twist.twist.linear.x < -1.2)
+        self.wait(self.truth, lambda message: message.twist.twist.linear.x < -2.2)
         self.hands.hold(AUTONOMOUS, throttle=-1.0)
         self.wait(self.throttle, lambda state: state.cause == "override" and state.esc == "BRAKING")
         braking = self.truth.mark()

@@ -126,8 +126,8 @@ class TeleopLogi:
         # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
             self._human.publish(False)
-        # The mode is sent before the stick of a human who takes over, and after that of one who hands over: neither must
-        # look like an override in between.
+        # The mode is sent before the stick of a human who takes over, and after that of one who hands over: neither
+        # must look like an override in between.
         is_new_mode = before is None or requests.mode != before.mode
         if is_new_mode and requests.mode in HUMAN_DRIVES:
             self._modes.publish(requests.mode)
