@@ -59,7 +59,7 @@ SILENT = Told(
 
 
 def joy(manual=0, axes=8, throttle=0.0):
-    message = Joy(axes=[0.5] + [0.0] * (axes - 1), buttons=[0] * 11)
+    message = Joy(axes=[0.0] * axes, buttons=[0] * 11)
     message.buttons[4] = manual
     if axes > 4:
         message.axes[4] = throttle

@@ -268,6 +268,33 @@ class TeleopByItsTopics(unittest.TestCase):
 
 
 class TeleopByItself(unittest.TestCase):
+    def test_gamepad_without_a_throttle_axis_leaves_it_to_the_planner_and_steers_before_it(self):
+        name = "without_throttle"
+        parameters = [f"_{key}:={value}" for key, value in {**GIVEN, "throttle_axis": -1}.items()]
+        topics = {key: f"/{name}/{key}" for key in ("human_in_loop", "tele_steer_req", "tele_throt_req", "mode")}
+        start_node(self, "teleop_logi", *parameters, f"joy:=/{name}/joy",
+                   *(f"/teleop_logi/{key}:={topic}" for key, topic in topics.items()), name=name)
+        self.addCleanup(delete_param, f"/{name}")
+        steering, throttle = Topic(topics["tele_steer_req"], Float32), Topic(topics["tele_throt_req"], Float32)
+        human = Topic(topics["human_in_loop"], Bool)
+        inputs = Repeater()
+        for clean_up in (steering.close, throttle.close, human.close, inputs.end):
+            self.addCleanup(clean_up)
+        gamepad = Sender(f"/{name}/joy", Joy)
+
+        def attempt():
+            inputs.hold(gamepad, joy(throttle=1.0))
+            human.wait_for(lambda message: not message.data, human.mark())
+            inputs.hold(gamepad, joy(throttle=1.0, autonomous=1))
+            human.wait_for(lambda message: message.data, human.mark(), 5)
+            inputs.hold(gamepad, joy(steering=-0.5, throttle=-1.0, autonomous=1))
+            mark = throttle.mark()
+            steering.wait_for(lambda message: message.data == -0.5, steering.mark(), 5)
+            self.assertEqual({message.data for message in throttle.wait_for_count(10, mark)}, {0.0})
+            inputs.hold(gamepad, joy(throttle=1.0, manual=1))
+            throttle.wait_for(lambda message: math.isnan(message.data), mark, 5)
+        retried(attempt)  # a busy machine falls silent by itself
+
     def test_a_deadman_that_is_held_at_its_start_counts_once_it_was_let_go(self):
         """One that was started anew while the deadman is held must not have the car drive on."""
         human = Topic("/anew/human", Bool)

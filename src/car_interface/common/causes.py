@@ -79,6 +79,10 @@ JOY_STALE = "joy silent"
 JOY_NEVER_RECEIVED = "joy never heard"
 JOY_NOT_FINITE = "joy not finite"
 JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
+# Its sticks.
+OVERRIDE = "override"  # the human has an actuator under a deadman that gives it to the planner
+OFF_CENTER = "off center"  # since the deadman was pressed: it overrides nothing but by a pull
+NOT_AT_REST = "not at rest"  # the axis was not seen at its rest, so it doesn't count
 
 # Publishers of a topic that a node obeys.
 WRONG_TYPE = "wrong type"  # its messages aren't received

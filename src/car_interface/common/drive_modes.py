@@ -9,3 +9,6 @@ MODES = (MANUAL, AUTONOMOUS, HUMAN_THROTTLE, HUMAN_STEERING)
 
 HUMAN_DRIVES = frozenset({MANUAL, HUMAN_THROTTLE})
 HUMAN_STEERS = frozenset({MANUAL, HUMAN_STEERING})
+# A stick that overrides the planner is centered for so long before the planner gets the actuator back: longer than a
+# hand needs from one side of the center to the other.
+OVERRIDE_HOLD_S = 0.5

@@ -5,21 +5,23 @@ Subscribes:
 Publishes, at 50 Hz (mode and scale_button: 10 Hz) and at once when they or the deadman change:
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is fresh; a button
         that is held at the start counts after all were released.
-    /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; neutral under the autonomous deadman; never
-        exactly neutral under the manual one, where the planner would steer then.
-    /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 where the planner drives; NaN where the gamepad has no
-        throttle axis.
+    /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left; never exactly neutral while the human steers,
+        where the planner would steer then; neutral under a deadman that gives the steering to the planner, unless the
+        stick overrides it.
+    /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 where the planner drives, unless the stick overrides it;
+        NaN, which is a stop, where the human drives and the gamepad has no throttle axis that counts.
     /teleop_logi/mode (std_msgs/String): who steers and who drives, by the deadman that is held; see
         ``common.drive_modes``.
     /teleop_logi/scale_button (std_msgs/Int8): 1 or −1 while the button for more or less speed by hand is pressed.
-    ~state (TeleopState, latched): whether a human holds a deadman, cause, reason, age of joy; when the cause changes
-        and 10 times a second. For people: nothing that drives follows it.
+    ~state (TeleopState, latched): whether a human holds a deadman, cause, reason, what becomes of each stick, age of
+        joy; when one of these changes and 10 times a second. For people: nothing that drives follows it.
     /diagnostics: the same with the remedy, and who else publishes on its topic; 1 Hz.
 Parameters:
     ~steer_axis, ~throttle_axis (−1 = none), ~manual_button, ~autonomous_button: indices into the Joy message; required.
     ~third_button −1 (none), ~third_mode human_steering: another deadman.
     ~faster_button −1, ~slower_button −1: change the scale of driving by hand.
     ~steer_scale 1.0, ~throttle_scale 1.0: −1 inverts an axis.
+    ~override_deadband 0.1: a stick beyond it overrides the planner; an axis counts once it was within.
     ~steer_neutral 0.0, ~steer_deadband 0.001: the request that means "not steering", and how near to it another one
         means the same: turn_arb's tele_steer_neutral and tele_steer_deadband.
     ~joy_timeout 0.25 (s): a message older than this releases the deadman.
@@ -34,6 +36,7 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int8, String
 
 from car_interface.common import causes
+from car_interface.common.drive_modes import HUMAN_DRIVES
 from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import TeleopState
 from car_interface.ros.command_topics import CommandTopics
@@ -114,24 +117,30 @@ class TeleopLogi:
 
     def _publish_if_changed(self, now_ns):
         requests = self._gamepad.requests(now_ns)
-        if self._published is None or requests.cause != self._published.cause:
+        if self._published is None or requests.differs_by != self._published.differs_by:
             self._publish(requests, now_ns)
 
     def _publish(self, requests, now_ns):
-        """Publish the requests, and the state when the cause is another one than before; whether it is."""
+        """Publish the requests, and the state when it is of another kind than before; whether it is."""
         before, self._published = self._published, requests
         # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
             self._human.publish(False)
-        if before is None or requests.mode != before.mode:
+        # The mode is sent before the stick of a human who takes over, and after that of one who hands over: neither
+        # must look like an override in between.
+        is_new_mode = before is None or requests.mode != before.mode
+        if is_new_mode and requests.mode in HUMAN_DRIVES:
             self._modes.publish(requests.mode)
         self._steering.publish(requests.steering)
         self._throttle.publish(requests.throttle)
+        if is_new_mode and requests.mode not in HUMAN_DRIVES:
+            self._modes.publish(requests.mode)
         if requests.human_in_loop:
             self._human.publish(True)
-        has_changed = before is None or before.cause != requests.cause
+        has_changed = before is None or before.kind != requests.kind
         if has_changed:
             self._publish_state(requests, now_ns)
+        if before is None or before.cause != requests.cause:
             self._losses.update({requests.cause} & causes.LOSSES)
         if self._log_filter.is_new(requests, now_ns):
             self._log(requests)
@@ -145,22 +154,28 @@ class TeleopLogi:
     def _publish_state(self, requests, now_ns):
         self._states.publish(TeleopState(
             stamp=rospy.Time.now(), human_in_loop=requests.human_in_loop, cause=requests.cause, reason=requests.reason,
+            steering_stick=requests.steering_stick, throttle_stick=requests.throttle_stick,
             joy_age=self._gamepad.joy_age_s(now_ns)))
 
     def _log(self, requests):
         is_loss = requests.cause in causes.LOSSES
-        advice = remedy(requests.cause, self._topic) if is_loss else ""
-        log = rospy.logwarn if is_loss else rospy.loginfo
+        advice = self._advice(requests) if is_loss or requests.stick_cause else ""
+        log = rospy.logwarn if is_loss or requests.stick_cause else rospy.loginfo
         log("human in loop: %s (%s)%s", requests.human_in_loop, requests.reason, advice and f". {advice}")
+
+    def _advice(self, requests):
+        return remedy(requests.cause, self._topic) or remedy(requests.stick_cause, self._topic)
 
     def _report(self, status):
         """Cause, remedy and what the gamepad sends, for /diagnostics."""
         now_ns = time.monotonic_ns()
         requests = self._gamepad.requests(now_ns)
-        advice = remedy(requests.cause, self._topic)
-        status.summary(_level(requests.cause), requests.reason + (advice and f". {advice}"))
+        advice = self._advice(requests)
+        status.summary(_level(requests), requests.reason + (advice and f". {advice}"))
         status.add("cause", requests.cause)
         status.add("human in loop", requests.human_in_loop)
+        status.add("steering stick", requests.steering_stick or "as the mode says")
+        status.add("throttle stick", requests.throttle_stick or "as the mode says")
         status.add("age of joy", age_text(self._gamepad.joy_age_s(now_ns)))
         status.add("axes, buttons", f"{self._gamepad.axes}, {self._gamepad.buttons}")
         for cause, count in sorted(self._losses.items()):
@@ -168,11 +183,13 @@ class TeleopLogi:
         return status
 
 
-def _level(cause):
+def _level(requests):
     """How bad a cause is: an error needs more than to let go of the deadman and to hold it again."""
+    cause = requests.cause
     if cause in causes.JOY_UNUSABLE:
         return ERROR
-    return WARN if cause in causes.LOSSES or cause == causes.JOY_NEVER_RECEIVED else OK
+    is_odd = cause in causes.LOSSES or cause == causes.JOY_NEVER_RECEIVED or requests.stick_cause
+    return WARN if is_odd else OK
 
 
 def main():

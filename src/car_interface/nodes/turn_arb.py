@@ -8,7 +8,8 @@ Subscribes:
     av_steer_req (std_msgs/Float32): −1 right .. +1 left, of a planner that knows no radius; not beside av_turnrad_req.
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s, for the limits and the understeer. Never
         received = neither; lost = the last one stays. The steering goes on.
-    teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
+    teleop_logi/state (TeleopState): why human_in_loop is false, and whether the stick overrides the planner; only
+        quoted in the reason.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the steering channel.
     ~state (SteeringState, latched): source, cause, duty, limits and ages; on every change and 20 times a second.
@@ -180,6 +181,7 @@ class TurnArb:
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
+        self._arbiter.explain_teleop(message.steering_stick == causes.OVERRIDE, now_ns)
 
     def _decide(self, now_ns):
         """Publish at once when the decision has changed; whether it has."""

@@ -35,6 +35,7 @@ class GamepadWatch:
         self._releases: list[Loss] = []  # what ended each time of a held deadman, a loss or not; likewise
         self._current: Loss | None = None  # the cause that lasts, a loss or not
         self._was_held = False
+        self._unused: Loss | None = None  # an axis that doesn't count, likewise
 
     def on_state(self, time_s: float, message: Any) -> None:
         """car_interface/TeleopState."""
@@ -44,6 +45,7 @@ class GamepadWatch:
         if self._was_held and not message.human_in_loop and len(self._releases) < MAX_ENTRIES:
             self._releases.append(self._current)
         self._was_held = message.human_in_loop
+        self._look_for_unused_axis(time_s, message)
 
     def loss_at(self, time_s: float) -> Loss | None:
         """The loss for which the deadman was false from a time on; ``None`` = there was none, or it was let go."""
@@ -59,6 +61,20 @@ class GamepadWatch:
         """Close what lasts."""
         self._end_current(self._duration_s)
         self._current = None
+        self._end_unused(self._duration_s)
+
+    def _look_for_unused_axis(self, time_s, message):
+        """States from before there were such axes don't have the fields."""
+        sticks = getattr(message, "steering_stick", ""), getattr(message, "throttle_stick", "")
+        if causes.NOT_AT_REST not in sticks:
+            self._end_unused(time_s)
+        elif self._unused is None:
+            self._unused = Loss(time_s, math.inf, causes.NOT_AT_REST, message.reason)
+
+    def _end_unused(self, time_s):
+        if self._unused is not None:
+            self._faults.add(Fault(self._unused.start_s, time_s, WARN, NODE, self._unused.reason))
+        self._unused = None
 
     def _end_current(self, time_s):
         if self._current is None:

@@ -77,7 +77,7 @@ class Drive:
             stage=self.stage,
             manual=self.stage == TELEOP,
             autonomous=self.stage in (LEFT_CIRCLE, RIGHT_CIRCLE),
-            steering=config.teleop_steering,
+            steering=config.teleop_steering if self.stage == TELEOP else 0.0,
             throttle=throttle if self.stage == TELEOP else 0.0,
             radius_m=-config.radius_m if self.stage == RIGHT_CIRCLE else config.radius_m,
             acceleration_mps2=max(-config.max_acceleration_mps2, min(config.max_acceleration_mps2, wanted)),

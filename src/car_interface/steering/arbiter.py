@@ -16,7 +16,7 @@ from car_interface.common import causes
 from car_interface.common.lookup_table import round_half_away
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
-from car_interface.interlock.motion_interlock import InterlockConfig, MotionInterlock
+from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.limits import SteeringLimiter, SteeringLimits
 
@@ -90,6 +90,7 @@ class SteeringArbiter:
         self._config = config
         self._interlock = MotionInterlock(config.interlock)
         self._teleop = TimedInput("tele_steer_req", config.teleop_timeout_s)
+        self._override = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._planner = TimedInput("av_turnrad_req", config.planner_timeout_s)
         self._planner_steering = TimedInput("av_steer_req", config.planner_timeout_s)
         self._limiter = SteeringLimiter(config.limits)
@@ -119,6 +120,10 @@ class SteeringArbiter:
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
         """Why the deadman is what it is, by teleop_logi; only quoted in a decision's reason."""
         self._interlock.explain_human(present, reason, now_ns)
+
+    def explain_teleop(self, overrides: bool, now_ns: int) -> None:
+        """Whether the gamepad steers under a planner's deadman, by teleop_logi; only quoted in a decision's reason."""
+        self._override.update(overrides, now_ns)
 
     def update_teleop(self, steering: float, now_ns: int) -> None:
         """The gamepad's steering, −1 right to +1 left."""
@@ -218,8 +223,9 @@ class SteeringArbiter:
                         f"tele_steer_req is {steering}, no number to act on")
             deadband = self._config.tele_steer_deadband * FLOAT32_TOLERANCE
             if abs(steering - self._config.tele_steer_neutral) > deadband:
+                overrides = not self._override.is_stale(now_ns) and self._override.value
                 return (TELEOP, self._calibration.teleop_duty(steering), causes.TELEOP,
-                        f"tele_steer_req is {steering:.3f}")
+                        f"tele_steer_req is {steering:.3f}{': it overrides the planner' if overrides else ''}")
         return self._arbitrate_planner(now_ns)
 
     def _arbitrate_planner(self, now_ns):

@@ -3,6 +3,9 @@
 The deadman is a level, not a toggle: releasing it acts at once, and so does a gamepad that is stale or that sends fewer
 axes or buttons than configured. After such a fault, and after the start, all deadmen must be released before one
 counts: a car must not set off when a radio link recovers, or when a node is restarted.
+
+The human goes first: a stick that is moved beyond a dead band has its actuator, also under a deadman that gives that to
+the planner (``teleop.stick``).
 """
 from __future__ import annotations
 
@@ -14,7 +17,9 @@ from car_interface.common import causes
 from car_interface.common.drive_modes import HUMAN_DRIVES, HUMAN_STEERING, HUMAN_STEERS, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import DROPPED, TimedInput
+from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import STARTED
+from car_interface.teleop.stick import Stick
 
 REARM_TEXT = "let go of the deadman, then hold it again"
 MAX_INDEX = 63  # of an axis or a button
@@ -24,15 +29,27 @@ REPORT = "gamepad"  # teleop_logi's on /diagnostics
 # and 11 buttons, and whose D mode has 6 and 12, with the cross in the place of the right stick.
 MODE_REMEDY = ("Is the gamepad in another mode? A Logitech F710 or F310 needs its switch at X for the shipped indices. "
                "For another gamepad set teleop_logi's indices: rostopic echo {joy}")
+D_MODE_AXES, D_MODE_BUTTONS, D_MODE_CROSS = 6, 12, (4, 5)
+REST_REMEDY = ("Let go of the stick. If the axis stays where it is, it is a trigger, or the stick rests beyond "
+               "override_deadband: set teleop_logi's indices, or throttle_axis -1; or override_deadband. ")
 REMEDIES = {
     causes.JOY_NEVER_RECEIVED: ("See whether joy_node runs and finds the gamepad: rostopic info {joy}; "
                                 "ls /dev/input/js*"),
     causes.JOY_STALE: "See whether the gamepad is on, charged and in range and joy_node runs: rostopic hz {joy}",
     causes.JOY_INCOMPLETE: MODE_REMEDY,
+    causes.NOT_AT_REST: REST_REMEDY + MODE_REMEDY,
     causes.JOY_NOT_FINITE: "See what sends it: rostopic info {joy}; rostopic echo {joy}",
 }
 # Distance from neutral of the request of a stick at rest: in deadbands, and its minimum. A servo doesn't resolve it.
 REST_DEADBANDS, MIN_REST = 2, 0.002
+# A cross gives -1, 0 and 1 only, but for rounding: a value in between is a stick's.
+CROSS_TOLERANCE = 0.01
+# When a planner's deadman is pressed throttle_arb may not know of it yet: mode is a topic of its own, and says manual
+# while no deadman is held. A second pull would be reverse then. So for this long, its default mode_timeout and as much
+# for the message, a pull that follows another begins with a stop (NaN), which is in order with the pulls themselves.
+MODE_SETTLES_NS = round(1.0 * NS_PER_S)
+STOP_NS = round(0.06 * NS_PER_S)  # three messages
+PULL_BEGINS = 0.02  # the least that esc/dead_band_reverse can be
 
 
 @dataclass(frozen=True)
@@ -48,6 +65,7 @@ class GamepadConfig:
         third_mode: HUMAN_THROTTLE or HUMAN_STEERING of ``common.drive_modes``.
         faster_button, slower_button: change the scale of driving by hand; ``NONE`` = there is none. A gamepad that
             lacks one of them does without.
+        override_deadband: a stick beyond it overrides the planner. An axis at rest is within.
         steer_neutral: the request that means "not steering".
         steer_deadband: requests this near to it mean the same. Both as in turn_arb.
         joy_timeout_s: a message older than this releases the deadman; 0 = never.
@@ -69,6 +87,7 @@ class GamepadConfig:
     third_mode: str = HUMAN_STEERING
     faster_button: int = NONE
     slower_button: int = NONE
+    override_deadband: float = 0.1
 
     def __post_init__(self):
         taken = {self.manual_button: "manual_button"}
@@ -96,6 +115,7 @@ def read_gamepad(params) -> GamepadConfig:
         third_mode=params.choice("third_mode", HUMAN_STEERING, (HUMAN_THROTTLE, HUMAN_STEERING)),
         faster_button=params.integer("faster_button", NONE, low=NONE, high=MAX_INDEX),
         slower_button=params.integer("slower_button", NONE, low=NONE, high=MAX_INDEX),
+        override_deadband=params.number("override_deadband", 0.1, low=0.02, high=0.9),
     )
 
 
@@ -104,14 +124,31 @@ class Requests(NamedTuple):
 
     human_in_loop: bool
     steering: float  # −1 right .. +1 left
-    throttle: float  # −1 .. +1; NaN: the gamepad has no throttle axis
+    throttle: float  # −1 .. +1; NaN: stop; the human drives, and the gamepad has no axis for it that counts
     cause: str  # one of car_interface.common.causes
     reason: str
+    steering_stick: str = ""  # OVERRIDE, OFF_CENTER or NOT_AT_REST of causes; empty: what the mode says
+    throttle_stick: str = ""
 
     @property
     def mode(self) -> str:
         """Who steers and who drives: one of ``common.drive_modes``. Without a deadman the human's."""
         return self.cause if self.cause in MODES else MANUAL
+
+    @property
+    def kind(self) -> tuple:
+        """All but numbers: what is published at once, and logged, when it changes."""
+        return self.cause, self.steering_stick, self.throttle_stick
+
+    @property
+    def differs_by(self) -> tuple:
+        """The same, and whether the throttle is a stop."""
+        return (*self.kind, math.isnan(self.throttle))
+
+    @property
+    def stick_cause(self) -> str:
+        """NOT_AT_REST if an axis doesn't count, else empty."""
+        return causes.NOT_AT_REST if causes.NOT_AT_REST in (self.steering_stick, self.throttle_stick) else ""
 
     @property
     def must_rearm(self) -> bool:
@@ -138,15 +175,30 @@ class Gamepad:
         self._rearm_reason = STARTED  # why the deadmen must be released first; empty: they were
         self.axes = self.buttons = 0  # how many the newest message had
         self._scale_button = 0
+        self._steering = Stick(config.override_deadband, brakes=False)
+        self._throttle = Stick(config.override_deadband, brakes=True)
+        self._moved_between: set[int] = set()  # axes that gave what a cross doesn't
+        self._mode = ""  # of the deadman that is held and counts
+        self._human_ns = self._held_ns = -math.inf  # when the human's mode was last published, and a deadman held
+        self._had_pull = self._was_pulled = self._was_planners = False  # of the throttle
+        self._stops_until_ns = -math.inf
 
     def update(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """A message: axes −1..1, buttons 0 or 1."""
-        if self._joy.was_received and self._joy.is_stale(now_ns):
+        was_stale = self._joy.was_received and self._joy.is_stale(now_ns)
+        if was_stale:
             self._rearm_reason = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
+        if was_stale or (len(axes), len(buttons)) != (self.axes, self.buttons):
+            self._distrust_sticks()
         self.axes, self.buttons = len(axes), len(buttons)
         self._scale_button = (self._is_pressed(self._config.faster_button, buttons)
                               - self._is_pressed(self._config.slower_button, buttons))
-        self._joy.update(self._read(axes, buttons), now_ns)
+        broken = self._broken(axes)
+        if broken is None:
+            self._joy.update(self._read(axes, buttons, now_ns), now_ns)
+        else:
+            self._distrust_sticks()
+            self._joy.update(broken, now_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here: no deadman counts until all were released."""
@@ -157,7 +209,12 @@ class Gamepad:
         if self._joy.is_stale(now_ns):
             cause = causes.JOY_STALE if self._joy.was_received else causes.JOY_NEVER_RECEIVED
             return self._released(cause, self._joy.stale_reason(now_ns))
-        return self._joy.value
+        requests = self._joy.value
+        if requests.cause in MODES:
+            requests = self._held(requests.cause, now_ns)
+        elif requests.cause in (causes.NO_DEADMAN, causes.NOT_REARMED):
+            requests = self._with_sticks(requests, now_ns)
+        return requests
 
     def scale_button(self, now_ns: int) -> int:
         """1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
@@ -170,9 +227,12 @@ class Gamepad:
     def _released(self, cause, reason):
         return Requests(False, self._config.steer_neutral, 0.0, cause, reason)
 
-    def _read(self, axes, buttons):
+    # --- a message ---
+
+    def _broken(self, axes):
+        """The requests of a message that can't be read, or ``None``."""
         config = self._config
-        missing = missing_index(config, len(axes), len(buttons))
+        missing = missing_index(config, self.axes, self.buttons)
         if missing is not None:
             name, reason = missing
             self._rearm_reason = f"the gamepad had no {name}"
@@ -183,13 +243,21 @@ class Gamepad:
                 self._rearm_reason = f"the gamepad's {name} was {axes[index]}"
                 return self._released(causes.JOY_NOT_FINITE,
                                       f"the gamepad's {name} {index} is {axes[index]}, no number to act on")
+        return None
+
+    def _read(self, axes, buttons, now_ns):
+        """Requests without the sticks, which change with time, too."""
         mode = self._held_mode(buttons)
         if not mode:
             self._rearm_reason = ""
+        self._mode = "" if self._rearm_reason else mode
+        self._read_sticks(axes, now_ns)
+        self._look_for_pulls(now_ns)
+        if not mode:
             return self._released(causes.NO_DEADMAN, "no deadman is held")
         if self._rearm_reason:
             return self._released(causes.NOT_REARMED, f"{self._rearm_reason}; {REARM_TEXT}")
-        return self._held(mode, axes)
+        return Requests(True, self._config.steer_neutral, 0.0, mode, f"{mode} deadman held")
 
     def _held_mode(self, buttons):
         """The mode of the deadman that is held; empty: none is. Of several the one in which the human does more."""
@@ -200,27 +268,109 @@ class Gamepad:
             return config.third_mode
         return causes.AUTONOMOUS if buttons[config.autonomous_button] else ""
 
-    def _held(self, mode, axes):
-        config = self._config
-        steering, throttle, reason = config.steer_neutral, 0.0, f"{mode} deadman held"
-        if mode in HUMAN_STEERS:
-            steering = self._steered(_unit(config.steer_scale * axes[config.steer_axis]))
-        if mode in HUMAN_DRIVES and config.throttle_axis == NONE:
-            throttle, reason = math.nan, f"{reason}, but throttle_axis is {NONE}: this gamepad drives no throttle"
-        elif mode in HUMAN_DRIVES:
-            throttle = _unit(config.throttle_scale * axes[config.throttle_axis])
-        return Requests(True, steering, throttle, mode, reason)
-
     @staticmethod
     def _is_pressed(button, buttons):
         return button != NONE and button < len(buttons) and bool(buttons[button])
 
+    # --- its sticks ---
+
+    def _distrust_sticks(self):
+        self._moved_between.clear()
+        self._mode = ""
+        for stick in (self._steering, self._throttle):
+            stick.distrust()
+
+    def _read_sticks(self, axes, now_ns):
+        config, mode = self._config, self._mode
+        sticks = [(self._steering, config.steer_axis, config.steer_scale, config.steer_neutral, HUMAN_STEERS)]
+        if config.throttle_axis != NONE:
+            sticks.append((self._throttle, config.throttle_axis, config.throttle_scale, 0.0, HUMAN_DRIVES))
+        for stick, index, scale, center, humans in sticks:
+            if CROSS_TOLERANCE < abs(axes[index]) < 1 - CROSS_TOLERANCE:
+                self._moved_between.add(index)
+            stick.update(_unit(scale * axes[index]) - center, bool(mode) and mode not in humans,
+                         not self._is_cross(index), now_ns)
+
+    def _is_cross(self, index):
+        """Whether an axis is where a Logitech gamepad in D mode has its cross, and moved as that does."""
+        return is_d_mode_cross(index, self.axes, self.buttons) and index not in self._moved_between
+
+    def _look_for_pulls(self, now_ns):
+        """Have a pull begin with a stop where throttle_arb may count it as the second one under a human's deadman."""
+        stick, is_planners = self._throttle, bool(self._mode) and self._mode not in HUMAN_DRIVES
+        if not is_planners:
+            self._human_ns = now_ns
+        if self._mode:
+            self._held_ns = now_ns
+        elif now_ns - self._held_ns >= MODE_SETTLES_NS:
+            self._had_pull = False
+        pull = stick.override() * stick.overrides(now_ns) if is_planners else stick.deflection * stick.counts
+        is_pulled = bool(self._mode) and pull <= -PULL_BEGINS
+        begins = is_pulled and not (self._was_pulled and is_planners == self._was_planners)
+        if not is_planners:
+            self._stops_until_ns = -math.inf
+        elif begins and self._had_pull and now_ns - self._human_ns < MODE_SETTLES_NS:
+            self._stops_until_ns = now_ns + STOP_NS
+        self._had_pull = self._had_pull or is_pulled
+        self._was_pulled, self._was_planners = is_pulled, is_planners
+
+    # --- requests ---
+
+    def _held(self, mode, now_ns):
+        config = self._config
+        reason = f"{mode} deadman held"
+        steering, throttle = config.steer_neutral, 0.0
+        if mode in HUMAN_STEERS:
+            steering = self._steered(config.steer_neutral + self._steering.deflection * self._steering.counts)
+        elif self._steering.overrides(now_ns):
+            steering = self._steered(config.steer_neutral + self._steering.override())
+        if mode in HUMAN_DRIVES and config.throttle_axis == NONE:
+            throttle, reason = math.nan, f"{reason}, but throttle_axis is {NONE}: this gamepad drives no throttle"
+        elif mode in HUMAN_DRIVES:
+            throttle = self._throttle.deflection if self._throttle.counts else math.nan
+        elif now_ns < self._stops_until_ns:
+            throttle, reason = math.nan, f"{reason}; a pull just after another deadman begins with a stop"
+        elif self._throttle.overrides(now_ns):
+            throttle = self._throttle.override()
+        return self._with_sticks(Requests(True, steering, throttle, mode, reason), now_ns)
+
+    def _with_sticks(self, requests, now_ns):
+        """The requests with what becomes of each stick."""
+        config = self._config
+        steering, steering_note = self._stick(self._steering, "steer_axis", config.steer_axis, "steering", now_ns)
+        throttle, throttle_note = "", ""
+        if config.throttle_axis != NONE:
+            throttle, throttle_note = self._stick(self._throttle, "throttle_axis", config.throttle_axis, "throttle",
+                                                  now_ns)
+        reason = "; ".join(text for text in (requests.reason, steering_note, throttle_note) if text)
+        return requests._replace(reason=reason, steering_stick=steering, throttle_stick=throttle)
+
+    def _stick(self, stick, parameter, index, name, now_ns):
+        """Cause and words for one stick; both empty: it does what the mode says."""
+        value, overrides = stick.deflection, stick.overrides(now_ns)
+        if not stick.counts:
+            why = (f"is where a gamepad with {self.axes} axes and {self.buttons} buttons has its cross"
+                   if self._is_cross(index) else f"is {value:.2f} and was not seen at its rest")
+            brakes = ": it only brakes" if overrides else ": it doesn't count"
+            return causes.NOT_AT_REST, f"the gamepad's {parameter} {index} {why}{brakes}"
+        if overrides:
+            return causes.OVERRIDE, f"the {name} stick overrides the planner by {stick.override():.2f}"
+        if stick.is_off_center:
+            return causes.OFF_CENTER, (f"the {name} stick, at {value:.2f}, was off its center when the deadman was "
+                                       "pressed: center it once")
+        return "", ""
+
     def _steered(self, steering):
-        """The request of a stick, never neutral: under the manual deadman a neutral one would let the planner steer."""
+        """The request of a stick that steers, never neutral: a neutral one would let the planner steer."""
         neutral, rest = self._config.steer_neutral, max(REST_DEADBANDS * self._config.steer_deadband, MIN_REST)
         if abs(steering - neutral) >= rest:
             return steering
         return neutral + (rest if neutral <= 0 else -rest)
+
+
+def is_d_mode_cross(index: int, axes: int, buttons: int) -> bool:
+    """Whether an axis is where a Logitech gamepad in D mode has its cross, by how many axes and buttons there are."""
+    return (axes, buttons) == (D_MODE_AXES, D_MODE_BUTTONS) and index in D_MODE_CROSS
 
 
 def missing_index(config: GamepadConfig, axes: int, buttons: int) -> tuple[str, str] | None:

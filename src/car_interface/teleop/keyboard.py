@@ -33,7 +33,7 @@ def help_text(has_releases: bool) -> str:
     hold = "hold M" if has_releases else ("press M, then hold another key: this terminal doesn't say when a key\n"
                                          f"is released, so each counts for {HOLD_NS / NS_PER_S:g} s")
     return ("M        deadman: you drive\n"
-            "P        deadman: the planner drives\n"
+            "P        deadman: the planner drives, until you steer or push\n"
             "W A S D  or the arrows: faster, left, slower, right\n"
             "E C      push and pull slowly, to see where the car sets off\n"
             "+ -      more and less throttle by W, A, S, D: wait a second between two\n"

@@ -8,23 +8,24 @@ PERIOD_NS = 10 * NS_PER_S
 
 
 class RequestsLogFilter:
-    """Finds changes of the cause.
+    """Finds changes of the cause, and of what becomes of the sticks.
 
-    Where a human comes or goes each is new. Changes among the causes without a human are new at most once in 10 s each:
-    a gamepad at the edge of its range comes and goes several times a second. The one that lasts becomes new in the end.
+    Where a human comes or goes, or is there, each is new. Changes among the causes without a human are new at most once
+    in 10 s each: a gamepad at the edge of its range comes and goes several times a second. The one that lasts becomes
+    new in the end.
     """
 
     def __init__(self):
         self._logged: Requests | None = None
-        self._next_ns: dict[str, int] = {}  # by cause
+        self._next_ns: dict[tuple, int] = {}  # by kind
 
     def is_new(self, requests: Requests, now_ns: int) -> bool:
         """Whether to log ``requests`` at ``now_ns``; if so, the next ones are compared with them."""
         logged = self._logged
-        if logged is not None and logged.cause == requests.cause:
+        if logged is not None and logged.kind == requests.kind:
             return False
         without_human = logged is not None and not (logged.human_in_loop or requests.human_in_loop)
-        if without_human and now_ns < self._next_ns.get(requests.cause, now_ns):
+        if without_human and now_ns < self._next_ns.get(requests.kind, now_ns):
             return False
-        self._logged, self._next_ns[requests.cause] = requests, now_ns + PERIOD_NS
+        self._logged, self._next_ns[requests.kind] = requests, now_ns + PERIOD_NS
         return True

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
-from car_interface.common.drive_modes import HUMAN_DRIVES, MODES
+from car_interface.common.drive_modes import HUMAN_DRIVES, MODES, OVERRIDE_HOLD_S
 from car_interface.common.staleness import TimedInput
+from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
 from car_interface.throttle.board_watch import BoardConfig, BoardWatch
@@ -78,6 +79,9 @@ class ThrottleArbiter:
     so or the stick is beyond its dead band; else the planner, if it has a value and odometry is fresh; else neutral. A
     gamepad or a mode that was received once and is stale, or can't be read, means stop, not the planner: the human
     still believes to be driving.
+
+    Where the mode gives the throttle to the planner, a stick beyond the dead band overrides it until it was within for
+    OVERRIDE_HOLD_S. Such a pull is requested in the gear DRIVE, in which none ever becomes reverse.
     """
 
     def __init__(self, config: ArbiterConfig = ArbiterConfig()):
@@ -92,6 +96,7 @@ class ThrottleArbiter:
         self._planner = TimedInput("the planner's value", config.command_timeout_s)
         self._planner_state = TimedInput("planner_interface's state", PLANNER_STATE_TIMEOUT_S)
         self._odometry = TimedInput("odometry", config.odometry_timeout_s)
+        self._overrode_ns: int | None = None  # when a stick last asked for something under a planner's deadman
         self._no_value: NoValue | None = None
         self._board = None if config.board is None else BoardWatch(config.board)
 
@@ -113,6 +118,8 @@ class ThrottleArbiter:
         """The deadman: true while a human holds it."""
         self._interlock.update_human(present, now_ns)
         self._human.update(bool(present), now_ns)
+        if not present:
+            self._overrode_ns = None
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
         """Why deadman and requests are what they are, by teleop_logi; only quoted in a reason."""
@@ -136,10 +143,14 @@ class ThrottleArbiter:
     def update_teleop(self, throttle: float, now_ns: int) -> None:
         """The gamepad's throttle, −1 brake or reverse to +1 forward."""
         self._teleop.update(throttle, now_ns)
+        if self._is_planners and math.isfinite(throttle) and shaped(throttle, self._stick.deadband, self._stick.expo):
+            self._overrode_ns = now_ns
 
     def update_mode(self, mode: str, now_ns: int) -> None:
         """Who steers and who drives while a deadman is held: one of ``common.drive_modes``."""
         self._mode.update(mode, now_ns)
+        if not self._is_planners:
+            self._overrode_ns = None
 
     def update_scale_button(self, pressed: int) -> bool:
         """The gamepad's buttons for the scale, 1, 0 or −1; whether the scale has changed."""
@@ -239,11 +250,33 @@ class ThrottleArbiter:
             return _stop(NEUTRAL, causes.TELEOP_NOT_FINITE,
                          f"tele_throt_req is {throttle}, no number to act on{explanation}")
         request = shaped(throttle, self._stick.deadband, self._stick.expo)
+        if self._is_planners:
+            return self._by_override(throttle, request, now_ns)
         if not (request or human_drives):
             return None
         reason = f"tele_throt_req is {throttle:.3f}, scaled by {self.scale:g}"
         return Arbitration(TELEOP, causes.TELEOP, reason, request, request * self.scale,
                            request * self._stick.brake_scale, False)
+
+    @property
+    def _is_planners(self):
+        """Whether the newest mode gives the throttle to the planner."""
+        return self._mode.value in MODES and self._mode.value not in HUMAN_DRIVES
+
+    def _by_override(self, throttle, request, now_ns):
+        """The request of a stick under a planner's deadman, and neutral for a while after it; ``None`` = the planner.
+
+        A pull has the scale of the brake alone, since it never drives.
+        """
+        if request:
+            scaled = request * (self.scale if request > 0 else self._stick.brake_scale)
+            reason = f"tele_throt_req is {throttle:.3f}, scaled by {scaled / request:g}: it overrides the planner"
+            return Arbitration(TELEOP, causes.OVERRIDE, reason, request, scaled, request * self._stick.brake_scale,
+                               False, DRIVE)
+        if self._overrode_ns is None or now_ns - self._overrode_ns >= OVERRIDE_HOLD_S * NS_PER_S:
+            return None
+        reason = f"the throttle stick overrode the planner, which waits until it was centered for {OVERRIDE_HOLD_S:g} s"
+        return Arbitration(TELEOP, causes.OVERRIDE, reason, 0.0, 0.0, 0.0, False, DRIVE)
 
     def _by_planner(self, now_ns):
         gear, no_request = self._planner_gear(now_ns)

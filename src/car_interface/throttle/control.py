@@ -9,7 +9,7 @@ from car_interface.throttle.arbiter import PLANNER, TELEOP, ArbiterConfig, Arbit
 from car_interface.throttle.calibration import DutyMap, ThrottleCalibration
 from car_interface.throttle.esc import FORWARD, REVERSE, Esc, EscDecision
 from car_interface.throttle.esc_config import EscConfig
-from car_interface.throttle.esc_intention import Request
+from car_interface.throttle.esc_intention import AUTO, Request
 from car_interface.throttle.limits import Limited, ThrottleLimiter, ThrottleLimits
 from car_interface.throttle.obstacle_guard import NONE, ObstacleGuard
 from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop
@@ -144,7 +144,8 @@ class ThrottleControl:
         is_human = arbitration.source != PLANNER
         request = Request(arbitration.drive, arbitration.gear, is_human=is_human, is_stop=arbitration.is_stop,
                           is_centered=self.arbiter.is_centered(now_ns), is_released=self.arbiter.is_released(now_ns))
-        if arbitration.drive == arbitration.brake or self.is_calibration_drive:
+        is_as_it_is = self.is_calibration_drive and arbitration.gear == AUTO
+        if arbitration.drive == arbitration.brake or is_as_it_is:
             return self._esc.step(request, now_ns)  # one scale: a pull stays what it is when the car comes to stand
         pulls = arbitration.asked < 0 and self._esc.state != REVERSE
         answer = self._esc.step(request._replace(value=arbitration.brake) if pulls else request, now_ns)

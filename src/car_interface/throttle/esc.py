@@ -25,7 +25,7 @@ from car_interface.throttle.esc_config import (
     EscConfig,
 )
 from car_interface.throttle.esc_history import EscHistory
-from car_interface.throttle.esc_intention import AUTO, REVERSE_GEAR, Pulls, Request
+from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
 from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion, MotionCheck
 
 ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = range(6)
@@ -101,7 +101,7 @@ class Esc:
 
     def step(self, request: Request, now_ns: int) -> EscDecision:
         """What the ESC gets from now on. Call it on every change and at 20 Hz at least."""
-        passes = self.config.calibration_drive and request.is_human
+        passes = self.config.calibration_drive and request.is_human and request.gear != DRIVE
         value = self._value_of(request, passes)
         self._pulls.update(request)
         self._update_arming(request, now_ns)
@@ -185,15 +185,21 @@ class Esc:
     def _push(self, value, request, now_ns):
         backward = self._motion.rolls_backward(now_ns)
         if request.gear == REVERSE_GEAR:
-            # A brake while it rolls backward. Below the margin the next push would drive forward.
-            if backward and self._is_fast_enough(now_ns):
-                return value, BRAKING, causes.BRAKING, "it rolls backward"
-            return 0.0, NEUTRAL, causes.AT_STANDSTILL, "a brake in reverse gear doesn't drive forward"
+            return self._brake_in_reverse(value, "a brake in reverse gear doesn't drive forward", now_ns)
         if backward:
             return value, BRAKING, causes.BRAKING, "it rolls backward"
         return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
 
+    def _brake_in_reverse(self, value, withheld, now_ns):
+        """A push is a brake while it rolls backward. Below the margin the next one would drive forward."""
+        if self._motion.rolls_backward(now_ns) and self._is_fast_enough(now_ns):
+            return value, BRAKING, causes.BRAKING, "it rolls backward"
+        return 0.0, NEUTRAL, causes.AT_STANDSTILL, withheld
+
     def _pull(self, value, request, now_ns):
+        if request.is_human and request.gear == DRIVE and self._motion.rolls_backward(now_ns):
+            return self._brake_in_reverse(-value, "it rolls backward, too slowly for a brake that is sure to end in "
+                                          "time: it coasts", now_ns)
         means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
         if means_reverse and self._may_reverse(request, now_ns):
             return self._reverse(value, now_ns)

@@ -17,7 +17,8 @@ class Request(NamedTuple):
 
     Attributes:
         value: −1..1, the fraction between neutral and each end; not finite = stop.
-        gear: AUTO for a stick; DRIVE and REVERSE_GEAR for a planner's gear. A held reverse button is REVERSE_GEAR.
+        gear: AUTO for a stick; DRIVE and REVERSE_GEAR for a planner's gear. A held reverse button is REVERSE_GEAR; a
+            stick that must never reverse, however often it is pulled, is DRIVE: its pull brakes backward, too.
         is_human: a person asks. For a planner, reverse needs a known speed, and AUTO is DRIVE.
         is_stop: the car has to stop, whatever ``value`` is: no deadman, a lock, a silent source.
         is_centered: the stick is in its dead band.

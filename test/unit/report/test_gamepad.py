@@ -18,10 +18,10 @@ WRONG_MODE = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
 REARM = "the gamepad was silent; let go of the deadman, then hold it again"
 
 
-def state(time_s, cause, reason, human=False, namespace=""):
+def state(time_s, cause, reason, human=False, namespace="", **sticks):
     """teleop_logi's, of one moment."""
     return Written(time_s, f"{namespace}/teleop_logi/state", "car_interface/TeleopState", {
-        "stamp": stamp(time_s), "human_in_loop": human, "cause": cause, "reason": reason})
+        "stamp": stamp(time_s), "human_in_loop": human, "cause": cause, "reason": reason, **sticks})
 
 
 def steering(time_s, drives, namespace=""):
@@ -73,6 +73,21 @@ def test_gamepad_that_is_unusable_is_an_error_with_its_reason(cause, reason, tmp
     assert "1 fault needs somebody to look" in text
     (fault,) = seen.faults.entries
     assert (fault.where, fault.level, fault.what, fault.start_s) == ("teleop_logi", ERROR, reason, pytest.approx(10.0))
+
+
+def test_axis_that_was_not_seen_at_its_rest_is_a_fault_while_it_lasts(tmp_path):
+    why = "no deadman is held; the gamepad's throttle_axis 4 is 1.00 and was not seen at its rest: it doesn't count"
+    odd = [state(time_s, causes.NO_DEADMAN, why, throttle_stick=causes.NOT_AT_REST) for time_s in (12.02, 13.02)]
+    seen, _ = report(tmp_path, drive(others=odd))
+    assert [(fault.where, fault.level, fault.what) for fault in seen.faults.entries] == [("teleop_logi", WARN, why)] * 2
+
+
+def test_state_from_before_there_were_sticks_in_it_says_nothing_of_them():
+    faults = FaultLog()
+    watch = GamepadWatch(faults, 2.0)
+    watch.on_state(0.0, SimpleNamespace(cause=causes.MANUAL, reason="manual deadman held", human_in_loop=True))
+    watch.finish()
+    assert faults.entries == []
 
 
 def test_deadman_that_is_let_go_is_no_loss(tmp_path):

@@ -439,3 +439,17 @@ def test_dropped_messages_make_av_steer_req_stale():
     arbiter.update_human(False, later_ns)
     arbiter.update_human(True, later_ns)
     assert arbiter.decide(later_ns).reason == "av_steer_req was not heard since messages were dropped"
+
+
+@pytest.mark.parametrize("overrides, age_s, reason", [
+    (True, 0.1, "tele_steer_req is 0.500: it overrides the planner"),
+    (False, 0.1, "tele_steer_req is 0.500"),
+    (True, 0.6, "tele_steer_req is 0.500"),
+])
+def test_stick_that_overrides_the_planner_is_told_as_long_as_teleop_logi_says_so(overrides, age_s, reason):
+    arbiter = SteeringArbiter(SLASH)
+    arbiter.update_human(True, NOW)
+    arbiter.update_teleop(0.5, NOW)
+    arbiter.explain_teleop(overrides, NOW - round(age_s * S))
+    decision = arbiter.decide(NOW)
+    assert (decision.source, decision.cause, decision.reason) == (TELEOP, "teleop", reason)

@@ -22,16 +22,16 @@ def config(**changes):
     return GamepadConfig(**settings)
 
 
-def gamepad_at_rest(now_ns=NOW, **changes):
-    """One whose deadmen were seen let go, as they are before anybody drives."""
+def gamepad_at_rest(now_ns=NOW, axes=2, buttons=2, **changes):
+    """One whose deadmen were seen let go and whose sticks at rest, as they are before anybody drives."""
     gamepad = Gamepad(config(**changes))
-    gamepad.update([0.0] * 8, [0] * 8, now_ns)
+    gamepad.update([changes.get("steer_neutral", 0.0)] + [0.0] * (axes - 1) if axes else [], [0] * buttons, now_ns)
     return gamepad
 
 
 def requests(axes, buttons, age_s=0.1, **changes):
     heard_ns = NOW - round(age_s * S)
-    gamepad = gamepad_at_rest(heard_ns, **changes)
+    gamepad = gamepad_at_rest(heard_ns, len(axes), len(buttons), **changes)
     gamepad.update(axes, buttons, heard_ns)
     return gamepad.requests(NOW)
 
@@ -39,7 +39,7 @@ def requests(axes, buttons, age_s=0.1, **changes):
 @pytest.mark.parametrize("axes, buttons, human, steering, throttle, cause, reason", [
     pytest.param([0.5, -0.25], MANUAL, True, 0.5, -0.25,
                  causes.MANUAL, "manual deadman held", id="manual_deadman_passes_the_axes_on"),
-    pytest.param([0.5, -0.25], AUTONOMOUS, True, 0.0, 0.0, causes.AUTONOMOUS, "autonomous deadman held",
+    pytest.param([0.1, -0.1], AUTONOMOUS, True, 0.0, 0.0, causes.AUTONOMOUS, "autonomous deadman held",
                  id="autonomous_deadman_alone_means_a_neutral_request"),
     pytest.param([0.5, -0.25], BOTH, True, 0.5, -0.25,
                  causes.MANUAL, "manual deadman held", id="with_both_the_human_steers"),
@@ -70,7 +70,7 @@ def requests(axes, buttons, age_s=0.1, **changes):
                  id="a_missing_button_releases_even_if_the_other_is_held"),
 ])
 def test_message_is_read_as_requests(axes, buttons, human, steering, throttle, cause, reason):
-    assert requests(axes, buttons) == (human, steering, throttle, cause, reason)
+    assert requests(axes, buttons)[:5] == (human, steering, throttle, cause, reason)
 
 
 @pytest.mark.parametrize("stick, changes, steering", [
@@ -88,12 +88,12 @@ def test_manual_deadman_steers_with_the_stick_at_rest_too(stick, changes, steeri
 
 
 def test_gamepad_never_heard_holds_no_deadman():
-    assert Gamepad(config()).requests(NOW) == (False, 0.0, 0.0, causes.JOY_NEVER_RECEIVED, "joy was never heard")
+    assert Gamepad(config()).requests(NOW)[:5] == (False, 0.0, 0.0, causes.JOY_NEVER_RECEIVED, "joy was never heard")
 
 
 def test_gamepad_silent_for_longer_than_its_timeout_releases():
     assert requests([0.5, 0.5], MANUAL, age_s=0.25).human_in_loop
-    assert requests([0.5, 0.5], MANUAL, age_s=0.26) == (False, 0.0, 0.0, causes.JOY_STALE, "joy silent for 0.26 s")
+    assert requests([0.5, 0.5], MANUAL, age_s=0.26)[:5] == (False, 0.0, 0.0, causes.JOY_STALE, "joy silent for 0.26 s")
 
 
 def test_gamepad_with_timeout_0_keeps_its_last_message():
@@ -115,16 +115,17 @@ def test_scales_turn_and_shrink_the_axes():
 
 @pytest.mark.parametrize("third_mode, buttons, steering, throttle, mode", [
     pytest.param("human_steering", [0, 0, 1], 0.5, 0.0, "human_steering", id="you_steer_the_planner_drives"),
-    pytest.param("human_throttle", [0, 0, 1], 0.0, -0.25, "human_throttle", id="the_planner_steers_you_drive"),
-    pytest.param("human_throttle", [1, 0, 1], 0.5, -0.25, "manual", id="with_the_manual_one_you_do_both"),
-    pytest.param("human_throttle", [0, 1, 1], 0.0, -0.25, "human_throttle", id="it_counts_before_the_autonomous_one"),
+    pytest.param("human_throttle", [0, 0, 1], 0.0, 0.25, "human_throttle", id="the_planner_steers_you_drive"),
+    pytest.param("human_throttle", [1, 0, 1], 0.5, 0.25, "manual", id="with_the_manual_one_you_do_both"),
+    pytest.param("human_throttle", [0, 1, 1], 0.0, 0.25, "human_throttle", id="it_counts_before_the_autonomous_one"),
     pytest.param("human_steering", [0, 1, 0], 0.0, 0.0, "autonomous", id="autonomous"),
-    pytest.param("human_steering", [1, 0, 0], 0.5, -0.25, "manual", id="manual"),
+    pytest.param("human_steering", [1, 0, 0], 0.5, 0.25, "manual", id="manual"),
 ])
 def test_third_deadman_shares_the_driving(third_mode, buttons, steering, throttle, mode):
-    read = requests([0.5, -0.25], buttons, third_button=2, third_mode=third_mode)
+    """The sticks are held before the deadman is pressed, so that they override nothing."""
+    read = requests([0.5, 0.25], buttons, third_button=2, third_mode=third_mode)
     assert (read.human_in_loop, read.steering, read.throttle, read.mode) == (True, steering, throttle, mode)
-    assert read.reason == f"{mode} deadman held"
+    assert read.reason.startswith(f"{mode} deadman held")
 
 
 def test_without_a_deadman_the_mode_is_the_human_s():
@@ -146,7 +147,7 @@ def test_gamepad_without_a_throttle_axis_steers_and_its_throttle_is_no_number():
 
 
 def scale_button(buttons, age_s=0.1, **changes):
-    gamepad = gamepad_at_rest(**changes)
+    gamepad = gamepad_at_rest(buttons=len(buttons), **changes)
     gamepad.update([0.0, 0.0], buttons, NOW - round(age_s * S))
     return gamepad.scale_button(NOW)
 
@@ -188,7 +189,8 @@ def test_neutral_of_an_old_stack_is_what_a_neutral_request_is(axes, buttons):
        st.lists(st.integers(0, 1), max_size=3))
 def test_message_of_anything_is_in_range_and_without_a_held_button_nobody_is_there(axes, buttons):
     read = requests(axes, buttons)
-    assert -1 <= read.steering <= 1 and -1 <= read.throttle <= 1
+    assert -1 <= read.steering <= 1
+    assert -1 <= read.throttle <= 1
     assert read.human_in_loop <= any(buttons[:2])
     if not read.human_in_loop:
         assert (read.steering, read.throttle) == (0.0, 0.0)
@@ -221,8 +223,8 @@ def test_deadman_that_is_held_at_the_start_counts_once_it_was_let_go(held):
     """The node may be the successor of one that died while the car was driving."""
     gamepad = Gamepad(config())
     for _ in range(3):
-        gamepad.update([0.5, 0.5], held, NOW)
-        assert gamepad.requests(NOW) == (
+        gamepad.update([0.0, 0.0], held, NOW)
+        assert gamepad.requests(NOW)[:5] == (
             False, 0.0, 0.0,
             causes.NOT_REARMED, "this node has just started; let go of the deadman, then hold it again")
         assert gamepad.requests(NOW).must_rearm
@@ -249,8 +251,9 @@ def test_after_dropped_messages_nothing_is_held_until_all_deadmen_were_let_go():
     gamepad = gamepad_at_rest()
     gamepad.update([0.5, 0.5], MANUAL, NOW)
     gamepad.mark_stale()
-    assert gamepad.requests(NOW) == (False, 0.0, 0.0, causes.JOY_STALE, "joy was not heard since messages were dropped")
-    gamepad.update([0.5, 0.5], MANUAL, NOW)
+    assert gamepad.requests(NOW)[:5] == (False, 0.0, 0.0, causes.JOY_STALE,
+                                         "joy was not heard since messages were dropped")
+    gamepad.update([0.0, 0.0], MANUAL, NOW)
     assert gamepad.requests(NOW).reason == "messages were dropped; let go of the deadman, then hold it again"
     gamepad.update([0.5, 0.5], NONE, NOW)
     gamepad.update([0.5, 0.5], MANUAL, NOW)
@@ -267,7 +270,7 @@ def test_gamepad_in_another_mode_is_described_with_the_axes_that_it_has():
 
 
 def test_axis_that_was_no_number_is_named_until_all_deadmen_were_let_go():
-    gamepad = gamepad_at_rest(throttle_axis=4)
+    gamepad = gamepad_at_rest(axes=5, throttle_axis=4)
     gamepad.update([0.0, 0.0, 0.0, 0.0, math.nan], MANUAL, NOW)
     gamepad.update([0.0] * 5, MANUAL, NOW)
     assert gamepad.requests(NOW).reason == (
@@ -294,3 +297,231 @@ def test_age_and_size_of_the_newest_message_are_known():
     assert gamepad.joy_age_s(NOW) == math.inf
     gamepad.update([0.0] * 8, [0] * 11, NOW)
     assert (gamepad.axes, gamepad.buttons, gamepad.joy_age_s(NOW + S)) == (8, 11, 1.0)
+
+
+# --- the human goes first ---
+
+REST, PERIOD = (0.0, 0.0), S // 20  # what a driver repeats at
+
+
+class Person:
+    """Two sticks and the buttons of a gamepad whose driver repeats 20 times a second.
+
+    Attributes:
+        seen: the requests after each message.
+    """
+
+    def __init__(self, axes=REST, buttons=NONE, **changes):
+        self.gamepad = Gamepad(config(**changes))
+        self.now_ns = NOW
+        self.seen = []
+        self.hold(axes, [0] * len(buttons))
+
+    def hold(self, axes, buttons, seconds=0.05):
+        """Hold the sticks and buttons so for a while; the last requests."""
+        for _ in range(max(1, round(seconds * 20))):
+            self.now_ns += PERIOD
+            self.gamepad.update(axes, buttons, self.now_ns)
+            self.seen.append(self.gamepad.requests(self.now_ns))
+        return self.seen[-1]
+
+
+@pytest.mark.parametrize("buttons, changes, steering, throttle", [
+    pytest.param(AUTONOMOUS, {}, 0.5, 0.4, id="both_sticks_under_the_autonomous_one"),
+    pytest.param([0, 0, 1], {"third_button": 2, "third_mode": "human_throttle"}, 0.5, 0.4, id="steering_beside_yours"),
+    pytest.param([0, 0, 1], {"third_button": 2, "third_mode": "human_steering"}, 0.5, 0.4, id="throttle_beside_yours"),
+    pytest.param(AUTONOMOUS, {"override_deadband": 0.45}, 0.5, 0.0, id="beyond_the_dead_band_of_the_override"),
+    pytest.param(AUTONOMOUS, {"steer_scale": -1.0, "throttle_scale": -1.0}, -0.5, -0.4, id="of_inverted_axes"),
+])
+def test_stick_that_is_moved_under_any_deadman_has_its_actuator_at_once(buttons, changes, steering, throttle):
+    person = Person(buttons=buttons, **changes)
+    person.hold(REST, buttons)
+    read = person.hold((0.5, 0.4), buttons)
+    assert (read.human_in_loop, read.steering, read.throttle) == (True, steering, throttle)
+
+
+@pytest.mark.parametrize("axes, steering, throttle", [((0.5, 0.0), 0.5, 0.0), ((0.0, 0.4), 0.0, 0.4)])
+def test_each_stick_takes_its_own_actuator_and_leaves_the_planner_the_other(axes, steering, throttle):
+    person = Person()
+    person.hold(REST, AUTONOMOUS)
+    read = person.hold(axes, AUTONOMOUS)
+    assert (read.steering, read.throttle) == (steering, throttle)
+
+
+def test_override_is_told_with_stick_and_value():
+    person = Person()
+    assert person.hold(REST, AUTONOMOUS)[3:] == (causes.AUTONOMOUS, "autonomous deadman held", "", "")
+    read = person.hold((0.5, -0.8), AUTONOMOUS)
+    assert (read.mode, read.steering_stick, read.throttle_stick) == ("autonomous", causes.OVERRIDE, causes.OVERRIDE)
+    assert read.reason == ("autonomous deadman held; the steering stick overrides the planner by 0.50; "
+                           "the throttle stick overrides the planner by -0.80")
+
+
+def test_planner_gets_the_steering_back_half_a_second_after_the_stick_was_centered():
+    person = Person()
+    person.hold(REST, AUTONOMOUS)
+    person.hold((0.5, 0.0), AUTONOMOUS, 1.0)
+    assert person.hold(REST, AUTONOMOUS, 0.5).steering == 0.002  # nearly neutral: the human's still
+    assert person.hold(REST, AUTONOMOUS).steering == 0.0
+
+
+@pytest.mark.parametrize("drift", [0.03, 0.06, 0.09, -0.09])
+def test_stick_that_drifts_overrides_nothing_and_returns_all_the_same(drift):
+    person = Person(axes=(drift, drift))
+    assert person.hold((drift, drift), AUTONOMOUS, 5.0)[1:3] == (0.0, 0.0)
+    assert person.hold((0.5, 0.5), AUTONOMOUS)[1:3] == (0.5, 0.5)
+    assert person.hold((drift, drift), AUTONOMOUS, 0.4)[1] == drift
+    assert person.hold((drift, drift), AUTONOMOUS, 0.2)[1:3] == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("low, high, seconds", [(0.09, 0.11, 0.05), (0.06, 0.11, 0.05), (0.0, 0.11, 0.3),
+                                                (0.08, 0.13, 0.4)])
+def test_chatter_at_the_edge_does_not_give_the_actuator_back_and_forth(low, high, seconds):
+    person = Person()
+    person.hold(REST, AUTONOMOUS)
+    person.hold((high, high), AUTONOMOUS)
+    person.seen.clear()
+    for _ in range(30):
+        person.hold((low, low), AUTONOMOUS, seconds)
+        person.hold((high, high), AUTONOMOUS, seconds)
+    assert {(read.steering_stick, read.throttle_stick) for read in person.seen} == {(causes.OVERRIDE, causes.OVERRIDE)}
+    assert all(read.steering for read in person.seen)
+
+
+def test_stick_that_was_held_when_the_deadman_was_pressed_overrides_nothing_until_it_was_centered():
+    person = Person()
+    person.hold((0.5, 0.5), NONE)
+    read = person.hold((0.6, 0.7), AUTONOMOUS, 3.0)
+    assert (read.steering, read.throttle) == (0.0, 0.0)
+    assert (read.steering_stick, read.throttle_stick) == (causes.OFF_CENTER, causes.OFF_CENTER)
+    assert read.reason == ("autonomous deadman held; the steering stick, at 0.60, was off its center when the deadman "
+                           "was pressed: center it once; the throttle stick, at 0.70, was off its center when the "
+                           "deadman was pressed: center it once")
+    person.hold((0.02, 0.02), AUTONOMOUS)
+    assert person.hold((0.5, 0.5), AUTONOMOUS)[1:3] == (0.5, 0.5)
+
+
+def test_hand_over_while_both_sticks_are_held_is_the_planner_s_at_once():
+    person = Person()
+    person.hold((0.5, 0.5), MANUAL)
+    person.hold((0.5, 0.5), BOTH)
+    assert person.hold((0.5, 0.5), AUTONOMOUS)[1:3] == (0.0, 0.0)
+    assert person.hold((0.5, 0.5), BOTH)[1:3] == (0.5, 0.5)
+    assert person.hold((0.5, 0.5), AUTONOMOUS, 1.0)[1:3] == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("buttons, changes", [(AUTONOMOUS, {}), ([0, 0, 1], {"third_button": 2})])
+def test_pull_brakes_though_it_was_held_when_the_deadman_was_pressed_and_a_push_after_it_does_not_count(buttons,
+                                                                                                         changes):
+    person = Person(buttons=buttons, **changes)
+    person.hold((0.0, -0.9), [0] * len(buttons))
+    assert person.hold((0.0, -0.9), buttons).throttle == -0.9
+    read = person.hold((0.0, 0.9), buttons)
+    assert (read.throttle, read.throttle_stick) == (0.0, causes.OVERRIDE)
+    assert person.hold((0.0, 0.9), buttons, 2.0).throttle == 0.0
+
+
+def test_override_ends_with_the_deadman():
+    person = Person()
+    person.hold(REST, AUTONOMOUS)
+    person.hold((0.5, 0.5), AUTONOMOUS)
+    assert person.hold((0.5, 0.5), NONE)[:3] == (False, 0.0, 0.0)
+    assert person.hold((0.5, 0.5), AUTONOMOUS)[1:3] == (0.0, 0.0)
+
+
+# --- an axis counts once it was seen at its rest ---
+
+@pytest.mark.parametrize("rest", [1.0, -1.0])
+def test_trigger_in_the_place_of_a_stick_never_drives_nor_steers(rest):
+    person = Person(axes=(rest, rest))
+    read = person.hold((rest, rest), MANUAL, 2.0)
+    assert read.human_in_loop and read.steering == 0.002 and math.isnan(read.throttle)
+    assert (read.steering_stick, read.throttle_stick) == (causes.NOT_AT_REST, causes.NOT_AT_REST)
+    assert read.reason == (f"manual deadman held; the gamepad's steer_axis 0 is {rest:.2f} and was not seen at its "
+                           f"rest: it doesn't count; the gamepad's throttle_axis 1 is {rest:.2f} and was not seen at "
+                           "its rest: it doesn't count")
+    person.hold((rest, rest), NONE)
+    read = person.hold((rest, rest), AUTONOMOUS, 2.0)
+    assert (read.steering, read.throttle) == (0.0, min(0.0, rest))  # as a brake it counts
+    assert read.reason.endswith("it doesn't count" if rest > 0 else "it only brakes")
+
+
+def test_trigger_that_is_pressed_and_let_go_passes_the_center_without_counting():
+    person = Person(axes=(0.0, 1.0))
+    for axis in (1.0, 0.6, 0.2, -0.05, -0.4, -1.0, -0.5, 0.05, 0.6, 1.0):
+        person.hold((0.0, axis), MANUAL)
+    assert all(math.isnan(read.throttle) for read in person.seen if read.human_in_loop)
+
+
+def test_axis_counts_once_it_stayed_at_its_rest():
+    person = Person(axes=(1.0, 1.0))
+    person.hold(REST, MANUAL, 0.2)
+    assert person.hold((0.5, 0.5), MANUAL)[1:3] == (0.5, 0.5)
+
+
+@pytest.mark.parametrize("lose", [
+    pytest.param(lambda person: person.gamepad.update((0.5, 0.5, 0.0), [0, 0, 0], person.now_ns), id="another_mode"),
+    pytest.param(lambda person: setattr(person, "now_ns", person.now_ns + S), id="silence"),
+    pytest.param(lambda person: person.gamepad.mark_stale(), id="dropped_messages"),
+    pytest.param(lambda person: person.hold((math.nan, 0.0), NONE), id="no_number"),
+    pytest.param(lambda person: person.hold((), NONE), id="no_axes"),
+])
+def test_what_was_seen_of_an_axis_ends_with_a_loss(lose):
+    person = Person()
+    person.hold((0.5, 0.5), NONE)
+    lose(person)
+    person.hold((0.5, 0.5), NONE)
+    assert math.isnan(person.hold((0.5, 0.5), MANUAL).throttle)
+
+
+def test_cross_of_a_gamepad_in_d_mode_does_not_count_until_it_gave_what_no_cross_gives():
+    """Axis 4 of a Logitech F710 with its switch at D: it rests at 0."""
+    def axes(throttle):
+        return [0.0] * 4 + [throttle, 0.0]
+
+    def buttons(manual):
+        return [0] * 4 + [manual] + [0] * 7
+    person = Person(axes(0.0), buttons(0), throttle_axis=4, manual_button=4, autonomous_button=5)
+    for cross in (0.0, 1.0, 0.0, -1.0, 0.0):
+        read = person.hold(axes(cross), buttons(1), 0.5)
+        assert math.isnan(read.throttle) and read.throttle_stick == causes.NOT_AT_REST
+    assert read.reason == ("manual deadman held; the gamepad's throttle_axis 4 is where a gamepad with 6 axes and 12 "
+                           "buttons has its cross: it doesn't count")
+    assert "needs its switch at X" in remedy(read.stick_cause, "/joy")
+    person.hold(axes(0.3), buttons(1))
+    person.hold(axes(0.0), buttons(1), 0.2)
+    assert person.hold(axes(1.0), buttons(1)).throttle == 1.0
+
+
+# --- a pull after another deadman ---
+
+def test_pull_just_after_the_manual_deadman_begins_with_a_stop_so_that_it_is_no_second_pull():
+    person = Person()
+    person.hold((0.0, -1.0), MANUAL, 0.3)
+    person.hold(REST, MANUAL, 0.3)
+    person.hold(REST, AUTONOMOUS)
+    read = person.hold((0.0, -1.0), AUTONOMOUS)
+    assert math.isnan(read.throttle)
+    assert read.reason == ("autonomous deadman held; a pull just after another deadman begins with a stop; "
+                           "the throttle stick overrides the planner by -1.00")
+    assert person.hold((0.0, -1.0), AUTONOMOUS, 0.1).throttle == -1.0
+
+
+@pytest.mark.parametrize("between", [AUTONOMOUS, NONE])
+def test_so_does_one_that_is_held_through_the_change(between):
+    person = Person()
+    person.hold((0.0, -1.0), MANUAL, 0.3)
+    person.hold((0.0, -1.0), between)
+    person.seen.clear()
+    person.gamepad.update((0.0, -1.0), AUTONOMOUS, person.now_ns)
+    assert math.isnan(person.gamepad.requests(person.now_ns).throttle)
+    assert person.hold((0.0, -1.0), AUTONOMOUS, 0.15).throttle == -1.0
+
+
+def test_later_pull_does_not():
+    person = Person()
+    person.hold((0.0, -1.0), MANUAL, 0.3)
+    person.hold(REST, AUTONOMOUS, 1.2)
+    for _ in range(3):
+        assert person.hold((0.0, -1.0), AUTONOMOUS).throttle == -1.0
+        person.hold(REST, AUTONOMOUS)

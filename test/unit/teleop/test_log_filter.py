@@ -33,6 +33,12 @@ def test_human_who_comes_and_goes_is_logged_each_time():
     assert logged(*steps) == [requests.cause for requests, _ in steps]
 
 
+def test_stick_that_overrides_is_logged_when_it_begins_and_ends():
+    overrides = AUTONOMOUS._replace(throttle=-0.5, throttle_stick=causes.OVERRIDE)
+    steps = [(AUTONOMOUS, 0), (overrides, 1), (overrides._replace(throttle=-0.7), 1.1), (AUTONOMOUS, 2), (overrides, 3)]
+    assert logged(*steps) == [causes.AUTONOMOUS] * 4
+
+
 def test_loss_is_logged_each_time_that_it_takes_control_away():
     steps = [(MANUAL, 0), (STALE, 1), (RELEASED, 2), (MANUAL, 3), (STALE, 4)]
     assert logged(*steps)[-1] == causes.JOY_STALE

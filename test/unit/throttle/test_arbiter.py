@@ -395,3 +395,75 @@ def test_planner_without_a_request_does_not_hinder_the_human():
     arbiter.update_teleop(FORWARD, NOW)
     decision = arbiter.decide(NOW)
     assert (decision.source, decision.gear) == (TELEOP, "auto")
+
+
+# --- a stick under a planner's deadman ---
+
+def driven(mode, *stick):
+    """An arbiter whose planner asks for 0.7, with what the stick did: (value, for seconds); and the time after it."""
+    arbiter, now_ns = arbiter_with(mode=(mode, 0.0), planner=(0.7, 0.0), odometry=(1.0, 0.0), human=(True, 0.0),
+                                   steering=(TELEOP, 0.0)), NOW
+    for value, seconds in stick:
+        for _ in range(round(seconds * 50)):
+            now_ns += S // 50
+            arbiter.update_human(True, now_ns)
+            arbiter.update_steering(TELEOP, "", now_ns)
+            arbiter.update_planner(2.1, 0.7, now_ns)
+            arbiter.update_odometry(1.0, now_ns)
+            arbiter.update_mode(mode, now_ns)
+            arbiter.update_teleop(value, now_ns)
+    return arbiter, now_ns
+
+
+@pytest.mark.parametrize("mode", [AUTONOMOUS, HUMAN_STEERING])
+@pytest.mark.parametrize("stick, drive, brake, scaled", [(FORWARD, 0.15, 0.5, "0.3"), (BRAKE, -0.5, -0.5, "1")])
+def test_override_is_told_and_its_pull_has_the_brake_s_scale_in_a_gear_that_never_reverses(mode, stick, drive, brake,
+                                                                                          scaled):
+    arbiter, now_ns = driven(mode, (REST, 0.1), (stick, 0.1))
+    decision = arbiter.decide(now_ns)
+    assert (decision.source, decision.cause, decision.gear, decision.is_stop) == (TELEOP, "override", "drive", False)
+    assert (decision.drive, decision.brake) == (pytest.approx(drive), pytest.approx(brake))
+    assert decision.reason == f"tele_throt_req is {stick:.3f}, scaled by {scaled}: it overrides the planner"
+
+
+@pytest.mark.parametrize("seconds, source", [(0.02, TELEOP), (0.48, TELEOP), (0.54, PLANNER)])
+def test_planner_gets_the_throttle_back_half_a_second_after_the_stick_was_centered(seconds, source):
+    arbiter, now_ns = driven(AUTONOMOUS, (BRAKE, 0.1), (REST, seconds))
+    decision = arbiter.decide(now_ns)
+    assert decision.source == source
+    if source == TELEOP:
+        assert (decision.cause, decision.asked, decision.is_stop) == ("override", 0.0, False)
+        assert decision.reason == "the throttle stick overrode the planner, which waits until it was centered for 0.5 s"
+
+
+def test_stick_that_trembles_at_the_edge_keeps_the_throttle():
+    arbiter, now_ns = driven(AUTONOMOUS, *[(0.052, 0.1), (0.048, 0.4)] * 10)
+    assert arbiter.decide(now_ns).source == TELEOP
+
+
+def test_stick_from_before_a_planner_s_deadman_holds_nothing():
+    arbiter, now_ns = driven(MANUAL, (FORWARD, 0.3))
+    arbiter.update_mode(AUTONOMOUS, now_ns)
+    arbiter.update_teleop(0.0, now_ns)
+    assert arbiter.decide(now_ns).source == PLANNER
+
+
+def test_what_an_override_holds_ends_where_the_human_takes_over():
+    arbiter, now_ns = driven(AUTONOMOUS, (FORWARD, 0.3), (REST, 0.1))
+    for mode in (MANUAL, AUTONOMOUS):
+        arbiter.update_mode(mode, now_ns)
+    assert arbiter.decide(now_ns).source == PLANNER
+
+
+def test_what_an_override_holds_ends_with_the_deadman():
+    arbiter, now_ns = driven(AUTONOMOUS, (FORWARD, 0.3), (REST, 0.1))
+    arbiter.update_human(False, now_ns)
+    arbiter.update_human(True, now_ns)
+    assert arbiter.decide(now_ns).source == PLANNER
+
+
+@pytest.mark.parametrize("mode", [MANUAL, HUMAN_THROTTLE])
+def test_under_a_human_s_deadman_the_second_pull_may_mean_reverse(mode):
+    arbiter, now_ns = driven(mode, (BRAKE, 0.1))
+    decision = arbiter.decide(now_ns)
+    assert (decision.cause, decision.gear) == ("teleop", "auto")

@@ -10,7 +10,14 @@ from car_interface.steering.arbiter import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration, trimmed
 from car_interface.throttle.control import ThrottleControl
-from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, DIRECT_REVERSE, UNVERIFIED, EscConfig
+from car_interface.throttle.esc_config import (
+    BRAKE_THEN_REVERSE,
+    DIRECT_REVERSE,
+    FORWARD_ONLY,
+    PROFILES,
+    UNVERIFIED,
+    EscConfig,
+)
 from car_interface.throttle.stick import StickConfig
 
 S = 1_000_000_000
@@ -222,3 +229,97 @@ def test_what_differs_is_duty_source_cause_esc_mode_and_scale_but_no_number_in_a
 def test_ages_are_those_of_every_input():
     assert set(Rig().control.ages_s(0)) == {"e_stop", "human_in_loop", "turn_arb's state", "mode", "tele_throt_req",
                                             "the planner's value", "odometry", "/servo/output"}
+
+
+# --- a stick under a planner's deadman ---
+
+def autonomous(profile, **esc):
+    """A rig under the autonomous deadman."""
+    rig = Rig(profile, **esc)
+    run = rig.run
+
+    def run_in_mode(seconds):
+        for _ in range(round(seconds * 50)):
+            rig.control.arbiter.update_mode(rig.mode, rig.now_ns)
+            if rig.gear:
+                rig.control.arbiter.update_planner_state(rig.gear, None, rig.now_ns)
+            run(0.02)
+        return rig.decision
+    rig.mode, rig.gear, rig.run = "autonomous", "", run_in_mode
+    rig.run(0.1)
+    return rig
+
+
+def test_pull_under_a_planner_s_deadman_brakes_fully():
+    rig = autonomous(BRAKE_THEN_REVERSE)
+    rig.value, rig.speed = 2.0, 3.0
+    rig.run(1.0)
+    rig.stick = -1.0
+    decision = rig.run(0.1)
+    assert (decision.duty, decision.arbitration.source, decision.esc.state_name) == (FULL_BRAKE, TELEOP, "BRAKING")
+    rig.stick = 0.0
+    assert rig.run(0.4).duty == NEUTRAL_DUTY
+    assert rig.run(0.2).duty > NEUTRAL_DUTY  # the planner's
+
+
+@pytest.mark.parametrize("profile, esc", [*((profile, {}) for profile in PROFILES),
+                                          (UNVERIFIED, {"calibration_drive": True})])
+def test_pull_under_a_planner_s_deadman_never_becomes_reverse_however_often(profile, esc):
+    rig = autonomous(profile, **esc)
+    rig.speed = 0.0
+    for _ in range(6):
+        rig.stick = -1.0
+        rig.run(0.6)
+        assert rig.decision.esc.state_name != "REVERSE"
+        rig.stick = 0.0
+        rig.run(0.3)
+    if profile not in (BRAKE_THEN_REVERSE, FORWARD_ONLY):
+        assert min(rig.duties) == NEUTRAL_DUTY
+
+
+@pytest.mark.parametrize("profile", [DIRECT_REVERSE, UNVERIFIED, BRAKE_THEN_REVERSE])
+def test_pull_that_is_held_when_the_human_takes_over_is_reverse_only_after_the_center_and_another(profile):
+    rig = autonomous(profile)
+    rig.speed = 0.0
+    for rig.stick in (-1.0, 0.0, -1.0):
+        rig.run(0.4)
+    rig.mode = "manual"
+    rig.run(3.0)
+    assert min(rig.duties) == NEUTRAL_DUTY
+    for rig.stick in (0.0, -1.0):
+        rig.run(3.0)
+    assert (rig.decision.esc.state_name, min(rig.duties)) == ("REVERSE", REVERSE_BY_HAND)
+
+
+def reversing(speed=-2.0):
+    """A car that its planner drives backward."""
+    rig = autonomous(DIRECT_REVERSE)
+    rig.gear, rig.value, rig.speed = "reverse", -2.0, 0.0
+    rig.run(1.0)
+    assert rig.decision.esc.state_name == "REVERSE"
+    rig.speed = speed
+    rig.run(0.5)
+    return rig
+
+
+def test_pull_brakes_a_car_that_its_planner_drives_backward_until_it_is_slow():
+    rig = reversing()
+    rig.stick, rig.duties = -1.0, []
+    decision = rig.run(0.2)
+    assert (decision.duty, decision.esc.state_name) == (FULL_FORWARD, "BRAKING")
+    assert min(rig.duties) >= NEUTRAL_DUTY
+    rig.speed = -0.4
+    rig.run(0.1)
+    assert rig.run(0.1).duty == NEUTRAL_DUTY
+    rig.speed, rig.duties = 0.0, []
+    rig.run(3.0)
+    assert set(rig.duties) == {NEUTRAL_DUTY}
+
+
+def test_push_drives_a_car_forward_that_its_planner_drives_backward():
+    rig = reversing()
+    rig.stick = 1.0
+    assert rig.run(0.2).esc.state_name == "BRAKING"
+    rig.speed = 0.0
+    decision = rig.run(0.2)
+    assert (decision.duty, decision.esc.state_name) == (BY_HAND, "FORWARD")

@@ -6,11 +6,9 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.doctor.checks.findings import BAD, OK, WARN, Finding
-from car_interface.teleop.gamepad import GamepadConfig, missing_index, remedy
+from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
 
 SUBJECT = "gamepad"
-# Logitech's F310 and F710 in D mode: two sticks, and the cross as axes 4 and 5. In X mode they have 8 and 11.
-D_MODE_AXES, D_MODE_BUTTONS, D_MODE_CROSS = 6, 12, (4, 5)
 MISSED = 2  # messages in a row that may be lost before the deadman is released, at least
 AUTOREPEAT = "Set joy_node's autorepeat_rate to 20, as teleop_logi.launch gamepad:=true does: {joy} must come at 20 Hz"
 
@@ -44,6 +42,7 @@ class Gamepad(NamedTuple):
         config: how teleop_logi is set; ``None`` = its parameters are bad, which another finding says.
         sample: what came.
         cause, reason: teleop_logi's own; empty = it said nothing.
+        stick_cause: NOT_AT_REST where teleop_logi says that an axis doesn't count.
     """
 
     node: str
@@ -53,6 +52,7 @@ class Gamepad(NamedTuple):
     sample: JoySample
     cause: str = ""
     reason: str = ""
+    stick_cause: str = ""
 
 
 def check_gamepad(gamepad: Gamepad) -> list[Finding]:
@@ -68,6 +68,8 @@ def check_gamepad(gamepad: Gamepad) -> list[Finding]:
         return [broken]
     if gamepad.cause in causes.LOSSES:
         return [Finding(WARN, SUBJECT, gamepad.reason, remedy(gamepad.cause, topic) or LET_GO)]
+    if gamepad.stick_cause:
+        return [Finding(WARN, SUBJECT, gamepad.reason, remedy(gamepad.stick_cause, topic))]
     said = f"; {gamepad.reason}" if gamepad.reason else ""
     return [Finding(OK, SUBJECT, f"{topic}: {sample.axes} axes, {sample.buttons} buttons, "
                                  f"{_rate_text(sample)}{said}")]
@@ -104,8 +106,7 @@ def _broken(gamepad):
     if sample.period_s * MISSED > timeout_s:
         return Finding(WARN, SUBJECT, f"{topic} comes {_rate_text(sample)}: with a joy_timeout of {timeout_s:g} s one "
                                       "message that is late releases the deadman", AUTOREPEAT.format(joy=topic))
-    is_d_mode = (sample.axes, sample.buttons) == (D_MODE_AXES, D_MODE_BUTTONS)
-    if is_d_mode and {config.steer_axis, config.throttle_axis} & set(D_MODE_CROSS):
+    if any(is_d_mode_cross(index, sample.axes, sample.buttons) for index in (config.steer_axis, config.throttle_axis)):
         return Finding(WARN, SUBJECT, f"{sample.axes} axes and {sample.buttons} buttons, as a Logitech gamepad has in "
                                       "D mode: axes 4 and 5 are its cross then, not a stick",
                        remedy(causes.JOY_INCOMPLETE, topic))

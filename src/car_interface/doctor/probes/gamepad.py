@@ -9,6 +9,7 @@ from typing import Any
 import rospy
 from sensor_msgs.msg import Joy
 
+from car_interface.common import causes
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.doctor.checks.car import Node
@@ -59,8 +60,11 @@ class GamepadListener:
             period_s = (end_s - self._arrivals_s[0]) / max(1, count - 1) if count else math.inf
             axes, buttons = (len(self._newest.axes), len(self._newest.buttons)) if count else (0, 0)
             cause, reason = (self._state.cause, self._state.reason) if self._state else ("", "")
+            sticks = (self._state.steering_stick, self._state.throttle_stick) if self._state else ()
+            stick_cause = causes.NOT_AT_REST if causes.NOT_AT_REST in sticks else ""
             return Gamepad(self._node, self._topic, self._publishers, self._config,
-                           JoySample(count, period_s, axes, buttons, dict(self._values)), cause, reason)
+                           JoySample(count, period_s, axes, buttons, dict(self._values)), cause, reason,
+                           stick_cause)
 
     def _on_joy(self, message):
         with self._lock:

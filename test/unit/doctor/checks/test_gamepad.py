@@ -16,8 +16,8 @@ NOTHING = JoySample(messages=0, period_s=math.inf, axes=0, buttons=0, values={})
 
 
 def check(sample=AT_20_HZ, publishers=("/joy_node",), config=SHIPPED, topic="/joy", cause=causes.NO_DEADMAN,
-          reason="no deadman is held"):
-    found, = check_gamepad(Gamepad("/teleop_logi", topic, publishers, config, sample, cause, reason))
+          reason="no deadman is held", stick_cause=""):
+    found, = check_gamepad(Gamepad("/teleop_logi", topic, publishers, config, sample, cause, reason, stick_cause))
     return found
 
 
@@ -50,6 +50,9 @@ def test_gamepad_that_works_is_ok_with_its_size_and_rate():
                  id="rate_near_the_timeout"),
     pytest.param({"sample": AT_20_HZ._replace(axes=6, buttons=12)}, WARN,
                  "6 axes and 12 buttons, as a Logitech gamepad has in D mode", "needs its switch at X", id="d_mode"),
+    pytest.param({"stick_cause": causes.NOT_AT_REST, "reason": "no deadman is held; the gamepad's throttle_axis 4 is "
+                  "1.00 and was not seen at its rest: it doesn't count"}, WARN, "throttle_axis 4 is 1.00 and was not",
+                 "Let go of the stick. If the axis stays where it is, it is a trigger", id="trigger_for_a_stick"),
     pytest.param({"cause": causes.NOT_REARMED, "reason": "the gamepad was silent; let go"}, WARN,
                  "the gamepad was silent; let go", "Let go of both deadman buttons once", id="not_rearmed"),
     pytest.param({"cause": causes.JOY_STALE, "reason": "joy silent for 0.30 s"}, WARN, "joy silent for 0.30 s",
