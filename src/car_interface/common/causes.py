@@ -35,6 +35,7 @@ CONVERTING = "converting"  # the converter has a value for the newest command
 STEERING_STALE = "steering silent"
 STEERING_STOPPED = "steering stopped"
 COMMAND_STALE = "command silent"
+COMMAND_AWAITED = "command awaited"  # the planner asks again, and its first value hasn't come yet
 COMMAND_NOT_FINITE = "command not finite"
 ODOMETRY_STALE = "odometry silent"
 ODOMETRY_NOT_FINITE = "odometry not finite"
@@ -56,6 +57,7 @@ CALIBRATION_DRIVE = "calibration drive"  # the ESC gets a person's pulls as they
 
 # Limits: what was made of a request.
 LIMITS_OFF = "limits off"  # no odometry was ever received
+TOO_TIGHT = "too tight"  # the wheels can't turn the car so: probably the planner's units
 LATERAL_LIMITED = "lateral acceleration"  # the turn is widened
 JERK_LIMITED = "lateral jerk"  # it turns in more slowly
 SPEED_LIMITED = "max speed"
@@ -91,7 +93,7 @@ GUARD_BLOCKED = "guard blocked"  # the guard can't reach the board
 NODE_STOOD_STILL = "node stood still"  # for so long that what was sent meanwhile is no longer obeyed
 FOREIGN_WRITE = "foreign write"  # another program wrote to the board
 
-STEERING_CUTS = frozenset({LATERAL_LIMITED, JERK_LIMITED})
+STEERING_CUTS = frozenset({TOO_TIGHT, LATERAL_LIMITED, JERK_LIMITED})
 THROTTLE_CUTS = frozenset({SPEED_LIMITED, CURVE_SLOWED, SPEED_LATE, ACCELERATION_LIMITED, BRAKING_LIMITED,
                            OBSTACLE_SLOWED, SONAR_SILENT})
 
