@@ -17,8 +17,8 @@ from car_interface.common import causes
 from car_interface.common.measured_speed import MeasuredSpeed
 from car_interface.common.units import NS_PER_S
 
-# A request for a radius tighter than this part of the tightest one is reported. A planner may ask for what its car turns
-# by a measurement of its own, or slightly tighter, so that its controller has the wheels at their stops.
+# A request for a radius tighter than this part of the tightest one is reported. A planner may ask for what its car
+# turns by a measurement of its own, or slightly tighter, so that its controller has the wheels at their stops.
 TIGHT_RATIO = 0.9
 # A request that was too tight stays on /diagnostics, which report once a second, for so long; and a planner whose
 # requests swing from side to side, too tight in between, is logged once.
@@ -94,8 +94,8 @@ def too_tight_reason(asked_m: float, slow_m: float, driven_m: float, speed_mps: 
     return ""
 
 
-TOO_TIGHT_REMEDY = ("See that the planner sends rad or rad/s and not degrees, by the car's wheelbase and by the turns that it "
-                    "can do: docs/planners.md")
+TOO_TIGHT_REMEDY = ("See that the planner sends rad or rad/s and not degrees, by the car's wheelbase and by the turns "
+                    "that it can do: docs/planners.md")
 
 
 class Turn(NamedTuple):

@@ -73,7 +73,7 @@ def test_turn_radius_of_a_planner_s_duty_is_what_the_planner_asked_for(radius_m,
 def test_turn_radius_where_the_servo_turns_the_other_way_and_tables_repeat():
     calibration = replace(SLASH, servo_left=6700, servo_right=3800, radius_axis_m=(1, 2, 4),
                           left_duties=(6700, 6700, 6000), right_duties=(3800, 4000, 4000))
-    assert calibration.turn_radius_m(6700) == 2.0  # of 1 and 2 m, with the wheels at their stop, the one that is certain
+    assert calibration.turn_radius_m(6700) == 2.0  # the wheels are at their stop from there on
     assert calibration.turn_radius_m(6350) == pytest.approx(3.0)
     assert calibration.turn_radius_m(5500) == math.inf  # straighter than the widest turn of the table
     assert calibration.turn_radius_m(4000) == pytest.approx(-2.0)
