@@ -1,8 +1,8 @@
 """Which planner is obeyed: one source at a time. The others are counted, with who sent them.
 
 Consumes the conversions of the source's messages with their arrival; answers with the request, or with why there is
-none. A source that falls silent has no request from then on: nothing is repeated for it. One that sent an angle which no
-wheel turns to is refused until it was sane for 2 s: an angle in degrees that swings from side to side passes through
+none. A source that falls silent has no request from then on: nothing is repeated for it. One that sent an angle which
+no wheel turns to is refused until it was sane for 2 s: an angle in degrees that swings from side to side passes through
 angles that look like radians, at full lock. Pure: ``now_ns`` is passed in.
 """
 from __future__ import annotations
