@@ -151,7 +151,8 @@ class OfDrive(PlannerTest):
                 (drive(NAN, 1.0), "request not finite", "drive: drive.steering_angle is nan, no number to act on"),
                 (drive(0.1, INF), "request not finite", "drive: drive.speed is inf, no number to act on"),
                 (drive(20.0, 1.0), "request refused",
-                 "drive: drive.steering_angle is 20 rad, which no wheel turns to: is it in degrees?")):
+                 ("drive: drive.steering_angle of 20 rad (degrees?): no wheel turns so far; refused until it was sane "
+                  "for 2 s"))):
             self.ask(drive(HALF, 1.0))
             self.wait_for(lambda state: state.cause == "planner")
             mark = self.radii.mark()

@@ -516,6 +516,23 @@ class OfPlannerInterface(ThrottleTest):
         state = self.rig.wait_for(lambda state: state.source == ThrottleState.PLANNER)
         self.assertEqual((state.duty, state.reason), (NEUTRAL, "the planner's gear is neutral: the car coasts"))
 
+    def test_planner_that_pauses_and_asks_again_is_awaited_and_no_message_was_dropped(self):
+        self.rig.present(speed=0.0)
+        self.hold(self.planner, PlannerState(cause="planner", gear="drive"))
+        self.rig.plan(2.0)
+        self.rig.wait_for(lambda state: state.source == ThrottleState.PLANNER)
+        mark = self.rig.states.mark()
+        self.hold(self.planner, PlannerState(cause="planner silent", gear="drive", reason="drive silent for 0.50 s"))
+        self.rig.drop(self.rig.value)
+        self.rig.wait_for(lambda state: state.cause == "planner silent", mark)
+        self.hold(self.planner, PlannerState(cause="planner", gear="drive"))
+        awaited = self.rig.wait_for(lambda state: state.cause == "command awaited", mark)
+        self.assertEqual(awaited.reason, "the planner asks again: its first value is awaited")
+        late = self.rig.wait_for(lambda state: state.cause == "command silent", mark)
+        self.assertEqual(late.reason, "the planner's value was not heard since the planner paused")
+        self.rig.plan(2.0)
+        self.rig.wait_for(lambda state: state.source == ThrottleState.PLANNER, mark)
+
 
 class Tuning(ThrottleTest):
     def test_neutral_is_tuned_live_published_and_saved(self):

@@ -38,6 +38,7 @@ STEERING_NOT_HELD = "steering not held"  # the servo board does not hold what tu
 BOARD_STALE = "board silent"
 BOARD_NEVER_RECEIVED = "board never heard"
 COMMAND_STALE = "command silent"
+COMMAND_AWAITED = "command awaited"  # the planner asks again, and its first value hasn't come yet
 COMMAND_NOT_FINITE = "command not finite"
 ODOMETRY_STALE = "odometry silent"
 ODOMETRY_NOT_FINITE = "odometry not finite"
@@ -59,6 +60,7 @@ CALIBRATION_DRIVE = "calibration drive"  # the ESC gets a person's pulls as they
 
 # Limits: what was made of a request.
 LIMITS_OFF = "limits off"  # no odometry was ever received
+TOO_TIGHT = "too tight"  # the wheels can't turn the car so: probably the planner's units
 LATERAL_LIMITED = "lateral acceleration"  # the turn is widened
 JERK_LIMITED = "lateral jerk"  # it turns in more slowly
 SPEED_LIMITED = "max speed"
@@ -99,7 +101,7 @@ NODE_STOOD_STILL = "node stood still"  # for so long that what was sent meanwhil
 FOREIGN_WRITE = "foreign write"  # another program wrote to the board
 CHANNEL_TIMED_OUT = "channel timed out"  # it was commanded, is no longer, and is at its timeout value
 
-STEERING_CUTS = frozenset({LATERAL_LIMITED, JERK_LIMITED})
+STEERING_CUTS = frozenset({TOO_TIGHT, LATERAL_LIMITED, JERK_LIMITED})
 THROTTLE_CUTS = frozenset({SPEED_LIMITED, CURVE_SLOWED, SPEED_LATE, ACCELERATION_LIMITED, BRAKING_LIMITED,
                            OBSTACLE_SLOWED, SONAR_SILENT})
 

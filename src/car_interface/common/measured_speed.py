@@ -46,7 +46,7 @@ class MeasuredSpeed:
     def update(self, speed_mps: float, now_ns: int) -> None:
         """A speed that has arrived."""
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
-            self._speed.mark_stale()
+            self._speed.mark_stale(f"it was {speed_mps}")
             return
         if self._anchor_ns is None or self._speed.is_stale(now_ns):
             self._anchor_ns, self._anchor_mps, self._gain_mps2 = now_ns, speed_mps, 0.0

@@ -26,6 +26,7 @@ class TimedInput:
         self._timeout_ns = round(timeout_s * NS_PER_S) if timeout_s else math.inf
         self._arrival_ns = None
         self.is_marked_stale = False
+        self._stale_since = DROPPED
 
     def update(self, value, now_ns: int) -> None:
         """Store ``value``, which arrived at ``now_ns``."""
@@ -33,9 +34,13 @@ class TimedInput:
         self._arrival_ns = now_ns
         self.is_marked_stale = False
 
-    def mark_stale(self) -> None:
-        """Messages were dropped: the input is stale until its next message, whatever its timeout."""
-        self.is_marked_stale = self.was_received
+    def mark_stale(self, since: str = DROPPED) -> None:
+        """Make the input stale until its next message, whatever its timeout.
+
+        Args:
+            since: what happened, for a reason: by default messages were dropped.
+        """
+        self.is_marked_stale, self._stale_since = self.was_received, since
 
     @property
     def was_received(self) -> bool:
@@ -55,5 +60,5 @@ class TimedInput:
         if not self.was_received:
             return f"{self.name} was never heard"
         if self.is_marked_stale:
-            return f"{self.name} was not heard since {DROPPED}"
+            return f"{self.name} was not heard since {self._stale_since}"
         return f"{self.name} silent for {self.age_s(now_ns):.2f} s"

@@ -8,13 +8,14 @@ Subscribes, of these four the one that ~source names; messages of the others are
 And:
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s.
     throttle_arb/state (ThrottleState): who drives, and what the ESC makes of the request. Never received = the planner.
+    turn_arb/state (SteeringState): whether the wheels can turn the car as asked; only quoted.
 Publishes, at 50 Hz while the source is fresh:
     av_turnrad_req (std_msgs/Float32): turn radius in m, right negative, inf = straight on; not with source ``speed``.
     ~output/control_cmd (Control): the acceleration of the speed control, for generic_value_converter.
     ~state (PlannerState, latched): what is asked for, and why it isn't obeyed; on every change and 10 times a second.
     /diagnostics: the same, and who else publishes on its topics; 1 Hz.
 When the source falls silent, or can't be obeyed: a radius of 0 and full braking once, then nothing; and the state, by
-which throttle_arb stops.
+which throttle_arb stops. A source that sent an angle which no wheel turns to stays refused until it was sane for 2 s.
 Parameters:
     ~source: drive, cmd_vel, autoware or speed; required.
     ~cmd_vel_angular rate: what angular.z of cmd_vel is, rate (rad/s) or angle (rad, of the front wheels).
@@ -35,11 +36,13 @@ from std_msgs.msg import Float32, UInt8
 
 from car_interface.common import causes
 from car_interface.common.rate_timer import RateTimer
-from car_interface.msg import Control, PlannerState, ThrottleState
+from car_interface.common.staleness import TimedInput
+from car_interface.common.units import NS_PER_S
+from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
 from car_interface.planner.ackermann import from_ackermann
 from car_interface.planner.autoware import from_control
 from car_interface.planner.params import WHEELS, PlannerConfig, read_planner
-from car_interface.planner.request import PlannerRequest, not_finite
+from car_interface.planner.request import PlannerRequest, not_finite, sane_radius_m
 from car_interface.planner.source_arbiter import (
     AUTOWARE,
     CMD_VEL,
@@ -56,10 +59,12 @@ from car_interface.ros.runtime import run
 from car_interface.ros.stamps import odd_stamp
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe, subscribe_any
+from car_interface.steering.limits import TOO_TIGHT_FOR_NS, TOO_TIGHT_REMEDY
 from car_interface.throttle.params import read_speed_control
 from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedControlConfig, SpeedRequest
 
 RATE_HZ = 50
+STEERING_TIMEOUT_S = 0.5  # turn_arb's state comes 20 times a second
 TICKS_PER_STATE = 5
 TOPICS = {DRIVE: "drive", CMD_VEL: "cmd_vel", AUTOWARE: "~input/control_cmd", SPEED: "av_speed_req"}
 TWISTS = {message_type._md5sum: message_type for message_type in (Twist, TwistStamped)}
@@ -96,7 +101,11 @@ class PlannerInterface:
         config = read_config(params)
         now_ns = time.monotonic_ns()
         self._config = config.planner
-        self._sources = SourceArbiter(config.planner.source, config.planner.source_timeout_s)
+        self._sources = SourceArbiter(config.planner.source, config.planner.source_timeout_s,
+                                      sane_radius_m(config.planner.wheelbase_m))
+        # Why the wheels can't turn the car as asked, by turn_arb; empty: they can. And the newest such reason.
+        self._steering = TimedInput("turn_arb's state", STEERING_TIMEOUT_S)
+        self._too_tight = TimedInput("a turn that is too tight", TOO_TIGHT_FOR_NS / NS_PER_S)
         self._control = SpeedControl(config.speed)
         self._steers = config.planner.source != SPEED
         self._gear_number = None  # the newest of ~input/gear_cmd
@@ -135,6 +144,7 @@ class PlannerInterface:
         # The speed is controlled at the timer's ticks alone.
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)
         subscribe("throttle_arb/state", ThrottleState, inbox, self._on_throttle, wakes=False)
+        subscribe("turn_arb/state", SteeringState, inbox, self._on_steering, wakes=False)
 
     def step(self, now_ns):
         """Handle what arrived; then the timer, and the moment at which the source falls silent."""
@@ -162,6 +172,7 @@ class PlannerInterface:
 
     def _on_overflow(self, now_ns):
         self._sources.mark_stale()
+        self._steering.mark_stale()
         self._control.mark_stale()
         self._decide(now_ns)
 
@@ -199,6 +210,12 @@ class PlannerInterface:
 
     def _on_throttle(self, message, now_ns):
         self._control.update_throttle(message.source, message.asked, message.granted, message.esc_cause, now_ns)
+
+    def _on_steering(self, message, now_ns):
+        reason = message.limit_reason if message.limit == causes.TOO_TIGHT else ""
+        self._steering.update(reason, now_ns)
+        if reason:
+            self._too_tight.update(reason, now_ns)
 
     def _note_odd_stamp(self, name, stamp):
         """Count an odd stamp; the message is obeyed all the same. Many planners leave it at zero."""
@@ -286,21 +303,24 @@ class PlannerInterface:
         """Why it isn't obeyed, or what is asked for and what differs from that."""
         if self._decision.request is None:
             return self._decision.reason
-        note = self._command.note
-        return f"{self._decision.reason}; {note}" if note else self._decision.reason
+        too_tight = "" if self._steering.is_stale(time.monotonic_ns()) else self._steering.value
+        return "; ".join(filter(None, (self._decision.reason, too_tight, self._command.note)))
 
     def _report(self, status):
         """What is asked for, and why it isn't obeyed, for /diagnostics."""
         if self._command is None:
             return status
         cause, gear = self._kind
-        status.summary(WARN if _is_alarming(cause) else OK, self._reason())
+        now_ns = time.monotonic_ns()
+        reason, too_tight = self._reason(), "" if self._too_tight.is_stale(now_ns) else self._too_tight.value
+        status.summary(WARN if too_tight or _is_alarming(cause) else OK,
+                       reason if too_tight in reason else f"{reason}; {too_tight}")
         status.add("cause", cause)
+        status.add("remedy", TOO_TIGHT_REMEDY if too_tight else "")
         status.add("source", self._sources.source)
         status.add("gear", gear)
         status.add("not obeyed", self._sources.others or "nobody")
         status.add("refused", self._sources.refused)
-        now_ns = time.monotonic_ns()
         status.add(f"age of {self._sources.source}", age_text(self._sources.age_s(now_ns)))
         status.add("age of odometry", age_text(self._control.odometry_age_s(now_ns)))
         for kind, count in sorted(self._warnings.counts.items()):

@@ -57,6 +57,7 @@ from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
 from car_interface.steering.calibration import SteeringCalibration, trimmed
+from car_interface.steering.limits import TOO_TIGHT_REMEDY
 from car_interface.steering.params import read_arbiter, read_calibration
 
 RATE_HZ = 100
@@ -112,6 +113,7 @@ class TurnArb:
         self._pending = []  # decisions whose command was published, but not yet state and log line
         self._report_ns = 0
         self._unlogged = []  # decisions without a log line yet, and when it is due
+        self._too_tight = ""  # as was logged; empty: no request was too tight lately
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
         self._states = advertise("~state", SteeringState, inbox, latch=True)
@@ -222,6 +224,7 @@ class TurnArb:
         if self._ticks % TICKS_PER_STATE == 0:
             self._report_pending(now_ns)
             self._publish_state(self._arbiter.decide(now_ns))
+            self._log_too_tight(now_ns)
         self._log_due(now_ns)
         if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
             self._neutrals.publish(self._neutral)
@@ -239,8 +242,14 @@ class TurnArb:
     def _log_limit(self, decision):
         if decision.limit == causes.LIMITS_OFF:
             rospy.loginfo("%s", decision.limit_reason)
-        else:
+        elif decision.limit != causes.TOO_TIGHT:
             self._notices.warn(decision.limit, decision.limit_reason)
+
+    def _log_too_tight(self, now_ns):
+        """Log requests that the wheels can't do once, however often the planner's swings are too tight in between."""
+        before, self._too_tight = self._too_tight, self._arbiter.too_tight_lately(now_ns)
+        if self._too_tight and not before:
+            self._warnings.warn(causes.TOO_TIGHT, f"the planner {self._too_tight}")
 
     def _log_due(self, now_ns):
         while self._unlogged and now_ns >= self._unlogged[0][0]:
@@ -254,8 +263,11 @@ class TurnArb:
         """Source, cause and ages, for /diagnostics."""
         decision = self._arbiter.decide(time.monotonic_ns())  # for its ages
         alarming = _is_alarming(decision)
-        status.summary(WARN if alarming else OK, f"{SOURCE_NAMES[decision.source]}: {decision.reason}")
+        too_tight = self._arbiter.too_tight_lately(time.monotonic_ns())
+        status.summary(WARN if alarming or too_tight else OK, f"{SOURCE_NAMES[decision.source]}: {decision.reason}"
+                       + (f"; the planner {too_tight}" if too_tight else ""))
         status.add("cause", decision.cause)
+        status.add("remedy", TOO_TIGHT_REMEDY if too_tight else "")
         status.add("duty", decision.duty)
         for name, age_s in (("e_stop", decision.e_stop_age_s), ("human_in_loop", decision.human_age_s),
                             ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s),

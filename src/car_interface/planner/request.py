@@ -13,6 +13,9 @@ from car_interface.common import causes
 DRIVE, REVERSE, NEUTRAL, PARK = "drive", "reverse", "neutral", "park"
 # The tightest radius that is passed on. turn_arb takes one up to 0.001 m for no request, and saturates this one.
 MIN_RADIUS_M = 0.01
+# A wheel's angle from here on is no sign that a planner which sent a right angle sends radians now. The wheels of cars
+# turn by 0.4 to 0.8 rad, those of crawlers by 0.9.
+MAX_SANE_RAD = 1.0
 
 
 class PlannerRequest(NamedTuple):
@@ -40,6 +43,7 @@ class Refusal(NamedTuple):
 
     cause: str  # one of car_interface.common.causes
     reason: str
+    is_of_angle: bool = False  # the planner's units are wrong: what it sends next isn't obeyed at once
 
 
 def not_finite(**values: float) -> Refusal | None:
@@ -60,9 +64,14 @@ def radius_of_angle(name: str, angle_rad: float, wheelbase_m: float) -> float | 
     """
     if abs(angle_rad) >= math.pi / 2:
         return Refusal(causes.REQUEST_REFUSED,
-                       f"{name} is {angle_rad:.3g} rad, which no wheel turns to: is it in degrees?")
+                       f"{name} of {angle_rad:.3g} rad (degrees?): no wheel turns so far", True)
     slope = math.tan(angle_rad)
     return clamped_radius(wheelbase_m / slope if slope else math.inf)
+
+
+def sane_radius_m(wheelbase_m: float) -> float:
+    """The radius of the steepest angle that a wheel can have."""
+    return wheelbase_m / math.tan(MAX_SANE_RAD)
 
 
 def clamped_radius(radius_m: float) -> float:

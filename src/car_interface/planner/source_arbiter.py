@@ -1,7 +1,9 @@
 """Which planner is obeyed: one source at a time. The others are counted, with who sent them.
 
 Consumes the conversions of the source's messages with their arrival; answers with the request, or with why there is
-none. A source that falls silent has no request from then on: nothing is repeated for it. Pure: ``now_ns`` is passed in.
+none. A source that falls silent has no request from then on: nothing is repeated for it. One that sent an angle which
+no wheel turns to is refused until it was sane for 2 s: an angle in degrees that swings from side to side passes through
+angles that look like radians, at full lock. Pure: ``now_ns`` is passed in.
 """
 from __future__ import annotations
 
@@ -16,6 +18,10 @@ from car_interface.planner.request import PlannerRequest, Refusal
 
 DRIVE, CMD_VEL, AUTOWARE, SPEED = "drive", "cmd_vel", "autoware", "speed"
 SOURCES = (DRIVE, CMD_VEL, AUTOWARE, SPEED)
+
+
+# Long enough for a slow swing: of ±3 "rad" and a period of 10 s, 1 s lies within MAX_SANE_RAD.
+SANE_FOR_NS = 2 * NS_PER_S
 
 
 class PlannerDecision(NamedTuple):
@@ -33,20 +39,25 @@ class SourceArbiter:
     Args:
         source: one of SOURCES.
         timeout_s: a command older than this is no request any more; above 0.
+        sane_radius_m: a turn that is tighter isn't sane for a source that was refused for an angle.
     """
 
-    def __init__(self, source: str, timeout_s: float):
+    def __init__(self, source: str, timeout_s: float, sane_radius_m: float = 0.0):
         self.source = source
         self._command = TimedInput(source, timeout_s)
         self._timeout_ns = round(timeout_s * NS_PER_S)
         self._arrival_ns = 0
         self._radius_m = math.inf
+        self._sane_radius_m = sane_radius_m
+        self._refused_for: Refusal | None = None  # the newest angle for which the source stays refused
+        self._sane_since_ns: int | None = None  # since when it has sent nothing else; None: not even now
         self._others: Counter = Counter()
         self._senders: dict[str, str] = {}
         self.refused = 0
 
     def update(self, command: PlannerRequest | Refusal, now_ns: int) -> None:
         """The source's newest message."""
+        command = self._unless_refused(command, now_ns)
         if isinstance(command, Refusal):
             self.refused += 1
         if isinstance(command, Refusal) or self._command.is_stale(now_ns):
@@ -55,6 +66,24 @@ class SourceArbiter:
             self._radius_m = command.radius_m
         self._command.update(command, now_ns)
         self._arrival_ns = now_ns
+
+    def _unless_refused(self, command, now_ns):
+        """The command; or the refusal of it by an angle that was sent before."""
+        if isinstance(command, Refusal) and command.is_of_angle:
+            self._refused_for = command
+        if self._refused_for is None:
+            return command
+        if isinstance(command, Refusal) or not self._is_sane(command):
+            self._sane_since_ns = None
+        elif self._sane_since_ns is None or self._command.is_stale(now_ns):
+            self._sane_since_ns = now_ns
+        if self._sane_since_ns is not None and now_ns - self._sane_since_ns >= SANE_FOR_NS:
+            self._refused_for = self._sane_since_ns = None
+            return command
+        return command if isinstance(command, Refusal) else self._refused_for
+
+    def _is_sane(self, request):
+        return request.radius_m is None or abs(request.radius_m) > self._sane_radius_m
 
     def count_other(self, source: str, sender: str) -> None:
         """A message of a source that isn't obeyed, and its node."""
@@ -89,9 +118,19 @@ class SourceArbiter:
             return PlannerDecision(causes.PLANNER_STALE, self._command.stale_reason(now_ns))
         command = self._command.value
         if isinstance(command, Refusal):
-            return PlannerDecision(command.cause, f"{self.source}: {command.reason}")
+            return PlannerDecision(command.cause, f"{self.source}: {command.reason}{self._remains(now_ns)}")
         radius_m = 0.0 if self.source == SPEED else self._radius_m
         return PlannerDecision(causes.PLANNER, f"{self.source} asks for {_text(command, radius_m)}", command, radius_m)
+
+
+    def _remains(self, now_ns):
+        """How long the source stays refused for an angle, in words."""
+        if self._refused_for is None:
+            return ""
+        if self._sane_since_ns is None:
+            return f"; refused until it was sane for {SANE_FOR_NS / NS_PER_S:g} s"
+        left_s = max(0, SANE_FOR_NS - (now_ns - self._sane_since_ns)) / NS_PER_S
+        return f"; refused until it was sane for {SANE_FOR_NS / NS_PER_S:g} s, {left_s:.1f} s more"
 
 
 def _text(request, radius_m):

@@ -18,7 +18,7 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.steering.limits import SteeringLimiter, SteeringLimits
+from car_interface.steering.limits import SteeringLimiter, SteeringLimits, too_tight_reason
 
 # Values of SteeringState.source, in order of priority.
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
@@ -173,27 +173,42 @@ class SteeringArbiter:
         limits = self._sources.get(source)
         ages_s = (self._interlock.e_stop_age_s(now_ns), self._interlock.human_age_s(now_ns),
                   self._teleop.age_s(now_ns), min(self._planner.age_s(now_ns), self._planner_steering.age_s(now_ns)))
-        if limits is None or limits.is_off:
+        requested_m = self._requested_radius_m(source, now_ns)
+        too_tight = self._too_tight(requested_m)
+        if limits is None or limits.is_off and not too_tight:
             self._unlimited = None if limits is None else duty, now_ns
             return Decision(source, self._slewed(source, duty, now_ns), cause, reason, *ages_s)
         if self._unlimited is not None:  # only now it matters how the car turned then
             before, at_ns = self._unlimited
             self._limiter.release(0.0 if before is None else 1.0 / self.turn_radius_m(before), at_ns)
             self._unlimited = None
-        asked_m = self._asked_radius_m(source, duty, now_ns)
-        turn = self._limiter.limit(1.0 / asked_m, limits, now_ns)
+        asked_m = requested_m or self.turn_radius_m(duty)
+        turn = self._limiter.limit(1.0 / self._possible_m(asked_m), limits, now_ns, too_tight)
         if turn.is_cut:
             radius_m = 1.0 / turn.curvature_per_m if turn.curvature_per_m else math.inf
             duty = self._calibration.planner_duty(radius_m, self._known_speed_mps)
         return Decision(source, self._slewed(source, duty, now_ns), cause, reason, *ages_s, turn.cause, turn.reason,
                         asked_m, turn.max_speed_mps)
 
-    def _asked_radius_m(self, source, duty, now_ns):
-        """The radius that is asked for: what the wheels can do of a planner's, else what the asked duty turns."""
-        if source == PLANNER and not self._planner.is_stale(now_ns):
-            radius_m, tightest_m = self._planner.value, self._calibration.radius_axis_m[0]
-            return math.copysign(max(abs(radius_m), tightest_m), radius_m)
-        return self.turn_radius_m(duty)
+    def too_tight_lately(self, now_ns: int) -> str:
+        """Why the planner asked for more than the wheels can do, in the last two seconds; empty: it didn't."""
+        return self._limiter.too_tight_lately(now_ns)
+
+    def _requested_radius_m(self, source, now_ns):
+        """The radius of the planner that steers; 0 = it steers by something else, or somebody else does."""
+        return self._planner.value if source == PLANNER and not self._planner.is_stale(now_ns) else 0.0
+
+    def _too_tight(self, radius_m):
+        """Why the wheels can't do a requested radius; empty: they can, or none is requested."""
+        if not radius_m or math.isinf(radius_m):
+            return ""
+        speed_mps = self._known_speed_mps
+        return too_tight_reason(radius_m, self._calibration.tightest_radius_m(radius_m),
+                                self._calibration.tightest_radius_m(radius_m, speed_mps), speed_mps)
+
+    def _possible_m(self, radius_m):
+        """What the wheels can do of a radius, driven slowly."""
+        return math.copysign(max(abs(radius_m), self._calibration.tightest_radius_m(radius_m)), radius_m)
 
     @property
     def _known_speed_mps(self):

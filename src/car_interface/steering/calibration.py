@@ -74,6 +74,18 @@ class SteeringCalibration:
         table = self._left if radius_m > 0 else self._right
         return round_half_away(table(slow_radius_m(abs(radius_m), speed_mps, self.understeer)))
 
+    def tightest_radius_m(self, side: float, speed_mps: float = 0.0) -> float:
+        """The radius of the tightest turn to a side at a speed, positive.
+
+        Several radii that have the duty of the tightest say that the wheels are at their stop there: the widest of them
+        counts.
+
+        Args:
+            side: positive = left, negative = right.
+            speed_mps: the car's speed.
+        """
+        return driven_radius_m(_tightest_m(self._left if side > 0 else self._right), speed_mps, self.understeer)
+
     def turn_radius_m(self, duty: float, speed_mps: float = 0.0) -> float:
         """The turn radius of a duty at a speed, right negative; inf = straight ahead, or wider than the axis."""
         radius_m = self._slow_radius_m(duty)
@@ -87,11 +99,21 @@ class SteeringCalibration:
         if direction * (duty - self.servo_center) <= 0:
             return math.inf
         if direction * (duty - table.values[0]) >= 0:
-            return sign * table.axis[0]
+            return sign * _tightest_m(table)
         for radius, wider, tight, wide in zip(table.axis, table.axis[1:], table.values, table.values[1:]):
             if direction * (duty - wide) >= 0:
                 return sign * (radius + (wider - radius) * (tight - duty) / (tight - wide))
         return math.inf
+
+
+def _tightest_m(table):
+    """The widest radius whose duty is that of the tightest one, as a duty is sent."""
+    duty, widest_m = round_half_away(table.values[0]), table.axis[0]
+    for radius_m, value in zip(table.axis, table.values):
+        if round_half_away(value) != duty:
+            break
+        widest_m = radius_m
+    return widest_m
 
 
 def slow_radius_m(radius_m: float, speed_mps: float, understeer: float) -> float:

@@ -1,6 +1,7 @@
 """How tight, and how quickly tighter, a car may turn at the speed that it has.
 
-Pure: the curvature that was asked for and the measured speed in, the curvature that is granted and the reason out. The
+Pure: the curvature that was asked for and the measured speed in, the curvature that is granted and the reason out. What
+the wheels can't do is reported, and goes on as the tightest turn that they can do. The
 lateral acceleration of a turn is v²·|κ|: a limit on it bounds |κ|, one on its rise (jerk) bounds how quickly the car
 turns in. The way back to straight on is never limited.
 
@@ -16,6 +17,12 @@ from car_interface.common import causes
 from car_interface.common.measured_speed import MeasuredSpeed
 from car_interface.common.units import NS_PER_S
 
+# A request for a radius tighter than this part of the tightest one is reported. A planner may ask for what its car
+# turns by a measurement of its own, or slightly tighter, so that its controller has the wheels at their stops.
+TIGHT_RATIO = 0.9
+# A request that was too tight stays on /diagnostics, which report once a second, for so long; and a planner whose
+# requests swing from side to side, too tight in between, is logged once.
+TOO_TIGHT_FOR_NS = 2 * NS_PER_S
 # Jerk is held on the mean over this time: a planner's request comes in steps, each 50 ms at 20 Hz.
 JERK_OVER_S = 0.05
 
@@ -70,6 +77,27 @@ def read_limits(params) -> SteeringLimits:
                           odometry_timeout_s=params.timeout("odometry_timeout", default.odometry_timeout_s))
 
 
+def too_tight_reason(asked_m: float, slow_m: float, driven_m: float, speed_mps: float) -> str:
+    """Return why a turn can't be done as it is asked for; empty: it can, or nearly.
+
+    Args:
+        asked_m: the radius, left positive.
+        slow_m, driven_m: the tightest one to that side, driven slowly and at this speed.
+        speed_mps: the car's speed.
+    """
+    radius_m, side = abs(asked_m), "left" if asked_m > 0 else "right"
+    if radius_m < TIGHT_RATIO * slow_m:
+        return f"asks for {radius_m:.2f} m, this car turns on {slow_m:.2f} m to the {side}: rad? rad/s? wheelbase?"
+    if radius_m < TIGHT_RATIO * driven_m:
+        return (f"asks for {radius_m:.2f} m, this car turns on {driven_m:.2f} m to the {side} at "
+                f"{abs(speed_mps):.1f} m/s, as its turns widen with speed")
+    return ""
+
+
+TOO_TIGHT_REMEDY = ("See that the planner sends rad or rad/s and not degrees, by the car's wheelbase and by the turns "
+                    "that it can do: docs/planners.md")
+
+
 class Turn(NamedTuple):
     """What a request to turn is granted."""
 
@@ -97,6 +125,7 @@ class SteeringLimiter:
         self.speed = MeasuredSpeed(limits.odometry_timeout_s)
         self.cuts = 0
         self._is_cut = False
+        self._too_tight, self._too_tight_ns = "", 0  # the newest reason, and when it held
         self._granted_per_m = 0.0
         self._granted_ns: int | None = None
         self._credit_mps2 = 0.0  # by which the lateral acceleration may rise at once
@@ -106,15 +135,36 @@ class SteeringLimiter:
         self._granted_per_m, self._granted_ns, self._is_cut = curvature_per_m, now_ns, False
         self._credit_mps2 = math.inf
 
-    def limit(self, curvature_per_m: float, limits: SourceLimits, now_ns: int) -> Turn:
-        """What a source that asks for this curvature (1/m, left positive) is granted."""
+    def limit(self, curvature_per_m: float, limits: SourceLimits, now_ns: int, too_tight: str = "") -> Turn:
+        """What a source that asks for this curvature (1/m, left positive) is granted.
+
+        Args:
+            curvature_per_m: no more than the wheels can do.
+            limits: those of the source.
+            now_ns: the time.
+            too_tight: why more was asked for than they can do, by ``too_tight_reason``; empty: it wasn't.
+        """
+        was_cut, turn = self._is_cut, self._by_speed(curvature_per_m, limits, now_ns)
+        if too_tight:
+            self._too_tight, self._too_tight_ns = too_tight, now_ns
+            reason = f"{too_tight}; {turn.reason}" if turn.is_cut else too_tight
+            turn = turn._replace(cause=causes.TOO_TIGHT, reason=reason)
+        if turn.is_cut and not was_cut:
+            self.cuts += 1
+        self._is_cut = turn.is_cut
+        return turn
+
+    def too_tight_lately(self, now_ns: int) -> str:
+        """Why a request was more than the wheels can do, until TOO_TIGHT_FOR_NS after the last; empty: none was."""
+        return self._too_tight if now_ns - self._too_tight_ns <= TOO_TIGHT_FOR_NS else ""
+
+    def _by_speed(self, curvature_per_m, limits, now_ns):
+        """The turn by the limits that hold for the measured speed."""
         if not self.speed.was_received:
             self.release(curvature_per_m, now_ns)
             return Turn(curvature_per_m, causes.LIMITS_OFF, "odom was never heard: nothing limits the steering")
         turn = self._held(self._bounded(curvature_per_m, limits, now_ns), limits, now_ns)
-        if turn.is_cut and not self._is_cut:
-            self.cuts += 1
-        self._granted_per_m, self._granted_ns, self._is_cut = turn.curvature_per_m, now_ns, turn.is_cut
+        self._granted_per_m, self._granted_ns = turn.curvature_per_m, now_ns
         return turn
 
     def _bounded(self, curvature_per_m, limits, now_ns):

@@ -99,6 +99,9 @@ class ThrottleArbiter:
         self._overrode_ns: int | None = None  # when a stick last asked for something under a planner's deadman
         self._no_value: NoValue | None = None
         self._board = None if config.board is None else BoardWatch(config.board)
+        self._command_timeout_ns = (round(config.command_timeout_s * NS_PER_S) if config.command_timeout_s
+                                    else math.inf)
+        self._resumed_ns: int | None = None  # when the planner asked again after it had no request
 
     @property
     def scale(self) -> float:
@@ -169,9 +172,12 @@ class ThrottleArbiter:
 
         The last value from before it had none doesn't count when it has one again.
         """
+        _, had_none = self._planner_state.value or (gear, None)
         self._planner_state.update((gear, no_request), now_ns)
         if no_request is not None:
-            self._planner.mark_stale()
+            self._planner.mark_stale("the planner paused")
+        elif had_none is not None:
+            self._resumed_ns = now_ns
 
     def update_odometry(self, speed_mps: float, now_ns: int) -> None:
         """The car's speed, forward positive."""
@@ -179,6 +185,7 @@ class ThrottleArbiter:
 
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all inputs are stale."""
+        self._resumed_ns = None
         self._interlock.mark_stale(now_ns)
         for timed in (self._human, self._steering, self._teleop, self._mode, self._planner, self._planner_state,
                       self._odometry):
@@ -286,6 +293,8 @@ class ThrottleArbiter:
                                "anything", 0.0, 0.0, 0.0, False)
         if trouble is not None:
             return _stop(NEUTRAL, *trouble)
+        if self._is_awaited(now_ns):
+            return _stop(NEUTRAL, causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
         if self._planner.is_stale(now_ns):
             return _stop(NEUTRAL, causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
         (value, request), odometry = self._planner.value, self._odometry
@@ -300,6 +309,11 @@ class ThrottleArbiter:
                                False, DRIVE)
         return Arbitration(PLANNER, causes.PLANNER, f"the planner's value is {value:.3f}", request, request,
                            request, False, PLANNER_GEARS.get(gear, DRIVE))
+
+    def _is_awaited(self, now_ns):
+        """Whether the planner has just asked again after a pause: its state arrives before the converter's value."""
+        return (self._planner.is_marked_stale and self._resumed_ns is not None
+                and now_ns - self._resumed_ns <= self._command_timeout_ns)
 
     def _planner_gear(self, now_ns):
         """Gear and trouble by planner_interface. One that is gone says nothing: without its gear nothing reverses."""

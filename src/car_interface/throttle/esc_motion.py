@@ -29,7 +29,7 @@ class MeasuredMotion:
     def update(self, speed_mps: float, now_ns: int) -> None:
         """A speed that has arrived; one that is not finite, or no car's, makes the speed unknown."""
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
-            self._speed.mark_stale()
+            self._speed.mark_stale(f"it was {speed_mps}")
             return
         self._speed.update(speed_mps, now_ns)
         self._arrival_ns = now_ns

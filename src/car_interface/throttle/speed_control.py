@@ -134,7 +134,7 @@ class SpeedControl:
         if abs(speed_mps) <= MAX_SPEED_MPS:  # not for NaN
             self._speed.update(speed_mps, now_ns)
         else:
-            self._speed.mark_stale()
+            self._speed.mark_stale(f"it was {speed_mps}")
 
     def update_throttle(self, source: int, asked: float, granted: float, esc_cause: str, now_ns: int) -> None:
         """throttle_arb's state: who drives, the request, what the ESC gets of it, and the cause of the ESC's state."""

@@ -63,6 +63,14 @@ def test_input_marked_stale_is_silent_until_it_is_heard_again_whatever_its_timeo
     assert not heard.is_stale(AT)
 
 
+def test_input_marked_stale_for_another_reason_says_that_one():
+    heard = heard_once(0.5)
+    heard.mark_stale("the planner paused")
+    assert heard.stale_reason(AT) == "human_in_loop was not heard since the planner paused"
+    heard.mark_stale()
+    assert heard.stale_reason(AT) == "human_in_loop was not heard since messages were dropped"
+
+
 def test_input_never_heard_stays_so_when_it_is_marked_stale():
     heard = TimedInput("human_in_loop", 0.5)
     heard.mark_stale()

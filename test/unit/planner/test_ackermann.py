@@ -49,4 +49,4 @@ def test_what_is_no_number_is_refused(index, field, value):
 
 def test_angle_in_degrees_is_refused():
     refusal = from_ackermann(20.0, 1.0, 0.0, 0.0, 0.3)
-    assert isinstance(refusal, Refusal) and "is it in degrees?" in refusal.reason
+    assert isinstance(refusal, Refusal) and "(degrees?)" in refusal.reason

@@ -28,7 +28,8 @@ def test_radius_is_the_wheelbase_by_the_tangent(angle_rad, radius_m):
 def test_angle_that_no_wheel_turns_to_is_refused(angle_rad):
     refusal = radius_of_angle("drive.steering_angle", angle_rad, 0.3)
     assert isinstance(refusal, Refusal) and refusal.cause == causes.REQUEST_REFUSED
-    assert refusal.reason == f"drive.steering_angle is {angle_rad:.3g} rad, which no wheel turns to: is it in degrees?"
+    assert refusal.reason == f"drive.steering_angle of {angle_rad:.3g} rad (degrees?): no wheel turns so far"
+    assert refusal.is_of_angle
 
 
 @pytest.mark.parametrize("value, text", [(NAN, "nan"), (INF, "inf"), (-INF, "-inf")])

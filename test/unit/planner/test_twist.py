@@ -62,7 +62,7 @@ def test_angle_is_the_wheels_whichever_way_it_drives(linear_x, angular_z, radius
 def test_rate_sent_as_an_angle_is_refused_where_no_wheel_turns_so_far():
     refusal = from_twist(1.0, 2.0, ANGLE, 0.3)
     assert refusal == Refusal(causes.REQUEST_REFUSED,
-                              "angular.z is 2 rad, which no wheel turns to: is it in degrees?")
+                              "angular.z of 2 rad (degrees?): no wheel turns so far", True)
 
 
 @pytest.mark.parametrize("angular", [RATE, ANGLE])

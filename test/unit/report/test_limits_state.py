@@ -63,6 +63,14 @@ def test_page_shows_each_cut_and_their_count(tmp_path):
     assert "<td>slowed for the turn</td>" in section and REASON in section
 
 
+def test_page_shows_requests_that_the_wheels_can_not_do(tmp_path):
+    reason = "asks for 0.17 m, this car turns on 1.00 m to the left: rad? rad/s? wheelbase?"
+    section = limited_page(tmp_path, [Written(step / 10, "/turn_arb/state", "car_interface/SteeringState", {
+        "source": 4, "cause": "planner", "reason": "", "limit": "too tight", "limit_reason": reason, "cuts": 1})
+        for step in range(100)])
+    assert "<td>too tight</td>" in section and reason in section
+
+
 def test_page_of_a_drive_without_cuts_says_so(tmp_path):
     assert "None was cut." in limited_page(tmp_path, [])
 

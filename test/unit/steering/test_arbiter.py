@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -20,6 +21,7 @@ from car_interface.steering.arbiter import (
     SteeringArbiter,
 )
 from car_interface.steering.calibration import trimmed
+from car_interface.steering.limits import SourceLimits, SteeringLimits
 from slash import CENTER, SLASH
 
 S = 1_000_000_000
@@ -453,3 +455,77 @@ def test_stick_that_overrides_the_planner_is_told_as_long_as_teleop_logi_says_so
     arbiter.explain_teleop(overrides, NOW - round(age_s * S))
     decision = arbiter.decide(NOW)
     assert (decision.source, decision.cause, decision.reason) == (TELEOP, "teleop", reason)
+
+
+# --- a planner that asks for more than the wheels can do ---
+
+WRONG = "asks for 0.17 m, this car turns on 1.00 m to the left: rad? rad/s? wheelbase?"
+
+
+def asked_for(radius_m, speed_mps=1.0, calibration=SLASH, limits=None):
+    """An arbiter whose planner asks for a radius, and its decision."""
+    arbiter = SteeringArbiter(calibration, ArbiterConfig(**({} if limits is None else {"limits": limits})))
+    if speed_mps is not None:
+        arbiter.update_odometry(speed_mps, NOW)
+    arbiter.update_human(True, NOW)
+    arbiter.update_planner(radius_m, NOW)
+    arbiter.decide(NOW)
+    return arbiter, arbiter.decide(NOW + S // 10)  # it has turned in
+
+
+@pytest.mark.parametrize("speed_mps", [None, 0.0, 1.0])
+@pytest.mark.parametrize("limits", [None, SteeringLimits(planner=SourceLimits())])
+def test_a_request_tighter_than_the_car_is_cut_and_told(speed_mps, limits):
+    arbiter, decision = asked_for(0.17, speed_mps, limits=limits)
+    assert (decision.source, decision.cause, decision.duty) == (PLANNER, causes.PLANNER, 3800)
+    assert (decision.limit, decision.limit_reason) == (causes.TOO_TIGHT, WRONG)
+    assert decision.asked_radius_m == 0.17
+    assert arbiter.turn_radius_m(decision.duty) == 1.0
+    assert (arbiter.cuts, arbiter.too_tight_lately(NOW + 2 * S)) == (1, WRONG)
+
+
+def test_max_speed_is_that_of_the_turn_which_is_steered():
+    assert asked_for(0.17)[1].max_speed_mps == asked_for(1.0)[1].max_speed_mps == 2.0
+
+
+@pytest.mark.parametrize("radius_m", [1.0, -1.0, 0.95, -0.95, 0.9001, math.inf])
+def test_a_planner_that_asks_for_the_car_s_own_tightest_turn_is_not_bothered(radius_m):
+    arbiter, decision = asked_for(radius_m)
+    assert (decision.limit, decision.limit_reason, arbiter.cuts, arbiter.too_tight_lately(NOW)) == ("", "", 0, "")
+
+
+@pytest.mark.parametrize("radius_m, limit", [(1.2, ""), (-1.2, causes.TOO_TIGHT), (-1.45, "")])
+def test_each_side_goes_by_what_it_can_turn(radius_m, limit):
+    """To the right the wheels are at their stop from 1.6 m on: the table has its duty for tighter turns, too."""
+    right_duties = (6700, 6700, 6690, *SLASH.right_duties[3:])
+    calibration = replace(SLASH, radius_axis_m=(1.2, 1.6, *SLASH.radius_axis_m[2:]), right_duties=right_duties)
+    _, decision = asked_for(radius_m, calibration=calibration)
+    assert (decision.limit, decision.asked_radius_m) == (limit, radius_m)
+
+
+def test_max_speed_of_a_side_is_that_of_what_it_can_turn():
+    calibration = replace(SLASH, radius_axis_m=(0.5, *SLASH.radius_axis_m[1:]), right_duties=(6700, 6700,
+                          *SLASH.right_duties[2:]))
+    assert asked_for(-0.17, calibration=calibration)[1].max_speed_mps == pytest.approx(math.sqrt(4.0 * 2.0))
+
+
+def test_a_car_whose_turns_widen_is_told_by_what_it_turns_at_its_speed():
+    limits = SteeringLimits(planner=SourceLimits())
+    _, decision = asked_for(1.5, 4.0, replace(SLASH, understeer=0.0078), limits)
+    assert decision.limit_reason == ("asks for 1.50 m, this car turns on 2.00 m to the left at 4.0 m/s, as its turns "
+                                     "widen with speed")
+    assert asked_for(1.5, 1.0, replace(SLASH, understeer=0.0078), limits)[1].limit == ""
+
+
+def test_a_stick_at_full_lock_and_a_planner_s_steering_ask_for_no_radius():
+    arbiter = arbiter_with(limits=SteeringLimits(human=SourceLimits(4.0)))
+    arbiter.update_odometry(1.0, NOW)
+    arbiter.update_human(True, NOW)
+    arbiter.update_teleop(1.0, NOW)
+    assert (arbiter.decide(NOW).source, arbiter.decide(NOW).limit) == (TELEOP, "")
+    arbiter = arbiter_with()
+    arbiter.update_odometry(1.0, NOW)
+    arbiter.update_human(True, NOW)
+    arbiter.update_planner_steering(1.0, NOW)
+    arbiter.decide(NOW)
+    assert (arbiter.decide(NOW + S // 10).source, arbiter.decide(NOW + S // 10).limit) == (PLANNER, "")

@@ -73,10 +73,25 @@ def test_turn_radius_of_a_planner_s_duty_is_what_the_planner_asked_for(radius_m,
 def test_turn_radius_where_the_servo_turns_the_other_way_and_tables_repeat():
     calibration = replace(SLASH, servo_left=6700, servo_right=3800, radius_axis_m=(1, 2, 4),
                           left_duties=(6700, 6700, 6000), right_duties=(3800, 4000, 4000))
-    assert calibration.turn_radius_m(6700) == 1.0
+    assert calibration.turn_radius_m(6700) == 2.0  # the wheels are at their stop from there on
     assert calibration.turn_radius_m(6350) == pytest.approx(3.0)
     assert calibration.turn_radius_m(5500) == math.inf  # straighter than the widest turn of the table
     assert calibration.turn_radius_m(4000) == pytest.approx(-2.0)
+
+
+@pytest.mark.parametrize("side, tightest_m", [(1.0, 1.3), (-1.0, 1.1), (0.01, 1.3), (-300.0, 1.1)])
+def test_tightest_radius_is_that_of_its_side_and_the_widest_of_those_with_its_duty(side, tightest_m):
+    calibration = replace(SLASH, radius_axis_m=(1.0, 1.1, 1.3, 2.0, 300.0),
+                          left_duties=(3800, 3800.3, 3800.4, 3830, 5100), right_duties=(6700, 6700, 6690, 6650, 5100))
+    assert calibration.tightest_radius_m(side) == tightest_m
+    assert calibration.turn_radius_m(calibration.planner_duty(math.copysign(0.2, side))) == math.copysign(
+        tightest_m, side)
+
+
+def test_tightest_radius_widens_with_speed_as_turns_do():
+    calibration = replace(SLASH, understeer=0.0078)
+    assert calibration.tightest_radius_m(1.0) == 1.0
+    assert calibration.tightest_radius_m(1.0, 4.0) == pytest.approx(2.0, rel=0.01)  # 2 = 1 / (1 − 0.0078 · (16 / 2)²)
 
 
 def test_tables_with_fractions_are_interpolated_before_they_are_rounded():

@@ -7,7 +7,13 @@ import pytest
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.steering.limits import SourceLimits, SteeringLimiter, SteeringLimits, read_limits
+from car_interface.steering.limits import (
+    SourceLimits,
+    SteeringLimiter,
+    SteeringLimits,
+    read_limits,
+    too_tight_reason,
+)
 
 MS, S = 1_000_000, 1_000_000_000
 LATERAL = SourceLimits(max_lateral_mps2=4.0)
@@ -157,6 +163,63 @@ def test_parameters_are_read_by_source():
 def test_an_impossible_limit_is_refused_by_name(source, name, value):
     with pytest.raises(ConfigError, match=f"{source}/{name}"):
         read_limits(Params({source: {name: value}}))
+
+
+# --- what the wheels can't do ---
+
+@pytest.mark.parametrize("asked_m, is_told", [(1.0, False), (-1.0, False), (0.91, False), (0.9, False), (0.89, True),
+                                              (-0.89, True), (0.17, True), (0.01, True), (300.0, False)])
+def test_a_turn_is_too_tight_below_nine_tenths_of_the_tightest(asked_m, is_told):
+    assert bool(too_tight_reason(asked_m, 1.0, 1.0, 1.0)) == is_told
+
+
+@pytest.mark.parametrize("asked_m, speed_mps, reason", [
+    (0.17, 1.0, "asks for 0.17 m, this car turns on 1.03 m to the left: rad? rad/s? wheelbase?"),
+    (-0.17, 1.0, "asks for 0.17 m, this car turns on 1.03 m to the right: rad? rad/s? wheelbase?"),
+    (-1.03, -3.0, "asks for 1.03 m, this car turns on 1.50 m to the right at 3.0 m/s, as its turns widen with speed"),
+])
+def test_a_turn_that_is_too_tight_is_told_with_what_to_look_for(asked_m, speed_mps, reason):
+    assert too_tight_reason(asked_m, 1.03, 1.5, speed_mps) == reason
+
+
+@pytest.mark.parametrize("limits", [LATERAL, JERK, SourceLimits()])
+def test_the_tightest_turn_is_granted_in_its_place_and_the_reason_is_kept(limits):
+    turn = limiter_at(1.0).limit(0.97, limits, MS, "asks for too much")
+    assert (turn.curvature_per_m, turn.cause, turn.reason) == (0.97, causes.TOO_TIGHT, "asks for too much")
+    assert turn.is_cut
+
+
+def test_the_speed_for_it_is_that_of_the_turn_that_the_car_does():
+    assert limiter_at(1.0).limit(1.0, LATERAL, MS, "asks for too much").max_speed_mps == 2.0
+
+
+def test_what_else_limits_it_is_told_too():
+    turn = limiter_at(4.0).limit(1.0, LATERAL, MS, "asks for too much")
+    assert (turn.curvature_per_m, turn.cause) == (0.25, causes.TOO_TIGHT)
+    assert turn.reason.startswith("asks for too much; 4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m")
+
+
+def test_without_odometry_it_is_told_all_the_same():
+    turn = SteeringLimiter(SteeringLimits()).limit(1.0, LATERAL, S, "asks for too much")
+    assert (turn.curvature_per_m, turn.cause, turn.reason) == (1.0, causes.TOO_TIGHT, "asks for too much")
+
+
+@pytest.mark.parametrize("limiter", [limiter_at(1.0), limiter_at(4.0), SteeringLimiter(SteeringLimits())])
+def test_it_is_counted_once_when_it_begins(limiter):
+    for tick in range(1, 10):
+        limiter.limit(1.0, LATERAL, tick * MS, "asks for too much")
+    assert limiter.cuts == 1
+    limiter.limit(0.1, LATERAL, 20 * MS)
+    limiter.limit(1.0, LATERAL, 21 * MS, "asks for too much")
+    assert limiter.cuts == 2
+
+
+def test_it_stays_known_for_2_s_so_that_swings_from_side_to_side_are_one():
+    limiter = limiter_at(1.0)
+    assert limiter.too_tight_lately(0) == ""
+    limiter.limit(1.0, LATERAL, S, "asks for too much")
+    limiter.limit(0.1, LATERAL, S + MS)
+    assert (limiter.too_tight_lately(3 * S), limiter.too_tight_lately(3 * S + 1)) == ("asks for too much", "")
 
 
 def test_a_limit_costs_less_than_50_microseconds():

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.common import causes
 from car_interface.common.drive_modes import AUTONOMOUS, HUMAN_STEERING, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
@@ -374,12 +375,48 @@ def test_planner_without_a_request_is_a_stop_with_the_reason_of_planner_interfac
     assert decision.is_stop and decision.asked == 0.0
 
 
-def test_value_from_before_a_silence_does_not_count_after_it():
+def resumed():
+    """One whose planner has just asked again after a pause: the state is there, and not yet a value."""
     arbiter = planned(no_request=NO_REQUEST)
     arbiter.update_planner_state("drive", None, NOW)
+    return arbiter
+
+
+def test_value_from_before_a_silence_does_not_count_after_it():
+    arbiter = resumed()
     assert arbiter.decide(NOW).source == NEUTRAL
     arbiter.update_planner(0.9, 0.3, NOW)
     assert arbiter.decide(NOW).asked == 0.3
+
+
+def test_planner_that_asks_again_is_awaited_and_nothing_was_lost():
+    decision = resumed().decide(NOW + S // 10)
+    assert decision.is_stop and decision.source == NEUTRAL
+    assert (decision.cause, decision.reason) == (
+        causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
+    assert decision.cause not in causes.LOSSES
+
+
+def test_value_that_does_not_come_although_the_planner_asks_is_a_loss_with_its_reason():
+    arbiter, later_ns = resumed(), NOW + S // 2 + 1
+    for at_ns in (NOW + S // 4, later_ns):
+        arbiter.update_human(True, at_ns)
+    arbiter.update_steering(PLANNER, "", later_ns)
+    arbiter.update_planner_state("drive", None, later_ns)
+    decision = arbiter.decide(later_ns)
+    assert (decision.cause, decision.reason) == (
+        causes.COMMAND_STALE, "the planner's value was not heard since the planner paused")
+
+
+def test_messages_that_were_dropped_after_a_pause_are_told_as_such():
+    arbiter = resumed()
+    arbiter.mark_stale(NOW)
+    arbiter.update_e_stop(False, NOW)
+    arbiter.update_human(False, NOW)
+    arbiter.update_human(True, NOW)
+    arbiter.update_steering(PLANNER, "", NOW)
+    arbiter.update_planner_state("drive", None, NOW)
+    assert arbiter.decide(NOW).reason == "the planner's value was not heard since messages were dropped"
 
 
 @pytest.mark.parametrize("no_request", [None, NO_REQUEST])

@@ -19,7 +19,8 @@ ARMING = esc.STATE_NAMES[esc.ARMING]  # of ThrottleState.esc
 SLOWS = frozenset(esc.STATE_NAMES[state] for state in (esc.BRAKING, esc.HOLD, esc.REVERSE))
 PLANNER_DRIVES = ("", AUTONOMOUS)  # modes in which the planner both steers and drives; empty: a deadman without modes
 # Neutral for one of these means only that nothing was asked for.
-IDLE = frozenset({causes.NO_REQUEST, causes.NO_RADIUS, causes.PLANNER_STALE, causes.COMMAND_STALE})
+IDLE = frozenset({causes.NO_REQUEST, causes.NO_RADIUS, causes.PLANNER_STALE, causes.COMMAND_STALE,
+                  causes.COMMAND_AWAITED})
 ABSENT = "human_in_loop is false: "  # how turn_arb begins its reason; what follows says it to a person
 
 
