@@ -220,10 +220,13 @@ def test_flood_of_connections_does_not_drop_a_subscriber_whose_header_comes_prom
 
 
 def test_none_is_dropped_before_it_had_a_chance(server, monkeypatch):
-    dropped_after_s = []
-    monkeypatch.setattr(tcpros_limits, "_shut_down", lambda connection: (
-        dropped_after_s.append(time.monotonic() - began_s[connection.getpeername()]), connection.close()))
-    began_s = {}
+    dropped_after_s, began_s = [], {}
+    shut_down = tcpros_limits._shut_down
+
+    def note_and_shut_down(connection):
+        dropped_after_s.append(time.monotonic() - began_s[connection.getpeername()])
+        shut_down(connection)
+    monkeypatch.setattr(tcpros_limits, "_shut_down", note_and_shut_down)
     for _ in range(3 * MAX_HANDSHAKES):
         peer = socket.socket()
         peer.bind(("127.0.0.1", 0))
