@@ -461,8 +461,8 @@ def limit_connections() -> str:
         return ""
     unknown = unknown_in_rospy()
     if unknown:
-        return (f"this rospy is not one of those that the time limits for handshakes are made for ({unknown}), so there "
-                "are none: one silent connection keeps all later subscribers from this node (docs/security.md)")
+        return (f"the time limits for handshakes are made for another rospy than this one ({unknown}), so there are "
+                "none: one silent connection keeps all later subscribers from this node (docs/security.md)")
     for owner, name, value in _replacements():
         setattr(owner, name, value)
     return ""

@@ -29,7 +29,6 @@ from car_interface.ros.tcpros_limits import (
     MessageTooLong,
     limit_connections,
     read_header,
-    unknown_in_rospy,
 )
 
 PATIENCE_S = 20.0
@@ -250,7 +249,7 @@ def test_older_connection_whose_header_comes_later_does_not_replace_the_newer_on
 def test_newer_connection_of_the_same_subscriber_is_handed_on_as_rospy_expects(server):
     for count in (1, 2, 3):
         server.connect(header_of())
-        wait_until(lambda: len(server.taken) == count)  # noqa: B023
+        wait_until(lambda: len(server.taken) == count)
 
 
 def test_header_of_4_gib_ends_its_connection_at_once_with_one_line(server, caplog):
@@ -426,9 +425,10 @@ def test_subscription_that_ends_while_it_waits_for_a_header_ends_its_thread(list
 def test_message_of_4_gib_closes_the_connection_with_one_line_and_rospy_connects_again(listener, subscription, caplog,
                                                                                       before):
     publisher = accept(listener)
-    publisher.sendall(encode_ros_handshake_header(PUBLISHER) + (string(before) if before else b"") + FOUR_GIB + b"x" * 9)
+    publisher.sendall(encode_ros_handshake_header(PUBLISHER) + (string(before) if before else b""))
+    publisher.sendall(FOUR_GIB + b"x" * 9)
     again = serve_one(listener)
-    wait_until(lambda: subscription.messages == [before, "left"][not before:])
+    wait_until(lambda: subscription.messages == ([before] if before else []) + ["left"])
     wait_until(lambda: is_closed(publisher))
     line, = log_lines(caplog)
     assert line.startswith("/steering: 127.0.0.1:") and "announces a message of 4294967295 bytes" in line
@@ -451,13 +451,13 @@ def test_longer_message_does_not(listener, subscription):
 
 
 def test_publisher_that_does_not_say_whether_it_still_is_one_counts_as_one(listener):
-    uri = "http://127.0.0.1:{}".format(listener.getsockname()[1])
+    uri = f"http://127.0.0.1:{listener.getsockname()[1]}"
     assert tcpros_limits._is_still_publisher("/steering", uri)  # the kernel accepts, and nobody answers
 
 
 def test_publisher_that_has_ended_is_none():
     with socket.create_server(("127.0.0.1", 0)) as ended:
-        uri = "http://127.0.0.1:{}".format(ended.getsockname()[1])
+        uri = f"http://127.0.0.1:{ended.getsockname()[1]}"
     assert not tcpros_limits._is_still_publisher("/steering", uri)
 
 
@@ -529,7 +529,7 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, pieces):
     thread = threading.Thread(target=answer)
     thread.start()
     client = client_of(listener.getsockname())
-    with pytest.raises(MessageTooLong, match="127.0.0.1:.* announces a message of 4294967295 bytes"):
+    with pytest.raises(MessageTooLong, match=r"127\.0\.0\.1:.* announces a message of 4294967295 bytes"):
         client.receive_once()
     thread.join()
     wait_until(lambda: is_closed(connections[0]))
