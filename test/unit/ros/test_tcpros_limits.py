@@ -131,6 +131,13 @@ def log_lines(caplog):
     return [record.getMessage() for record in caplog.records if record.name == "rosout"]
 
 
+def only_line(caplog):
+    """What the terminal shows, once it shows something."""
+    wait_until(lambda: log_lines(caplog))
+    line, = log_lines(caplog)
+    return line
+
+
 # Handshakes of a server.
 
 
@@ -147,7 +154,7 @@ def test_header_that_does_not_come_ends_its_connection_and_the_log_names_the_pee
     began_s = time.monotonic()
     wait_until(lambda: all(map(is_closed, silent)))
     assert time.monotonic() - began_s >= HANDSHAKE_S - 0.1
-    line, = log_lines(caplog)
+    line = only_line(caplog)
     assert "Inbound TCP/IP connection failed: 127.0.0.1:" in line and "sent no whole header within 1 s" in line
     assert not server.taken
 
@@ -191,8 +198,7 @@ def test_of_more_than_the_maximum_the_oldest_are_dropped(server, caplog, monkeyp
     wait_until(lambda: all(map(is_closed, silent[:10])))
     wait_until(lambda: len(tcpros_limits._handshakes._waiting) == MAX_HANDSHAKES)
     assert not any(map(is_closed, silent[10:]))
-    wait_until(lambda: log_lines(caplog))
-    assert "was dropped, since 64 newer ones wait for a header, too" in log_lines(caplog)[0]
+    assert "was dropped, since 64 newer ones wait for a header, too" in only_line(caplog)
 
 
 def test_flood_of_connections_does_not_drop_a_subscriber_whose_header_comes_promptly(server):
@@ -255,7 +261,7 @@ def test_newer_connection_of_the_same_subscriber_is_handed_on_as_rospy_expects(s
 def test_header_of_4_gib_ends_its_connection_at_once_with_one_line(server, caplog):
     peer = server.connect(FOUR_GIB + b"topic")
     wait_until(lambda: is_closed(peer))
-    line, = log_lines(caplog)
+    line = only_line(caplog)
     assert f"announces a header of 4294967295 bytes, more than {MAX_HEADER_SIZE}" in line
     assert "127.0.0.1:" in line and "\n" not in line
 
@@ -267,15 +273,15 @@ def test_header_of_4_gib_ends_its_connection_at_once_with_one_line(server, caplo
 def test_what_is_no_header_ends_its_connection_with_one_line(server, caplog, data):
     peer = server.connect(data)
     wait_until(lambda: is_closed(peer))
-    line, = log_lines(caplog)
+    line = only_line(caplog)
     assert "Inbound TCP/IP connection failed: 127.0.0.1:" in line and "\n" not in line
 
 
 def test_header_without_topic_and_service_is_answered_with_an_error(server, caplog):
     peer = server.connect(encode_ros_handshake_header({"callerid": "/tool\n"}))
     assert read_header(peer) == {"error": "no topic or service name detected"}
-    wait_until(lambda: is_closed(peer) and log_lines(caplog))
-    line, = log_lines(caplog)
+    wait_until(lambda: is_closed(peer))
+    line = only_line(caplog)
     assert line.startswith("Could not process inbound connection of /tool at 127.0.0.1:")
 
 
@@ -283,8 +289,7 @@ def test_refusal_of_rospy_reaches_the_subscriber_and_the_log(server, caplog):
     server.server.topic_connection_handler = lambda *_: "this topic has another type"
     peer = server.connect(header_of())
     assert read_header(peer) == {"error": "this topic has another type"}
-    wait_until(lambda: log_lines(caplog))
-    assert "Could not process inbound connection of /board" in log_lines(caplog)[0]
+    assert "Could not process inbound connection of /board" in only_line(caplog)
     wait_until(lambda: is_closed(peer))
 
 
@@ -394,7 +399,7 @@ def test_publisher_without_a_header_is_tried_again(listener, subscription, caplo
     publisher = serve_one(listener)
     wait_until(lambda: subscription.messages == ["left"])
     assert is_closed(silent) or silent.recv(1) == b""
-    line, = log_lines(caplog)
+    line = only_line(caplog)
     assert line.startswith("/steering: 127.0.0.1:") and line.endswith("; trying again")
     assert subscription.transport.socket.gettimeout() is None
     publisher.close()
@@ -430,8 +435,17 @@ def test_message_of_4_gib_closes_the_connection_with_one_line_and_rospy_connects
     again = serve_one(listener)
     wait_until(lambda: subscription.messages == ([before] if before else []) + ["left"])
     wait_until(lambda: is_closed(publisher))
-    line, = log_lines(caplog)
+    line = only_line(caplog)
     assert line.startswith("/steering: 127.0.0.1:") and "announces a message of 4294967295 bytes" in line
+    again.close()
+
+
+def test_after_a_message_that_rospy_cannot_read_nothing_of_it_is_taken_for_the_next_header(listener, subscription):
+    publisher = accept(listener)
+    publisher.sendall(encode_ros_handshake_header(PUBLISHER) + b"\2\0\0\0ab")
+    again = serve_one(listener)
+    wait_until(lambda: subscription.messages == ["left"])
+    publisher.close()
     again.close()
 
 
@@ -508,8 +522,7 @@ def test_request_of_4_gib_closes_the_connection_with_one_line(server, caplog, he
     read_header(peer)
     peer.sendall(FOUR_GIB + b"x")
     wait_until(lambda: is_closed(peer))
-    wait_until(lambda: log_lines(caplog))
-    line, = log_lines(caplog)
+    line = only_line(caplog)
     assert line.startswith("/save: /tool: 127.0.0.1:") and "announces a message of 4294967295 bytes" in line
 
 
