@@ -37,7 +37,7 @@ MAY_IMPORT = {
     "cli": (*PARTS, "recordings", "report", "calibration", "calibration/esc", "calibration/steering",
             "calibration/value_map"),
     "doctor/checks": PARTS,
-    "doctor/probes": (*PARTS, "doctor/checks"),
+    "doctor/probes": (*PARTS, "ros", "doctor/checks"),
     "doctor": (*PARTS, "doctor/checks", "doctor/probes"),
     "host_setup": ("common",),
 }

@@ -24,6 +24,7 @@ from std_msgs.msg import Int32MultiArray
 from car_interface.pca9685.guard_output import OutputReadings
 from car_interface.pca9685.guard_protocol import LEFT_TO_NODE, output_reader
 from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.tcpros_limits import limit_connections
 
 MASTER_POLL_S = 1.0
 REGISTER_POLL_S = 0.05
@@ -68,6 +69,9 @@ class OutputRelay:
         """Join the ROS graph; that may take as long as there is no master."""
         while not rosgraph.is_master_online():
             time.sleep(MASTER_POLL_S)
+        without_limits = limit_connections()
+        if without_limits:
+            print(without_limits, file=sys.stderr, flush=True)
         try:
             rospy.init_node("pca9685_guard", disable_signals=True, disable_rosout=True)
             self._publisher = rospy.Publisher("/servo/output", Int32MultiArray, queue_size=10, latch=True)

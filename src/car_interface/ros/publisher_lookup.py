@@ -6,7 +6,6 @@ arrive have a connection to this process, which says the rest. The others are as
 """
 from __future__ import annotations
 
-import io
 import socket
 import time
 import xmlrpc.client
@@ -14,13 +13,13 @@ from typing import Any, Callable, Iterable, NamedTuple
 from urllib.parse import urlsplit
 
 import rospy
-from rosgraph.network import read_ros_handshake_header, write_ros_handshake_header
+from rosgraph.network import write_ros_handshake_header
 
 from car_interface.common.publishers import ANY, Publisher
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.tcpros_limits import HandshakeTimeout, read_header
 from car_interface.ros.xmlrpc_calls import ANSWER_WITHIN_S, TimeoutTransport
 
-HEADER_SIZE = 65536
 # A publisher that is asked gets a subscriber for a moment, so it's not asked each time.
 ASK_AGAIN_NS = 4 * NS_PER_S
 ASK_SILENT_AGAIN_NS = 10 * NS_PER_S  # one that let the question time out
@@ -101,7 +100,7 @@ class PublisherLookup:
             return _Answer(None, now_ns)  # it was killed, and may be back soon
         except socket.gaierror:
             return _Answer(Publisher(node, _machine(uri), ""), now_ns + ASK_SILENT_AGAIN_NS)
-        except socket.timeout:
+        except (socket.timeout, HandshakeTimeout):
             return _Answer(None, now_ns + ASK_SILENT_AGAIN_NS)
         except Exception:  # whatever it answers
             return _Answer(None, now_ns + ASK_AGAIN_NS)
@@ -112,6 +111,7 @@ def ask_type(uri: str, topic: str) -> dict[str, str]:
 
     Raises:
         OSError: it can't be reached.
+        HandshakeError: it doesn't answer.
         LookupError: it doesn't publish that.
     """
     # Not this node's name: the publisher would take the question for its new connection, and drop the old one.
@@ -122,7 +122,7 @@ def ask_type(uri: str, topic: str) -> dict[str, str]:
         raise LookupError(message)
     with socket.create_connection((protocol[1], protocol[2]), timeout=ANSWER_WITHIN_S) as connection:
         write_ros_handshake_header(connection, {"topic": topic, "md5sum": "*", "type": "*", "callerid": caller})
-        header = read_ros_handshake_header(connection, io.BytesIO(), HEADER_SIZE)
+        header = read_header(connection)
     if "error" in header:
         raise LookupError(header["error"])
     return header

@@ -38,6 +38,7 @@ from car_interface.ros.inbox import Inbox
 from car_interface.ros.logs import LogStream, LogThreads, keep_tracebacks_from_terminal
 from car_interface.ros.name_lookup import own_name, wait_for_name
 from car_interface.ros.refused_start import build_node
+from car_interface.ros.tcpros_limits import limit_connections
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 ROSOUT_PARAMETER = "/rosout_disable_topics_generation"  # of rospy's log handler
@@ -55,7 +56,10 @@ def run(name: str, node_class) -> None:
     logging.raiseExceptions = False  # a full disk must not end the node
     keep_tracebacks_from_terminal()
     send_directly()
+    without_limits = limit_connections()
     _register(name)
+    if without_limits:
+        rospy.logwarn("%s", without_limits)
     _keep_rosout_parameter()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     logs = LogThreads()

@@ -15,6 +15,7 @@ from car_interface.doctor.checks.gamepad import Gamepad
 from car_interface.doctor.checks.port import Link
 from car_interface.doctor.probes.gamepad import GamepadListener
 from car_interface.msg import LinkStatus, SteeringState
+from car_interface.ros.tcpros_limits import limit_connections
 from car_interface.steering.arbiter import source_name
 
 LISTEN_S = 3.0  # for what comes once a second, behind a connection that may take a moment
@@ -67,6 +68,7 @@ def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadLis
     # rospy prints tracebacks of a peer that leaves in a handshake, and of a server that ends before its thread waits.
     traceback.print_exc = threading.excepthook = lambda *_, **__: None
     rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
+    limit_connections()  # a publisher that never answers must not keep the doctor from ending
     rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
     listener = _Listener()
     if hub:
