@@ -192,7 +192,8 @@ def _remove_leftovers(path):
     for other in found:
         left_path = os.path.join(folder, other)
         try:
-            fd = os.open(left_path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            # To be written, too: network drives lock nothing else.
+            fd = os.open(left_path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError:  # gone, or somebody else's
             continue
         try:

@@ -203,8 +203,10 @@ def test_line_to_type_is_one_for_a_shell(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["drive.bag", "drive.mcap", "drive.db3"])
-@pytest.mark.parametrize("make, kind", [(lambda path: os.mkfifo(str(path)), "a pipe"),
-                                        (lambda path: path.symlink_to("/dev/zero"), "a device")], ids=["pipe", "device"])
+@pytest.mark.parametrize("make, kind", [
+    pytest.param(lambda path: os.mkfifo(str(path)), "a pipe", id="pipe"),
+    pytest.param(lambda path: path.symlink_to("/dev/zero"), "a device", id="device"),
+])
 def test_what_is_no_file_is_told_by_its_kind_and_not_waited_for(tmp_path, name, make, kind):
     path = tmp_path / name
     make(path)
