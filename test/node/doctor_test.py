@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import re
+import shutil
 import signal
 import socket
 import struct
@@ -207,6 +208,15 @@ class BrokenSetUps(DoctorTest):
                       "csv_path_value_map is '/nowhere.csv'; accepted: a file that can",
                       "virtual_log is 'chip.log'; accepted: a whole path, from / on"):
             self.check(examination, "parameters", BAD, words, "YAML")
+
+    def test_name_that_comes_twice_in_a_file_of_the_car_is_told(self):
+        folder = tempfile.mkdtemp()
+        self.addCleanup(shutil.rmtree, folder)
+        path = os.path.join(folder, "turn_arb.yaml")
+        with open(path, "w", encoding="utf-8") as file:
+            file.write("servo_left: 3800\nservo_center: 5100\nservo_left: 3700\n")
+        self.replace_param("/turn_arb/save_to", path)
+        self.check(examine(), "files", WARN, f"{path}, lines 1 and 3 both give servo_left", "Correct the file")
 
     def test_bad_parameters_are_told_as_the_node_would(self):
         for path, value in (("/turn_arb/servo_left", 99999), ("/pca9685/frequnecy", 60),

@@ -359,13 +359,27 @@ class LiveTest(unittest.TestCase):
 
     def test_file_that_cannot_be_saved_is_named_and_the_drive_goes_on(self):
         self.steering.update_configuration({"servo_center": 5150})
-        (self.folder / "turn_arb.yaml").write_text("a: [1\n", encoding="utf-8")
-        answer = self.save("turn_arb")
-        self.assertFalse(answer.success)
-        self.assertRegex(answer.message, rf"^not saved: {self.folder}/turn_arb.yaml is no YAML: ")
-        self.assertEqual(self.asides("turn_arb.yaml"), [])
-        (self.folder / "turn_arb.yaml").unlink()
+        path = self.folder / "turn_arb.yaml"
+        shipped_text = path.read_text(encoding="utf-8")
+        laughs = "a0: &a0 [1]\n" + "".join(f"a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 9)}]\n"
+                                           for level in range(1, 10))
+        for text, fault in (("a: [1\n", ", line 2 is no YAML: "),
+                            (shipped_text + laughs, r", line \d+ makes more than 100,000 values by its aliases"),
+                            (shipped_text + "x: &x [*x]\n", r", line \d+ has \*x inside of what it stands for"),
+                            (shipped_text + "x: " + "[" * 3000, r", line \d+ is nested more than 100 levels deep"),
+                            (shipped_text + "servo_center: 5100\n", r", lines \d+ and \d+ both give servo_center"),
+                            (shipped_text + "#" * 1_000_000, r" can't be saved \(it has 1.0 MB, more than 1 MB\)")):
+            path.write_text(text, encoding="utf-8")
+            answer = self.save("turn_arb")
+            self.assertFalse(answer.success)
+            self.assertRegex(answer.message, rf"^not saved: {path}{fault}")
+            self.assertNotIn("\n", answer.message)
+            self.assertEqual(path.read_text(encoding="utf-8"), text)
+        path.unlink()
         self.assertRegex(self.save("turn_arb").message, r"turn_arb.yaml can't be saved \(No such file or directory\)")
+        os.mkfifo(str(path))
+        self.assertRegex(self.save("turn_arb").message, r"turn_arb.yaml can't be saved \(it is a pipe\)")
+        self.assertEqual(self.asides("turn_arb.yaml"), [])
         self.wait_for_duty(STEERS, 5150)
 
     def test_node_without_save_to_saves_nowhere(self):

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Mapping
 
 from car_interface.calibration.esc.calibrate import calibrate, yaml_text
@@ -24,6 +23,7 @@ from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.package_files import package_file
 from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.yaml_file import read_yaml
 from car_interface.recordings import roles
 from car_interface.throttle.params import load_throttle
 
@@ -92,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
     config = config_of(options)
     output.check(config.output, config.recordings)
     base = load_throttle(config.base)
-    base_text = Path(config.base).read_text(encoding="utf-8-sig")
+    base_text = read_yaml(config.base)
     driven = base.calibration if config.channel is None else replace(base.calibration, channel=config.channel)
     load = partial(load_drive, calibration=driven, topics=config.topics, namespace=config.namespace)
     recorded = load_all(load, config.recordings, config.jobs)
@@ -110,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _write(path, text, lines):
     try:
-        output.check_content(path, text, load_throttle)
+        load_throttle(path, text)
     except CarInterfaceError as error:
         raise CarInterfaceError(f"nothing is written, throttle_arb would refuse it: {error}") from error
     backup_path = output.write(path, text, keeps_old=True)

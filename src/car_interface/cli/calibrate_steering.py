@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Mapping
 
 from car_interface.calibration.steering.asked import AngleTable
@@ -20,13 +19,14 @@ from car_interface.calibration.steering.calibrate import Calibrated, calibrate, 
 from car_interface.calibration.steering.recorded import RecordedDrive, load_drive
 from car_interface.calibration.steering.report import report
 from car_interface.cli.jobs import add_jobs_argument, load_all
-from car_interface.cli.options import add_namespace_argument, length_m
+from car_interface.cli.options import add_namespace_argument, finite, length_m
 from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
 from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.yaml_file import read_yaml
 from car_interface.recordings import roles
 from car_interface.recordings.signals import IMU, IMU_TOPIC
 from car_interface.steering.calibration import SteeringCalibration
@@ -116,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
     config = config_of(options)
     output.check(config.output, config.recordings)
     base = load_steering(config.base)
-    base_text = Path(config.base).read_text(encoding="utf-8-sig")
+    base_text = read_yaml(config.base)
     recorded = load_recordings(config, base)
     calibrated = calibrate(recorded, base, config.axis_m, accept_disagreement=config.force)
     lines = list(report(calibrated, recorded, config.axis_m))
@@ -144,7 +144,7 @@ def load_recordings(config: Config, base: SteeringCalibration) -> list[RecordedD
 def _write(path, calibrated: Calibrated, base_text, lines):
     text = yaml_text(calibrated, base_text, lines)
     try:
-        output.check_content(path, text, load_steering)
+        load_steering(path, text)
     except CarInterfaceError as error:
         raise CarInterfaceError(f"no calibration is written, turn_arb would refuse it: {error}") from error
     backup_path = output.write(path, text, keeps_old=True)
@@ -155,9 +155,9 @@ def _write(path, calibrated: Calibrated, base_text, lines):
 def _radii_m(text):
     """The radii in an option's text, with commas or blanks between them."""
     try:
-        radii = tuple(float(number) for number in text.replace(",", " ").split())
+        radii = tuple(map(finite, text.replace(",", " ").split()))
         check_axis(radii, "axis")
-    except ValueError as error:
+    except (ValueError, argparse.ArgumentTypeError) as error:
         like = "in m, with commas between them, like 0.7,1,2,5,20,100,300"
         raise argparse.ArgumentTypeError(f"{error} ({like})") from error
     if radii[0] <= 0 or len(radii) > MAX_BREAKPOINTS:

@@ -172,7 +172,7 @@ def run(options: argparse.Namespace) -> int:
         raise CarInterfaceError("no map is written: " + "; ".join(calibrated.problems)
                                 + ". Drive what is missing, or --force it")
     csv = csv_text(calibrated.table)
-    output.check_content(config.output, csv, load_value_map)
+    load_value_map(config.output, text=csv)
     backup_paths = {config.output: output.write(config.output, csv, keeps_old=True)}
     for path in beside:
         backup_paths[path] = output.write(path, text + "\n", keeps_old=True)

@@ -2,7 +2,8 @@
 from __future__ import annotations
 
 import argparse
-import math
+
+from car_interface.common.input_file import finite_number
 
 
 def add_namespace_argument(parser: argparse.ArgumentParser) -> None:
@@ -13,11 +14,8 @@ def add_namespace_argument(parser: argparse.ArgumentParser) -> None:
 
 def finite(text: str) -> float:
     """A finite number out of an option's text."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    value = finite_number(text)
+    if value is None:
         raise argparse.ArgumentTypeError(f"{text!r} is no finite number")
     return value
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 import os
 import stat
 import sys
-import tempfile
-from typing import Any, Callable, Iterable
+from typing import Iterable
 
 from car_interface.common.atomic_file import is_write_protected, replace
-from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.errors import CarInterfaceError
 
 RECORDING_BEGINS = (b"#ROSBAG", b"SQLite format 3", b"\x89MCAP")
 STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}  # opened by name they would truncate a file that they are redirected to
@@ -45,22 +44,6 @@ def check(path: str, recordings: Iterable[str] = ()) -> None:
             raise CarInterfaceError(f"{path} can't be written: it is write-protected")
         if _is_recording(real):
             raise CarInterfaceError(f"{path} is a recording, and would be lost: give the output another name")
-
-
-def check_content(path: str, text: str, load: Callable[[str], Any]) -> None:
-    """Check with its loader a text that will be the file at ``path``.
-
-    Raises:
-        CarInterfaceError: the loader's error, with ``path``.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        trial = os.path.join(folder, "trial")
-        with open(trial, "w", encoding="utf-8") as file:
-            file.write(text)
-        try:
-            load(trial)
-        except ConfigError as error:
-            raise CarInterfaceError(str(error).replace(trial, path)) from error
 
 
 def write(path: str, content: str | bytes, keeps_old: bool = False) -> str | None:

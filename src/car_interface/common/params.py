@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, Callable, Mapping, Sequence
 
 from car_interface.common.errors import ConfigError
+from car_interface.common.input_file import finite_number, integer
 
 REQUIRED = object()
 DURATION_S = (0.0, 3600.0)  # range of every timeout
@@ -184,20 +185,13 @@ def _number(value, low, high, above):
 
 def _parsed(text):
     """The number that a text such as 1e-3 or 0x40 stands for, or None."""
-    for read in (float, lambda digits: float(int(digits, 0))):
-        try:
-            return read(text)
-        except (ValueError, OverflowError):
-            continue
-    return None
+    number = finite_number(text)
+    return integer(text) if number is None else number
 
 
 def _integer(value, low, high):
     if isinstance(value, str):
-        try:
-            value = int(value, 0)
-        except ValueError:
-            return None
+        value = integer(value)
     if isinstance(value, float) and value % 1 == 0:
         value = int(value)
     if isinstance(value, bool) or not isinstance(value, int):

@@ -12,6 +12,8 @@ from typing import Mapping, Sequence, Union
 
 from car_interface.common.atomic_file import is_write_protected, replace
 from car_interface.common.errors import ConfigError
+from car_interface.common.input_file import read_file
+from car_interface.common.yaml_file import MAX_BYTES, compose_yaml, decode_yaml, load_yaml, scalar_number
 
 Value = Union[int, float, str, Sequence[Union[int, float]]]  # bool is an int
 Values = Mapping[str, Value]  # by name; one inside a mapping as ``servo/neutral``
@@ -29,14 +31,11 @@ def save(path: str, values: Values) -> str | None:
     """
     path = os.path.realpath(path)
     try:
-        with open(path, encoding="utf-8", newline="") as file:
-            before = file.read()
+        before = decode_yaml(read_file(path, MAX_BYTES), path)
         if is_write_protected(path):
             raise PermissionError(errno.EACCES, "it is write-protected")
         after = edited(before, values, path)
         return None if after == before else replace(path, after.encode("utf-8"), keeps_old=True)
-    except UnicodeDecodeError as error:
-        raise ConfigError(path, None, "parameters in YAML, UTF-8", "is no text in UTF-8") from error
     except OSError as error:
         raise ConfigError(path, None, "a file that this node may read and write, in a folder where it may too",
                           f"can't be saved ({error.strerror})") from error
@@ -54,7 +53,7 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
     Raises:
         ConfigError: when that can't be done without changing anything else.
     """
-    root = _compose(text, path)
+    root = compose_yaml(text, path)
     nodes = {name: _find(root, name.split("/")) for name in values}
     if not any(nodes.values()):
         raise ConfigError(path, None, "a file with at least one of them", f"has none of {', '.join(values)}")
@@ -74,7 +73,7 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
     if added:
         result += ("" if result.endswith("\n") else "\n") + added
     try:
-        is_right = _shape(_compose(result, path)) == _shape(root, values)
+        is_right = _shape(compose_yaml(result, path)) == _shape(root, values)
     except ConfigError:
         is_right = False
     if not is_right:
@@ -99,11 +98,11 @@ def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the f
         ConfigError: the pattern is no mapping in YAML.
     """
     import yaml
-    body = text[_compose(text, path).start_mark.index:]
+    body = text[compose_yaml(text, path).start_mark.index:]
     try:
         body = edited(_with_names(body, values, path), values, path, keeps_comments=False)
     except ConfigError:
-        body = yaml.safe_dump(_merged(yaml.safe_load(text), values), sort_keys=False)
+        body = yaml.safe_dump(_merged(load_yaml(path, text), values), sort_keys=False)
     return "".join(f"# {line}".rstrip() + "\n" for line in head) + "\n" + body
 
 
@@ -114,7 +113,7 @@ def _with_names(text, values, path):
     """
     for name in values:
         outer, _, inner = name.rpartition("/")
-        root = _compose(text, path)
+        root = compose_yaml(text, path)
         if not outer or _find(root, name.split("/")) is not None:
             continue
         mapping = _find(root, outer.split("/"))
@@ -136,18 +135,6 @@ def _merged(content, values):
         inside = content.get(outer)
         content[outer] = _merged(inside if isinstance(inside, dict) else {}, {inner: value}) if inner else value
     return content
-
-
-def _compose(text, path):
-    """The tree of a YAML text that is a mapping."""
-    import yaml  # only here: the other pure modules need the standard library alone
-    try:
-        root = yaml.compose(text, yaml.SafeLoader)
-    except yaml.YAMLError as error:
-        raise ConfigError(path, None, "parameters in YAML", f"is no YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(root, yaml.MappingNode):
-        raise ConfigError(path, None, "YAML lines of a parameter's name, a colon and its value", "has no such lines")
-    return root
 
 
 def _find(node, names):
@@ -195,14 +182,7 @@ def _elements(node):
 
 
 def _number(node):
-    """The number that a scalar stands for, as the parameter server reads it, or None."""
-    import yaml
-    try:
-        value = yaml.safe_load(node.value)
-        number = float(value) if isinstance(value, str) else value
-        return None if isinstance(number, bool) or number != number else number  # nan is equal to nothing
-    except (ValueError, TypeError, yaml.YAMLError):
-        return None
+    return scalar_number(node.value) if isinstance(node.value, str) else None
 
 
 def _format(value):

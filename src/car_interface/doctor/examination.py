@@ -17,6 +17,7 @@ from car_interface.doctor.checks.car import (
     Node,
     check_command_topics,
     check_diagnostics,
+    check_files,
     check_nodes,
     check_parameters,
     check_several,
@@ -34,7 +35,7 @@ from car_interface.doctor.probes.computer import (
     probe_versions,
 )
 from car_interface.doctor.probes.devices import is_pseudo_terminal, probe_board, probe_port
-from car_interface.doctor.probes.master import NODES, Graph, Master, read_parameters
+from car_interface.doctor.probes.master import NODES, Graph, Master, read_files, read_parameters
 from car_interface.doctor.task import Task
 from car_interface.pca9685.registers import prescale_for
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
@@ -234,7 +235,8 @@ def _covered(hub, link):
 
 def _read_all(master, car):
     readings = (read_parameters(master, node) for node in car.nodes)
-    return check_parameters([reading for reading in readings if reading is not None])
+    found = check_parameters([reading for reading in readings if reading is not None])
+    return found + check_files(read_files(master, car.nodes))
 
 
 def _listen_to_topics(master, car, hub, reporting):

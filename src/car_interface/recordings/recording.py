@@ -19,6 +19,7 @@ from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.rosbag2 import ReaderError as ReaderError2
 
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.input_file import check_kind
 from car_interface.recordings.definitions import Definitions, UnknownType
 from car_interface.recordings.rosbag1 import ChunkReader
 
@@ -228,6 +229,11 @@ def _check_exists(file):
         raise NoRecording(f"{file} can't be read as a recording: there is no such file")
     if not os.access(str(file), os.R_OK):
         raise NoRecording(f"{file} can't be read as a recording: no permission")
+    if not file.is_dir():
+        try:
+            check_kind(file.stat())
+        except OSError as error:
+            raise NoRecording(f"{file} can't be read as a recording: {error.strerror}") from error
     if file.is_dir() and not (file / METADATA).exists():
         bags = sorted(str(inside) for inside in file.iterdir() if inside.suffix == ".bag")
         raise NoRecording(f"{file} can't be read as a recording: a ROS 2 bag's folder has a {METADATA}, this one "

@@ -1,12 +1,11 @@
 """Calibration and rules of the steering from parameters: those of the node turn_arb, or a YAML file for it."""
 from __future__ import annotations
 
-from typing import Any
-
 from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import read_tuning
 from car_interface.common.params import Params
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
+from car_interface.common.yaml_file import load_yaml
 from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.steering.arbiter import ArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration
@@ -49,13 +48,17 @@ def read_arbiter(params) -> ArbiterConfig:
         planner_timeout_s=params.timeout("planner_timeout", timeout_s))
 
 
-def load_steering(path: str) -> SteeringCalibration:
-    """The calibration from a YAML file for turn_arb. A file that the node would refuse is refused here too.
+def load_steering(path: str, text: str | None = None) -> SteeringCalibration:
+    """Load the calibration from a YAML file for turn_arb. A file that the node would refuse is refused here too.
+
+    Args:
+        path: of the file.
+        text: what the file is going to have; ``None`` = it is read.
 
     Raises:
         ConfigError: naming the file, the parameter and what is wrong with it.
     """
-    params = Params(load_yaml(path))
+    params = Params(load_yaml(path, text))
     try:
         read_tuning(params, 0)
         calibration = read_calibration(params)
@@ -64,22 +67,3 @@ def load_steering(path: str) -> SteeringCalibration:
         return calibration
     except ConfigError as error:
         raise error.within(path) from error
-
-
-def load_yaml(path: str) -> dict[str, Any]:
-    """The parameters in a YAML file, as ROS would load them.
-
-    Raises:
-        ConfigError: naming the file.
-    """
-    import yaml  # for tools: a node gets its parameters from ROS
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            values = yaml.safe_load(file)
-    except OSError as error:
-        raise ConfigError(path, path, "a file that can be read", f"can't be read ({error.strerror})") from error
-    except (UnicodeDecodeError, ValueError, yaml.YAMLError) as error:
-        raise ConfigError(path, None, "parameters in YAML", f"is no YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(values, dict):
-        raise ConfigError(path, values, "YAML lines of a parameter's name, a colon and its value")
-    return values

@@ -9,8 +9,8 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import TuningSettings, read_tuning
 from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.params import Params
+from car_interface.common.yaml_file import load_yaml
 from car_interface.interlock.motion_interlock import read_interlock
-from car_interface.steering.params import load_yaml
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.board_watch import BOARD, read_board
 from car_interface.throttle.calibration import ThrottleCalibration, read_calibration
@@ -80,14 +80,19 @@ def read_arbiter(params) -> ArbiterConfig:
                          board=read_board(params))
 
 
-def load_throttle(path: str) -> ThrottleConfig:
-    """The configuration from a YAML file for throttle_arb. A file that the node would refuse is refused here too.
+def load_throttle(path: str, text: str | None = None) -> ThrottleConfig:
+    """Load the configuration from a YAML file for throttle_arb. A file that the node would refuse is refused here too.
+
+    Args:
+        path: of the file.
+        text: what the file is going to have; ``None`` = it is read.
 
     Raises:
         ConfigError: naming the file, the parameter and what is wrong with it.
     """
+    params = Params(load_yaml(path, text))
     try:
-        return read_config(Params(load_yaml(path)), is_complete=False)
+        return read_config(params, is_complete=False)
     except ConfigError as error:
         raise error.within(path) from error
 

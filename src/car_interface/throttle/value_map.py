@@ -8,16 +8,19 @@ the actuator's own.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from array import array
 from bisect import bisect_right
-from typing import Sequence
+from typing import Iterator, Sequence
 
 from car_interface.common.errors import ConfigError
+from car_interface.common.input_file import finite_number, read_file
 from car_interface.common.lookup_table import check_axis
 
 # Numbers of a small map are kept in tuples, which is fastest; of a large one in arrays, which use the cache better.
 MAX_IN_TUPLES = 100_000
+MAX_BYTES = 10_000_000  # 1,000 values at 1,000 velocities, of 9 characters each; what was fitted has some hundred cells
 
 
 class ValueMap:
@@ -132,8 +135,13 @@ def _check_rising(values, column, velocity, allow_plateaus, name):
                           (before, after), accepted, found)
 
 
-def load_value_map(path: str, allow_plateaus: bool = False) -> ValueMap:
+def load_value_map(path: str, allow_plateaus: bool = False, text: str | None = None) -> ValueMap:
     """Read a map from a CSV file.
+
+    Args:
+        path: of the file.
+        allow_plateaus: as ``ValueMap`` takes it.
+        text: what the file is going to have; ``None`` = it is read.
 
     The first row is a name and the velocities, every other row a value and its accelerations. CRLF, a byte-order mark,
     spaces around numbers and blank lines at the end are accepted.
@@ -141,47 +149,53 @@ def load_value_map(path: str, allow_plateaus: bool = False) -> ValueMap:
     Raises:
         ConfigError: naming file, line, column and fault.
     """
-    rows = _read_rows(path)
-    if len(rows) < 3:
-        raise ConfigError(path, len(rows), "a line of velocities and at least two lines of accelerations",
-                          f"has {len(rows)} line(s)")
-    width = len(rows[0])
-    if width < 3:
-        raise ConfigError(f"{path}, line 1", rows[0], "a name and at least two velocities")
-    for number, row in enumerate(rows[1:], 2):
-        if len(row) != width:
-            raise ConfigError(f"{path}, line {number}", len(row), f"{width}, as in line 1", f"has {len(row)} columns")
-    velocities = _numbers(path, 1, rows[0], first_column=1)
-    table = [_numbers(path, number, row, first_column=0) for number, row in enumerate(rows[1:], 2)]
+    velocities, values, accelerations, lines = [], [], [], 0
+    for lines, row in _read_rows(path, text):
+        if lines == 1:
+            width = len(row)
+            if width < 3:
+                raise ConfigError(f"{path}, line 1", row, "a name and at least two velocities")
+            velocities = _numbers(path, 1, row, first_column=1)
+        else:
+            if len(row) != width:
+                raise ConfigError(f"{path}, line {lines}", len(row), f"{width}, as in line 1",
+                                  f"has {len(row)} columns")
+            value, *numbers = _numbers(path, lines, row, first_column=0)
+            values.append(value)
+            accelerations.append(array("d", numbers))
+    if lines < 3:
+        raise ConfigError(path, lines, "a line of velocities and at least two lines of accelerations",
+                          f"has {lines} line(s)")
     _check_file_axis(path, velocities, lambda index: (1, index + 2))
-    _check_file_axis(path, [row[0] for row in table], lambda index: (index + 2, 1))
-    return ValueMap([row[0] for row in table], velocities, [row[1:] for row in table], allow_plateaus, path)
+    _check_file_axis(path, values, lambda index: (index + 2, 1))
+    return ValueMap(values, velocities, accelerations, allow_plateaus, path)
 
 
-def _read_rows(path) -> list[list[str]]:
+def _read_rows(path, text) -> Iterator[tuple[int, list[str]]]:
+    """Yield the lines up to the last that isn't blank, each with its number."""
     try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            rows = [[cell.strip() for cell in row] for row in csv.reader(file)]
+        data = read_file(path, MAX_BYTES) if text is None else text.encode("utf-8")
+        blank = 0
+        lines = csv.reader(io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=""))
+        for number, row in enumerate(lines, 1):
+            cells = [cell.strip() for cell in row]
+            if not any(cells):
+                blank = blank or number
+                continue
+            if blank:
+                raise ConfigError(f"{path}, line {blank}", "", "numbers; a blank line may only come last", "is blank")
+            yield number, cells
     except OSError as error:
         raise ConfigError("csv_path_value_map", path, f"a file that can be read ({error.strerror})") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigError("csv_path_value_map", path, f"a CSV file in UTF-8 ({error})") from error
-    while rows and not any(rows[-1]):
-        rows.pop()
-    for number, row in enumerate(rows, 1):
-        if not any(row):
-            raise ConfigError(f"{path}, line {number}", "", "numbers; a blank line may only come last", "is blank")
-    return rows
 
 
 def _numbers(path, line, cells, first_column):
     numbers = []
     for column, cell in enumerate(cells[first_column:], first_column + 1):
-        try:
-            number = float(cell)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
+        number = finite_number(cell)
+        if number is None:
             raise ConfigError(f"{path}, line {line}, column {column}", cell, "a finite number")
         numbers.append(number)
     return numbers

@@ -2,7 +2,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -19,6 +21,12 @@ from car_interface.throttle.value_map import ValueMap
 ROOT = Path(__file__).resolve().parents[3]
 STOCK = ROOT / "config" / "turn_arb.yaml"
 STOCK_MAP = ROOT / "config" / "value_map.csv"
+LIMITED_CHECK_MAP = """
+import resource
+from car_interface.cli.main import main
+resource.setrlimit(resource.RLIMIT_AS, (10 ** 9, 10 ** 9))
+main("check_map")
+"""
 
 
 def steering_file(tmp_path, **changes):
@@ -68,6 +76,43 @@ def test_bad_map_is_refused_in_the_converters_words(text, words, tmp_path, capsy
     assert main("check_map", [str(path)]) == 1
     shown = capsys.readouterr()
     assert shown.out == "" and shown.err.count("\n") == 1 and str(path) in shown.err and words in shown.err
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".yaml"])
+@pytest.mark.parametrize("make, reason", [
+    pytest.param(lambda path: os.mkfifo(str(path)), "it is a pipe", id="pipe"),
+    pytest.param(lambda path: path.symlink_to("/dev/zero"), "it is a device", id="device"),
+    pytest.param(lambda path: (path.touch(), os.truncate(str(path), 1_000_000_000)), "it has 1,000.0 MB, more than 1",
+                 id="sparse_file_of_1_gb"),
+])
+def test_what_is_no_table_by_kind_or_size_is_refused_at_once(suffix, make, reason, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    make(path)
+    # Alone, in 1 GB of memory: what waits for a pipe's writer, or reads all of it, fails here and not the test run.
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED_CHECK_MAP, str(path)],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")}, capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout == "" and done.stderr.startswith("check_map: ") and done.stderr.count("\n") == 1
+    assert reason in done.stderr and str(path) in done.stderr
+
+
+@pytest.mark.parametrize("text, words", [
+    pytest.param("default,0,1\n0,0,0\n1,1_0,1\n", "line 3, column 2 is '1_0'", id="number_with_an_underscore"),
+    pytest.param("default,0,1\n0,0,0\n1,١٢,1\n", "line 3, column 2 is '١٢'", id="arabic_digits"),
+])
+def test_number_that_only_python_takes_is_refused(text, words, tmp_path, capsys):
+    assert main("check_map", [str(map_file(tmp_path, text))]) == 1
+    assert words in capsys.readouterr().err
+
+
+def test_name_that_comes_twice_is_refused_with_both_lines(tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    text = STOCK.read_text(encoding="utf-8")
+    path.write_text(text + "servo_center: 5200\n", encoding="utf-8")
+    first = text[:text.index("\nservo_center:")].count("\n") + 2
+    assert main("check_map", [str(path)]) == 1
+    assert capsys.readouterr().err == (f"check_map: {path}, lines {first} and {text.count(chr(10)) + 1} both give "
+                                       "servo_center; accepted: each name once\n")
 
 
 def test_plateau_is_taken_on_request(tmp_path):

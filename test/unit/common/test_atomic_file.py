@@ -1,14 +1,26 @@
-"""Files are replaced in one step, with mode and backup."""
+"""Files are replaced in one step, with mode and backup, and whatever happens nothing else is left."""
 from __future__ import annotations
 
+import contextlib
+import errno
+import mmap
 import os
+import random
 import re
+import signal
 import stat
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from car_interface.common import atomic_file
 from car_interface.common.atomic_file import is_write_protected, replace
+from car_interface.common.errors import ConfigError
+from car_interface.common.yaml_edit import save
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture
@@ -66,3 +78,202 @@ def test_write_protection_goes_by_the_mode_also_for_root(path):
     assert not is_write_protected(str(path))
     path.chmod(0o444)
     assert is_write_protected(str(path))
+
+
+# --- a process that is killed in a save ---
+
+TEXT = "# of this car\n" + "".join(f"name_{index}: {index}  # why\n" for index in range(100)) + "servo_center: {}\n"
+SAVES = """
+import sys
+from car_interface.common import atomic_file
+from car_interface.common.yaml_edit import save
+{change}
+save(sys.argv[1], {{"servo_center": 0}})
+print("saving", flush=True)
+for value in range(1, int(sys.argv[2])):
+    save(sys.argv[1], {{"servo_center": value}})
+"""
+WITHOUT_O_TMPFILE = "atomic_file._open_unnamed = lambda folder: None"
+KILLS_ITSELF = "import os, signal; atomic_file.os.{} = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)"
+
+
+def saving_process(path, change="", saves=1):
+    return subprocess.Popen([sys.executable, "-c", SAVES.format(change=change), str(path), str(saves)],
+                            stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
+
+
+def not_in_place(folder):
+    """The contents of the files that a save has not put in place yet."""
+    return [path.read_text(encoding="utf-8") for path in folder.iterdir() if ".new-" in path.name]
+
+
+def is_complete(text):
+    head, _, value = text.rpartition(": ")
+    return f"{head}: {{}}\n" == TEXT and value.endswith("\n") and value.strip().isdigit()
+
+
+@pytest.mark.parametrize("change, kills", [
+    pytest.param("", 150, id="files_without_a_name"),
+    pytest.param(WITHOUT_O_TMPFILE, 50, id="file_system_where_all_have_names"),
+])
+def test_process_that_is_killed_in_a_save_leaves_complete_files_and_the_next_save_nothing_else(tmp_path, change, kills):
+    path, moments, left = tmp_path / "turn_arb.yaml", random.Random(1), 0
+    path.write_text(TEXT.format("1"), encoding="utf-8")
+    for _ in range(kills):
+        process = saving_process(path, change, saves=10 ** 6)
+        try:
+            assert process.stdout.readline() == b"saving\n"
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(moments.uniform(0.0, 0.02))
+        finally:
+            process.kill()
+            process.communicate()
+        assert process.returncode == -signal.SIGKILL
+        assert is_complete(path.read_text(encoding="utf-8"))
+        new = not_in_place(tmp_path)
+        assert len(new) <= (1 if change == "" else 2)  # the file, or it and its backup
+        assert change or all(map(is_complete, new))
+        left += len(new)
+        save(str(path), {"servo_center": 5100})
+        assert not_in_place(tmp_path) == []
+        others = [other for other in tmp_path.iterdir() if other != path]
+        assert all(".bak-" in other.name for other in others)
+        for backup in others:
+            assert is_complete(backup.read_text(encoding="utf-8"))
+            backup.unlink()
+    print(f"{kills} kills left {left} files, until the next save")
+
+
+@pytest.mark.parametrize("change, function, left", [
+    pytest.param("", "fsync", [], id="while_it_writes"),
+    pytest.param("", "link", [], id="before_anything_has_a_name"),
+    pytest.param("", "replace", [TEXT.format("0")], id="between_naming_and_renaming"),
+    pytest.param(WITHOUT_O_TMPFILE, "fsync", [TEXT.format("0")], id="while_it_writes_into_a_name"),
+])
+def test_what_a_kill_leaves_is_removed_by_the_next_save(tmp_path, change, function, left):
+    path = tmp_path / "turn_arb.yaml"
+    path.write_text(TEXT.format("1"), encoding="utf-8")
+    process = saving_process(path, f"{change}\n{KILLS_ITSELF.format(function)}")
+    assert process.communicate()[0] == b"" and process.returncode == -signal.SIGKILL
+    assert path.read_text(encoding="utf-8") == TEXT.format("1")
+    assert not_in_place(tmp_path) == left
+    aside = save(str(path), {"servo_center": 2})
+    assert not_in_place(tmp_path) == []
+    assert Path(aside).read_text(encoding="utf-8") == TEXT.format("1")
+
+
+@pytest.mark.parametrize("has_names", [False, True])
+def test_save_does_not_remove_what_another_process_is_about_to_put_in_place(path, monkeypatch, has_names):
+    move = os.replace
+
+    def meanwhile(new_path, to_path):
+        monkeypatch.setattr(atomic_file.os, "replace", move)
+        assert replace(str(path), b"of another process", keeps_old=False) is None
+        assert path.read_bytes() == b"of another process" and os.path.exists(new_path)
+        move(new_path, to_path)
+    monkeypatch.setattr(atomic_file.os, "replace", meanwhile)
+    if has_names:
+        monkeypatch.setattr(atomic_file, "_open_unnamed", lambda folder: None)
+    replace(str(path), b"new", keeps_old=False)
+    assert path.read_bytes() == b"new" and os.listdir(path.parent) == ["a.yaml"]
+
+
+def test_file_that_was_taken_for_left_over_before_it_was_locked_is_made_again(path, monkeypatch):
+    monkeypatch.setattr(atomic_file, "_open_unnamed", lambda folder: None)
+    lock, before = atomic_file._lock, []
+
+    def late(fd):
+        if not before:
+            before.extend(other for other in path.parent.iterdir() if other != path)
+            before[0].unlink()
+        return lock(fd)
+    monkeypatch.setattr(atomic_file, "_lock", late)
+    replace(str(path), b"new", keeps_old=False)
+    assert len(before) == 1 and path.read_bytes() == b"new" and os.listdir(path.parent) == ["a.yaml"]
+
+
+def test_files_of_others_are_left_alone(path):
+    names = [".a.yaml.new", ".a.yaml.new-mine", ".b.yaml.new-01234567", "a.yaml.new-01234567", ".a.yaml.new-012345678"]
+    for name in names:
+        (path.parent / name).write_bytes(b"")
+    (path.parent / ".a.yaml.new-00000000").symlink_to(path.parent / names[0])
+    (path.parent / ".a.yaml.new-00000001").mkdir()
+    before = set(os.listdir(path.parent))
+    replace(str(path), b"new", keeps_old=False)
+    assert set(os.listdir(path.parent)) == before
+
+
+def test_file_system_without_links_keeps_the_old_file_too(path, monkeypatch):
+    def refused(*_, **__):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+    monkeypatch.setattr(atomic_file, "_open_unnamed", lambda folder: None)
+    monkeypatch.setattr(atomic_file.os, "link", refused)
+    monkeypatch.setattr(atomic_file.time, "strftime", lambda _: "now")
+    for index in range(2):
+        replace(str(path), b"%d" % index, keeps_old=True)
+    assert {other.name: other.read_bytes() for other in path.parent.iterdir()} == {
+        "a.yaml": b"1", "a.yaml.bak-now": b"old", "a.yaml.bak-now-2": b"0"}
+
+
+# --- a full disk ---
+
+
+@pytest.mark.parametrize("keeps_old", [False, True])
+@pytest.mark.parametrize("call", ["fsync", "fchmod", "link", "replace"])
+def test_failure_at_any_step_leaves_nothing_behind(path, monkeypatch, call, keeps_old):
+    done, original = [], getattr(os, call)
+    counted = 1 + keeps_old if call != "replace" else 1
+
+    def fail(*arguments, **options):
+        done.append(call)
+        if len(done) == counted:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return original(*arguments, **options)
+    monkeypatch.setattr(atomic_file.os, call, fail)
+    with pytest.raises(OSError, match="No space left"):
+        replace(str(path), b"new", keeps_old)
+    assert len(done) == counted and path.read_bytes() == b"old" and os.listdir(path.parent) == ["a.yaml"]
+
+
+@pytest.fixture()
+def small_disk(tmp_path):
+    """A disk of 16 pages."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={16 * mmap.PAGESIZE}", "none", str(folder)],
+                          capture_output=True, check=False)
+    if made.returncode:
+        pytest.skip("no disk can be mounted here")
+    yield folder
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("free_pages", [0, 1, 2])
+def test_full_disk_keeps_the_old_file_and_nothing_else(small_disk, free_pages):
+    path = small_disk / "turn_arb.yaml"
+    path.write_text(TEXT.format("1"), encoding="utf-8")
+    assert path.stat().st_size <= mmap.PAGESIZE
+    with contextlib.suppress(OSError), open(str(small_disk / "filler"), "wb", buffering=0) as filler:
+        while filler.write(bytes(mmap.PAGESIZE)):
+            pass
+    os.truncate(str(small_disk / "filler"), (small_disk / "filler").stat().st_size - free_pages * mmap.PAGESIZE)
+    before = set(os.listdir(str(small_disk)))
+    if free_pages < 2:  # the new file and the backup need one each
+        for _ in range(3):
+            with pytest.raises(ConfigError, match=r"can't be saved \(No space left on device\)"):
+                save(str(path), {"servo_center": 2})
+        assert path.read_text(encoding="utf-8") == TEXT.format("1")
+        assert set(os.listdir(str(small_disk))) == before
+    else:
+        aside = save(str(path), {"servo_center": 2})
+        assert path.read_text(encoding="utf-8") == TEXT.format("2")
+        assert set(os.listdir(str(small_disk))) == before | {os.path.basename(aside)}
+
+
+def test_file_that_may_not_grow_is_not_half_written(tmp_path):
+    path = tmp_path / "turn_arb.yaml"
+    path.write_text(TEXT.format("1"), encoding="utf-8")
+    process = saving_process(path, "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+                                   "sys.stderr = sys.stdout")
+    assert b"can't be saved (File too large)" in process.communicate()[0]
+    assert path.read_text(encoding="utf-8") == TEXT.format("1") and list(tmp_path.iterdir()) == [path]

@@ -8,7 +8,6 @@ import pytest
 
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
-from car_interface.steering.params import load_steering
 
 
 def kept_beside(path):
@@ -121,10 +120,3 @@ def test_folder_without_permission_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, mode: path != str(tmp_path))  # root may write everywhere
     with pytest.raises(CarInterfaceError, match=f"a can't be written: no permission in the folder {tmp_path}"):
         output.check(str(tmp_path / "a"))
-
-
-def test_loader_that_refuses_a_text_names_the_output(tmp_path):
-    path = str(tmp_path / "mine.yaml")
-    with pytest.raises(CarInterfaceError, match=f"^{path}, servo_left is missing"):
-        output.check_content(path, "servo_channel: 0\n", load_steering)
-    assert list(tmp_path.iterdir()) == []

@@ -121,12 +121,9 @@ def test_new_text_after_what_is_no_mapping_is_refused():
     pytest.param("a: [1\n", {"a": 2}, "is no YAML", id="unfinished"),
     pytest.param("a: 1\n---\na: 2\n", {"a": 2}, "is no YAML", id="two_documents"),
     pytest.param("a: 1\nb: \x00\n", {"a": 2}, "is no YAML", id="zero_byte"),
-    pytest.param("a: 1\na: 2\n", {"a": 3}, None, id="name_that_comes_twice_is_changed_where_it_counts"),
+    pytest.param("a: 1\na: 2\n", {"a": 3}, "lines 1 and 2 both give a", id="name_that_comes_twice"),
 ])
 def test_file_that_cannot_be_edited_safely_is_refused(text, values, message):
-    if message is None:
-        assert yaml.safe_load(edited(text, values)) == values
-        return
     with pytest.raises(ConfigError, match=message):
         edited(text, values)
 

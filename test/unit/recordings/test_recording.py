@@ -202,6 +202,18 @@ def test_line_to_type_is_one_for_a_shell(tmp_path):
         contents(str(path))
 
 
+@pytest.mark.parametrize("name", ["drive.bag", "drive.mcap", "drive.db3"])
+@pytest.mark.parametrize("make, kind", [
+    pytest.param(lambda path: os.mkfifo(str(path)), "a pipe", id="pipe"),
+    pytest.param(lambda path: path.symlink_to("/dev/zero"), "a device", id="device"),
+])
+def test_what_is_no_file_is_told_by_its_kind_and_not_waited_for(tmp_path, name, make, kind):
+    path = tmp_path / name
+    make(path)
+    with pytest.raises(NoRecording, match=f"{path} can't be read as a recording: it is {kind}$"):
+        contents(str(path))
+
+
 def test_bag_without_permission_is_told(tmp_path, monkeypatch):
     path = whole(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may read everything

@@ -9,8 +9,9 @@ import pytest
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
+from car_interface.common.yaml_file import load_yaml
 from car_interface.steering.arbiter import ArbiterConfig
-from car_interface.steering.params import load_steering, load_yaml, read_arbiter, read_calibration
+from car_interface.steering.params import load_steering, read_arbiter, read_calibration
 from slash import PARAMETERS, SLASH
 
 CONFIG_FILE = Path(__file__).resolve().parents[3] / "config" / "turn_arb.yaml"
@@ -54,14 +55,29 @@ def test_input_timeout_is_the_default_of_the_other_timeouts():
 
 @pytest.mark.parametrize("content, message", [
     pytest.param("a: [", "is no YAML", id="broken"),
-    pytest.param("- 1", "is \\[1\\]; accepted: YAML lines", id="list"),
-    pytest.param("", "is missing; accepted: YAML lines", id="empty"),
+    pytest.param("- 1", "has no such lines; accepted: YAML lines", id="list"),
+    pytest.param("", "has no such lines; accepted: YAML lines", id="empty"),
 ])
 def test_file_that_is_no_mapping_is_refused(tmp_path, content, message):
     path = tmp_path / "a.yaml"
     path.write_text(content, encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
         load_yaml(str(path))
+
+
+def test_text_that_will_be_a_file_is_checked_before_there_is_one(tmp_path):
+    path = tmp_path / "mine.yaml"
+    with pytest.raises(ConfigError, match=f"^{path}, servo_left is missing"):
+        load_steering(str(path), "servo_channel: 0\n")
+    assert load_steering(str(path), CONFIG_FILE.read_text(encoding="utf-8")) == load_steering(str(CONFIG_FILE))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_fault_of_the_file_itself_names_the_file_once(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("a: 1\na: 2\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=f"^{path}, lines 1 and 2 both give a; accepted: each name once$"):
+        load_steering(str(path))
 
 
 def test_absent_file_is_refused(tmp_path):

@@ -336,6 +336,12 @@ def test_file_is_loaded(tmp_path, content):
     pytest.param("default,0,1\n1,2,3\n2,3,inf\n", "line 3, column 3 is 'inf'; accepted: a finite number",
                  id="infinity"),
     pytest.param("default,0,1\n1,2,3\n2,3,1e999\n", "line 3, column 3 is '1e999'", id="number_too_great"),
+    pytest.param("default,0,1\n1,2,3\n2,3,1_0\n", "line 3, column 3 is '1_0'; accepted: a finite number",
+                 id="number_with_an_underscore"),
+    pytest.param("default,0,1\n1,2,3\n2,3,١٢\n", "line 3, column 3 is '١٢'; accepted: a finite number",
+                 id="arabic_digits"),
+    pytest.param("default,0,७\n1,2,3\n2,3,4\n", "line 1, column 3 is '७'; accepted: a finite number",
+                 id="hindi_digits"),
     pytest.param("default,1,1\n1,2,3\n2,3,4\n", "line 1, column 3 is 1.0; accepted: more than the one before it, 1.0",
                  id="level_velocities"),
     pytest.param("default,1,0\n1,2,3\n2,3,4\n", "line 1, column 3 is 0.0; accepted: more than the one before it, 1.0",
@@ -375,6 +381,27 @@ def test_file_with_a_level_stretch_is_loaded_when_plateaus_are_allowed(tmp_path)
 def test_file_that_cannot_be_read_is_refused_naming_parameter_path_and_reason(tmp_path, name, reason):
     with pytest.raises(ConfigError, match=rf"csv_path_value_map is .*; accepted: a file that can be read \({reason}\)"):
         load_value_map(str(tmp_path / name))
+
+
+@pytest.mark.parametrize("make, reason", [
+    pytest.param(lambda path: os.mkfifo(str(path)), "it is a pipe", id="pipe"),
+    pytest.param(lambda path: path.symlink_to("/dev/zero"), "it is a device", id="device"),
+    pytest.param(lambda path: (path.touch(), os.truncate(str(path), 10_000_001)), "it has 10.0 MB, more than 10 MB",
+                 id="sparse_file"),
+])
+def test_what_is_no_map_by_kind_or_size_is_refused(tmp_path, make, reason):
+    path = tmp_path / "value_map.csv"
+    make(path)
+    with pytest.raises(ConfigError, match=rf"csv_path_value_map is .*; accepted: a file that can be read \({reason}\)"):
+        load_value_map(str(path))
+
+
+def test_text_that_will_be_a_file_is_checked_before_there_is_one(tmp_path):
+    path = str(tmp_path / "value_map.csv")
+    assert load_value_map(path, text=GOOD).values == tuple(VALUES)
+    with pytest.raises(ConfigError, match=rf"^{path} has 1 line\(s\)"):
+        load_value_map(path, text="default,0,1\n")
+    assert os.listdir(str(tmp_path)) == []
 
 
 @pytest.mark.parametrize("content", [

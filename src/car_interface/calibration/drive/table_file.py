@@ -8,6 +8,7 @@ from typing import NamedTuple
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import is_package_file, package_file
+from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.params import load_steering
 
@@ -60,7 +61,7 @@ class TableFile(NamedTuple):
         """
         path = self.path if replaces else self.beside
         try:
-            output.check_content(path, text, load_steering)
+            load_steering(path, text)
         except CarInterfaceError as error:
             raise CarInterfaceError(f"no calibration is written, turn_arb would refuse it: {error}") from error
         backup_path = output.write(path, text, keeps_old=True)
@@ -93,7 +94,7 @@ def find_table_file(wanted: str | None, base: str | None, launched_with: str | N
     if kept.servo_channel != running.servo_channel:
         raise CarInterfaceError(f"{base_path} has servo_channel {kept.servo_channel}, and turn_arb steers channel "
                                 f"{running.servo_channel}: name another file by -o or --base")
-    return TableFile(path, Path(base_path).read_text(encoding="utf-8-sig"))
+    return TableFile(path, read_yaml(base_path))
 
 
 def board_center(center_duty: int, old_duty: int, board_duty: int | None) -> str:

@@ -215,6 +215,12 @@ class Reading(NamedTuple):
     runs: bool
 
 
+def check_files(faults: Sequence[str]) -> list[Finding]:
+    """One finding for each fault of the files that nodes are launched with."""
+    return [Finding(WARN, "files", fault, "Correct the file, and start again: roslaunch takes the last of two values "
+                                          "without a word, and ~save refuses the file") for fault in faults]
+
+
 def check_parameters(readings: Sequence[Reading]) -> list[Finding]:
     """One finding for all nodes that take their parameters, and one for each that doesn't."""
     if not readings:

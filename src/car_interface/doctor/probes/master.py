@@ -2,15 +2,18 @@
 from __future__ import annotations
 
 import importlib
+import os
 import socket
 import xmlrpc.client
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Sequence
 from urllib.parse import urlsplit
 
-from car_interface.common.errors import CarInterfaceError
+from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.fixed_parameters import fixed_parameters
+from car_interface.common.package_files import package_file
 from car_interface.common.params import Params
 from car_interface.common.processes import script_arguments
+from car_interface.common.yaml_file import compose_yaml, read_yaml
 from car_interface.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
 
 CALLER = "/doctor"
@@ -125,6 +128,25 @@ class Master:
             return self.parameter(self.ask("searchParam", name, caller=path))
         except LookupError:
             return None
+
+
+def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
+    """Return what is wrong with the YAML files of the car, of which the server names those that ~save writes.
+
+    Of other files in the same folders those are read that are called as the package's own; what isn't on this computer
+    is not.
+    """
+    named = (master.parameter(f"{node.path}/save_to") for node in nodes)
+    saved = [path for path in named if isinstance(path, str) and os.path.isabs(path)]
+    usual = sorted(path.name for path in package_file("config").glob("*.yaml"))
+    paths = dict.fromkeys([*saved, *(os.path.join(os.path.dirname(path), name) for path in saved for name in usual)])
+    faults = []
+    for path in filter(os.path.lexists, paths):
+        try:
+            compose_yaml(read_yaml(path), path)  # not built: tags such as !degrees are ROS's
+        except ConfigError as error:
+            faults.append(str(error))
+    return faults
 
 
 def ask(uri: str, question: str, *arguments: Any) -> Any:

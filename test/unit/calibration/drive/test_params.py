@@ -6,7 +6,8 @@ import pytest
 from car_interface.calibration.drive.params import read_base, read_obstacles
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
-from car_interface.steering.params import load_steering, load_yaml
+from car_interface.common.yaml_file import load_yaml
+from car_interface.steering.params import load_steering
 from car_interface.throttle.obstacle_stop import NAMES
 
 THROTTLE = {**load_yaml(str(package_file("config/throttle.yaml"))),

@@ -15,6 +15,7 @@ from car_interface.doctor.checks.car import (
     Steering,
     check_command_topics,
     check_diagnostics,
+    check_files,
     check_nodes,
     check_parameters,
     check_several,
@@ -215,6 +216,14 @@ def test_good_parameters_are_one_line():
 def test_no_parameters_is_how_it_is_before_the_launch():
     found, = check_parameters([])
     assert found.level == OK
+
+
+def test_file_with_a_fault_is_a_warning_that_says_what_becomes_of_it():
+    assert check_files([]) == []
+    found, = check_files(["/car/turn_arb.yaml, lines 3 and 7 both give servo_left; accepted: each name once"])
+    assert found.level == WARN
+    assert found.what == "/car/turn_arb.yaml, lines 3 and 7 both give servo_left; accepted: each name once"
+    assert "takes the last of two values without a word" in found.remedy
 
 
 @pytest.mark.parametrize(("runs", "words"), [(True, "it will not start again"), (False, "it can't start")])

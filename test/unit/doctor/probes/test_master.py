@@ -1,15 +1,18 @@
 """What the doctor makes of a master's and a node's answers; both are small XML-RPC servers here."""
 from __future__ import annotations
 
+import os
+import shutil
 import socket
 import threading
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
-from car_interface.doctor.checks.car import ABSENT, KILLED, RUNNING, SILENT
+from car_interface.common.package_files import package_file
+from car_interface.doctor.checks.car import ABSENT, KILLED, RUNNING, SILENT, Node
 from car_interface.doctor.probes import master as probe
-from car_interface.doctor.probes.master import Graph, Master
+from car_interface.doctor.probes.master import Graph, Master, read_files
 from car_interface.pca9685 import config
 
 
@@ -166,3 +169,47 @@ def test_nothing_is_known_of_a_process_on_another_computer_or_with_wrong_argumen
 @pytest.mark.parametrize("host, is_here", [("127.0.0.1", True), ("192.0.2.1", False)])  # the latter: RFC 5737
 def test_address_is_this_computer_s_or_not(host, is_here):
     assert probe._is_here(host) == is_here
+
+
+# --- files ---
+
+
+@pytest.fixture
+def car(tmp_path, served):
+    """A car's folder, and its faults by a master that knows where turn_arb saves."""
+    folder = tmp_path / "my_car"
+    shutil.copytree(str(package_file("config")), str(folder))
+
+    def faults(save_to):
+        def parameter(caller, name):
+            return [1, "", str(save_to)] if name == "/turn_arb/save_to" else [-1, "not set", ""]
+        return read_files(Master(served(getParam=parameter)), [Node(name, f"/{name}", RUNNING, f"/{name}")
+                                                               for name in ("pca9685", "turn_arb")])
+    return folder, faults
+
+
+def test_files_of_the_folder_that_a_node_saves_to_are_read(car):
+    folder, faults = car
+    assert faults(folder / "turn_arb.yaml") == []
+    with open(str(folder / "sonars.yaml"), "a", encoding="utf-8") as file:
+        file.write("sonar_left: !degrees 3\nsonar_left: 2\n")
+    (folder / "notes.yaml").write_text("a: 1\na: 2\n")  # of the owner's own
+    os.unlink(str(folder / "pca9685.yaml"))
+    os.mkfifo(str(folder / "pca9685.yaml"))
+    pipe, twice = sorted(faults(folder / "turn_arb.yaml"))
+    assert pipe.startswith(f"{folder}/pca9685.yaml can't be read (it is a pipe)")
+    assert twice.startswith(f"{folder}/sonars.yaml, lines ") and "both give sonar_left" in twice
+
+
+@pytest.mark.parametrize("save_to", ["/nowhere/turn_arb.yaml", "turn_arb.yaml", ""])
+def test_file_that_is_not_here_is_not_read(car, save_to):
+    assert car[1](save_to) == []
+
+
+def test_file_of_another_name_is_read_where_it_is_saved_to(car):
+    folder, faults = car
+    os.rename(str(folder / "turn_arb.yaml"), str(folder / "mine.yaml"))
+    with open(str(folder / "mine.yaml"), "a", encoding="utf-8") as file:
+        file.write("servo_left: 1\n")
+    fault, = faults(folder / "mine.yaml")
+    assert fault.startswith(f"{folder}/mine.yaml, lines ") and "both give servo_left" in fault

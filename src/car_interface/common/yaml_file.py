@@ -1,0 +1,225 @@
+"""Reads YAML files with parameters: whatever of this package reads YAML reads it here.
+
+A file that can't be one of a person's parameters is refused before anything is built of it: too large, too deeply
+nested, with aliases that contain themselves or multiply. So is a name that is given twice, of which YAML itself would
+silently take the last value.
+"""
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.input_file import finite_number, read_file
+
+MAX_BYTES = 1_000_000  # the package's own files have at most 2 kB; this much takes 2 s to read
+MAX_LEVELS = 100  # of lists and mappings in each other; the reader needs 3 of Python's 1,000 frames for each
+# With aliases, each counted as all values that it stands for. Without them 1 MB holds as many ordinary ones.
+MAX_VALUES = 100_000
+MAX_DIGITS = 100  # of a number: a float's shortest text has at most 24, and the time for many grows with their square
+ACCEPTED = "YAML lines of a parameter's name, a colon and its value"
+
+
+def load_yaml(path: str, text: str | None = None) -> dict[str, Any]:
+    """Load the parameters in a YAML file, as ROS would.
+
+    Args:
+        path: of the file.
+        text: what the file has or is going to have; ``None`` = it is read.
+
+    Raises:
+        ConfigError: naming the file, the line and what is accepted.
+    """
+    return _read(read_yaml(path) if text is None else text, path, lambda loader, root: loader.construct_document(root))
+
+
+def read_yaml(path: str) -> str:
+    """Read the text of a YAML file, with ``\\n`` for every line end and no byte-order mark.
+
+    Raises:
+        ConfigError: naming the file.
+    """
+    try:
+        text = decode_yaml(read_file(path, MAX_BYTES), path)
+    except OSError as error:
+        raise ConfigError(path, path, "a file that can be read", f"can't be read ({error.strerror})") from error
+    return text.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def decode_yaml(data: bytes, path: str) -> str:
+    """Decode a YAML file's content; all of its characters stay.
+
+    Raises:
+        ConfigError: naming the file and the line.
+    """
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ConfigError(f"{path}, line {line}", None, "parameters in YAML, UTF-8", "is no text in UTF-8") from error
+
+
+def compose_yaml(text: str, path: str):
+    """Return the tree of a YAML text that is a mapping: PyYAML's node.
+
+    Args:
+        text: of the file.
+        path: of the file, for errors.
+
+    Raises:
+        ConfigError: naming the file, the line and what is accepted.
+    """
+    return _read(text, path, lambda loader, root: root)
+
+
+def scalar_number(text: str) -> float | None:
+    """Return the number that a scalar's text is to the parameter server and then to a node, or ``None``."""
+    import yaml
+    loader = _loader_class()("")
+    try:
+        tag = loader.resolve(yaml.ScalarNode, text, (True, False))
+        if tag in (_tag("int"), _tag("float")):
+            number = loader.construct_object(loader.checked(yaml.ScalarNode(tag, text, loader.get_mark())))
+            return None if number != number else number  # nan is equal to nothing
+        return finite_number(text) if tag == _tag("str") else None
+    except (_Refused, yaml.YAMLError):
+        return None
+    finally:
+        loader.dispose()
+
+
+class _Refused(Exception):
+    """What is wrong, and where.
+
+    Args:
+        lines: as a text.
+        found: what is there.
+        accepted: what would be accepted.
+    """
+
+    def __init__(self, lines, found, accepted):
+        super().__init__(found)
+        self.lines, self.found, self.accepted = lines, found, accepted
+
+
+def _read(text, path, result):
+    """What ``result`` makes of the loader and the root of a text."""
+    import yaml
+    loader = None
+    try:
+        loader = _loader_class()(text)
+        root = loader.get_single_node()
+        if not isinstance(root, yaml.MappingNode):
+            raise ConfigError(path, None, ACCEPTED, "has no such lines")
+        return result(loader, root)
+    except _Refused as error:
+        raise ConfigError(f"{path}, {error.lines}", None, error.accepted, error.found) from error
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise ConfigError(f"{path}, line {line}", None, "parameters in YAML",
+                          f"is no YAML: U+{error.character:04X} is no character of a text") from error
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        problem = ", ".join(part for part in (error.context, error.problem) if part)
+        raise ConfigError(f"{path}, line {mark.line + 1}" if mark else path, None, "parameters in YAML",
+                          f"is no YAML: {' '.join(problem.split())}") from error
+    finally:
+        if loader is not None:
+            loader.dispose()
+
+
+@functools.lru_cache(maxsize=None)
+def _loader_class():
+    """Make the loader, when it is first needed: the modules that import this one need the standard library alone."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        """PyYAML's loader, which stops at what is too much before it builds more."""
+
+        def __init__(self, text):
+            super().__init__(text)
+            self._values = 0  # so far
+            self._level = self._deepest_level = 0
+            self._open_anchors = []  # of the lists and mappings that are being read
+            self._extents = {}  # by anchor: values, levels
+
+        def compose_node(self, parent, index):
+            event = self.peek_event()
+            if isinstance(event, yaml.AliasEvent):
+                self._check_alias(event)
+                return super().compose_node(parent, index)
+            values, level, deepest_level = self._values, self._level, self._deepest_level
+            self._count(event, 1, isinstance(event, yaml.CollectionStartEvent))
+            self._level = self._deepest_level  # inside of this node
+            self._open_anchors.append(event.anchor)
+            node = super().compose_node(parent, index)
+            self._open_anchors.pop()
+            if event.anchor is not None:
+                self._extents[event.anchor] = self._values - values, self._deepest_level - level
+            self._level, self._deepest_level = level, max(deepest_level, self._deepest_level)
+            return self.checked(node)
+
+        def _check_alias(self, event):
+            if event.anchor in self._open_anchors:
+                raise _Refused(_line(event), f"has *{_short(event.anchor)} inside of what it stands for",
+                               "aliases of values that are complete before them")
+            deepest_level = self._deepest_level
+            self._count(event, *self._extents.get(event.anchor, (1, 0)))
+            self._deepest_level = max(deepest_level, self._deepest_level)
+            if self._values > MAX_VALUES:
+                raise _Refused(_line(event), f"makes more than {MAX_VALUES:,} values by its aliases",
+                               f"aliases for at most {MAX_VALUES:,} values in all")
+
+        def _count(self, event, values, levels):
+            self._values += values
+            self._deepest_level = self._level + levels
+            if self._deepest_level > MAX_LEVELS:
+                raise _Refused(_line(event), f"is nested more than {MAX_LEVELS} levels deep",
+                               f"at most {MAX_LEVELS} levels")
+
+        def checked(self, node):
+            """The node, if it has no name twice and no endless number."""
+            if isinstance(node, yaml.MappingNode):
+                _check_names(key for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+            elif node.tag in (_tag("int"), _tag("float")) and len(node.value) > MAX_DIGITS:
+                raise _Refused(_line(node), f"has a number of {len(node.value)} digits", f"at most {MAX_DIGITS} digits")
+            return node
+
+        def construct_object(self, node, deep=False):
+            try:
+                return super().construct_object(node, deep)
+            except (_Refused, yaml.YAMLError):
+                raise
+            except Exception as error:  # of a value that isn't what its tag says PyYAML raises almost anything
+                value = _short(node.value) if isinstance(node, yaml.ScalarNode) else "its value"
+                raise _Refused(_line(node), f"is no YAML: {value} is no {node.tag.rpartition(':')[2]}",
+                               "parameters in YAML") from error
+
+    return Loader
+
+
+def _check_names(keys):
+    """Refuse a name that a mapping gives twice."""
+    lines = {}
+    for key in keys:
+        line, name = key.start_mark.line + 1, _short(key.value)
+        first = lines.get(key.value)
+        if first == line:
+            raise _Refused(f"line {line}", f"gives {name} twice", "each name once")
+        if first is not None:
+            raise _Refused(f"lines {first} and {line}", f"both give {name}", "each name once")
+        lines[key.value] = line
+
+
+def _line(marked):
+    return f"line {marked.start_mark.line + 1}"
+
+
+def _short(text, limit=40):
+    """A name or value for a message of one line."""
+    text = " ".join(text.split()) if text.isprintable() else repr(text)
+    return text if len(text) <= limit else text[:limit - 1] + "…"
+
+
+def _tag(name):
+    return f"tag:yaml.org,2002:{name}"
