@@ -127,6 +127,9 @@ def read_rows(config: Config, paths: list[str]) -> tuple[list[Row], int]:
     cache = Cache(config.folder, str(settings))
     if cache.problem:
         print(f"drives: {cache.problem}: all recordings are read again", file=sys.stderr)
+    if cache.damaged:
+        print(f"drives: {cache.path} has damaged rows ({cache.damaged}): their recordings are read again",
+              file=sys.stderr)
     states = {path: _state(config.folder, path) for path in paths}
     known = {} if config.fresh else {path: cache.row(path, states[path]) for path in paths}
     new = [path for path in paths if known.get(path) is None]
@@ -138,7 +141,7 @@ def read_rows(config: Config, paths: list[str]) -> tuple[list[Row], int]:
             if sys.stderr.isatty():
                 print(f"{len(rows)} of {len(paths)}: {one.path}", file=sys.stderr)
     finally:
-        problem = cache.save(paths) if new or cache.problem else ""
+        problem = cache.save(paths) if new or cache.problem or cache.damaged else ""
     if problem:
         print(f"drives: what was read can't be kept for the next time: {problem}", file=sys.stderr)
     return rows, len(new)

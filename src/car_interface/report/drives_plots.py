@@ -38,7 +38,7 @@ def trends(rows: Sequence[Row]) -> str:
     panels = [draw for draw, is_known in (
         (_distance, lambda row: row.distance_m is not None), (_losses, lambda row: row.losses is not None),
         (_center, lambda row: row.straight_per_m is not None),
-        (_sides, lambda row: (row.left_ratio or row.right_ratio) is not None),
+        (_sides, lambda row: row.left_ratio is not None or row.right_ratio is not None),
         (_map, lambda row: any(getattr(row, name) is not None for name in MAP_COLUMNS)),
         (_link, lambda row: row.frames is not None)) if any(map(is_known, rows))]
     if len(rows) < 2 or not panels:
@@ -152,4 +152,6 @@ def _tighter_percent(ratio):
 
     A car that hardly turns is drawn as 100 % wider, for the other drives to be seen.
     """
-    return None if ratio is None else max(-100.0, 100 * (1 - 1 / ratio))
+    if ratio is None:
+        return None
+    return max(-100.0, 100 * (1 - 1 / ratio)) if ratio else -100.0
