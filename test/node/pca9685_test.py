@@ -224,6 +224,34 @@ class Pca9685ByItself(unittest.TestCase):
                     self.assertEqual(process.end(), 0)
                     self.assertEqual(len(process.stderr.since()), 1, process.stderr.since())
 
+    @unittest.skipIf(os.getuid(), "only root can be two users")
+    def test_another_users_folder_for_the_virtual_chip_is_told_in_one_line_and_not_used_until_it_is_gone(self):
+        with tempfile.TemporaryDirectory() as shared, tempfile.TemporaryDirectory() as target:
+            os.chmod(shared, 0o1777)
+            folder = os.path.join(shared, f"car_interface-{os.getuid()}")
+            cases = [("foreign", lambda: os.mkdir(folder), "is another user's: nobody's"),
+                     ("linked", lambda: os.symlink(target, folder), "is a link, of nobody")]
+            for name, make, cause in cases:
+                with self.subTest(name):
+                    make()
+                    os.chown(folder, 65534, 65534, follow_symlinks=False)
+                    outputs = Topic(f"/{name}/output", Int32MultiArray)
+                    process = start(self, "env", f"TMPDIR={shared}", executable("pca9685"), "_device:=virtual",
+                                    f"/servo/output:=/{name}/output", f"__name:={name}")
+                    process.wait_for_line(f"WARN.*PCA9685 at 0x40 on virtual: {folder} {cause}. Have it removed .sudo rm "
+                                          f"-r {folder}.*Trying again")
+                    outputs.wait_for_count(2)
+                    self.assertEqual(outputs.since()[-1].data, (-1,) * 16)
+                    self.assertEqual(len(process.stderr.since()), 1, process.stderr.since())
+                    self.assertEqual(os.listdir(folder), [])
+                    (os.unlink if os.path.islink(folder) else os.rmdir)(folder)
+                    process.wait_for_info("running at")
+                    self.assertEqual(os.stat(folder).st_mode & 0o7777, 0o700)
+                    self.assertEqual(process.end(), 0)
+                    eventually(lambda: not os.listdir(folder), "the chip has ended")
+                    os.rmdir(folder)
+            self.assertEqual(os.listdir(target), [])
+
     def test_a_bus_that_is_not_there_is_tried_again(self):
         """A pipe in its place tells when it is opened: a reader of a pipe sees a writer come and go."""
         with tempfile.TemporaryDirectory() as directory:
