@@ -224,6 +224,21 @@ class Pca9685ByItself(unittest.TestCase):
                     self.assertEqual(process.end(), 0)
                     self.assertEqual(len(process.stderr.since()), 1, process.stderr.since())
 
+    def test_with_400_mb_of_address_space_it_runs_and_with_300_it_ends_with_one_line(self):
+        outputs = Topic("/limited/output", Int32MultiArray)
+        process = start(self, "sh", "-c", 'ulimit -v 400000; exec "$0" "$@"', executable("pca9685"), "_device:=virtual",
+                        "/servo/output:=/limited/output", "/servo/cmdVector:=/limited/cmdVector", "__name:=limited")
+        command = Sender("/limited/cmdVector", Int32MultiArray)
+        command.publish(vector([6000]))
+        outputs.wait_for(lambda output: output.data[0] == 6000)
+        self.assertEqual(process.end(), 0)
+        self.assertEqual(process.stderr.since(), [])
+        process = start(self, "sh", "-c", 'ulimit -v 300000; exec "$0" "$@"', executable("pca9685"), "_device:=virtual")
+        self.assertEqual(process.wait_for_exit(), 1)
+        self.assertEqual(process.stderr.since(), [
+            "pca9685: it needs 380 MB of address space, and its limit is 292 MB: raise that in the shell that starts it "
+            "(ulimit -v unlimited)"])
+
     @unittest.skipIf(os.getuid(), "only root can be two users")
     def test_another_users_folder_for_the_virtual_chip_is_told_in_one_line_and_not_used_until_it_is_gone(self):
         with tempfile.TemporaryDirectory() as shared, tempfile.TemporaryDirectory() as target:

@@ -18,6 +18,7 @@ from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.cli.version import version
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.memory_limit import describe_shortage
 from car_interface.recordings.folder import find_recordings, fingerprint
 from car_interface.report.drives_page import csv_text, in_order, page
 from car_interface.report.drives_plots import trends
@@ -164,6 +165,7 @@ def _read(path, config):
     except OSError as error:
         text = f"{error.filename or full}: {error.strerror}"
     except Exception as error:  # one bad recording must not prevent the table of the others
-        text = f"{full}: no row can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
+        why = describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+        text = f"{full}: no row can be made of it ({why})"
     # It begins with the recording's name; a command to type keeps the whole path.
     return Row(path, error=text.replace(full, path, 1))
