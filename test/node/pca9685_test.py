@@ -235,9 +235,9 @@ class Pca9685ByItself(unittest.TestCase):
         self.assertEqual(process.stderr.since(), [])
         process = start(self, "sh", "-c", 'ulimit -v 300000; exec "$0" "$@"', executable("pca9685"), "_device:=virtual")
         self.assertEqual(process.wait_for_exit(), 1)
-        self.assertEqual(process.stderr.since(), [
-            "pca9685: it needs 380 MB of address space, and its limit is 292 MB: raise that in the shell that starts it "
-            "(ulimit -v unlimited)"])
+        self.assertEqual("\n".join(process.stderr.since()), (
+            "pca9685: it needs 380 MB of address space, and its limit is 292 MB: raise that in the shell that starts "
+            "it (ulimit -v unlimited)"))
 
     @unittest.skipIf(os.getuid(), "only root can be two users")
     def test_another_users_folder_for_the_virtual_chip_is_told_in_one_line_and_not_used_until_it_is_gone(self):
@@ -253,8 +253,8 @@ class Pca9685ByItself(unittest.TestCase):
                     outputs = Topic(f"/{name}/output", Int32MultiArray)
                     process = start(self, "env", f"TMPDIR={shared}", executable("pca9685"), "_device:=virtual",
                                     f"/servo/output:=/{name}/output", f"__name:={name}")
-                    process.wait_for_line(f"WARN.*PCA9685 at 0x40 on virtual: {folder} {cause}. Have it removed .sudo rm "
-                                          f"-r {folder}.*Trying again")
+                    process.wait_for_line(f"WARN.*PCA9685 at 0x40 on virtual: {folder} {cause}. Have it removed "
+                                          f".sudo rm -r {folder}.*Trying again")
                     outputs.wait_for_count(2)
                     self.assertEqual(outputs.since()[-1].data, (-1,) * 16)
                     self.assertEqual(len(process.stderr.since()), 1, process.stderr.since())

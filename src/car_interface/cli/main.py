@@ -16,6 +16,7 @@ from typing import Sequence
 from car_interface.cli.version import VersionAction
 from car_interface.common import memory_limit
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.library_warnings import hide_warnings
 
 PROGRAM = "car-interface"
 MODULES = {
@@ -49,6 +50,7 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="car_interface.plain")
     try:
+        hide_warnings()
         memory_limit.adapt()
         parser = _parser(command, arguments)
         options = parser.parse_args(arguments)

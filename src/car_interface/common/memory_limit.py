@@ -88,8 +88,8 @@ def describe_shortage(error: BaseException) -> str | None:
         return None
     limit = limit_bytes()
     if limit is not None:
-        return (f"{kind}: its limit of address space is {limit // MIB} MB; raise that in the shell that starts it (ulimit "
-                "-v unlimited)")
+        return (f"{kind}: its limit of address space is {limit // MIB} MB; raise that in the shell that starts it "
+                "(ulimit -v unlimited)")
     if kind == NO_THREAD:
         return f"{kind}: raise the limit of processes (ulimit -u), or end other programs"
     return f"{kind}: end other programs"

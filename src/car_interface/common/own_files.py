@@ -133,7 +133,8 @@ def open_own(path: str, flags: int, mode: int = FILE_MODE) -> int:
             raise UnsafeFile(path, "is no regular file", _look_remedy(path))
         check_owner(status.st_uid, path)
         if mode == FILE_MODE and status.st_mode & OTHERS_BITS:
-            raise UnsafeFile(path, f"is open to other users (mode {stat.S_IMODE(status.st_mode):o})", _look_remedy(path))
+            raise UnsafeFile(path, f"is open to other users (mode {stat.S_IMODE(status.st_mode):o})",
+                             _look_remedy(path))
     except OSError:
         os.close(handle)
         raise

@@ -22,9 +22,9 @@ CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s
                "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
                "map_brake_mps2", "frames", "corrupt_frames", "port_reopened", "teensy_reboots", "pings_unanswered",
                "faults", "errors", "cant_tell", "notes", "error")
-# A spreadsheet takes a cell that begins with one of these for a formula (OWASP, CSV Injection), and names and causes come
-# from other people's recordings. The last line has what their locales, and this package's own texts, write for them.
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠", "−")
+# A spreadsheet takes a cell that begins with one of these for a formula (OWASP, CSV Injection), and names and causes
+# come from other people's recordings. The last five are the full-width = + - @ of Japanese keyboards, and the minus sign.
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20", "\u2212")
 TEXT_MARK = "'"  # in a spreadsheet: what follows is text
 
 
@@ -157,8 +157,8 @@ def _faults(row):
 def csv_text(rows: Sequence[Row]) -> str:
     """Return the rows as CSV; an empty cell = the recording can't tell.
 
-    Texts are in quotation marks, and none is a formula for a spreadsheet: see FORMULA_STARTS. Numbers are neither quoted
-    nor marked.
+    Texts are in quotation marks, and none is a formula for a spreadsheet: see FORMULA_STARTS. Numbers are neither
+    quoted nor marked.
     """
     lines = [",".join(CSV_COLUMNS)]
     for row in rows:

@@ -19,6 +19,7 @@ from car_interface.report.figures import (
     SENT,
     STYLE,
     WIDTH_IN,
+    label_text,
     legend,
     svg_text,
     title,
@@ -70,7 +71,8 @@ def _losses(axes, rows):
         heights = np.array([sum(count for name, count in (row.losses or {}).items()
                                 if name == cause or cause is None and name not in shown) for row in rows], float)
         if heights.any():
-            axes.bar(range(len(rows)), heights, bottom=bottom, color=colour, width=0.7, label=cause or "others")
+            axes.bar(range(len(rows)), heights, bottom=bottom, color=colour, width=0.7,
+                     label=label_text(cause or "others"))
             bottom += heights
     _mark_zeros(axes, np.where([row.losses is None for row in rows], np.nan, bottom))
     axes.set_ylim(0, max(1.0, 1.15 * bottom.max()))

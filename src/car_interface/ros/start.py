@@ -19,10 +19,11 @@ from pathlib import Path
 
 from car_interface.common import memory_limit
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.library_warnings import hide_warnings
 
 NODES = "nodes."
-# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), demo_drive 313, each
-# other node 282 at most.
+# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), demo_drive 313,
+# each other node 282 at most.
 NEEDED_MIB = 380
 WITH_ROSPY = (NODES, "doctor.")
 OPTIONS = {"nodes.calibration_drive": "calibration.drive.options"}  # of nodes that have some: a module with parse()
@@ -37,6 +38,7 @@ def start(module: str) -> None:
         print(usage(module))
         return
     try:
+        hide_warnings()
         memory_limit.adapt(NEEDED_MIB if module.startswith(WITH_ROSPY) else 0)
         main = importlib.import_module(f"car_interface.{module}").main
         memory_limit.reserve_blas()

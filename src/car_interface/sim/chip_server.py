@@ -4,8 +4,8 @@ It serves a Unix socket, see ``chip_link``, and ends some seconds after its last
 starts it by ``common.small_process``; its arguments are the socket's path and the chip's address.
 
 No packet ends it. One that makes no sense is answered with an errno: EPROTO (too short), EMSGSIZE (too long),
-EOPNOTSUPP (no such operation or fault), EINVAL (a length or a value that can't be). A client that goes too far loses its
-connection: it waits for too many transfers at a time, or is one too many.
+EOPNOTSUPP (no such operation or fault), EINVAL (a length or a value that can't be). A client loses its connection when
+it waits for too many transfers at a time, or is one too many.
 """
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import sys
 import time
 
 from car_interface.common.file_lock import lock_byte
-from car_interface.common.own_files import OTHERS_BITS, check_socket, open_own
+from car_interface.common.own_files import OTHERS_BITS, UnsafeFile, check_socket, open_own
 from car_interface.sim.chip_link import (
     ANSWER,
     FAULT,
@@ -251,13 +251,16 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)  # it ends after its last client
     try:
         lock_fd = open_lock(path)
+    except UnsafeFile:  # its first client says so
+        return
+    try:
         lock_byte(lock_fd, SERVER_LOCK)
         if not os.path.samestat(os.fstat(lock_fd), os.stat(lock_path(path))):
             return  # that of a process which has just ended: whoever starts this one tries again
         with contextlib.suppress(FileNotFoundError):
             check_socket(path)
             os.unlink(path)  # of a process that was killed
-    except OSError:  # UnsafeFile, too: its first client says so
+    except OSError:
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
         mask = os.umask(OTHERS_BITS)

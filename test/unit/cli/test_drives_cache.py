@@ -115,8 +115,8 @@ def wrong_entries():
     for _ in range(300):
         nested = [nested]
     for index, field in enumerate(Row._fields):
-        for wrong in (None, True, "5", "text", -1.5, math.nan, math.inf, 1e300, 10**30, [], [1], [None], [["a"]], {}, {"a": "b"},
-                      {"a": -1.5}, {"a": None}, {"a": [1]}, nested):
+        for wrong in (None, True, "5", "text", -1.5, math.nan, math.inf, 1e300, 10**30, [], [1], [None], [["a"]], {},
+                      {"a": "b"}, {"a": -1.5}, {"a": None}, {"a": [1]}, nested):
             if wrong != ROW[index] and not _is_good(field, wrong):
                 yield (f"{field}_is_{json.dumps(wrong)[:20]}", lambda entry, index=index, wrong=wrong: [
                     entry[0], [*entry[1][:index], wrong, *entry[1][index + 1:]]])

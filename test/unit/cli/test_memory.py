@@ -57,5 +57,5 @@ def test_less_is_enough_or_ends_with_one_line(name, mib, bag, tmp_path):
     else:
         assert done.stderr == ""
     if mib < 100 and name != "check_map":
-        assert done.stderr == (f"{name}: out of memory: its limit of address space is {mib} MB; raise that in the shell "
-                               "that starts it (ulimit -v unlimited)\n")
+        assert done.stderr == (f"{name}: out of memory: its limit of address space is {mib} MB; raise that in the "
+                               "shell that starts it (ulimit -v unlimited)\n")

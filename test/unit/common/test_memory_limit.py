@@ -73,8 +73,8 @@ def limited(mib, *command):
 def test_node_starts_nothing_where_it_could_not_work(name):
     done = limited(300, str(ROOT / "scripts" / name))
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == (f"{name}: it needs 380 MB of address space, and its limit is 300 MB: raise that in the shell "
-                           "that starts it (ulimit -v unlimited)\n")
+    assert done.stderr == (f"{name}: it needs 380 MB of address space, and its limit is 300 MB: raise that in the "
+                           "shell that starts it (ulimit -v unlimited)\n")
 
 
 def test_threads_take_little_address_space():

@@ -315,7 +315,7 @@ def test_chip_survives_a_thousand_random_packets(server, link, raw):
     values = (0.0, -1.0, 64.0, 1e300, math.nan, -math.inf)
     for _ in range(1000):
         packet = choose.choice((
-            lambda: choose.randbytes(choose.randint(1, 60)) if hasattr(choose, "randbytes") else os.urandom(20),
+            lambda: bytes(choose.choices(range(256), k=choose.randint(1, 60))),
             lambda: request(choose.choice((READ, WRITE, OBSERVE, 7)), choose.randrange(256),
                             bytes(choose.choices(range(256), k=choose.randint(0, 40)))),
             lambda: request(FAULT, choose.choice((0, 3, 5, 255)), value=choose.choice(values)),
@@ -370,10 +370,10 @@ def test_whoever_is_not_the_chips_user_is_not_taken_for_it(path):
             os._exit(0)
     try:
         os.read(ready[0], 1)
-        with pytest.raises(UnsafeFile, match="chip is another user's: nobody's. See what it is"):
+        with pytest.raises(UnsafeFile, match="chip is another user's: nobody's"):
             ChipLink(path, ADDRESS).open()
         os.chown(path, 0, 0)
-        with pytest.raises(UnsafeFile, match="chip is another user's: nobody's. See what it is"):
+        with pytest.raises(UnsafeFile, match="chip is another user's: nobody's"):
             ChipLink(path, ADDRESS).open()
     finally:
         os.write(wait[1], b"1")
@@ -396,6 +396,6 @@ def test_file_at_the_chips_path_is_not_removed_and_a_linked_lock_makes_no_file(p
     os.symlink(f"{path}.made", f"{path}.lock")
     server = subprocess.Popen(small_process.command("sim.chip_server", path, str(ADDRESS)))
     assert server.wait(PATIENCE_S) == 0
-    with pytest.raises(UnsafeFile, match=r"chip.lock is a link"):
+    with pytest.raises(UnsafeFile, match="lock is a link"):
         ChipLink(path, ADDRESS).lock_fd()
     assert not os.path.exists(f"{path}.made")
