@@ -224,6 +224,49 @@ class Pca9685ByItself(unittest.TestCase):
                     self.assertEqual(process.end(), 0)
                     self.assertEqual(len(process.stderr.since()), 1, process.stderr.since())
 
+    def test_with_400_mb_of_address_space_it_runs_and_with_300_it_ends_with_one_line(self):
+        outputs = Topic("/limited/output", Int32MultiArray)
+        process = start(self, "sh", "-c", 'ulimit -v 400000; exec "$0" "$@"', executable("pca9685"), "_device:=virtual",
+                        "/servo/output:=/limited/output", "/servo/cmdVector:=/limited/cmdVector", "__name:=limited")
+        command = Sender("/limited/cmdVector", Int32MultiArray)
+        command.publish(vector([6000]))
+        outputs.wait_for(lambda output: output.data[0] == 6000)
+        self.assertEqual(process.end(), 0)
+        self.assertEqual(process.stderr.since(), [])
+        process = start(self, "sh", "-c", 'ulimit -v 300000; exec "$0" "$@"', executable("pca9685"), "_device:=virtual")
+        self.assertEqual(process.wait_for_exit(), 1)
+        self.assertEqual("\n".join(process.stderr.since()), (
+            "pca9685: it needs 380 MB of address space, and its limit is 292 MB: raise that in the shell that starts "
+            "it (ulimit -v unlimited)"))
+
+    @unittest.skipIf(os.getuid(), "only root can be two users")
+    def test_another_users_folder_for_the_virtual_chip_is_told_in_one_line_and_not_used_until_it_is_gone(self):
+        with tempfile.TemporaryDirectory() as shared, tempfile.TemporaryDirectory() as target:
+            os.chmod(shared, 0o1777)
+            folder = os.path.join(shared, f"car_interface-{os.getuid()}")
+            cases = [("foreign", lambda: os.mkdir(folder), "is another user's: nobody's"),
+                     ("linked", lambda: os.symlink(target, folder), "is a link, of nobody")]
+            for name, make, cause in cases:
+                with self.subTest(name):
+                    make()
+                    os.chown(folder, 65534, 65534, follow_symlinks=False)
+                    outputs = Topic(f"/{name}/output", Int32MultiArray)
+                    process = start(self, "env", f"TMPDIR={shared}", executable("pca9685"), "_device:=virtual",
+                                    f"/servo/output:=/{name}/output", f"__name:={name}")
+                    process.wait_for_line(f"WARN.*PCA9685 at 0x40 on virtual: {folder} {cause}. Have it removed "
+                                          f".sudo rm -r {folder}.*Trying again")
+                    outputs.wait_for_count(2)
+                    self.assertEqual(outputs.since()[-1].data, (-1,) * 16)
+                    self.assertEqual(len(process.stderr.since()), 1, process.stderr.since())
+                    self.assertEqual(os.listdir(folder), [])
+                    (os.unlink if os.path.islink(folder) else os.rmdir)(folder)
+                    process.wait_for_info("running at")
+                    self.assertEqual(os.stat(folder).st_mode & 0o7777, 0o700)
+                    self.assertEqual(process.end(), 0)
+                    eventually(lambda: not os.listdir(folder), "the chip has ended")
+                    os.rmdir(folder)
+            self.assertEqual(os.listdir(target), [])
+
     def test_a_bus_that_is_not_there_is_tried_again(self):
         """A pipe in its place tells when it is opened: a reader of a pipe sees a writer come and go."""
         with tempfile.TemporaryDirectory() as directory:

@@ -18,6 +18,7 @@ from car_interface.cli.options import add_namespace_argument, length_m
 from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.memory_limit import describe_shortage
 from car_interface.report.page import page
 from car_interface.report.plots import plots
 from car_interface.report.summary import ROLES, summarize
@@ -109,4 +110,5 @@ def _report(bag_and_page, config):
     except OSError as error:
         return [], f"{error.filename or path}: {error.strerror}"
     except Exception as error:  # one bad recording must not prevent the pages of the others
-        return [], f"{bag}: no page can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
+        why = describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return [], f"{bag}: no page can be made of it ({why})"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Iterator, Sequence
 
 from car_interface.cli.options import finite
-from car_interface.common import output
+from car_interface.common import memory_limit, output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.steering.calibration import WIDE_M, SteeringCalibration
 from car_interface.steering.params import load_steering
@@ -53,6 +53,7 @@ def run(options: argparse.Namespace) -> int:
     table = load_steering(options.file) if is_steering else load_value_map(options.file, options.allow_plateaus)
     if options.output:
         from car_interface.report.table_plots import draw  # matplotlib only for who asks for it
+        memory_limit.reserve_blas()
         output.write(options.output, draw(table, Path(options.output).suffix.lower()[1:], options.file))
     if is_steering:
         lines, notes = steering_picture(table), list(steering_notes(table))

@@ -18,6 +18,7 @@ from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.cli.version import version
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.memory_limit import describe_shortage
 from car_interface.recordings.folder import find_recordings, fingerprint
 from car_interface.report.drives_page import csv_text, in_order, page
 from car_interface.report.drives_plots import trends
@@ -127,6 +128,9 @@ def read_rows(config: Config, paths: list[str]) -> tuple[list[Row], int]:
     cache = Cache(config.folder, str(settings))
     if cache.problem:
         print(f"drives: {cache.problem}: all recordings are read again", file=sys.stderr)
+    if cache.damaged:
+        print(f"drives: {cache.path} has damaged rows ({cache.damaged}): their recordings are read again",
+              file=sys.stderr)
     states = {path: _state(config.folder, path) for path in paths}
     known = {} if config.fresh else {path: cache.row(path, states[path]) for path in paths}
     new = [path for path in paths if known.get(path) is None]
@@ -138,7 +142,7 @@ def read_rows(config: Config, paths: list[str]) -> tuple[list[Row], int]:
             if sys.stderr.isatty():
                 print(f"{len(rows)} of {len(paths)}: {one.path}", file=sys.stderr)
     finally:
-        problem = cache.save(paths) if new or cache.problem else ""
+        problem = cache.save(paths) if new or cache.problem or cache.damaged else ""
     if problem:
         print(f"drives: what was read can't be kept for the next time: {problem}", file=sys.stderr)
     return rows, len(new)
@@ -161,6 +165,7 @@ def _read(path, config):
     except OSError as error:
         text = f"{error.filename or full}: {error.strerror}"
     except Exception as error:  # one bad recording must not prevent the table of the others
-        text = f"{full}: no row can be made of it ({type(error).__name__}: {' '.join(str(error).split())})"
+        why = describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+        text = f"{full}: no row can be made of it ({why})"
     # It begins with the recording's name; a command to type keeps the whole path.
     return Row(path, error=text.replace(full, path, 1))

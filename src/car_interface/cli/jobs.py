@@ -9,6 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Callable, Iterator, Sequence
 
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.library_warnings import hide_warnings
 from car_interface.recordings.overlap import check_no_overlap, check_paths_differ
 
 
@@ -34,7 +35,7 @@ def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) ->
         return
     # As many as there are processes: pending work would have to be cancelled when other work fails, and in Python 3.8
     # a pool that has only cancelled work left never ends.
-    with ProcessPoolExecutor(min(jobs, len(items))) as pool:
+    with ProcessPoolExecutor(min(jobs, len(items)), initializer=hide_warnings) as pool:
         results: deque = deque()
         try:
             for item in items:

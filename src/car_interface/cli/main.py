@@ -14,7 +14,9 @@ import sys
 from typing import Sequence
 
 from car_interface.cli.version import VersionAction
+from car_interface.common import memory_limit
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.library_warnings import hide_warnings
 
 PROGRAM = "car-interface"
 MODULES = {
@@ -48,8 +50,11 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="car_interface.plain")
     try:
+        hide_warnings()
+        memory_limit.adapt()
         parser = _parser(command, arguments)
         options = parser.parse_args(arguments)
+        memory_limit.reserve_blas()
         code = options.run(options)
         sys.stdout.flush()  # while a broken pipe can still be caught
         return code
@@ -64,11 +69,19 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        if error.filename is None:
+        shortage = memory_limit.describe_shortage(error)
+        if error.filename is None and shortage is None:
             raise
+        if shortage is not None:
+            return _failed(command, shortage)
         return _failed(command, f"{error.filename}: {error.strerror}")
     except KeyboardInterrupt:
         return INTERRUPTED
+    except Exception as error:
+        shortage = memory_limit.describe_shortage(error)
+        if shortage is None:
+            raise
+        return _failed(command, shortage)
 
 
 def _parser(command, arguments):

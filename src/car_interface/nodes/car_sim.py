@@ -266,6 +266,8 @@ class CarSim:
         for handler, message, arrival_ns in self._inbox.drain():
             handler(message, arrival_ns)
         self._chip.step(now_ns)
+        if self._chip.problem:
+            self._warnings.warn("chip", f"the virtual servo board isn't followed: {self._chip.problem}")
         self._line.step(now_ns)
         self._report_collisions()
         self._report_rollovers()

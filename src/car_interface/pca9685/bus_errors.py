@@ -4,6 +4,7 @@ from __future__ import annotations
 import errno
 
 from car_interface.common.device_access import explain_denial
+from car_interface.common.own_files import UnsafeFile
 from car_interface.pca9685.board import BoardMismatch
 
 
@@ -19,6 +20,8 @@ def explain(error: OSError, device: str, bus_exists: bool) -> tuple[str, str]:
     if isinstance(error, BoardMismatch):
         return (f"it answers, but does not keep what it is told ({error})",
                 "See whether another chip has this address, and whether its power holds")
+    if isinstance(error, UnsafeFile):
+        return error.cause, error.remedy
     if not bus_exists:
         return "there is no such bus", ("Switch I2C on (sudo raspi-config; on a Jetson it is on, under another number) "
                                         "and see which buses there are: ls /dev/i2c-*")

@@ -22,6 +22,7 @@ from car_interface.recordings.timeline import Timeline
 
 MAX_STAMP_OFFSET_S = 2.0  # a stamp farther from when its message was recorded is wrong
 REPEATED_S = 0.5  # how often an output that doesn't change is kept
+MAX_NUMBER = 1e9  # in m, m/s, rad or m/s²: no car's, and the sums of its squares would overflow
 STAMP_BACK, ODD_STAMP, NOT_FINITE, WRONG_LENGTH = (
     "with a stamp that doesn't rise: left out",
     "with a stamp seconds away from when it was recorded: recording time taken",
@@ -75,7 +76,7 @@ class StampedColumn(Column):
 
     def add(self, recorded, now_s, timeline):
         row = self.row(recorded.message)
-        if not all(map(math.isfinite, row)):
+        if not all(math.isfinite(number) and abs(number) <= MAX_NUMBER for number in row):
             self._left_out[NOT_FINITE] += 1
             return
         at_s = self._time_s(recorded.message, now_s, timeline)

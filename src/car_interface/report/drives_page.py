@@ -1,8 +1,7 @@
 """The table of all drives: as a page of HTML with trends, and as CSV."""
 from __future__ import annotations
 
-import csv
-import io
+import math
 import time
 from collections import Counter
 from html import escape
@@ -23,6 +22,10 @@ CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s
                "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
                "map_brake_mps2", "frames", "corrupt_frames", "port_reopened", "teensy_reboots", "pings_unanswered",
                "faults", "errors", "cant_tell", "notes", "error")
+# A spreadsheet takes a cell that begins with one of these for a formula (OWASP, CSV Injection), and names and causes
+# come from other people's recordings. The last five are the full-width = + - @ of Japanese keyboards, and the minus sign.
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20", "\u2212")
+TEXT_MARK = "'"  # in a spreadsheet: what follows is text
 
 
 def in_order(rows: Sequence[Row]) -> list[Row]:
@@ -120,7 +123,8 @@ def _steering(row):
         yield f"straight on: {abs(row.straight_per_m):.3f} 1/m{side}"
     for side, ratio in (("left", row.left_ratio), ("right", row.right_ratio)):
         if ratio is not None:
-            yield f"{side}: {ratio_text(1 / ratio, 'the tables', 'wider', 'tighter').replace(' than the tables', '')}"
+            wider = 1 / ratio if ratio else math.inf  # 0: it went straight on
+            yield f"{side}: {ratio_text(wider, 'the tables', 'wider', 'tighter').replace(' than the tables', '')}"
 
 
 def _map(row):
@@ -151,22 +155,35 @@ def _faults(row):
 
 
 def csv_text(rows: Sequence[Row]) -> str:
-    """The rows as CSV; an empty cell = the recording can't tell."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
+    """Return the rows as CSV; an empty cell = the recording can't tell.
+
+    Texts are in quotation marks, and none is a formula for a spreadsheet: see FORMULA_STARTS. Numbers are neither
+    quoted nor marked.
+    """
+    lines = [",".join(CSV_COLUMNS)]
     for row in rows:
         losses = row.losses
         has_date = row.start_ns is not None and row.start_ns >= MIN_DATE_NS
-        writer.writerow("" if cell is None else cell for cell in (
+        lines.append(",".join(map(_csv_cell, (
             row.path, time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(row.start_ns / NS_PER_S)) if has_date else None,
             _rounded(row.duration_s, 3), _rounded(row.distance_m and row.distance_m / 1000, 6),
             _rounded(row.gamepad_s, 3), _rounded(row.planner_s, 3), None if losses is None else sum(losses.values()),
             None if losses is None else "; ".join(f"{cause}: {count}" for cause, count in sorted(losses.items())),
             row.straight_per_m, row.left_ratio, row.right_ratio, row.drive_mps2, row.hold_mps2, row.brake_mps2,
             row.frames, row.corrupt, row.reopened, row.reboots, row.unanswered, row.faults, row.errors,
-            "; ".join(row.lacks), "; ".join(row.notes), row.error))
-    return file.getvalue()
+            "; ".join(row.lacks), "; ".join(row.notes), row.error))))
+    return "\n".join(lines) + "\n"
+
+
+def _csv_cell(value):
+    """Return a cell. A text is always quoted: a spreadsheet that separates cells by ; would find others within it."""
+    if value is None or value == "":
+        return ""
+    if not isinstance(value, str):
+        return str(value)
+    mark = TEXT_MARK if value.startswith(FORMULA_STARTS) else ""
+    text = value.replace('"', '""').replace("\0", "�")  # with a zero byte many programs read no further
+    return f'"{mark}{text}"'
 
 
 def _rounded(number, digits):

@@ -19,6 +19,7 @@ from car_interface.report.figures import (
     SENT,
     STYLE,
     WIDTH_IN,
+    label_text,
     legend,
     svg_text,
     title,
@@ -38,7 +39,7 @@ def trends(rows: Sequence[Row]) -> str:
     panels = [draw for draw, is_known in (
         (_distance, lambda row: row.distance_m is not None), (_losses, lambda row: row.losses is not None),
         (_center, lambda row: row.straight_per_m is not None),
-        (_sides, lambda row: (row.left_ratio or row.right_ratio) is not None),
+        (_sides, lambda row: row.left_ratio is not None or row.right_ratio is not None),
         (_map, lambda row: any(getattr(row, name) is not None for name in MAP_COLUMNS)),
         (_link, lambda row: row.frames is not None)) if any(map(is_known, rows))]
     if len(rows) < 2 or not panels:
@@ -70,7 +71,8 @@ def _losses(axes, rows):
         heights = np.array([sum(count for name, count in (row.losses or {}).items()
                                 if name == cause or cause is None and name not in shown) for row in rows], float)
         if heights.any():
-            axes.bar(range(len(rows)), heights, bottom=bottom, color=colour, width=0.7, label=cause or "others")
+            axes.bar(range(len(rows)), heights, bottom=bottom, color=colour, width=0.7,
+                     label=label_text(cause or "others"))
             bottom += heights
     _mark_zeros(axes, np.where([row.losses is None for row in rows], np.nan, bottom))
     axes.set_ylim(0, max(1.0, 1.15 * bottom.max()))
@@ -152,4 +154,6 @@ def _tighter_percent(ratio):
 
     A car that hardly turns is drawn as 100 % wider, for the other drives to be seen.
     """
-    return None if ratio is None else max(-100.0, 100 * (1 - 1 / ratio))
+    if ratio is None:
+        return None
+    return max(-100.0, 100 * (1 - 1 / ratio)) if ratio else -100.0

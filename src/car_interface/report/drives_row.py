@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, NamedTuple
+from typing import Any, Callable, NamedTuple
 
 from car_interface.report.faults import ERROR
 from car_interface.report.summary import Summary
@@ -11,6 +11,8 @@ from car_interface.steering.arbiter import PLANNER, TELEOP
 
 VERSION = 2  # of a row's content: rows of another version are computed again
 MIN_SAMPLES = 30  # for a median
+COUNT_BITS = 64  # times in ns, and the counters of messages, have no more
+MAX_FIGURE = 1e12  # above any distance, duration or ratio that a car can have; page and plots can show so much
 
 
 class Row(NamedTuple):
@@ -58,6 +60,64 @@ class Row(NamedTuple):
     notes: Any = ()
 
 
+def _is_text(value):
+    return isinstance(value, str)
+
+
+def _is_count(value):
+    return type(value) is int and value.bit_length() <= COUNT_BITS  # not a bool, which is an int, too
+
+
+def _is_figure(value):
+    return type(value) in (int, float) and abs(value) <= MAX_FIGURE  # which NaN isn't
+
+
+def _is_length(value):
+    return _is_figure(value) and value >= 0
+
+
+def _are_texts(value):
+    return isinstance(value, list) and all(map(_is_text, value))
+
+
+def _are_counts(value):
+    return isinstance(value, dict) and all(map(_is_text, value)) and all(map(_is_count, value.values()))
+
+
+def _or_none(is_valid):
+    return lambda value: value is None or is_valid(value)
+
+
+# What a row has to be that comes out of a file, column by column, in the order of Row.
+STRUCTURE: dict[str, Callable[[Any], bool]] = {
+    "path": _is_text, "error": lambda value: value == "", "start_ns": _is_count, "duration_s": _is_length,
+    **{name: _or_none(_is_length) for name in ("distance_m", "gamepad_s", "planner_s")},
+    "losses": _or_none(_are_counts),
+    **{name: _or_none(_is_figure) for name in (
+        "straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2")},
+    **{name: _or_none(_is_count) for name in (
+        "frames", "corrupt", "reopened", "reboots", "unanswered", "faults", "errors")},
+    "lacks": _are_texts, "notes": _are_texts}
+LINK = ("frames", "corrupt", "reopened", "reboots", "unanswered")  # all known, or none
+
+
+def stored_row(values: Any, path: str) -> Row | None:
+    """Return the row of ``path``, a recording that could be read, out of JSON; ``None``: it is no such row.
+
+    Args:
+        values: of any structure.
+        path: of the recording whose row it is taken for.
+    """
+    if not isinstance(values, list) or len(values) != len(Row._fields):
+        return None
+    found = Row(*values)
+    if found.path != path or not all(is_valid(getattr(found, name)) for name, is_valid in STRUCTURE.items()):
+        return None
+    if len({getattr(found, name) is None for name in LINK}) != 1 or (found.faults is None) != (found.errors is None):
+        return None
+    return found
+
+
 def row(drive: Summary, path: str) -> Row:
     """The row of a summarized recording, which is shown as ``path``."""
     has_state, has_odom = bool(drive.steering.episodes), "odom" in drive.present
@@ -66,7 +126,7 @@ def row(drive: Summary, path: str) -> Row:
     driving, holding, braking = map(_median, drive.motion.accelerating.differences_mps2())
     return Row(
         path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
-        distance_m=drive.motion.distance_m if has_odom else None,
+        distance_m=_possible(drive.motion.distance_m) if has_odom else None,
         gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
         losses=_losses(drive) if has_state or drive.throttle.episodes else None,
         straight_per_m=_median(drive.motion.by_tables.straight_per_m()), left_ratio=left, right_ratio=right,
@@ -107,4 +167,9 @@ def _link(teensy):
 
 def _median(found):
     """A median in five decimals, no -0.0, if there are enough samples."""
-    return round(found.median, 5) + 0.0 if found.samples >= MIN_SAMPLES else None
+    return _possible(round(found.median, 5) + 0.0) if found.samples >= MIN_SAMPLES else None
+
+
+def _possible(figure):
+    """``None`` instead of a figure that no car can have: its odometry is garbage."""
+    return figure if _is_figure(figure) else None

@@ -3,8 +3,10 @@ from __future__ import annotations
 
 import io
 import re
+from functools import lru_cache
 
 import numpy as np
+from matplotlib import font_manager
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
@@ -28,8 +30,29 @@ STYLE = {
     "grid.linewidth": 0.8, "axes.axisbelow": True, "lines.linewidth": 1.2, "legend.frameon": False,
     "legend.fontsize": 8.5, "path.simplify": True,
 }
+MAX_LABEL = 60  # characters: a longer one leaves no room for the plot beside it
 # The board publishes its output when it changes, and otherwise now and then.
 HELD = {"gap_s": 3.0, "drawstyle": "steps-post"}
+
+
+def label_text(text: str) -> str:
+    """Return a text from outside, such as a file's name or a recorded cause, as a label that is drawn as it reads.
+
+    matplotlib takes what is between two $ for a formula, and leaves out of a legend what begins with _. A character
+    that its font lacks is drawn as ?.
+    """
+    shown = "".join(letter if ord(letter) in _glyphs() else " " if letter.isspace() else "?" for letter in text)
+    if len(shown) > MAX_LABEL:
+        shown = shown[:MAX_LABEL - 1] + "…"
+    return (" " if shown.startswith("_") else "") + shown.replace("$", r"\$")
+
+
+@lru_cache(maxsize=None)
+def _glyphs():
+    """The characters that the font has, plain and bold."""
+    fonts = [font_manager.FontProperties(family="DejaVu Sans", weight=weight) for weight in ("normal", "bold")]
+    return frozenset.intersection(*(frozenset(font_manager.get_font(font_manager.findfont(font)).get_charmap())
+                                    for font in fonts))
 
 
 def title(axes, text: str) -> None:

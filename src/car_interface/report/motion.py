@@ -6,6 +6,7 @@ from collections import deque
 from typing import Any, Callable, Mapping
 
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
+from car_interface.recordings.columns import MAX_NUMBER
 from car_interface.report.asked import AskedWatch
 from car_interface.report.downsample import Path, Trace
 from car_interface.report.faults import WARN, Fault, FaultLog
@@ -60,7 +61,7 @@ class MotionWatch:
         """nav_msgs/Odometry."""
         position, yaw = message.pose.pose.position, yaw_rad(message.pose.pose.orientation)
         speed = message.twist.twist.linear.x
-        if not all(map(math.isfinite, (position.x, position.y, yaw, speed))):
+        if not all(abs(number) <= MAX_NUMBER for number in (position.x, position.y, yaw, speed)):  # nor of NaN
             return
         stamp_s = (stamp_ns(message.header.stamp) - self._start_ns) / NS_PER_S
         if self._newest is not None:

@@ -227,7 +227,8 @@ def _faults(drive):
     for fault in drive.faults.entries:
         lasted = span_text(fault.end_s - fault.start_s) if math.isfinite(fault.end_s) else ""
         often = f' <span class="faint">({times_text(fault.times)})</span>' if fault.times > 1 else ""
-        rows.append((moment_text(fault.start_s, drive.duration_s), lasted, LEVELS[fault.level], escape(fault.where),
+        level = LEVELS.get(fault.level, LEVELS[ERROR])  # of a damaged or foreign recording
+        rows.append((moment_text(fault.start_s, drive.duration_s), lasted, level, escape(fault.where),
                      escape(fault.what) + often))
     gaps = f'<p class="warn">{_gaps_text(drive)}</p>\n' if drive.coverage.gaps() else ""
     none = "None was recorded." if gaps else "None."

@@ -24,6 +24,7 @@ from car_interface.report.figures import (
     above,
     bands,
     curve,
+    label_text,
     legend,
     stack,
     svg_text,
@@ -31,6 +32,7 @@ from car_interface.report.figures import (
     title,
     usual_magnitude,
 )
+from car_interface.report.steering_state import UNKNOWN_DRIVER
 from car_interface.report.summary import Summary
 
 ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
@@ -141,7 +143,8 @@ def _throttle(drive):
     title(states, "The ESC, where it isn't in NEUTRAL or FORWARD")
     states.set(ylim=(0, 1), yticks=[])
     if found:
-        states.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=esc) for esc in found], **above())
+        states.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=label_text(esc)) for esc in found],
+                      **above())
     title(axes, "Throttle: brake or reverse down")
     curve(axes, traces["throttle asked"], REQUESTED, "asked", linestyle=(0, (4, 2)))
     curve(axes, traces["throttle granted"], SENT, "granted")
@@ -165,7 +168,7 @@ def _path(drive):
     for index in range(1, len(path.kinds) + 1):
         if index < len(path.kinds) and path.kinds[index] == path.kinds[begin]:
             continue
-        source = path.kinds[begin]
+        source = path.kinds[begin] if path.kinds[begin] in DRIVER_COLOURS else UNKNOWN_DRIVER
         axes.plot(path.x_m[max(begin - 1, 0):index], path.y_m[max(begin - 1, 0):index], linewidth=1.8,
                   color=DRIVER_COLOURS[source], label=None if source in seen else DRIVER_NAMES[source],
                   solid_capstyle="round")
@@ -263,5 +266,6 @@ def _link(drive):
         title(axes, "How much faster the Teensy's clock runs, in ppm")
         curve(axes, traces["skew"], SENT, "", gap_s=5, marker=".", markersize=4)
         low, high = np.nanpercentile(traces["skew"].curve()[1], (10, 90))  # the first few are far off
-        axes.set_ylim(low - max(high - low, 10), high + max(high - low, 10))
+        margin = max(high - low, 10, 1e-3 * max(abs(low), abs(high)))  # garbage is drawn, too
+        axes.set_ylim(low - margin, high + margin)
     return figure

@@ -10,7 +10,7 @@ from matplotlib import cm
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from car_interface.report.figures import FAINT, REQUESTED, SENT, STYLE, title
+from car_interface.report.figures import FAINT, REQUESTED, SENT, STYLE, label_text, title
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.value_map import ValueMap
 
@@ -24,7 +24,7 @@ def draw(table: SteeringCalibration | ValueMap, kind: str, name: str) -> bytes:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.2), constrained_layout=True)
         FigureCanvasAgg(figure)
-        figure.suptitle(Path(name).name, x=0.01, ha="left", fontsize=11, fontweight="bold")
+        figure.suptitle(label_text(Path(name).name), x=0.01, ha="left", fontsize=11, fontweight="bold")
         (_steering if isinstance(table, SteeringCalibration) else _map)(figure, table)
         file = io.BytesIO()
         figure.savefig(file, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)

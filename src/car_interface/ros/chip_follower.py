@@ -1,6 +1,7 @@
 """Follows what the pins of a virtual servo board do, whoever writes to it, as a car on its outputs would."""
 from __future__ import annotations
 
+from car_interface.common.own_files import UnsafeFile
 from car_interface.common.units import NS_PER_MS
 from car_interface.pca9685.registers import duty_of_counts
 from car_interface.ros.inbox import Inbox
@@ -18,10 +19,12 @@ class ChipFollower:
 
     Attributes:
         duties: of the 16 pins, 0 = no pulse; ``None`` while there is no chip.
+        problem: why nothing that is at the path is used; empty: nothing is wrong with it.
     """
 
     def __init__(self, path: str, inbox: Inbox):
         self.duties: list[int] | None = None
+        self.problem = ""
         self._link = ChipLink(path, 0)
         self._inbox = inbox
         self._fd: int | None = None
@@ -32,12 +35,16 @@ class ChipFollower:
         try:
             if self._fd is None and now_ns >= self._next_try_ns:
                 self._next_try_ns = now_ns + RETRY_NS
+                self.problem = ""
                 self._link.open()
                 self._fd = self._link.observe()
                 self._inbox.watch(self._fd)
             if self._fd is not None:
                 for counts in self._link.changes():
                     self.duties = [duty_of_counts(each) for each in counts]
+        except UnsafeFile as error:
+            self.problem = str(error)
+            self.close()
         except OSError:
             self.close()
 

@@ -30,6 +30,7 @@ from rospy.impl.paramserver import get_param_server_cache
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.fixed_parameters import fixed_parameters
+from car_interface.common.memory_limit import describe_shortage
 from car_interface.common.params import Params
 from car_interface.common.standstill import StandstillWatch
 from car_interface.ros.direct_connection import send_directly
@@ -168,6 +169,9 @@ def describe_error(error: Exception) -> str:
     if isinstance(error, CarInterfaceError):
         return str(error)
     logging.getLogger("car_interface").error("%s", traceback.format_exc())  # ROS: to the log file only
+    shortage = describe_shortage(error)
+    if shortage is not None:
+        return shortage
     return f"a fault in this node itself (see its log file): {type(error).__name__}: {error}"
 
 

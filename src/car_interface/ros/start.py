@@ -2,17 +2,30 @@
 
 Importing rospy takes a few tenths of a second. Until ``ros.runtime.run`` installs its own handlers, a Ctrl-C ends the
 process silently. The usage of a node is printed without importing rospy, and needs no ROS master.
+
+Where the address space is too small for rospy and a node's threads nothing is started, and one line says so: a node
+that couldn't start a thread any more would drive on without its newest connection.
 """
 from __future__ import annotations
 
 import ast
+import contextlib
 import importlib
 import importlib.util
+import os
 import signal
 import sys
 from pathlib import Path
 
+from car_interface.common import memory_limit
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.library_warnings import hide_warnings
+
 NODES = "nodes."
+# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), demo_drive 313,
+# each other node 282 at most.
+NEEDED_MIB = 380
+WITH_ROSPY = (NODES, "doctor.")
 OPTIONS = {"nodes.calibration_drive": "calibration.drive.options"}  # of nodes that have some: a module with parse()
 
 
@@ -24,7 +37,19 @@ def start(module: str) -> None:
             importlib.import_module(f"car_interface.{OPTIONS[module]}").parse(["--help"])
         print(usage(module))
         return
-    importlib.import_module(f"car_interface.{module}").main()
+    try:
+        hide_warnings()
+        memory_limit.adapt(NEEDED_MIB if module.startswith(WITH_ROSPY) else 0)
+        main = importlib.import_module(f"car_interface.{module}").main
+        memory_limit.reserve_blas()
+        main()
+    except Exception as error:
+        line = memory_limit.describe_shortage(error) or (str(error) if isinstance(error, CarInterfaceError) else None)
+        if line is None:
+            raise
+        with contextlib.suppress(OSError, ValueError):
+            print(f"{os.path.basename(sys.argv[0])}: {line}", file=sys.stderr, flush=True)
+        os._exit(1)  # threads of rospy that have been started already would keep the process
 
 
 def usage(module: str) -> str:

@@ -23,6 +23,7 @@ import rosgraph
 from car_interface.common import small_process
 from car_interface.common.errors import ConfigError
 from car_interface.common.file_lock import lock_byte
+from car_interface.common.own_files import UnsafeFile, folder_name, make_folder, open_own
 from car_interface.ros.faults import serve_faults
 from car_interface.sim.chip_link import FAULTS, ChipLink
 
@@ -32,7 +33,7 @@ MAX_SOCKET_PATH = 107  # unix(7), without the final zero
 
 def chip_path(node_name: str) -> str:
     """Where the chip of a pca9685 node listens, by the node's name with its namespace."""
-    folder = os.path.join(tempfile.gettempdir(), f"car_interface-{os.getuid()}")
+    folder = os.path.join(tempfile.gettempdir(), folder_name())
     name = node_name.strip("/").replace("/", "-")
     digest = hashlib.sha256(f"{rosgraph.get_master_uri()} {node_name}".encode()).hexdigest()[:10]
     return os.path.join(folder, f"{name[-40:]}-{digest}")
@@ -66,6 +67,7 @@ class VirtualBoardBus:
         """The bus.
 
         Raises:
+            UnsafeFile: socket, lock or folder aren't this user's own.
             OSError: the chip can't be started, or another node has the lock.
         """
         self._connect()
@@ -116,10 +118,7 @@ class VirtualBoardBus:
         """Start the chip's process; it ends by itself when another one serves the path."""
         if self._process is not None and self._process.poll() is None:
             return
-        folder = os.path.dirname(self.path)
-        os.makedirs(folder, mode=0o700, exist_ok=True)
-        if folder == os.path.dirname(chip_path("")) and os.stat(folder).st_uid != os.getuid():
-            raise PermissionError(errno.EACCES, "is another user's", folder)
+        make_folder(os.path.dirname(self.path))
         self._process = subprocess.Popen(
             small_process.command("sim.chip_server", self.path, str(self._address)), stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, cwd="/")
@@ -152,7 +151,7 @@ def _check_log(path) -> None:
     if path is None:
         return
     try:
-        with open(path, "a", encoding="ascii"):
-            pass
+        os.close(open_own(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644))
     except OSError as error:
-        raise ConfigError("virtual_log", path, f"a file that can be written ({error.strerror})") from error
+        why = error.cause if isinstance(error, UnsafeFile) else error.strerror
+        raise ConfigError("virtual_log", path, f"a file of your own that can be written ({why})") from error

@@ -2,6 +2,8 @@
 
 Requests and answers are packets of a Unix socket. A request is an operation, an address, a register or the number of a
 fault, and data; an answer is an errno and data. The clients of one chip take turns, as on a bus.
+
+The socket and the files beside it are this user's own, or not used: see ``own_files``.
 """
 from __future__ import annotations
 
@@ -11,6 +13,7 @@ import socket
 import struct
 
 from car_interface.common.file_lock import lock_generation, lock_holder, newer_generation
+from car_interface.common.own_files import check_owner, check_socket, open_own
 
 READ, WRITE, FAULT, LOG, OBSERVE = range(5)
 REQUEST = struct.Struct("=BBBd")  # operation, address, register; the value of a fault
@@ -18,12 +21,28 @@ ANSWER = struct.Struct("=i")
 OUTPUTS = struct.Struct("=16H")  # what an observer is sent: the counts, 0..4096, for which each pin is high
 FAULTS = ("nack", "hold", "power", "brownout", "address")
 MAX_PACKET = 1024
+MAX_BLOCK = 32  # data bytes of a transfer, as of SMBus
 ANSWER_S = 3.0  # a bus that is held fails after one second
+PEER = struct.Struct("3i")  # SO_PEERCRED: process, user, group; see unix(7)
 
 
 def lock_path(path: str) -> str:
     """The file that stands for the bus's where locks are concerned."""
     return f"{path}.lock"
+
+
+def open_lock(path: str) -> int:
+    """Open the lock file of the chip at ``path``; a descriptor.
+
+    Raises:
+        UnsafeFile: what is there isn't this user's own file.
+    """
+    return open_own(lock_path(path), os.O_RDWR | os.O_CREAT)
+
+
+def peer_user(connection: socket.socket) -> int:
+    """Return the user at the other end of a connected Unix socket."""
+    return PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, PEER.size))[1]
 
 
 class ChipLink:
@@ -44,14 +63,17 @@ class ChipLink:
         """Connect, unless it is connected.
 
         Raises:
+            UnsafeFile: the socket, or the folder that it lies in, isn't this user's own.
             OSError: there is no such chip.
         """
         if self._socket is not None:
             return
+        check_socket(self._path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._socket.settimeout(ANSWER_S)
             self._socket.connect(self._path)
+            check_owner(peer_user(self._socket), self._path)  # of the process: the file could have been replaced since
         except OSError:
             self.close()
             raise
@@ -68,7 +90,7 @@ class ChipLink:
     def lock_fd(self) -> int:
         """The descriptor on which a node takes its lock, opened when it is first asked for: see ``file_lock``."""
         if self._lock_fd < 0:
-            self._lock_fd = os.open(lock_path(self._path), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            self._lock_fd = open_lock(self._path)
         return self._lock_fd
 
     def lock_holder(self) -> int:
@@ -123,6 +145,8 @@ class ChipLink:
                 return found
             if not packet:
                 raise ConnectionResetError(errno.ECONNRESET, "the chip is gone")
+            if len(packet) != OUTPUTS.size:
+                raise OSError(errno.EPROTO, os.strerror(errno.EPROTO))
             found.append(OUTPUTS.unpack(packet))
 
     def transfer(self, operation: int, address: int, register: int, data: bytes = b"", value: float = 0.0) -> bytes:
@@ -140,7 +164,7 @@ class ChipLink:
             raise OSError(errno.ENXIO, "the virtual chip is gone") from error
         if not answer:
             raise OSError(errno.ENXIO, "the virtual chip is gone")
-        number = ANSWER.unpack_from(answer)[0]
+        number = ANSWER.unpack_from(answer)[0] if len(answer) >= ANSWER.size else errno.EPROTO
         if number:
             raise OSError(number, os.strerror(number))
         return answer[ANSWER.size:]

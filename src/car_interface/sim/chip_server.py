@@ -2,11 +2,16 @@
 
 It serves a Unix socket, see ``chip_link``, and ends some seconds after its last client has gone. Its first client
 starts it by ``common.small_process``; its arguments are the socket's path and the chip's address.
+
+No packet ends it. One that makes no sense is answered with an errno: EPROTO (too short), EMSGSIZE (too long),
+EOPNOTSUPP (no such operation or fault), EINVAL (a length or a value that can't be). A client loses its connection when
+it waits for too many transfers at a time, or is one too many.
 """
 from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import select
 import signal
@@ -15,11 +20,13 @@ import sys
 import time
 
 from car_interface.common.file_lock import lock_byte
+from car_interface.common.own_files import OTHERS_BITS, UnsafeFile, check_socket, open_own
 from car_interface.sim.chip_link import (
     ANSWER,
     FAULT,
     FAULTS,
     LOG,
+    MAX_BLOCK,
     MAX_PACKET,
     OBSERVE,
     OUTPUTS,
@@ -27,6 +34,8 @@ from car_interface.sim.chip_link import (
     REQUEST,
     WRITE,
     lock_path,
+    open_lock,
+    peer_user,
 )
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
@@ -34,6 +43,10 @@ LINGER_S = 3.0  # after the last client: roslaunch starts a node again, and a gu
 SERVER_LOCK = 0x100  # a byte of the lock file that is no address
 MODE1, SLEEP, LED0, BLOCK = 0x00, 0x10, 0x06, 32  # data sheet, table 4
 HELD_S = 1.0  # a transfer on a bus that is held fails after the kernel's timeout
+MAX_CLIENTS = 32  # nodes, guards and observers of one chip are fewer than ten
+MAX_WAITING = 16  # transfers of one client on a bus that is held: it gives each up after ANSWER_S
+MAX_NACKS = 10**9
+MAX_ADDRESS = 0x7F
 
 
 class ChipServer:
@@ -64,16 +77,30 @@ class ChipServer:
         while self._clients or clock() - alone_since_s < LINGER_S:
             for fd, _ in poll.poll(self._wait_ms(clock())):
                 if fd == self._listener.fileno():
-                    client, _ = self._listener.accept()
-                    client.setblocking(False)
-                    self._clients[client.fileno()] = client
-                    poll.register(client, select.POLLIN)
-                elif not self._serve(fd, clock()):
+                    self._accept(poll)
+                elif fd in self._clients and not self._serve(fd, clock()):
                     poll.unregister(fd)
                     self._drop(fd)
             self._fail_waiting(clock())
             if self._clients:
                 alone_since_s = clock()
+
+    def _accept(self, poll):
+        """Take a client of this user's, if there is room for one."""
+        try:
+            client, _ = self._listener.accept()
+        except OSError:  # it has gone again
+            return
+        try:
+            if len(self._clients) >= MAX_CLIENTS or peer_user(client) != os.geteuid():
+                client.close()
+                return
+            client.setblocking(False)
+        except OSError:
+            client.close()
+            return
+        self._clients[client.fileno()] = client
+        poll.register(client, select.POLLIN)
 
     def _wait_ms(self, now_s):
         left_s = max(0.0, self._fails_s - now_s) if self._waiting else LINGER_S
@@ -87,7 +114,9 @@ class ChipServer:
     def _serve(self, fd, now_s):
         """Answer one request; whether the client is still there."""
         try:
-            packet = self._clients[fd].recv(MAX_PACKET)
+            packet = self._clients[fd].recv(MAX_PACKET + 1)  # of a longer one the rest is lost
+        except BlockingIOError:
+            return True
         except OSError:
             packet = b""
         if not packet:
@@ -96,7 +125,7 @@ class ChipServer:
             if not self._waiting:
                 self._fails_s = now_s + HELD_S
             self._waiting.append((fd, packet))
-            return True
+            return sum(each[0] == fd for each in self._waiting) <= MAX_WAITING
         self._answer(fd, packet)
         return True
 
@@ -116,8 +145,10 @@ class ChipServer:
             data, number = self._handle(fd, packet), 0
         except OSError as error:
             data, number = b"", error.errno or errno.EIO
+        except Exception:  # the chip pulses on whatever a client sends, as a real one does
+            data, number = b"", errno.EIO
         self._send(fd, ANSWER.pack(number) + data)
-        if packet[0] == OBSERVE:
+        if packet[0] == OBSERVE and not number:
             self._outputs = self._pins()
             self._send(fd, OUTPUTS.pack(*self._outputs))
         elif self._observers:
@@ -135,21 +166,39 @@ class ChipServer:
             self._clients[fd].send(packet)
 
     def _handle(self, fd, packet):
+        """Do what a packet asks for; the data of the answer.
+
+        Raises:
+            OSError: it fails, or can't be done.
+        """
+        if len(packet) < REQUEST.size:
+            raise _error(errno.EPROTO)
+        if len(packet) > MAX_PACKET:
+            raise _error(errno.EMSGSIZE)
         operation, address, register, value = REQUEST.unpack_from(packet)
         data = packet[REQUEST.size:]
         if operation == READ:
+            if len(data) != 1 or not 1 <= data[0] <= MAX_BLOCK:
+                raise _error(errno.EINVAL)
             return bytes(self._bus.read_i2c_block_data(address, register, data[0]))
         if operation == WRITE:
+            if not 1 <= len(data) <= MAX_BLOCK:
+                raise _error(errno.EINVAL)
             self._bus.write_i2c_block_data(address, register, list(data))
-        elif operation == FAULT:
+        elif operation == FAULT and register < len(FAULTS):
             self._inject(FAULTS[register], value)
         elif operation == LOG:
-            self._open_log(os.fsdecode(data))
+            self._open_log(data)
         elif operation == OBSERVE:
             self._observers.add(fd)
+        else:
+            raise _error(errno.EOPNOTSUPP)
         return b""
 
     def _inject(self, fault, value):
+        if not math.isfinite(value) or fault == "nack" and not 0 <= value <= MAX_NACKS or \
+                fault == "address" and not 0 <= value <= MAX_ADDRESS:
+            raise _error(errno.EINVAL)
         if fault == "nack":
             self._bus.nacks_left = int(value)
         elif fault == "hold":
@@ -173,9 +222,13 @@ class ChipServer:
         return tuple(self._chip.high_counts(channel) if has_power else 0 for channel in range(16))
 
     def _open_log(self, path):
+        """Append each write to the file at a path, in bytes; the one before stays open where that can't be opened."""
+        if not path.startswith(b"/") or b"\0" in path:
+            raise _error(errno.EINVAL)
+        log_fd = open_own(os.fsdecode(path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         if self._log_fd >= 0:
             os.close(self._log_fd)
-        self._log_fd = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        self._log_fd = log_fd
         if not self._chip.read(MODE1, 1)[0] & SLEEP:  # what it holds by then, as if it were written now
             for first in (LED0, LED0 + BLOCK):
                 self._log_write(self._address, first, b"".join(
@@ -187,22 +240,32 @@ class ChipServer:
             os.write(self._log_fd, line.encode("ascii"))
 
 
+def _error(number):
+    return OSError(number, os.strerror(number))
+
+
 def main() -> None:
-    """Serve a chip, unless another process serves it."""
+    """Serve a chip, unless another process serves it, or what is at its path isn't this user's own."""
     path, address = sys.argv[1], int(sys.argv[2])
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends after its last client
-    lock_fd = os.open(lock_path(path), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        lock_fd = open_lock(path)
+    except UnsafeFile:  # its first client says so
+        return
     try:
         lock_byte(lock_fd, SERVER_LOCK)
         if not os.path.samestat(os.fstat(lock_fd), os.stat(lock_path(path))):
             return  # that of a process which has just ended: whoever starts this one tries again
+        with contextlib.suppress(FileNotFoundError):
+            check_socket(path)
+            os.unlink(path)  # of a process that was killed
     except OSError:
         return
-    with contextlib.suppress(FileNotFoundError):
-        os.unlink(path)  # of a process that was killed
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        mask = os.umask(OTHERS_BITS)
         listener.bind(path)
+        os.umask(mask)
         listener.listen(16)
         ChipServer(listener, address).run()
         os.unlink(path)

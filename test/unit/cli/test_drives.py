@@ -2,6 +2,8 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
 import os
 import shutil
 from pathlib import Path
@@ -101,6 +103,22 @@ def test_damaged_cache_is_said_and_built_again(folder, read, capsys):
     assert run(folder) == 0
     assert len(read) == 3 and lines(folder) == first
     assert f"drives: {path} is damaged: all recordings are read again\n" in capsys.readouterr().err
+    read.clear()
+    assert run(folder) == 0 and read == ["broken.bag"]
+
+
+def test_damaged_row_of_the_cache_is_said_and_only_its_recording_is_read_again(folder, read, capsys):
+    run(folder)
+    first, path = lines(folder), Path(folder, NAME)
+    content = json.loads(path.read_text("ascii").split("\n")[1])
+    content["rows"]["drive.bag"][1][2] = "yesterday"
+    body = json.dumps(content)
+    path.write_text(f"{hashlib.sha256(body.encode('ascii')).hexdigest()}\n{body}\n", "ascii")
+    read.clear()
+    capsys.readouterr()
+    assert run(folder) == 0
+    assert sorted(read) == ["broken.bag", "drive.bag"] and lines(folder) == first
+    assert f"drives: {path} has damaged rows (1): their recordings are read again\n" in capsys.readouterr().err
     read.clear()
     assert run(folder) == 0 and read == ["broken.bag"]
 

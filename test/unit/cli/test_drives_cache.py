@@ -1,6 +1,9 @@
 """What was read before is kept, and is used only if nothing has changed."""
 from __future__ import annotations
 
+import hashlib
+import json
+import math
 import os
 
 import pytest
@@ -71,6 +74,90 @@ def test_damaged_file_is_said_and_replaced(folder, damage):
     assert cache.problem == f"{path} is damaged" and cache.row("a.bag", STATE) is None
     cache.add(STATE, ROW)
     assert cache.save(["a.bag"]) == "" and Cache(folder, "1").row("a.bag", STATE) is not None
+
+
+def rewrite(folder, body):
+    """Give the file another content, with the right checksum."""
+    path = os.path.join(folder, NAME)
+    with open(path, "w", encoding="ascii") as file:
+        file.write(f"{hashlib.sha256(body.encode('ascii')).hexdigest()}\n{body}\n")
+    return path
+
+
+def content(folder):
+    with open(os.path.join(folder, NAME), encoding="ascii") as file:
+        return json.loads(file.read().split("\n")[1])
+
+
+@pytest.mark.parametrize("body", [
+    "null", "[]", "7", '"text"', "{}", '{"version": 1, "rows": {}}', '{"version": "1"}', '{"version": "1", "rows": []}',
+    '{"version": "1", "rows": null}', '{"version": "1", "rows": "a.bag"}', '{"rows": {}}', "[" * 100_000,
+    '{"version": "1", "rows": {"a.bag": ' + "[" * 100_000 + "]" * 100_000 + "}}", '{"version": "1", "rows": {}',
+], ids=["null", "list", "number", "text", "empty", "version_is_a_number", "no_rows", "rows_are_a_list",
+        "rows_are_null", "rows_are_a_text", "no_version", "nested_too_deeply", "row_nested_too_deeply", "no_json"])
+def test_file_with_the_right_checksum_and_another_structure_is_damaged(folder, body):
+    path = rewrite(folder, body)
+    cache = Cache(folder, "1")
+    assert cache.problem == f"{path} is damaged" and cache.row("a.bag", STATE) is None and cache.damaged == 0
+
+
+def wrong_entries():
+    """Entries of wrong structure: (id, a function that makes one of a good entry)."""
+    for wrong in (None, 5, "text", [], {}, [[100, 5]], [[100, 5], None, 1]):
+        yield f"entry_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: wrong
+    for wrong in (None, [], [100], [100, 5, 6], ["100", 5], [100.0, 5], [True, 5], [None, 5], {"size": 100}):
+        yield f"state_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: [wrong, entry[1]]
+    for wrong in (None, {}, "a.bag"):
+        yield f"row_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: [entry[0], wrong]
+    yield "row_lacks_a_field", lambda entry: [entry[0], entry[1][:-1]]
+    yield "row_has_one_more", lambda entry: [entry[0], [*entry[1], 0]]
+    nested = []
+    for _ in range(300):
+        nested = [nested]
+    for index, field in enumerate(Row._fields):
+        for wrong in (None, True, "5", "text", -1.5, math.nan, math.inf, 1e300, 10**30, [], [1], [None], [["a"]], {},
+                      {"a": "b"}, {"a": -1.5}, {"a": None}, {"a": [1]}, nested):
+            if wrong != ROW[index] and not _is_good(field, wrong):
+                yield (f"{field}_is_{json.dumps(wrong)[:20]}", lambda entry, index=index, wrong=wrong: [
+                    entry[0], [*entry[1][:index], wrong, *entry[1][index + 1:]]])
+
+
+FIGURES = {"straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2"}
+NEEDED = {"path", "error", "start_ns", "duration_s", "lacks", "notes"}
+
+
+def _is_good(field, value):
+    if value is None:
+        return field not in NEEDED
+    if field in ("lacks", "notes"):
+        return value == []
+    return field in FIGURES and value == -1.5 or field == "losses" and value == {}
+
+
+WRONG_ENTRIES = list(wrong_entries())
+
+
+@pytest.mark.parametrize("spoil", [spoil for _, spoil in WRONG_ENTRIES], ids=[name for name, _ in WRONG_ENTRIES])
+def test_entry_of_another_structure_is_not_used_and_the_others_are(folder, spoil):
+    cache = Cache(folder, "1")
+    cache.add(STATE, ROW._replace(path="b.bag"))
+    assert cache.save(["a.bag", "b.bag"]) == ""
+    stored = content(folder)
+    stored["rows"]["a.bag"] = spoil(stored["rows"]["a.bag"])
+    rewrite(folder, json.dumps(stored))
+    cache = Cache(folder, "1")
+    assert (cache.row("a.bag", STATE), cache.damaged, cache.problem) == (None, 1, "")
+    assert cache.row("b.bag", STATE)._asdict() == ROW._replace(path="b.bag")._asdict()
+
+
+def test_pipe_or_a_file_that_is_too_large_is_not_read(folder):
+    path = os.path.join(folder, NAME)
+    with open(path, "r+b") as file:
+        file.truncate(1 << 40)
+    assert Cache(folder, "1").problem == f"{path} can't be read (File too large)"
+    os.unlink(path)
+    os.mkfifo(path)
+    assert Cache(folder, "1").problem == f"{path} can't be read (it is no regular file)"
 
 
 def test_file_that_can_not_be_read_is_said(folder):

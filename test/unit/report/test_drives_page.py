@@ -116,3 +116,34 @@ def test_distance_of_nothing_is_0_and_not_empty():
 @pytest.mark.parametrize("count", [26, 200])
 def test_long_table_is_not_folded(count):
     assert "<details>" not in page("drives", [FULL] * count, "")
+
+
+@pytest.mark.parametrize("text", [
+    "=1+1.bag", "+1.bag", "-1.bag", "@SUM(A1).bag", "\t=1.bag", "\r=1.bag", "\n=1.bag", "\uff1d1.bag", "\u22121.bag",
+    '=HYPERLINK("http://x","y").bag'])
+def test_text_that_a_spreadsheet_would_take_for_a_formula_is_marked_as_text(text):
+    (line,) = csv.DictReader(io.StringIO(csv_text([FULL._replace(
+        path=text, losses={text: 1}, notes=[text], lacks=[text])]), newline=""))
+    assert line["recording"] == line["notes"] == line["cant_tell"] == f"'{text}"
+    assert line["losses_by_cause"] == f"'{text}: 1"
+
+
+def test_number_below_0_stays_a_number_and_an_ordinary_text_is_itself():
+    text = csv_text([FULL])
+    assert '"a.bag"' in text and ",-0.0123,1.25,1.005,-0.204,0.011,," in text and "'" not in text
+
+
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_text_within_a_cell_begins_no_cell_of_its_own(delimiter):
+    text = csv_text([FULL._replace(path="a;=1+1;b\n=2,=3.bag")])
+    cells = [cell for line in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) for cell in line]
+    assert not [cell for cell in cells if cell.startswith("=")]
+
+
+def test_zero_byte_in_a_cause_leaves_a_file_that_can_be_read():
+    (line,) = csv.DictReader(io.StringIO(csv_text([FULL._replace(losses={"a\0b": 1})])))
+    assert line["losses_by_cause"] == "a\ufffdb: 1"
+
+
+def test_car_that_does_not_turn_at_all_turns_wider():
+    assert shown(FULL._replace(left_ratio=0.0, right_ratio=None))[0][5].endswith("left: more than 10 times wider")

@@ -9,7 +9,7 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.report import drives_row
-from car_interface.report.drives_row import Row, row
+from car_interface.report.drives_row import STRUCTURE, Row, row, stored_row
 from car_interface.report.summary import summarize
 from written_recordings import SPEED_MPS, START_NS, Written, drive, odometry, old_steering_state, stamp, write_ros1
 
@@ -58,6 +58,18 @@ def test_what_was_not_recorded_is_named(found):
 
 def test_row_survives_json(found):
     assert Row(*json.loads(json.dumps(found)))._asdict() == found._asdict()
+    assert stored_row(json.loads(json.dumps(found)), "day/drive.bag")._asdict() == found._asdict()
+
+
+def test_structure_of_a_stored_row_has_all_its_columns():
+    assert tuple(STRUCTURE) == Row._fields
+
+
+def test_figures_that_no_car_can_have_are_not_known(seen, monkeypatch):
+    for garbage in (math.nan, math.inf, 1e300):
+        monkeypatch.setattr(seen.motion, "distance_m", garbage)
+        garbled = row(seen, "day/drive.bag")
+        assert garbled.distance_m is None and stored_row(json.loads(json.dumps(garbled)), "day/drive.bag") is not None
 
 
 def test_recording_of_odometry_alone_says_none_and_not_nothing(tmp_path):

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -16,6 +17,7 @@ from car_interface.report.figures import (
     DRIVER_NAMES,
     bands,
     curve,
+    label_text,
     legend,
     stack,
     svg_text,
@@ -163,3 +165,23 @@ def test_ids_of_an_svg_begin_with_its_name_and_so_do_the_references(axes):
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
     assert ids and used and used <= ids
     assert all(name.startswith("speed-") for name in ids)
+
+
+@pytest.mark.parametrize("text, shown", [
+    ("planner silent", "planner silent"), ("电池 low", "?? low"), ("низкий", "низкий"), ("a\tb\nc", "a b c"),
+    ("_x", " _x"), ("$\\frac{x$", "\\$\\frac{x\\$"), ("x" * 100, "x" * 59 + "…"), ("\x07", "?"),
+], ids=["plain", "chinese", "cyrillic", "white_space", "underscore", "formula", "long", "bell"])
+def test_label_of_a_text_from_outside_is_drawn_as_it_reads(text, shown):
+    assert label_text(text) == shown
+
+
+@pytest.mark.parametrize("text", ["电池 🚗 ليل", "$x^$ \\frac{", "costs $5", "_hidden", "", "a\nb\tc\x07", "x" * 5000])
+def test_label_of_any_text_is_drawn_without_a_warning(text):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        figure = Figure(constrained_layout=True)
+        axes = figure.add_subplot()
+        axes.plot([0, 1], label=label_text(text))
+        axes.legend()
+        figure.suptitle(label_text(text), fontweight="bold")
+        assert svg_text(figure, "x", "a plot").startswith("<svg")

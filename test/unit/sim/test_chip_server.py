@@ -1,9 +1,13 @@
 """A virtual chip as a process of its own: it serves several clients as a bus does, and outlives each of them."""
 from __future__ import annotations
 
+import contextlib
 import errno
+import math
 import os
+import random
 import signal
+import socket
 import subprocess
 import tempfile
 import time
@@ -12,7 +16,8 @@ import pytest
 
 from car_interface.common import small_process
 from car_interface.common.file_lock import lock_byte
-from car_interface.sim.chip_link import ChipLink
+from car_interface.common.own_files import UnsafeFile
+from car_interface.sim.chip_link import ANSWER, FAULT, LOG, OBSERVE, READ, REQUEST, WRITE, ChipLink
 
 ADDRESS = 0x40
 AWAKE = b"\x20"
@@ -228,3 +233,169 @@ def test_process_ignores_the_signals_of_its_group_and_ends_after_its_last_client
     assert server.process.wait(PATIENCE_S) == 0
     assert time.monotonic() - began_s > 2.5
     assert os.listdir(os.path.dirname(server.path)) == []
+
+
+class RawClient:
+    """Sends packets of any content; each is answered by an errno, or ends the connection."""
+
+    def __init__(self, path):
+        self._path = path
+        self._connect()
+
+    def _connect(self):
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.socket.connect(self._path)  # waits while the chip's backlog is full
+        self.socket.settimeout(PATIENCE_S)
+
+    def ask(self, packet):
+        """The errno of the answer; None: the connection was closed, and there is another one now."""
+        self.socket.send(packet)
+        answer = self.socket.recv(2048)
+        if not answer:
+            self.socket.close()
+            self._connect()
+            return None
+        return ANSWER.unpack_from(answer)[0]
+
+
+@pytest.fixture
+def raw(server):
+    client = RawClient(server.path)
+    yield client
+    client.socket.close()
+
+
+def request(operation, register=0, data=b"", value=0.0, address=ADDRESS):
+    return REQUEST.pack(operation, address, register, value) + data
+
+
+MALFORMED = {
+    "one_byte": (b"\x00", errno.EPROTO),
+    "cut_off": (request(WRITE)[:-1], errno.EPROTO),
+    "longer_than_any": (request(WRITE, data=bytes(5000)), errno.EMSGSIZE),
+    "unknown_operation": (request(200), errno.EOPNOTSUPP),
+    "read_without_a_length": (request(READ), errno.EINVAL),
+    "read_of_nothing": (request(READ, data=b"\0"), errno.EINVAL),
+    "read_of_33": (request(READ, data=b"\x21"), errno.EINVAL),
+    "read_with_two_lengths": (request(READ, data=b"\1\1"), errno.EINVAL),
+    "write_of_nothing": (request(WRITE), errno.EINVAL),
+    "write_of_33": (request(WRITE, data=bytes(33)), errno.EINVAL),
+    "unknown_fault": (request(FAULT, 5), errno.EOPNOTSUPP),
+    "fault_of_not_a_number": (request(FAULT, 0, value=math.nan), errno.EINVAL),
+    "fault_of_infinity": (request(FAULT, 0, value=math.inf), errno.EINVAL),
+    "fewer_than_no_transfers_fail": (request(FAULT, 0, value=-1.0), errno.EINVAL),
+    "address_of_nobody": (request(FAULT, 4, value=128.0), errno.EINVAL),
+    "log_without_a_path": (request(LOG), errno.EINVAL),
+    "log_at_a_relative_path": (request(LOG, data=b"log"), errno.EINVAL),
+    "log_with_a_zero_byte": (request(LOG, data=b"/tmp/a\0b"), errno.EINVAL),
+    "log_into_a_folder": (request(LOG, data=b"/tmp"), errno.EACCES),
+    "log_in_no_folder": (request(LOG, data=b"/nowhere/log"), errno.ENOENT),
+    "log_with_a_name_too_long": (request(LOG, data=b"/" + 1000 * b"x"), errno.ENAMETOOLONG),
+    "log_that_is_no_utf_8": (request(LOG, data=b"/nowhere/\xff\xfe"), errno.ENOENT),
+    "address_of_eight_bits": (request(READ, data=b"\1", address=255), errno.EREMOTEIO),
+}
+
+
+@pytest.mark.parametrize("packet, number", MALFORMED.values(), ids=MALFORMED)
+def test_malformed_packet_is_answered_with_an_error_and_the_chip_goes_on(server, link, raw, packet, number):
+    assert raw.ask(packet) == number
+    assert raw.ask(request(READ, data=b"\1")) == 0 and link.read(0, 1) == AWAKE
+
+
+def test_log_into_a_pipe_or_through_a_link_is_refused(server, link, raw):
+    os.mkfifo(f"{server.path}.pipe")
+    os.symlink("/dev/null", f"{server.path}.link")
+    for name in ("pipe", "link"):
+        assert raw.ask(request(LOG, data=f"{server.path}.{name}".encode())) == errno.EACCES
+    assert link.read(0, 1) == AWAKE
+
+
+def test_chip_survives_a_thousand_random_packets(server, link, raw):
+    choose = random.Random(5)
+    values = (0.0, -1.0, 64.0, 1e300, math.nan, -math.inf)
+    for _ in range(1000):
+        packet = choose.choice((
+            lambda: bytes(choose.choices(range(256), k=choose.randint(1, 60))),
+            lambda: request(choose.choice((READ, WRITE, OBSERVE, 7)), choose.randrange(256),
+                            bytes(choose.choices(range(256), k=choose.randint(0, 40)))),
+            lambda: request(FAULT, choose.choice((0, 3, 5, 255)), value=choose.choice(values)),
+            lambda: request(LOG, data=bytes(choose.choices(range(1, 256), k=choose.randint(0, 8)))),
+        ))()
+        if packet[0] == FAULT and packet[2:3] == b"\x01":
+            continue  # a bus that is held lets each transfer wait for a second
+        assert raw.ask(packet) is None or server.process.poll() is None
+    assert server.process.poll() is None
+    link.inject("nack", 0)
+    link.inject("power", 1)
+    assert link.read(0, 1) == b"\x11"
+
+
+def test_client_that_sends_while_the_bus_is_held_and_reads_nothing_is_dropped(server, link, raw):
+    link.inject("hold", 1)
+    with pytest.raises(ConnectionError):
+        for _ in range(10_000):
+            raw.socket.send(request(READ, data=b"\1"))
+    link.inject("hold", 0)
+    assert link.read(0, 1) == AWAKE
+
+
+def test_one_client_too_many_loses_its_connection_and_the_others_are_served(server, link):
+    clients = [RawClient(server.path) for _ in range(60)]
+    served = 0
+    for client in clients:  # all of them stay connected meanwhile
+        with contextlib.suppress(OSError):
+            client.socket.send(request(READ, data=b"\1"))
+            served += bool(client.socket.recv(2048))
+    for client in clients:
+        client.socket.close()
+    assert served == 31  # and the link
+    eventually(lambda: not server.connect_fails())
+    eventually(lambda: link.read(0, 1) == AWAKE)
+
+
+def test_whoever_is_not_the_chips_user_is_not_taken_for_it(path):
+    """The file is this user's, but what listens there is another one's process."""
+    if os.getuid():
+        pytest.skip("only root can have another user listen")
+    os.chmod(os.path.dirname(path), 0o777)
+    ready, wait = os.pipe(), os.pipe()
+    pid = os.fork()
+    if not pid:
+        os.setuid(65534)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+            listener.bind(path)
+            listener.listen(1)
+            os.write(ready[1], b"1")
+            os.read(wait[0], 1)
+            os._exit(0)
+    try:
+        os.read(ready[0], 1)
+        with pytest.raises(UnsafeFile, match="chip is another user's: nobody's"):
+            ChipLink(path, ADDRESS).open()
+        os.chown(path, 0, 0)
+        with pytest.raises(UnsafeFile, match="chip is another user's: nobody's"):
+            ChipLink(path, ADDRESS).open()
+    finally:
+        os.write(wait[1], b"1")
+        os.waitpid(pid, 0)
+        for fd in (*ready, *wait):
+            os.close(fd)
+
+
+def test_file_at_the_chips_path_is_not_removed_and_a_linked_lock_makes_no_file(path):
+    with open(path, "w", encoding="ascii") as file:
+        file.write("precious")
+    server = subprocess.Popen(small_process.command("sim.chip_server", path, str(ADDRESS)))
+    assert server.wait(PATIENCE_S) == 0
+    with open(path, encoding="ascii") as file:
+        assert file.read() == "precious"
+    with pytest.raises(UnsafeFile, match="chip is no socket"):
+        ChipLink(path, ADDRESS).open()
+    os.unlink(path)
+    os.unlink(f"{path}.lock")
+    os.symlink(f"{path}.made", f"{path}.lock")
+    server = subprocess.Popen(small_process.command("sim.chip_server", path, str(ADDRESS)))
+    assert server.wait(PATIENCE_S) == 0
+    with pytest.raises(UnsafeFile, match="lock is a link"):
+        ChipLink(path, ADDRESS).lock_fd()
+    assert not os.path.exists(f"{path}.made")

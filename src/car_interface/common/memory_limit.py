@@ -1,0 +1,108 @@
+"""What becomes of a process whose memory is limited (ulimit -v), or used up: it takes less, or ends with one line."""
+from __future__ import annotations
+
+import ctypes
+import errno
+import mmap
+import os
+import resource
+import sys
+import threading
+from contextlib import suppress
+
+from car_interface.common.errors import CarInterfaceError
+
+MIB = 1 << 20
+M_ARENA_MAX = -8  # of glibc's malloc.h
+STACK_BYTES = 2 * MIB  # of a thread; 8 MiB by default
+# What OpenBLAS 0.3.21 takes at its first product of matrices: 128 MiB, and some to align them. It tries for ever.
+BLAS_BYTES = 136 * MIB
+# Of the dynamic linker, in an ImportError.
+LINKER_TEXTS = ("failed to map segment", "cannot allocate memory", "cannot apply additional memory protection")
+# Of an extension module that has no memory left to make its error with.
+LOST_ERRORS = ("without setting an exception", "without exception set")
+NO_THREAD = "can't start new thread"
+
+
+def limit_bytes() -> int | None:
+    """Return this process's limit of address space; ``None`` = there is none."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
+def adapt(needed_mib: int = 0) -> None:
+    """Take less address space where it is limited. To be called before threads are started and numpy is imported.
+
+    glibc would reserve 64 MiB for most threads, and OpenBLAS start one for each processor.
+
+    Args:
+        needed_mib: below this limit the process wouldn't work as a whole.
+
+    Raises:
+        CarInterfaceError: the limit is lower.
+    """
+    limit = limit_bytes()
+    if limit is None:
+        return
+    if limit < needed_mib * MIB:
+        raise CarInterfaceError(f"it needs {needed_mib} MB of address space, and its limit is {limit // MIB} MB: raise "
+                                "that in the shell that starts it (ulimit -v unlimited)")
+    with suppress(AttributeError, OSError):  # another C library than glibc
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
+    threading.stack_size(STACK_BYTES)
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
+def reserve_blas() -> None:
+    """Have OpenBLAS take its memory now, as far as numpy and scipy are loaded and memory is limited.
+
+    Raises:
+        MemoryError: there is too little. Later OpenBLAS would wait for it, without an error and without an end.
+    """
+    numpy = sys.modules.get("numpy")
+    if numpy is None or limit_bytes() is None:
+        return
+    matrix = numpy.ones((64, 64))
+    products = [lambda: numpy.dot(matrix, matrix)]
+    scipy_blas = sys.modules.get("scipy.linalg.blas")  # may come with an OpenBLAS of its own
+    if scipy_blas is not None:
+        products.append(lambda: scipy_blas.dgemm(1.0, matrix, matrix))
+    for multiply in products:
+        try:
+            mmap.mmap(-1, BLAS_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS).close()
+        except (OSError, ValueError) as error:
+            raise MemoryError from error
+        multiply()
+
+
+def describe_shortage(error: BaseException) -> str | None:
+    """Return one line with cause and remedy if an error is a want of memory or of threads; else ``None``."""
+    seen: set = set()
+    kind = None
+    while error is not None and id(error) not in seen and kind is None:
+        seen.add(id(error))
+        kind = _kind(error)
+        error = error.__cause__ or error.__context__
+    if kind is None:
+        return None
+    limit = limit_bytes()
+    if limit is not None:
+        return (f"{kind}: its limit of address space is {limit // MIB} MB; raise that in the shell that starts it "
+                "(ulimit -v unlimited)")
+    if kind == NO_THREAD:
+        return f"{kind}: raise the limit of processes (ulimit -u), or end other programs"
+    return f"{kind}: end other programs"
+
+
+def _kind(error):
+    text = str(error)
+    if isinstance(error, MemoryError) or isinstance(error, OSError) and error.errno == errno.ENOMEM:
+        return "out of memory"
+    if isinstance(error, ImportError) and any(words in text.lower() for words in LINKER_TEXTS):
+        return "out of memory"
+    if isinstance(error, SystemError) and any(words in text for words in LOST_ERRORS) and limit_bytes() is not None:
+        return "out of memory"
+    if isinstance(error, RuntimeError) and NO_THREAD in text:
+        return NO_THREAD
+    return None
