@@ -41,7 +41,7 @@ def test_md5_is_that_of_old_recordings(name):
                 "speed limit limit_reason asked_radius max_speed cuts"
             ),
         ),
-        ("TeleopState", "stamp human_in_loop cause reason joy_age"),
+        ("TeleopState", "stamp human_in_loop cause reason joy_age steering_stick throttle_stick"),
     ],
 )
 def test_fields_are_in_the_promised_order(name, fields):
