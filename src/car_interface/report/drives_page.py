@@ -23,7 +23,7 @@ CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s
                "map_brake_mps2", "frames", "corrupt_frames", "port_reopened", "teensy_reboots", "pings_unanswered",
                "faults", "errors", "cant_tell", "notes", "error")
 # A spreadsheet takes a cell that begins with one of these for a formula (OWASP, CSV Injection), and names and causes
-# come from other people's recordings. The last five are the full-width = + - @ of Japanese keyboards, and the minus sign.
+# come from other people's recordings. The last five: the full-width = + - @ of Japanese keyboards, and the minus sign.
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20", "\u2212")
 TEXT_MARK = "'"  # in a spreadsheet: what follows is text
 
