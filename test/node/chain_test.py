@@ -48,6 +48,7 @@ SPEEDS_MPS = {2: "0.4", 5: "1.0", 10: "1.0"}
 STOP_MPS2 = 0.5 * 7.0  # of esc/stop_brake and of the virtual car's brake; drag adds to it
 STANDS_WITHIN_S = 40.0
 GUARDED_MS = 350  # the guard waits for 250 ms
+REST_NS = 300_000_000
 GUARD_TOLD_MS, GUARD_BACK_MS = 1000, 1000
 RIGHT = 419  # counts of 6700
 
@@ -93,6 +94,11 @@ class ChainTest(unittest.TestCase):
             self.car.sent(self.rest, "human", "1")
             self.wait_until_driving(ATTEMPT_S)
         retried(attempt)
+
+    def let_go(self, pad):
+        """Let go of the gamepad for as long as a stick must rest before it counts, and longer."""
+        let_go_ns = self.car.sent(pad, "joy", "0")
+        eventually(lambda: time.monotonic_ns() - let_go_ns > REST_NS, "the sticks' rest")
 
     def wait_until_driving(self, within_s=PATIENCE_S):
         now_ns = time.monotonic_ns()
@@ -275,7 +281,7 @@ class Losses(ChainTest):
     def hold(self):
         """Let go of the deadman and hold it again, until the car drives."""
         def attempt():
-            self.car.sent(self.car.processes["pad"], "joy", "0")
+            self.let_go(self.car.processes["pad"])
             self.car.sent(self.car.processes["pad"], "joy", "1.0")
             self.wait_until_driving(ATTEMPT_S)
         retried(attempt)
@@ -556,7 +562,7 @@ class Restarts(ChainTest):
 
         def hold():
             def attempt():
-                car.sent(pad, "joy", "0")
+                self.let_go(pad)
                 self.neutral_ms(time.monotonic_ns())
                 car.sent(pad, "joy", "1.0")
                 self.wait_until_driving(ATTEMPT_S)

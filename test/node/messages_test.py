@@ -38,7 +38,7 @@ def test_md5_is_that_of_old_recordings(name):
             "SteeringState",
             (
                 "stamp source cause reason duty turn_radius e_stop_age human_age teleop_age planner_age odometry_age "
-                "speed limit limit_reason asked_radius max_speed cuts"
+                "speed limit limit_reason asked_radius max_speed cuts channel"
             ),
         ),
         ("TeleopState", "stamp human_in_loop cause reason joy_age steering_stick throttle_stick"),

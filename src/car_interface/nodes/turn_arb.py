@@ -288,12 +288,12 @@ class TurnArb:
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
             stamp=rospy.Time.now(), source=decision.source, cause=decision.cause, reason=decision.reason,
-            duty=decision.duty, channel=self._channel, turn_radius=self._arbiter.turn_radius_m(decision.duty),
+            duty=decision.duty, turn_radius=self._arbiter.turn_radius_m(decision.duty),
             odometry_age=self._arbiter.odometry_age_s(time.monotonic_ns()), speed=self._arbiter.speed_mps,
             limit=decision.limit, limit_reason=decision.limit_reason, asked_radius=decision.asked_radius_m,
             max_speed=decision.max_speed_mps, cuts=self._arbiter.cuts,
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,
-            planner_age=decision.planner_age_s))
+            planner_age=decision.planner_age_s, channel=self._channel))
 
 
 def _is_alarming(decision):

@@ -1,15 +1,17 @@
 """Checks that the servo board holds what turn_arb commands: throttle is given only while it does.
 
 Consumes turn_arb's command for the steering channel (from its state) and the duties that the board holds
-(/servo/output). These arrive on different connections, so the report of a duty can arrive before or after the state
-that commands it. What the board held is therefore compared with every command in force up to MARGIN_NS before and
-after.
+(/servo/output), each with its arrival. They come on different connections, so the report of a duty can arrive before
+or after the state that commands it. So the two are compared with a margin, each time once that has passed: what was
+held must be among the commands in force around then, and what was commanded must be among the duties held around then.
+The first finds a second sender on the channel; the second a servo that stands still while the commands sweep through
+its position, as they do when a driver moves the stick to and fro.
 
-Differences add up, and agreement takes them away only at a quarter of the pace. Otherwise a servo that does not follow
-would pass each time that the commands sweep through its position, as they do when a driver moves the stick to and fro.
+The time for which they differed adds up, and agreement takes it away at a quarter of the pace.
 """
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
@@ -20,16 +22,14 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 
 BOARD = "board/"  # namespace of pca9685's parameters, of which only the limits are read
-# Throttle ends, at the latest, so long after the board and turn_arb began to differ; it returns after they have agreed
-# for so long. It is the timeout of the arbiters' other inputs.
+# Throttle ends so long after the board and turn_arb began to differ for good; it returns after they have agreed for so
+# long. It is the timeout of the arbiters' other inputs.
 TOLERANCE_NS = 500 * NS_PER_MS
-# How late a report or a state may be, relative to the other: five periods of turn_arb. A command that the board does
-# not follow is excused for twice that, one margin before and one after.
-MARGIN_NS = 50 * NS_PER_MS
-MAX_DIFFERENCE_NS = TOLERANCE_NS - 2 * MARGIN_NS
+# How late a report or a state may be, relative to the other: ten periods of turn_arb. It excuses only a command or a
+# duty that the other side takes up or leaves within that time.
+MARGIN_NS = 100 * NS_PER_MS
+JUDGED_NS = TOLERANCE_NS - MARGIN_NS  # of either, when the newest margin can't be judged yet
 RECOVERY_RATIO = 4  # the board must follow for four fifths of the time
-# decide() is called at 20 Hz at least. Of a longer gap it is not known what happened in it.
-MAX_STEP_NS = 50 * NS_PER_MS
 ROUNDING_DUTY = 16  # a PCA9685 divides the 65536 duties of the period into 4096 counts; some nodes round them down
 
 
@@ -71,19 +71,15 @@ class BoardTrouble(NamedTuple):
     reason: str
 
 
-class _Command(NamedTuple):
-    channel: int
-    duty: int
-
-
 class BoardWatch:
     """Judges whether the board follows turn_arb. It does not until both have agreed for TOLERANCE_NS."""
 
     def __init__(self, config: BoardConfig):
         self._config = config
         self._output = TimedInput("/servo/output", config.output_timeout_s)
-        self._commands: deque[tuple[int, _Command]] = deque()  # since when each is in force, oldest first
-        self._outputs: deque[tuple[int, tuple[int, ...]]] = deque()  # likewise what the board held
+        self._channel: int | None = None  # of the steering; None: turn_arb has not named it
+        self._commands = _History()  # as the board clamps them
+        self._held = _History()
         self._judged_ns: int | None = None
         self._difference_ns = 0
         self._agreement_ns = 0  # without interruption
@@ -91,14 +87,19 @@ class BoardWatch:
 
     def update_command(self, channel: int, duty: int, now_ns: int) -> None:
         """Take turn_arb's command: the steering channel, 0..15, and its duty."""
-        _append(self._commands, _Command(channel, duty), now_ns)
+        if channel != self._channel:
+            self._channel = channel
+            self._commands.clear()
+            self._held.clear()
+            self._hold(now_ns)
+        self._commands.append(max(self._config.pwm_min[channel], min(self._config.pwm_max[channel], duty)), now_ns)
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
         """Take the 16 duties that the board holds, −1 = never set."""
         if self._output.is_stale(now_ns):
-            self._outputs.clear()  # it is not known what the board held in between
+            self._held.clear()  # it is not known what the board held in between
         self._output.update(tuple(duties), now_ns)
-        _append(self._outputs, self._output.value, now_ns)
+        self._hold(now_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here."""
@@ -124,6 +125,10 @@ class BoardWatch:
         self._judge(now_ns)
         return None if self._follows else BoardTrouble(causes.STEERING_NOT_HELD, self._reason())
 
+    def _hold(self, now_ns):
+        if self._channel is not None and self._output.was_received:
+            self._held.append(self._output.value[self._channel], now_ns)
+
     def _restart(self):
         """Require a whole agreement again."""
         self._judged_ns = None
@@ -131,56 +136,81 @@ class BoardWatch:
         self._follows = False
 
     def _judge(self, now_ns):
-        elapsed_ns = 0 if self._judged_ns is None else min(max(0, now_ns - self._judged_ns), MAX_STEP_NS)
-        self._judged_ns = now_ns
-        if self._agrees(now_ns - MARGIN_NS):
-            self._agreement_ns += elapsed_ns
-            self._difference_ns = max(0, self._difference_ns - elapsed_ns // RECOVERY_RATIO)
-            if self._agreement_ns >= TOLERANCE_NS:
-                self._follows, self._difference_ns = True, 0
+        """Account for the time since the last call, up to a margin ago."""
+        end_ns = now_ns - MARGIN_NS
+        start_ns = now_ns if self._judged_ns is None else self._judged_ns
+        self._judged_ns = max(start_ns, end_ns)
+        for history in (self._commands, self._held):
+            history.forget(start_ns - MARGIN_NS)
+        edges = {edge_ns for history in (self._commands, self._held) for since_ns in history.changes()
+                 for edge_ns in (since_ns - MARGIN_NS, since_ns, since_ns + MARGIN_NS) if start_ns < edge_ns < end_ns}
+        times_ns = sorted({start_ns, self._judged_ns, *edges})
+        for begin_ns, until_ns in zip(times_ns, times_ns[1:]):
+            self._account(self._agree((begin_ns + until_ns) // 2), until_ns - begin_ns)
+
+    def _account(self, agree, lasted_ns):
+        if agree:
+            self._agreement_ns += lasted_ns
+            self._difference_ns = max(0, self._difference_ns - lasted_ns // RECOVERY_RATIO)
+            self._follows |= self._agreement_ns >= JUDGED_NS
         else:
             self._agreement_ns = 0
-            self._difference_ns = min(self._difference_ns + elapsed_ns, MAX_DIFFERENCE_NS)
-            if self._difference_ns >= MAX_DIFFERENCE_NS:
-                self._follows = False
+            self._difference_ns = min(self._difference_ns + lasted_ns, JUDGED_NS)
+            self._follows &= self._difference_ns < JUDGED_NS
 
-    def _agrees(self, at_ns):
-        """Whether the board held at ``at_ns`` what turn_arb commanded about then."""
-        _forget(self._outputs, at_ns)
-        _forget(self._commands, at_ns - MARGIN_NS)
-        if not self._commands:
-            return False
-        duties = self._outputs[0][1]
-        return any(self._holds(duties, command) for since_ns, command in self._commands
-                   if since_ns <= at_ns + MARGIN_NS)
-
-    def _holds(self, duties, command):
-        held = duties[command.channel]
-        return held != UNCHANGED and abs(held - self._allowed(command)) <= ROUNDING_DUTY
-
-    def _allowed(self, command):
-        """The duty that the board makes of a command."""
-        return max(self._config.pwm_min[command.channel], min(self._config.pwm_max[command.channel], command.duty))
+    def _agree(self, at_ns):
+        """Return whether what was commanded at a time was held about then, and the other way round."""
+        return (bool(self._commands) and bool(self._held)
+                and self._held.covers(self._commands.at(at_ns), at_ns)
+                and self._commands.covers(self._held.at(at_ns), at_ns))
 
     def _reason(self):
-        if not self._commands:
+        if not (self._commands and self._held):
             return "turn_arb's command for the steering isn't known"
-        command, duties = self._commands[-1][1], self._outputs[-1][1]
-        if self._holds(duties, command):
-            return (f"the servo board has held turn_arb's command for {self._agreement_ns / NS_PER_S:.2f} of "
-                    f"{TOLERANCE_NS / NS_PER_S:g} s")
-        held = duties[command.channel]
-        return (f"the servo board holds {'nothing' if held == UNCHANGED else held} on channel {command.channel}, where "
-                f"turn_arb commands {self._allowed(command)}")
+        commanded, held = self._commands.newest, self._held.newest
+        if abs(held - commanded) <= ROUNDING_DUTY and held != UNCHANGED:
+            return f"the servo board holds turn_arb's command, which must last for {TOLERANCE_NS / NS_PER_S:g} s"
+        return (f"the servo board holds {'nothing' if held == UNCHANGED else held} on channel {self._channel}, where "
+                f"turn_arb commands {commanded}")
 
 
-def _append(history, value, now_ns):
-    """Append a value that differs from the newest one."""
-    if not history or history[-1][1] != value:
-        history.append((now_ns, value))
+class _History:
+    """The duties of the recent past, and since when each was in force."""
 
+    def __init__(self):
+        self._entries: deque[tuple[int, int]] = deque()  # since when, duty; oldest first
 
-def _forget(history, at_ns):
-    """Drop the values that were no longer in force at ``at_ns``."""
-    while len(history) > 1 and history[1][0] <= at_ns:
-        history.popleft()
+    def __bool__(self):
+        return bool(self._entries)
+
+    @property
+    def newest(self):
+        return self._entries[-1][1]
+
+    def clear(self):
+        self._entries.clear()
+
+    def append(self, duty, now_ns):
+        """Append a duty, if it differs from the newest one."""
+        if not self._entries or self.newest != duty:
+            self._entries.append((now_ns, duty))
+
+    def forget(self, before_ns):
+        """Drop what was no longer in force then."""
+        while len(self._entries) > 1 and self._entries[1][0] <= before_ns:
+            self._entries.popleft()
+
+    def changes(self):
+        """Return when the duties after the first came into force."""
+        return [since_ns for since_ns, _ in itertools.islice(self._entries, 1, None)]
+
+    def at(self, at_ns):
+        """Return the duty in force at a time; the first one also before it is known."""
+        return next((duty for since_ns, duty in reversed(self._entries) if since_ns <= at_ns), self._entries[0][1])
+
+    def covers(self, duty, at_ns):
+        """Return whether a duty lies among those in force within MARGIN_NS of a time, but for the board's rounding."""
+        around = [self.at(at_ns - MARGIN_NS), *(each for since_ns, each in self._entries
+                                                if at_ns - MARGIN_NS < since_ns <= at_ns + MARGIN_NS)]
+        return (UNCHANGED not in (duty, *around)
+                and min(around) - ROUNDING_DUTY <= duty <= max(around) + ROUNDING_DUTY)
