@@ -126,6 +126,7 @@ class Angles(WrongUnits):
         self.report("planner_interface: planner", lambda status: status.level == DiagnosticStatus.WARN
                     and "(degrees?)" in status.message)
         degrees.end()
+        self.planner.publish(drive(3.0))  # the wave may have ended among angles that wheels have
         began_s = time.monotonic()
         self.send(drive(0.2))
         self.wait_for(lambda state: state.cause == "request refused" and state.reason.endswith(" s more"))
