@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 from typing import Callable, Iterable, NamedTuple
+from xml.etree import ElementTree
 
 from processes import (
+    TIMEOUT_EXIT_CODE,
     adopt_descendants,
     descendants,
     end_descendants,
@@ -28,12 +31,19 @@ from tally import Tally, tally
 TEST = Path(__file__).resolve().parent
 ROOT = TEST.parent
 MESSAGES = TEST / "node" / "messages_test.py"
+MESSAGES_STEP = "messages"
 # Node tests that measure times down to milliseconds: at most two of them run at a time, and no other node test.
 TIMED = ("captures", "chain", "demo", "planner_interface", "planners", "serial_faults", "teleop_logi", "turn_arb")
 MAX_TIMED = 2
 LONG = ("chain", "one_process", "fuzz", "doctor_situations", "live")  # the longest begin first
 MAX_REPEATED = 3  # more failed node tests than this have one cause: repeating them would only take time
-STEP_LIMIT_S = 3600  # far longer than any step takes: a hanging one ends
+# Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 1500 s.
+NODE_LIMIT_S, UNIT_LIMIT_S = 900.0, 2400.0
+LONG_UNIT_LIMIT_S = 3600.0  # with --all
+# One unit test fails after 600 s (test/unit/conftest.py); of one that nothing interrupts the log shows where it is.
+PYTEST_TRACEBACK_S = 660
+ROSTEST_LIMIT_S = 60.0  # of a test without a time-limit: wiki.ros.org/roslaunch/XML/test
+START_AND_END_S = 60.0  # for rostest to start its master and nodes, and to end them: 5 s on an idle machine
 END_S = 15.0  # for an interrupted step to end its processes
 POLL_S = 0.2
 # On a second Python only those that could differ there. test/unit/conftest.py explains the marks.
@@ -56,6 +66,7 @@ class Step(NamedTuple):
     title: str
     command: tuple[str, ...]
     environment: dict[str, str]
+    limit_s: float
     is_unit: bool = False
 
 
@@ -134,6 +145,7 @@ class Runner:
 
     def __init__(self, output: Path, unit_steps: Iterable[Step]):
         self.tallies: dict[str, Tally] = {}  # by step
+        self.hung: set[str] = set()  # names of steps
         self._results, self._logs = output / "results", output / "log" / "test"
         self._unit_steps = list(unit_steps)
         self._running: list[Running] = []
@@ -147,7 +159,7 @@ class Runner:
         environment = {**os.environ, "ROS_LOG_DIR": str(self._logs / step.name),
                        "CAR_INTERFACE_SKIPPED": str(folder / "skipped"), **step.environment}
         with open(str(folder / "log"), "wb") as log:
-            process = start(sys.executable, str(TEST / "processes.py"), "--limit", str(STEP_LIMIT_S), "--left-behind",
+            process = start(sys.executable, str(TEST / "processes.py"), "--limit", str(step.limit_s), "--left-behind",
                             str(folder / "left_behind"), *step.command, env=environment, stdin=subprocess.DEVNULL,
                             stdout=log, stderr=log)
         self._running.append(Running(step, process, time.monotonic()))
@@ -161,9 +173,14 @@ class Runner:
             self.begin(self._unit_steps.pop(0))
             self.set_unit_policy(self._unit_policy)
 
-    def _report(self, step, code, took_s):
+    def _report(self, step, code, took_s, why_ended=""):
         folder, logs = self._results / step.name, self._logs / step.name
         (folder / "exit_code").write_text(str(code), encoding="ascii")
+        if code == TIMEOUT_EXIT_CODE:
+            self.hung.add(step.name)
+            why_ended = f"hung: ended after {step.limit_s:.0f} s"
+        if why_ended:
+            (folder / "why_ended").write_text(why_ended, encoding="utf-8")
         result = tally(folder)
         self.tallies[step.name] = result
         print_line(step.title, took_s, str(result))
@@ -219,6 +236,16 @@ class Runner:
         wait_until(lambda: all(each.process.poll() is not None for each in self._running), END_S)
         end_descendants()
 
+    def give_up(self, names: Iterable[str]) -> None:
+        """End the run: what is at work, and each of the named steps that has not begun, counts as failed."""
+        ended = [(each, time.monotonic() - each.begun_s) for each in self._running]
+        self.end()
+        for each, took_s in ended:
+            self._report(each.step, each.process.returncode, took_s,
+                         f"ended after {took_s:.0f} s, since the whole run was ended")
+        for name in names:
+            self.tallies.setdefault(name, Tally(failures=(f"{name}: not run, since the whole run was ended",)))
+
 
 def print_line(title: str, took_s: float, result: str = "") -> None:
     """Print how long something took, and with which result."""
@@ -228,7 +255,7 @@ def print_line(title: str, took_s: float, result: str = "") -> None:
 def pytest_command(python: str, results: Path, *arguments: str) -> tuple[str, ...]:
     """Return a command that runs pytest at a lower priority than node tests have."""
     return ("nice", "-n", "5", python, "-m", "pytest", "-q", "--tb=short", "-p", "no:cacheprovider",
-            f"--junitxml={results / 'junit.xml'}", *arguments)
+            "-o", f"faulthandler_timeout={PYTEST_TRACEBACK_S}", f"--junitxml={results / 'junit.xml'}", *arguments)
 
 
 # pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of
@@ -244,21 +271,28 @@ def unit_step(results: Path, python: str, files: list[Path], is_second: bool, ev
     marks = SECOND_PYTHON if is_second and not everything else ()
     command = pytest_command(python, results / name, "-n", str(cpu_count()), "--dist", "loadfile", *marks,
                              *map(str, files))
-    return Step(name, f"unit tests, Python {version}", command,
-                {**PYTEST_ENVIRONMENT, "PYTHONPATH": str(ROOT / "src")}, is_unit=True)
+    return Step(name, f"unit tests, Python {version}", command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": str(ROOT / "src")},
+                LONG_UNIT_LIMIT_S if everything else UNIT_LIMIT_S, is_unit=True)
 
 
 def messages_step(results: Path, path: Path) -> Step:
     """Return the step of the test that imports the generated messages."""
-    return Step("messages", "messages", pytest_command(sys.executable, results / "messages", str(path)),
-                PYTEST_ENVIRONMENT)
+    return Step(MESSAGES_STEP, "messages", pytest_command(sys.executable, results / "messages", str(path)),
+                PYTEST_ENVIRONMENT, NODE_LIMIT_S)
 
 
-def node_step(results: Path, path: Path, name: str) -> Step:
+def node_limit_s(path: Path, everything: bool) -> float:
+    """Return the limit of a node test: the sum of its tests' own, which are those of --all; else at most 15 minutes."""
+    tests = ElementTree.parse(str(path)).iter("test")
+    limit_s = START_AND_END_S + sum(float(test.get("time-limit", ROSTEST_LIMIT_S)) for test in tests)
+    return limit_s if everything else min(limit_s, NODE_LIMIT_S)
+
+
+def node_step(results: Path, path: Path, name: str, everything: bool) -> Step:
     """Return the step of one node test."""
     folder = results / name
     command = ("rostest", f"--pkgdir={ROOT}", "--package=car_interface", f"--results-base-dir={folder}", str(path))
-    return Step(name, name, command, {"CAR_INTERFACE_TABLE": str(folder / "table")})
+    return Step(name, name, command, {"CAR_INTERFACE_TABLE": str(folder / "table")}, node_limit_s(path, everything))
 
 
 def run_node_tests(runner: Runner, results: Path, selected: Selection, everything: bool) -> None:
@@ -267,7 +301,7 @@ def run_node_tests(runner: Runner, results: Path, selected: Selection, everythin
         runner.begin(messages_step(results, path))
     for path in selected.shared:
         runner.wait_for_room()
-        runner.begin(node_step(results, path, path.name))
+        runner.begin(node_step(results, path, path.name, everything))
     runner.wait_for_node_tests(0)
     if not selected.timed:
         return
@@ -278,7 +312,7 @@ def run_node_tests(runner: Runner, results: Path, selected: Selection, everythin
         runner.set_unit_policy(os.SCHED_IDLE)
     for path in selected.timed:
         runner.wait_for_node_tests(0 if everything else MAX_TIMED - 1)
-        runner.begin(node_step(results, path, path.name))
+        runner.begin(node_step(results, path, path.name, everything))
     runner.wait_for_node_tests(0)
     runner.set_unit_policy(os.SCHED_OTHER)
 
@@ -287,15 +321,16 @@ def repeat_failed(runner: Runner, results: Path, paths: Iterable[Path]) -> list[
     """Run the node tests that failed once more, each alone; return the failures of those that pass then.
 
     A program that was kept from running for seconds by others looks like one that is broken. What is broken fails
-    again, and what passes is named: it depends on time where it shouldn't, in the test or in the code.
+    again, and what passes is named: it depends on time where it shouldn't, in the test or in the code. What hung is not
+    repeated: it has had many times the time that it needs.
     """
-    failed = [path for path in paths if runner.tallies[path.name].failures]
+    failed = [path for path in paths if runner.tallies[path.name].failures and path.name not in runner.hung]
     if len(failed) > MAX_REPEATED:
         return []
     runner.wait_for_unit_tests()
     unsteady: list[str] = []
     for path in failed:
-        again = node_step(results, path, f"{path.stem}-again.test")
+        again = node_step(results, path, f"{path.stem}-again.test", everything=False)
         runner.begin(again)
         runner.wait_for_node_tests(0)
         second = runner.tallies.pop(again.name)
@@ -306,16 +341,28 @@ def repeat_failed(runner: Runner, results: Path, paths: Iterable[Path]) -> list[
 
 
 def run(output: Path, pythons: list[str], selected: Selection, everything: bool, repeats: bool) -> int:
-    """Run the selected tests, print the results and their sum; return the exit code."""
+    """Run the selected tests, print the results and their sum; return the exit code.
+
+    SIGTERM ends the run early, as timeout(1) does in .ci/run when the run has taken too long: its results are printed,
+    and what had not ended by itself counts as failed.
+    """
     results, begun_s = output / "results", time.monotonic()
     runnable = [python for python in pythons if os.access(python, os.X_OK)]
     os.chdir(str(results))
-    runner = Runner(output, [unit_step(results, python, selected.unit, python != pythons[0], everything)
-                             for python in runnable if selected.unit])
+    unit_steps = [unit_step(results, python, selected.unit, python != pythons[0], everything)
+                  for python in runnable if selected.unit]
+    runner, unsteady = Runner(output, unit_steps), []
     try:
         run_node_tests(runner, results, selected, everything)
         unsteady = repeat_failed(runner, results, [*selected.shared, *selected.timed]) if repeats else []
         runner.wait_for_unit_tests()
+    except SystemExit as end:
+        if end.code != 128 + signal.SIGTERM:
+            raise
+        print(f"./dev test: ended by SIGTERM after {time.monotonic() - begun_s:.0f} s", flush=True)
+        nodes = (*selected.shared, *selected.timed)
+        runner.give_up([*(step.name for step in unit_steps), *(MESSAGES_STEP for _ in selected.messages),
+                        *(path.name for path in nodes)])
     finally:
         runner.end()
     print_line("all", time.monotonic() - begun_s)

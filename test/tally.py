@@ -4,6 +4,7 @@
   test ran: their failures count and their passes do not.
 - skipped: a line for each skipped test that rosunit counts as passed.
 - exit_code: of the step's command. Not 0 without a failed test is a failure: something crashed.
+- why_ended: the reason, if the step did not end by itself. A failure too.
 - left_behind: how many processes outlived the command, if any did. A failure too.
 """
 from __future__ import annotations
@@ -11,8 +12,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Iterable, Iterator, NamedTuple
 from xml.etree import ElementTree
-
-from processes import TIMEOUT_EXIT_CODE
 
 
 class Tally(NamedTuple):
@@ -56,8 +55,6 @@ def crash(folder: Path) -> str | None:
     """Return how the step's command ended, or None when its exit code was 0."""
     path = folder / "exit_code"
     code = int(path.read_text()) if path.exists() else 0
-    if code == TIMEOUT_EXIT_CODE:
-        return "took too long and was ended"
     return f"ended with exit code {code} without a failed test" if code else None
 
 
@@ -82,6 +79,9 @@ def tally(folder: Path) -> Tally:
         count = len(skipped.read_text(encoding="utf-8").splitlines())
         outcomes["passed"] -= count
         outcomes["skipped"] += count
+    why_ended = folder / "why_ended"
+    if why_ended.exists():
+        failures.append(why_ended.read_text(encoding="utf-8"))
     # A test that was ended leaves an empty file: one failure, not two.
     failures = failures or unreadable
     how = crash(folder)

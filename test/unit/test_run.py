@@ -1,8 +1,11 @@
-"""test/run.py: which tests run, in which order, and when another one may begin."""
+"""test/run.py: which tests run, in which order, when another one may begin, and what becomes of one that hangs."""
 from __future__ import annotations
 
 import importlib
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -88,7 +91,9 @@ class Clock:
         monkeypatch.setattr(run, "print_line", lambda *_: None)
         monkeypatch.setattr(run.Runner, "set_unit_policy", lambda _, policy: self.log.append(f"policy {policy}"))
         self.failing: set[str] = set()
+        self.codes: dict[str, int] = {}
         monkeypatch.setattr(run, "tally", self._tally)
+        monkeypatch.setattr(run, "node_limit_s", lambda *_: 60.0)
 
     def _tally(self, folder):
         return run.Tally(0, (f"{folder.name}: too late",)) if folder.name in self.failing else run.Tally(1)
@@ -97,16 +102,16 @@ class Clock:
         name = Path(command[-1]).stem
         self.log.append(name)
         polls = self._polls.get(name, 3)
-        clock, log = iter(range(polls)), self.log
+        clock, log, code = iter(range(polls)), self.log, self.codes.get(name, 0)
 
         class Process:
-            returncode, pid = 0, 0
+            returncode, pid = code, 0
 
             def poll(self):
                 if next(clock, None) is not None:
                     return None
                 log.append(f"{name} ended")
-                return 0
+                return code
         return Process()
 
 
@@ -120,7 +125,7 @@ def at_work(log):
 
 
 def unit(name):
-    return run.Step(name, name, (name,), {}, is_unit=True)
+    return run.Step(name, name, (name,), {}, 60.0, is_unit=True)
 
 
 @pytest.mark.parametrize("everything, most", [(False, 2), (True, 1)])
@@ -195,3 +200,157 @@ def test_many_failed_node_tests_are_not_repeated(monkeypatch, tmp_path):
     clock.failing = {f"{name}.test" for name in "abcd"}
     unsteady, total = run_and_repeat(clock, tmp_path, "abcde")
     assert unsteady == [] and len(total.failures) == 4 and clock.log.count("a") == 1
+
+
+def test_node_test_that_hung_is_not_repeated(monkeypatch, tmp_path):
+    clock = Clock(monkeypatch, {})
+    clock.failing, clock.codes = {"b.test"}, {"b": 124}
+    assert run_and_repeat(clock, tmp_path, "abc") == ([], run.Tally(2, ("b.test: too late",)))
+    assert clock.log.count("b") == 1
+
+
+@pytest.mark.parametrize("tests, everything, limit_s", [
+    ('<test time-limit="240"/>', False, 300.0),
+    ('<test time-limit="200"/><group><test time-limit="40"/></group>', False, 300.0),
+    ("<test/>", False, 120.0),
+    ('<test time-limit="3600"/>', False, 900.0),
+    ('<test time-limit="3600"/>', True, 3660.0),
+], ids=["own_and_a_minute", "several_are_added", "without_one_rostest_s", "long_with_all", "long_of_all"])
+def test_limit_of_a_node_test_is_that_of_its_tests(tmp_path, tests, everything, limit_s):
+    path = tmp_path / "x.test"
+    path.write_text(f"<launch>{tests}</launch>", encoding="utf-8")
+    assert run.node_step(tmp_path, path, "x.test", everything).limit_s == limit_s
+
+
+def test_usual_run_has_time_for_a_hanging_node_test_beside_all_that_passes():
+    limits_s = [run.node_limit_s(path, everything=False) for path in (TEST / "node").glob("*.test")]
+    assert max(limits_s) <= 900, "twenty minutes for the others, of the 50 of .ci/run"
+
+
+# A process of a session of its own, as roslaunch's nodes are.
+HANGS = ("sh", "-c", "setsid sleep 600 & echo $! > hangs.pid; echo its last line; wait")
+PASSES = ("sh", "-c", "echo '<testsuite><testcase name=\"a\"/></testsuite>' > results/passes.test/a.xml")
+# A run of steps as those of the node tests; argument: the limit in seconds of the one that hangs.
+RUN = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import run
+COMMANDS = {commands}
+limit_s = {{"hangs.test": float(sys.argv[2])}}
+run.node_step = lambda _, path, name, __: run.Step(name, name, COMMANDS[name], {{}}, limit_s.get(name, 600.0))
+run.cpu_count, run.cpus_have_time = lambda: 0, lambda: True
+run.os.chdir = lambda _: None
+run.adopt_descendants()
+paths = [Path(name) for name in COMMANDS]
+sys.exit(run.run(Path(), [], run.Selection([], [], paths, []), False, True))
+"""
+
+
+def run_steps(folder, commands, limit_s):
+    """Start a run of these steps, one after the other."""
+    return subprocess.Popen([sys.executable, "-c", RUN.format(commands=commands), str(TEST), str(limit_s)],
+                            cwd=str(folder), stdout=subprocess.PIPE, text=True)
+
+
+def hanging_pid(folder):
+    path, deadline_s = folder / "hangs.pid", time.monotonic() + 60
+    while not (path.exists() and path.read_text(encoding="ascii").endswith("\n")):
+        assert time.monotonic() < deadline_s, "the step did not start"
+        time.sleep(0.01)
+    return int(path.read_text(encoding="ascii"))
+
+
+def has_ended(pid):
+    path = Path(f"/proc/{pid}/stat")
+    return not path.exists() or path.read_text(encoding="utf-8").rpartition(")")[2].split()[0] in "ZX"
+
+
+@pytest.mark.once
+def test_step_that_hangs_is_ended_and_named_with_the_end_of_its_log_and_the_others_run(tmp_path):
+    process = run_steps(tmp_path, {"hangs.test": HANGS, "passes.test": PASSES}, limit_s=8)
+    output, _ = process.communicate(timeout=120)
+    lines = output.splitlines()
+    assert "FAILED hangs.test: hung: ended after 8 s" in lines and "  | its last line" in lines
+    assert (lines[-1], process.returncode) == ("1 passed, 1 failed, 0 skipped", 1)
+    assert has_ended(hanging_pid(tmp_path))
+
+
+def test_run_that_is_ended_names_what_ran_and_what_had_not_begun_and_its_last_line_is_the_sum(tmp_path):
+    process = run_steps(tmp_path, {"passes.test": PASSES, "hangs.test": HANGS, "waits.test": PASSES}, limit_s=600)
+    pid = hanging_pid(tmp_path)
+    process.send_signal(signal.SIGTERM)
+    output, _ = process.communicate(timeout=120)
+    lines = output.splitlines()
+    assert any(line.startswith("FAILED hangs.test: ended after ") for line in lines) and "  | its last line" in lines
+    assert "FAILED waits.test: not run, since the whole run was ended" in lines
+    assert (lines[-1], process.returncode) == ("1 passed, 2 failed, 0 skipped", 1)
+    assert has_ended(pid)
+
+
+HANGING_TEST = """
+import threading
+from hypothesis import given, strategies
+
+@given(strategies.integers())
+def test_hangs(_):
+    threading.Event().wait()
+
+def test_passes():
+    pass
+"""
+
+
+def test_unit_test_that_hangs_is_named_as_failed_and_the_others_run(tmp_path):
+    (tmp_path / "conftest.py").write_text((TEST / "unit" / "conftest.py").read_text(encoding="utf-8"))
+    (tmp_path / "test_some.py").write_text(HANGING_TEST)
+    environment = {**run.os.environ, "CAR_INTERFACE_UNIT_LIMIT_S": "5"}
+    command = run.pytest_command(sys.executable, tmp_path, "-n", "1", "--dist", "loadfile", str(tmp_path))
+    subprocess.run(command, cwd=str(tmp_path), env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                   timeout=120, check=False)
+    tally = importlib.import_module("tally").tally(tmp_path)
+    assert (tally.passed, len(tally.failures)) == (1, 1)
+    assert "test_some.test_hangs: " in tally.failures[0] and "hung: ended after 5 s" in tally.failures[0]
+
+
+# A ./dev of which one command hangs as told; the other one ends with the sum, as it does.
+DEV = """#!/usr/bin/env bash
+hangs() {{ trap '{trap}' TERM; sleep 600 & echo $! > hangs.pid; wait $!; }}
+[[ $1 != {hanging} ]] || hangs
+[[ $1 == lint ]] || echo "3 passed, 0 failed, 0 skipped"
+"""
+
+
+def run_ci(folder, hanging, trap, end_s):
+    """Return output and exit code of .ci/run with limits of some seconds."""
+    (folder / ".ci").mkdir()
+    text = (TEST.parent / ".ci" / "run").read_text(encoding="utf-8")
+    for name, seconds in (("LINT_S=480", "LINT_S=8"), ("TEST_S=3000", "TEST_S=8"), ("END_S=60", f"END_S={end_s}")):
+        assert name in text
+        text = text.replace(name, seconds)
+    for name, content in ((".ci/run", text), ("dev", DEV.format(hanging=hanging, trap=trap))):
+        (folder / name).write_text(content, encoding="utf-8")
+        (folder / name).chmod(0o755)
+    done = subprocess.run([str(folder / ".ci" / "run")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                          timeout=120, check=False)
+    return done.stdout.splitlines(), done.returncode
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("hanging, trap, end_s, expected", [
+    ("nothing", ":", 60, (["3 passed, 0 failed, 0 skipped"], 0)),
+    ("lint", "echo lint hung; exit 1", 60, (["lint hung"], 124)),
+    ("test", "echo 3 passed, 1 failed, 0 skipped; exit 1", 60, (["3 passed, 1 failed, 0 skipped"], 124)),
+    ("test", "", 1, ([".ci/run: ./dev test was killed", "0 passed, 1 failed, 0 skipped"], 137)),
+], ids=["nothing_hangs", "lint", "test", "test_that_does_not_end_when_asked_to"])
+def test_ci_run_ends_what_hangs(tmp_path, hanging, trap, end_s, expected):
+    lines, code = run_ci(tmp_path, hanging, trap, end_s)
+    # Before its last lines, bash reports what was killed.
+    assert (lines[-len(expected[0]):], code) == expected
+    assert hanging == "nothing" or has_ended(hanging_pid(tmp_path))
+
+
+def test_limits_of_ci_run_are_an_hour_together():
+    text = (TEST.parent / ".ci" / "run").read_text(encoding="utf-8")
+    lint_s, test_s, end_s = (int(text.partition(f"{name}=")[2].split()[0]) for name in ("LINT_S", "TEST_S", "END_S"))
+    assert lint_s + test_s + 2 * end_s <= 3600

@@ -49,13 +49,19 @@ def test_skipped_tests_that_rosunit_counts_as_passed_are_skipped(step):
 @pytest.mark.parametrize("files, failure", [
     ({"exit_code": "0"}, "no test ran"),
     ({"exit_code": "139", "one_xml": [PASSED]}, "ended with exit code 139 without a failed test"),
-    ({"exit_code": "124", "one_xml": [PASSED]}, "took too long and was ended"),
+    ({"exit_code": "124", "one_xml": [PASSED], "why_ended": "hung: ended after 9 s"}, "hung: ended after 9 s"),
+    ({"exit_code": "124", "one_xml": ["<cut"], "why_ended": "hung: ended after 9 s"}, "hung: ended after 9 s"),
     ({"exit_code": "0", "one_xml": [PASSED], "left_behind": "2"}, "left 2 processes behind"),
     ({"exit_code": "1", "one_xml": ["<cut"]}, "its result file one.xml is no XML"),
-], ids=["no_test", "crash", "time_limit", "left_behind", "incomplete_file"])
+], ids=["no_test", "crash", "time_limit", "time_limit_and_incomplete_file", "left_behind", "incomplete_file"])
 def test_what_went_wrong_without_a_failed_test_is_a_failure(step, files, failure):
     (found,) = step(**files).failures
     assert found.startswith(f"turn_arb.test: {failure}")
+
+
+def test_step_that_hung_after_a_failed_test_has_both_failures(step):
+    found = step(exit_code="124", one_xml=[FAILED], why_ended="hung: ended after 9 s").failures
+    assert found == ("turn_arb.test: a.B.fails: 1 is not 2", "turn_arb.test: hung: ended after 9 s")
 
 
 def test_sum_adds_everything_and_is_the_last_line():
