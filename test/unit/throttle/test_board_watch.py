@@ -101,7 +101,8 @@ def test_throttle_is_given_once_both_agreed_for_half_a_second():
 
 
 def test_reason_at_the_start_says_for_how_long_they_must_agree():
-    assert Car().run(300, CENTER, CENTER).reason == "the servo board holds turn_arb's command, which must last for 0.5 s"
+    trouble = Car().run(300, CENTER, CENTER)
+    assert trouble.reason == "the servo board holds turn_arb's command, which must last for 0.5 s"
 
 
 def test_board_that_does_not_follow_a_command_ends_the_throttle_after_half_a_second():
