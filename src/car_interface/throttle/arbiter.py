@@ -27,8 +27,8 @@ COAST_GEAR = "neutral"
 PLANNER_GEARS = {AUTO: AUTO, DRIVE: DRIVE, REVERSE_GEAR: REVERSE_GEAR, COAST_GEAR: DRIVE}
 PLANNER_STATE_TIMEOUT_S = 0.5  # it comes 10 times a second
 
-# An input that is later than this is stale, by the defaults of the timeouts. So a stick's message that arrives later after
-# a planner's mode, or after a release, was sent after it.
+# An input that is older than this is stale, by the defaults of the timeouts. So a stick's message that arrives so long
+# after a planner's mode, or after a release, was sent after it.
 SETTLES_NS = round(0.5 * NS_PER_S)
 
 # Values of ThrottleState.source are those of SteeringState.source: LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER.

@@ -1,9 +1,9 @@
 """A person's hands at random: gamepad, arbiter, the ESC's rules, a virtual ESC and its car, with late and lost modes.
 
 What holds: under a deadman that gives the throttle to the planner no pull drives the car backward, however often it is
-pulled, whatever was done before under another deadman, and though stick, deadman and mode each arrive up to 0.45 s late,
-or the mode no more; and a pull of a car that its planner drives backward never makes it faster. With the right profile or none, and with known
-speed or without.
+pulled, whatever was done before under another deadman, and though stick, deadman and mode each arrive up to 0.45 s
+late, or the mode no more; and a pull of a car that its planner drives backward never makes it faster. With the right
+profile or none, and with known speed or without.
 
 With the mode later than throttle_arb's mode_timeout, as by a connection that is that slow all the time, it can't hold;
 nor, with a mode that is late or lost, with calibration_drive, which has the first pull by hand drive backward.
