@@ -172,10 +172,14 @@ class HumanFirst(unittest.TestCase):
         self.assertEqual({message.twist.twist.linear.x for message in self.truth.since(truth)}, {0.0})
         self.assertNotIn("REVERSE", {state.esc for state in self.throttle.since(throttle)})
         self.assertIn("override", {state.cause for state in self.throttle.since(throttle)})
-        # The human takes over while the stick is pulled: nothing before it was centered and pulled again.
+        # The human takes over while the stick is pulled: nothing before it was centered and pulled twice.
         self.hands.hold(AUTONOMOUS, MANUAL, throttle=-1.0)
         self.wait(self.throttle, lambda state: state.mode == "manual")
         self.throttle.wait_for_count(20, self.throttle.mark())
+        self.hands.hold(MANUAL)
+        self.wait(self.throttle, lambda state: state.asked == 0.0)
+        self.hands.hold(MANUAL, throttle=-1.0)
+        self.wait(self.throttle, lambda state: state.asked < -0.9)
         self.assertNotIn("REVERSE", {state.esc for state in self.throttle.since(throttle)})
         self.hands.hold(MANUAL)
         self.wait(self.throttle, lambda state: state.asked == 0.0)

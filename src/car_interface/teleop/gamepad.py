@@ -48,7 +48,8 @@ CROSS_TOLERANCE = 0.01
 # while no deadman is held. A second pull would be reverse then. So for this long, its default mode_timeout and as much
 # for the message, a pull that follows another begins with a stop (NaN), which is in order with the pulls themselves.
 MODE_SETTLES_NS = round(1.0 * NS_PER_S)
-STOP_NS = round(0.06 * NS_PER_S)  # three messages
+# Seven messages, of which a stall may cost five or six. No more: it keeps a brake waiting where a stop doesn't brake.
+STOP_NS = round(0.15 * NS_PER_S)
 PULL_BEGINS = 0.02  # the least that esc/dead_band_reverse can be
 
 
@@ -304,7 +305,7 @@ class Gamepad:
             self._held_ns = now_ns
         elif now_ns - self._held_ns >= MODE_SETTLES_NS:
             self._had_pull = False
-        pull = stick.override() * stick.overrides(now_ns) if is_planners else stick.deflection * stick.counts
+        pull = self._overriding_throttle(now_ns) if is_planners else stick.deflection * stick.counts
         is_pulled = bool(self._mode) and pull <= -PULL_BEGINS
         begins = is_pulled and not (self._was_pulled and is_planners == self._was_planners)
         if not is_planners:
@@ -330,9 +331,18 @@ class Gamepad:
             throttle = self._throttle.deflection if self._throttle.counts else math.nan
         elif now_ns < self._stops_until_ns:
             throttle, reason = math.nan, f"{reason}; a pull just after another deadman begins with a stop"
-        elif self._throttle.overrides(now_ns):
-            throttle = self._throttle.override()
+        else:
+            throttle = self._overriding_throttle(now_ns)
         return self._with_sticks(Requests(True, steering, throttle, mode, reason), now_ns)
+
+    def _overriding_throttle(self, now_ns):
+        """The throttle under a planner's deadman; 0: it is the planner's, or the stick came back.
+
+        throttle_arb's dead band is smaller, and it counts the half second until the planner drives again, too: a stick
+        that rests between both has it count from when it came back.
+        """
+        stick = self._throttle
+        return stick.override() if stick.is_out and stick.overrides(now_ns) else 0.0
 
     def _with_sticks(self, requests, now_ns):
         """The requests with what becomes of each stick."""

@@ -70,6 +70,11 @@ class Stick:
         """Whether it brakes, beyond the dead band."""
         return self._brakes and self.deflection < -self._deadband
 
+    @property
+    def is_out(self) -> bool:
+        """Whether it is beyond the dead band."""
+        return abs(self.deflection) > self._deadband
+
     def overrides(self, now_ns: int) -> bool:
         """Whether the human has the actuator by it, under a deadman that gives it to the planner."""
         return self._is_active and not self._has_returned(now_ns)

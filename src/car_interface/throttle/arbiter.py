@@ -27,6 +27,10 @@ COAST_GEAR = "neutral"
 PLANNER_GEARS = {AUTO: AUTO, DRIVE: DRIVE, REVERSE_GEAR: REVERSE_GEAR, COAST_GEAR: DRIVE}
 PLANNER_STATE_TIMEOUT_S = 0.5  # it comes 10 times a second
 
+# An input that is older than this is stale, by the defaults of the timeouts. So a stick's message that arrives so long
+# after a planner's mode, or after a release, was sent after it.
+SETTLES_NS = round(0.5 * NS_PER_S)
+
 # Values of ThrottleState.source are those of SteeringState.source: LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER.
 
 
@@ -81,7 +85,9 @@ class ThrottleArbiter:
     still believes to be driving.
 
     Where the mode gives the throttle to the planner, a stick beyond the dead band overrides it until it was within for
-    OVERRIDE_HOLD_S. Such a pull is requested in the gear DRIVE, in which none ever becomes reverse.
+    OVERRIDE_HOLD_S. Such a pull is requested in the gear DRIVE, in which none ever becomes reverse. So is the stick of
+    a human who took over from the planner, until it was let go SETTLES_NS after that: each input is a topic of its own,
+    and what arrives up to then may have been sent under the planner's deadman.
     """
 
     def __init__(self, config: ArbiterConfig = ArbiterConfig()):
@@ -97,6 +103,9 @@ class ThrottleArbiter:
         self._planner_state = TimedInput("planner_interface's state", PLANNER_STATE_TIMEOUT_S)
         self._odometry = TimedInput("odometry", config.odometry_timeout_s)
         self._overrode_ns: int | None = None  # when a stick last asked for something under a planner's deadman
+        # When a mode was last in force that gave the throttle to the planner, or the deadman released after that;
+        # None: the stick was let go since then.
+        self._gave_ns: int | None = None
         self._no_value: NoValue | None = None
         self._board = None if config.board is None else BoardWatch(config.board)
         self._command_timeout_ns = (round(config.command_timeout_s * NS_PER_S) if config.command_timeout_s
@@ -123,6 +132,8 @@ class ThrottleArbiter:
         self._human.update(bool(present), now_ns)
         if not present:
             self._overrode_ns = None
+            if self._gave_ns is not None:  # without a deadman a teleop sends 0 for a stick that is held all the same
+                self._gave_ns = now_ns
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
         """Why deadman and requests are what they are, by teleop_logi; only quoted in a reason."""
@@ -146,12 +157,20 @@ class ThrottleArbiter:
     def update_teleop(self, throttle: float, now_ns: int) -> None:
         """The gamepad's throttle, −1 brake or reverse to +1 forward."""
         self._teleop.update(throttle, now_ns)
-        if self._is_planners and math.isfinite(throttle) and shaped(throttle, self._stick.deadband, self._stick.expo):
+        if not math.isfinite(throttle):
+            return
+        request = shaped(throttle, self._stick.deadband, self._stick.expo)
+        if self._is_planners and request:
             self._overrode_ns = now_ns
+        elif request >= 0 and self._has_settled(now_ns):
+            self._gave_ns = None
 
     def update_mode(self, mode: str, now_ns: int) -> None:
         """Who steers and who drives while a deadman is held: one of ``common.drive_modes``."""
+        was_planners = self._is_planners
         self._mode.update(mode, now_ns)
+        if was_planners or self._is_planners:
+            self._gave_ns = now_ns
         if not self._is_planners:
             self._overrode_ns = None
 
@@ -186,6 +205,8 @@ class ThrottleArbiter:
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all inputs are stale."""
         self._resumed_ns = None
+        if self._mode.was_received:
+            self._gave_ns = now_ns  # a planner's mode may have been among them
         self._interlock.mark_stale(now_ns)
         for timed in (self._human, self._steering, self._teleop, self._mode, self._planner, self._planner_state,
                       self._odometry):
@@ -261,6 +282,8 @@ class ThrottleArbiter:
             return self._by_override(throttle, request, now_ns)
         if not (request or human_drives):
             return None
+        if self._gave_ns is not None:
+            return self._by_taking_over(throttle, request)
         reason = f"tele_throt_req is {throttle:.3f}, scaled by {self.scale:g}"
         return Arbitration(TELEOP, causes.TELEOP, reason, request, request * self.scale,
                            request * self._stick.brake_scale, False)
@@ -270,16 +293,26 @@ class ThrottleArbiter:
         """Whether the newest mode gives the throttle to the planner."""
         return self._mode.value in MODES and self._mode.value not in HUMAN_DRIVES
 
+    def _has_settled(self, now_ns):
+        return self._gave_ns is None or not self._is_planners and now_ns - self._gave_ns >= SETTLES_NS
+
+    def _without_reverse(self, cause, throttle, request, why):
+        """The request of a stick whose pull has the scale of the brake alone, since it never drives."""
+        scale = self._stick.brake_scale if request < 0 else self.scale
+        reason = f"tele_throt_req is {throttle:.3f}, scaled by {scale:g}{why}"
+        return Arbitration(TELEOP, cause, reason, request, request * scale, request * self._stick.brake_scale, False,
+                           DRIVE)
+
+    def _by_taking_over(self, throttle, request):
+        """The request of a human who drives, and whose stick may still be where it was under the planner's deadman."""
+        why = ": it only brakes until the stick was centered, since the planner drove before" if request < 0 else ""
+        return self._without_reverse(causes.TELEOP, throttle, request, why)
+
     def _by_override(self, throttle, request, now_ns):
         """The request of a stick under a planner's deadman, and neutral for a while after it; ``None`` = the planner.
-
-        A pull has the scale of the brake alone, since it never drives.
         """
         if request:
-            scaled = request * (self.scale if request > 0 else self._stick.brake_scale)
-            reason = f"tele_throt_req is {throttle:.3f}, scaled by {scaled / request:g}: it overrides the planner"
-            return Arbitration(TELEOP, causes.OVERRIDE, reason, request, scaled, request * self._stick.brake_scale,
-                               False, DRIVE)
+            return self._without_reverse(causes.OVERRIDE, throttle, request, ": it overrides the planner")
         if self._overrode_ns is None or now_ns - self._overrode_ns >= OVERRIDE_HOLD_S * NS_PER_S:
             return None
         reason = f"the throttle stick overrode the planner, which waits until it was centered for {OVERRIDE_HOLD_S:g} s"

@@ -149,6 +149,7 @@ class ThrottleControl:
             return self._esc.step(request, now_ns)  # one scale: a pull stays what it is when the car comes to stand
         pulls = arbitration.asked < 0 and self._esc.state != REVERSE
         answer = self._esc.step(request._replace(value=arbitration.brake) if pulls else request, now_ns)
-        if answer.fraction and (answer.state in DRIVES) == pulls:
+        # A way into reverse that begins with neutral is told by the state: by the drive's scale it may be none at all.
+        if (answer.fraction or answer.state == REVERSE) and (answer.state in DRIVES) == pulls:
             answer = self._esc.step(request._replace(value=arbitration.drive if pulls else arbitration.brake), now_ns)
         return answer

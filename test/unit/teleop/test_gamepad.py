@@ -421,6 +421,16 @@ def test_pull_brakes_though_it_was_held_when_the_deadman_was_pressed_and_a_push_
     assert person.hold((0.0, 0.9), buttons, 2.0).throttle == 0.0
 
 
+@pytest.mark.parametrize("rest", [0.07, -0.07, 0.099])
+def test_throttle_that_rests_within_its_dead_band_is_sent_as_none_while_the_override_lasts(rest):
+    """Beyond throttle_arb's dead band, whose own half second would begin only when this one is over."""
+    person = Person()
+    person.hold(REST, AUTONOMOUS)
+    assert person.hold((0.0, -0.9), AUTONOMOUS).throttle == -0.9
+    read = person.hold((0.0, rest), AUTONOMOUS)
+    assert (read.throttle, read.throttle_stick) == (0.0, causes.OVERRIDE)
+
+
 def test_override_ends_with_the_deadman():
     person = Person()
     person.hold(REST, AUTONOMOUS)
@@ -504,7 +514,8 @@ def test_pull_just_after_the_manual_deadman_begins_with_a_stop_so_that_it_is_no_
     assert math.isnan(read.throttle)
     assert read.reason == ("autonomous deadman held; a pull just after another deadman begins with a stop; "
                            "the throttle stick overrides the planner by -1.00")
-    assert person.hold((0.0, -1.0), AUTONOMOUS, 0.1).throttle == -1.0
+    assert math.isnan(person.hold((0.0, -1.0), AUTONOMOUS, 0.1).throttle)  # longer than a stall of the gamepad's topic
+    assert person.hold((0.0, -1.0), AUTONOMOUS).throttle == -1.0
 
 
 @pytest.mark.parametrize("between", [AUTONOMOUS, NONE])

@@ -440,16 +440,21 @@ def driven(mode, *stick):
     """An arbiter whose planner asks for 0.7, with what the stick did: (value, for seconds); and the time after it."""
     arbiter, now_ns = arbiter_with(mode=(mode, 0.0), planner=(0.7, 0.0), odometry=(1.0, 0.0), human=(True, 0.0),
                                    steering=(TELEOP, 0.0)), NOW
+    return arbiter, go_on(arbiter, now_ns, mode, *stick)
+
+
+def go_on(arbiter, now_ns, mode, *stick, human=True):
+    """Repeat all inputs with what the stick does; the time after it."""
     for value, seconds in stick:
         for _ in range(round(seconds * 50)):
             now_ns += S // 50
-            arbiter.update_human(True, now_ns)
+            arbiter.update_human(human, now_ns)
             arbiter.update_steering(TELEOP, "", now_ns)
             arbiter.update_planner(2.1, 0.7, now_ns)
             arbiter.update_odometry(1.0, now_ns)
             arbiter.update_mode(mode, now_ns)
             arbiter.update_teleop(value, now_ns)
-    return arbiter, now_ns
+    return now_ns
 
 
 @pytest.mark.parametrize("mode", [AUTONOMOUS, HUMAN_STEERING])
@@ -504,3 +509,87 @@ def test_under_a_human_s_deadman_the_second_pull_may_mean_reverse(mode):
     arbiter, now_ns = driven(mode, (BRAKE, 0.1))
     decision = arbiter.decide(now_ns)
     assert (decision.cause, decision.gear) == ("teleop", "auto")
+
+
+# --- a human who takes over from the planner ---
+
+@pytest.mark.parametrize("mode", [MANUAL, HUMAN_THROTTLE])
+@pytest.mark.parametrize("planners", [AUTONOMOUS, HUMAN_STEERING])
+def test_pull_that_is_held_from_the_planner_s_deadman_on_only_brakes_and_the_reason_says_so(planners, mode):
+    arbiter, now_ns = driven(planners, (BRAKE, 0.2))
+    decision = arbiter.decide(go_on(arbiter, now_ns, mode, (BRAKE, 5.0)))
+    assert (decision.source, decision.cause, decision.gear) == (TELEOP, "teleop", "drive")
+    assert decision.drive == decision.brake == pytest.approx(-0.5)
+    assert decision.reason == ("tele_throt_req is -0.525, scaled by 1: it only brakes until the stick was centered, "
+                               "since the planner drove before")
+
+
+@pytest.mark.parametrize("settles_s, gear", [(0.48, "drive"), (0.54, "auto")])
+@pytest.mark.parametrize("let_go", [REST, FORWARD])
+def test_stick_is_the_human_s_once_it_was_let_go_half_a_second_after_the_planner_s_mode(settles_s, gear, let_go):
+    """One that comes before may have been sent under the planner's deadman: the topics are late by themselves."""
+    arbiter, now_ns = driven(AUTONOMOUS, (BRAKE, 0.2))
+    now_ns = go_on(arbiter, now_ns, MANUAL, (BRAKE, settles_s - 0.02), (let_go, 0.02))
+    assert arbiter.decide(go_on(arbiter, now_ns, MANUAL, (BRAKE, 0.1))).gear == gear
+
+
+def test_pulls_that_arrive_late_under_the_human_s_mode_only_brake():
+    arbiter, now_ns = driven(AUTONOMOUS, (REST, 0.2))
+    for stick in (BRAKE, REST, BRAKE, REST, BRAKE):
+        now_ns = go_on(arbiter, now_ns, MANUAL, (stick, 0.08))
+        assert arbiter.decide(now_ns).gear == "drive"
+
+
+def test_push_of_a_human_who_takes_over_drives_at_once_by_the_human_s_scale():
+    arbiter, now_ns = driven(AUTONOMOUS, (REST, 0.2))
+    decision = arbiter.decide(go_on(arbiter, now_ns, MANUAL, (FORWARD, 0.02)))
+    assert (decision.drive, decision.brake) == (pytest.approx(0.15), pytest.approx(0.5))
+    assert decision.reason == "tele_throt_req is 0.525, scaled by 0.3"
+
+
+@pytest.mark.parametrize("released_s", [0.02, 0.4, 3.0])
+@pytest.mark.parametrize("human_late_s", [0.0, 0.4])
+def test_zero_that_a_teleop_sends_without_a_deadman_is_no_stick_that_was_let_go(released_s, human_late_s):
+    arbiter, now_ns = driven(AUTONOMOUS, (BRAKE, 0.2))
+    late_s = min(human_late_s, released_s)
+    now_ns = go_on(arbiter, now_ns, MANUAL, (0.0, late_s))
+    now_ns = go_on(arbiter, now_ns, MANUAL, (0.0, released_s - late_s), human=False)
+    now_ns = go_on(arbiter, now_ns, MANUAL, (BRAKE, late_s), human=False)
+    for _ in range(50):
+        now_ns = go_on(arbiter, now_ns, MANUAL, (BRAKE, 0.02))
+        assert arbiter.decide(now_ns).gear == "drive"
+    now_ns = go_on(arbiter, now_ns, MANUAL, (REST, 0.02), (BRAKE, 0.02))
+    assert arbiter.decide(now_ns).gear == "auto"
+
+
+def test_mode_that_nobody_knows_in_between_changes_nothing():
+    arbiter, now_ns = driven(AUTONOMOUS, (BRAKE, 0.2))
+    now_ns = go_on(arbiter, now_ns, "sport", (BRAKE, 0.02))
+    assert arbiter.decide(go_on(arbiter, now_ns, MANUAL, (BRAKE, 1.0))).gear == "drive"
+
+
+@pytest.mark.parametrize("mode, gear", [(MANUAL, "drive"), (None, "auto")])
+def test_planner_s_mode_may_be_among_dropped_messages_of_a_teleop_that_sends_modes(mode, gear):
+    arbiter = arbiter_with(mode=fresh(mode), teleop=(REST, 0.1))
+    arbiter.mark_stale(NOW)
+    arbiter.update_e_stop(False, NOW)
+    arbiter.update_human(False, NOW)
+    arbiter.update_human(True, NOW)
+    arbiter.update_steering(TELEOP, "", NOW)
+    if mode:
+        arbiter.update_mode(mode, NOW)
+    arbiter.update_teleop(BRAKE, NOW)
+    assert arbiter.decide(NOW).gear == gear
+
+
+def test_half_a_second_counts_from_the_mode_that_ended_the_planner_s_not_from_its_last_message():
+    arbiter, now_ns = driven(AUTONOMOUS, (BRAKE, 0.2))
+    now_ns = go_on(arbiter, now_ns + 4 * S // 10, MANUAL, (BRAKE, 0.2), (REST, 0.02), (BRAKE, 0.1))
+    assert arbiter.decide(now_ns).gear == "drive"
+
+
+def test_zero_of_a_released_deadman_that_arrives_after_the_next_one_is_no_stick_that_was_let_go():
+    arbiter, now_ns = driven(AUTONOMOUS, (BRAKE, 0.2))
+    now_ns = go_on(arbiter, now_ns, MANUAL, (0.0, 3.0), human=False)
+    now_ns = go_on(arbiter, now_ns, MANUAL, (0.0, 0.3), (BRAKE, 1.0))
+    assert arbiter.decide(now_ns).gear == "drive"

@@ -156,11 +156,12 @@ def test_calibration_drive_has_the_scale_of_driving_for_brakes_too_so_that_a_pul
 
 
 def test_stick_that_reverse_s_scale_makes_too_small_drives_nothing():
-    """0.2 of the stick brakes, but 0.3 of that is in the ESC's dead band."""
+    """0.2 of the stick brakes, but 0.3 of that is in the ESC's dead band; nor does the state change all the time."""
     rig = Rig(DIRECT_REVERSE)
     for stick, seconds in ((-0.2, 0.5), (0.0, 1.0), (-0.2, 1.0)):
         rig.stick = stick
-        rig.run(seconds)
+        states = {rig.run(0.02).esc.state_name for _ in range(round(seconds * 50))}
+        assert states == {"NEUTRAL"}
     assert set(rig.duties) == {NEUTRAL_DUTY}
 
 
@@ -278,17 +279,65 @@ def test_pull_under_a_planner_s_deadman_never_becomes_reverse_however_often(prof
 
 
 @pytest.mark.parametrize("profile", [DIRECT_REVERSE, UNVERIFIED, BRAKE_THEN_REVERSE])
-def test_pull_that_is_held_when_the_human_takes_over_is_reverse_only_after_the_center_and_another(profile):
+def test_pull_that_is_held_when_the_human_takes_over_counts_for_nothing_and_reverse_takes_two_after_it(profile):
     rig = autonomous(profile)
     rig.speed = 0.0
     for rig.stick in (-1.0, 0.0, -1.0):
         rig.run(0.4)
     rig.mode = "manual"
     rig.run(3.0)
-    assert min(rig.duties) == NEUTRAL_DUTY
     for rig.stick in (0.0, -1.0):
         rig.run(3.0)
-    assert (rig.decision.esc.state_name, min(rig.duties)) == ("REVERSE", REVERSE_BY_HAND)
+    if profile != BRAKE_THEN_REVERSE:  # which takes the first one for a brake
+        assert min(rig.duties) == NEUTRAL_DUTY
+    assert rig.decision.esc.state_name != "REVERSE"
+    for rig.stick in (0.0, -1.0):
+        rig.run(3.0)
+    assert (rig.decision.esc.state_name, rig.decision.duty) == ("REVERSE", REVERSE_BY_HAND)
+
+
+@pytest.mark.parametrize("late_s", [0.02, 0.12, 0.4])
+@pytest.mark.parametrize("profile", [DIRECT_REVERSE, UNVERIFIED, BRAKE_THEN_REVERSE])
+def test_pulls_of_the_planner_s_deadman_that_arrive_after_the_human_s_mode_are_none_towards_reverse(profile, late_s):
+    """The stick's topic is later than the mode's: the last 'late_s' of it are read under the new mode."""
+    rig = autonomous(profile)
+    rig.speed, rig.mode = 0.0, "manual"
+    for rig.stick in (-1.0, 0.0, -1.0):
+        rig.run(late_s / 3)
+        assert rig.decision.esc.state_name != "REVERSE"
+    for _ in range(150):
+        assert rig.run(0.02).esc.state_name != "REVERSE"
+
+
+@pytest.mark.parametrize("released_s", [0.02, 0.3, 1.0])
+@pytest.mark.parametrize("profile, esc", [(DIRECT_REVERSE, {}), (UNVERIFIED, {}),
+                                          (UNVERIFIED, {"calibration_drive": True})])
+def test_pull_that_is_held_through_a_release_to_the_human_s_deadman_never_drives(profile, esc, released_s):
+    """Without a deadman teleop_logi sends 0; human_in_loop is later than that, by up to 0.4 s."""
+    rig = autonomous(profile, **esc)
+    rig.speed, rig.stick = 0.0, -1.0
+    rig.run(0.5)
+    rig.mode, rig.stick = "manual", 0.0
+    rig.run(min(0.4, released_s))
+    rig.human = False
+    rig.run(max(0.0, released_s - 0.4))
+    rig.stick = -1.0
+    rig.run(min(0.4, released_s))
+    rig.human = True
+    rig.run(3.0)
+    assert min(rig.duties) == NEUTRAL_DUTY
+
+
+def test_calibration_drive_hands_over_the_stick_once_it_was_let_go():
+    rig = autonomous(UNVERIFIED, calibration_drive=True)
+    rig.speed, rig.stick = 0.0, -1.0
+    rig.run(0.5)
+    rig.mode = "manual"
+    rig.run(3.0)
+    assert min(rig.duties) == NEUTRAL_DUTY
+    for rig.stick in (0.0, -1.0):
+        rig.run(0.1)
+    assert rig.decision.duty == REVERSE_BY_HAND
 
 
 def reversing(speed=-2.0):

@@ -1,9 +1,9 @@
 """A person's hands at random: gamepad, arbiter, the ESC's rules, a virtual ESC and its car, with late and lost modes.
 
 What holds: under a deadman that gives the throttle to the planner no pull drives the car backward, however often it is
-pulled, whatever was done before under another deadman, and though the mode arrives up to 0.45 s late, or no more; and a
-pull of a car that its planner drives backward never makes it faster. With the right profile or none, and with known
-speed or without.
+pulled, whatever was done before under another deadman, and though stick, deadman and mode each arrive up to 0.45 s
+late, or the mode no more; and a pull of a car that its planner drives backward never makes it faster. With the right
+profile or none, and with known speed or without.
 
 With the mode later than throttle_arb's mode_timeout, as by a connection that is that slow all the time, it can't hold;
 nor, with a mode that is late or lost, with calibration_drive, which has the first pull by hand drive backward.
@@ -35,9 +35,9 @@ sequences = importlib.import_module("esc_sequences")
 MS, S = 1_000_000, 1_000_000_000
 TICK_NS = 10 * MS
 DRIVES = 3000 if os.environ.get("CAR_INTERFACE_ALL") else 150
-PROMPT_MS, THROTTLE_MS, MODE_MS = 2, 20, 450  # a message takes less
-# From the last moment of another deadman to the last pulse that it may still have asked for.
-GRACE_NS = sequences.GRACE_NS + THROTTLE_MS * MS
+PROMPT_MS, THROTTLE_MS, LATE_MS = 2, 20, 450  # a message takes less
+# From the last moment of another deadman to the last pulse that it may still have asked for, without the stick's delay.
+GRACE_NS = sequences.GRACE_NS
 MANUAL, AUTONOMOUS, THIRD = range(3)
 NOBODY, BY_HAND, BY_PLANNER = (), (MANUAL,), (AUTONOMOUS,)
 
@@ -87,8 +87,10 @@ class Drive:
                                        calibration_drive=calibrates))
         arbiter = self.control.arbiter
         self.gamepad = Gamepad(GamepadConfig(0, 1, MANUAL, AUTONOMOUS, third_button=THIRD))
-        self.throttle = Topic(rng, PROMPT_MS if calibrates else THROTTLE_MS, arbiter.update_teleop)
-        lates = (PROMPT_MS,) if calibrates else (PROMPT_MS, THROTTLE_MS, MODE_MS)
+        throttle_ms = PROMPT_MS if calibrates else LATE_MS if rng.random() < 0.3 else THROTTLE_MS
+        self.throttle = Topic(rng, throttle_ms, arbiter.update_teleop)
+        self._grace_ns = GRACE_NS + throttle_ms * MS
+        lates = (PROMPT_MS,) if calibrates else (PROMPT_MS, THROTTLE_MS, LATE_MS)
         self.mode = Topic(rng, rng.choice(lates), arbiter.update_mode)
         self.human = Topic(rng, rng.choice(lates), arbiter.update_human)
         self.has_odometry = rng.random() < 0.8
@@ -146,7 +148,7 @@ class Drive:
 
     def _judge(self, now_ns):
         speed_mps, before_mps, self._speed_mps = self.car.speed_mps, self._speed_mps, self.car.speed_mps
-        if now_ns - max(self._by_hand_ns, self._planner_ns) <= GRACE_NS:
+        if now_ns - max(self._by_hand_ns, self._planner_ns) <= self._grace_ns:
             return
         motor = self.virtual._motor
         if motor.mode == virtual.BACKWARD and motor.level > 0 and speed_mps < 0.05:
