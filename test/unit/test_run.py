@@ -354,3 +354,23 @@ def test_limits_of_ci_run_are_an_hour_together():
     text = (TEST.parent / ".ci" / "run").read_text(encoding="utf-8")
     lint_s, test_s, end_s = (int(text.partition(f"{name}=")[2].split()[0]) for name in ("LINT_S", "TEST_S", "END_S"))
     assert lint_s + test_s + 2 * end_s <= 3600
+
+
+@pytest.mark.once
+def test_set_up_that_is_ended_says_what_it_did_and_its_last_line_is_the_sum(tmp_path):
+    text = (TEST.parent / "dev").read_text(encoding="utf-8")
+    main = 'main "$@"\n'
+    assert text.endswith(main)
+    setup = 'setup() { say "Installing it"; logged pip supervised sh -c \'echo $$ > "$PID_FILE"; sleep 600\'; }\n'
+    (tmp_path / "dev").write_text(text[:-len(main)] + setup + main, encoding="utf-8")
+    (tmp_path / "test").symlink_to(TEST)
+    environment = {**run.os.environ, "CAR_INTERFACE_WORKSPACE": str(tmp_path.with_name("workspace")),
+                   "PID_FILE": str(tmp_path / "hangs.pid")}
+    process = subprocess.Popen(["timeout", "600", "bash", str(tmp_path / "dev"), "test"], env=environment,
+                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    pid = hanging_pid(tmp_path)
+    process.terminate()  # which timeout hands on to all of its process group
+    lines = process.communicate(timeout=120)[0].splitlines()
+    assert lines[-2:] == ["./dev: ended by SIGTERM; the last that it did: Installing it",
+                          "0 passed, 1 failed, 0 skipped"]
+    assert process.returncode != 0 and has_ended(pid)
