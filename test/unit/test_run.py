@@ -253,6 +253,15 @@ def run_steps(folder, commands, limit_s):
                             cwd=str(folder), stdout=subprocess.PIPE, text=True)
 
 
+def lines_of(process):
+    """Return what a run printed until its end."""
+    try:
+        return process.communicate(timeout=120)[0].splitlines()
+    except subprocess.TimeoutExpired:
+        process.terminate()
+        raise
+
+
 def hanging_pid(folder):
     path, deadline_s = folder / "hangs.pid", time.monotonic() + 60
     while not (path.exists() and path.read_text(encoding="ascii").endswith("\n")):
@@ -269,8 +278,7 @@ def has_ended(pid):
 @pytest.mark.once
 def test_step_that_hangs_is_ended_and_named_with_the_end_of_its_log_and_the_others_run(tmp_path):
     process = run_steps(tmp_path, {"hangs.test": HANGS, "passes.test": PASSES}, limit_s=8)
-    output, _ = process.communicate(timeout=120)
-    lines = output.splitlines()
+    lines = lines_of(process)
     assert "FAILED hangs.test: hung: ended after 8 s" in lines and "  | its last line" in lines
     assert (lines[-1], process.returncode) == ("1 passed, 1 failed, 0 skipped", 1)
     assert has_ended(hanging_pid(tmp_path))
@@ -280,8 +288,7 @@ def test_run_that_is_ended_names_what_ran_and_what_had_not_begun_and_its_last_li
     process = run_steps(tmp_path, {"passes.test": PASSES, "hangs.test": HANGS, "waits.test": PASSES}, limit_s=600)
     pid = hanging_pid(tmp_path)
     process.send_signal(signal.SIGTERM)
-    output, _ = process.communicate(timeout=120)
-    lines = output.splitlines()
+    lines = lines_of(process)
     assert any(line.startswith("FAILED hangs.test: ended after ") for line in lines) and "  | its last line" in lines
     assert "FAILED waits.test: not run, since the whole run was ended" in lines
     assert (lines[-1], process.returncode) == ("1 passed, 2 failed, 0 skipped", 1)
@@ -294,6 +301,8 @@ from hypothesis import given, strategies
 
 @given(strategies.integers())
 def test_hangs(_):
+    with open("hung", "a") as file:
+        file.write("once")
     threading.Event().wait()
 
 def test_passes():
@@ -310,6 +319,7 @@ def test_unit_test_that_hangs_is_named_as_failed_and_the_others_run(tmp_path):
                    timeout=120, check=False)
     tally = importlib.import_module("tally").tally(tmp_path)
     assert (tally.passed, len(tally.failures)) == (1, 1)
+    assert (tmp_path / "hung").read_text(encoding="ascii") == "once", "hypothesis ran what hung again"
     assert "test_some.test_hangs: " in tally.failures[0] and "hung: ended after 5 s" in tally.failures[0]
 
 
@@ -354,3 +364,23 @@ def test_limits_of_ci_run_are_an_hour_together():
     text = (TEST.parent / ".ci" / "run").read_text(encoding="utf-8")
     lint_s, test_s, end_s = (int(text.partition(f"{name}=")[2].split()[0]) for name in ("LINT_S", "TEST_S", "END_S"))
     assert lint_s + test_s + 2 * end_s <= 3600
+
+
+@pytest.mark.once
+def test_set_up_that_is_ended_says_what_it_did_and_its_last_line_is_the_sum(tmp_path):
+    text = (TEST.parent / "dev").read_text(encoding="utf-8")
+    main = 'main "$@"\n'
+    assert text.endswith(main)
+    setup = 'setup() { say "Installing it"; logged pip supervised sh -c \'echo $$ > "$PID_FILE"; sleep 600\'; }\n'
+    (tmp_path / "dev").write_text(text[:-len(main)] + setup + main, encoding="utf-8")
+    (tmp_path / "test").symlink_to(TEST)
+    environment = {**run.os.environ, "CAR_INTERFACE_WORKSPACE": str(tmp_path.with_name("workspace")),
+                   "PID_FILE": str(tmp_path / "hangs.pid")}
+    process = subprocess.Popen(["timeout", "600", "bash", str(tmp_path / "dev"), "test"], env=environment,
+                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    pid = hanging_pid(tmp_path)
+    process.terminate()  # which timeout hands on to all of its process group
+    lines = lines_of(process)
+    assert lines[-2:] == ["./dev: ended by SIGTERM; the last that it did: Installing it",
+                          "0 passed, 1 failed, 0 skipped"]
+    assert process.returncode != 0 and has_ended(pid)
