@@ -22,7 +22,7 @@ BLAS_BYTES = 136 * MIB
 LINKER_TEXTS = ("failed to map segment", "cannot allocate memory", "cannot apply additional memory protection")
 # Of an extension module that has no memory left to make its error with.
 LOST_ERRORS = ("without setting an exception", "without exception set")
-# Of Python's compiler where it goes on after its MemoryError: of 3.8 ("field target is …") to 3.11, and of 3.8's parser.
+# Of a compiler that goes on after its MemoryError: 3.8's ("field target is …") to 3.11's, and of 3.8's parser.
 LOST_NODE = re.compile(r"^field '?\w+'? is required for \w+$")
 LOST_END = "unexpected EOF while parsing"
 NO_THREAD = "can't start new thread"
