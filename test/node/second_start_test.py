@@ -29,6 +29,7 @@ NODES = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", 
 LEFT_DUTY, LEFT, CENTER, OFF = 3800, 238, 319, 0  # counts of 3800, 5100
 LAUNCH_S = 60
 BOTH_S = 10  # how long both launch files run
+REST_S = 0.3  # a stick that a node first sees off its center must rest for 0.15 s before it counts
 MAX_GAP_S = 0.1  # of commands at 100 Hz; a channel times out after 0.25 s
 RESPAWN_MS = 5000  # Python's start and rospy's, on a computer with other work; a silent node would add 10 s
 BARE = os.path.join(PACKAGE, "test", "bench", "bare.py")
@@ -77,7 +78,8 @@ class ALaunchFileStartedTwice(unittest.TestCase):
         """Let go and hold until the servo is at the left."""
         def attempt():
             self.repeater.hold(self.joy, joy(False))
-            eventually(lambda: chip.counts(0) == CENTER, "let go", 3.0)
+            let_go_s = time.monotonic()
+            eventually(lambda: chip.counts(0) == CENTER and time.monotonic() - let_go_s > REST_S, "let go", 3.0)
             self.repeater.hold(self.joy, joy(True))
             eventually(lambda: chip.counts(0) == LEFT, "the wheel at the left", 3.0)
         retried(attempt)

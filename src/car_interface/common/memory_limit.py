@@ -5,6 +5,7 @@ import ctypes
 import errno
 import mmap
 import os
+import re
 import resource
 import sys
 import threading
@@ -21,6 +22,9 @@ BLAS_BYTES = 136 * MIB
 LINKER_TEXTS = ("failed to map segment", "cannot allocate memory", "cannot apply additional memory protection")
 # Of an extension module that has no memory left to make its error with.
 LOST_ERRORS = ("without setting an exception", "without exception set")
+# Of a compiler that goes on after its MemoryError: 3.8's ("field target is …") to 3.11's, and of 3.8's parser.
+LOST_NODE = re.compile(r"^field '?\w+'? is required for \w+$")
+LOST_END = "unexpected EOF while parsing"
 NO_THREAD = "can't start new thread"
 
 
@@ -103,6 +107,15 @@ def _kind(error):
         return "out of memory"
     if isinstance(error, SystemError) and any(words in text for words in LOST_ERRORS) and limit_bytes() is not None:
         return "out of memory"
+    if _is_of_compiler(error) and limit_bytes() is not None:
+        return "out of memory"
     if isinstance(error, RuntimeError) and NO_THREAD in text:
         return NO_THREAD
     return None
+
+
+def _is_of_compiler(error):
+    """Whether a module's import failed where its compilation had no memory left. Nothing else compiles here."""
+    if isinstance(error, SyntaxError):
+        return error.msg == LOST_END
+    return isinstance(error, ValueError) and LOST_NODE.match(str(error)) is not None

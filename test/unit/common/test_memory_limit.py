@@ -45,6 +45,18 @@ def test_other_errors_are_none(error):
     assert describe_shortage(error) is None
 
 
+@pytest.mark.parametrize("error", [
+    ValueError("field 'target' is required for AnnAssign"), ValueError("field target is required for AnnAssign"),
+    SyntaxError("unexpected EOF while parsing", ("module.py", 318, 1, "")),
+    SystemError("error return without exception set"),
+], ids=["compiler", "compiler_of_3.8", "parser_of_3.8", "extension"])
+def test_error_in_whose_place_python_lost_its_memory_error_is_one_where_memory_is_limited(error, monkeypatch):
+    monkeypatch.setattr(memory_limit, "limit_bytes", lambda: 130 * MIB)
+    assert describe_shortage(error).startswith("out of memory: its limit of address space is 130 MB")
+    monkeypatch.setattr(memory_limit, "limit_bytes", lambda: None)
+    assert describe_shortage(error) is None
+
+
 def test_error_that_is_its_own_context_ends(monkeypatch):
     first, second = ValueError("a"), ValueError("b")
     first.__context__, second.__context__ = second, first
