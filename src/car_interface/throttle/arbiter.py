@@ -309,7 +309,7 @@ class ThrottleArbiter:
         return self._without_reverse(causes.TELEOP, throttle, request, why)
 
     def _by_override(self, throttle, request, now_ns):
-        """The request of a stick under a planner's deadman, and neutral for a while after it; ``None`` = the planner."""
+        """The request of a stick under a planner's deadman, and neutral for a while after; ``None`` = the planner."""
         if request:
             return self._without_reverse(causes.OVERRIDE, throttle, request, ": it overrides the planner")
         if self._overrode_ns is None or now_ns - self._overrode_ns >= OVERRIDE_HOLD_S * NS_PER_S:
