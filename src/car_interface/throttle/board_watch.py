@@ -29,6 +29,9 @@ TOLERANCE_NS = 500 * NS_PER_MS
 # duty that the other side takes up or leaves within that time.
 MARGIN_NS = 100 * NS_PER_MS
 JUDGED_NS = TOLERANCE_NS - MARGIN_NS  # of either, when the newest margin can't be judged yet
+# It is judged by the node's timer (50 Hz), and not once more for a message that arrives soon after: a released deadman
+# must not wait for it.
+JUDGE_PERIOD_NS = 15 * NS_PER_MS
 RECOVERY_RATIO = 4  # the board must follow for four fifths of the time
 ROUNDING_DUTY = 16  # a PCA9685 divides the 65536 duties of the period into 4096 counts; some nodes round them down
 
@@ -122,7 +125,8 @@ class BoardWatch:
         if self._output.is_stale(now_ns):
             self._restart()
             return BoardTrouble(causes.BOARD_STALE, self._output.stale_reason(now_ns))
-        self._judge(now_ns)
+        if self._judged_ns is None or now_ns - MARGIN_NS - self._judged_ns >= JUDGE_PERIOD_NS:
+            self._judge(now_ns)
         return None if self._follows else BoardTrouble(causes.STEERING_NOT_HELD, self._reason())
 
     def _hold(self, now_ns):
