@@ -9,6 +9,7 @@ import pytest
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
+from car_interface.steering.arbiter import TELEOP
 from car_interface.throttle.arbiter import ArbiterConfig, ThrottleArbiter
 from car_interface.throttle.board_watch import BoardConfig, BoardWatch, read_board
 
@@ -257,43 +258,38 @@ def test_stall_of_the_judge_alone_is_no_difference():
     assert set(car.troubles[-100:]) == {None}
 
 
+class Arbiter:
+    """The arbiter that has a person's push at each step of 10 ms, unless nobody holds the deadman."""
+
+    def __init__(self):
+        self._arbiter = ThrottleArbiter(ArbiterConfig(board=BoardConfig()))
+        self._now = S
+
+    def run(self, ms, commanded, held, human=True):
+        """The arbitration at the end."""
+        for _ in range(0, ms, 10):
+            self._now += TICK
+            self._arbiter.update_human(human, self._now)
+            self._arbiter.update_steering(TELEOP, "", self._now)
+            self._arbiter.update_steering_command(0, commanded, self._now)
+            self._arbiter.update_output(vector(held), self._now)
+            self._arbiter.update_teleop(0.8, self._now)
+            arbitration = self._arbiter.decide(self._now)
+        return arbitration
+
+
 def test_arbiter_gives_no_throttle_and_says_why_although_human_and_steering_are_well():
-    arbiter = ThrottleArbiter(ArbiterConfig(board=BoardConfig()))
-    now = S
-    for _ in range(150):
-        now += TICK
-        arbiter.update_human(True, now)
-        arbiter.update_steering(3, "", now)
-        arbiter.update_steering_command(0, CENTER, now)
-        arbiter.update_output(vector(CENTER), now)
-        arbiter.update_teleop(0.8, now)
-        arbitration = arbiter.decide(now)
-    assert arbitration.drive > 0
-    for _ in range(60):
-        now += TICK
-        arbiter.update_human(True, now)
-        arbiter.update_steering(3, "", now)
-        arbiter.update_steering_command(0, LEFT, now)
-        arbiter.update_teleop(0.8, now)
-        arbiter.update_output(vector(CENTER), now)
-        arbitration = arbiter.decide(now)
+    arbiter = Arbiter()
+    assert arbiter.run(1000, CENTER, CENTER).drive > 0
+    arbitration = arbiter.run(600, LEFT, CENTER)
     assert (arbitration.drive, arbitration.is_stop, arbitration.cause) == (0.0, True, causes.STEERING_NOT_HELD)
 
 
 def test_agreement_is_judged_without_a_human_too():
     """Otherwise each press of the deadman would wait for half a second."""
-    arbiter = ThrottleArbiter(ArbiterConfig(board=BoardConfig()))
-    now = S
-    for _ in range(100):
-        now += TICK
-        arbiter.update_human(False, now)
-        arbiter.update_steering(3, "", now)
-        arbiter.update_steering_command(0, CENTER, now)
-        arbiter.update_output(vector(CENTER), now)
-        assert arbiter.decide(now).cause == causes.HUMAN_ABSENT
-    arbiter.update_human(True, now)
-    arbiter.update_teleop(0.8, now)
-    assert arbiter.decide(now).drive > 0
+    arbiter = Arbiter()
+    assert arbiter.run(1000, CENTER, CENTER, human=False).cause == causes.HUMAN_ABSENT
+    assert arbiter.run(10, CENTER, CENTER).drive > 0
 
 
 def test_configuration_is_read_with_the_board_s_own_limits():
