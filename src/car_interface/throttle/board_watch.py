@@ -90,19 +90,14 @@ class BoardWatch:
 
     def update_command(self, channel: int, duty: int, now_ns: int) -> None:
         """Take turn_arb's command: the steering channel, 0..15, and its duty."""
-        if channel != self._channel:
-            self._channel = channel
-            self._commands.clear()
-            self._held.clear()
-            self._hold(now_ns)
+        self._channel = channel
         self._commands.append(max(self._config.pwm_min[channel], min(self._config.pwm_max[channel], duty)), now_ns)
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
         """Take the 16 duties that the board holds, −1 = never set."""
-        if self._output.is_stale(now_ns):
-            self._held.clear()  # it is not known what the board held in between
-        self._output.update(tuple(duties), now_ns)
-        self._hold(now_ns)
+        self._output.update(duties, now_ns)
+        if self._channel is not None:
+            self._held.append(duties[self._channel], now_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here."""
@@ -128,10 +123,6 @@ class BoardWatch:
         if self._judged_ns is None or now_ns - MARGIN_NS - self._judged_ns >= JUDGE_PERIOD_NS:
             self._judge(now_ns)
         return None if self._follows else BoardTrouble(causes.STEERING_NOT_HELD, self._reason())
-
-    def _hold(self, now_ns):
-        if self._channel is not None and self._output.was_received:
-            self._held.append(self._output.value[self._channel], now_ns)
 
     def _restart(self):
         """Require a whole agreement again."""
@@ -172,7 +163,7 @@ class BoardWatch:
         if not (self._commands and self._held):
             return "turn_arb's command for the steering isn't known"
         commanded, held = self._commands.newest, self._held.newest
-        if abs(held - commanded) <= ROUNDING_DUTY and held != UNCHANGED:
+        if abs(held - commanded) <= ROUNDING_DUTY:
             return f"the servo board holds turn_arb's command, which must last for {TOLERANCE_NS / NS_PER_S:g} s"
         return (f"the servo board holds {'nothing' if held == UNCHANGED else held} on channel {self._channel}, where "
                 f"turn_arb commands {commanded}")
@@ -216,5 +207,4 @@ class _History:
         """Return whether a duty lies among those in force within MARGIN_NS of a time, but for the board's rounding."""
         around = [self.at(at_ns - MARGIN_NS), *(each for since_ns, each in self._entries
                                                 if at_ns - MARGIN_NS < since_ns <= at_ns + MARGIN_NS)]
-        return (UNCHANGED not in (duty, *around)
-                and min(around) - ROUNDING_DUTY <= duty <= max(around) + ROUNDING_DUTY)
+        return min(around) - ROUNDING_DUTY <= duty <= max(around) + ROUNDING_DUTY

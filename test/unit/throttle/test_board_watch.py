@@ -155,6 +155,12 @@ def test_dropped_messages_take_the_agreement_away():
     assert car.run(300, CENTER, CENTER) is None
 
 
+def test_agreement_from_before_dropped_messages_does_not_count_when_the_next_report_is_there_at_once():
+    car = agreed()
+    car.watch.mark_stale()
+    assert car.step(CENTER, CENTER).cause == causes.STEERING_NOT_HELD
+
+
 @pytest.mark.parametrize("held", [pytest.param(3808, id="rounded_down"), pytest.param(3824, id="rounded_up"),
                                   pytest.param(3834, id="a_count_more")])
 def test_rounding_of_the_board_is_no_difference(held):
