@@ -162,12 +162,15 @@ def sleeper():
     processes = []
 
     def start(argument):
-        processes.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)", argument]))
-        return processes[-1].pid
+        process = subprocess.Popen([sys.executable, "-c", "print(flush=True); import time; time.sleep(60)", argument],
+                                   stdout=subprocess.PIPE)
+        processes.append(process)
+        process.stdout.readline()  # Popen may return before /proc has the command line
+        return process.pid
     yield start
     for process in processes:
         process.kill()
-        process.wait()
+        process.communicate()
 
 
 def test_the_guard_counts_with_its_node_and_the_virtual_chip_does_not(sleeper):
