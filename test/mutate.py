@@ -250,12 +250,13 @@ def imported(path: Path, root: Path) -> set[str]:
 
 
 def tests_of(root: Path, modules: Iterable[str]) -> dict[str, list[str]]:
-    """Return the test files of each module, its own first: those of its folder, and all that import it.
+    """Return the test files of each module, its own first: those of its folder, and those of others that import it.
 
-    For a node also test/graph, or its own node test while there is no test/graph.
+    Tests of the tools (calibration, report and so on) are left out: they take long, and notice by accident. For a node
+    also test/graph, or its own node test while there is no test/graph.
     """
-    files = {path.relative_to(root).as_posix(): imported(path, root) for path in sorted(
-        (root / "test/unit").rglob("test_*.py"))}
+    files = {path.relative_to(root).as_posix(): imported(path, root) for part in (*PARTS, "common")
+             for path in sorted((root / "test/unit" / part).rglob("test_*.py"))}
     graph = [path.relative_to(root).as_posix() for path in sorted((root / "test/graph").rglob("test_*.py"))]
     tests = {}
     for module in modules:
