@@ -7,7 +7,6 @@ from __future__ import annotations
 import io
 import os
 import subprocess
-import time
 from typing import Sequence
 
 import rospy
@@ -18,6 +17,7 @@ from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.pca9685.guard import GIVE_UP_NS
 from car_interface.pca9685.guard_protocol import ALIVE, ENDED, ENDING, NOT_TRIED
 from car_interface.pca9685.guard_watch import GuardWatch
+from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.diagnostics import ERROR, OK, WARN
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 
@@ -133,7 +133,7 @@ class GuardLink:
         except OSError as error:
             self._lose(now_ns, f"it can't be started ({error.strerror or error})")
             return
-        self.watch.start(time.monotonic_ns())
+        self.watch.start(SYSTEM.now_ns())
 
     def _open(self):
         guard_in, node_out = os.pipe()
