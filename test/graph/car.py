@@ -1,0 +1,297 @@
+"""A whole virtual car in a ``Graph``: the package's nodes as its launch files start them, on virtual devices.
+
+The chip of the servo board is modelled at register level, the Teensy byte by byte, and the car by ``car_sim``.
+"""
+from __future__ import annotations
+
+import os
+from functools import partial
+from typing import Any, Callable
+
+import yaml
+from sensor_msgs.msg import Joy
+
+from car_interface.nodes.car_sim import CarSim
+from car_interface.nodes.generic_value_converter import GenericValueConverter
+from car_interface.nodes.pca9685 import Pca9685
+from car_interface.nodes.planner_interface import PlannerInterface
+from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
+from car_interface.nodes.teleop_logi import TeleopLogi
+from car_interface.nodes.throttle_arb import ThrottleArb
+from car_interface.nodes.turn_arb import TurnArb
+from car_interface.pca9685.registers import duty_of_counts
+from car_interface.ros.virtual_line import VirtualLine
+from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.teensy.link.health import ABSENT, FAILING
+from car_interface.teensy.link.port import PortError
+from graph import NS_PER_S, Graph, Node
+
+CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "config")
+ADDRESS = 0x40
+STEERING, ESC = 0, 1  # channels
+CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6700 and 4915
+MANUAL, AUTONOMOUS = 4, 5  # buttons of config/teleop_logi.yaml
+STEER_AXIS, THROTTLE_AXIS = 0, 4
+JOY_HZ = 50
+
+
+def config(name: str) -> dict:
+    """The parameters in one of the package's files."""
+    with open(os.path.join(CONFIG, name), encoding="utf-8") as file:
+        return yaml.safe_load(file)
+
+
+class Board:
+    """A PCA9685 on its bus, and what its pins did.
+
+    Attributes:
+        bus: with the faults of a real one.
+        changes: (time in ns, counts of the 16 pins), each time that they changed.
+    """
+
+    kind, path = "virtual", "the test's board"
+
+    def __init__(self, graph: Graph):
+        self._graph = graph
+        self._clock_ns: Callable[[], int] = lambda: graph.now_ns
+        self.chip = VirtualPca9685()
+        self.bus = VirtualBus({ADDRESS: self.chip}, on_write=lambda *_: self._note())
+        self.changes: list[tuple[int, tuple[int, ...]]] = [(graph.now_ns, self.counts)]
+
+    def make_bus(self, config: Any, inbox: Any) -> Board:
+        """For pca9685's ``make_bus``."""
+        self._clock_ns = inbox.clocks.now_ns
+        return self
+
+    def open(self) -> VirtualBus:
+        return self.bus
+
+    def close(self, bus: VirtualBus) -> None:
+        pass
+
+    def serve(self, inbox: Any) -> None:
+        pass
+
+    def _note(self):
+        if self.counts != self.changes[-1][1]:
+            self.changes.append((self._clock_ns(), self.counts))
+            self._graph.readable(self)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """For how many of 4096 counts each pin is high now."""
+        return tuple(self.chip.high_counts(channel) for channel in range(16))
+
+    def since(self, at_ns: int, channel: int) -> list[tuple[int, int]]:
+        """Return the changes of a pin since a time, as (time in ns, counts)."""
+        found, before = [], None
+        for change_ns, counts in self.changes:
+            if counts[channel] != before and change_ns >= at_ns and before is not None:
+                found.append((change_ns, counts[channel]))
+            before = counts[channel]
+        return found
+
+
+class Pins:
+    """What ``car_sim`` follows: the board's pins, as duties."""
+
+    problem = ""
+
+    def __init__(self, board: Board):
+        self._board = board
+
+    @property
+    def duties(self) -> list[int]:
+        return [duty_of_counts(counts) for counts in self._board.counts]
+
+    def step(self, now_ns: int) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class Cable:
+    """The serial line between the Teensy and the computer, as both see it.
+
+    Attributes:
+        terminal: the Teensy's end, while it is plugged in.
+        port: the computer's end, while it is open.
+    """
+
+    def __init__(self, graph: Graph):
+        self.graph = graph
+        self.terminal: Terminal | None = None
+        self.port: Port | None = None
+
+
+class Terminal:
+    """The Teensy's end: what ``PseudoTerminal`` is to ``VirtualLine``."""
+
+    def __init__(self, cable: Cable, path: str):
+        self._cable = cable
+        self.name = path
+        self.received = bytearray()
+        cable.terminal = self
+
+    def fileno(self) -> Terminal:
+        return self
+
+    def read(self) -> bytes:
+        data = bytes(self.received)
+        self.received.clear()
+        return data
+
+    def write(self, data: bytes) -> None:
+        port = self._cable.port
+        if port is not None and data:
+            port.received += data
+            self._cable.graph.readable(port)
+
+    def close(self) -> None:
+        if self._cable.terminal is self:
+            self._cable.terminal = None
+            if self._cable.port is not None:
+                self._cable.graph.readable(self._cable.port)
+
+
+class Port:
+    """The computer's end: what ``SerialLink`` is to teensy_sensor_hub."""
+
+    def __init__(self, cable: Cable, path: str, baud: int):
+        self._cable, self._path = cable, path
+        self._terminal: Terminal | None = None
+        self.received = bytearray()
+
+    @property
+    def is_open(self) -> bool:
+        return self._cable.port is self
+
+    def fileno(self) -> Port:
+        return self
+
+    def open(self) -> None:
+        if self._cable.terminal is None:
+            raise PortError(self._path, ABSENT, "there is no such port", "Plug the Teensy in")
+        self.received.clear()
+        self._cable.port, self._terminal = self, self._cable.terminal
+
+    def read(self) -> bytes:
+        self._check()
+        data = bytes(self.received[:4096])
+        del self.received[:4096]
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._check()
+        self._terminal.received += data
+        self._cable.graph.readable(self._terminal)
+
+    def close(self) -> None:
+        if self._cable.port is self:
+            self._cable.port = None
+
+    def _check(self):
+        if self._cable.terminal is not self._terminal:
+            self.close()
+            raise PortError(self._path, FAILING, "the port was lost", "Check its cable and power")
+
+
+class _NoClaim:
+    def __init__(self, path):
+        pass
+
+    def close(self):
+        pass
+
+
+class Car:
+    """A car's nodes and devices. A method for each node starts it, with the shipped parameters and the given ones.
+
+    Attributes:
+        graph: the graph.
+        board: the servo board.
+        cable: of the Teensy.
+    """
+
+    def __init__(self, graph: Graph | None = None):
+        self.graph = graph or Graph()
+        self.board = Board(self.graph)
+        self.cable = Cable(self.graph)
+        self._pad = [Joy(axes=[0.0] * 6, buttons=[0] * 11)]
+        self.graph.record("/turn_arb/state", "/throttle_arb/state", "/servo/output",
+                          "/teleop_logi/state", "/car_sim/truth", "/diagnostics")
+
+    # --- nodes ---
+
+    def turn_arb(self, **parameters: Any) -> Node:
+        return self.graph.add(TurnArb, "turn_arb", {**config("turn_arb.yaml"), **parameters})
+
+    def throttle_arb(self, **parameters: Any) -> Node:
+        remap = {"/throttle_arb/input/value": "/generic/output/value", "/throttle_arb/input/odometry": "/odom"}
+        return self.graph.add(ThrottleArb, "throttle_arb", {**config("throttle.yaml"), **parameters}, remap)
+
+    def converter(self, **parameters: Any) -> Node:
+        shipped = config("generic_value_converter.yaml")
+        table = next(name for name in sorted(os.listdir(CONFIG)) if name.endswith(".csv"))
+        remap = {"/generic_value_converter/input/odometry": "/odom",
+                 "/generic_value_converter/input/control_cmd": "/control/command/control_cmd",
+                 "/generic_value_converter/output/value": "/generic/output/value"}
+        return self.graph.add(GenericValueConverter, "generic_value_converter",
+                              {**shipped, "csv_path_value_map": os.path.join(CONFIG, table), **parameters}, remap)
+
+    def teleop(self, **parameters: Any) -> Node:
+        return self.graph.add(TeleopLogi, "teleop_logi", {**config("teleop_logi.yaml"), **parameters})
+
+    def planner_interface(self, **parameters: Any) -> Node:
+        return self.graph.add(PlannerInterface, "planner_interface", {**config("planner_interface.yaml"), **parameters})
+
+    def pca9685(self, **parameters: Any) -> Node:
+        shipped = {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
+                   "device": "virtual", "guard": False}
+        return self.graph.add(partial(Pca9685, make_bus=self.board.make_bus), "pca9685", {**shipped, **parameters})
+
+    def hub(self, **parameters: Any) -> Node:
+        shipped = {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml")}
+        return self.graph.add(partial(TeensySensorHub, make_link=partial(Port, self.cable)), "teensy_sensor_hub",
+                              {**shipped, **parameters})
+
+    def sim(self, **parameters: Any) -> Node:
+        line = partial(VirtualLine, make_terminal=partial(Terminal, self.cable), make_claim=_NoClaim)
+        return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(self.board), make_line=line),
+                              "car_sim", {"seed": 1, **parameters})
+
+    def whole(self) -> Car:
+        """Start everything that a car with planner and gamepad has; the gamepad rests."""
+        for start in (self.pca9685, self.sim, self.hub, self.turn_arb, self.converter, self.throttle_arb, self.teleop):
+            start()
+        self.graph.repeat("/e_stop", _bool(False), 10)
+        self.graph.repeat("/joy", lambda: self._pad[0], JOY_HZ, sender="/joy_node")
+        return self
+
+    # --- people and planners ---
+
+    def pad(self, manual: bool = False, autonomous: bool = False, steering: float = 0.0, throttle: float = 0.0) -> None:
+        """Hold the gamepad's buttons and sticks from now on."""
+        message = Joy(axes=[0.0] * 6, buttons=[0] * 11)
+        message.axes[STEER_AXIS], message.axes[THROTTLE_AXIS] = steering, throttle
+        message.buttons[MANUAL], message.buttons[AUTONOMOUS] = int(manual), int(autonomous)
+        self._pad[0] = message
+
+    def truth(self) -> Any:
+        """Return the car's true odometry."""
+        return self.graph.newest("/car_sim/truth")
+
+    @property
+    def speed_mps(self) -> float:
+        """The car's true speed."""
+        return self.truth().twist.twist.linear.x
+
+    def seconds_since(self, at_ns: int) -> float:
+        """Return how long ago that was."""
+        return (self.graph.now_ns - at_ns) / NS_PER_S
+
+
+def _bool(value):
+    from std_msgs.msg import Bool
+    return Bool(value)
