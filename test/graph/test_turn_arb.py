@@ -15,6 +15,7 @@ from car import Car, config
 from car_interface.common.errors import ConfigError
 from car_interface.nodes.turn_arb import TurnArb
 from graph import NS_PER_S
+from inputs import Inputs
 
 LEFT, CENTER, RIGHT = 3800, 5100, 6700
 NAN, INF = math.nan, math.inf
@@ -23,7 +24,6 @@ TOPICS = {"e_stop": ("/e_stop", Bool), "human": ("/teleop_logi/human_in_loop", B
           "teleop": ("/teleop_logi/tele_steer_req", Float32), "planner": ("/av_turnrad_req", Float32),
           "steering": ("/av_steer_req", Float32)}
 LET_GO = "let go once: publish false, then true"
-TICK_S = 0.01
 
 # Steering request → duty: linear to each side between center and the end, clamped beyond.
 TELEOP_CASES = [
@@ -39,33 +39,15 @@ PLANNER_CASES = [
 ]
 
 
-class Arb:
-    """turn_arb in a graph of its own, whose deadman was let go."""
+class Arb(Inputs):
+    """turn_arb in a graph of its own."""
 
     def __init__(self, **parameters):
         self.car = Car()
-        self.graph = self.car.graph
+        super().__init__(self.car.graph, TOPICS, settle_s=0.012)  # a repeated value is handled at the next tick
         self.graph.record("/servo/cmdVector", "/servo/neutral")
         self.start_ns = self.graph.now_ns
-        self.node = self.car.turn_arb(**{"grant_at_start": True, **parameters})
-        self.run = self.graph.run
-
-    def hold(self, **inputs):
-        """Repeat these from now on, and let each arrive."""
-        for name, value in inputs.items():
-            topic, message_type = TOPICS[name]
-            self.graph.hold(topic, message_type(value), 20)
-        self.run(0.012)  # a repeated value is handled at the next tick
-
-    def once(self, name, *values):
-        """Send these at once, and no more."""
-        topic, message_type = TOPICS[name]
-        self.graph.silence(topic)
-        for value in values:
-            self.graph.publish(topic, message_type(value))
-
-    def silence(self, *names):
-        self.graph.silence(*(TOPICS[name][0] for name in names))
+        self.car.turn_arb(**{"grant_at_start": True, **parameters})
 
     def drive(self, **inputs):
         """Let go, and hold again."""
