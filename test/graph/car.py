@@ -225,7 +225,8 @@ class Car:
     # --- nodes ---
 
     def turn_arb(self, **parameters: Any) -> Node:
-        return self.graph.add(TurnArb, "turn_arb", {**config("turn_arb.yaml"), **parameters})
+        return self.graph.add(TurnArb, "turn_arb", {**config("turn_arb.yaml"), **parameters},
+                              {"/turn_arb/input/odometry": "/odom"})
 
     def throttle_arb(self, **parameters: Any) -> Node:
         remap = {"/throttle_arb/input/value": "/generic/output/value", "/throttle_arb/input/odometry": "/odom"}
@@ -244,7 +245,11 @@ class Car:
         return self.graph.add(TeleopLogi, "teleop_logi", {**config("teleop_logi.yaml"), **parameters})
 
     def planner_interface(self, **parameters: Any) -> Node:
-        return self.graph.add(PlannerInterface, "planner_interface", {**config("planner_interface.yaml"), **parameters})
+        remap = {"/planner_interface/input/odometry": "/odom",
+                 "/planner_interface/output/control_cmd": "/control/command/control_cmd"}
+        return self.graph.add(PlannerInterface, "planner_interface",
+                              {**config("planner_interface.yaml"), "wheels": config("teensy_sensor_hub.yaml"),
+                               "source": "speed", **parameters}, remap)
 
     def pca9685(self, **parameters: Any) -> Node:
         shipped = {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
