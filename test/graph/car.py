@@ -122,6 +122,7 @@ class Cable:
         frame_s, phase_s: they arrive with USB frames, which follow each other like this; 0 = at any time.
         read_sizes: how many bytes each read returns at most, over and over.
         capacity: bytes that wait for the computer to read them; what does not fit is lost.
+        attempts_ns: when it was tried to open the port.
     """
 
     def __init__(self, graph: Graph):
@@ -131,6 +132,7 @@ class Cable:
         self.delay_s = self.frame_s = self.phase_s = 0.0
         self.read_sizes: tuple[int, ...] = (4096,)
         self.capacity = 65536
+        self.attempts_ns: list[int] = []
 
     def carry(self, data: bytes, deliver: Callable[[bytes], None]) -> None:
         """Deliver bytes when they arrive, unless the Teensy was unplugged meanwhile."""
@@ -140,10 +142,10 @@ class Cable:
         if self.frame_s:
             frame_ns, phase_ns = round(self.frame_s * NS_PER_S), round(self.phase_s * NS_PER_S)
             at_ns = phase_ns - (phase_ns - at_ns) // frame_ns * frame_ns
-        if at_ns == self.graph.now_ns:
-            deliver(data)
-        else:
+        if self.frame_s or self.delay_s:
             self.graph.at(at_ns, lambda: deliver(data) if self.terminal is terminal else None)
+        else:
+            deliver(data)
 
     def to_computer(self, data: bytes) -> None:
         """Bytes have arrived there."""
@@ -210,6 +212,7 @@ class Port:
         return bool(self.received) or self._cable.terminal is not self._terminal
 
     def open(self) -> None:
+        self._cable.attempts_ns.append(self._cable.graph.now_ns)
         if self._cable.terminal is None:
             raise PortError(self._path, ABSENT, "there is no such port", "Plug the Teensy in")
         if self._cable.port is not None:

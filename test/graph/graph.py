@@ -50,6 +50,14 @@ class Line(NamedTuple):
     text: str
 
 
+class Report(NamedTuple):
+    """What a node reports on /diagnostics under one name."""
+
+    level: int
+    message: str
+    values: dict[str, str]
+
+
 class NodeClocks(Clocks):
     """The clocks of one node: the graph's, ahead of it by the pauses that the node makes in a step."""
 
@@ -286,6 +294,7 @@ class Node:
 
     Attributes:
         fault: what ended it by itself, in words.
+        turns: how often its thread had one.
     """
 
     def __init__(self, graph: Graph, node_class: Callable, name: str, remap: dict[str, str], inbox_limit: int | None):
@@ -297,7 +306,7 @@ class Node:
 
     def start(self) -> None:
         """Start it, or start it again."""
-        self.fault, self.watches = "", []
+        self.fault, self.turns, self.watches = "", 0, []
         self._stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
         self._planned_ns: int | None = None
         self._life = object()  # turns and deliveries that were planned for another life don't happen
@@ -334,6 +343,7 @@ class Node:
         if self.graph.now_ns < self._stalled_until_ns:
             self.plan_step(self._stalled_until_ns)
             return
+        self.turns += 1
         with self.graph.turn_of(self.name):
             try:
                 due_ns = self._steps.step()
@@ -626,6 +636,12 @@ class Graph:
     def newest(self, topic: str) -> Any:
         """Return the newest recorded message of a topic."""
         return self.recorded[topic][-1].message
+
+    def report(self, name: str, since_ns: int = 0) -> Report:
+        """Return the newest report of a name on /diagnostics, which is recorded."""
+        status = next(status for record in reversed(self.recorded["/diagnostics"]) for status in record.message.status
+                      if status.name == name and record.at_ns >= since_ns)
+        return Report(status.level, status.message, {pair.key: pair.value for pair in status.values})
 
     def lines(self, node: str = "", since_ns: int = 0, level: int = logging.INFO) -> list[str]:
         """Return the lines that a node, or any, has logged at a level or above."""
