@@ -10,12 +10,13 @@ from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Float32, UInt8
 
-from car import config
+from car import Car
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
 from car_interface.nodes.planner_interface import PlannerInterface
 from car_interface.ros.ackermann_messages import ackermann_drive_class
+from car_interface.ros.inbox import INBOX_LIMIT
 from graph import NS_PER_S, Graph
 
 NAN, INF = math.nan, math.inf
@@ -23,9 +24,6 @@ HALF = math.atan(0.5)  # a radius of two wheelbases
 RADIUS = pytest.approx(0.648)
 TOPICS = {"drive": "/drive", "cmd_vel": "/cmd_vel", "autoware": "/control/command/control_cmd",
           "speed": "/av_speed_req"}
-REMAP = {"/planner_interface/input/control_cmd": "/control/command/control_cmd",
-         "/planner_interface/input/gear_cmd": "/control/command/gear_cmd",
-         "/planner_interface/input/odometry": "/odom"}
 RADII, CONTROLS, STATES = "/av_turnrad_req", "/planner_interface/output/control_cmd", "/planner_interface/state"
 Drive = ackermann_drive_class()
 
@@ -58,12 +56,11 @@ def throttle_state(**fields):
 class Interface:
     """The node for one source, with a planner at 20 Hz and odometry at 50 Hz. The car stands."""
 
-    def __init__(self, source: str, inbox_limit: int | None = None, **parameters: Any):
+    def __init__(self, source: str, **parameters: Any):
         self.graph = graph = Graph()
         self.topic = TOPICS[source]
         graph.record(RADII, CONTROLS, STATES, "/diagnostics")
-        shipped = {**config("planner_interface.yaml"), "wheels": config("teensy_sensor_hub.yaml"), "source": source}
-        self.node = graph.add(PlannerInterface, "planner_interface", {**shipped, **parameters}, REMAP, inbox_limit)
+        self.node = Car(graph).planner_interface(source, **parameters)
         self.speed_mps = 0.0
         self.end_odometry = graph.repeat("/odom", self._odometry, 50, sender="/hub")
         self.end_planner = lambda: None
@@ -392,10 +389,10 @@ def test_what_a_planner_sent_while_the_node_was_frozen_is_not_obeyed_later():
 
 
 def test_overflow_is_a_loss_of_everything_until_the_next_messages():
-    car = Interface("drive", inbox_limit=20)
+    car = Interface("drive")
     car.ask(drive(HALF, 1.0))
     at_ns = car.graph.now_ns
-    car.graph.flood("/cmd_vel", twist(), 30)  # which wakes nobody
+    car.graph.flood("/cmd_vel", twist(), INBOX_LIMIT + 1)  # which wakes nobody
     car.graph.run(0.021)
     state = car.graph.messages(STATES, at_ns)[0]
     assert state.cause == causes.PLANNER_STALE
