@@ -71,10 +71,10 @@ def test_example_drives_the_car_and_its_end_stops_it_within_its_timeout(monkeypa
     car = Car().whole(source, collisions=False)
     graph = car.graph
     graph.record("/planner_interface/state")
-    graph.run(3.0)  # the ESC is armed
+    graph.run(1.5)  # the ESC is armed
     car.pad(autonomous=True)
     program = Program(graph, monkeypatch, example, *arguments)
-    graph.run(8.0)
+    graph.run(6.0)
     first_ns = graph.now_ns
     graph.run(1.0)
     twists = [message.twist.twist for message in graph.messages("/car_sim/truth", first_ns)]
@@ -93,5 +93,5 @@ def test_example_drives_the_car_and_its_end_stops_it_within_its_timeout(monkeypa
     assert graph.newest("/planner_interface/state").cause == causes.PLANNER_STALE
     assert graph.newest("/throttle_arb/state").reason.startswith(f"{source} silent for ")
     Program(graph, monkeypatch, example, *arguments)  # it is started again, and drives while the deadman is still held
-    graph.run(3.0)
+    graph.run(2.0)
     assert abs(car.speed_mps) > 0.3
