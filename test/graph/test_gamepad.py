@@ -120,5 +120,5 @@ def test_turn_arb_quotes_the_gamepad_of_its_namespace(graph):
         graph.add(node_class, f"/one/{name}", config(f"{name}.yaml"), remap)
     for topic, message in (("/joy", joy()), ("/one/joy", joy(axes=4))):
         graph.repeat(topic, message, 20)
-    graph.run(1.0)
+    graph.run(2.0)
     assert graph.newest("/one/turn_arb/state").reason == f"human_in_loop is false: {WRONG_MODE}"
