@@ -34,7 +34,7 @@ CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6
 MANUAL, AUTONOMOUS = 4, 5  # buttons of config/teleop_logi.yaml
 STEER_AXIS, THROTTLE_AXIS = 0, 4
 JOY_HZ = 50
-CONTROL = "/control/command/control_cmd"
+CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd", "/autoware/gear_cmd"
 
 
 def config(name: str) -> dict:
@@ -267,18 +267,18 @@ class Car:
     # --- nodes ---
 
     def turn_arb(self, **parameters: Any) -> Node:
-        return self.graph.add(TurnArb, "turn_arb", {**config("turn_arb.yaml"), **parameters})
+        return self.graph.add(TurnArb, "turn_arb", {**config("turn_arb.yaml"), **parameters},
+                              {"/turn_arb/input/odometry": "/odom"})
 
     def throttle_arb(self, **parameters: Any) -> Node:
         remap = {"/throttle_arb/input/value": "/generic/output/value", "/throttle_arb/input/odometry": "/odom"}
         return self.graph.add(ThrottleArb, "throttle_arb", {**config("throttle.yaml"), **parameters}, remap)
 
-    def converter(self, planner: bool = False, **parameters: Any) -> Node:
+    def converter(self, **parameters: Any) -> Node:
         shipped = config("generic_value_converter.yaml")
         table = next(name for name in sorted(os.listdir(CONFIG)) if name.endswith(".csv"))
-        control = "/planner_interface/output/control_cmd" if planner else CONTROL
         remap = {"/generic_value_converter/input/odometry": "/odom",
-                 "/generic_value_converter/input/control_cmd": control,
+                 "/generic_value_converter/input/control_cmd": CONTROL,
                  "/generic_value_converter/output/value": "/generic/output/value"}
         return self.graph.add(GenericValueConverter, "generic_value_converter",
                               {**shipped, "csv_path_value_map": os.path.join(CONFIG, table), **parameters}, remap)
@@ -286,10 +286,10 @@ class Car:
     def teleop(self, **parameters: Any) -> Node:
         return self.graph.add(TeleopLogi, "teleop_logi", {**config("teleop_logi.yaml"), **parameters})
 
-    def planner_interface(self, source: str, **parameters: Any) -> Node:
+    def planner_interface(self, source: str = "speed", **parameters: Any) -> Node:
         shipped = {**config("planner_interface.yaml"), "wheels": config("teensy_sensor_hub.yaml"), "source": source}
-        remap = {"/planner_interface/input/control_cmd": CONTROL, "/planner_interface/input/odometry": "/odom",
-                 "/planner_interface/input/gear_cmd": "/control/command/gear_cmd"}
+        remap = {"/planner_interface/input/control_cmd": AUTOWARE, "/planner_interface/input/gear_cmd": GEAR,
+                 "/planner_interface/input/odometry": "/odom", "/planner_interface/output/control_cmd": CONTROL}
         return self.graph.add(PlannerInterface, "planner_interface", {**shipped, **parameters}, remap)
 
     def pca9685(self, **parameters: Any) -> Node:
@@ -318,7 +318,7 @@ class Car:
         self.sim(**sim)
         self.hub()
         self.turn_arb()
-        self.converter(bool(planner))
+        self.converter()
         self.throttle_arb()
         self.teleop()
         if planner:

@@ -50,6 +50,14 @@ class Line(NamedTuple):
     text: str
 
 
+class Report(NamedTuple):
+    """What a node reports on /diagnostics under one name."""
+
+    level: int
+    message: str
+    values: dict[str, str]
+
+
 class NodeClocks(Clocks):
     """The clocks of one node: the graph's, ahead of it by the pauses that the node makes in a step."""
 
@@ -494,6 +502,7 @@ class Graph:
         self._links: list[tuple[str, str, str, Link]] = []
         self._last_arrivals: dict[int, int] = {}
         self._senders: dict[tuple[str, str], TopicPublisher] = {}
+        self._held: dict[tuple[str, str], Callable[[], None]] = {}
         self._events: list = []
         self.newest_call: Call | None = None
         self._numbers = itertools.count()
@@ -589,6 +598,17 @@ class Graph:
         self.at(self.now_ns + round(phase_s * NS_PER_S), tick)
         return is_on.clear
 
+    def hold(self, topic: str, message: Callable[[], Any] | Any, rate_hz: float = 50, sender: str = "/test",
+             phase_s: float = 0.0) -> None:
+        """Have a sender repeat a message, or what a function returns, in place of what it has held before."""
+        self.silence(topic, sender=sender)
+        self._held[topic, sender] = self.repeat(topic, message, rate_hz, sender, phase_s)
+
+    def silence(self, *topics: str, sender: str = "/test") -> None:
+        """End what ``hold`` began."""
+        for topic in topics:
+            self._held.pop((topic, sender), lambda: None)()
+
     def flood(self, topic: str, message: Any, count: int, sender: str = "/flood") -> None:
         """Publish a message so many times at once."""
         for _ in range(count):
@@ -626,6 +646,12 @@ class Graph:
     def newest(self, topic: str) -> Any:
         """Return the newest recorded message of a topic."""
         return self.recorded[topic][-1].message
+
+    def report(self, name: str, since_ns: int = 0) -> Report:
+        """Return the newest report of a name on /diagnostics, which is recorded."""
+        status = next(status for record in reversed(self.recorded["/diagnostics"]) for status in record.message.status
+                      if status.name == name and record.at_ns >= since_ns)
+        return Report(status.level, status.message, {pair.key: pair.value for pair in status.values})
 
     def lines(self, node: str = "", since_ns: int = 0, level: int = logging.INFO) -> list[str]:
         """Return the lines that a node, or any, has logged at a level or above."""

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Float32, UInt8
 
-from car import Car
+from car import AUTOWARE, CONTROL, GEAR, Car
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
@@ -22,9 +22,8 @@ from graph import NS_PER_S, Graph
 NAN, INF = math.nan, math.inf
 HALF = math.atan(0.5)  # a radius of two wheelbases
 RADIUS = pytest.approx(0.648)
-TOPICS = {"drive": "/drive", "cmd_vel": "/cmd_vel", "autoware": "/control/command/control_cmd",
-          "speed": "/av_speed_req"}
-RADII, CONTROLS, STATES = "/av_turnrad_req", "/planner_interface/output/control_cmd", "/planner_interface/state"
+TOPICS = {"drive": "/drive", "cmd_vel": "/cmd_vel", "autoware": AUTOWARE, "speed": "/av_speed_req"}
+RADII, CONTROLS, STATES = "/av_turnrad_req", CONTROL, "/planner_interface/state"
 Drive = ackermann_drive_class()
 
 
@@ -241,7 +240,7 @@ def test_odd_stamp_is_told_and_obeyed(source, message):
     stamp = car.node.inbox.clocks.ros_now()
     stamp.secs += 1000
     getattr(message, "header", message).stamp = stamp
-    car.graph.publish("/control/command/gear_cmd", UInt8(2))
+    car.graph.publish(GEAR, UInt8(2))
     state = car.ask(message)
     assert (state.cause, state.turn_radius) == ("planner", RADIUS)
     name = "control_cmd" if source == "autoware" else source
@@ -350,7 +349,7 @@ def test_second_publisher_and_one_of_another_type_are_named():
 def test_gear_of_autoware_says_which_way_and_its_acceleration_is_the_gear_s():
     car = Interface("autoware")
     number = UInt8(2)
-    car.hold("/control/command/gear_cmd", lambda: number)
+    car.hold(GEAR, lambda: number)
     assert car.ask(control(HALF, 1.0, 0.5)).reason == "autoware asks for 1.00 m/s, a radius of 0.65 m, gear DRIVE"
     assert car.acceleration > 0.1
     number.data = 20

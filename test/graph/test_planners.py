@@ -36,7 +36,8 @@ class Program:
         self._waits.acquire()
 
     def _publisher(self, topic, message_type, queue_size, latch=False):
-        return TopicPublisher(self._graph, self.name, f"/{topic}", message_type, latch, NodeClocks(self._graph))
+        topic = f"/{topic}".replace("/control/command/", "/autoware/")
+        return TopicPublisher(self._graph, self.name, topic, message_type, latch, NodeClocks(self._graph))
 
     def _rate(self, rate_hz):
         def sleep():
