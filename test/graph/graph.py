@@ -70,12 +70,12 @@ class NodeInbox(Inbox):
     """An inbox that has its node's next turn planned instead of a thread woken."""
 
     def __init__(self, node: Node, graph: NodeGraph, **arguments):
-        self._node = node
+        self.node = node
         self._fds: set = set()
         super().__init__(node.name, graph=graph, **arguments)
 
     def wake(self) -> None:
-        self._node.plan_step(self.clocks.now_ns())
+        self.node.plan_step(self.clocks.now_ns())
 
     def watch(self, fd) -> None:
         self._fds.add(fd)
@@ -263,6 +263,8 @@ class Node:
 
     Attributes:
         fault: what ended it by itself, in words.
+        stalled_until_ns: its thread stands still until then.
+        exit_actions: called when its process has ended, however that was: what the kernel closes then.
     """
 
     def __init__(self, graph: Graph, node_class: Callable, name: str, remap: dict[str, str], inbox_limit: int | None):
@@ -275,7 +277,8 @@ class Node:
     def start(self) -> None:
         """Start it, or start it again."""
         self.fault, self.watches = "", []
-        self._stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
+        self.exit_actions: list[Callable[[], None]] = []
+        self.stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
         self._planned_ns: int | None = None
         self._life = object()  # turns and deliveries that were planned for another life don't happen
         self._graph = NodeGraph(self.graph, self)
@@ -299,7 +302,7 @@ class Node:
         """Have it step at a time, unless a sooner step is planned."""
         if at_ns == float("inf"):
             return
-        at_ns = max(int(at_ns), self._stalled_until_ns, getattr(self, "_busy_until_ns", 0))
+        at_ns = max(int(at_ns), self.stalled_until_ns, getattr(self, "_busy_until_ns", 0))
         if self._planned_ns is None or at_ns < self._planned_ns:
             self._planned_ns, life = at_ns, self._life
             self.graph.at(at_ns, lambda: self._step(at_ns, life))
@@ -308,8 +311,8 @@ class Node:
         if life is not self._life or at_ns != self._planned_ns or not self.is_alive:
             return
         self._planned_ns = None
-        if self.graph.now_ns < self._stalled_until_ns:
-            self.plan_step(self._stalled_until_ns)
+        if self.graph.now_ns < self.stalled_until_ns:
+            self.plan_step(self.stalled_until_ns)
             return
         with self.graph.turn_of(self.name):
             try:
@@ -346,18 +349,18 @@ class Node:
             frozen: the whole process stands still: what is sent meanwhile waits in its sockets, and then looks new.
             after_step: it arrives after the node's first step then, else before.
         """
-        self._stalled_until_ns = self.graph.now_ns + round(duration_s * NS_PER_S)
+        self.stalled_until_ns = self.graph.now_ns + round(duration_s * NS_PER_S)
         self._is_frozen = frozen
         self._planned_ns = None
         life = self._life
         if not after_step:
-            self.graph.at(self._stalled_until_ns, lambda: self._thaw(life))
-        self.plan_step(self._stalled_until_ns)
+            self.graph.at(self.stalled_until_ns, lambda: self._thaw(life))
+        self.plan_step(self.stalled_until_ns)
         if after_step:
-            self.graph.at(self._stalled_until_ns, lambda: self._thaw(life))
+            self.graph.at(self.stalled_until_ns, lambda: self._thaw(life))
 
     def _thaw(self, life):
-        if life is not self._life or self.graph.now_ns < self._stalled_until_ns:
+        if life is not self._life or self.graph.now_ns < self.stalled_until_ns:
             return
         self._is_frozen = False
         held_back, self._held_back = self._held_back, []
@@ -375,7 +378,7 @@ class Node:
         self.is_alive = False
         self._life = object()
         self.inbox.ending = True
-        self.graph.drop(self.name)
+        self._exit()
 
     def end(self) -> None:
         """End it in order, as a signal does."""
@@ -388,7 +391,12 @@ class Node:
         self.is_alive = False
         self._life = object()
         self.inbox.close()
+        self._exit()
+
+    def _exit(self):
         self.graph.drop(self.name)
+        for action in self.exit_actions:
+            action()
 
     def _watch(self, life):
         """What ``ros.master_watch`` does each second."""
@@ -526,6 +534,13 @@ class Graph:
         self.at(self.now_ns + round(phase_s * NS_PER_S), tick)
         return is_on.clear
 
+    def repeat_each(self, period_s: float, event: Callable[[], Any]) -> None:
+        """Call something now and after each period, for ever."""
+        def tick():
+            event()
+            self.after(period_s, tick)
+        tick()
+
     def flood(self, topic: str, message: Any, count: int, sender: str = "/flood") -> None:
         """Publish a message so many times at once."""
         for _ in range(count):
@@ -615,7 +630,13 @@ class Graph:
 
     def run(self, duration_s: float) -> None:
         """Let time go on."""
-        self._run_until(self.now_ns + round(duration_s * NS_PER_S))
+        self.run_to(self.now_ns + round(duration_s * NS_PER_S))
+
+    def run_to(self, end_ns: int) -> None:
+        """Let time go on to a time."""
+        while self._events and self._events[0][0] <= end_ns:
+            self._next()
+        self.now_ns = end_ns
 
     def run_until(self, condition: Callable[[], bool], within_s: float = 10.0) -> int:
         """Let time go on until a condition is true; return when that was.
@@ -628,11 +649,6 @@ class Graph:
             assert self._events and self._events[0][0] <= deadline_ns, f"not within {within_s} s"
             self._next()
         return self.now_ns
-
-    def _run_until(self, end_ns):
-        while self._events and self._events[0][0] <= end_ns:
-            self._next()
-        self.now_ns = end_ns
 
     def _next(self):
         self.now_ns, _, event = heapq.heappop(self._events)
