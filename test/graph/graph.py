@@ -79,13 +79,13 @@ class NodeInbox(Inbox):
     """An inbox that has its node's next turn planned instead of a thread woken."""
 
     def __init__(self, node: Node, graph: NodeGraph, **arguments):
-        self._node = node
+        self.node = node
         self._fds: set = set()
         self._has_request = False  # of a service call
         super().__init__(node.name, graph=graph, **arguments)
 
     def wake(self) -> None:
-        self._node.plan_step(self.clocks.now_ns())
+        self.node.plan_step(self.clocks.now_ns())
 
     def put(self, handler, item, wakes=True, on_drop=None) -> None:
         if threading.current_thread() is threading.main_thread():
@@ -97,7 +97,7 @@ class NodeInbox(Inbox):
             self._has_request = False
             on_drop()
         super().put(handler, item, wakes, on_drop and drop)
-        self._node.graph.newest_call.has_begun.set()
+        self.node.graph.newest_call.has_begun.set()
 
     def drain(self) -> list[tuple]:
         self._has_request = False
@@ -307,6 +307,8 @@ class Node:
     Attributes:
         fault: what ended it by itself, in words.
         turns: how often its thread had one.
+        stalled_until_ns: its thread stands still until then.
+        exit_actions: called when its process has ended, however that was: what the kernel closes then.
     """
 
     def __init__(self, graph: Graph, node_class: Callable, name: str, remap: dict[str, str], inbox_limit: int | None):
@@ -319,7 +321,8 @@ class Node:
     def start(self) -> None:
         """Start it, or start it again."""
         self.fault, self.turns, self.watches = "", 0, []
-        self._stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
+        self.exit_actions: list[Callable[[], None]] = []
+        self.stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
         self._planned_ns: int | None = None
         self._life = object()  # turns and deliveries that were planned for another life don't happen
         self._graph = NodeGraph(self.graph, self)
@@ -343,7 +346,7 @@ class Node:
         """Have it step at a time, unless a sooner step is planned."""
         if at_ns == float("inf"):
             return
-        at_ns = max(int(at_ns), self._stalled_until_ns, getattr(self, "_busy_until_ns", 0))
+        at_ns = max(int(at_ns), self.stalled_until_ns, getattr(self, "_busy_until_ns", 0))
         if self._planned_ns is None or at_ns < self._planned_ns:
             self._planned_ns, life = at_ns, self._life
             self.graph.at(at_ns, lambda: self._step(at_ns, life))
@@ -352,8 +355,8 @@ class Node:
         if life is not self._life or at_ns != self._planned_ns or not self.is_alive:
             return
         self._planned_ns = None
-        if self.graph.now_ns < self._stalled_until_ns:
-            self.plan_step(self._stalled_until_ns)
+        if self.graph.now_ns < self.stalled_until_ns:
+            self.plan_step(self.stalled_until_ns)
             return
         self.turns += 1
         with self.graph.turn_of(self.name):
@@ -392,18 +395,18 @@ class Node:
             frozen: the whole process stands still: what is sent meanwhile waits in its sockets, and then looks new.
             after_step: it arrives after the node's first step then, else before.
         """
-        self._stalled_until_ns = self.graph.now_ns + round(duration_s * NS_PER_S)
+        self.stalled_until_ns = self.graph.now_ns + round(duration_s * NS_PER_S)
         self._is_frozen = frozen
         self._planned_ns = None
         life = self._life
         if not after_step:
-            self.graph.at(self._stalled_until_ns, lambda: self._thaw(life))
-        self.plan_step(self._stalled_until_ns)
+            self.graph.at(self.stalled_until_ns, lambda: self._thaw(life))
+        self.plan_step(self.stalled_until_ns)
         if after_step:
-            self.graph.at(self._stalled_until_ns, lambda: self._thaw(life))
+            self.graph.at(self.stalled_until_ns, lambda: self._thaw(life))
 
     def _thaw(self, life):
-        if life is not self._life or self.graph.now_ns < self._stalled_until_ns:
+        if life is not self._life or self.graph.now_ns < self.stalled_until_ns:
             return
         self._is_frozen = False
         held_back, self._held_back = self._held_back, []
@@ -422,7 +425,7 @@ class Node:
         self._life = object()
         self.inbox.ending = True
         self.inbox.abandon()
-        self.graph.drop(self.name)
+        self._exit()
 
     def end(self) -> None:
         """End it in order, as a signal does."""
@@ -435,7 +438,12 @@ class Node:
         self.is_alive = False
         self._life = object()
         self.inbox.close()
+        self._exit()
+
+    def _exit(self):
         self.graph.drop(self.name)
+        for action in self.exit_actions:
+            action()
 
     def _watch(self, life):
         """What ``ros.master_watch`` does each second."""
@@ -623,6 +631,13 @@ class Graph:
         for topic in topics:
             self._held.pop((topic, sender), lambda: None)()
 
+    def repeat_each(self, period_s: float, event: Callable[[], Any]) -> None:
+        """Call something now and after each period, for ever."""
+        def tick():
+            event()
+            self.after(period_s, tick)
+        tick()
+
     def flood(self, topic: str, message: Any, count: int, sender: str = "/flood") -> None:
         """Publish a message so many times at once."""
         for _ in range(count):
@@ -708,7 +723,13 @@ class Graph:
 
     def run(self, duration_s: float) -> None:
         """Let time go on."""
-        self._run_until(self.now_ns + round(duration_s * NS_PER_S))
+        self.run_to(self.now_ns + round(duration_s * NS_PER_S))
+
+    def run_to(self, end_ns: int) -> None:
+        """Let time go on to a time."""
+        while self._events and self._events[0][0] <= end_ns:
+            self.run_event()
+        self.now_ns = end_ns
 
     def run_until(self, condition: Callable[[], bool], within_s: float = 10.0) -> int:
         """Let time go on until a condition is true; return when that was.
@@ -721,11 +742,6 @@ class Graph:
             assert self._events and self._events[0][0] <= deadline_ns, f"not within {within_s} s"
             self.run_event()
         return self.now_ns
-
-    def _run_until(self, end_ns):
-        while self._events and self._events[0][0] <= end_ns:
-            self.run_event()
-        self.now_ns = end_ns
 
     def run_event(self) -> None:
         """Let time go on to the next event."""
