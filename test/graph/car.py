@@ -34,6 +34,7 @@ CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6
 MANUAL, AUTONOMOUS = 4, 5  # buttons of config/teleop_logi.yaml
 STEER_AXIS, THROTTLE_AXIS = 0, 4
 JOY_HZ = 50
+CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd", "/autoware/gear_cmd"
 
 
 def config(name: str) -> dict:
@@ -269,7 +270,8 @@ class Car:
     # --- nodes ---
 
     def turn_arb(self, **parameters: Any) -> Node:
-        return self.graph.add(TurnArb, "turn_arb", {**config("turn_arb.yaml"), **parameters})
+        return self.graph.add(TurnArb, "turn_arb", {**config("turn_arb.yaml"), **parameters},
+                              {"/turn_arb/input/odometry": "/odom"})
 
     def throttle_arb(self, **parameters: Any) -> Node:
         remap = {"/throttle_arb/input/value": "/generic/output/value", "/throttle_arb/input/odometry": "/odom"}
@@ -279,7 +281,7 @@ class Car:
         shipped = config("generic_value_converter.yaml")
         table = next(name for name in sorted(os.listdir(CONFIG)) if name.endswith(".csv"))
         remap = {"/generic_value_converter/input/odometry": "/odom",
-                 "/generic_value_converter/input/control_cmd": "/control/command/control_cmd",
+                 "/generic_value_converter/input/control_cmd": CONTROL,
                  "/generic_value_converter/output/value": "/generic/output/value"}
         return self.graph.add(GenericValueConverter, "generic_value_converter",
                               {**shipped, "csv_path_value_map": os.path.join(CONFIG, table), **parameters}, remap)
@@ -287,8 +289,11 @@ class Car:
     def teleop(self, **parameters: Any) -> Node:
         return self.graph.add(TeleopLogi, "teleop_logi", {**config("teleop_logi.yaml"), **parameters})
 
-    def planner_interface(self, **parameters: Any) -> Node:
-        return self.graph.add(PlannerInterface, "planner_interface", {**config("planner_interface.yaml"), **parameters})
+    def planner_interface(self, source: str = "speed", **parameters: Any) -> Node:
+        shipped = {**config("planner_interface.yaml"), "wheels": config("teensy_sensor_hub.yaml"), "source": source}
+        remap = {"/planner_interface/input/control_cmd": AUTOWARE, "/planner_interface/input/gear_cmd": GEAR,
+                 "/planner_interface/input/odometry": "/odom", "/planner_interface/output/control_cmd": CONTROL}
+        return self.graph.add(PlannerInterface, "planner_interface", {**shipped, **parameters}, remap)
 
     def pca9685(self, **parameters: Any) -> Node:
         shipped = {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
@@ -306,10 +311,22 @@ class Car:
         return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(board), make_line=line),
                               "car_sim", {"seed": 1, **parameters})
 
-    def whole(self) -> Car:
-        """Start everything that a car with planner and gamepad has; the gamepad rests."""
-        for start in (self.pca9685, self.sim, self.hub, self.turn_arb, self.converter, self.throttle_arb, self.teleop):
-            start()
+    def whole(self, planner: str = "", **sim: Any) -> Car:
+        """Start everything that a car with planner and gamepad has; the gamepad rests.
+
+        Args:
+            planner: planner_interface's source; empty = without.
+            sim: car_sim's parameters.
+        """
+        self.pca9685()
+        self.sim(**sim)
+        self.hub()
+        self.turn_arb()
+        self.converter()
+        self.throttle_arb()
+        self.teleop()
+        if planner:
+            self.planner_interface(planner)
         self.graph.repeat("/e_stop", _bool(False), 10)
         self.graph.repeat("/joy", lambda: self._pad[0], JOY_HZ, sender="/joy_node")
         return self

@@ -504,6 +504,7 @@ class Graph:
         self._links: list[tuple[str, str, str, Link]] = []
         self._last_arrivals: dict[int, int] = {}
         self._senders: dict[tuple[str, str], TopicPublisher] = {}
+        self._held: dict[tuple[str, str], Callable[[], None]] = {}
         self._events: list = []
         self.newest_call: Call | None = None
         self._numbers = itertools.count()
@@ -598,6 +599,17 @@ class Graph:
                 self.at(self.now_ns + period_ns, tick)
         self.at(self.now_ns + round(phase_s * NS_PER_S), tick)
         return is_on.clear
+
+    def hold(self, topic: str, message: Callable[[], Any] | Any, rate_hz: float = 50, sender: str = "/test",
+             phase_s: float = 0.0) -> None:
+        """Have a sender repeat a message, or what a function returns, in place of what it has held before."""
+        self.silence(topic, sender=sender)
+        self._held[topic, sender] = self.repeat(topic, message, rate_hz, sender, phase_s)
+
+    def silence(self, *topics: str, sender: str = "/test") -> None:
+        """End what ``hold`` began."""
+        for topic in topics:
+            self._held.pop((topic, sender), lambda: None)()
 
     def flood(self, topic: str, message: Any, count: int, sender: str = "/flood") -> None:
         """Publish a message so many times at once."""
