@@ -161,16 +161,16 @@ class BoardClient:
 
 
 class Pins:
-    """What ``car_sim`` follows: the board's pins, as duties."""
+    """What ``car_sim`` follows: the board's pins, as duties; without a board the topic /servo/output."""
 
     problem = ""
 
-    def __init__(self, board: Board):
+    def __init__(self, board: Board | None):
         self._board = board
 
     @property
-    def duties(self) -> list[int]:
-        return [duty_of_counts(counts) for counts in self._board.counts]
+    def duties(self) -> list[int] | None:
+        return self._board and [duty_of_counts(counts) for counts in self._board.counts]
 
     def step(self, now_ns: int) -> None:
         pass
@@ -371,9 +371,10 @@ class Car:
         return self.graph.add(partial(TeensySensorHub, make_link=partial(Port, self.cable)), "teensy_sensor_hub",
                               {**shipped, **parameters})
 
-    def sim(self, **parameters: Any) -> Node:
+    def sim(self, follows_board: bool = True, **parameters: Any) -> Node:
+        board = self.board if follows_board else None
         line = partial(VirtualLine, make_terminal=partial(Terminal, self.cable), make_claim=_NoClaim)
-        return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(self.board), make_line=line),
+        return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(board), make_line=line),
                               "car_sim", {"seed": 1, **parameters})
 
     def whole(self, planner: str = "", throttle: dict | None = None, teleop: dict | None = None, hub: dict | None = None,

@@ -469,7 +469,7 @@ class Call:
 
     def _ask(self, handler, request):
         try:
-            self._answers.append(handler(request))
+            self._answers.append(_on_wire(handler(_on_wire(request))))
         except Exception as error:
             self._answers.append(error)
         finally:
@@ -776,6 +776,15 @@ class _LogHandler(logging.Handler):
 
     def emit(self, record):
         self._graph.log.append(Line(self._graph.now_ns, self._graph._turn, record.levelno, record.getMessage()))
+
+
+def _on_wire(value):
+    """A request or answer as it arrives; dynamic_reconfigure's are dicts here."""
+    if not hasattr(value, "serialize"):
+        return value
+    buffer = io.BytesIO()
+    value.serialize(buffer)
+    return _message(type(value), buffer.getvalue())
 
 
 def _message(message_type, data):
