@@ -72,7 +72,11 @@ class NodeClocks(Clocks):
         return rospy.Time(nsecs=self.now_ns() + self._graph.ros_ahead_ns)
 
     def sleep(self, duration_s: float) -> None:
-        self.paused_ns += round(duration_s * NS_PER_S)
+        """A pause of the node; or of a call's thread, while the node goes on."""
+        if threading.current_thread() is threading.main_thread():
+            self.paused_ns += round(duration_s * NS_PER_S)
+        else:
+            self._graph.newest_call.sleep(duration_s)
 
 
 class NodeInbox(Inbox):
@@ -81,20 +85,36 @@ class NodeInbox(Inbox):
     def __init__(self, node: Node, graph: NodeGraph, **arguments):
         self._node = node
         self._fds: set = set()
+        self._unhandled: set = set()  # what a call's thread has put
         super().__init__(node.name, graph=graph, **arguments)
 
     def wake(self) -> None:
         self._node.plan_step(self.clocks.now_ns())
 
-    def put(self, *arguments, **named) -> None:
-        super().put(*arguments, **named)
-        if threading.current_thread() is not threading.main_thread():
-            self._node.graph.newest_call.has_begun.set()
+    def put(self, handler, item, wakes=True, on_drop=None) -> None:
+        """As ``Inbox``; what a call's thread puts is waited for."""
+        if threading.current_thread() is threading.main_thread():
+            super().put(handler, item, wakes, on_drop)
+            return
+        token = object()
+        self._unhandled.add(token)
+
+        def handle(item, now_ns):
+            self._unhandled.discard(token)
+            handler(item, now_ns)
+
+        def drop():
+            self._unhandled.discard(token)
+            if on_drop is not None:
+                on_drop()
+        super().put(handle, item, wakes, drop)
+        self._node.graph.newest_call.has_begun.set()
 
     @property
     def awaits_answer(self) -> bool:
         """Whether a service call waits for the node."""
-        return not all(done.done() for done in list(self._open_requests))
+        return self._node.is_alive and bool(self._unhandled) or not all(
+            done.done() for done in list(self._open_requests))
 
     def watch(self, fd) -> None:
         self._fds.add(fd)
@@ -440,6 +460,7 @@ class Call:
         self._graph = graph
         self._answers: list = []
         self.has_begun = threading.Event()  # it waits, or is answered
+        self._sleeps: threading.Event | None = None  # until this is set
         graph.newest_call = self
         self._thread = threading.Thread(target=self._ask, args=(handler, request), daemon=True)
         self._thread.start()
@@ -453,6 +474,14 @@ class Call:
         finally:
             self.has_begun.set()
 
+    def sleep(self, duration_s: float) -> None:
+        """Block the call's thread for a while of the graph's time."""
+        self._sleeps = over = threading.Event()
+        self._graph.after(duration_s, over.set)
+        self.has_begun.set()
+        over.wait()
+        self._sleeps = None
+
     def finish(self) -> Any:
         """Let time go on until it is answered; return the answer.
 
@@ -460,7 +489,8 @@ class Call:
             rospy.ServiceException: as the caller would get it.
         """
         while self._thread.is_alive():
-            if any(node.inbox.awaits_answer for node in self._graph.nodes.values()):
+            if (any(node.inbox.awaits_answer for node in self._graph.nodes.values())
+                    or self._sleeps is not None and not self._sleeps.is_set()):
                 self._graph.run_event()
             else:
                 self._thread.join(REAL_POLL_S)
