@@ -85,36 +85,32 @@ class NodeInbox(Inbox):
     def __init__(self, node: Node, graph: NodeGraph, **arguments):
         self._node = node
         self._fds: set = set()
-        self._unhandled: set = set()  # what a call's thread has put
+        self._has_request = False  # of a service call
         super().__init__(node.name, graph=graph, **arguments)
 
     def wake(self) -> None:
         self._node.plan_step(self.clocks.now_ns())
 
     def put(self, handler, item, wakes=True, on_drop=None) -> None:
-        """As ``Inbox``; what a call's thread puts is waited for."""
         if threading.current_thread() is threading.main_thread():
             super().put(handler, item, wakes, on_drop)
             return
-        token = object()
-        self._unhandled.add(token)
-
-        def handle(item, now_ns):
-            self._unhandled.discard(token)
-            handler(item, now_ns)
+        self._has_request = True
 
         def drop():
-            self._unhandled.discard(token)
-            if on_drop is not None:
-                on_drop()
-        super().put(handle, item, wakes, drop)
+            self._has_request = False
+            on_drop()
+        super().put(handler, item, wakes, on_drop and drop)
         self._node.graph.newest_call.has_begun.set()
+
+    def drain(self) -> list[tuple]:
+        self._has_request = False
+        return super().drain()
 
     @property
     def awaits_answer(self) -> bool:
         """Whether a service call waits for the node."""
-        return self._node.is_alive and bool(self._unhandled) or not all(
-            done.done() for done in list(self._open_requests))
+        return self._has_request or not all(done.done() for done in list(self._open_requests))
 
     def watch(self, fd) -> None:
         self._fds.add(fd)
@@ -314,6 +310,7 @@ class Node:
 
     Attributes:
         fault: what ended it by itself, in words.
+        turns: how often its thread had one.
     """
 
     def __init__(self, graph: Graph, node_class: Callable, name: str, remap: dict[str, str], inbox_limit: int | None):
@@ -325,7 +322,7 @@ class Node:
 
     def start(self) -> None:
         """Start it, or start it again."""
-        self.fault, self.watches = "", []
+        self.fault, self.turns, self.watches = "", 0, []
         self._stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
         self._planned_ns: int | None = None
         self._life = object()  # turns and deliveries that were planned for another life don't happen
@@ -362,6 +359,7 @@ class Node:
         if self.graph.now_ns < self._stalled_until_ns:
             self.plan_step(self._stalled_until_ns)
             return
+        self.turns += 1
         with self.graph.turn_of(self.name):
             try:
                 due_ns = self._steps.step()
