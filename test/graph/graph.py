@@ -72,7 +72,11 @@ class NodeClocks(Clocks):
         return rospy.Time(nsecs=self.now_ns() + self._graph.ros_ahead_ns)
 
     def sleep(self, duration_s: float) -> None:
-        self.paused_ns += round(duration_s * NS_PER_S)
+        """A pause of the node; or of a call's thread, while the node goes on."""
+        if threading.current_thread() is threading.main_thread():
+            self.paused_ns += round(duration_s * NS_PER_S)
+        else:
+            self._graph.newest_call.sleep(duration_s)
 
 
 class NodeInbox(Inbox):
@@ -462,6 +466,7 @@ class Call:
         self._graph = graph
         self._answers: list = []
         self.has_begun = threading.Event()  # it waits, or is answered
+        self._sleeps: threading.Event | None = None  # until this is set
         graph.newest_call = self
         self._thread = threading.Thread(target=self._ask, args=(handler, request), daemon=True)
         self._thread.start()
@@ -475,6 +480,14 @@ class Call:
         finally:
             self.has_begun.set()
 
+    def sleep(self, duration_s: float) -> None:
+        """Block the call's thread for a while of the graph's time."""
+        self._sleeps = over = threading.Event()
+        self._graph.after(duration_s, over.set)
+        self.has_begun.set()
+        over.wait()
+        self._sleeps = None
+
     def finish(self) -> Any:
         """Let time go on until it is answered; return the answer.
 
@@ -482,7 +495,8 @@ class Call:
             rospy.ServiceException: as the caller would get it.
         """
         while self._thread.is_alive():
-            if any(node.inbox.awaits_answer for node in self._graph.nodes.values()):
+            if (any(node.inbox.awaits_answer for node in self._graph.nodes.values())
+                    or self._sleeps is not None and not self._sleeps.is_set()):
                 self._graph.run_event()
             else:
                 self._thread.join(REAL_POLL_S)
