@@ -13,7 +13,7 @@ import pytest
 TEST = Path(__file__).resolve().parents[1]
 sys.path.append(str(TEST))
 run = importlib.import_module("run")
-NODE_TESTS = {path.stem for path in (TEST / "node").glob("*.test")}
+NODE_TESTS = {path.stem for path in (TEST / "process").glob("*.test")}
 
 
 def names(paths):
@@ -23,7 +23,7 @@ def names(paths):
 def test_without_names_every_test_runs_once():
     selected = run.select([])
     assert len(selected.unit) == len(set(selected.unit)) == len(list((TEST / "unit").rglob("test_*.py")))
-    assert names(selected.messages) == ["messages_test.py"]
+    assert "test_messages.py" in names(selected.graph)
     assert sorted(names([*selected.shared, *selected.timed])) == sorted(f"{name}.test" for name in NODE_TESTS)
 
 
@@ -39,7 +39,7 @@ def test_tests_with_an_order_or_a_limit_of_their_own_exist():
 
 @pytest.mark.parametrize("name, expected", [
     ("test_layering", (["test_layering.py"], [], [], [])),
-    ("messages_test", ([], ["messages_test.py"], [], [])),
+    ("test_messages", ([], ["test_messages.py"], [], [])),
     ("turn_arb.test", ([], [], [], ["turn_arb.test"])),
     ("car_display.test", ([], [], ["car_display.test"], [])),
 ])
@@ -223,7 +223,7 @@ def test_limit_of_a_node_test_is_that_of_its_tests(tmp_path, tests, everything, 
 
 
 def test_usual_run_has_time_for_a_hanging_node_test_beside_all_that_passes():
-    limits_s = [run.node_limit_s(path, everything=False) for path in (TEST / "node").glob("*.test")]
+    limits_s = [run.node_limit_s(path, everything=False) for path in (TEST / "process").glob("*.test")]
     assert max(limits_s) <= 900, "twenty minutes for the others, of the 50 of .ci/run"
 
 
