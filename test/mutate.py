@@ -468,7 +468,8 @@ def main() -> int:
         slots = [Slot(ROOT, Path(folder, str(index))) for index in range(len(os.sched_getaffinity(0)))]
         for module, survivors, places in run_mutants(ROOT, slots, lists):
             title = f"{module} {len(places) - len(survivors)}/{len(places)}"
-            print(title, *(f"  {PACKAGE / module}:{places[key].lineno} {key.change} | {key.line}" for key in survivors),
+            print(title, *(f"  {PACKAGE / module}:{places[key].lineno} {key.change} | {key.line}"
+                           + (f" ({key.number})" if key.number > 1 else "") for key in survivors),
                   *(f"  gone: {key.function}: {key.change} | {key.line}" for key in lists[module] if key not in places),
                   sep="\n", flush=True)
             known = set(accepted.get(module, ())) & set(places)
