@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -269,9 +270,13 @@ def unit_step(results: Path, python: str, files: list[Path], is_second: bool, ev
     version = version.strip()
     name = "unit-" + version if is_second else "unit"
     marks = SECOND_PYTHON if is_second and not everything else ()
+    title = f"unit tests, Python {version}"
+    if everything:  # property tests take other cases each time; with the seed, the same again
+        seed = random.randrange(2 ** 32)
+        marks, title = (*marks, f"--hypothesis-seed={seed}"), f"{title}, seed {seed}"
     command = pytest_command(python, results / name, "-n", str(cpu_count()), "--dist", "loadfile", *marks,
                              *map(str, files))
-    return Step(name, f"unit tests, Python {version}", command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": str(ROOT / "src")},
+    return Step(name, title, command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": str(ROOT / "src")},
                 LONG_UNIT_LIMIT_S if everything else UNIT_LIMIT_S, is_unit=True)
 
 
