@@ -155,7 +155,7 @@ def test_passes():
 
 
 def test_unit_test_that_hangs_is_named_as_failed_and_the_others_run(tmp_path):
-    (tmp_path / "conftest.py").write_text((TEST / "unit" / "conftest.py").read_text(encoding="utf-8"))
+    (tmp_path / "conftest.py").write_text((TEST / "conftest.py").read_text(encoding="utf-8"))
     (tmp_path / "test_some.py").write_text(HANGING_TEST)
     environment = {**run.os.environ, "CAR_INTERFACE_UNIT_LIMIT_S": "5"}
     python = run.Python(sys.executable, "", False)

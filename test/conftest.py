@@ -1,4 +1,4 @@
-"""What holds for all unit tests.
+"""What holds for all tests by pytest: test/unit and test/graph.
 
 Hypothesis takes the same cases on every run, without a stopwatch, and without a file in the checkout. With
 CAR_INTERFACE_ALL, as in `./dev test --all`, it takes others on every run, by the seed that test/run.py prints; what
@@ -31,7 +31,7 @@ MARKS = ("once: takes long, and comes out the same with every Python: one of the
          "browser: looks at a page in a real browser")
 
 
-# The longest test takes some 30 s on an idle machine; on a busy one unit tests run at the lowest priority.
+# The longest test takes some 30 s on an idle machine.
 LIMIT_S = float(os.environ.get("CAR_INTERFACE_UNIT_LIMIT_S", "600"))
 
 
