@@ -23,7 +23,7 @@ from graph import NS_PER_S
 
 MS = 1_000_000
 STORY_MS, STALL_MS, STOP_MS = 2000, 600, 1400  # the person stops at STOP_MS
-STEP_MS = 10 if "CAR_INTERFACE_ALL" in os.environ else 125
+STEP_MS = 10 if os.environ.get("CAR_INTERFACE_ALL") else 125
 AFTER_MS = 300  # of what is judged after the stall and the timeouts
 NOISE_MPS = 0.02
 # How long after the person's stop a stall of the node may delay it: the timeout of who waits for it, and a timer.
