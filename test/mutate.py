@@ -278,13 +278,14 @@ class Job(NamedTuple):
     limit_s: float
 
 
-class Ended(NamedTuple):
-    """How a job ended, and the folder with its log and the functions that were called in the clean run."""
+class Result(NamedTuple):
+    """How a job ended; ``called``: each module and name of a function that the clean run called."""
 
     job: Job
     passed: bool
     took_s: float
-    folder: Path
+    log: str
+    called: set[str]
 
 
 class Slot:
@@ -301,8 +302,9 @@ class Slot:
                  if os.path.isdir(f"{each}/car_interface/msg")]
         for name in ("path/car_interface", "tmp"):
             (folder / name).mkdir(parents=True)
-        (folder / "path/car_interface/__init__.py").write_text(
-            f"__path__ = {[str(self._copy / PACKAGE), *built]}\n", encoding="utf-8")
+        init = f"__path__ = {[str(self._copy / PACKAGE), *built]}\n"
+        (folder / "path/car_interface/__init__.py").write_text(init, encoding="utf-8")
+        (folder / "called").touch()
 
     def begin(self, job: Job) -> None:
         """Fork a process for a job, which has what this one has imported."""
@@ -349,16 +351,15 @@ class Slot:
         sys.settrace(None)
         package = f"{self._copy / PACKAGE}/"
         (self._folder / "called").write_text("\n".join(
-            f"{each.co_filename[len(package):]} {each.co_name}" for each in called.values()
-            if each.co_filename.startswith(package)), encoding="utf-8")
+            f"{each.co_filename.replace(package, '')} {each.co_name}" for each in called.values()), encoding="utf-8")
         for name in job.tests:
-            if name.endswith(".test") and not code:  # ended before this process, with all that it has started
-                code = subprocess.call([sys.executable, "test/processes.py", "--limit", str(job.limit_s - 10), "rostest",
-                                        f"--pkgdir={self._root}", "--package=car_interface",
-                                        f"--results-base-dir={tmp}", name])
+            if name.endswith(".test") and not code:  # with a limit that ends all that it has started
+                code = subprocess.call([
+                    sys.executable, "test/processes.py", "--limit", str(job.limit_s - 10), "rostest",
+                    f"--pkgdir={self._root}", "--package=car_interface", f"--results-base-dir={tmp}", name])
         return code
 
-    def poll(self) -> Ended | None:
+    def poll(self) -> Result | None:
         """Return how the job ended, or None while it runs."""
         pid, status = os.waitpid(self._pid, os.WNOHANG)
         took_s = time.monotonic() - self._begun_s
@@ -368,9 +369,10 @@ class Slot:
         if not pid:
             os.waitpid(self._pid, 0)
         job, self.job = self.job, None
+        log, called = ((self._folder / name).read_text("utf-8", "replace") for name in ("log", "called"))
         if job.key:
             shutil.copy2(str(self._root / PACKAGE / job.key.module), str(self._copy / PACKAGE / job.key.module))
-        return Ended(job, bool(pid) and not status, took_s, self._folder)
+        return Result(job, bool(pid) and not status, took_s, log, set(called.splitlines()))
 
     def end(self) -> None:
         """End the job, or what it has left behind."""
@@ -380,7 +382,7 @@ class Slot:
             pass  # there is nothing left
 
 
-def run(slots: list[Slot], jobs: Iterable[Job]) -> Iterator[Ended]:
+def run(slots: list[Slot], jobs: Iterable[Job]) -> Iterator[Result]:
     """Run jobs, one in each slot at a time; yield those that ended."""
     waiting = deque(jobs)
     try:
@@ -388,9 +390,9 @@ def run(slots: list[Slot], jobs: Iterable[Job]) -> Iterator[Ended]:
             for slot in slots:
                 if not slot.job and waiting:
                     slot.begin(waiting.popleft())
-                ended = slot.poll() if slot.job else None
-                if ended:
-                    yield ended
+                result = slot.poll() if slot.job else None
+                if result:
+                    yield result
             time.sleep(0.005)
     finally:
         for slot in slots:
@@ -398,25 +400,18 @@ def run(slots: list[Slot], jobs: Iterable[Job]) -> Iterator[Ended]:
                 slot.end()
 
 
-class Clean(NamedTuple):
-    """A test file's run without a mutant; ``called`` has a module and the name of a function in each line."""
-
-    took_s: float
-    called: set[str]
-
-
-def run_clean(slots: list[Slot], files: Iterable[str]) -> dict[str, Clean]:
+def run_clean(slots: list[Slot], files: Iterable[str]) -> dict[str, Result]:
     """Run test files without a mutant; exit if one of them fails."""
     clean = {}
-    for ended in run(slots, [Job(None, None, [name], 900.0) for name in files]):
-        if not ended.passed:
-            sys.exit(f"{ended.job.tests[0]} fails without any mutant:\n"
-                     + (ended.folder / "log").read_text(encoding="utf-8")[-3000:])
-        clean[ended.job.tests[0]] = Clean(ended.took_s, set((ended.folder / "called").read_text().splitlines()))
+    for result in run(slots, [Job(None, None, [name], 900.0) for name in files]):
+        (name,) = result.job.tests
+        if not result.passed:
+            sys.exit(f"{name} fails without any mutant:\n{result.log[-3000:]}")
+        clean[name] = result
     return clean
 
 
-def job_of(key: Key, place: Place, files: list[str], clean: dict[str, Clean]) -> Job:
+def job_of(key: Key, place: Place, files: list[str], clean: dict[str, Result]) -> Job:
     """Return a mutant's job: the module's own tests, then the fastest, without those that don't call its function."""
     name = key.function.rpartition(".")[2].replace("-", "<module>")
     tests = [each for each in files if each.endswith(".test") or f"{key.module} {name}" in clean[each].called]
@@ -425,32 +420,25 @@ def job_of(key: Key, place: Place, files: list[str], clean: dict[str, Clean]) ->
 
 
 def run_mutants(root: Path, slots: list[Slot], lists: dict[str, list[Key]]) -> Iterator[tuple[str, list[Key], dict]]:
-    """Run the mutants; yield of each module that is done its survivors, and the places of all that are not gone."""
-    files = tests_of(root, lists)
+    """Run the mutants; yield each module with its survivors and the places of all that are not gone, when it is done."""
+    files, places, left, survivors = tests_of(root, lists), {}, Counter(), defaultdict(list)
     clean = run_clean(slots, dict.fromkeys(name for names in files.values() for name in names))
     print(f"The tests pass without a mutant, in {sum(each.took_s for each in clean.values()):.0f} s", flush=True)
-    places, jobs, survivors = {}, [], {}
+    jobs = []
     for module, keys in lists.items():
         path = root / PACKAGE / module
         found = find(module, path.read_bytes()) if path.exists() else {}
         places[module] = {key: found[key] for key in keys if key in found}
-        of_module = [job_of(key, place, files[module], clean) for key, place in places[module].items()]
-        jobs += [job for job in of_module if job.tests]
-        survivors[module] = {job.key for job in of_module if not job.tests}
-    left = Counter(job.key.module for job in jobs)
-    done = deque(module for module in lists if not left[module])
-    results = run(slots, jobs)
-    while True:
-        for module in done:
-            yield module, [key for key in lists[module] if key in survivors[module]], places[module]
-        done.clear()
-        ended = next(results, None)
-        if ended is None:
-            return
-        module = ended.job.key.module
-        survivors[module] |= {ended.job.key} if ended.passed else set()
+        jobs += [job_of(key, place, files[module], clean) for key, place in places[module].items()]
+        left[module] = len(places[module])
+        if not left[module]:
+            yield module, [], {}
+    for result in run(slots, jobs):
+        module = result.job.key.module
+        survivors[module] += [result.job.key] if result.passed else []
         left[module] -= 1
-        done += [module] if not left[module] else []
+        if not left[module]:
+            yield module, sorted(survivors[module], key=lists[module].index), places[module]
 
 
 def main() -> int:

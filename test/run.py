@@ -33,7 +33,7 @@ TEST = Path(__file__).resolve().parent
 ROOT = TEST.parent
 GRAPH_STEP = "graph"
 # Node tests that measure times down to milliseconds: at most two of them run at a time, and no other node test.
-TIMED = ("captures", "chain", "demo", "planner_interface", "planners", "serial_faults", "teleop_logi", "turn_arb")
+TIMED = ("captures", "chain", "demo", "serial_faults", "teleop_logi", "turn_arb")
 MAX_TIMED = 2
 LONG = ("chain", "one_process", "fuzz", "doctor_situations", "live")  # the longest begin first
 MAX_REPEATED = 3  # more failed node tests than this have one cause: repeating them would only take time

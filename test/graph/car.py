@@ -5,6 +5,7 @@ The chip of the servo board is modelled at register level, the Teensy byte by by
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 from contextlib import contextmanager
 from functools import partial
@@ -24,7 +25,7 @@ from car_interface.nodes.turn_arb import TurnArb
 from car_interface.pca9685.registers import duty_of_counts
 from car_interface.ros.virtual_line import VirtualLine
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
-from car_interface.teensy.link.health import ABSENT, FAILING
+from car_interface.teensy.link.health import ABSENT, BUSY, FAILING
 from car_interface.teensy.link.port import PortError
 from graph import NS_PER_S, Graph, Node, NodeClocks
 from guard import PIDS, GuardActor
@@ -36,6 +37,7 @@ CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6
 MANUAL, AUTONOMOUS = 4, 5  # buttons of config/teleop_logi.yaml
 STEER_AXIS, THROTTLE_AXIS = 0, 4
 JOY_HZ = 50
+CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd", "/autoware/gear_cmd"
 
 
 def config(name: str) -> dict:
@@ -176,17 +178,46 @@ class Pins:
 
 
 class Cable:
-    """The serial line between the Teensy and the computer, as both see it.
+    """The serial line between the Teensy and the computer, as both see it. A real one differs from case to case.
 
     Attributes:
         terminal: the Teensy's end, while it is plugged in.
         port: the computer's end, while it is open.
+        delay_s: until bytes arrive at the other end.
+        frame_s, phase_s: they arrive with USB frames, which follow each other like this; 0 = at any time.
+        read_sizes: how many bytes each read returns at most, over and over.
+        capacity: bytes that wait for the computer to read them; what does not fit is lost.
+        attempts_ns: when it was tried to open the port.
     """
 
     def __init__(self, graph: Graph):
         self.graph = graph
         self.terminal: Terminal | None = None
         self.port: Port | None = None
+        self.delay_s = self.frame_s = self.phase_s = 0.0
+        self.read_sizes: tuple[int, ...] = (4096,)
+        self.capacity = 65536
+        self.attempts_ns: list[int] = []
+
+    def carry(self, data: bytes, deliver: Callable[[bytes], None]) -> None:
+        """Deliver bytes when they arrive, unless the Teensy was unplugged meanwhile."""
+        if not data:
+            return
+        terminal, at_ns = self.terminal, self.graph.now_ns + round(self.delay_s * NS_PER_S)
+        if self.frame_s:
+            frame_ns, phase_ns = round(self.frame_s * NS_PER_S), round(self.phase_s * NS_PER_S)
+            at_ns = phase_ns - (phase_ns - at_ns) // frame_ns * frame_ns
+        if self.frame_s or self.delay_s:
+            self.graph.at(at_ns, lambda: deliver(data) if self.terminal is terminal else None)
+        else:
+            deliver(data)
+
+    def to_computer(self, data: bytes) -> None:
+        """Bytes have arrived there."""
+        port = self.port
+        if port is not None:
+            port.received += data[:max(0, self.capacity - len(port.received))]
+            self.graph.readable(port)
 
 
 class Terminal:
@@ -201,16 +232,22 @@ class Terminal:
     def fileno(self) -> Terminal:
         return self
 
+    @property
+    def is_readable(self) -> bool:
+        return bool(self.received)
+
+    def take(self, data: bytes) -> None:
+        """Bytes have arrived from the computer."""
+        self.received += data
+        self._cable.graph.readable(self)
+
     def read(self) -> bytes:
-        data = bytes(self.received)
-        self.received.clear()
+        data = bytes(self.received[:4096])
+        del self.received[:4096]
         return data
 
     def write(self, data: bytes) -> None:
-        port = self._cable.port
-        if port is not None and data:
-            port.received += data
-            self._cable.graph.readable(port)
+        self._cable.carry(data, self._cable.to_computer)
 
     def close(self) -> None:
         if self._cable.terminal is self:
@@ -225,6 +262,7 @@ class Port:
     def __init__(self, cable: Cable, path: str, baud: int):
         self._cable, self._path = cable, path
         self._terminal: Terminal | None = None
+        self._sizes = itertools.cycle(cable.read_sizes)
         self.received = bytearray()
 
     @property
@@ -234,22 +272,29 @@ class Port:
     def fileno(self) -> Port:
         return self
 
+    @property
+    def is_readable(self) -> bool:
+        return bool(self.received) or self._cable.terminal is not self._terminal
+
     def open(self) -> None:
+        self._cable.attempts_ns.append(self._cable.graph.now_ns)
         if self._cable.terminal is None:
             raise PortError(self._path, ABSENT, "there is no such port", "Plug the Teensy in")
+        if self._cable.port is not None:
+            raise PortError(self._path, BUSY, "another program has it open", "End it")
         self.received.clear()
         self._cable.port, self._terminal = self, self._cable.terminal
 
     def read(self) -> bytes:
         self._check()
-        data = bytes(self.received[:4096])
-        del self.received[:4096]
+        size = next(self._sizes)
+        data = bytes(self.received[:size])
+        del self.received[:size]
         return data
 
     def write(self, data: bytes) -> None:
         self._check()
-        self._terminal.received += data
-        self._cable.graph.readable(self._terminal)
+        self._cable.carry(data, self._terminal.take)
 
     def close(self) -> None:
         if self._cable.port is self:
@@ -289,7 +334,8 @@ class Car:
     # --- nodes ---
 
     def turn_arb(self, **parameters: Any) -> Node:
-        return self.graph.add(TurnArb, "turn_arb", {**config("turn_arb.yaml"), **parameters})
+        return self.graph.add(TurnArb, "turn_arb", {**config("turn_arb.yaml"), **parameters},
+                              {"/turn_arb/input/odometry": "/odom"})
 
     def throttle_arb(self, **parameters: Any) -> Node:
         remap = {"/throttle_arb/input/value": "/generic/output/value", "/throttle_arb/input/odometry": "/odom"}
@@ -299,7 +345,7 @@ class Car:
         shipped = config("generic_value_converter.yaml")
         table = next(name for name in sorted(os.listdir(CONFIG)) if name.endswith(".csv"))
         remap = {"/generic_value_converter/input/odometry": "/odom",
-                 "/generic_value_converter/input/control_cmd": "/control/command/control_cmd",
+                 "/generic_value_converter/input/control_cmd": CONTROL,
                  "/generic_value_converter/output/value": "/generic/output/value"}
         return self.graph.add(GenericValueConverter, "generic_value_converter",
                               {**shipped, "csv_path_value_map": os.path.join(CONFIG, table), **parameters}, remap)
@@ -307,8 +353,11 @@ class Car:
     def teleop(self, **parameters: Any) -> Node:
         return self.graph.add(TeleopLogi, "teleop_logi", {**config("teleop_logi.yaml"), **parameters})
 
-    def planner_interface(self, **parameters: Any) -> Node:
-        return self.graph.add(PlannerInterface, "planner_interface", {**config("planner_interface.yaml"), **parameters})
+    def planner_interface(self, source: str = "speed", **parameters: Any) -> Node:
+        shipped = {**config("planner_interface.yaml"), "wheels": config("teensy_sensor_hub.yaml"), "source": source}
+        remap = {"/planner_interface/input/control_cmd": AUTOWARE, "/planner_interface/input/gear_cmd": GEAR,
+                 "/planner_interface/input/odometry": "/odom", "/planner_interface/output/control_cmd": CONTROL}
+        return self.graph.add(PlannerInterface, "planner_interface", {**shipped, **parameters}, remap)
 
     def pca9685(self, **parameters: Any) -> Node:
         shipped = {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
@@ -325,10 +374,22 @@ class Car:
         return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(self.board), make_line=line),
                               "car_sim", {"seed": 1, **parameters})
 
-    def whole(self) -> Car:
-        """Start everything that a car with planner and gamepad has; the gamepad rests."""
-        for start in (self.pca9685, self.sim, self.hub, self.turn_arb, self.converter, self.throttle_arb, self.teleop):
-            start()
+    def whole(self, planner: str = "", **sim: Any) -> Car:
+        """Start everything that a car with planner and gamepad has; the gamepad rests.
+
+        Args:
+            planner: planner_interface's source; empty = without.
+            sim: car_sim's parameters.
+        """
+        self.pca9685()
+        self.sim(**sim)
+        self.hub()
+        self.turn_arb()
+        self.converter()
+        self.throttle_arb()
+        self.teleop()
+        if planner:
+            self.planner_interface(planner)
         self.graph.repeat("/e_stop", _bool(False), 10)
         self.graph.repeat("/joy", lambda: self._pad[0], JOY_HZ, sender="/joy_node")
         return self

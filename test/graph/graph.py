@@ -29,6 +29,7 @@ START_NS = 1000 * NS_PER_S  # of the monotonic clock
 ROS_AHEAD_NS = 1_700_000_000 * NS_PER_S
 SHORTEST_WAIT_NS = 1000  # of a node that wants its next step at once
 WATCH_NS = NS_PER_S
+REAL_POLL_S = 0.001
 MACHINE = "127.0.0.1"
 
 
@@ -47,6 +48,14 @@ class Line(NamedTuple):
     node: str
     level: int
     text: str
+
+
+class Report(NamedTuple):
+    """What a node reports on /diagnostics under one name."""
+
+    level: int
+    message: str
+    values: dict[str, str]
 
 
 class NodeClocks(Clocks):
@@ -77,6 +86,16 @@ class NodeInbox(Inbox):
     def wake(self) -> None:
         self.node.plan_step(self.clocks.now_ns())
 
+    def put(self, *arguments, **named) -> None:
+        super().put(*arguments, **named)
+        if threading.current_thread() is not threading.main_thread():
+            self.node.graph.newest_call.has_begun.set()
+
+    @property
+    def awaits_answer(self) -> bool:
+        """Whether a service call waits for the node."""
+        return not all(done.done() for done in list(self._open_requests))
+
     def watch(self, fd) -> None:
         self._fds.add(fd)
 
@@ -87,6 +106,18 @@ class NodeInbox(Inbox):
         """A device has something for the node."""
         if fd in self._fds:
             self.wake()
+
+    @property
+    def has_readable(self) -> bool:
+        """Whether a watched device still has something: as with select, the node's wait ends at once then."""
+        return any(getattr(fd, "is_readable", False) for fd in self._fds)
+
+    def abandon(self) -> None:
+        """Close the devices that the node watches, and the service calls, as the system does for a killed process."""
+        for fd in self._fds:
+            getattr(fd, "close", lambda: None)()
+        for done in list(self._open_requests):
+            self._refuse(done, "the node was killed")
 
 
 class Connection:
@@ -265,6 +296,7 @@ class Node:
         fault: what ended it by itself, in words.
         stalled_until_ns: its thread stands still until then.
         exit_actions: called when its process has ended, however that was: what the kernel closes then.
+        turns: how often its thread had one.
     """
 
     def __init__(self, graph: Graph, node_class: Callable, name: str, remap: dict[str, str], inbox_limit: int | None):
@@ -276,7 +308,7 @@ class Node:
 
     def start(self) -> None:
         """Start it, or start it again."""
-        self.fault, self.watches = "", []
+        self.fault, self.turns, self.watches = "", 0, []
         self.exit_actions: list[Callable[[], None]] = []
         self.stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
         self._planned_ns: int | None = None
@@ -314,6 +346,7 @@ class Node:
         if self.graph.now_ns < self.stalled_until_ns:
             self.plan_step(self.stalled_until_ns)
             return
+        self.turns += 1
         with self.graph.turn_of(self.name):
             try:
                 due_ns = self._steps.step()
@@ -325,7 +358,8 @@ class Node:
         if self.inbox.ending:
             self.end()
             return
-        self.plan_step(max(min(due_ns, ended_ns + MAX_WAIT_NS), ended_ns + SHORTEST_WAIT_NS))
+        due_ns = ended_ns if self.inbox.has_readable else min(due_ns, ended_ns + MAX_WAIT_NS)
+        self.plan_step(max(due_ns, ended_ns + SHORTEST_WAIT_NS))
 
     def receive(self, connection: Connection, data: bytes, life) -> None:
         """A message arrives at its process."""
@@ -378,6 +412,7 @@ class Node:
         self.is_alive = False
         self._life = object()
         self.inbox.ending = True
+        self.inbox.abandon()
         self._exit()
 
     def end(self) -> None:
@@ -406,6 +441,43 @@ class Node:
             for watch in self.watches:
                 watch.update(self.graph.master_fault, {}, _Lookup)
         self.graph.at(self.graph.now_ns + WATCH_NS, lambda: self._watch(life))
+
+
+class Call:
+    """A call of a service, which waits for its node's thread."""
+
+    def __init__(self, graph: Graph, handler: Callable[[Any], Any], request: Any):
+        self._graph = graph
+        self._answers: list = []
+        self.has_begun = threading.Event()  # it waits, or is answered
+        graph.newest_call = self
+        self._thread = threading.Thread(target=self._ask, args=(handler, request), daemon=True)
+        self._thread.start()
+        self.has_begun.wait()
+
+    def _ask(self, handler, request):
+        try:
+            self._answers.append(handler(request))
+        except Exception as error:
+            self._answers.append(error)
+        finally:
+            self.has_begun.set()
+
+    def finish(self) -> Any:
+        """Let time go on until it is answered; return the answer.
+
+        Raises:
+            rospy.ServiceException: as the caller would get it.
+        """
+        while self._thread.is_alive():
+            if any(node.inbox.awaits_answer for node in self._graph.nodes.values()):
+                self._graph.run_event()
+            else:
+                self._thread.join(REAL_POLL_S)
+        answer, = self._answers
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
 
 class Link(NamedTuple):
@@ -440,7 +512,9 @@ class Graph:
         self._links: list[tuple[str, str, str, Link]] = []
         self._last_arrivals: dict[int, int] = {}
         self._senders: dict[tuple[str, str], TopicPublisher] = {}
+        self._held: dict[tuple[str, str], Callable[[], None]] = {}
         self._events: list = []
+        self.newest_call: Call | None = None
         self._numbers = itertools.count()
         self._turn = ""
         self._handler = _LogHandler(self)
@@ -541,6 +615,17 @@ class Graph:
             self.after(period_s, tick)
         tick()
 
+    def hold(self, topic: str, message: Callable[[], Any] | Any, rate_hz: float = 50, sender: str = "/test",
+             phase_s: float = 0.0) -> None:
+        """Have a sender repeat a message, or what a function returns, in place of what it has held before."""
+        self.silence(topic, sender=sender)
+        self._held[topic, sender] = self.repeat(topic, message, rate_hz, sender, phase_s)
+
+    def silence(self, *topics: str, sender: str = "/test") -> None:
+        """End what ``hold`` began."""
+        for topic in topics:
+            self._held.pop((topic, sender), lambda: None)()
+
     def flood(self, topic: str, message: Any, count: int, sender: str = "/flood") -> None:
         """Publish a message so many times at once."""
         for _ in range(count):
@@ -579,6 +664,12 @@ class Graph:
         """Return the newest recorded message of a topic."""
         return self.recorded[topic][-1].message
 
+    def report(self, name: str, since_ns: int = 0) -> Report:
+        """Return the newest report of a name on /diagnostics, which is recorded."""
+        status = next(status for record in reversed(self.recorded["/diagnostics"]) for status in record.message.status
+                      if status.name == name and record.at_ns >= since_ns)
+        return Report(status.level, status.message, {pair.key: pair.value for pair in status.values})
+
     def lines(self, node: str = "", since_ns: int = 0, level: int = logging.INFO) -> list[str]:
         """Return the lines that a node, or any, has logged at a level or above."""
         return [line.text for line in self.log
@@ -587,26 +678,16 @@ class Graph:
     # --- services ---
 
     def call(self, service: str, request: Any) -> Any:
-        """Call a service, which may wait for its node's thread; return the answer.
+        """Call a service; let time go on until it answers, and return the answer.
 
         Raises:
             rospy.ServiceException: as the caller would get it.
         """
-        result: list = []
+        return self.begin_call(service, request).finish()
 
-        def ask():
-            try:
-                result.append(self.services[service](request))
-            except Exception as error:
-                result.append(error)
-        thread = threading.Thread(target=ask, daemon=True)
-        thread.start()
-        while thread.is_alive():
-            self.run(0.001)
-            thread.join(0.0005)
-        if isinstance(result[0], Exception):
-            raise result[0]
-        return result[0]
+    def begin_call(self, service: str, request: Any) -> Call:
+        """Call a service that answers while time goes on."""
+        return Call(self, self.services[service], request)
 
     def reconfigure(self, namespace: str, **changes: Any) -> dict:
         """Change values by dynamic_reconfigure; return those that count now."""
@@ -635,7 +716,7 @@ class Graph:
     def run_to(self, end_ns: int) -> None:
         """Let time go on to a time."""
         while self._events and self._events[0][0] <= end_ns:
-            self._next()
+            self.run_event()
         self.now_ns = end_ns
 
     def run_until(self, condition: Callable[[], bool], within_s: float = 10.0) -> int:
@@ -647,10 +728,11 @@ class Graph:
         deadline_ns = self.now_ns + round(within_s * NS_PER_S)
         while not condition():
             assert self._events and self._events[0][0] <= deadline_ns, f"not within {within_s} s"
-            self._next()
+            self.run_event()
         return self.now_ns
 
-    def _next(self):
+    def run_event(self) -> None:
+        """Let time go on to the next event."""
         self.now_ns, _, event = heapq.heappop(self._events)
         event()
 

@@ -463,6 +463,7 @@ def test_teensy_that_is_unplugged_stops_the_throttle_and_the_steering_goes_on():
     graph.run_until(lambda: car.speed_mps > 0.5)
     graph.nodes["/car_sim"].kill()
     graph.run_until(lambda: car.board.counts[1] == ESC_NEUTRAL)
+    print(graph.newest("/throttle_arb/state"))
     assert 500 * MS < graph.now_ns - graph.recorded["/odom"][-1].at_ns <= 520 * MS
     assert car.board.counts[0] != CENTER
     graph.nodes["/car_sim"].start()

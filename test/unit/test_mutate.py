@@ -32,10 +32,9 @@ def changed(code):
     ("x = a and b", [("logic and → or", "x = a or b")]),
     ("x = (ä + b) * -c", [("arithmetic + → -", "x = (ä - b) * -c"), ("arithmetic * → /", "x = (ä + b) / -c"),
                           ("arithmetic - → +", "x = (ä + b) * +c")]),
-    ("x = 0xf, 0.0, 0.5, 2000, True", [
-        ("constant 0xf → 16", "x = 16, 0.0, 0.5, 2000, True"), ("constant 0.0 → 1.0", "x = 0xf, 1.0, 0.5, 2000, True"),
-        ("constant 0.5 → 1.0", "x = 0xf, 0.0, 1.0, 2000, True"), ("constant 2000 → 4000", "x = 0xf, 0.0, 0.5, 4000, True"),
-        ("constant True → False", "x = 0xf, 0.0, 0.5, 2000, False")]),
+    ("x = 0xf, 0.0", [("constant 0xf → 16", "x = 16, 0.0"), ("constant 0.0 → 1.0", "x = 0xf, 1.0")]),
+    ("x = 0.5, 2000", [("constant 0.5 → 1.0", "x = 1.0, 2000"), ("constant 2000 → 4000", "x = 0.5, 4000")]),
+    ("x = True", [("constant True → False", "x = False")]),
     ("x += y", [("arithmetic += → -=", "x -= y")]),
     ("a.x = y", [("drop", "pass")]),
     ("def f():\n  x.stop(\n   y)\n  return x", [("drop", "def f():\n  pass\n  return x"),
@@ -96,14 +95,13 @@ def test_module_is_named_by_itself_and_its_folders(names, expected):
 @pytest.mark.once
 def test_mutant_is_killed_by_a_failure_or_a_hang_and_survives_where_nobody_looks(tmp_path, monkeypatch):
     root = tmp_path / "checkout"
-    for name, text in (("src/car_interface/steering/a.py", "def f(n):\n    while n > 0:\n        n -= 1\n    return n\n"
-                                                           "def g():\n    return 5\n"),
-                       ("test/unit/steering/test_a.py", "from car_interface.steering.a import f\n"
-                                                        "def test_f():\n    assert f(3) == 0\n")):
-        (root / name).parent.mkdir(parents=True)
-        (root / name).write_text(text)
+    source, test = root / "src/car_interface/steering/a.py", root / "test/unit/steering/test_a.py"
+    for path in (source, test):
+        path.parent.mkdir(parents=True)
+    source.write_text("def f(n):\n  while n > 0:\n    n -= 1\n  return n\n\ndef g():\n  return 5\n")
+    test.write_text("from car_interface.steering.a import f\n\ndef test_f():\n  assert f(3) == 0\n")
     monkeypatch.setattr(mutate, "LIMIT_EXTRA_S", 2.0)
-    keys = list(mutate.find("steering/a.py", (root / "src/car_interface/steering/a.py").read_bytes()))
+    keys = list(mutate.find("steering/a.py", source.read_bytes()))
     gone = keys[0]._replace(line="while n > 1:")
     slots = [mutate.Slot(root, tmp_path / "slot")]
     ((module, survivors, places),) = mutate.run_mutants(root, slots, {"steering/a.py": [*keys, gone]})
