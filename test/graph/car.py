@@ -13,6 +13,7 @@ from typing import Any, Iterator
 
 import yaml
 from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool
 
 from car_interface.nodes.car_sim import CarSim
 from car_interface.nodes.generic_value_converter import GenericValueConverter
@@ -35,6 +36,7 @@ ADDRESS = 0x40
 STEERING, ESC = 0, 1  # channels
 CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6700 and 4915
 MANUAL, AUTONOMOUS = 4, 5  # buttons of config/teleop_logi.yaml
+THIRD = 2  # and one for a third deadman, which that doesn't name
 STEER_AXIS, THROTTLE_AXIS = 0, 4
 JOY_HZ = 50
 CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd", "/autoware/gear_cmd"
@@ -327,7 +329,7 @@ class Car:
         self.graph = graph or Graph()
         self.board = Board(self.graph)
         self.cable = Cable(self.graph)
-        self._pad = [Joy(axes=[0.0] * 6, buttons=[0] * 11)]
+        self.pad()
         self.graph.record("/turn_arb/state", "/throttle_arb/state", "/servo/output",
                           "/teleop_logi/state", "/car_sim/truth", "/diagnostics")
 
@@ -374,34 +376,45 @@ class Car:
         return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(self.board), make_line=line),
                               "car_sim", {"seed": 1, **parameters})
 
-    def whole(self, planner: str = "", **sim: Any) -> Car:
+    def whole(self, planner: str = "", throttle: dict | None = None, teleop: dict | None = None, hub: dict | None = None,
+              **sim: Any) -> Car:
         """Start everything that a car with planner and gamepad has; the gamepad rests.
 
         Args:
             planner: planner_interface's source; empty = without.
-            sim: car_sim's parameters.
+            throttle: throttle_arb's parameters.
+            teleop: teleop_logi's.
+            hub: teensy_sensor_hub's.
+            sim: car_sim's.
         """
         self.pca9685()
         self.sim(**sim)
-        self.hub()
+        self.hub(**hub or {})
         self.turn_arb()
         self.converter()
-        self.throttle_arb()
-        self.teleop()
+        self.throttle_arb(**throttle or {})
+        self.teleop(**teleop or {})
         if planner:
             self.planner_interface(planner)
-        self.graph.repeat("/e_stop", _bool(False), 10)
-        self.graph.repeat("/joy", lambda: self._pad[0], JOY_HZ, sender="/joy_node")
+        self.graph.hold("/e_stop", Bool(False), 10)
+        self.joy()
         return self
 
     # --- people and planners ---
 
-    def pad(self, manual: bool = False, autonomous: bool = False, steering: float = 0.0, throttle: float = 0.0) -> None:
-        """Hold the gamepad's buttons and sticks from now on."""
-        message = Joy(axes=[0.0] * 6, buttons=[0] * 11)
-        message.axes[STEER_AXIS], message.axes[THROTTLE_AXIS] = steering, throttle
-        message.buttons[MANUAL], message.buttons[AUTONOMOUS] = int(manual), int(autonomous)
-        self._pad[0] = message
+    def joy(self, is_there: bool = True) -> None:
+        """Have the gamepad send, or fall silent."""
+        self.graph.silence("/joy", sender="/joy_node")
+        if is_there:
+            self.graph.hold("/joy", lambda: self._pad, JOY_HZ, sender="/joy_node")
+
+    def pad(self, manual: bool = False, autonomous: bool = False, steering: float = 0.0, throttle: float = 0.0,
+            third: bool = False, axes: int = 6, buttons: int = 11) -> None:
+        """Hold the gamepad's buttons and sticks from now on; it has so many axes and buttons."""
+        self._pad = Joy(axes=[0.0] * axes, buttons=[0] * buttons)
+        self._pad.axes[STEER_AXIS], self._pad.axes[THROTTLE_AXIS] = steering, throttle
+        for index, held in ((MANUAL, manual), (AUTONOMOUS, autonomous), (THIRD, third)):
+            self._pad.buttons[index] = int(held)
 
     def truth(self) -> Any:
         """Return the car's true odometry."""
@@ -415,8 +428,3 @@ class Car:
     def seconds_since(self, at_ns: int) -> float:
         """Return how long ago that was."""
         return (self.graph.now_ns - at_ns) / NS_PER_S
-
-
-def _bool(value):
-    from std_msgs.msg import Bool
-    return Bool(value)

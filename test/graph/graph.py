@@ -3,8 +3,8 @@
 Messages are serialised, and delivered in the order and with the delay that the test says. Nothing waits: time goes from
 event to event. A busy computer changes nothing, and a timeout of 0.5 s is exactly that.
 
-A node has its turn, as its thread would, when a message wakes it or its next step is due. Within a step its clock stands
-still, but for its own pauses. What it publishes leaves at that time.
+A node has its turn, as its thread would, when a message wakes it or its next step is due. Within a step its clock
+stands still, but for its own pauses. What it publishes leaves at that time.
 """
 from __future__ import annotations
 
@@ -81,20 +81,32 @@ class NodeInbox(Inbox):
     def __init__(self, node: Node, graph: NodeGraph, **arguments):
         self.node = node
         self._fds: set = set()
+        self._has_request = False  # of a service call
         super().__init__(node.name, graph=graph, **arguments)
 
     def wake(self) -> None:
         self.node.plan_step(self.clocks.now_ns())
 
-    def put(self, *arguments, **named) -> None:
-        super().put(*arguments, **named)
-        if threading.current_thread() is not threading.main_thread():
-            self.node.graph.newest_call.has_begun.set()
+    def put(self, handler, item, wakes=True, on_drop=None) -> None:
+        if threading.current_thread() is threading.main_thread():
+            super().put(handler, item, wakes, on_drop)
+            return
+        self._has_request = True
+
+        def drop():
+            self._has_request = False
+            on_drop()
+        super().put(handler, item, wakes, on_drop and drop)
+        self.node.graph.newest_call.has_begun.set()
+
+    def drain(self) -> list[tuple]:
+        self._has_request = False
+        return super().drain()
 
     @property
     def awaits_answer(self) -> bool:
         """Whether a service call waits for the node."""
-        return not all(done.done() for done in list(self._open_requests))
+        return self._has_request or not all(done.done() for done in list(self._open_requests))
 
     def watch(self, fd) -> None:
         self._fds.add(fd)
