@@ -9,7 +9,7 @@ import itertools
 import os
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Iterator
+from typing import Any, Callable, Iterator
 
 import yaml
 from sensor_msgs.msg import Joy
