@@ -3,8 +3,8 @@
 Messages are serialised, and delivered in the order and with the delay that the test says. Nothing waits: time goes from
 event to event. A busy computer changes nothing, and a timeout of 0.5 s is exactly that.
 
-A node has its turn, as its thread would, when a message wakes it or its next step is due. Within a step its clock stands
-still, but for its own pauses. What it publishes leaves at that time.
+A node has its turn, as its thread would, when a message wakes it or its next step is due. Within a step its clock
+stands still, but for its own pauses. What it publishes leaves at that time.
 """
 from __future__ import annotations
 
