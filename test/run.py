@@ -35,7 +35,7 @@ GRAPH_STEP = "graph"
 # Node tests that measure times down to milliseconds: at most two of them run at a time, and no other node test.
 TIMED = ("chain", "demo", "teleop_logi", "turn_arb")
 MAX_TIMED = 2
-LONG = ("chain", "one_process", "doctor_situations", "live")  # the longest begin first
+LONG = ("chain", "one_process", "doctor_situations")  # the longest begin first
 MAX_REPEATED = 3  # more failed node tests than this have one cause: repeating them would only take time
 # Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 1500 s.
 NODE_LIMIT_S, UNIT_LIMIT_S = 900.0, 2400.0

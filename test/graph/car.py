@@ -4,13 +4,16 @@ The chip of the servo board is modelled at register level, the Teensy byte by by
 """
 from __future__ import annotations
 
+import errno
 import itertools
 import os
+from contextlib import contextmanager
 from functools import partial
-from typing import Any, Callable
+from typing import Any, Iterator
 
 import yaml
 from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool
 
 from car_interface.nodes.car_sim import CarSim
 from car_interface.nodes.generic_value_converter import GenericValueConverter
@@ -25,13 +28,15 @@ from car_interface.ros.virtual_line import VirtualLine
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 from car_interface.teensy.link.health import ABSENT, BUSY, FAILING
 from car_interface.teensy.link.port import PortError
-from graph import NS_PER_S, Graph, Node
+from graph import NS_PER_S, Graph, Node, NodeClocks
+from guard import PIDS, GuardActor
 
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "config")
 ADDRESS = 0x40
 STEERING, ESC = 0, 1  # channels
 CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6700 and 4915
 MANUAL, AUTONOMOUS = 4, 5  # buttons of config/teleop_logi.yaml
+THIRD = 2  # and one for a third deadman, which that doesn't name
 STEER_AXIS, THROTTLE_AXIS = 0, 4
 JOY_HZ = 50
 CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd", "/autoware/gear_cmd"
@@ -49,35 +54,61 @@ class Board:
     Attributes:
         bus: with the faults of a real one.
         changes: (time in ns, counts of the 16 pins), each time that they changed.
+        holder: the process that has locked the chip; 0 = none.
+        guards: all that were started, oldest first.
+        guard_delay_s: of the pipes between a node and its guard.  guard_start_s, relay_start_s: a process's start.
     """
 
-    kind, path = "virtual", "the test's board"
+    address = ADDRESS
+    guard_delay_s, guard_start_s, relay_start_s = 0.0, 0.1, 0.5
 
     def __init__(self, graph: Graph):
-        self._graph = graph
-        self._clock_ns: Callable[[], int] = lambda: graph.now_ns
+        self.graph = graph
+        self._clocks = NodeClocks(graph)
         self.chip = VirtualPca9685()
-        self.bus = VirtualBus({ADDRESS: self.chip}, on_write=lambda *_: self._note())
+        self.bus = VirtualBus({ADDRESS: self.chip}, self._pause, lambda *_: self.note())
         self.changes: list[tuple[int, tuple[int, ...]]] = [(graph.now_ns, self.counts)]
+        self.holder = 0
+        self.guards: list[GuardActor] = []
+        self.generations: dict[GuardActor, int] = {}
 
-    def make_bus(self, config: Any, inbox: Any) -> Board:
-        """For pca9685's ``make_bus``."""
-        self._clock_ns = inbox.clocks.now_ns
-        return self
+    def _pause(self, duration_s):
+        self._clocks.sleep(duration_s)
 
-    def open(self) -> VirtualBus:
+    def node(self, params: Any, inbox: Any) -> Pca9685:
+        """Build a pca9685 on this board."""
+        client = BoardClient(self, inbox)
+        return Pca9685(params, inbox, client.make_bus, client.start_guard)
+
+    def open(self, pid: int, clocks: Any) -> VirtualBus:
+        """Lock it and return the bus."""
+        if self.holder not in (0, pid):
+            raise BlockingIOError(errno.EAGAIN, "locked")
+        self.holder, self._clocks = pid, clocks
         return self.bus
 
-    def close(self, bus: VirtualBus) -> None:
-        pass
+    def close(self, pid: int) -> None:
+        """Unlock it."""
+        if self.holder == pid:
+            self.holder = 0
 
-    def serve(self, inbox: Any) -> None:
-        pass
+    @contextmanager
+    def used_by(self, clocks: Any) -> Iterator[None]:
+        """Have what is done meanwhile take time of other clocks."""
+        before, self._clocks = self._clocks, clocks
+        yield
+        self._clocks = before
 
-    def _note(self):
+    def brown_out(self) -> None:
+        """Have the chip lose its registers."""
+        self.chip.power_up()
+        self.note()
+
+    def note(self) -> None:
+        """Note what the pins do now."""
         if self.counts != self.changes[-1][1]:
-            self.changes.append((self._clock_ns(), self.counts))
-            self._graph.readable(self)
+            self.changes.append((self._clocks.now_ns(), self.counts))
+            self.graph.readable(self)
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -92,6 +123,41 @@ class Board:
                 found.append((change_ns, counts[channel]))
             before = counts[channel]
         return found
+
+
+class BoardClient:
+    """What one life of a pca9685 node has of the board: its bus, as ``Pca9685`` takes it, and its guards."""
+
+    kind, path = "virtual", "the test's board"
+
+    def __init__(self, board: Board, inbox: Any):
+        self._board, self._inbox = board, inbox
+        self._pid = next(PIDS)
+        inbox.node.exit_actions.append(self._exit)
+
+    def make_bus(self, config: Any, inbox: Any) -> BoardClient:
+        return self
+
+    def open(self) -> VirtualBus:
+        return self._board.open(self._pid, self._inbox.clocks)
+
+    def close(self, bus: VirtualBus) -> None:
+        self._board.close(self._pid)
+
+    def serve(self, inbox: Any) -> None:
+        pass
+
+    def start_guard(self, kind: str, path: str, address: int, off_after_ns: int, node_name: str,
+                    output_topic: str) -> GuardActor:
+        guard = GuardActor(self._board, self._pid, off_after_ns, node_name, output_topic)
+        self._board.guards.append(guard)
+        return guard
+
+    def _exit(self):
+        self._board.close(self._pid)
+        for guard in self._board.guards:
+            if guard.node_pid == self._pid:
+                guard.close()
 
 
 class Pins:
@@ -263,7 +329,7 @@ class Car:
         self.graph = graph or Graph()
         self.board = Board(self.graph)
         self.cable = Cable(self.graph)
-        self._pad = [Joy(axes=[0.0] * 6, buttons=[0] * 11)]
+        self.pad()
         self.graph.record("/turn_arb/state", "/throttle_arb/state", "/servo/output",
                           "/teleop_logi/state", "/car_sim/truth", "/diagnostics")
 
@@ -298,7 +364,7 @@ class Car:
     def pca9685(self, **parameters: Any) -> Node:
         shipped = {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
                    "device": "virtual", "guard": False}
-        return self.graph.add(partial(Pca9685, make_bus=self.board.make_bus), "pca9685", {**shipped, **parameters})
+        return self.graph.add(self.board.node, "pca9685", {**shipped, **parameters})
 
     def hub(self, **parameters: Any) -> Node:
         shipped = {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml")}
@@ -311,34 +377,45 @@ class Car:
         return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(board), make_line=line),
                               "car_sim", {"seed": 1, **parameters})
 
-    def whole(self, planner: str = "", **sim: Any) -> Car:
+    def whole(self, planner: str = "", throttle: dict | None = None, teleop: dict | None = None, hub: dict | None = None,
+              **sim: Any) -> Car:
         """Start everything that a car with planner and gamepad has; the gamepad rests.
 
         Args:
             planner: planner_interface's source; empty = without.
-            sim: car_sim's parameters.
+            throttle: throttle_arb's parameters.
+            teleop: teleop_logi's.
+            hub: teensy_sensor_hub's.
+            sim: car_sim's.
         """
         self.pca9685()
         self.sim(**sim)
-        self.hub()
+        self.hub(**hub or {})
         self.turn_arb()
         self.converter()
-        self.throttle_arb()
-        self.teleop()
+        self.throttle_arb(**throttle or {})
+        self.teleop(**teleop or {})
         if planner:
             self.planner_interface(planner)
-        self.graph.repeat("/e_stop", _bool(False), 10)
-        self.graph.repeat("/joy", lambda: self._pad[0], JOY_HZ, sender="/joy_node")
+        self.graph.hold("/e_stop", Bool(False), 10)
+        self.joy()
         return self
 
     # --- people and planners ---
 
-    def pad(self, manual: bool = False, autonomous: bool = False, steering: float = 0.0, throttle: float = 0.0) -> None:
-        """Hold the gamepad's buttons and sticks from now on."""
-        message = Joy(axes=[0.0] * 6, buttons=[0] * 11)
-        message.axes[STEER_AXIS], message.axes[THROTTLE_AXIS] = steering, throttle
-        message.buttons[MANUAL], message.buttons[AUTONOMOUS] = int(manual), int(autonomous)
-        self._pad[0] = message
+    def joy(self, is_there: bool = True) -> None:
+        """Have the gamepad send, or fall silent."""
+        self.graph.silence("/joy", sender="/joy_node")
+        if is_there:
+            self.graph.hold("/joy", lambda: self._pad, JOY_HZ, sender="/joy_node")
+
+    def pad(self, manual: bool = False, autonomous: bool = False, steering: float = 0.0, throttle: float = 0.0,
+            third: bool = False, axes: int = 6, buttons: int = 11) -> None:
+        """Hold the gamepad's buttons and sticks from now on; it has so many axes and buttons."""
+        self._pad = Joy(axes=[0.0] * axes, buttons=[0] * buttons)
+        self._pad.axes[STEER_AXIS], self._pad.axes[THROTTLE_AXIS] = steering, throttle
+        for index, held in ((MANUAL, manual), (AUTONOMOUS, autonomous), (THIRD, third)):
+            self._pad.buttons[index] = int(held)
 
     def truth(self) -> Any:
         """Return the car's true odometry."""
@@ -352,8 +429,3 @@ class Car:
     def seconds_since(self, at_ns: int) -> float:
         """Return how long ago that was."""
         return (self.graph.now_ns - at_ns) / NS_PER_S
-
-
-def _bool(value):
-    from std_msgs.msg import Bool
-    return Bool(value)

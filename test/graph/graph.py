@@ -72,29 +72,45 @@ class NodeClocks(Clocks):
         return rospy.Time(nsecs=self.now_ns() + self._graph.ros_ahead_ns)
 
     def sleep(self, duration_s: float) -> None:
-        self.paused_ns += round(duration_s * NS_PER_S)
+        """A pause of the node; or of a call's thread, while the node goes on."""
+        if threading.current_thread() is threading.main_thread():
+            self.paused_ns += round(duration_s * NS_PER_S)
+        else:
+            self._graph.newest_call.sleep(duration_s)
 
 
 class NodeInbox(Inbox):
     """An inbox that has its node's next turn planned instead of a thread woken."""
 
     def __init__(self, node: Node, graph: NodeGraph, **arguments):
-        self._node = node
+        self.node = node
         self._fds: set = set()
+        self._has_request = False  # of a service call
         super().__init__(node.name, graph=graph, **arguments)
 
     def wake(self) -> None:
-        self._node.plan_step(self.clocks.now_ns())
+        self.node.plan_step(self.clocks.now_ns())
 
-    def put(self, *arguments, **named) -> None:
-        super().put(*arguments, **named)
-        if threading.current_thread() is not threading.main_thread():
-            self._node.graph.newest_call.has_begun.set()
+    def put(self, handler, item, wakes=True, on_drop=None) -> None:
+        if threading.current_thread() is threading.main_thread():
+            super().put(handler, item, wakes, on_drop)
+            return
+        self._has_request = True
+
+        def drop():
+            self._has_request = False
+            on_drop()
+        super().put(handler, item, wakes, on_drop and drop)
+        self.node.graph.newest_call.has_begun.set()
+
+    def drain(self) -> list[tuple]:
+        self._has_request = False
+        return super().drain()
 
     @property
     def awaits_answer(self) -> bool:
         """Whether a service call waits for the node."""
-        return not all(done.done() for done in list(self._open_requests))
+        return self._has_request or not all(done.done() for done in list(self._open_requests))
 
     def watch(self, fd) -> None:
         self._fds.add(fd)
@@ -296,6 +312,8 @@ class Node:
     Attributes:
         fault: what ended it by itself, in words.
         turns: how often its thread had one.
+        stalled_until_ns: its thread stands still until then.
+        exit_actions: called when its process has ended, however that was: what the kernel closes then.
     """
 
     def __init__(self, graph: Graph, node_class: Callable, name: str, remap: dict[str, str], inbox_limit: int | None):
@@ -308,7 +326,8 @@ class Node:
     def start(self) -> None:
         """Start it, or start it again."""
         self.fault, self.turns, self.watches = "", 0, []
-        self._stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
+        self.exit_actions: list[Callable[[], None]] = []
+        self.stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
         self._planned_ns: int | None = None
         self._life = object()  # turns and deliveries that were planned for another life don't happen
         self._graph = NodeGraph(self.graph, self)
@@ -332,7 +351,7 @@ class Node:
         """Have it step at a time, unless a sooner step is planned."""
         if at_ns == float("inf"):
             return
-        at_ns = max(int(at_ns), self._stalled_until_ns, getattr(self, "_busy_until_ns", 0))
+        at_ns = max(int(at_ns), self.stalled_until_ns, getattr(self, "_busy_until_ns", 0))
         if self._planned_ns is None or at_ns < self._planned_ns:
             self._planned_ns, life = at_ns, self._life
             self.graph.at(at_ns, lambda: self._step(at_ns, life))
@@ -341,8 +360,8 @@ class Node:
         if life is not self._life or at_ns != self._planned_ns or not self.is_alive:
             return
         self._planned_ns = None
-        if self.graph.now_ns < self._stalled_until_ns:
-            self.plan_step(self._stalled_until_ns)
+        if self.graph.now_ns < self.stalled_until_ns:
+            self.plan_step(self.stalled_until_ns)
             return
         self.turns += 1
         with self.graph.turn_of(self.name):
@@ -381,18 +400,18 @@ class Node:
             frozen: the whole process stands still: what is sent meanwhile waits in its sockets, and then looks new.
             after_step: it arrives after the node's first step then, else before.
         """
-        self._stalled_until_ns = self.graph.now_ns + round(duration_s * NS_PER_S)
+        self.stalled_until_ns = self.graph.now_ns + round(duration_s * NS_PER_S)
         self._is_frozen = frozen
         self._planned_ns = None
         life = self._life
         if not after_step:
-            self.graph.at(self._stalled_until_ns, lambda: self._thaw(life))
-        self.plan_step(self._stalled_until_ns)
+            self.graph.at(self.stalled_until_ns, lambda: self._thaw(life))
+        self.plan_step(self.stalled_until_ns)
         if after_step:
-            self.graph.at(self._stalled_until_ns, lambda: self._thaw(life))
+            self.graph.at(self.stalled_until_ns, lambda: self._thaw(life))
 
     def _thaw(self, life):
-        if life is not self._life or self.graph.now_ns < self._stalled_until_ns:
+        if life is not self._life or self.graph.now_ns < self.stalled_until_ns:
             return
         self._is_frozen = False
         held_back, self._held_back = self._held_back, []
@@ -411,7 +430,7 @@ class Node:
         self._life = object()
         self.inbox.ending = True
         self.inbox.abandon()
-        self.graph.drop(self.name)
+        self._exit()
 
     def end(self) -> None:
         """End it in order, as a signal does."""
@@ -424,7 +443,12 @@ class Node:
         self.is_alive = False
         self._life = object()
         self.inbox.close()
+        self._exit()
+
+    def _exit(self):
         self.graph.drop(self.name)
+        for action in self.exit_actions:
+            action()
 
     def _watch(self, life):
         """What ``ros.master_watch`` does each second."""
@@ -443,6 +467,7 @@ class Call:
         self._graph = graph
         self._answers: list = []
         self.has_begun = threading.Event()  # it waits, or is answered
+        self._sleeps: threading.Event | None = None  # until this is set
         graph.newest_call = self
         self._thread = threading.Thread(target=self._ask, args=(handler, request), daemon=True)
         self._thread.start()
@@ -456,6 +481,14 @@ class Call:
         finally:
             self.has_begun.set()
 
+    def sleep(self, duration_s: float) -> None:
+        """Block the call's thread for a while of the graph's time."""
+        self._sleeps = over = threading.Event()
+        self._graph.after(duration_s, over.set)
+        self.has_begun.set()
+        over.wait()
+        self._sleeps = None
+
     def finish(self) -> Any:
         """Let time go on until it is answered; return the answer.
 
@@ -463,7 +496,8 @@ class Call:
             rospy.ServiceException: as the caller would get it.
         """
         while self._thread.is_alive():
-            if any(node.inbox.awaits_answer for node in self._graph.nodes.values()):
+            if (any(node.inbox.awaits_answer for node in self._graph.nodes.values())
+                    or self._sleeps is not None and not self._sleeps.is_set()):
                 self._graph.run_event()
             else:
                 self._thread.join(REAL_POLL_S)
@@ -613,6 +647,13 @@ class Graph:
         for topic in topics:
             self._held.pop((topic, sender), lambda: None)()
 
+    def repeat_each(self, period_s: float, event: Callable[[], Any]) -> None:
+        """Call something now and after each period, for ever."""
+        def tick():
+            event()
+            self.after(period_s, tick)
+        tick()
+
     def flood(self, topic: str, message: Any, count: int, sender: str = "/flood") -> None:
         """Publish a message so many times at once."""
         for _ in range(count):
@@ -698,7 +739,13 @@ class Graph:
 
     def run(self, duration_s: float) -> None:
         """Let time go on."""
-        self._run_until(self.now_ns + round(duration_s * NS_PER_S))
+        self.run_to(self.now_ns + round(duration_s * NS_PER_S))
+
+    def run_to(self, end_ns: int) -> None:
+        """Let time go on to a time."""
+        while self._events and self._events[0][0] <= end_ns:
+            self.run_event()
+        self.now_ns = end_ns
 
     def run_until(self, condition: Callable[[], bool], within_s: float = 10.0) -> int:
         """Let time go on until a condition is true; return when that was.
@@ -711,11 +758,6 @@ class Graph:
             assert self._events and self._events[0][0] <= deadline_ns, f"not within {within_s} s"
             self.run_event()
         return self.now_ns
-
-    def _run_until(self, end_ns):
-        while self._events and self._events[0][0] <= end_ns:
-            self.run_event()
-        self.now_ns = end_ns
 
     def run_event(self) -> None:
         """Let time go on to the next event."""

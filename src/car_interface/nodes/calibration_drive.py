@@ -69,9 +69,18 @@ REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
 
 
 class CalibrationDriveNode:
-    """Carries messages to the drive and its requests to the car, shows how far it is, and writes the result."""
+    """Carries messages to the drive and its requests to the car, shows how far it is, and writes the result.
 
-    def __init__(self, wanted, params, inbox):
+    Args:
+        wanted: the options.
+        params: none.
+        inbox: the node's.
+        text, keys: the terminal; ``None`` = the one that the program runs in.
+        make_recording: as ``BagRecording``.
+        make_page: as ``BagPage``.
+    """
+
+    def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
         params.finish()  # it has options instead, which don't stay on the server
         graph, self._clocks = inbox.graph, inbox.clocks
         config = options.drive_config(wanted)
@@ -87,7 +96,8 @@ class CalibrationDriveNode:
         self._seen, self._grant = Seen(sonars=self._sonars), Grant()
         self._seen.calibrates_esc = bool(graph.parameter("throttle_arb/esc/calibration_drive", False))
         self._output = TimedInput("servo/output", OUTPUT_TIMEOUT_S)
-        self._clock, self._text, self._keys = RosClock(inbox.clocks), LiveText(), Keys()
+        self._clock, self._text, self._keys = RosClock(inbox.clocks), text or LiveText(), keys or Keys()
+        self._make_recording, self._make_page = make_recording, make_page
         now_ns = self._clocks.now_ns()
         self._timer, self._ticks, self._begun_ns = RateTimer(RATE_HZ, now_ns), 0, now_ns
         self._stage = self._check
@@ -221,7 +231,7 @@ class CalibrationDriveNode:
             self._announce("waiting", [f"waits: {text}" for text in lacks + gamepad], now_ns)
 
     def _begin_recording(self, now_ns):
-        self._recording = BagRecording(self._table.folder, recorded_topics(self._inbox), self._table.stem)
+        self._recording = self._make_recording(self._table.folder, recorded_topics(self._inbox), self._table.stem)
         self._begun_ns, self._stage = now_ns, self._await_recorder
 
     def _await_recorder(self, now_ns, typed):
@@ -302,7 +312,7 @@ class CalibrationDriveNode:
         self._stop_asking()
         self._text.keep()
         self._text.say(f"{self._step.text}. You can let go. Calibrating …")
-        self._page = BagPage(self._recording)
+        self._page = self._make_page(self._recording)
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples, self._base, self._table.base_text
         in_thread(self._inbox, lambda: conclude(samples, base, base_text, name), self._on_conclusion)

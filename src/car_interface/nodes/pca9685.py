@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from functools import partial
 
 import rospy
 import smbus2
@@ -49,7 +50,7 @@ from car_interface.pca9685.senders import ChannelSenders, listed
 from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
-from car_interface.ros.guard_link import GuardLink
+from car_interface.ros.guard_link import GuardChild, GuardLink
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
@@ -111,11 +112,12 @@ class Pca9685:
 
     Args:
         make_bus: another function where a test connects a chip.
+        start_guard: another one where a test runs the guard; called as ``GuardChild``.
     """
 
     notices_standstill = True  # by its guard, which acts sooner than the other nodes' inputs time out
 
-    def __init__(self, params, inbox, make_bus=make_bus):
+    def __init__(self, params, inbox, make_bus=make_bus, start_guard=GuardChild):
         config = read_config(params)
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
@@ -126,8 +128,10 @@ class Pca9685:
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
-        self._guard = GuardLink(bus.kind, bus.path, self._address, config.guard_off_after_ns if config.guard else None,
-                                self._name(), self._warnings, inbox.node_name, self._outputs.resolved_name)
+        guard = partial(start_guard, bus.kind, bus.path, self._address, config.guard_off_after_ns, inbox.node_name,
+                        self._outputs.resolved_name)
+        self._guard = GuardLink(guard if config.guard else None, config.guard_off_after_ns, self._name(),
+                                self._warnings, inbox.clocks)
         self._supervisor = BoardSupervisor(bus.open, bus.close, self._make_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile

@@ -107,6 +107,7 @@ class Backlog:
         self._subscriber: rospy.Subscriber | None = None
         self._is_retired: Callable[[Any], bool] = lambda header: False
         self._old_until_ns = -1  # what arrived until then is old
+        self._is_renewed = False  # every connection was replaced
         self._latched_headers: list[dict] = []  # of new connections that have delivered their latched message
 
     def attach(self, subscriber: rospy.Subscriber) -> None:
@@ -128,15 +129,19 @@ class Backlog:
         try:
             self._is_retired = self._graph.replace_connections(self._subscriber)
             self._old_until_ns = self._graph.clocks.now_ns()
+            self._is_renewed = True
         except Exception:  # of another rospy
             logging.getLogger("car_interface").error("%s", traceback.format_exc())
+            self._is_renewed = False
             self._old_until_ns = self._graph.clocks.now_ns() + FALLBACK_NS
 
     def _is_old(self, header, arrival_ns):
         is_latched = self._is_latched(header)  # remembered in any case
-        return (arrival_ns <= self._old_until_ns
-                or self._is_retired(header)
-                or is_latched and not self._takes_latched)
+        if self._is_retired(header):
+            return True
+        if is_latched and self._takes_latched and self._is_renewed:
+            return False  # also if it arrived while other connections were still being replaced
+        return arrival_ns <= self._old_until_ns or is_latched and not self._takes_latched
 
     def _is_latched(self, header):
         """Whether it is the first message of a new connection to a publisher that latches."""
