@@ -280,6 +280,7 @@ class NodeGraph:
         return subscriber.replace_connections()
 
     def service(self, name: str, service_type, handler) -> _Service:
+        self._graph.service_types[self.resolve_name(name)] = service_type
         return _Service(self._graph.services, self.resolve_name(name), handler)
 
     def parameter(self, name: str, default: Any) -> Any:
@@ -530,6 +531,7 @@ class Graph:
         self.publishers: dict[str, list[TopicPublisher]] = defaultdict(list)
         self.subscriptions: dict[str, list[Subscription]] = defaultdict(list)
         self.services: dict[str, Callable] = {}
+        self.service_types: dict[str, Any] = {}
         self.nodes: dict[str, Node] = {}
         self.recorded: dict[str, list[Record]] = {}
         self.log: list[Line] = []
