@@ -8,8 +8,8 @@ import errno
 import itertools
 import os
 from contextlib import contextmanager
-from functools import partial
-from typing import Any, Iterator
+from functools import lru_cache, partial
+from typing import Any, Callable, Iterator
 
 import yaml
 from sensor_msgs.msg import Joy
@@ -39,6 +39,7 @@ MANUAL, AUTONOMOUS = 4, 5  # buttons of config/teleop_logi.yaml
 THIRD = 2  # and one for a third deadman, which that doesn't name
 STEER_AXIS, THROTTLE_AXIS = 0, 4
 JOY_HZ = 50
+WHOLE = ("pca9685", "sim", "hub", "turn_arb", "converter", "throttle_arb", "teleop")  # methods of Car
 CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd", "/autoware/gear_cmd"
 
 
@@ -56,10 +57,13 @@ class Board:
         changes: (time in ns, counts of the 16 pins), each time that they changed.
         holder: the process that has locked the chip; 0 = none.
         guards: all that were started, oldest first.
+        guard_error, guard_start_error: what keeps a guard from the chip, and one from being started.
         guard_delay_s: of the pipes between a node and its guard.  guard_start_s, relay_start_s: a process's start.
     """
 
     address = ADDRESS
+    guard_error: OSError | None = None
+    guard_start_error: OSError | None = None
     guard_delay_s, guard_start_s, relay_start_s = 0.0, 0.1, 0.5
 
     def __init__(self, graph: Graph):
@@ -149,6 +153,8 @@ class BoardClient:
 
     def start_guard(self, kind: str, path: str, address: int, off_after_ns: int, node_name: str,
                     output_topic: str) -> GuardActor:
+        if self._board.guard_start_error is not None:
+            raise self._board.guard_start_error
         guard = GuardActor(self._board, self._pid, off_after_ns, node_name, output_topic)
         self._board.guards.append(guard)
         return guard
@@ -158,6 +164,11 @@ class BoardClient:
         for guard in self._board.guards:
             if guard.node_pid == self._pid:
                 guard.close()
+
+
+@lru_cache(maxsize=64)
+def _duties(counts):
+    return [duty_of_counts(each) for each in counts]
 
 
 class Pins:
@@ -170,7 +181,7 @@ class Pins:
 
     @property
     def duties(self) -> list[int] | None:
-        return self._board and [duty_of_counts(counts) for counts in self._board.counts]
+        return self._board and _duties(self._board.changes[-1][1])
 
     def step(self, now_ns: int) -> None:
         pass
@@ -377,26 +388,17 @@ class Car:
         return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(board), make_line=line),
                               "car_sim", {"seed": 1, **parameters})
 
-    def whole(self, planner: str = "", throttle: dict | None = None, teleop: dict | None = None, hub: dict | None = None,
-              **sim: Any) -> Car:
+    def whole(self, planner: str = "", nodes: dict[str, dict] | None = None, **sim: Any) -> Car:
         """Start everything that a car with planner and gamepad has; the gamepad rests.
 
         Args:
             planner: planner_interface's source; empty = without.
-            throttle: throttle_arb's parameters.
-            teleop: teleop_logi's.
-            hub: teensy_sensor_hub's.
+            nodes: parameters by the name of this class's method that starts the node.
             sim: car_sim's.
         """
-        self.pca9685()
-        self.sim(**sim)
-        self.hub(**hub or {})
-        self.turn_arb()
-        self.converter()
-        self.throttle_arb(**throttle or {})
-        self.teleop(**teleop or {})
-        if planner:
-            self.planner_interface(planner)
+        nodes = {"sim": sim, **(nodes or {}), **({"planner_interface": {"source": planner}} if planner else {})}
+        for name in WHOLE + ("planner_interface",) * bool(planner):
+            getattr(self, name)(**nodes.get(name, {}))
         self.graph.hold("/e_stop", Bool(False), 10)
         self.joy()
         return self

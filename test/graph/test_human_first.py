@@ -25,7 +25,8 @@ class Drive:
     def __init__(self):
         self.car = Car()
         self.graph, self.pad, self.joy = self.car.graph, self.car.pad, self.car.joy
-        self.car.whole("speed", throttle={"esc": {"profile": "brake_then_reverse"}}, teleop={"third_button": THIRD},
+        self.car.whole("speed", {"throttle_arb": {"esc": {"profile": "brake_then_reverse"}},
+                                 "teleop": {"third_button": THIRD}},
                        esc_kind="brake_then_reverse", obstacles=False, collisions=False)
         self.ask(0.0)
         self.graph.run(2.5)  # for the ESC, and for the e-stop
@@ -302,7 +303,7 @@ def test_car_sets_off_again_after_each_stop_with_odometry_and_all_sonars_while_i
     car = Car()
     graph = car.graph
     graph.record("/odom", "/teensy_distance")
-    car.whole("speed", hub={"sonar_sequence_ahead": ahead}, obstacles=False, collisions=False)
+    car.whole("speed", {"hub": {"sonar_sequence_ahead": ahead}}, obstacles=False, collisions=False)
     graph.hold("/av_turnrad_req", Float32(300.0), 20)
     graph.run(2.5)
     car.pad(autonomous=True)

@@ -1,0 +1,174 @@
+"""A stall of each node at each time of a story: a person holds the deadman, a planner steers and drives, the person stops.
+
+Each stall has a process of its own, forked from the one that plays the story at that time. What holds in each of them:
+
+- After the person let go or sent an e-stop, and the timeouts, the servo is at its center and the ESC at neutral.
+- The car never goes backward, and the ESC is never made to.
+- Throttle is given while the servo board doesn't do what turn_arb commands for no longer than the board watch tolerates.
+- A node that obeys a person obeys nothing after its stall until the person has let go and held again; then it drives.
+"""
+from __future__ import annotations
+
+import gc
+import os
+import traceback
+from typing import Callable, NamedTuple
+
+import pytest
+from std_msgs.msg import Bool, Float32
+
+from car import CENTER, ESC, ESC_NEUTRAL, STEERING, Car
+from car_interface.pca9685.registers import counts_of_duty
+from graph import NS_PER_S
+
+MS = 1_000_000
+STORY_MS, STALL_MS, STOP_MS = 2000, 600, 1400  # the person stops at STOP_MS
+STEP_MS = 10 if os.environ.get("CAR_INTERFACE_ALL") else 125
+AFTER_MS = 300  # of what is judged after the stall and the timeouts
+NOISE_MPS = 0.02
+# How long after the person's stop a stall of the node may delay it: the timeout of who waits for it, and a timer.
+DELAYS_MS = {
+    "/turn_arb": 250 + 10,  # the servo board's
+    "/throttle_arb": 250 + 10,
+    "/teleop_logi": 500 + 20,  # of the deadman, in the arbiters
+    "/pca9685": 250 + 50,  # its guard's
+    "/planner_interface": 0, "/generic_value_converter": 0, "/teensy_sensor_hub": 0, "/car_sim": 0,
+}
+JOY_MS = 20
+TOLERANCE_MS = 500 + 40  # of the board watch, and throttle_arb's timer
+OBEYS = {"/turn_arb": (STEERING, ESC), "/teleop_logi": (STEERING, ESC), "/throttle_arb": (ESC,)}  # a person: their pins
+
+
+class Story:
+    """The car, and the story from its beginning to its end."""
+
+    def __init__(self, stop: Callable[[Car], None]):
+        self._stop = stop
+        self.car = Car().whole("speed", {"pca9685": {"guard": True},
+                                         "throttle_arb": {"esc": {"profile": "brake_then_reverse"}}},
+                               esc_kind="brake_then_reverse", obstacles=False, collisions=False)
+        self.graph = self.car.graph
+        self.graph.record("/servo/cmdVector")
+        self.graph.hold("/av_turnrad_req", Float32(2.0), 20, sender="/planner")
+        self.graph.hold("/av_speed_req", Float32(1.0), 20, sender="/planner")
+        self.graph.run(2.5)
+        self.begin_ns = self.graph.now_ns
+        self.car.pad(autonomous=True)
+        self.graph.at(self.ns(STOP_MS), lambda: self._stop(self.car))
+
+    def ns(self, at_ms):
+        return self.begin_ns + at_ms * MS
+
+    def run_to(self, at_ms):
+        self.graph.run((self.ns(at_ms) - self.graph.now_ns) / NS_PER_S)
+
+    def pins(self, from_ms, to_ms=10 ** 6):
+        """The counts of both pins in a time, as they began and after each change."""
+        before = [each for each in self.car.board.changes if each[0] <= self.ns(from_ms)][-1:]
+        within = [each for each in self.car.board.changes if self.ns(from_ms) < each[0] <= self.ns(to_ms)]
+        return [counts[:2] for _, counts in before + within]
+
+    # --- what holds ---
+
+    def check(self, node, stalled_ms):
+        """Each of the rules, for a node that was stalled; empty = none."""
+        safe_ms = STOP_MS + JOY_MS + (DELAYS_MS[node] if node else 0)
+        assert all(steering == CENTER and esc <= ESC_NEUTRAL for steering, esc in self.pins(safe_ms)), (
+            f"not safe {safe_ms - STOP_MS} ms after the stop: {self.pins(safe_ms)}")
+        self._check_direction()
+        self._check_agreement()
+        went_on_ms = stalled_ms + STALL_MS
+        if node in OBEYS and went_on_ms < STOP_MS:
+            for steering, esc in self.pins(went_on_ms, STOP_MS):
+                assert STEERING not in OBEYS[node] or steering == CENTER, f"it steers to {steering} without re-arming"
+                assert esc <= ESC_NEUTRAL, f"the ESC has {esc} without re-arming"
+
+    def _check_direction(self):
+        slowest = min(message.twist.twist.linear.x for message in self.graph.messages("/car_sim/truth", self.begin_ns))
+        assert slowest > -NOISE_MPS, f"it went backward at {slowest:.2f} m/s"
+        assert "REVERSE" not in {state.esc for state in self.graph.messages("/throttle_arb/state", self.begin_ns)}
+
+    def _check_agreement(self):
+        events = [(at_ns, 0, counts) for at_ns, counts in self.car.board.changes]
+        events += [(record.at_ns, 1, record.message.data[0]) for record in self.graph.recorded["/servo/cmdVector"]
+                   if record.message.data[0] != -1]
+        pins, commanded, since_ns = self.car.board.changes[0][1], None, None
+        for at_ns, is_command, value in sorted(events, key=lambda event: event[:2]):
+            pins, commanded = (pins, value) if is_command else (value, commanded)
+            if commanded is None or pins[ESC] <= ESC_NEUTRAL or pins[STEERING] == counts_of_duty(commanded):
+                since_ns = None
+            elif since_ns is None:
+                since_ns = at_ns
+            assert since_ns is None or at_ns - since_ns <= TOLERANCE_MS * MS, "throttle without steering"
+
+    def check_that_it_drives_again(self):
+        """When the person has let go and held again."""
+        self.graph.hold("/e_stop", Bool(False), 10)
+        self.car.pad()
+        self.graph.run(1.2)  # the ESC may have to find its neutral again
+        self.car.pad(autonomous=True)
+        self.graph.run_until(lambda: self.car.board.counts[STEERING] < CENTER and self.car.board.counts[ESC] > ESC_NEUTRAL,
+                             2.0)
+        self.graph.run_until(lambda: self.car.speed_mps > 0.3, 2.0)
+
+
+class Stall(NamedTuple):
+    """One stall, in a process of its own."""
+
+    at_ms: int
+    pid: int
+    fault_fd: int
+
+    def fault(self) -> str:
+        """Wait for its end."""
+        with os.fdopen(self.fault_fd, encoding="utf-8") as file:
+            text = file.read()
+        _, status = os.waitpid(self.pid, 0)
+        return text if text or not status else f"status {status}"
+
+
+def fork_stall(story, node, at_ms, number):
+    """Begin one: a thread that is held up, or, each second time, a frozen process; and go on to the end of the story."""
+    read_fd, write_fd = os.pipe()
+    pid = os.fork()
+    if pid:
+        os.close(write_fd)
+        return Stall(at_ms, pid, read_fd)
+    text = ""
+    gc.disable()
+    try:
+        story.graph.nodes[node].stall(STALL_MS / 1e3, frozen=number % 2 == 1, after_step=number % 4 > 1)
+        story.run_to(max(at_ms + STALL_MS, STOP_MS + JOY_MS + DELAYS_MS[node]) + AFTER_MS)
+        story.check(node, at_ms)
+        if number % 8 == 0:
+            story.check_that_it_drives_again()
+    except BaseException:
+        text = traceback.format_exc(limit=-2)
+    try:
+        os.write(write_fd, text.encode()[-4000:])
+    finally:
+        os._exit(0)
+
+
+STOPS = {"lets_go": lambda car: car.pad(), "e_stop": lambda car: car.graph.hold("/e_stop", Bool(True), 10)}
+
+
+@pytest.mark.parametrize("stop", STOPS)
+@pytest.mark.parametrize("node", DELAYS_MS)
+def test_stall_of_0_6_s_at_each_time_leaves_the_car_safe(node, stop):
+    story = Story(STOPS[stop])
+    gc.collect()
+    gc.freeze()  # children share the pages
+    first_ms = 7 * list(DELAYS_MS).index(node) % STEP_MS + (STEP_MS // 2 if stop == "e_stop" else 0)
+    faults, stall = [], None
+    for number, at_ms in enumerate(range(first_ms, STORY_MS, STEP_MS)):
+        story.run_to(at_ms)
+        newer = fork_stall(story, node, at_ms, number)  # one runs beside the story
+        if stall is not None:
+            faults.append((stall.at_ms, stall.fault()))
+        stall = newer
+    faults.append((stall.at_ms, stall.fault()))
+    gc.unfreeze()
+    story.run_to(STORY_MS)
+    story.check("", STORY_MS)
+    assert [f"{node} stalled at {at_ms} ms: {fault}" for at_ms, fault in faults if fault] == []

@@ -1,0 +1,386 @@
+#!/usr/bin/env python3
+"""The interfaces of the originals as somebody at a terminal finds them, of nodes that their launch files started.
+
+What the nodes decide, and when, is tested in test/graph.
+"""
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+import unittest
+import xmlrpc.client
+
+import rosgraph
+import rosnode
+import rospy
+import rostest
+import yaml
+from car_interface.msg import Control, ConverterState, Float64Stamped, SteeringState, TeleopState, ThrottleState
+from diagnostic_msgs.msg import DiagnosticArray
+from dynamic_reconfigure.client import Client
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
+from std_srvs.srv import Trigger
+
+from waiting import PACKAGE, Topic, config, delete_param, eventually, one_process_params, set_params, start_node
+
+CENTER, LEFT, PLANNER_LEFT = 5100, 3800, 3830
+NEUTRAL, BY_HAND = 4915, 5407
+FROZEN_S = 3.0
+STATES = {"turn_arb": SteeringState, "throttle_arb": ThrottleState, "teleop_logi": TeleopState,
+          "generic_value_converter": ConverterState}
+# By topic: its type, and which of the four nodes publish or subscribe.
+TOPICS = {
+    "/servo/cmdVector": (Int32MultiArray, "turn_arb throttle_arb", ""),
+    "/servo/neutral": (Int32MultiArray, "turn_arb throttle_arb", ""),
+    "/servo/output": (Int32MultiArray, "", "throttle_arb"),
+    "/e_stop": (Bool, "", "turn_arb throttle_arb"),
+    "/joy": (Joy, "", "teleop_logi"),
+    "/teleop_logi/human_in_loop": (Bool, "teleop_logi", "turn_arb throttle_arb"),
+    "/teleop_logi/tele_steer_req": (Float32, "teleop_logi", "turn_arb"),
+    "/teleop_logi/tele_throt_req": (Float32, "teleop_logi", "throttle_arb"),
+    "/teleop_logi/mode": (String, "teleop_logi", "throttle_arb"),
+    "/teleop_logi/scale_button": (Int8, "teleop_logi", "throttle_arb"),
+    "/av_turnrad_req": (Float32, "", "turn_arb"),
+    "/av_steer_req": (Float32, "", "turn_arb"),
+    "/odom": (Odometry, "", "turn_arb throttle_arb generic_value_converter"),
+    "/control/command/control_cmd": (Control, "", "generic_value_converter"),
+    "/generic/output/value": (Float64Stamped, "generic_value_converter", "throttle_arb"),
+    "/turn_arb/state": (SteeringState, "turn_arb", "throttle_arb"),
+    "/throttle_arb/state": (ThrottleState, "throttle_arb", ""),
+    "/teleop_logi/state": (TeleopState, "teleop_logi", "turn_arb throttle_arb"),
+    "/generic_value_converter/state": (ConverterState, "generic_value_converter", "throttle_arb"),
+}
+# Absolute names that a launch file moves below a namespace.
+MOVED = [f"/{name}:={name}" for name in ("servo/cmdVector", "servo/output", "e_stop", *(
+    f"teleop_logi/{each}" for each in ("human_in_loop", "tele_steer_req", "tele_throt_req", "mode", "scale_button")))]
+
+
+class Inputs:
+    """Publishes messages, or what functions return, over and over."""
+
+    def __init__(self):
+        self._held = {}
+        self._publishers = {}
+        self._ending = threading.Event()
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def hold(self, topic, message):
+        with self._lock:
+            self._held[topic] = message
+
+    def drop(self, *topics):
+        with self._lock:
+            for topic in topics or list(self._held):
+                self._held.pop(topic, None)
+
+    def send(self, topic, message):
+        """Once, to who subscribes."""
+        if topic not in self._publishers:
+            self._publishers[topic] = rospy.Publisher(topic, type(message), queue_size=20, tcp_nodelay=True)
+        self._publishers[topic].publish(message)
+
+    def _run(self):
+        while not self._ending.wait(0.03):
+            with self._lock:
+                for topic, message in self._held.items():
+                    self.send(topic, message() if callable(message) else message)
+
+    def end(self):
+        self._ending.set()
+        self._thread.join()
+
+
+class Car:
+    """An arbiter's human, who lets go whenever a node asks for that, and what it commands."""
+
+    def __init__(self, inputs, namespace=""):
+        self._inputs, self._space = inputs, namespace
+        self.commands = Topic(f"{namespace}/servo/cmdVector", Int32MultiArray)
+        self.states = {name: Topic(f"{namespace}/{name}/state", STATES[name]) for name in ("turn_arb", "throttle_arb")}
+        inputs.hold(f"{namespace}/e_stop", Bool(False))
+        inputs.hold(f"{namespace}/av_turnrad_req", Float32(2.0))
+
+    def lets_go(self):
+        """Whether a node waits for it, or for something else than the human."""
+        newest = [topic.since()[-1] for topic in self.states.values() if topic.mark()]
+        return any("let go" in state.reason or state.cause in ("human absent", "e_stop on", "starting")
+                   or "let go" in getattr(state, "esc_reason", "") for state in newest) and time.monotonic() % 0.4 < 0.2
+
+    def hold_deadman(self):
+        self._inputs.hold(f"{self._space}/teleop_logi/human_in_loop", lambda: Bool(not self.lets_go()))
+
+    def human(self, *held):
+        """Send each of these once, and stop sending."""
+        topic = f"{self._space}/teleop_logi/human_in_loop"
+        self._inputs.drop(topic)
+        for each in held:
+            self._inputs.send(topic, Bool(each))
+
+    def duties(self, channel, since):
+        return {command.data[channel] for command in self.commands.since(since)} - {-1}
+
+    def wait_for(self, channel, duty, since=None):
+        return self.commands.wait_for(lambda command: command.data[channel] == duty,
+                                      self.commands.mark() if since is None else since)
+
+
+def go_on(*pids):
+    """Let frozen processes go on that have not ended."""
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+
+
+class Interfaces(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.mkdtemp()
+        cls.inputs = Inputs()
+        cls.car = Car(cls.inputs)
+        cls.log = Topic("/rosout", Log)
+        cls.values = Topic("/generic/output/value", Float64Stamped)
+        cls.human = Topic("/teleop_logi/human_in_loop", Bool)
+        cls.pressed = False  # the manual deadman, with the sticks at full left and full ahead
+        cls.lets_go = True  # when a node asks for it
+        cls.inputs.hold("/joy", cls.joy)
+        for name, message_type in STATES.items():
+            topic = Topic(f"/{name}/state", message_type)
+            topic.wait_for(lambda _: True)
+            topic.close()
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.inputs.end()
+        shutil.rmtree(cls.folder, ignore_errors=True)
+
+    @classmethod
+    def joy(cls):
+        held = cls.pressed and not (cls.lets_go and cls.car.lets_go())
+        message = Joy(axes=[0.0] * 8, buttons=[0] * 4 + [int(held)] + [0] * 6)
+        if held:
+            message.axes[0] = message.axes[4] = 1.0
+        return message
+
+    def setUp(self):
+        type(self).pressed = False
+        self.addCleanup(setattr, type(self), "pressed", False)
+
+    def press(self):
+        type(self).pressed = True
+        self.car.wait_for(0, LEFT)
+        self.car.wait_for(1, BY_HAND)
+
+    def test_each_topic_has_the_originals_name_and_type_and_who_publishes_and_subscribes(self):
+        master = rosgraph.Master("/interfaces_test")
+        expected = {(topic, end, f"/{node}") for topic, (_, *ends) in TOPICS.items()
+                    for end, nodes in enumerate(ends) for node in nodes.split()}
+
+        def found():
+            return {(topic, end, node) for end, listed in enumerate(master.getSystemState()[:2])
+                    for topic, nodes in listed for node in nodes if node[1:] in STATES and topic in TOPICS}
+        eventually(lambda: found() == expected, lambda: f"{found() ^ expected}")
+        types = dict(master.getTopicTypes())
+        self.assertEqual({topic: types[topic] for topic in TOPICS}, {topic: each[0]._type for topic, each in TOPICS.items()})
+        services = {name for name, _ in master.getSystemState()[2]}
+        self.assertLessEqual({"/turn_arb/set_parameters", "/turn_arb/save", "/throttle_arb/servo/set_parameters",
+                              "/throttle_arb/save"}, services)
+
+    def test_commands_have_sixteen_channels_of_which_each_node_sets_its_own(self):
+        mark = self.car.commands.mark()
+        for channel, sender in ((0, "/turn_arb"), (1, "/throttle_arb")):
+            vector = self.car.commands.wait_for(
+                lambda vector, sender=sender: vector._connection_header["callerid"] == sender, mark).what
+            self.assertEqual((len(vector.data), vector.data[:channel] + vector.data[channel + 1:]), (16, (-1,) * 15))
+            self.assertGreaterEqual(vector.data[channel], 0)
+            self.assertEqual(vector.layout.data_offset, 0)
+            self.assertEqual([(dim.label, dim.size, dim.stride) for dim in vector.layout.dim], [("pwm_channel", 16, 1)])
+
+    def test_states_and_neutrals_are_latched_for_who_comes_late(self):
+        for name, message_type in (*((f"/{node}/state", each) for node, each in STATES.items()),
+                                   ("/servo/neutral", Int32MultiArray)):
+            topic = Topic(name, message_type)
+            self.addCleanup(topic.close)
+            message = topic.wait_for(lambda _: True).what
+            self.assertEqual(message._connection_header["latching"], "1", name)
+            if hasattr(message, "stamp"):
+                self.assertAlmostEqual(message.stamp.to_sec(), time.time(), delta=30)
+
+    def test_gamepad_drives_through_all_nodes_and_letting_go_stops_which_the_log_and_diagnostics_say(self):
+        diagnostics = Topic("/diagnostics", DiagnosticArray)
+        self.addCleanup(diagnostics.close)
+        self.press()
+        log, commands = self.log.mark(), self.car.commands.mark()
+        type(self).pressed = False
+        for channel, rest in ((0, CENTER), (1, NEUTRAL)):
+            self.car.wait_for(channel, rest, commands)
+        for node in ("/turn_arb", "/throttle_arb"):
+            self.log.wait_for(lambda line, node=node: line.name == node and line.msg.startswith("NO_HUMAN: "), log)
+        for name in ("turn_arb: steering", "throttle_arb: throttle", "teleop_logi: gamepad",
+                     "generic_value_converter: converter"):
+            diagnostics.wait_for(lambda array, name=name: name in [status.name for status in array.status])
+
+    def test_acceleration_becomes_a_value_by_the_map_that_the_launch_file_names(self):
+        command, odometry = Control(), Odometry()
+        command.longitudinal.acceleration, odometry.twist.twist.linear.x = 1.479, 1.0  # the map's point for 1.2
+        self.inputs.hold("/control/command/control_cmd", command)
+        self.inputs.hold("/odom", odometry)
+        self.addCleanup(self.inputs.drop, "/control/command/control_cmd", "/odom")
+        self.values.wait_for(lambda value: abs(value.data - 1.2) < 1e-6)
+
+    def test_originals_parameters_are_found_in_the_root_namespace_from_two_namespaces_within(self):
+        """Where the original's params.yaml is loaded."""
+        set_params(self, "/", {
+            "servo_left": 4000, "servo_center": 5000, "servo_right": 7000, "servo_channel": 3,
+            "m_turnrad_axis_servo": [1, 10], "k_pwmcmd_left_table_servo": [4000, 5000],
+            "k_pwmcmd_right_table_servo": [7000, 5000]})
+        commands = Topic("/outer/inner/servo/cmdVector", Int32MultiArray)
+        self.addCleanup(commands.close)
+        process = start_node(self, "turn_arb", "__ns:=/outer/inner", *MOVED)
+        self.assertEqual(commands.wait_for(lambda _: True).what.data, (-1, -1, -1, 5000) + (-1,) * 12)
+        self.assertEqual((process.end(), process.stderr.since()), (0, []))
+
+    def test_bad_parameter_ends_each_node_with_exit_code_1_and_one_line_that_names_it(self):
+        cases = [
+            ("turn_arb", {**config("turn_arb.yaml"), "servo_channel": 20},
+             "servo_channel is 20; accepted: an integer from 0 to 15"),
+            ("throttle_arb", {**config("throttle.yaml"), "human_scal": 0.3},
+             "unknown parameter human_scal is 0.3; accepted: only "),
+            ("teleop_logi", {}, "steer_axis is missing; accepted: an integer from 0 to 63"),
+            ("generic_value_converter", {"csv_path_value_map": "/nowhere.csv"},
+             "csv_path_value_map is '/nowhere.csv'; accepted: a file that can be read (No such file"),
+        ]
+        started = []
+        for node, parameters, text in cases:
+            set_params(self, f"/refused_{node}", parameters)
+            started.append((text, start_node(self, node, name=f"refused_{node}")))
+        for text, process in started:
+            self.assertEqual(process.wait_for_exit(), 1)
+            lines = process.stderr.since()
+            self.assertEqual((len(lines), text in lines[0], "FATAL" in lines[0]), (1, True, True), lines)
+
+    def test_values_are_tuned_by_dynamic_reconfigure_and_saved_into_their_files(self):
+        cases = (("turn_arb", "turn_arb.yaml", "", {"servo_center": 5130}, 0, 5130),
+                 ("throttle_arb", "throttle.yaml", "/servo", {"neutral": 4935}, 1, 4935))
+        for node, name, namespace, change, channel, duty in cases:
+            path = os.path.join(self.folder, name)
+            shutil.copy(os.path.join(PACKAGE, "config", name), path)
+            set_params(self, f"/tuned_{node}", {**config(name), "save_to": path})
+            commands = Topic(f"/tuned_{node}/cmdVector", Int32MultiArray)
+            self.addCleanup(commands.close)
+            start_node(self, node, f"/servo/cmdVector:=tuned_{node}/cmdVector", "servo/neutral:=tuned_neutral",
+                       name=f"tuned_{node}")
+            self.addCleanup(delete_param, f"/tuned_{node}")
+            commands.wait_for(lambda _: True)
+            client = Client(f"/tuned_{node}{namespace}", timeout=40)
+            self.addCleanup(client.close)
+            self.assertLessEqual(change.items(), client.update_configuration(change).items())
+            commands.wait_for(lambda vector, channel=channel, duty=duty: vector.data[channel] == duty)
+            answer = rospy.ServiceProxy(f"/tuned_{node}/save", Trigger)()
+            self.assertTrue(answer.success, answer.message)
+        with open(os.path.join(self.folder, "throttle.yaml"), encoding="utf-8") as file:
+            saved = yaml.safe_load(file)["servo"]
+        self.assertEqual((saved["neutral"], saved["duty_table"]), (4935, [3297, 4935, 6574]))
+        with open(os.path.join(self.folder, "turn_arb.yaml"), encoding="utf-8") as file:
+            self.assertEqual(yaml.safe_load(file)["servo_center"], 5130)
+
+    def test_node_that_ends_leaves_neutral_a_released_deadman_and_nothing_on_the_master(self):
+        self.press()
+        commands, human = self.car.commands.mark(), self.human.mark()
+        rosnode.kill_nodes(["/throttle_arb", "/teleop_logi"])
+        self.human.wait_for(lambda message: not message.data, human)
+        self.car.wait_for(1, NEUTRAL, commands)
+        type(self).pressed = False
+        parameters = [f"_{name}:={value}" for name, value in config("teleop_logi.yaml").items()]
+        process = start_node(self, "teleop_logi", *parameters, *MOVED, "__ns:=/ending", "joy:=/ending/joy")
+        self.addCleanup(delete_param, "/ending")
+        deadman = Topic("/ending/teleop_logi/human_in_loop", Bool)
+        self.addCleanup(deadman.close)
+        self.inputs.hold("/ending/joy", lambda: Joy(
+            axes=[0.0] * 8, buttons=[0] * 4 + [int(time.monotonic() % 1.0 > 0.3)] + [0] * 6))
+        self.addCleanup(self.inputs.drop, "/ending/joy")
+        eventually(lambda: deadman.mark() and deadman.since()[-1].data, "a deadman that is held")
+        self.assertEqual(process.end(signal.SIGTERM), 0)
+        self.assertIs(deadman.since()[-1].data, False)
+        self.assertNotIn("/ending/teleop_logi", rosnode.get_node_names())
+
+    def test_node_that_is_frozen_obeys_nothing_that_was_sent_meanwhile(self):
+        """turn_arb, and the parts of car_nodes, which share connections. The deadman is let go and held again."""
+        for part, parameters in {**one_process_params(self.folder, virtual_chip=os.path.join(self.folder, "chip")),
+                                 "car_nodes": {"throttle": True}}.items():
+            set_params(self, f"/one/{part}", parameters)
+        process = start_node(self, "car_nodes", "__ns:=/one", *MOVED,
+                             "generic_value_converter/input/control_cmd:=control_cmd",
+                             "generic_value_converter/input/odometry:=odometry",
+                             "throttle_arb/input/value:=generic_value_converter/output/value",
+                             "throttle_arb/input/odometry:=odometry")
+        process.wait_for_info("running at")
+        one = Car(self.inputs, "/one")
+        command, odometry = Control(), Odometry()
+        command.longitudinal.acceleration = odometry.twist.twist.linear.x = 1.0
+        self.inputs.hold("/one/control_cmd", command)
+        self.inputs.hold("/one/odometry", odometry)
+        one.hold_deadman()
+        one.wait_for(0, PLANNER_LEFT)
+        eventually(lambda: one.duties(1, one.commands.mark() - 20) - {NEUTRAL}, "the ESC driven")
+        self.press()
+        type(self).lets_go = False
+        self.addCleanup(setattr, type(self), "lets_go", True)
+        pids = xmlrpc.client.ServerProxy(rosgraph.Master("/test").lookupNode("/turn_arb")).getPid("/test")[2], process.pid
+        self.addCleanup(go_on, *pids)
+        for each in pids:
+            os.kill(each, signal.SIGSTOP)
+        frozen_s = time.monotonic()
+        eventually(lambda: time.monotonic() - frozen_s > FROZEN_S / 2, "half of it")
+        for held in (False, True):
+            self.inputs.send("/teleop_logi/human_in_loop", Bool(held))
+        one.human(False, False, False, True, True, True, False)
+        eventually(lambda: time.monotonic() - frozen_s > FROZEN_S, "all of it")
+        marks = [(car, car.commands.mark()) for car in (self.car, one)]
+        go_on(*pids)
+        self.log.wait_for(lambda line: line.name == "/turn_arb" and "node stood still for" in line.msg)
+        for part in ("turn_arb", "throttle_arb", "pca9685"):
+            process.wait_for_line(f"WARN.*{part}: node stood still")
+        for car, mark in marks:
+            car.commands.wait_for_count(60, mark)
+            self.assertEqual(car.duties(0, mark), {CENTER})
+        self.assertEqual(one.duties(1, marks[1][1]), {NEUTRAL})
+        type(self).lets_go = True
+        self.car.wait_for(0, LEFT)
+        one.hold_deadman()
+        one.wait_for(0, PLANNER_LEFT)
+        one.human(False)
+        self.assertEqual(process.end(), 0)
+
+    def test_launched_it_grants_nothing_at_its_start_unless_its_owners_file_says_so(self):
+        """A file of one's own that says nothing of it must not have the car drive on when a node was started again."""
+        shipped = os.path.join(PACKAGE, "config")
+        for says, one_process, grants in (("", "false", False), ("", "true", False),
+                                          ("grant_at_start: true", "false", True), ("grant_at_start: true", "true", True)):
+            for name in os.listdir(shipped):
+                with open(os.path.join(shipped, name), encoding="utf-8") as file:
+                    text = file.read()
+                with open(os.path.join(self.folder, name), "w", encoding="utf-8") as file:
+                    file.write(text.replace("grant_at_start: false", says))
+            dumped = subprocess.run(
+                ["roslaunch", "car_interface", "car.launch", "--dump-params", f"config:={self.folder}",
+                 "throttle:=true", "gamepad:=false", f"one_process:={one_process}"],
+                stdout=subprocess.PIPE, check=True).stdout
+            params = yaml.safe_load(dumped)
+            for node in ("turn_arb", "throttle_arb"):
+                self.assertIs(params[f"/{node}/grant_at_start"], grants, (says, one_process))
+
+
+if __name__ == "__main__":
+    rospy.init_node("interfaces_test")
+    rostest.rosrun("car_interface", "interfaces_test", Interfaces)
