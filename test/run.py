@@ -1,7 +1,8 @@
 """Runs the tests, as ``./dev test`` does once the workspace is built and sourced.
 
-A *step* is one command with results of its own: the unit tests on one Python, or one node test with its own ROS
-master. Unit tests keep every CPU busy and node tests mostly wait, so that both run side by side.
+A *step* is one command with results of its own: the unit tests on one Python, the tests of nodes in one process
+(test/graph), or one node test with its own ROS master. Unit tests keep every CPU busy and node tests mostly wait, so
+that both run side by side.
 """
 from __future__ import annotations
 
@@ -31,12 +32,11 @@ from tally import Tally, tally
 
 TEST = Path(__file__).resolve().parent
 ROOT = TEST.parent
-MESSAGES = TEST / "node" / "messages_test.py"
-MESSAGES_STEP = "messages"
+GRAPH_STEP = "graph"
 # Node tests that measure times down to milliseconds: at most two of them run at a time, and no other node test.
-TIMED = ("captures", "chain", "demo", "planner_interface", "planners", "serial_faults", "teleop_logi", "turn_arb")
+TIMED = ("captures", "chain", "demo", "serial_faults", "teleop_logi", "turn_arb")
 MAX_TIMED = 2
-LONG = ("chain", "one_process", "fuzz", "doctor_situations", "live")  # the longest begin first
+LONG = ("chain", "one_process", "fuzz", "doctor_situations")  # the longest begin first
 MAX_REPEATED = 3  # more failed node tests than this have one cause: repeating them would only take time
 # Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 1500 s.
 NODE_LIMIT_S, UNIT_LIMIT_S = 900.0, 2400.0
@@ -52,10 +52,10 @@ SECOND_PYTHON = ("-m", "not once and not browser")
 
 
 class Selection(NamedTuple):
-    """The test files to run; ``shared`` and ``timed`` are node tests, of which the latter measure times."""
+    """The test files to run; ``shared`` and ``timed`` start processes, of which the latter measure times."""
 
     unit: list[Path]
-    messages: list[Path]
+    graph: list[Path]
     shared: list[Path]
     timed: list[Path]
 
@@ -78,14 +78,15 @@ def select(names: Iterable[str]) -> Selection:
         ValueError: no test file's name contains one of the names.
     """
     unit = sorted((TEST / "unit").rglob("test_*.py"))
-    node = sorted((TEST / "node").glob("*.test"), key=start_order)
+    graph = sorted((TEST / "graph").glob("test_*.py"))
+    node = sorted((TEST / "process").glob("*.test"), key=start_order)
     for name in names:
-        if not any(name in path.name for path in (*unit, *node, MESSAGES)):
-            raise ValueError(f"no test file has {name} in its name: see test/unit and test/node/*.test")
+        if not any(name in path.name for path in (*unit, *graph, *node)):
+            raise ValueError(f"no test file has {name} in its name: see test/unit, test/graph and test/process/*.test")
 
     def chosen(paths):
         return [path for path in paths if not names or any(name in path.name for name in names)]
-    return Selection(chosen(unit), chosen([MESSAGES]), chosen(path for path in node if path.stem not in TIMED),
+    return Selection(chosen(unit), chosen(graph), chosen(path for path in node if path.stem not in TIMED),
                      chosen(path for path in node if path.stem in TIMED))
 
 
@@ -280,10 +281,10 @@ def unit_step(results: Path, python: str, files: list[Path], is_second: bool, ev
                 LONG_UNIT_LIMIT_S if everything else UNIT_LIMIT_S, is_unit=True)
 
 
-def messages_step(results: Path, path: Path) -> Step:
-    """Return the step of the test that imports the generated messages."""
-    return Step(MESSAGES_STEP, "messages", pytest_command(sys.executable, results / "messages", str(path)),
-                PYTEST_ENVIRONMENT, NODE_LIMIT_S)
+def graph_step(results: Path, files: list[Path]) -> Step:
+    """Return the step of the tests of nodes in one process, on a clock of the test's."""
+    command = pytest_command(sys.executable, results / GRAPH_STEP, "-n", str(cpu_count()), *map(str, files))
+    return Step(GRAPH_STEP, "nodes in one process", command, PYTEST_ENVIRONMENT, NODE_LIMIT_S)
 
 
 def node_limit_s(path: Path, everything: bool) -> float:
@@ -302,8 +303,8 @@ def node_step(results: Path, path: Path, name: str, everything: bool) -> Step:
 
 def run_node_tests(runner: Runner, results: Path, selected: Selection, everything: bool) -> None:
     """Run the node tests beside the unit tests, those that measure times last."""
-    for path in selected.messages:
-        runner.begin(messages_step(results, path))
+    if selected.graph:
+        runner.begin(graph_step(results, selected.graph))
     for path in selected.shared:
         runner.wait_for_room()
         runner.begin(node_step(results, path, path.name, everything))
@@ -366,7 +367,7 @@ def run(output: Path, pythons: list[str], selected: Selection, everything: bool,
             raise
         print(f"./dev test: ended by SIGTERM after {time.monotonic() - begun_s:.0f} s", flush=True)
         nodes = (*selected.shared, *selected.timed)
-        runner.give_up([*(step.name for step in unit_steps), *(MESSAGES_STEP for _ in selected.messages),
+        runner.give_up([*(step.name for step in unit_steps), *([GRAPH_STEP] if selected.graph else []),
                         *(path.name for path in nodes)])
     finally:
         runner.end()

@@ -92,7 +92,7 @@ def test_readme_and_recordings_name_the_debian_package_of_every_dependency():
 
 
 def test_readme_has_the_line_that_a_node_test_types():
-    tree = ast.parse(text_of(ROOT / "test/node/pca9685_test.py"))
+    tree = ast.parse(text_of(ROOT / "test/process/pca9685_test.py"))
     (line,) = [ast.literal_eval(node.value) for node in tree.body
                if isinstance(node, ast.Assign) and node.targets[0].id == "README_LINE"]
     assert f"\n    {line}\n" in text_of(README)

@@ -1,7 +1,7 @@
 """Whatever comes in from outside ends as a value, a count or an error of this package; never as anything else.
 
 The serial line's cases are made by test/fuzz.py from the golden capture; ``python3 test/fuzz.py`` runs a million.
-The nodes' own parameters and callbacks are fuzzed in test/node/fuzz_test.py, where there is ROS.
+The nodes' own parameters and callbacks are fuzzed in test/process/fuzz_test.py, where there is ROS.
 """
 from __future__ import annotations
 

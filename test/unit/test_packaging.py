@@ -21,7 +21,7 @@ OFFLINE = {"bag_report", "calibrate_esc", "calibrate_steering", "calibrate_value
 # Started by hand.
 TOOLS = {"calibration_drive", "doctor", "keyboard_drive", "setup_hardware", "wait_for_name"} | OFFLINE
 NODES = [script for script in SCRIPTS if script.name not in OFFLINE]
-NODE_TESTS = sorted((ROOT / "test" / "node").glob("*.test"))
+NODE_TESTS = sorted((ROOT / "test" / "process").glob("*.test"))
 # The rosdep keys of libraries that are not called like their key.
 KEYS = {
     "hypothesis": "python3-hypothesis",
@@ -233,9 +233,7 @@ def test_every_node_has_a_launch_file():
 
 def test_every_node_test_is_run_by_a_test_file():
     run = {test.get("type") for path in NODE_TESTS for test in ElementTree.parse(str(path)).iter("test")}
-    # The messages need no nodes and no master: pytest runs their test by itself.
-    alone = {"messages_test.py"}
-    assert {path.name for path in (ROOT / "test/node").glob("*_test.py")} == run | alone
+    assert {path.name for path in (ROOT / "test/process").glob("*_test.py")} == run
 
 
 # --- tools ---

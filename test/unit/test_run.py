@@ -13,16 +13,20 @@ import pytest
 TEST = Path(__file__).resolve().parents[1]
 sys.path.append(str(TEST))
 run, Tally = importlib.import_module("run"), importlib.import_module("tally").Tally
-NODE_TESTS = {path.stem for path in (TEST / "node").glob("*.test")}
+NODE_TESTS = {path.stem for path in (TEST / "process").glob("*.test")}
 
 
 def test_without_names_every_test_runs_once_and_a_name_selects_the_files_that_contain_it():
     every = run.select([])
     assert every.unit == sorted(set((TEST / "unit").rglob("test_*.py")))
+    assert every.graph == sorted((TEST / "graph").glob("test_*.py"))
     assert sorted(path.stem for path in (*every.shared, *every.timed)) == sorted(NODE_TESTS)
     assert {*run.TIMED, *run.LONG} <= NODE_TESTS
-    some = run.select(["test_layering", "turn_arb.test"])
-    assert [[path.name for path in paths] for paths in some] == [["test_layering.py"], [], [], ["turn_arb.test"]]
+    some = run.select(["test_layering", "test_messages", "turn_arb.test"])
+    assert [[path.name for path in paths] for paths in some] == [
+        ["test_layering.py"], ["test_messages.py"], [], ["turn_arb.test"]]
+    limits_s = [run.node_limit_s(path, everything=False) for path in (TEST / "process").glob("*.test")]
+    assert max(limits_s) <= 900, "twenty minutes for the others, of the 50 of .ci/run"
     with pytest.raises(ValueError, match="no test file has nosuch in its name"):
         run.select(["turn_arb", "nosuch"])
 

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from dataclasses import replace
 from functools import partial
 
@@ -70,25 +69,36 @@ REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
 
 
 class CalibrationDriveNode:
-    """Carries messages to the drive and its requests to the car, shows how far it is, and writes the result."""
+    """Carries messages to the drive and its requests to the car, shows how far it is, and writes the result.
 
-    def __init__(self, wanted, params, inbox):
+    Args:
+        wanted: the options.
+        params: none.
+        inbox: the node's.
+        text, keys: the terminal; ``None`` = the one that the program runs in.
+        make_recording: as ``BagRecording``.
+        make_page: as ``BagPage``.
+    """
+
+    def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
         params.finish()  # it has options instead, which don't stay on the server
+        graph, self._clocks = inbox.graph, inbox.clocks
         config = options.drive_config(wanted)
         self._wanted, self._inbox = wanted, inbox
-        base = self._base = read_base(rospy.get_param("turn_arb", {}))
-        self._table = find_table_file(wanted.output, wanted.base, rospy.get_param("turn_arb/save_to", None), base)
+        base = self._base = read_base(graph.parameter("turn_arb", {}))
+        self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
         self._config = config
         if not wanted.no_sonars and not wanted.stick:
-            obstacles = read_obstacles(rospy.get_param("throttle_arb", {}))
+            obstacles = read_obstacles(graph.parameter("throttle_arb", {}))
             self._config = replace(config, obstacles=obstacles, outline=obstacles.outline)
         self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, self._config)
         self._sonars = tuple(self._config.obstacles.mounts) if self._config.obstacles else ()
         self._seen, self._grant = Seen(sonars=self._sonars), Grant()
-        self._seen.calibrates_esc = bool(rospy.get_param("throttle_arb/esc/calibration_drive", False))
+        self._seen.calibrates_esc = bool(graph.parameter("throttle_arb/esc/calibration_drive", False))
         self._output = TimedInput("servo/output", OUTPUT_TIMEOUT_S)
-        self._clock, self._text, self._keys = RosClock(), LiveText(), Keys()
-        now_ns = time.monotonic_ns()
+        self._clock, self._text, self._keys = RosClock(inbox.clocks), text or LiveText(), keys or Keys()
+        self._make_recording, self._make_page = make_recording, make_page
+        now_ns = self._clocks.now_ns()
         self._timer, self._ticks, self._begun_ns = RateTimer(RATE_HZ, now_ns), 0, now_ns
         self._stage = self._check
         self._step = self._recording = self._page = self._refusal = None
@@ -138,7 +148,7 @@ class CalibrationDriveNode:
             self._page.close()
         if self._recording is not None and not self._is_over:
             self._text.say(f"recording: {self._recording.stop()}")
-        time.sleep(0.02)  # for what a socket did not take at once
+        self._clocks.sleep(0.02)  # for what a socket did not take at once
         if not (self._is_over or self._is_written) and sys.exc_info()[0] is None:
             raise EndedEarly("ended before it was over: nothing is written")
 
@@ -193,8 +203,8 @@ class CalibrationDriveNode:
 
     def _on_request(self, topic, message, now_ns):
         sender = sender_of(message)
-        if sender != rospy.get_name():
-            self._grant.update_other(rospy.resolve_name(topic), sender, now_ns)
+        if sender != self._inbox.graph.process_name():
+            self._grant.update_other(self._inbox.resolve_name(topic), sender, now_ns)
 
     def _update_grant(self, now_ns):
         grant = self._grant
@@ -221,12 +231,12 @@ class CalibrationDriveNode:
             self._announce("waiting", [f"waits: {text}" for text in lacks + gamepad], now_ns)
 
     def _begin_recording(self, now_ns):
-        self._recording = BagRecording(self._table.folder, recorded_topics(), self._table.stem)
+        self._recording = self._make_recording(self._table.folder, recorded_topics(self._inbox), self._table.stem)
         self._begun_ns, self._stage = now_ns, self._await_recorder
 
     def _await_recorder(self, now_ns, typed):
         recording = self._recording
-        if self._ticks % RATE_HZ == 0 and recording.has_subscribed(rospy.resolve_name("odom")):
+        if self._ticks % RATE_HZ == 0 and recording.has_subscribed(self._inbox.resolve_name("odom")):
             self._begin_drive()
         elif recording.has_ended or now_ns - self._begun_ns > RECORDER_WITHIN_NS:
             self._say("no recording: rosrun rosbag record doesn't run; the calibration doesn't need it")
@@ -302,7 +312,7 @@ class CalibrationDriveNode:
         self._stop_asking()
         self._text.keep()
         self._text.say(f"{self._step.text}. You can let go. Calibrating …")
-        self._page = BagPage(self._recording)
+        self._page = self._make_page(self._recording)
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples, self._base, self._table.base_text
         in_thread(self._inbox, lambda: conclude(samples, base, base_text, name), self._on_conclusion)
@@ -343,7 +353,7 @@ class CalibrationDriveNode:
             self._text.say(f"{self._table.path} is as it was. To take the new one: mv {path} {self._table.path}")
         self._text.say(f"to load it, launch again with config:={self._table.folder}")
         self._say(board_center(self._conclusion.center_duty, self._base.servo_center,
-                               rospy.get_param("pca9685/steering/servo_center", None)))
+                               self._inbox.graph.parameter("pca9685/steering/servo_center", None)))
 
     def _await_page(self, now_ns, typed):
         lines = self._page.step()

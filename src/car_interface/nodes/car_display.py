@@ -14,7 +14,6 @@ Parameters:
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from dataclasses import dataclass
 
@@ -28,7 +27,7 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.common.staleness import TimedInput
 from car_interface.msg import SteeringState
 from car_interface.ros.runtime import run
-from car_interface.ros.topics import subscribe
+from car_interface.ros.topics import advertise, subscribe
 from car_interface.steering.arbiter import source_name
 
 RATE_HZ = 10
@@ -113,8 +112,8 @@ class CarDisplay:
         self._state = TimedInput("turn_arb/state", COMMAND_TIMEOUT_S)
         self._trail = Trail()
         self._ticks = 0
-        self._timer = RateTimer(RATE_HZ, time.monotonic_ns())
-        self._markers = rospy.Publisher("~markers", MarkerArray, queue_size=1, latch=True)
+        self._timer = RateTimer(RATE_HZ, inbox.clocks.now_ns())
+        self._markers = advertise("~markers", MarkerArray, inbox, queue_size=1, latch=True)
         subscribe("turn_arb/state", SteeringState, inbox, self._on_state)
         subscribe("odom", Odometry, inbox, self._on_odometry, queue_size=100)
 

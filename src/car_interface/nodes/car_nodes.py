@@ -22,7 +22,6 @@ import logging
 import math
 import sys
 import threading
-import time
 from typing import Callable
 
 import rospy
@@ -36,6 +35,7 @@ from car_interface.nodes.planner_interface import PlannerInterface
 from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
 from car_interface.nodes.throttle_arb import ThrottleArb
 from car_interface.nodes.turn_arb import TurnArb
+from car_interface.ros.graph import ROS
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.runtime import describe_error, run, spin
 
@@ -45,7 +45,7 @@ NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySen
          "planner_interface": PlannerInterface}
 ON_REQUEST = {"throttle": "throttle_arb", "planner": "planner_interface"}
 PAUSE_NS = NS_PER_S
-END_WITHIN_S = 5.0  # pca9685 tries for two seconds to reach its chip
+END_WITHIN_NS = 5 * NS_PER_S  # pca9685 tries for two seconds to reach its chip
 POLL_S = 0.005  # Thread.join with a timeout follows the settable clock before Python 3.11
 
 
@@ -74,7 +74,7 @@ class Part:
         self._start()
 
     def _start(self):
-        self._inbox = Inbox(f"{rospy.get_namespace()}{self.name}")
+        self._inbox = Inbox(f"{ROS.namespace()}{self.name}")
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
 
@@ -83,13 +83,10 @@ class Part:
         self._is_final = True
         self._inbox.end()
 
-    def join(self, deadline_s: float) -> None:
-        """Wait until it has shut down, or the monotonic clock reaches the deadline."""
-        while self._thread.is_alive():
-            if time.monotonic() >= deadline_s:
-                self.fault = "it hangs and can't be shut down"
-                return
-            time.sleep(POLL_S)
+    def join(self, within_s: float) -> None:
+        """Wait until it has shut down."""
+        if not self._inbox.clocks.wait_for(lambda: not self._thread.is_alive(), within_s, POLL_S):
+            self.fault = "it hangs and can't be shut down"
 
     def _run(self):
         fault = "it ended"
@@ -139,9 +136,9 @@ class CarNodes:
         """End all nodes at the same time."""
         for part in self._parts:
             part.end()
-        deadline_s = time.monotonic() + END_WITHIN_S
+        deadline_ns = self._inbox.clocks.now_ns() + END_WITHIN_NS
         for part in self._parts:
-            part.join(deadline_s)
+            part.join((deadline_ns - self._inbox.clocks.now_ns()) / NS_PER_S)
         faults = [f"{part.name}: {part.fault}" for part in self._parts if part.fault and part not in self._due_ns]
         if faults:
             raise CarInterfaceError("; ".join(faults))

@@ -46,7 +46,6 @@ from __future__ import annotations
 
 import math
 import random
-import time
 from dataclasses import dataclass, replace
 
 import rospy
@@ -62,7 +61,7 @@ from car_interface.ros.chip_follower import ChipFollower
 from car_interface.ros.ros_clock import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import subscribe
+from car_interface.ros.topics import advertise, subscribe
 from car_interface.ros.virtual_board import chip_path
 from car_interface.ros.virtual_line import VirtualLine
 from car_interface.sim.calibrated_car import steering_curve
@@ -232,11 +231,15 @@ def read_config(params) -> CarSimConfig:
 
 
 class CarSim:
-    """Moves the car, feeds the Teensy, and carries its bytes to and from the pseudo-terminal."""
+    """Moves the car, feeds the Teensy, and carries its bytes to and from the pseudo-terminal.
 
-    def __init__(self, params, inbox):
+    Args:
+        make_chip, make_line: of other classes where a test connects them.
+    """
+
+    def __init__(self, params, inbox, make_chip=ChipFollower, make_line=VirtualLine):
         config = read_config(params)
-        now_ns = time.monotonic_ns()
+        now_ns = inbox.clocks.now_ns()
         self._steering_channel, self._throttle_channel = config.steering_channel, config.throttle_channel
         world = World(config.world)
         self._collisions = Collisions(world.obstacles)
@@ -245,17 +248,17 @@ class CarSim:
         self._firmware = TeensyFirmware(
             config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [UNCHANGED] * CHANNELS  # by the topic
-        self._chip = ChipFollower(config.virtual_chip or chip_path(f"{rospy.get_namespace()}pca9685"), inbox)
+        self._chip = make_chip(config.virtual_chip or chip_path(f"{inbox.graph.namespace()}pca9685"), inbox)
         self._inbox = inbox
-        self._warnings = ThrottledWarnings()
-        self._line = VirtualLine(config.port, self._firmware, config.firmware.seed, inbox)
-        self._line.serve(time.monotonic_ns)
+        self._warnings = ThrottledWarnings(inbox.clocks)
+        self._line = make_line(config.port, self._firmware, config.firmware.seed, inbox)
+        self._line.serve(inbox.clocks.now_ns)
         self._timer = RateTimer(TRUTH_RATE_HZ, now_ns)
-        self._ros_clock = RosClock()
-        self._truth = rospy.Publisher("~truth", Odometry, queue_size=10)
-        self._collision_counts = rospy.Publisher("~collisions", Int32, queue_size=10, latch=True)
+        self._ros_clock = RosClock(inbox.clocks)
+        self._truth = advertise("~truth", Odometry, inbox)
+        self._collision_counts = advertise("~collisions", Int32, inbox, latch=True)
         self._collision_counts.publish(0)
-        self._rollover_counts = rospy.Publisher("~rollovers", Int32, queue_size=10, latch=True)
+        self._rollover_counts = advertise("~rollovers", Int32, inbox, latch=True)
         self._rollover_counts.publish(0)
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
         rospy.loginfo("a virtual Teensy is on %s (seed %d)", config.port, config.firmware.seed)

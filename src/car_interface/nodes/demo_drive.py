@@ -16,11 +16,9 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections import Counter
 from dataclasses import dataclass
 
-import rospy
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray
@@ -44,7 +42,7 @@ from car_interface.msg import (
 )
 from car_interface.ros.bag_recording import BagRecording
 from car_interface.ros.runtime import run
-from car_interface.ros.topics import subscribe
+from car_interface.ros.topics import advertise, subscribe
 from car_interface.sim.demo_script import (
     DONE,
     LEFT_CIRCLE,
@@ -215,13 +213,14 @@ class DemoDrive:
         self._watch = Watch(config.steering_channel, config.throttle_channel)
         self._drive = None
         self._yaw_rad = 0.0
-        now_ns = time.monotonic_ns()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         self._started_ns = now_ns
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._line_timer = RateTimer(1 / LINE_PERIOD_S, now_ns)
-        self._joy = rospy.Publisher("joy", Joy, queue_size=10)
-        self._radius = rospy.Publisher("av_turnrad_req", Float32, queue_size=10)
-        self._control = rospy.Publisher("control/command/control_cmd", Control, queue_size=10)
+        self._joy = advertise("joy", Joy, inbox)
+        self._radius = advertise("av_turnrad_req", Float32, inbox)
+        self._control = advertise("control/command/control_cmd", Control, inbox)
         self._recording = BagRecording(bag_dir) if bag_dir else None
         self._watch_topics()
 
@@ -270,7 +269,7 @@ class DemoDrive:
     def _wait_until_ready(self, now_ns):
         missing = self._watch.missing()
         recording = self._recording
-        if not missing and recording and not recording.has_subscribed(rospy.resolve_name("teensy_clock")):
+        if not missing and recording and not recording.has_subscribed(self._inbox.resolve_name("teensy_clock")):
             missing = ["the recorder of the bag"]
         if not missing:
             self._drive = Drive(DriveConfig(), now_ns)
@@ -296,13 +295,13 @@ class DemoDrive:
             watch.let_go_ns = now_ns
         self._radius.publish(orders.radius_m)
         self._control.publish(Control(
-            stamp=rospy.Time.now(), longitudinal=Longitudinal(acceleration=orders.acceleration_mps2)))
+            stamp=self._clocks.ros_now(), longitudinal=Longitudinal(acceleration=orders.acceleration_mps2)))
 
     def _publish_joy(self, orders):
         config = self._config
         message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1, config.throttle_axis + 1),
                       buttons=[0] * max(BUTTONS, config.manual_button + 1, config.autonomous_button + 1))
-        message.header.stamp = rospy.Time.now()
+        message.header.stamp = self._clocks.ros_now()
         message.axes[config.steer_axis] = max(-1.0, min(1.0, orders.steering / config.steer_scale))
         message.axes[config.throttle_axis] = max(-1.0, min(1.0, orders.throttle / config.throttle_scale))
         message.buttons[config.manual_button] = int(orders.manual)

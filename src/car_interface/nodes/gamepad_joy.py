@@ -14,7 +14,6 @@ Parameters:
 """
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import rospy
@@ -67,9 +66,10 @@ class GamepadJoy:
         self._device: JoystickDevice | None = None
         self._joystick = Joystick(self._config.deadzone)
         self._pacing = Pacing(self._config.coalesce_s, self._config.autorepeat_hz)
-        self._warnings = ThrottledWarnings()
+        self._warnings = ThrottledWarnings(inbox.clocks)
         self._fault = "it was not opened yet"
-        now_ns = time.monotonic_ns()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         self._retry_ns = now_ns
         self._diagnostics = Diagnostics(inbox, self._config.dev, {"gamepad device": self._report}, now_ns)
         self._publisher = advertise("joy", Joy, inbox)
@@ -129,7 +129,7 @@ class GamepadJoy:
 
     def _publish(self, axes, buttons, now_ns):
         message = Joy(axes=list(axes), buttons=list(buttons))
-        message.header.stamp, message.header.frame_id = rospy.Time.now(), self._config.dev
+        message.header.stamp, message.header.frame_id = self._clocks.ros_now(), self._config.dev
         self._publisher.publish(message)
         self._pacing.published(now_ns)
 

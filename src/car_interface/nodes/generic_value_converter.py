@@ -16,7 +16,6 @@ Parameters:
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
 from dataclasses import dataclass
 
@@ -94,21 +93,21 @@ class GenericValueConverter:
         self._converter = Converter(config.conversion, config.value_map)
         _warn_of_clamped_values(config)
         self._inbox = inbox
-        self._warnings = ThrottledWarnings()
+        self._warnings = ThrottledWarnings(inbox.clocks)
         self._conversion = NO_COMMAND  # the newest command's
         self._counts: Counter = Counter()
-        now_ns = time.monotonic_ns()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         self._timer = RateTimer(STATE_RATE_HZ, now_ns)
         self._command_topics = CommandTopics(inbox)
         self._diagnostics = Diagnostics(inbox, "none", {"converter": self._report, **self._command_topics.reports},
                                         now_ns)
-        self._ros_clock = RosClock()
+        self._ros_clock = RosClock(inbox.clocks)
         self._values = advertise("~output/value", Float64Stamped, inbox)
         self._states = advertise("~state", ConverterState, inbox, latch=True)
         inbox.on_overflow(self._on_overflow)
         rospy.loginfo("waiting for odometry on %s and commands on %s",
-                      *(rospy.resolve_name(inbox.resolve_name(name))
-                        for name in ("~input/odometry", "~input/control_cmd")))
+                      *(inbox.resolve_name(name) for name in ("~input/odometry", "~input/control_cmd")))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)  # only a command asks for it
         subscribe("~input/control_cmd", Control, inbox, self._on_command)
         self._command_topics.start(self._diagnostics.report_now)
@@ -145,7 +144,7 @@ class GenericValueConverter:
             self._warnings.warn(conversion.cause, f"no output: {conversion.reason}")
             return
         self._counts["values"] += 1
-        self._values.publish(Float64Stamped(stamp=self._ros_clock.stamp("value", time.monotonic_ns()),
+        self._values.publish(Float64Stamped(stamp=self._ros_clock.stamp("value", self._clocks.now_ns()),
                                             data=conversion.value))
         if before.value is None:
             self._publish_state()
@@ -156,11 +155,11 @@ class GenericValueConverter:
             value = math.nan
         else:
             cause, reason = causes.CONVERTING, f"the value is {value:.3f}"
-        self._states.publish(ConverterState(stamp=rospy.Time.now(), value=value, cause=cause, reason=reason))
+        self._states.publish(ConverterState(stamp=self._clocks.ros_now(), value=value, cause=cause, reason=reason))
 
     def _note_odd_stamp(self, name, stamp):
         """Count an odd stamp. The message is used all the same: freshness is measured by arrival."""
-        text = odd_stamp(stamp)
+        text = odd_stamp(stamp, self._clocks.ros_now())
         if text:
             self._warnings.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
 
@@ -173,7 +172,7 @@ class GenericValueConverter:
             status.summary(WARN, f"no output: {conversion.reason}")
         else:
             status.summary(OK, "converting")
-        status.add("age of odometry", age_text(self._converter.odometry_age_s(time.monotonic_ns())))
+        status.add("age of odometry", age_text(self._converter.odometry_age_s(self._clocks.now_ns())))
         status.add("cause", conversion.cause or causes.CONVERTING)
         status.add("commands", self._counts["commands"])
         status.add("values sent", self._counts["values"])

@@ -21,8 +21,6 @@ from __future__ import annotations
 
 import math
 import re
-import threading
-import time
 from dataclasses import dataclass
 
 import rosgraph
@@ -106,17 +104,18 @@ class KeyboardDrive:
     """Reads the keys and publishes joy."""
 
     def __init__(self, params, inbox):
-        self._config = read_config(params, Params(rospy.get_param("teleop_logi", {})))
+        self._config = read_config(params, Params(inbox.graph.parameter("teleop_logi", {})))
         self._inbox = inbox
         self._fault = ""
-        self._device = rospy.get_param("pca9685/device", None)
+        self._device = self._inbox.graph.parameter("pca9685/device", None)
         self._shown = self._seen = ""
-        _check_no_other_publisher("joy")
+        _check_no_other_publisher(inbox.resolve_name("joy"))
         devices = "" if self._config.input_devices == NO_DEVICES else self._config.input_devices
         self._keyboards = Keyboards(devices)
         if not len(self._keyboards):
             _check_virtual(self._device, self._config.input_devices)
-        now_ns = time.monotonic_ns()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._stepped_ns = now_ns
         self._reader = KeyReader()
@@ -129,7 +128,7 @@ class KeyboardDrive:
             raise CarInterfaceError("no terminal to read keys from: start it by rosrun in a terminal of its own, not "
                                     "by roslaunch and not in the background")
         print(help_text(len(self._keyboards) > 0), flush=True)
-        threading.Thread(target=self._watch_device, name="watch of pca9685", daemon=True).start()
+        inbox.graph.start_thread(self._watch_device, "watch of pca9685")
 
     @property
     def _is_virtual(self):
@@ -150,7 +149,7 @@ class KeyboardDrive:
         self._keys.restore()
         self._keyboards.close()
         self._publish(Controls())
-        time.sleep(0.02)  # for what a socket did not take at once
+        self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _read_keys(self, now_ns):
         typed = self._keys.read()  # before the keyboards: whatever was typed by now was pressed before
@@ -181,7 +180,7 @@ class KeyboardDrive:
         message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1, config.throttle_axis + 1),
                       buttons=[0] * (1 + max(BUTTONS - 1, config.manual_button, config.autonomous_button,
                                              config.faster_button, config.slower_button)))
-        message.header.stamp = rospy.Time.now()
+        message.header.stamp = self._clocks.ros_now()
         message.axes[config.steer_axis] = math.copysign(1.0, config.steer_scale) * controls.steering
         message.axes[config.throttle_axis] = math.copysign(1.0, config.throttle_scale) * controls.throttle
         message.buttons[config.manual_button] = int(controls.manual)
@@ -203,9 +202,9 @@ class KeyboardDrive:
     def _watch_device(self):
         """A virtual car may be replaced by a real one on the same master."""
         while not (rospy.is_shutdown() or self._inbox.ending):
-            time.sleep(WATCH_S)
+            self._clocks.sleep(WATCH_S)
             try:
-                device = rospy.get_param("pca9685/device", self._device)
+                device = self._inbox.graph.parameter("pca9685/device", self._device)
             except Exception:  # the master is gone: no node can start either
                 continue
             if device != self._device:
@@ -215,13 +214,12 @@ class KeyboardDrive:
         self._fault = f"pca9685's device was {self._device} when this node started and is {device} now: start it again"
 
 
-def _check_no_other_publisher(topic):
+def _check_no_other_publisher(name):
     """Refuse to be a second one: each would undo what the other holds.
 
     Raises:
         CarInterfaceError: naming it.
     """
-    name = rospy.resolve_name(topic)
     publishers, _, _ = rosgraph.Master(rospy.get_name()).getSystemState()
     others = [node for published, nodes in publishers if published == name for node in nodes
               if node != rospy.get_name()]

@@ -28,8 +28,8 @@ Arguments, by a launch file: --device, --address, --virtual-chip, which these pa
 from __future__ import annotations
 
 import os
-import time
 from collections import Counter
+from functools import partial
 
 import rospy
 import smbus2
@@ -50,7 +50,7 @@ from car_interface.pca9685.senders import ChannelSenders, listed
 from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
-from car_interface.ros.guard_link import GuardLink
+from car_interface.ros.guard_link import GuardChild, GuardLink
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.throttled_warnings import ThrottledWarnings
@@ -58,7 +58,7 @@ from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.ros.virtual_board import VirtualBoardBus, chip_path
 
 OUTPUT_RATE_HZ = 10
-SWITCH_OFF_TIMEOUT_NS = NS_PER_S  # how long a node that ends tries to switch the chip off
+SWITCH_OFF_TIMEOUT_S = 1.0  # how long a node that ends tries to switch the chip off
 COMMANDS = ("command", "/servo/cmdVector")
 NEUTRALS = "servo/neutral"
 
@@ -96,24 +96,42 @@ class SmbusBus:
         """Nothing to offer: faults are injected into the virtual board only."""
 
 
+def make_bus(config, inbox):
+    """Return the bus of the node's device, closed.
+
+    Raises:
+        ConfigError: path or log of a virtual one can't be used.
+    """
+    if config.device == VIRTUAL:
+        return VirtualBoardBus(config.virtual_chip or chip_path(inbox.node_name), config.address, config.virtual_log)
+    return SmbusBus(config.device, config.address)
+
+
 class Pca9685:
-    """Passes commands to the chip, applies timeouts, and reports."""
+    """Passes commands to the chip, applies timeouts, and reports.
+
+    Args:
+        make_bus: another function where a test connects a chip.
+        start_guard: another one where a test runs the guard; called as ``GuardChild``.
+    """
 
     notices_standstill = True  # by its guard, which acts sooner than the other nodes' inputs time out
 
-    def __init__(self, params, inbox):
+    def __init__(self, params, inbox, make_bus=make_bus, start_guard=GuardChild):
         config = read_config(params)
-        now_ns = time.monotonic_ns()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         self._channels = Channels(config.channels)
         self._device, self._address = config.device, config.address
         self._prescale, self._oscillator_hz = config.prescale, config.oscillator_hz
-        bus = (VirtualBoardBus(config.virtual_chip or chip_path(inbox.node_name), self._address, config.virtual_log)
-               if self._device == VIRTUAL else SmbusBus(self._device, self._address))
+        bus = make_bus(config, inbox)
         self._inbox = inbox
-        self._warnings = ThrottledWarnings()
+        self._warnings = ThrottledWarnings(inbox.clocks)
         self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
-        self._guard = GuardLink(bus.kind, bus.path, self._address, config.guard_off_after_ns if config.guard else None,
-                                self._name(), self._warnings, inbox.node_name, self._outputs.resolved_name)
+        guard = partial(start_guard, bus.kind, bus.path, self._address, config.guard_off_after_ns, inbox.node_name,
+                        self._outputs.resolved_name)
+        self._guard = GuardLink(guard if config.guard else None, config.guard_off_after_ns, self._name(),
+                                self._warnings, inbox.clocks)
         self._supervisor = BoardSupervisor(bus.open, bus.close, self._make_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
@@ -127,7 +145,7 @@ class Pca9685:
         self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_faults)
         self._diagnostics = Diagnostics(inbox, self._name(), {
             "servo board": self._report,
-            "guard": lambda status: self._guard.report(status, time.monotonic_ns(), self._supervisor.running),
+            "guard": lambda status: self._guard.report(status, self._clocks.now_ns(), self._supervisor.running),
             **self._command_topics.reports}, now_ns)
         if config.required:
             self._open_or_end(now_ns)
@@ -142,7 +160,7 @@ class Pca9685:
         """Handle all that arrived, expire commands, and then write: a slow bus must not replay stale commands."""
         self._follow_guard(now_ns)
         self._inbox.dispatch()
-        self._expire(time.monotonic_ns())
+        self._expire(self._clocks.now_ns())
         self._update()
         self._publish(self._timer.is_due(now_ns))
         self._diagnostics.step(now_ns)
@@ -155,15 +173,15 @@ class Pca9685:
         still_ns = self._guard.watch.stood_still_ns(now_ns)
         if self._guard.watch.was_overruled() or still_ns:
             self._begin_anew(still_ns)
-        self._guard.step(time.monotonic_ns(), self._timeout_counts(), self._supervisor.ever_ran)
+        self._guard.step(self._clocks.now_ns(), self._timeout_counts(), self._supervisor.ever_ran)
 
     def _begin_anew(self, still_ns):
         """Timeout values, and no command that was sent before."""
-        self._inbox.begin_anew(time.monotonic_ns(), still_ns)  # which makes the channels safe
+        self._inbox.begin_anew(self._clocks.now_ns(), still_ns)  # which makes the channels safe
         lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
         self._warnings.warn(NODE_STOOD_STILL, f"{NODE_STOOD_STILL}{lasted}: {self._name()} is at its timeout values; "
                                               "commands count from now on")
-        self._supervisor.read_back(time.monotonic_ns())
+        self._supervisor.read_back(self._clocks.now_ns())
         self._publish()  # what the guard wrote
         self._update()
 
@@ -172,7 +190,7 @@ class Pca9685:
 
     def _targets(self):
         """What the chip should hold now. The supervisor asks at each attempt to write."""
-        now_ns = time.monotonic_ns()
+        now_ns = self._clocks.now_ns()
         if self._guard.watch.is_late(now_ns):
             self._channels.make_safe(now_ns)  # a transfer took so long that the guard acts
         self._expire(now_ns)
@@ -196,14 +214,14 @@ class Pca9685:
                 is_safe = True
         finally:
             self._supervisor.close()
-            self._guard.end(time.monotonic_ns(), self._timeout_counts(), is_safe)
-        time.sleep(0.02)  # for what a socket did not take at once
+            self._guard.end(self._clocks.now_ns(), self._timeout_counts(), is_safe)
+        self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _switch_off(self):
-        self._channels.make_safe(time.monotonic_ns())
+        self._channels.make_safe(self._clocks.now_ns())
         self._retry(self._update_now)
-        time.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
-        self._retry(lambda: self._update_now() and self._supervisor.all_off(time.monotonic_ns()))
+        self._clocks.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
+        self._retry(lambda: self._update_now() and self._supervisor.all_off(self._clocks.now_ns()))
         self._publish()
 
     def _update_now(self):
@@ -214,15 +232,12 @@ class Pca9685:
 
     def _retry(self, action):
         """Repeat ``action``, which returns whether it succeeded, for up to a second."""
-        deadline_ns = time.monotonic_ns() + SWITCH_OFF_TIMEOUT_NS
-        while True:
-            self._guard.leave_to_node(time.monotonic_ns(), self._timeout_counts())
-            if action():
-                return
-            if time.monotonic_ns() >= deadline_ns:
-                raise DeviceError(self._name(), "it can't be switched off and goes on pulsing what it was last told",
-                                  "Cut its power" + self._guard.outlook())
-            time.sleep(0.02)
+        def attempt():
+            self._guard.leave_to_node(self._clocks.now_ns(), self._timeout_counts())
+            return action()
+        if not self._clocks.wait_for(attempt, SWITCH_OFF_TIMEOUT_S, 0.02):
+            raise DeviceError(self._name(), "it can't be switched off and goes on pulsing what it was last told",
+                              "Cut its power" + self._guard.outlook())
 
     def _on_command(self, message, now_ns):
         if self._guard.watch.holds:
@@ -247,7 +262,8 @@ class Pca9685:
         return [*self._timeout_faults(now_ns, topics), *self._senders.conflict_faults(now_ns, topics)]
 
     def _timeout_faults(self, now_ns, topics):
-        return self._senders.timeout_faults(self._channels.timed_out(now_ns), now_ns, topics, rospy.get_name())
+        return self._senders.timeout_faults(self._channels.timed_out(now_ns), now_ns, topics,
+                                            self._inbox.graph.process_name())
 
     def _on_neutral(self, message, now_ns):
         """Let timeout values follow the neutrals of the nodes that command the channels."""
@@ -266,11 +282,11 @@ class Pca9685:
                                               "that was tuned")
 
     def _update(self):
-        self._supervisor.update(self._targets, time.monotonic_ns())
+        self._supervisor.update(self._targets, self._clocks.now_ns())
         self._publish()
 
     def _make_board(self, bus):
-        return Board(bus, self._address, self._prescale, self._oscillator_hz, time.sleep)
+        return Board(bus, self._address, self._prescale, self._oscillator_hz, self._clocks.sleep)
 
     def _open_or_end(self, now_ns):
         try:
@@ -287,7 +303,7 @@ class Pca9685:
             self._publish()
         elif event == RUNNING:
             self._fault = None
-            self._guard.chip_is_reached(time.monotonic_ns(), self._timeout_counts())
+            self._guard.chip_is_reached(self._clocks.now_ns(), self._timeout_counts())
             rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
                           frequency_for(self._prescale, self._oscillator_hz), self._prescale)
         elif event == RETRIED:
@@ -310,7 +326,7 @@ class Pca9685:
             status.summary(OK, f"running at {frequency_for(self._prescale, self._oscillator_hz):.2f} Hz")
         else:
             status.summary(ERROR, ". ".join(self._fault or ("not opened yet", "")))
-        faults = self._timeout_faults(time.monotonic_ns(), self._command_topics.topics)
+        faults = self._timeout_faults(self._clocks.now_ns(), self._command_topics.topics)
         for fault in faults:
             status.mergeSummary(ERROR, fault.reason)
         if faults:

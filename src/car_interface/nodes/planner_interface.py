@@ -26,7 +26,6 @@ Parameters:
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 
 import rospy
@@ -99,7 +98,8 @@ class PlannerInterface:
 
     def __init__(self, params, inbox):
         config = read_config(params)
-        now_ns = time.monotonic_ns()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         self._config = config.planner
         self._sources = SourceArbiter(config.planner.source, config.planner.source_timeout_s,
                                       sane_radius_m(config.planner.wheelbase_m))
@@ -110,7 +110,7 @@ class PlannerInterface:
         self._steers = config.planner.source != SPEED
         self._gear_number = None  # the newest of ~input/gear_cmd
         self._inbox = inbox
-        self._warnings = ThrottledWarnings()
+        self._warnings = ThrottledWarnings(inbox.clocks)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = self._command = None
@@ -161,8 +161,8 @@ class PlannerInterface:
         if self._decision is not None and self._decision.request is not None:
             self._publish_stop()
             self._decision = PlannerDecision(causes.NO_REQUEST, "planner_interface has ended")
-            self._publish_state(time.monotonic_ns())
-            time.sleep(0.02)  # for what a socket did not take at once
+            self._publish_state(self._clocks.now_ns())
+            self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _has_fallen_silent(self, now_ns):
         return (self._decision is not None and self._decision.request is not None
@@ -219,7 +219,7 @@ class PlannerInterface:
 
     def _note_odd_stamp(self, name, stamp):
         """Count an odd stamp; the message is obeyed all the same. Many planners leave it at zero."""
-        text = "" if stamp.is_zero() else odd_stamp(stamp)
+        text = "" if stamp.is_zero() else odd_stamp(stamp, self._clocks.ros_now())
         if text:
             self._warnings.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
 
@@ -275,7 +275,8 @@ class PlannerInterface:
 
     def _publish_control(self, speed_mps, acceleration_mps2):
         message = Control()
-        message.stamp = message.control_time = message.lateral.stamp = message.longitudinal.stamp = rospy.Time.now()
+        message.stamp = message.control_time = message.lateral.stamp = message.longitudinal.stamp = (
+            self._clocks.ros_now())
         radius_m = self._radius_m or math.inf
         message.lateral.steering_tire_angle = math.atan(self._config.wheelbase_m / radius_m)
         message.longitudinal.velocity = speed_mps
@@ -289,7 +290,7 @@ class PlannerInterface:
         cause, gear = self._published
         request = decision.request
         self._states.publish(PlannerState(
-            stamp=rospy.Time.now(), source=self._sources.source, cause=cause, reason=self._reason(), gear=gear,
+            stamp=self._clocks.ros_now(), source=self._sources.source, cause=cause, reason=self._reason(), gear=gear,
             turn_radius=decision.radius_m, speed=request.speed_mps if request else 0.0,
             reference_speed=command.reference_mps if request else 0.0, measured_speed=self._control.measured_mps,
             acceleration=command.acceleration_mps2 if request else 0.0, source_age=self._sources.age_s(now_ns),
@@ -303,7 +304,7 @@ class PlannerInterface:
         """Why it isn't obeyed, or what is asked for and what differs from that."""
         if self._decision.request is None:
             return self._decision.reason
-        too_tight = "" if self._steering.is_stale(time.monotonic_ns()) else self._steering.value
+        too_tight = "" if self._steering.is_stale(self._clocks.now_ns()) else self._steering.value
         return "; ".join(filter(None, (self._decision.reason, too_tight, self._command.note)))
 
     def _report(self, status):
@@ -311,7 +312,7 @@ class PlannerInterface:
         if self._command is None:
             return status
         cause, gear = self._kind
-        now_ns = time.monotonic_ns()
+        now_ns = self._clocks.now_ns()
         reason, too_tight = self._reason(), "" if self._too_tight.is_stale(now_ns) else self._too_tight.value
         status.summary(WARN if too_tight or _is_alarming(cause) else OK,
                        reason if too_tight in reason else f"{reason}; {too_tight}")

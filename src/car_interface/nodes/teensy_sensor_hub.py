@@ -40,7 +40,6 @@ Argument, by a launch file: --port, which ~port must agree with: see ``common.fi
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 
 import rospy
@@ -119,19 +118,24 @@ def read_config(params) -> HubConfig:
 
 
 class TeensySensorHub:
-    """Keeps the port open, runs the session over it, and publishes what comes through it."""
+    """Keeps the port open, runs the session over it, and publishes what comes through it.
 
-    def __init__(self, params, inbox):
-        now_ns = time.monotonic_ns()
+    Args:
+        make_link: another class where a test connects a Teensy.
+    """
+
+    def __init__(self, params, inbox, make_link=SerialLink):
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         config = read_config(params)
         settings = config.settings
         self._measurements = None if config.raw_only else MeasurementPublisher(settings, inbox)
         self._port = config.port
-        self._link = SerialLink(config.port, config.baud)
+        self._link = make_link(config.port, config.baud)
         self._session = Session(config.baud, round(settings.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
         self._sonars = SonarMonitor(config.sonar_restart_s, config.sonar_sequence, config.sonar_sequence_ahead)
         self._inbox = inbox
-        self._warnings = ThrottledWarnings()
+        self._warnings = ThrottledWarnings(inbox.clocks)
         self._retry_ns = FIRST_RETRY_NS
         self._next_try_ns = now_ns
         self._watched_fd = None
@@ -245,14 +249,14 @@ class TeensySensorHub:
         self._rest_until_ns = 0
         self._watch_port(True)
         rospy.loginfo("the Teensy's port is open")
-        now_ns = time.monotonic_ns()
+        now_ns = self._clocks.now_ns()
         self._session.opened(now_ns)
         self._sonars.opened(now_ns)
         self._link_status.publish()
         self._ping()
 
     def _plan_retry(self):
-        self._next_try_ns = time.monotonic_ns() + self._retry_ns
+        self._next_try_ns = self._clocks.now_ns() + self._retry_ns
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _watch_port(self, wanted):
@@ -276,7 +280,7 @@ class TeensySensorHub:
         except DeviceError as error:
             self._lose(error)
             return
-        received_ns = time.monotonic_ns()
+        received_ns = self._clocks.now_ns()
         if self._watched_fd is None:
             self._watch_port(True)
         if not data:
@@ -302,7 +306,7 @@ class TeensySensorHub:
 
     def _rest(self, began_ns):
         """Leave the port alone for as long as this read took: a flood must not take the whole CPU."""
-        now_ns = time.monotonic_ns()
+        now_ns = self._clocks.now_ns()
         self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
         self._watch_port(False)
 
@@ -343,8 +347,8 @@ class TeensySensorHub:
 
     def _ping(self):
         """Send a ping stamped with ROS time in ms, which is all that fits; the session keeps its monotonic time."""
-        timestamp1 = rospy.Time.now().to_nsec() // 1_000_000 % protocol.UINT32
-        self._write(self._session.ping(timestamp1, time.monotonic_ns()))
+        timestamp1 = self._clocks.ros_now().to_nsec() // 1_000_000 % protocol.UINT32
+        self._write(self._session.ping(timestamp1, self._clocks.now_ns()))
         return timestamp1
 
     def _on_reboot(self, event, received_ns):
@@ -359,7 +363,7 @@ class TeensySensorHub:
         if not self._link.is_open:
             return
         before = self._session.verdict
-        verdict = self._session.judge(time.monotonic_ns())
+        verdict = self._session.judge(self._clocks.now_ns())
         is_news = verdict.state != before.state
         if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was logged as it was detected
             self._warnings.warn(verdict.state, f"Teensy on {self._port}: {verdict.description}. {verdict.next_step}",
@@ -369,7 +373,7 @@ class TeensySensorHub:
 
     def _judge_sonars(self):
         """Send the commands that the sonars need, and warn of their faults."""
-        now_ns = time.monotonic_ns()
+        now_ns = self._clocks.now_ns()
         if self._measurements:
             self._sonars.update_speed(self._measurements.speed_mps, now_ns)
         command = self._sonars.next_command(now_ns) if self._link.is_open else None

@@ -28,7 +28,6 @@ Parameters:
 """
 from __future__ import annotations
 
-import time
 from collections import Counter
 
 import rospy
@@ -64,18 +63,19 @@ class TeleopLogi:
         self._gamepad = Gamepad(read_config(params))
         self._inbox = inbox
         self._published = None
-        now_ns = time.monotonic_ns()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._log_filter = RequestsLogFilter()
         self._losses = Counter()  # by cause
-        self._topic = rospy.resolve_name("joy")
+        self._topic = inbox.resolve_name("joy")
         self._command_topics = CommandTopics(inbox)
-        self._human = rospy.Publisher("/teleop_logi/human_in_loop", Bool, queue_size=10)
-        self._steering = rospy.Publisher("/teleop_logi/tele_steer_req", Float32, queue_size=10)
-        self._throttle = rospy.Publisher("/teleop_logi/tele_throt_req", Float32, queue_size=10)
-        self._modes = rospy.Publisher("/teleop_logi/mode", String, queue_size=10)
-        self._scale_buttons = rospy.Publisher("/teleop_logi/scale_button", Int8, queue_size=10)
+        self._human = advertise("/teleop_logi/human_in_loop", Bool, inbox)
+        self._steering = advertise("/teleop_logi/tele_steer_req", Float32, inbox)
+        self._throttle = advertise("/teleop_logi/tele_throt_req", Float32, inbox)
+        self._modes = advertise("/teleop_logi/mode", String, inbox)
+        self._scale_buttons = advertise("/teleop_logi/scale_button", Int8, inbox)
         self._scale_button = 0
         self._states = advertise("~state", TeleopState, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, "none", {REPORT: self._report, **self._command_topics.reports},
@@ -99,7 +99,7 @@ class TeleopLogi:
     def shut_down(self):
         """Release the deadman."""
         self._human.publish(False)
-        time.sleep(0.02)  # for what a socket did not take at once
+        self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _on_joy(self, message, now_ns):
         self._gamepad.update(message.axes, message.buttons, now_ns)
@@ -153,7 +153,8 @@ class TeleopLogi:
 
     def _publish_state(self, requests, now_ns):
         self._states.publish(TeleopState(
-            stamp=rospy.Time.now(), human_in_loop=requests.human_in_loop, cause=requests.cause, reason=requests.reason,
+            stamp=self._clocks.ros_now(), human_in_loop=requests.human_in_loop,
+            cause=requests.cause, reason=requests.reason,
             steering_stick=requests.steering_stick, throttle_stick=requests.throttle_stick,
             joy_age=self._gamepad.joy_age_s(now_ns)))
 
@@ -168,7 +169,7 @@ class TeleopLogi:
 
     def _report(self, status):
         """Cause, remedy and what the gamepad sends, for /diagnostics."""
-        now_ns = time.monotonic_ns()
+        now_ns = self._clocks.now_ns()
         requests = self._gamepad.requests(now_ns)
         advice = self._advice(requests)
         status.summary(_level(requests), requests.reason + (advice and f". {advice}"))

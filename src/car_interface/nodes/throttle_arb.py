@@ -44,7 +44,6 @@ Services: see ``ros.reconfigure``; set_parameters is below ~servo.
 from __future__ import annotations
 
 import math
-import time
 from functools import partial
 
 import rospy
@@ -91,14 +90,15 @@ class ThrottleArb:
 
     def __init__(self, params, inbox):
         config = read_config(params)
-        now_ns = time.monotonic_ns()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits,
                                         config.obstacles)
         self._arbiter = self._control.arbiter
         self._channel = config.calibration.channel
         self._inbox = inbox
-        self._warnings = ThrottledWarnings()
-        self._notices = ThrottledWarnings(rospy.loginfo)
+        self._warnings = ThrottledWarnings(inbox.clocks)
+        self._notices = ThrottledWarnings(inbox.clocks, rospy.loginfo)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._now_ns = now_ns  # of the newest decision
@@ -154,7 +154,7 @@ class ThrottleArb:
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
         self._commands.publish(self._neutral)
-        time.sleep(0.02)  # for what a socket did not take at once
+        self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _on_overflow(self, now_ns):
         self._control.mark_stale(now_ns)
@@ -321,7 +321,7 @@ class ThrottleArb:
         arbitration, esc = decision.arbitration, decision.esc
         ages_s = self._control.ages_s(self._now_ns)
         self._states.publish(ThrottleState(
-            stamp=rospy.Time.now(), source=arbitration.source, cause=arbitration.cause, reason=arbitration.reason,
+            stamp=self._clocks.ros_now(), source=arbitration.source, cause=arbitration.cause, reason=arbitration.reason,
             mode=decision.mode, human_scale=decision.scale, asked=arbitration.asked, granted=esc.fraction,
             esc=esc.state_name, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.profile,
             limit=decision.limited.cause, limit_reason=decision.limited.reason,
@@ -349,7 +349,7 @@ class ThrottleArb:
         status.add("mode", decision.mode or "never heard")
         status.add("scale of driving by hand", f"{decision.scale:g}")
         status.add("profile of the ESC", self._control.profile)
-        for name, age_s in self._control.ages_s(time.monotonic_ns()).items():
+        for name, age_s in self._control.ages_s(self._clocks.now_ns()).items():
             status.add(f"age of {name}", age_text(age_s))
         status.add("tuned live", self._reconfigure.changes)
         for kind, count in sorted(self._warnings.counts.items()):

@@ -35,7 +35,6 @@ Services: see ``ros.reconfigure``.
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 
 import rospy
@@ -101,12 +100,13 @@ class TurnArb:
 
     def __init__(self, params, inbox):
         config = read_config(params)
-        now_ns = time.monotonic_ns()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
         self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
         self._channel = config.calibration.servo_channel
         self._inbox = inbox
-        self._warnings = ThrottledWarnings()
-        self._notices = ThrottledWarnings(rospy.loginfo)
+        self._warnings = ThrottledWarnings(inbox.clocks)
+        self._notices = ThrottledWarnings(inbox.clocks, rospy.loginfo)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = None
@@ -261,9 +261,9 @@ class TurnArb:
 
     def _report(self, status):
         """Source, cause and ages, for /diagnostics."""
-        decision = self._arbiter.decide(time.monotonic_ns())  # for its ages
+        decision = self._arbiter.decide(self._clocks.now_ns())  # for its ages
         alarming = _is_alarming(decision)
-        too_tight = self._arbiter.too_tight_lately(time.monotonic_ns())
+        too_tight = self._arbiter.too_tight_lately(self._clocks.now_ns())
         status.summary(WARN if alarming or too_tight else OK, f"{SOURCE_NAMES[decision.source]}: {decision.reason}"
                        + (f"; the planner {too_tight}" if too_tight else ""))
         status.add("cause", decision.cause)
@@ -271,7 +271,7 @@ class TurnArb:
         status.add("duty", decision.duty)
         for name, age_s in (("e_stop", decision.e_stop_age_s), ("human_in_loop", decision.human_age_s),
                             ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s),
-                            ("odometry", self._arbiter.odometry_age_s(time.monotonic_ns()))):
+                            ("odometry", self._arbiter.odometry_age_s(self._clocks.now_ns()))):
             status.add(f"age of {name}", age_text(age_s))
         status.add("limit", f"{decision.limit}: {decision.limit_reason}" if decision.limit else "none is reached")
         status.add("requests cut by a limit", self._arbiter.cuts)
@@ -287,9 +287,9 @@ class TurnArb:
 
     def _publish_state(self, decision):
         self._states.publish(SteeringState(
-            stamp=rospy.Time.now(), source=decision.source, cause=decision.cause, reason=decision.reason,
+            stamp=self._clocks.ros_now(), source=decision.source, cause=decision.cause, reason=decision.reason,
             duty=decision.duty, turn_radius=self._arbiter.turn_radius_m(decision.duty),
-            odometry_age=self._arbiter.odometry_age_s(time.monotonic_ns()), speed=self._arbiter.speed_mps,
+            odometry_age=self._arbiter.odometry_age_s(self._clocks.now_ns()), speed=self._arbiter.speed_mps,
             limit=decision.limit, limit_reason=decision.limit_reason, asked_radius=decision.asked_radius_m,
             max_speed=decision.max_speed_mps, cuts=self._arbiter.cuts,
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,

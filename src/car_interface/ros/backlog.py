@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 import traceback
 import weakref
 from collections import deque
-from typing import Any, Callable
+from typing import TYPE_CHECKING, Any, Callable
 
 import rospy
 from rospy.impl.tcpros_pubsub import TCPROSHandler
 
 from car_interface.common.units import NS_PER_MS
+from car_interface.ros.clocks import SYSTEM
+
+if TYPE_CHECKING:
+    from car_interface.ros.graph import RosGraph
 
 FALLBACK_NS = 1000 * NS_PER_MS  # where connections can't be replaced nothing is obeyed for so long
 SAME_STANDSTILL_NS = 200 * NS_PER_MS  # a replacement for another node of this process counts for so long
@@ -44,7 +47,7 @@ class _Connections:
     def replace(self) -> None:
         """Replace all of them, unless that has just been done."""
         with self._lock:
-            subscription, now_ns = self._subscription(), time.monotonic_ns()
+            subscription, now_ns = self._subscription(), SYSTEM.now_ns()
             if subscription is None or now_ns - self._replaced_ns < SAME_STANDSTILL_NS:
                 return
             connections = list(subscription.connections)
@@ -67,15 +70,29 @@ _CONNECTIONS: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # by rosp
 _CONNECTIONS_LOCK = threading.Lock()
 
 
-def _connections_of(subscription) -> _Connections:
+def replace_connections(subscriber: rospy.Subscriber) -> Callable[[Any], bool]:
+    """Replace all connections of a subscriber, unless that has just been done for another one of its topic.
+
+    Returns:
+        Whether a message's header is that of a replaced one.
+
+    Raises:
+        Exception: of whatever kind, by another rospy: these are its internals.
+    """
+    subscription = subscriber.impl
+    if subscription is None:  # it is closed
+        return lambda header: False
     with _CONNECTIONS_LOCK:
-        return _CONNECTIONS.setdefault(subscription, _Connections(weakref.ref(subscription)))
+        connections = _CONNECTIONS.setdefault(subscription, _Connections(weakref.ref(subscription)))
+    connections.replace()
+    return connections.is_retired
 
 
 class Backlog:
     """Knows which messages of one node's subscription are old.
 
     Args:
+        graph: of the node.
         takes_latched: obey the message with which a latching publisher's new connection begins. It is the publisher's
             last word, however old.
 
@@ -83,12 +100,14 @@ class Backlog:
         dropped: how many messages were old.
     """
 
-    def __init__(self, takes_latched: bool = False):
+    def __init__(self, graph: RosGraph, takes_latched: bool = False):
         self.dropped = 0
+        self._graph = graph
         self._takes_latched = takes_latched
         self._subscriber: rospy.Subscriber | None = None
-        self._connections: _Connections | None = None
+        self._is_retired: Callable[[Any], bool] = lambda header: False
         self._old_until_ns = -1  # what arrived until then is old
+        self._is_renewed = False  # every connection was replaced
         self._latched_headers: list[dict] = []  # of new connections that have delivered their latched message
 
     def attach(self, subscriber: rospy.Subscriber) -> None:
@@ -108,20 +127,21 @@ class Backlog:
         """Replace every connection. What arrived before, and what still arrives over the old ones, is old."""
         self._latched_headers = []
         try:
-            subscription = self._subscriber.impl
-            if subscription is not None:  # else it is closed
-                self._connections = _connections_of(subscription)
-                self._connections.replace()
-            self._old_until_ns = time.monotonic_ns()
-        except Exception:  # of another rospy: these are its internals
+            self._is_retired = self._graph.replace_connections(self._subscriber)
+            self._old_until_ns = self._graph.clocks.now_ns()
+            self._is_renewed = True
+        except Exception:  # of another rospy
             logging.getLogger("car_interface").error("%s", traceback.format_exc())
-            self._old_until_ns = time.monotonic_ns() + FALLBACK_NS
+            self._is_renewed = False
+            self._old_until_ns = self._graph.clocks.now_ns() + FALLBACK_NS
 
     def _is_old(self, header, arrival_ns):
         is_latched = self._is_latched(header)  # remembered in any case
-        return (arrival_ns <= self._old_until_ns
-                or self._connections is not None and self._connections.is_retired(header)
-                or is_latched and not self._takes_latched)
+        if self._is_retired(header):
+            return True
+        if is_latched and self._takes_latched and self._is_renewed:
+            return False  # also if it arrived while other connections were still being replaced
+        return arrival_ns <= self._old_until_ns or is_latched and not self._takes_latched
 
     def _is_latched(self, header):
         """Whether it is the first message of a new connection to a publisher that latches."""

@@ -5,12 +5,12 @@ import os
 import shutil
 import signal
 import subprocess
-import time
 from typing import Sequence
 
 import rospy
 
 from car_interface.common.errors import ConfigError
+from car_interface.ros.clocks import SYSTEM
 
 RECORDER = "record_"  # rosbag's node, before what makes its name unique
 
@@ -29,7 +29,7 @@ class BagRecording:
             os.makedirs(folder, exist_ok=True)
         except OSError as error:
             raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
-        self._path = os.path.join(folder, time.strftime(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
+        self._path = os.path.join(folder, SYSTEM.local_time(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
         command = [*_ending_with_parent(), "rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O",
                    self._path]
         # In a session of its own, a terminal's Ctrl-C and hang-up are for the node, which closes the bag then.

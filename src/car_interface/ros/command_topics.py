@@ -1,7 +1,6 @@
 """A node's report on who publishes on the topics that it obeys: on /diagnostics and, if it lasts, in the log."""
 from __future__ import annotations
 
-import time
 from types import MappingProxyType
 from typing import Callable, Mapping
 
@@ -51,7 +50,7 @@ class CommandTopics:
 
     def _report(self, status):
         """For /diagnostics: each fault with its remedy, and all publishers."""
-        now_ns = time.monotonic_ns()
+        now_ns = self._inbox.clocks.now_ns()
         faults = [fault for topic in self.topics for fault in find_faults(topic)]
         faults += self._more_faults(now_ns, self.topics)
         for fault in self._log.update(faults, now_ns):

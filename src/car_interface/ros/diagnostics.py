@@ -1,41 +1,24 @@
 """A node's reports on /diagnostics, once a second.
 
-``diagnostic_updater`` makes the messages. Its own timer follows ROS time, which can be set back, and asks the master,
-which can be dead; so the node's loop calls it.
+The node's loop publishes them: the ``Updater`` of diagnostic_updater follows ROS time, which can be set back, and asks
+the master, which can be dead.
 """
 from __future__ import annotations
 
-import time
 from typing import Callable
 
-import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from diagnostic_updater import DiagnosticStatusWrapper, Updater
+from diagnostic_updater import DiagnosticStatusWrapper
 
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.ros.inbox import Inbox
+from car_interface.ros.topics import advertise
 
 RATE_HZ = 1
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 Report = Callable[[DiagnosticStatusWrapper], DiagnosticStatusWrapper]
-
-
-class _Updater(Updater):
-    """Reports under the node's name, which may differ from the process's."""
-
-    def __init__(self, node_name):
-        self._prefix = node_name[1:]
-        super().__init__()
-
-    def publish(self, msg):
-        statuses = msg if isinstance(msg, list) else [msg]
-        for status in statuses:
-            status.name = f"{self._prefix}: {status.name}"
-        array = DiagnosticArray(status=statuses)
-        array.header.stamp = rospy.Time.now()
-        self.publisher.publish(array)
 
 
 class Diagnostics:
@@ -49,28 +32,11 @@ class Diagnostics:
     """
 
     def __init__(self, inbox: Inbox, hardware_id: str, reports: dict[str, Report], now_ns: int):
-        self._updater = _Updater(inbox.node_name)
-        inbox.on_close(self._updater.publisher.unregister)
-        self._updater.setHardwareID(hardware_id)
         self._inbox = inbox
-        for name, report in reports.items():
-            self._updater.add(name, self._with_inbox(report))
+        self._hardware_id = hardware_id
+        self._reports = reports
+        self._publisher = advertise("/diagnostics", DiagnosticArray, inbox)
         self._timer = RateTimer(RATE_HZ, now_ns + NS_PER_S // RATE_HZ)
-
-    def _with_inbox(self, report):
-        """Add what the inbox dropped to a report."""
-        def report_both(status):
-            report(status)
-            if self._inbox.stood_still_recently(time.monotonic_ns()):
-                status.mergeSummary(WARN, self._inbox.standstill_text)
-            if self._inbox.overflowed_recently(time.monotonic_ns()):
-                status.mergeSummary(ERROR, self._inbox.overflow_text)
-            if self._inbox.dropped:
-                status.add("messages dropped by its inbox", self._inbox.dropped)
-            if self._inbox.old_messages:
-                status.add("messages dropped after it stood still", self._inbox.old_messages)
-            return status
-        return report_both
 
     @property
     def due_ns(self) -> int:
@@ -88,7 +54,25 @@ class Diagnostics:
 
     def force(self) -> None:
         """Report now."""
-        self._updater.force_update()
+        array = DiagnosticArray(status=[self._status(name, report) for name, report in self._reports.items()])
+        array.header.stamp = self._inbox.clocks.ros_now()
+        self._publisher.publish(array)
+
+    def _status(self, name, report):
+        """A report under the node's name, which may differ from the process's, and what the inbox dropped."""
+        inbox, now_ns = self._inbox, self._inbox.clocks.now_ns()
+        status = DiagnosticStatusWrapper(
+            level=ERROR, name=f"{inbox.node_name[1:]}: {name}", message="no report", hardware_id=self._hardware_id)
+        report(status)
+        if inbox.stood_still_recently(now_ns):
+            status.mergeSummary(WARN, inbox.standstill_text)
+        if inbox.overflowed_recently(now_ns):
+            status.mergeSummary(ERROR, inbox.overflow_text)
+        if inbox.dropped:
+            status.add("messages dropped by its inbox", inbox.dropped)
+        if inbox.old_messages:
+            status.add("messages dropped after it stood still", inbox.old_messages)
+        return status
 
 
 def age_text(age_s: float) -> str:

@@ -1,8 +1,6 @@
 """What a calibration drive records: all that the calibrations and bag_report read, and no cameras."""
 from __future__ import annotations
 
-import rospy
-
 from car_interface.throttle.obstacle_stop import NAMES
 
 TOPICS = (
@@ -15,6 +13,6 @@ TOPICS = (
     "/rosout")
 
 
-def recorded_topics() -> list[str]:
-    """By their resolved names, in this node's namespace."""
-    return [rospy.resolve_name(topic) for topic in TOPICS]
+def recorded_topics(inbox) -> list[str]:
+    """Return their resolved names, in a node's namespace."""
+    return [inbox.resolve_name(topic) for topic in TOPICS]

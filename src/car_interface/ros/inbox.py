@@ -6,7 +6,6 @@ import logging
 import os
 import select
 import threading
-import time
 import traceback
 from concurrent.futures import Future, InvalidStateError
 from typing import Any, Callable
@@ -18,6 +17,7 @@ from car_interface.common.staleness import DROPPED
 from car_interface.common.standstill import MAX_WAIT_NS
 from car_interface.common.units import NS_PER_S
 from car_interface.ros.backlog import Backlog
+from car_interface.ros.graph import ROS, RosGraph
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 
 INBOX_LIMIT = 10_000  # more than any node receives while its thread waits for a device
@@ -39,9 +39,12 @@ class Inbox:
     Args:
         node_name: the node's, with its namespace; ``None`` = the process's, of which it is the only node.
         limit: the maximum number of items.
+        graph: in which the node has its topics, services and clocks.
     """
 
-    def __init__(self, node_name: str | None = None, limit: int = INBOX_LIMIT):
+    def __init__(self, node_name: str | None = None, limit: int = INBOX_LIMIT, graph: RosGraph = ROS):
+        self.graph = graph
+        self.clocks = graph.clocks
         self.ending = False
         self.subscribers: list[rospy.Subscriber] = []  # of the node's topics
         self.backlogs: list[Backlog] = []  # one for each of them
@@ -54,7 +57,7 @@ class Inbox:
         self._stood_still_ns = -STANDSTILL_SHOWN_NS  # when the node last noticed that
         self.standstill_text = ""  # and a line about it
         self._overflow_handlers: list[Callable[[int], None]] = []
-        self._overflow_warnings = ThrottledWarnings(rospy.logerr)
+        self._overflow_warnings = ThrottledWarnings(self.clocks, rospy.logerr)
         self._limit = limit
         self._items: list[tuple] = []  # ((handler, item, arrival_ns), on_drop)
         self._lock = threading.Lock()  # of the items
@@ -68,11 +71,15 @@ class Inbox:
     @property
     def node_name(self) -> str:
         """The node's name, with its namespace."""
-        return self._node_name or rospy.get_name()
+        return self._node_name or self.graph.process_name()
 
-    def resolve_name(self, name: str) -> str:
+    def own_name(self, name: str) -> str:
         """A topic's or service's name for rospy, which resolves ``~`` to the process's name, not the node's."""
         return f"{self._node_name}/{name[1:]}" if self._node_name and name.startswith("~") else name
+
+    def resolve_name(self, name: str) -> str:
+        """Return the full name of a topic, service or parameter of the node, as remapped."""
+        return self.graph.resolve_name(self.own_name(name))
 
     def on_close(self, action: Callable[[], None]) -> None:
         """Have ``close`` call ``action``, which removes something of the node from the ROS graph."""
@@ -127,8 +134,8 @@ class Inbox:
                 dropped.extend(self._items)
                 self._items.clear()
                 self.dropped += sum(event[0] != self._on_overflow for event, _ in dropped)
-                self._items.append(((self._on_overflow, None, time.monotonic_ns()), None))
-            self._items.append(((handler, item, time.monotonic_ns()), on_drop))
+                self._items.append(((self._on_overflow, None, self.clocks.now_ns()), None))
+            self._items.append(((handler, item, self.clocks.now_ns()), on_drop))
         for _, notify in dropped:
             if notify is not None:
                 notify()
@@ -199,7 +206,7 @@ class Inbox:
 
     def wait_until(self, deadline_ns: float) -> None:
         """Sleep until an item arrives, a watched fd is readable, or the monotonic clock reaches the deadline."""
-        left_ns = max(0, min(deadline_ns - time.monotonic_ns(), MAX_WAIT_NS))
+        left_ns = max(0, min(deadline_ns - self.clocks.now_ns(), MAX_WAIT_NS))
         ready, _, _ = select.select(self._watched, [], [], left_ns / NS_PER_S)
         if self._wake_read in ready:
             os.read(self._wake_read, 4096)

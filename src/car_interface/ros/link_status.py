@@ -2,9 +2,6 @@
 from __future__ import annotations
 
 import math
-import time
-
-import rospy
 
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import Error, LinkStatus
@@ -34,6 +31,7 @@ class LinkStatusPublisher:
         self._link = link
         self._session = session
         self._sonars = sonars
+        self._clocks = inbox.clocks
         self._topic = advertise("~link", LinkStatus, inbox, latch=True)
 
     def publish(self) -> None:
@@ -57,7 +55,7 @@ class LinkStatusPublisher:
     def _status(self):
         session, tally, verdict = self._session, self._session.tally, self._verdict()
         return LinkStatus(
-            stamp=rospy.Time.now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
+            stamp=self._clocks.ros_now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
             words=verdict.description, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
             malformed_frames=session.malformed, unknown_commands=session.unknown_commands,
             noise_bytes=tally.noise_bytes, resyncs=session.resyncs, reconnects=max(0, session.openings - 1),
@@ -68,5 +66,5 @@ class LinkStatusPublisher:
 
     def _verdict(self):
         verdict = self._session.verdict
-        faults = self._sonars.faults(time.monotonic_ns()) if verdict.level == OK and self._link.is_open else ()
+        faults = self._sonars.faults(self._clocks.now_ns()) if verdict.level == OK and self._link.is_open else ()
         return Verdict(SONAR_FAULT, WARN, *describe(faults)) if faults else verdict

@@ -6,7 +6,6 @@ thread only. Nodes that share a process share it.
 from __future__ import annotations
 
 import threading
-import time
 import xmlrpc.client
 from types import MappingProxyType
 from typing import Callable, Mapping
@@ -16,6 +15,7 @@ import rospy
 
 from car_interface.common.publishers import OR, CommandTopic
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.publisher_lookup import CONNECTING_NS, PublisherLookup
 from car_interface.ros.xmlrpc_calls import TimeoutTransport
@@ -45,11 +45,11 @@ class MasterWatch:
         self._inbox = inbox
         self._on_fault = on_fault
         self._on_topics = on_topics
-        self._shared = {rospy.resolve_name(inbox.resolve_name(name)) for name in shared}
-        self._types = {rospy.resolve_name(inbox.resolve_name(name)): OR.join(taken) for name, taken in types.items()}
+        self._shared = {inbox.resolve_name(name) for name in shared}
+        self._types = {inbox.resolve_name(name): OR.join(taken) for name, taken in types.items()}
         self._fault = ""
         self._topics: list[CommandTopic] = []
-        _PROCESS_WATCH.add(self)
+        inbox.graph.watch(self)
 
     @property
     def has_ended(self) -> bool:
@@ -111,10 +111,10 @@ class _ProcessWatch:
             for watch in self._watches:
                 if not watch.has_ended:
                     watch.update(fault, listed, lookup)
-            time.sleep(CONNECTING_NS / NS_PER_S if lookup.is_waiting else POLL_S)
+            SYSTEM.sleep(CONNECTING_NS / NS_PER_S if lookup.is_waiting else POLL_S)
 
 
-_PROCESS_WATCH = _ProcessWatch()
+PROCESS_WATCH = _ProcessWatch()
 
 
 class _Master:

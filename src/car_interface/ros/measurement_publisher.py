@@ -6,10 +6,8 @@ measuring.
 from __future__ import annotations
 
 import math
-import time
 from typing import NamedTuple
 
-import rospy
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import JointState, Range, Temperature
@@ -92,9 +90,10 @@ class MeasurementPublisher:
         self._settings = settings
         self._ranging = config.ranging
         self._measurements = Measurements(config, self._on_motion)
-        self._ros_clock = RosClock()
+        self._clocks = inbox.clocks
+        self._ros_clock = RosClock(inbox.clocks)
         self._steering_check = SteeringCheck()
-        self._warnings = ThrottledWarnings()
+        self._warnings = ThrottledWarnings(inbox.clocks)
         self._sync = None
         self._counted = (0, 0)
         self._pending = None  # the newest motion, while it isn't published
@@ -107,7 +106,7 @@ class MeasurementPublisher:
         self._clock = advertise("teensy_clock", TeensyClock, inbox, QUEUE_SIZE)
         self._tf = advertise("/tf", TFMessage, inbox, QUEUE_SIZE) if settings.publish_tf else None
         self._static_tf = advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True)
-        self._static_tf.publish([_transform(settings.base_frame, frame, *mount)
+        self._static_tf.publish([_transform(self._clocks.ros_now(), settings.base_frame, frame, *mount)
                                  for frame, mount in zip(settings.sonar_frames, settings.mounts)])
         inbox.on_overflow(self._on_overflow)
         subscribe("temperature", Temperature, inbox, self._on_temperature)
@@ -118,7 +117,7 @@ class MeasurementPublisher:
         settings = self._settings
         self._odom_msg = OdometryMessage(child_frame_id=settings.base_frame)
         self._odom_msg.header.frame_id = settings.odom_frame
-        self._tf_msg = _transform(settings.odom_frame, settings.base_frame, 0.0, 0.0, 0.0)
+        self._tf_msg = _transform(self._clocks.ros_now(), settings.odom_frame, settings.base_frame, 0.0, 0.0, 0.0)
         self._joint_msg = JointState(name=settings.joint_names)
         self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=settings.field_of_view_rad,
                             min_range=self._ranging.min_range_m, max_range=self._ranging.max_range_m)
@@ -229,7 +228,7 @@ class MeasurementPublisher:
 
     def _report_steering(self, status):
         """Whether the car turns as the steering is commanded, on /diagnostics."""
-        judgement = self._steering_check.judge(time.monotonic_ns())
+        judgement = self._steering_check.judge(self._clocks.now_ns())
         status.summary(WARN if judgement.warning else OK,
                        judgement.warning or "the car turns as it is told to, or stands")
         status.add("commanded turn radius", f"{judgement.commanded_m:.2f} m")
@@ -303,11 +302,11 @@ def _mount(params, name):
     return mount
 
 
-def _transform(parent, child, x_m, y_m, yaw_rad):
+def _transform(stamp, parent, child, x_m, y_m, yaw_rad):
     """Where a frame is in another."""
     message = TransformStamped(child_frame_id=child)
     message.transform = Transform(Vector3(x_m, y_m, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-    message.header.stamp, message.header.frame_id = rospy.Time.now(), parent
+    message.header.stamp, message.header.frame_id = stamp, parent
     _set_yaw(message.transform.rotation, yaw_rad)
     return message
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import logging
 import socket
-import time
 import xmlrpc.client
 from typing import Sequence
 from urllib.parse import urlsplit
@@ -13,6 +12,7 @@ from rosgraph.network import is_local_address
 from rosgraph.roslogging import RosStreamHandler
 
 from car_interface.common.name_wait import FREE, NO_MASTER, RUNNING, SILENT, STARTING, Holder, NameWait
+from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.xmlrpc_calls import call
 
 POLL_S = 0.5
@@ -36,14 +36,14 @@ def wait_for_name(name: str) -> socket.socket:
         holder = lookup.holder()
         if holder.state == FREE and claim is None:
             holder = Holder(STARTING, "this computer")
-        line = wait.update(holder, time.monotonic_ns())
+        line = wait.update(holder, SYSTEM.now_ns())
         if line:
             log_warning(line)
         if wait.may_register:
             return claim or socket.socket(socket.AF_UNIX)
         if claim is not None:
             claim.close()
-        time.sleep(POLL_S)
+        SYSTEM.sleep(POLL_S)
 
 
 def _claim(name):

@@ -15,7 +15,6 @@ import select
 import signal
 import sys
 import threading
-import time
 
 import rosgraph
 import rospy
@@ -23,6 +22,7 @@ from std_msgs.msg import Int32MultiArray
 
 from car_interface.pca9685.guard_output import OutputReadings
 from car_interface.pca9685.guard_protocol import LEFT_TO_NODE, output_reader
+from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.tcpros_limits import limit_connections
 
@@ -58,17 +58,14 @@ class OutputRelay:
             if self._is_left:
                 return
             self._publish()
-        deadline_s = time.monotonic() + LAST_S
-        while self._readings.pending and time.monotonic() < deadline_s and not rospy.is_shutdown():
-            time.sleep(REGISTER_POLL_S)
-            self._publish()
+        SYSTEM.wait_for(lambda: self._has_published() or rospy.is_shutdown(), LAST_S, REGISTER_POLL_S)
         if self._publisher is not None:
-            time.sleep(DELIVERY_S)
+            SYSTEM.sleep(DELIVERY_S)
 
     def _register(self):
         """Join the ROS graph; that may take as long as there is no master."""
         while not rosgraph.is_master_online():
-            time.sleep(MASTER_POLL_S)
+            SYSTEM.sleep(MASTER_POLL_S)
         without_limits = limit_connections()
         if without_limits:
             print(without_limits, file=sys.stderr, flush=True)
@@ -87,7 +84,11 @@ class OutputRelay:
         self._guard_has_ended = not data
         for message in self._messages.feed(data):
             self._is_left |= message.kind == LEFT_TO_NODE
-            self._readings.update(message.counts, time.monotonic_ns())
+            self._readings.update(message.counts, SYSTEM.now_ns())
+
+    def _has_published(self):
+        self._publish()
+        return not self._readings.pending
 
     def _publish(self):
         while self._publisher is not None and self._readings.pending:

@@ -26,48 +26,54 @@ EVENTS = {WATCHING: "the node is back", SAFE: "every channel is at its timeout v
 
 
 class GuardProcess:
-    """Reads the node's pipe, does what the guard decides, and answers.
+    """Does what the guard decides, and answers the node.
 
     Args:
         device: the chip, as ``pca9685.i2c_device.I2cDevice``.
         node_pid: whose lock doesn't stop the guard.
-        node_fd, answer_fd: the two pipes.
+        answer: called with bytes for the node.
         relay: publishes what the chip holds.
         log: called with a line.
+        clock_ns: the monotonic clock.
     """
 
-    def __init__(self, device, guard: Guard, node_pid: int, node_fd: int, answer_fd: int, relay: RelayLink, log):
+    def __init__(self, device, guard: Guard, node_pid: int, answer, relay: RelayLink, log, clock_ns=time.monotonic_ns):
         self._device = device
         self._relay = relay
         self._guard = guard
         self._node_pid = node_pid
-        self._node_fd = node_fd
-        self._answer_fd = answer_fd
+        self._answer = answer
         self._log = log
+        self._clock_ns = clock_ns
         self._state = guard.state
-        self._generation = time.monotonic_ns() // NS_PER_MS
+        self._generation = clock_ns() // NS_PER_MS
 
-    def run(self) -> None:
+    def run(self, node_fd: int) -> None:
         """Guard until the node has ended and the chip is safe, or another node has it."""
-        while True:
-            is_heard = self._receive()
-            action = self._guard.action(time.monotonic_ns())
-            if not self._guard.is_acting:
-                self._relay.end()
-            if action == END:
-                return
-            self._report(is_heard)  # before a transfer, which may last
-            if action != NOTHING:
-                self._do(action)
-                self._report(False)
+        received: bytes | None = None
+        while self.step(received):
+            wait_s = (self._guard.next_due_ns() - self._clock_ns()) / NS_PER_S
+            watched = [] if self._guard.node_is_dead else [node_fd]
+            ready, _, _ = select.select(watched, [], [], max(0.0, min(wait_s, MAX_WAIT_S)))
+            received = os.read(node_fd, 4096) if ready else None
 
-    def _receive(self):
-        """Wait for the node or for the time; whether the node wrote something."""
-        wait_s = (self._guard.next_due_ns() - time.monotonic_ns()) / NS_PER_S
-        watched = [] if self._guard.node_is_dead else [self._node_fd]
-        if not select.select(watched, [], [], max(0.0, min(wait_s, MAX_WAIT_S)))[0]:
+    def step(self, received: bytes | None) -> bool:
+        """Act on what the node has written, and on the time; return whether to go on.
+
+        Args:
+            received: ``None`` = nothing; no bytes = the node has ended.
+        """
+        if received is not None:
+            self._guard.receive(received, self._clock_ns())
+        action = self._guard.action(self._clock_ns())
+        if not self._guard.is_acting:
+            self._relay.end()
+        if action == END:
             return False
-        self._guard.receive(os.read(self._node_fd, 4096), time.monotonic_ns())
+        self._report(received is not None)  # before a transfer, which may last
+        if action != NOTHING:
+            self._do(action)
+            self._report(False)
         return True
 
     def _do(self, action):
@@ -86,12 +92,12 @@ class GuardProcess:
             device.close()
             if guard.is_acting:
                 self._log(f"it can't be reached: {error}")
-            guard.failed(action, error.errno, time.monotonic_ns())
+            guard.failed(action, error.errno, self._clock_ns())
             if guard.node_is_dead and device.is_gone(error):
                 guard.finish()
         else:
-            guard.succeeded(action, time.monotonic_ns())
-            if guard.acts_alone(time.monotonic_ns()):
+            guard.succeeded(action, self._clock_ns())
+            if guard.acts_alone(self._clock_ns()):
                 self._relay.tell(held)
 
     def _is_replaced(self):
@@ -122,10 +128,7 @@ class GuardProcess:
             elif self._state >= ACTING and state in EVENTS:
                 self._log(EVENTS[state])
         if is_heard or state != self._state:
-            try:
-                os.write(self._answer_fd, self._guard.status())
-            except OSError:
-                pass  # it is dead, or frozen for long
+            self._answer(self._guard.status())
         self._state = state
 
 
@@ -169,5 +172,12 @@ def main() -> None:
 
     log = Log(f"guard of 0x{address:02x} on {path}, node {node_pid}")
     relay = RelayLink(node_name, output_topic, log.write)
-    GuardProcess(make_device(kind, path, address), Guard(off_after_ns), node_pid, node_fd, answer_fd, relay,
-                 log.write).run()
+    GuardProcess(make_device(kind, path, address), Guard(off_after_ns), node_pid,
+                 lambda data: _answer(answer_fd, data), relay, log.write).run(node_fd)
+
+
+def _answer(fd, data):
+    try:
+        os.write(fd, data)
+    except OSError:
+        pass  # the node is dead, or frozen for long

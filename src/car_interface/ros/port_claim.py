@@ -9,9 +9,9 @@ import hashlib
 import os
 import socket
 import struct
-import time
 
 from car_interface.common.errors import ConfigError
+from car_interface.ros.clocks import SYSTEM
 
 END_WITHIN_S = 2.0  # a car_sim that is just being replaced by one of its name ends within this
 POLL_S = 0.1
@@ -33,20 +33,20 @@ class PortClaim:
     def __init__(self, path: str, end_within_s: float = END_WITHIN_S):
         place = os.path.join(os.path.realpath(os.path.dirname(path)), os.path.basename(path))
         name = "\0car_interface.car_sim." + hashlib.sha256(os.fsencode(place)).hexdigest()
-        deadline_s = time.monotonic() + end_within_s
         self._socket = socket.socket(socket.AF_UNIX)
-        while True:
-            try:
-                self._socket.bind(name)
-                self._socket.listen(BACKLOG)
-                return
-            except OSError:  # EADDRINUSE
-                if time.monotonic() >= deadline_s:
-                    break
-                time.sleep(POLL_S)
+        if SYSTEM.wait_for(lambda: self._has_bound(name), end_within_s, POLL_S):
+            return
         self._socket.close()
         raise ConfigError("port", path, "a path that no other car_sim uses: end that one, or start this one with "
                           f"another port, e.g. port:={path}_2", f"{path} is in use by another car_sim{_holder(name)}")
+
+    def _has_bound(self, name):
+        try:
+            self._socket.bind(name)
+            self._socket.listen(BACKLOG)
+        except OSError:  # EADDRINUSE
+            return False
+        return True
 
     def close(self) -> None:
         """Give the path back."""

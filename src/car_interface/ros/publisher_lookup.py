@@ -7,7 +7,6 @@ arrive have a connection to this process, which says the rest. The others are as
 from __future__ import annotations
 
 import socket
-import time
 import xmlrpc.client
 from typing import Any, Callable, Iterable, NamedTuple
 from urllib.parse import urlsplit
@@ -17,6 +16,7 @@ from rosgraph.network import write_ros_handshake_header
 
 from car_interface.common.publishers import ANY, Publisher
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.tcpros_limits import HandshakeTimeout, read_header
 from car_interface.ros.xmlrpc_calls import ANSWER_WITHIN_S, TimeoutTransport
 
@@ -75,7 +75,7 @@ class PublisherLookup:
         """A publisher without a connection; ``None`` = it's gone, or doesn't answer."""
         key = subscription.resolved_name, node
         self._asked.add(key)
-        now_ns = time.monotonic_ns()
+        now_ns = SYSTEM.now_ns()
         if now_ns - self._first_seen_ns.setdefault(key, now_ns) < CONNECTING_NS:
             self.is_waiting = True
             return None
@@ -84,7 +84,7 @@ class PublisherLookup:
             if self._was_slow:
                 return answer and answer.publisher
             self._answers[key] = answer = self._ask_now(subscription, node, now_ns)
-            self._was_slow = time.monotonic_ns() - now_ns >= SLOW_NS
+            self._was_slow = SYSTEM.now_ns() - now_ns >= SLOW_NS
         return answer.publisher
 
     def _ask_now(self, subscription, node, now_ns):

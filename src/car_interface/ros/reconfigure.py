@@ -11,12 +11,11 @@ Services:
 from __future__ import annotations
 
 import threading
-import time
 from types import SimpleNamespace
 from typing import Callable, Mapping
 
 import rospy
-from dynamic_reconfigure.server import Server
+from dynamic_reconfigure import server
 
 from car_interface.common.live_parameters import Tuning, TuningSettings
 from car_interface.common.yaml_edit import Values
@@ -28,7 +27,7 @@ ANSWER_WITHIN_S = 2.0
 SETTLE_WITHIN_S = 5.0
 
 
-class _Server(Server):
+class Server(server.Server):
     """The library's server without its own clamping and parameter writing."""
 
     def _clamp(self, config):
@@ -36,6 +35,10 @@ class _Server(Server):
 
     def _copy_to_parameter_server(self):
         """Untuned parameters stay where they are: turn_arb's may be in a parent namespace."""
+
+    def close_actions(self):
+        """Return what removes the server from the ROS graph, as functions."""
+        return self.set_service.shutdown, self.descr_topic.unregister, self.update_topic.unregister
 
     def _set_callback(self, req):
         req.config.groups = []  # the library fails on unknown groups; there is only one
@@ -82,9 +85,9 @@ class ReconfigureServer:
         self._has_set_parameters = False  # whether the parameter server has tuned values
         apply(tuning.active)
         full_namespace = f"{inbox.node_name}/{namespace}" if namespace else inbox.node_name
-        self._server = _Server(_limited(config_class, tuning), self._on_reconfigure, full_namespace)
-        for remove in (self._server.set_service.shutdown, self._server.descr_topic.unregister,
-                          self._server.update_topic.unregister):
+        self._server = inbox.graph.reconfigure_server(
+            _limited(config_class, tuning), self._on_reconfigure, full_namespace)
+        for remove in self._server.close_actions():
             inbox.on_close(remove)
         self._serving = True
         serve_saving(inbox, settings, self._values_to_save)
@@ -122,7 +125,7 @@ class ReconfigureServer:
         if self._has_set_parameters:
             try:
                 for name, value in self._parameters(self._tuning.accepted).items():
-                    rospy.set_param(self._inbox.resolve_name(f"~{name}"), value)
+                    self._inbox.graph.set_parameter(self._inbox.own_name(f"~{name}"), value)
             except OSError:
                 pass  # the master is gone
 
@@ -134,9 +137,7 @@ class ReconfigureServer:
 
     def _values_to_save(self):
         """The accepted values, once they are active."""
-        deadline_s = time.monotonic() + SETTLE_WITHIN_S
-        while self._tuning.is_changing and time.monotonic() < deadline_s:
-            time.sleep(0.01)
+        self._inbox.clocks.wait_for(lambda: not self._tuning.is_changing, SETTLE_WITHIN_S, 0.01)
         return self._parameters(self._tuning.accepted)
 
 

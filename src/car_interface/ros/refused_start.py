@@ -9,7 +9,6 @@ they have respawn="true".
 from __future__ import annotations
 
 import os
-import time
 from typing import Any, Callable
 
 import rospy
@@ -63,17 +62,17 @@ class _RefusedStart:
         self._inbox = inbox
         self._refused = RefusedParameters()
         self.error = None  # None: the parameters were accepted
-        self._diagnostics = Diagnostics(inbox, "none", {REPORT: self._report}, time.monotonic_ns())
+        self._diagnostics = Diagnostics(inbox, "none", {REPORT: self._report}, self._inbox.clocks.now_ns())
 
     def wait(self, error):
         """Log and report an error until the parameters are to be read again, or the node is ended."""
         self.error = error
-        line = self._refused.update(str(error), time.monotonic_ns())
+        line = self._refused.update(str(error), self._inbox.clocks.now_ns())
         if line:
             rospy.logfatal("%s", line)
-        while not self._inbox.ending and time.monotonic_ns() < self._refused.due_ns:
+        while not self._inbox.ending and self._inbox.clocks.now_ns() < self._refused.due_ns:
             self._inbox.wait_until(min(self._refused.due_ns, self._diagnostics.due_ns))
-            self._diagnostics.step(time.monotonic_ns())
+            self._diagnostics.step(self._inbox.clocks.now_ns())
 
     def report_acceptance(self):
         self.error = None

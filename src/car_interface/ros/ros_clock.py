@@ -1,11 +1,10 @@
 """Stamps that rise strictly, though the computer's clock is slewed or set back a little meanwhile."""
 from __future__ import annotations
 
-import time
-
 import rospy
 
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.clocks import Clocks
 
 SAME_OFFSET_NS = 200_000  # the system's clock is slewed by 0.5 ms a second at most
 SET_BACK_NS = NS_PER_S // 2  # a clock that goes back by more was set on purpose
@@ -17,9 +16,13 @@ class RosClock:
     ROS time is the computer's clock, which gets slewed and set: setting it disturbs nothing that is measured. Both are
     read one after the other, never at the same time, so that their difference is kept until it has changed by more than
     the reading can be off. Otherwise two messages a moment apart could be stamped in the wrong order.
+
+    Args:
+        clocks: the node's.
     """
 
-    def __init__(self):
+    def __init__(self, clocks: Clocks):
+        self._clocks = clocks
         self._offset_ns = None
         self._newest_ns: dict = {}  # stamp of each kind of message
 
@@ -43,9 +46,9 @@ class RosClock:
 
     def _offset(self):
         """From monotonic to ROS time."""
-        before_ns = time.monotonic_ns()
-        ros_ns = rospy.Time.now().to_nsec()
-        after_ns = time.monotonic_ns()
+        before_ns = self._clocks.now_ns()
+        ros_ns = self._clocks.ros_now().to_nsec()
+        after_ns = self._clocks.now_ns()
         offset_ns = ros_ns - (before_ns + after_ns) // 2
         # The longer a thread is held up between the readings, the larger the error.
         if (self._offset_ns is None

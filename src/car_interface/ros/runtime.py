@@ -20,7 +20,6 @@ import os
 import signal
 import sys
 import threading
-import time
 import traceback
 from contextlib import suppress
 from typing import Callable, Mapping
@@ -124,11 +123,9 @@ def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None,
             one is.
         read_fixed: returns what a launch file gave to this process for the node.
     """
-    name = inbox.node_name
-
     def build():
         fixed = read_fixed()
-        return node_class(Params(rospy.get_param(name, {}), lambda wanted: _search_parents(name, wanted), fixed), inbox)
+        return node_class(read_params(inbox, fixed), inbox)
     node = build_node(build, inbox)
     if node is None:
         return
@@ -142,26 +139,54 @@ def spin(node_class, inbox: Inbox, collector: IdleCollector | None = None,
         node.shut_down()
 
 
+def read_params(inbox: Inbox, fixed: Mapping[str, str | None]) -> Params:
+    """Return a node's parameters, with those of the namespaces around it and what was given to its process."""
+    name, parameter = inbox.node_name, inbox.graph.parameter
+
+    def search_parents(wanted):
+        """Return the value in the nearest namespace; None if none has it."""
+        namespace, value = name, None
+        while namespace and value is None:
+            namespace = namespace.rpartition("/")[0]
+            value = parameter(f"{namespace}/{wanted}", None)
+        return value
+    return Params(parameter(name, {}), search_parents, fixed)
+
+
 def _run_steps(node, inbox, garbage):
     """Step a node until it ends; ``garbage`` learns when it is idle."""
-    standstill = StandstillWatch(time.monotonic_ns())
-    notices_standstill = getattr(node, "notices_standstill", False)
+    steps = Steps(node, inbox)
     while not inbox.ending:
-        now_ns = time.monotonic_ns()
-        still_ns = standstill.begin_step(now_ns)
         garbage.begin_step()
-        if still_ns and not notices_standstill:
-            _begin_anew(inbox, now_ns, still_ns)
-        due_ns = node.step(now_ns)
-        now_ns = time.monotonic_ns()
-        standstill.end_step(now_ns, due_ns)
-        inbox.wait_until(min(due_ns, garbage.end_step(now_ns, due_ns if inbox.is_empty else now_ns)))
+        due_ns = steps.step()
+        inbox.wait_until(min(due_ns, garbage.end_step(steps.ended_ns, due_ns if inbox.is_empty else steps.ended_ns)))
 
 
-def _begin_anew(inbox, now_ns, still_ns):
-    if inbox.backlogs:
-        inbox.begin_anew(now_ns, still_ns)
-        rospy.logwarn("%s; what is sent from now on counts", inbox.standstill_text)
+class Steps:
+    """Steps a node, and has it begin anew after it stood still.
+
+    Attributes:
+        ended_ns: when the last step ended.
+    """
+
+    def __init__(self, node, inbox: Inbox):
+        self._node = node
+        self._inbox = inbox
+        self.ended_ns = inbox.clocks.now_ns()
+        self._standstill = StandstillWatch(self.ended_ns)
+        self._notices_standstill = getattr(node, "notices_standstill", False)
+
+    def step(self) -> float:
+        """Step the node once; return when the next step is due if nothing arrives before, ns."""
+        inbox, now_ns = self._inbox, self._inbox.clocks.now_ns()
+        still_ns = self._standstill.begin_step(now_ns)
+        if still_ns and inbox.backlogs and not self._notices_standstill:
+            inbox.begin_anew(now_ns, still_ns)
+            rospy.logwarn("%s; what is sent from now on counts", inbox.standstill_text)
+        due_ns = self._node.step(now_ns)
+        self.ended_ns = inbox.clocks.now_ns()
+        self._standstill.end_step(self.ended_ns, due_ns)
+        return due_ns
 
 
 def describe_error(error: Exception) -> str:
@@ -180,14 +205,3 @@ def _end_and_wait(inbox, ended):
     inbox.end()
     if threading.current_thread() is not threading.main_thread():
         ended.wait(SHUT_DOWN_S)
-
-
-def _search_parents(node_name, name):
-    """A parameter's value from the nearest namespace around a node; None if none has it."""
-    namespace = node_name
-    while namespace:
-        namespace = namespace.rpartition("/")[0]
-        value = rospy.get_param(f"{namespace}/{name}", None)
-        if value is not None:
-            return value
-    return None

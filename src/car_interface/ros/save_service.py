@@ -37,7 +37,7 @@ def serve_saving(inbox: Inbox, settings: TuningSettings, values: Callable[[], Va
         (rospy.loginfo if success else rospy.logwarn)("save: %s", message)
         return TriggerResponse(success=success, message=message)
 
-    inbox.on_close(rospy.Service(inbox.resolve_name("~save"), Trigger, answer).shutdown)
+    inbox.on_close(inbox.graph.service(inbox.own_name("~save"), Trigger, answer).shutdown)
 
 
 def _save(settings, values):

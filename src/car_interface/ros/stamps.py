@@ -6,9 +6,9 @@ import rospy
 ODD_STAMP_S = 10.0  # this far from now
 
 
-def odd_stamp(stamp: rospy.Time) -> str:
+def odd_stamp(stamp: rospy.Time, now: rospy.Time) -> str:
     """What is odd about a stamp, in words: ``is 60 s in the future``; empty = nothing."""
-    offset_s = (stamp - rospy.Time.now()).to_sec()
+    offset_s = (stamp - now).to_sec()
     if abs(offset_s) <= ODD_STAMP_S:
         return ""
     if stamp.is_zero():

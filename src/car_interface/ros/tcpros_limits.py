@@ -22,7 +22,6 @@ import socket
 import struct
 import sys
 import threading
-import time
 import traceback
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -34,6 +33,8 @@ from rospy.impl import tcpros_base, tcpros_pubsub, tcpros_service
 from rospy.impl.transport import INBOUND
 from rospy.service import ServiceException
 
+from car_interface.common.units import NS_PER_S
+from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.xmlrpc_calls import call
 
@@ -82,7 +83,7 @@ class MessageTooLong(TransportException, ServiceException):
 
 class _ThreadSafeWarnings(ThrottledWarnings):
     def __init__(self):
-        super().__init__()
+        super().__init__(SYSTEM)
         self._lock = threading.Lock()
 
     def warn(self, kind, text, count=1):
@@ -101,7 +102,7 @@ def read_header(connection: socket.socket) -> dict[str, str]:
         HandshakeError: the peer has gone, or sends no header.
     """
     peer = _address(connection)
-    deadline_s = time.monotonic() + HANDSHAKE_S
+    deadline_s = SYSTEM.now_ns() / NS_PER_S + HANDSHAKE_S
     try:
         prefix = _receive(connection, LENGTH.size, deadline_s)
         size, = LENGTH.unpack(prefix)
@@ -125,7 +126,7 @@ def read_header(connection: socket.socket) -> dict[str, str]:
 def _receive(connection, size, deadline_s):
     received = bytearray()
     while len(received) < size:
-        left_s = deadline_s - time.monotonic()
+        left_s = deadline_s - SYSTEM.now_ns() / NS_PER_S
         if left_s <= 0:
             raise socket.timeout
         connection.settimeout(left_s)
@@ -173,7 +174,7 @@ class _Handshakes:
         self._make_room()
         with self._lock:
             number = next(self._numbers)
-            self._waiting[number] = _Handshake(connection, time.monotonic())
+            self._waiting[number] = _Handshake(connection, SYSTEM.now_ns() / NS_PER_S)
         try:
             threading.Thread(target=self._run, args=(server, connection, address, number), daemon=True).start()
         except RuntimeError as error:  # no more threads
@@ -187,12 +188,12 @@ class _Handshakes:
                 if len(self._waiting) < MAX_HANDSHAKES:
                     return
                 number, oldest = next(iter(self._waiting.items()))
-                left_s = oldest.began_s + MIN_HANDSHAKE_S - time.monotonic()
+                left_s = oldest.began_s + MIN_HANDSHAKE_S - SYSTEM.now_ns() / NS_PER_S
                 if left_s <= 0:
                     del self._waiting[number]
                     _shut_down(oldest.connection)  # wakes its thread, which closes it
                     return
-            time.sleep(min(left_s, ROOM_POLL_S))
+            SYSTEM.sleep(min(left_s, ROOM_POLL_S))
 
     def _end_waiting(self, number):
         """Return whether it was waiting, and not dropped before."""
@@ -324,7 +325,7 @@ def _replacements() -> list[tuple[Any, str, Any]]:
                 if self.is_shutdown or self.server_sock.fileno() < 0:
                     return
                 _warnings.warn("accept", f"can't accept connections: {error}")
-                time.sleep(ACCEPT_PAUSE_S)
+                SYSTEM.sleep(ACCEPT_PAUSE_S)
 
     def create_socket_with_queue(self):
         listener = create_socket(self)

@@ -1,7 +1,6 @@
 """The commands that reach the Teensy through teensy_sensor_hub: its services, and keys on a terminal of its own."""
 from __future__ import annotations
 
-import time
 from concurrent.futures import Future
 from typing import Callable
 
@@ -105,7 +104,7 @@ class TeensyCommands:
     def _start_sonars(self):
         result = self._send(protocol.sonar_start())
         if result[0]:
-            self._sonars.started(time.monotonic_ns())
+            self._sonars.started(self._inbox.clocks.now_ns())
         return result
 
     def _stop_sonars(self):
@@ -117,7 +116,7 @@ class TeensyCommands:
     def _set_sonar_sequence(self, sequence):
         result = self._send(protocol.set_sonar_sequence(sequence))
         if result[0]:
-            self._sonars.sequence_set(sequence, time.monotonic_ns())
+            self._sonars.sequence_set(sequence, self._inbox.clocks.now_ns())
         return result
 
     def _set_sonar_wait(self, wait_ms):
@@ -127,7 +126,7 @@ class TeensyCommands:
         return result
 
     def _get_counters(self):
-        now_ns = time.monotonic_ns()
+        now_ns = self._inbox.clocks.now_ns()
         if now_ns < self._next_counters_ns:
             return False, "asked less than a second ago: the Teensy's buffers can't take more"
         result = self._send(protocol.get_counters())

@@ -12,7 +12,7 @@ from car_interface.ros.inbox import Inbox
 
 def advertise(topic: str, message_type, inbox: Inbox, queue_size=10, latch=False) -> rospy.Publisher:
     """A publisher that lives as long as the inbox's node."""
-    publisher = rospy.Publisher(inbox.resolve_name(topic), message_type, queue_size=queue_size, latch=latch)
+    publisher = inbox.graph.publisher(inbox.own_name(topic), message_type, queue_size, latch)
     inbox.on_close(publisher.unregister)
     return publisher
 
@@ -21,7 +21,7 @@ def serve(name: str, service_type, inbox: Inbox, handler: Callable[[Any, Future]
     """Offer a service: ``handler(request, done)`` runs in the node's thread; the Future gets the response's fields."""
     def handle(request):
         return service_type._response_class(*inbox.ask(handler, request))
-    inbox.on_close(rospy.Service(inbox.resolve_name(name), service_type, handle).shutdown)
+    inbox.on_close(inbox.graph.service(inbox.own_name(name), service_type, handle).shutdown)
 
 
 def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10,
@@ -30,7 +30,7 @@ def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, in
 
     With ``wakes`` false it runs when the node next wakes for another reason.
     """
-    backlog = Backlog()
+    backlog = Backlog(inbox.graph)
     handler = backlog.without_old(handler)
     return _subscribe(topic, message_type, inbox, backlog, lambda message: inbox.put(handler, message, wakes=wakes),
                       queue_size)
@@ -53,7 +53,7 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[
         value_of: the value in a message. It is called in rospy's thread.
     """
     last = None
-    backlog = Backlog(takes_latched)
+    backlog = Backlog(inbox.graph, takes_latched)
 
     def call_both(message, arrival_ns):
         handler(message, arrival_ns)
@@ -75,7 +75,7 @@ def subscribe_any(topic: str, inbox: Inbox, handler: Callable[[Any, int], None],
     Args:
         wakes: False = the node handles it when it next wakes for another reason.
     """
-    backlog = Backlog()
+    backlog = Backlog(inbox.graph)
     handler = backlog.without_old(handler)
     _subscribe(topic, rospy.AnyMsg, inbox, backlog, lambda message: inbox.put(handler, message, wakes))
 
@@ -96,8 +96,7 @@ def sender_of(message: Any) -> str:
 
 
 def _subscribe(topic, message_type, inbox, backlog, receive, queue_size=10):
-    subscriber = rospy.Subscriber(inbox.resolve_name(topic), message_type, receive, queue_size=queue_size,
-                                  tcp_nodelay=True)
+    subscriber = inbox.graph.subscriber(inbox.own_name(topic), message_type, receive, queue_size)
     backlog.attach(subscriber)
     inbox.subscribers.append(subscriber)
     inbox.backlogs.append(backlog)

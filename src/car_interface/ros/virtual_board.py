@@ -16,7 +16,6 @@ import hashlib
 import os
 import subprocess
 import tempfile
-import time
 
 import rosgraph
 
@@ -24,6 +23,7 @@ from car_interface.common import small_process
 from car_interface.common.errors import ConfigError
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.own_files import UnsafeFile, folder_name, make_folder, open_own
+from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.faults import serve_faults
 from car_interface.sim.chip_link import FAULTS, ChipLink
 
@@ -103,16 +103,16 @@ class VirtualBoardBus:
             link.close()
 
     def _connect(self):
-        deadline_s = time.monotonic() + START_S
-        while True:
-            try:
-                self._link.open()
-                return
-            except (FileNotFoundError, ConnectionRefusedError):
-                if time.monotonic() > deadline_s:
-                    raise OSError(errno.ENXIO, "the virtual chip's process doesn't start") from None
+        if not SYSTEM.wait_for(self._is_open, START_S, 0.01):
+            raise OSError(errno.ENXIO, "the virtual chip's process doesn't start")
+
+    def _is_open(self):
+        try:
+            self._link.open()
+        except (FileNotFoundError, ConnectionRefusedError):
             self._start()
-            time.sleep(0.01)
+            return False
+        return True
 
     def _start(self):
         """Start the chip's process; it ends by itself when another one serves the path."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 import tty
+from typing import Any, Callable
 
 from car_interface.common.errors import ConfigError
 from car_interface.ros.faults import serve_faults
@@ -35,20 +36,23 @@ class VirtualLine:
         firmware: the Teensy, which also lives on while it's unplugged.
         seed: of the noise.
         inbox: woken when the program writes.
+        make_terminal, make_claim: of other classes where a test connects the port.
 
     Raises:
         ConfigError: when another car_sim that runs uses ``path``, something other than a link is there, or no link can
             be put there.
     """
 
-    def __init__(self, path: str, firmware, seed: int, inbox):
-        self._claim = PortClaim(path)  # also while it's unplugged
+    def __init__(self, path: str, firmware, seed: int, inbox, make_terminal: Callable[[str], Any] | None = None,
+                 make_claim: Callable[[str], Any] = PortClaim):
+        self._make_terminal = make_terminal or PseudoTerminal
+        self._claim = make_claim(path)  # also while it's unplugged
         self._path = path
         self._firmware = firmware
         self._inbox = inbox
         self._bad = BadLine(seed)
         self._watched_fd = None
-        self._terminal = PseudoTerminal(path)
+        self._terminal = self._make_terminal(path)
         self._unplugged_from = ""
         self._plug_ns = NEVER_NS
 
@@ -115,10 +119,10 @@ class VirtualLine:
         if self._terminal is not None:
             return
         self._plug_ns = NEVER_NS
-        self._terminal = PseudoTerminal(self._path)
+        self._terminal = self._make_terminal(self._path)
         if self._terminal.name == self._unplugged_from:
             same = self._terminal
-            self._terminal = PseudoTerminal(self._path)
+            self._terminal = self._make_terminal(self._path)
             same.close()
 
 

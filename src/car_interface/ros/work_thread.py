@@ -1,7 +1,6 @@
 """Work that takes long, in a thread beside a node's own, whose result the node's thread gets."""
 from __future__ import annotations
 
-import threading
 from typing import Any, Callable
 
 from car_interface.ros.inbox import Inbox
@@ -16,7 +15,7 @@ def in_thread(inbox: Inbox, work: Callable[[], Any], handler: Callable[[Any, int
             inbox.put(_fail, error)
             return
         inbox.put(handler, result)
-    threading.Thread(target=run, name="work", daemon=True).start()
+    inbox.graph.start_thread(run, "work")
 
 
 def _fail(error, now_ns):

@@ -19,9 +19,12 @@ class Computer:
         self.ahead_ns = START_NS - self.monotonic  # of ROS time
         self.held_up_ns = 0  # between the readings of the two
 
-    def monotonic_ns(self):
+    def now_ns(self):
         self.monotonic += 1000
         return self.monotonic
+
+    def ros_now(self):
+        return SimpleNamespace(to_nsec=self.ros_ns)
 
     def ros_ns(self):
         self.monotonic += self.held_up_ns
@@ -38,12 +41,10 @@ def clock(computer, monkeypatch):
     """A RosClock; rospy is replaced, since unit tests need no ROS."""
     rospy = ModuleType("rospy")
     rospy.Time = lambda nsecs=0: SimpleNamespace(ns=nsecs)
-    rospy.Time.now = lambda: SimpleNamespace(to_nsec=computer.ros_ns)
     monkeypatch.setitem(sys.modules, "rospy", rospy)
     monkeypatch.delitem(sys.modules, "car_interface.ros.ros_clock", raising=False)
     module = importlib.import_module("car_interface.ros.ros_clock")
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic_ns=computer.monotonic_ns))
-    yield module.RosClock()
+    yield module.RosClock(computer)
     sys.modules.pop("car_interface.ros.ros_clock", None)
 
 

@@ -118,7 +118,7 @@ class Built:
         self._ahead_ns = 0
         self.inbox = Inbox(limit=LIMIT)
         with mock.patch.multiple(rospy, Subscriber=self._subscribe, Publisher=self._advertise, Service=mock.Mock()), \
-                mock.patch("car_interface.ros.reconfigure._Server", mock.Mock()):
+                mock.patch("car_interface.ros.reconfigure.Server", mock.MagicMock()):
             self.node = node_class(Params(values), self.inbox)
 
     def _subscribe(self, topic, _, callback, **__):

@@ -1,0 +1,23 @@
+"""What the tests in the graph share."""
+import sys
+
+import pytest
+
+from car import Car
+from graph import Graph
+
+
+@pytest.fixture(autouse=True)
+def no_terminal(monkeypatch):
+    """No node reads keys."""
+    monkeypatch.setattr(sys, "stdin", None)
+
+
+@pytest.fixture
+def graph():
+    return Graph()
+
+
+@pytest.fixture
+def car():
+    return Car()

@@ -1,0 +1,41 @@
+"""The inputs of a node by short names, which a test holds, sends once, or lets fall silent."""
+from __future__ import annotations
+
+from typing import Any, Callable, Dict, Tuple
+
+from graph import Graph
+
+Topics = Dict[str, Tuple[str, Callable[[Any], Any]]]
+
+
+class Inputs:
+    """Inputs that are repeated at 20 Hz while they are held.
+
+    Args:
+        topics: by name: the topic, and what makes its message of a value.
+        settle_s: the time in which the node has handled a message: its timer's period and the report's delay.
+    """
+
+    RATE_HZ = 20
+
+    def __init__(self, graph: Graph, topics: Topics, settle_s: float):
+        self.graph, self._topics, self._settle_s = graph, topics, settle_s
+        self.run = graph.run
+
+    def hold(self, **inputs: Any) -> None:
+        """Repeat these values from now on, and let each arrive."""
+        for name, value in inputs.items():
+            topic, make = self._topics[name]
+            self.graph.hold(topic, make(value), self.RATE_HZ)
+        self.run(self._settle_s)
+
+    def once(self, name: str, *values: Any) -> None:
+        """Send values, and nothing after them."""
+        topic, make = self._topics[name]
+        self.graph.silence(topic)
+        for value in values:
+            self.graph.publish(topic, make(value))
+
+    def silence(self, *names: str) -> None:
+        """Send these no more."""
+        self.graph.silence(*(self._topics[name][0] for name in names))

@@ -1,0 +1,226 @@
+"""car_sim: the hub against the virtual Teensy, which answers as the firmware does, and the car that it moves."""
+from __future__ import annotations
+
+import pytest
+from car_interface.common.errors import ConfigError
+from car_interface.msg import LinkStatus, WheelDirection
+from car_interface.srv import InjectFaultRequest, SetSonarSequenceRequest, SetSonarWaitRequest
+from std_msgs.msg import Int32MultiArray
+from std_srvs.srv import TriggerRequest
+
+LINK, PONGS, WHEELS, SONARS, ERRORS = (
+    "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_wheel", "/teensy_distance", "/teensy_error")
+CENTER, LEFT, GENTLE, FAST, NEUTRAL = 5100, 3835, 5700, 6500, 4915
+ALL = set(range(6))
+
+
+class Simulated:
+    """A virtual car without a servo board, and a hub."""
+
+    def __init__(self, car, hub=None, **sim):
+        self.graph, self.car = car.graph, car
+        self.graph.record(LINK, PONGS, WHEELS, SONARS, ERRORS, "/car_sim/collisions", "/car_sim/rollovers")
+        self.sim = car.sim(follows_board=False, **sim)
+        car.hub(**(hub or {}))
+
+    def call(self, name, request=None):
+        answer = self.graph.call(f"/teensy_sensor_hub/{name}", request or TriggerRequest())
+        assert answer.success, answer.message
+
+    def inject(self, fault, value):
+        assert self.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value)).success
+
+    def drive(self, esc, steering=CENTER):
+        self.graph.publish("/servo/output", Int32MultiArray(data=[steering, esc] + 14 * [-1]))
+
+    def sonars(self, duration_s=2.0):
+        """The sonars that report in the next time."""
+        since_ns = self.graph.now_ns
+        self.graph.run(duration_s)
+        return [report.sensor for report in self.graph.messages(SONARS, since_ns)]
+
+    @property
+    def link(self):
+        return self.graph.newest(LINK)
+
+    @property
+    def wheels(self):
+        wheel = self.graph.newest(WHEELS)
+        return wheel.left, wheel.right
+
+
+def test_each_ping_gets_its_pong_however_fast_they_come(car):
+    simulated = Simulated(car, {"ping_period": 0.02})
+    car.graph.run(3.5)
+    link, stamps = simulated.link, [pong.timestamp1 for pong in car.graph.messages(PONGS)]
+    assert link.pings > 100 and link.pings - link.pongs <= 1  # the newest may be on its way
+    assert (link.bad_frames, link.malformed_frames, link.firmware_checksum) == (0, 0, "shipped")
+    assert 0 < link.round_trip < 0.02
+    assert len(set(stamps)) == len(stamps)
+
+
+def test_sonars_fire_as_they_are_commanded(car):
+    simulated = Simulated(car)
+    assert set(simulated.sonars()) == ALL
+    simulated.call("set_sonar_sequence", SetSonarSequenceRequest([0, 1, 5]))
+    simulated.sonars(0.2)
+    assert set(simulated.sonars()) == {0, 1, 5}
+    simulated.call("sonar_stop")
+    simulated.sonars(0.2)
+    assert simulated.sonars(10) == []  # the hub knows that they were stopped
+    simulated.call("sonar_start")
+    assert set(simulated.sonars()) == {0, 1, 5}
+    simulated.call("set_sonar_wait", SetSonarWaitRequest(400))
+    simulated.sonars(0.5)
+    since_ns = car.graph.now_ns
+    assert len(simulated.sonars(4.0)) >= 8
+    times_ms = [report.when for report in car.graph.messages(SONARS, since_ns)]
+    assert all(400 <= after - before < 450 for before, after in zip(times_ms, times_ms[1:]))
+
+
+def test_sonar_that_is_missing_is_skipped_until_it_is_fine_again(car):
+    simulated = Simulated(car)
+    simulated.sonars(1.0)
+    simulated.inject("sonar_missing", 3)
+    simulated.sonars(0.2)
+    assert set(simulated.sonars()) == ALL - {3}
+    simulated.inject("sonar_fine", 3)
+    simulated.sonars(0.2)
+    assert set(simulated.sonars()) == ALL
+
+
+def test_stuck_sonar_that_silences_all_others_is_named_and_left_out_and_they_report_again(car):
+    """A Teensy that has run for long waits for such a sonar for ever."""
+    simulated = Simulated(car, clock_start_ms=200_000)
+    assert set(simulated.sonars()) == ALL
+    simulated.inject("sonar_stuck", 2)
+    car.graph.run_until(lambda: "front_left" in simulated.link.words, 10.0)
+    link = simulated.link
+    assert (link.state, link.level) == ("sonar fault", LinkStatus.WARN) and "Check its echo wire" in link.next_step
+    car.graph.run_until(lambda: simulated.link.dropped_sonars, 6.0)
+    assert list(simulated.link.dropped_sonars) == [2] and simulated.link.sonar_starts == 2
+    simulated.sonars(3.5)  # after three more seconds of silence they are started again
+    assert set(simulated.sonars()) == ALL - {2}
+    assert [line for line in car.graph.lines("/teensy_sensor_hub", level=30) if "front_left" in line]
+
+
+def test_first_sonar_that_is_missing_at_power_up_costs_only_itself(car):
+    simulated = Simulated(car)
+    simulated.sonars()
+    simulated.inject("sonar_missing", 0)
+    simulated.inject("reboot", 0)
+    car.graph.run_until(lambda: simulated.link.sonar_starts == 1, 6.0)
+    car.graph.run_until(lambda: "front_right does not report" in simulated.link.words, 12.0)
+    assert set(simulated.sonars()) == ALL - {0}
+
+
+def test_wheel_reset_zeroes_both_odometers(car):
+    simulated = Simulated(car)
+    car.graph.run(1.0)
+    simulated.drive(GENTLE)
+    car.graph.run_until(lambda: min(wheel.dist_abs for wheel in simulated.wheels) > 20)
+    assert {wheel.direction for wheel in simulated.wheels} == {WheelDirection.FORWARD}
+    simulated.drive(NEUTRAL)
+    car.graph.run_until(lambda: car.speed_mps == 0)
+    car.graph.run(2.0)
+    assert {wheel.speed for wheel in simulated.wheels} == {0}
+    simulated.call("wheel_reset")
+    car.graph.run(0.5)
+    assert {(wheel.dist, wheel.dist_abs, wheel.direction) for wheel in simulated.wheels} == {
+        (0, 0, WheelDirection.NONE)}
+
+
+def test_counters_come_on_their_topic(car):
+    simulated = Simulated(car)
+    car.graph.run(1.0)
+    simulated.call("get_counters")
+    car.graph.run(1.0)
+    assert {error.name: error.count for error in car.graph.messages(ERRORS)}["rxPackets"] > 0
+
+
+def test_hub_finds_out_that_the_receiver_was_repaired_and_the_clock_may_wrap(car):
+    simulated = Simulated(car, corrected_checksum=True, clock_start_ms=4294965000)
+    car.graph.run_until(lambda: car.graph.recorded[LINK] and simulated.link.pongs > 2, 5.0)
+    assert simulated.link.firmware_checksum == "corrected"
+    assert car.graph.lines("/teensy_sensor_hub", level=30)[-1] == (
+        "no ping is answered: trying the checksum of a corrected firmware")
+    car.graph.run(3.0)
+    assert car.graph.newest(PONGS).timestamp2 < 10_000
+    assert simulated.link.bad_frames + simulated.link.malformed_frames == 0
+
+
+# --- the car ---
+
+def test_car_follows_the_servo_output_and_truth_comes_fifty_times_a_second(car):
+    simulated = Simulated(car, collisions=False)
+    simulated.drive(GENTLE, LEFT)
+    car.graph.run(3.0)
+    assert len(car.graph.messages("/car_sim/truth")) == 150
+    truth = car.truth()
+    assert (truth.header.frame_id, truth.child_frame_id) == ("odom", "base_link")
+    assert truth.twist.twist.linear.x > 0.5 and truth.twist.twist.angular.z > 0.3
+    assert truth.pose.pose.orientation.z > 0.1
+    simulated.graph.publish("/servo/output", Int32MultiArray(data=[0] * 15))
+    car.graph.run(0.5)
+    assert car.speed_mps > 0.5
+    assert car.graph.lines("/car_sim", level=30) == ["/servo/output has 15 values, not 16: ignored"]
+
+
+def test_car_follows_the_channels_that_it_is_given(car):
+    Simulated(car, collisions=False, steering_channel=3, throttle_channel=7)
+    car.graph.publish("/servo/output", Int32MultiArray(data=[LEFT, FAST, 0, CENTER, 0, 0, 0, GENTLE] + 8 * [-1]))
+    car.graph.run(2.0)
+    assert car.speed_mps > 0.3 and car.truth().twist.twist.angular.z == pytest.approx(0.0, abs=0.01)
+
+
+def test_car_that_runs_into_something_stands_and_counts_it(car):
+    simulated = Simulated(car)
+    assert [count.data for count in car.graph.messages("/car_sim/collisions")] == [0]
+    simulated.drive(GENTLE)
+    car.graph.run_until(lambda: car.graph.newest("/car_sim/collisions").data == 1, 30.0)
+    car.graph.run(0.1)
+    place = car.truth().pose.pose.position
+    car.graph.run(1.0)
+    assert car.truth().pose.pose.position.x == pytest.approx(place.x, abs=0.01)
+    lines = car.graph.lines("/car_sim", level=30)
+    assert len(lines) == 1 and lines[0].startswith("the car ran into something at ") and "(collision 1)" in lines[0]
+
+
+def test_car_that_would_have_tipped_over_counts_it(car):
+    simulated = Simulated(car, collisions=False, rollover=2.0, grip=9.0)
+    simulated.drive(FAST)
+    car.graph.run(4.0)
+    simulated.drive(FAST, LEFT)
+    car.graph.run(1.0)
+    assert car.graph.newest("/car_sim/rollovers").data >= 1
+    assert car.graph.lines("/car_sim", level=30)[0].startswith("the car would have tipped over: ")
+
+
+def test_simulator_that_stood_still_goes_on_from_now(car):
+    simulated = Simulated(car, collisions=False)
+    simulated.drive(GENTLE)
+    car.graph.run(3.0)
+    before = car.truth().pose.pose.position.x
+    simulated.sim.stall(5.0)
+    car.graph.run(5.1)
+    assert car.truth().pose.pose.position.x - before < 0.2 * car.speed_mps + 0.05
+
+
+def test_simulator_that_ends_takes_its_port_away(car):
+    simulated = Simulated(car)
+    car.graph.run(1.0)
+    simulated.sim.end()
+    car.graph.run(0.1)
+    assert not simulated.link.open
+
+
+@pytest.mark.parametrize("parameters, message", [
+    ({"steering_duties": [3800, 6700]}, "steering_curvatures is .*; accepted: 2 numbers"),
+    ({"start": [0, 0]}, "start is .*; accepted: three numbers: x, y in m, and yaw in rad"),
+    ({"start": [5.9, 0, 0]}, "start is .*; accepted: a place where the car touches no wall, box or post"),
+    ({"wheel_pulses": [1]}, "wheel_pulses is .*; accepted: two numbers: left, right"),
+    ({"esc_kind": "odd"}, "esc_kind is 'odd'; accepted: one of none, "),
+    ({"throttle_channel": 16}, "throttle_channel is 16"), ({"seeds": 1}, "unknown parameter seeds")])
+def test_parameter_that_cannot_be_is_refused_by_name(car, parameters, message):
+    with pytest.raises(ConfigError, match=message):
+        car.sim(**parameters)

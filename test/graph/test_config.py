@@ -1,0 +1,286 @@
+"""What each node makes of its parameters, and what the launch files give it: reading them does nothing."""
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib
+import os
+import shutil
+
+import pytest
+import roslaunch
+
+from car import CONFIG, config
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
+from car_interface.pca9685.channels import ChannelConfig
+
+PACKAGE = os.path.dirname(os.path.realpath(CONFIG))
+WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
+MAP = {"csv_path_value_map": f"{PACKAGE}/config/value_map.csv"}
+STEERING = {name: value for name, value in config("turn_arb.yaml").items() if name.startswith(("servo_", "m_", "k_"))}
+ESC = {"servo": config("throttle.yaml")["servo"]}
+BUTTONS = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5}
+# By node: what is required, and some of what a configuration is made of by default, as a path of attributes.
+DEFAULTS = {
+    "turn_arb": (STEERING, {
+        "calibration.servo_left": 3800, "arbiter.tele_steer_deadband": 0.001, "arbiter.slew_limit": 0.0,
+        "arbiter.teleop_timeout_s": 0.5, "arbiter.interlock.human_timeout_s": 0.5,
+        "arbiter.interlock.e_stop_timeout_s": 1.0, "arbiter.interlock.e_stop_required": False,
+        "arbiter.interlock.grant_at_start": True, "tuning.max_offset": 500, "tuning.save_to": None}),
+    "generic_value_converter": (MAP, {
+        "conversion.min_value": -5.0, "conversion.max_value": 3.0, "conversion.odometry_timeout_s": 0.5,
+        "map_path": MAP["csv_path_value_map"]}),
+    "throttle_arb": (ESC, {
+        "calibration.channel": 1, "calibration.neutral": 4915, "arbiter.stick.human_scale": 0.3,
+        "arbiter.stick.brake_scale": 1.0, "arbiter.command_timeout_s": 0.5, "arbiter.teleop_timeout_s": 0.5,
+        "arbiter.steering_timeout_s": 0.25, "arbiter.odometry_timeout_s": 0.5,
+        "arbiter.interlock.grant_at_start": True, "esc.profile": "unverified", "esc.arming_time_s": 1.0,
+        "tuning.max_offset": 100}),
+    "pca9685": ({}, {
+        "device": "/dev/i2c-1", "address": 0x40, "prescale": 121, "oscillator_hz": 25e6,
+        "channels": (ChannelConfig(live_range=0),) * 16, "required": False, "virtual_log": None}),
+    "teensy_sensor_hub": ({}, {
+        "port": "/dev/ttyAMA0", "baud": 115200, "firmware_checksum": "auto", "required": False, "raw_only": False,
+        "settings.ping_period_s": 1.0, "settings.odom_frame": "odom", "settings.odom_rate_hz": 50.0}),
+    "teleop_logi": (BUTTONS, {"steer_scale": 1.0, "steer_neutral": 0.0, "joy_timeout_s": 0.25}),
+    "car_sim": ({}, {"port": "/tmp/car_sim_teensy", "steering_channel": 0, "throttle_channel": 1,
+                     "vehicle.wheelbase_m": 0.324, "firmware.sonar_pulse_end_us": 38_000, "collides": True}),
+    "gamepad_joy": ({}, {"dev": "/dev/input/js0", "deadzone": 0.05, "autorepeat_hz": 20.0, "coalesce_s": 0.001}),
+    "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
+    "demo_drive": ({}, {"bag_dir": None, "steering_channel": 0, "throttle_channel": 1, "autonomous_button": 5}),
+    "keyboard_drive": ({}, {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5,
+                            "steer_scale": 1.0, "input_devices": "/dev/input/event*"}),
+}
+# Node, what is given besides the required ones, and how the one line begins.
+REFUSALS = [
+    ("keyboard_drive", {"manual_button": 5}, "autonomous_button is 5; accepted: a button other than manual_button's"),
+    ("keyboard_drive", {"steer_scale": 50}, "steer_scale is 50; accepted: a number from -1 to 1"),
+    ("turn_arb", {"servo_left": "x"}, "servo_left is 'x'; accepted: an integer from 0 to 65535"),
+    ("turn_arb", {"k_pwmcmd_left_table_servo": [1, 2]},
+     "k_pwmcmd_left_table_servo is [1.0, 2.0]; accepted: 15 numbers"),
+    ("turn_arb", {"grant_at_start": 0}, "grant_at_start is 0; accepted: true or false"),
+    ("turn_arb", {"live_range": -1}, "live_range is -1; accepted: an integer from 0"),
+    ("turn_arb", {"save_to": "turn_arb.yaml"}, f"save_to is 'turn_arb.yaml'; {WHOLE_PATH}"),
+    ("generic_value_converter", {"csv_path_value_map": "value_map.csv"},
+     f"csv_path_value_map is 'value_map.csv'; {WHOLE_PATH}"),
+    ("generic_value_converter", {"csv_path_value_map": "~/my_car/value_map.csv"},
+     f"csv_path_value_map is '~/my_car/value_map.csv'; {WHOLE_PATH}"),
+    ("generic_value_converter", {"csv_path_value_map": "/nowhere.csv"},
+     "csv_path_value_map is '/nowhere.csv'; accepted: a file that can be read"),
+    ("generic_value_converter", {"max_value": -9}, "min_value is -5.0; accepted: at most max_value -9.0"),
+    ("generic_value_converter", {"min_value": 8, "max_value": 9}, f"{MAP['csv_path_value_map']}, value map has values"),
+    ("throttle_arb", {"servo": {**ESC["servo"], "duty_table": [1, 2]}},
+     "servo/duty_table is [1.0, 2.0]; accepted: 3 numbers"),
+    ("throttle_arb", {"servo": {**ESC["servo"], "neutral": 1}}, "servo/neutral is 1; accepted: a duty"),
+    ("throttle_arb", {"servo": {**ESC["servo"], "duty_table": [3277, 6554, 4915]}},
+     "servo/duty_table is [3277.0, 6554.0, 4915.0]; accepted: duties that only rise, or only fall"),
+    ("throttle_arb", {"servo": {**ESC["servo"], "channel": -1}}, "servo/channel is -1; accepted: an integer from 0"),
+    ("throttle_arb", {"esc": {"dwell": 0}}, "esc/dwell is 0; accepted: a number from 0.1 to 0.5"),
+    ("throttle_arb", {"human_scale": 3}, "human_scale is 3; accepted: a number from 0 to 1"),
+    ("throttle_arb", {"esc": {"profile": "hobby"}}, "esc/profile is 'hobby'; accepted: one of brake_then_reverse, "),
+    ("throttle_arb", {"servo": {**ESC["servo"], "value_axis": [3, 2, 1]}},
+     "servo/value_axis[1] is 2.0; accepted: more than"),
+    ("pca9685", {"address": 0x80}, "address is 128; accepted: an integer from 64 to 127"),
+    ("pca9685", {"pwm_min": 5000, "pwm_max": 4000}, "pwm_min[0] is 5000; accepted: at most pwm_max[0] 4000"),
+    ("pca9685", {"throttle_channel": 1}, "unknown parameter throttle_channel is 1; accepted: only address, "),
+    ("pca9685", {"save_to": "/a.yaml"}, "unknown parameter save_to is '/a.yaml'; accepted: only address, "),
+    ("pca9685", {"steering": 5}, "unknown parameter steering is 5; accepted: only address, "),
+    ("pca9685", {"steering": {**STEERING, "servo_channel": 16}},
+     "steering/servo_channel is 16; accepted: an integer from 0 to 15"),
+    ("pca9685", {"esc": {"servo": {**ESC["servo"], "neutral": -1}}},
+     "esc/servo/neutral is -1; accepted: an integer from 0 to 65535"),
+    ("pca9685", {"steering": {**STEERING, "servo_channel": 1}, "esc": ESC},
+     "esc/servo/channel is 1; accepted: a channel other than steering/servo_channel"),
+    ("pca9685", {"device": "virtual", "virtual_log": "chip.log"}, f"virtual_log is 'chip.log'; {WHOLE_PATH}"),
+    ("pca9685", {"virtual_log": "/tmp/chip.log"}, "unknown parameter virtual_log is '/tmp/chip.log'"),
+    ("teensy_sensor_hub", {"baud": 0}, "baud is 0; accepted: an integer from 300"),
+    ("teensy_sensor_hub", {"firmware_checksum": "odd"}, "firmware_checksum is 'odd'; accepted: one of auto, "),
+    ("teensy_sensor_hub", {"odom_rate": 0.01}, "odom_rate is 0.01; accepted: 0, or a number from 0.1 to 1000"),
+    ("teleop_logi", {"joy_timeout": -1}, "joy_timeout is -1; accepted: a number from 0.0"),
+    ("teleop_logi", {"manual_button": 5}, "autonomous_button is 5; accepted: a button other than manual_button's"),
+    ("car_sim", {"wheelbase": 0}, "wheelbase is 0; accepted: a number above 0.0"),
+    ("car_display", {"track": 11}, "track is 11; accepted: a number above 0.0"),
+    ("demo_drive", {"bag_dir": "bags"}, f"bag_dir is 'bags'; {WHOLE_PATH}"),
+]
+
+
+def read(node, values):
+    """What a node makes of parameters."""
+    return importlib.import_module(f"car_interface.nodes.{node}").read_config(Params(values))
+
+
+def attribute(made, path):
+    return functools.reduce(getattr, path.split("."), made)
+
+
+def loaded(file, *arguments):
+    """What roslaunch makes of a launch file."""
+    return roslaunch.config.load_config_default([(f"{PACKAGE}/launch/{file}", [*arguments])], None, verbose=False)
+
+
+def below(launch, namespace):
+    """The parameters below a namespace."""
+    return {name[len(namespace):]: param.value for name, param in launch.params.items() if name.startswith(namespace)}
+
+
+@pytest.mark.parametrize("node", DEFAULTS)
+def test_defaults_are_those_of_the_node_s_description_and_never_change(node):
+    required, expected = DEFAULTS[node]
+    made = read(node, required)
+    assert {path: attribute(made, path) for path in expected} == expected
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(made, next(iter(expected)).partition(".")[0], None)
+
+
+@pytest.mark.parametrize("node, values", [
+    ("turn_arb", config("turn_arb.yaml")), ("teleop_logi", config("teleop_logi.yaml")),
+    ("pca9685", {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml")}),
+    ("teensy_sensor_hub", {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml")}),
+    ("generic_value_converter", {**config("generic_value_converter.yaml"), **MAP}),
+    ("throttle_arb", config("throttle.yaml"))])
+def test_shipped_files_are_taken(node, values):
+    assert dataclasses.is_dataclass(read(node, values))
+
+
+@pytest.mark.parametrize("node, given, begin", REFUSALS)
+def test_bad_parameter_is_named_with_its_value_and_what_is_accepted(node, given, begin):
+    with pytest.raises(ConfigError) as error:
+        read(node, {**DEFAULTS[node][0], **given})
+    assert str(error.value).startswith(begin)
+
+
+@pytest.mark.parametrize("node", DEFAULTS)
+def test_missing_and_unknown_parameters_are_named(node):
+    required = DEFAULTS[node][0]
+    for missing in required:
+        with pytest.raises(ConfigError, match=f"^{missing}(/channel)? is missing; accepted: "):
+            read(node, {name: value for name, value in required.items() if name != missing})
+    with pytest.raises(ConfigError, match="^unknown parameter no_such_thing is 1; accepted: only "):
+        read(node, {**required, "no_such_thing": 1})
+
+
+@pytest.mark.parametrize("given, expected", [
+    ({}, {}),
+    ({"steering": config("turn_arb.yaml")}, {0: (5100, 500)}),
+    ({"steering": config("turn_arb.yaml"), "esc": config("throttle.yaml")}, {0: (5100, 500), 1: (4915, 100)}),
+    ({"steering": {**STEERING, "servo_channel": 7}, "live_range": 50}, {7: (5100, 50)}),
+    ({"esc": {"servo": {**ESC["servo"], "channel": 15}}, "throttle_live_range": 9}, {15: (4915, 9)}),
+    ({"esc": {"servo": {**ESC["servo"], "channel": -1}}}, {}),
+    ({"steering": {"servo_channel": 3}}, {}),
+    ({"steering": {"servo_center": 5100}, "esc": {"servo": {"channel": 1}}}, {})])
+def test_center_and_neutral_are_the_timeout_values_of_their_channels(given, expected):
+    made = read("pca9685", {"timeout_value": [100] * 16, **given}).channels
+    assert [(channel.timeout_value, channel.live_range) for channel in made] == [
+        expected.get(channel, (100, 0)) for channel in range(16)]
+
+
+def test_simulated_car_has_what_a_car_s_files_say_and_its_own_parameters_go_before_them():
+    files = {"steering": {**config("turn_arb.yaml"), "servo_channel": 7}, "esc": {"servo": {"channel": 9,
+             "neutral": 5000}}, "wheels": {**config("teensy_sensor_hub.yaml"), "wheel_diameter": 0.12}}
+    made = read("car_sim", files)
+    assert (made.steering_channel, made.throttle_channel) == (7, 9)
+    assert (made.vehicle.wheel_diameter_m, made.vehicle.drive.neutral_duty) == (0.12, 5000)
+    assert (made.vehicle.steering.center_duty, dict(made.vehicle.steering.curve)[3800]) == (5100, 1 / 0.97)
+    mixed = read("car_sim", {**files, "wheel_diameter": 0.1, "steering_channel": 2})
+    assert (mixed.vehicle.wheel_diameter_m, mixed.steering_channel) == (0.1, 2)
+    assert read("car_sim", {"esc": {"servo": {"channel": -1}}}).throttle_channel == 1
+
+
+def test_simulated_room_without_obstacles_has_its_walls_and_no_car_starts_in_one():
+    empty, full = read("car_sim", {"obstacles": False}).world, read("car_sim", {}).world
+    assert (empty.boxes, empty.posts, empty.walls) == ((), (), full.walls)
+    assert full.boxes and full.posts
+    with pytest.raises(ConfigError) as error:
+        read("car_sim", {"start": [5.9, 0, 0]})
+    assert str(error.value) == ("start is [5.9, 0.0, 0.0]; accepted: a place where the car touches no wall, box or "
+                                "post, or collisions: false")
+
+
+def test_accelerations_that_pass_through_need_no_map():
+    made = read("generic_value_converter", {"use_value_ff": False})
+    assert (made.map_path, made.value_map) == ("", None)
+
+
+def test_reading_opens_and_makes_nothing(tmp_path):
+    for node, given in (("pca9685", {"device": "virtual", "virtual_log": f"{tmp_path}/chip", "required": True}),
+                        ("car_sim", {"port": f"{tmp_path}/teensy"}), ("demo_drive", {"bag_dir": f"{tmp_path}/bags"}),
+                        ("teensy_sensor_hub", {"port": f"{tmp_path}/teensy", "required": True}),
+                        ("turn_arb", {"save_to": f"{tmp_path}/b.yaml"})):
+        files = os.listdir("/proc/self/fd")
+        read(node, {**DEFAULTS[node][0], **given})
+        assert os.listdir("/proc/self/fd") == files
+    assert os.listdir(tmp_path) == []
+
+
+# --- launch files ---
+
+@pytest.mark.parametrize("file, arguments", [("pca9685.launch", []), ("car.launch", ["one_process:=true"])])
+@pytest.mark.parametrize("throttle, neutral", [("false", 0), ("true", 4915)])
+def test_launch_file_gives_the_board_the_files_of_turn_arb_and_of_throttle_arb(file, arguments, throttle, neutral):
+    made = read("pca9685", below(loaded(file, f"throttle:={throttle}", *arguments), "/pca9685/"))
+    assert [channel.timeout_value for channel in made.channels] == [5100, neutral] + [0] * 14
+
+
+def test_launch_files_tell_a_node_that_it_is_respawned_and_have_joy_node_wait_for_its_name():
+    found = set()
+    for arguments in (["joy_driver:=joy"], ["joy_driver:=gamepad_joy", "one_process:=true"], ["display:=true"]):
+        for node in loaded("car.launch", *arguments).nodes:
+            if node.package == "car_interface":
+                assert (dict(node.env_args).get("CAR_INTERFACE_RESPAWN") == "true") == node.respawn, node.type
+            elif node.respawn:
+                assert (node.type, node.launch_prefix) == ("joy_node", "rosrun car_interface wait_for_name")
+            found.add(node.type)
+    assert {"turn_arb", "car_nodes", "car_display", "joy_node", "gamepad_joy"} <= found
+
+
+@pytest.mark.parametrize("one_process", ["false", "true"])
+def test_planner_takes_the_car_s_topics_and_the_converter_takes_the_planner_s(one_process):
+    launch = loaded("car.launch", "ns:=car1", "planner:=autoware", "throttle:=true", "gamepad:=false",
+                    f"one_process:={one_process}")
+    kinds = ("car_nodes",) if one_process == "true" else ("planner_interface", "generic_value_converter")
+    remaps = {source.replace("~", f"{node.type}/"): target for node in launch.nodes if node.type in kinds
+              for source, target in node.remap_args}
+    planner = {name.rpartition("/")[2]: target for name, target in remaps.items()
+               if name.startswith("planner_interface/input/")}
+    assert planner == {"control_cmd": "control/command/control_cmd", "gear_cmd": "control/command/gear_cmd",
+                       "odometry": "odom"}
+    assert remaps["generic_value_converter/input/control_cmd"] == "planner_interface/output/control_cmd"
+    values = below(launch, "/car1/planner_interface/")
+    assert (values["source"], values["wheels/wheelbase"], values["max_speed"]) == ("autoware", 0.324, 3.0)
+
+
+def test_car_to_practise_with_has_a_steering_of_its_own_and_obeys_speeds():
+    launch = loaded("practice.launch", "ns:=car1")
+    values = below(launch, "/car1/")
+    assert (values["planner_interface/source"], values["car_sim/steering_duties"][0]) == ("speed", 3800)
+    assert not values["car_sim/obstacles"] and "car_sim/steering/servo_center" not in values
+    assert "demo_drive" not in [node.type for node in launch.nodes]
+
+
+OURS, THEIRS = [("car_interface", "gamepad_joy")], [("joy", "joy_node")]
+
+
+@pytest.mark.parametrize("distribution, arguments, expected", [
+    ("noetic", [], THEIRS), ("Debian", [], OURS), ("", [], OURS), ("Debian", ["joy_driver:=joy"], THEIRS),
+    ("noetic", ["joy_driver:=gamepad_joy"], OURS), ("noetic", ["gamepad:=false"], []),
+    ("Debian", ["gamepad:=false"], [])])
+def test_gamepad_driver_is_joy_on_noetic_and_this_package_s_elsewhere_unless_it_is_named(
+        monkeypatch, distribution, arguments, expected):
+    monkeypatch.setenv("ROS_DISTRO", distribution)
+    assert [(node.package, node.type) for node in loaded("car.launch", *arguments).nodes
+            if node.name == "joy_node"] == expected
+
+
+def test_demo_has_every_node_take_the_folder_that_config_names(tmp_path):
+    shutil.copytree(CONFIG, tmp_path / "mine")
+    for path in (tmp_path / "mine").glob("*.yaml"):
+        text = path.read_text(encoding="utf-8").replace("servo_channel: 0", "servo_channel: 6")
+        path.write_text(text.replace("wheel_diameter: 0.1", "wheel_diameter: 0.2"), encoding="utf-8")
+    values = below(loaded("demo.launch", "ns:=mine", f"config:={tmp_path}/mine"), "/mine/")
+    assert {name for name, value in values.items() if name.endswith("servo_channel") and value == 6} >= {
+        "turn_arb/servo_channel", "pca9685/steering/servo_channel", "car_sim/steering/servo_channel"}
+    assert values["turn_arb/save_to"] == f"{tmp_path}/mine/turn_arb.yaml"
+    assert {values[f"{node}/save_to_package"] for node in ("turn_arb", "throttle_arb")} == {False}
+    text = str(values)
+    assert os.path.realpath(CONFIG) not in text and CONFIG not in text

@@ -1,0 +1,233 @@
+"""generic_value_converter: a value for each command, by the map that it ships with, or why there is none."""
+from __future__ import annotations
+
+import csv
+import logging
+import math
+import os
+import re
+
+import pytest
+import rospy
+from car_interface.msg import Control
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
+
+from car import CONFIG, config
+from car_interface.common.errors import ConfigError
+from car_interface.nodes.generic_value_converter import GenericValueConverter
+from graph import NS_PER_S, Graph
+
+NAN, INF = math.nan, math.inf
+LOWEST, HIGHEST = -5.0, 3.0  # the shipped min_value and max_value
+NAME = "/generic_value_converter"
+VALUE, STATE = f"{NAME}/output/value", f"{NAME}/state"
+MAP = os.path.join(CONFIG, "value_map.csv")
+
+# Accelerations in m/s² that a float32 holds exactly, and velocities in m/s: on the map's points, between, and beyond.
+LOOKUPS = [(acceleration, velocity)
+           for velocity in (-1.0, 0.0, 0.5, 1.0, 3.75, 7.0, 9.99, 10.0, 50.0)
+           for acceleration in (-100.0, -8.0, -4.25, -1.125, -0.5, 0.0, 0.25, 1.0, 2.875, 5.0, 100.0)]
+
+
+def shipped_map():
+    with open(MAP, encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    return ([float(row[0]) for row in rows[1:]], [float(cell) for cell in rows[0][1:]],
+            [[float(cell) for cell in row[1:]] for row in rows[1:]])
+
+
+def lerp_saturated(x, xs, ys):
+    """Looks at every interval: slow, and another way than the one under test."""
+    if x <= xs[0]:
+        return ys[0]
+    for x0, x1, y0, y1 in zip(xs, xs[1:], ys, ys[1:]):
+        if x <= x1:
+            return y0 + (y1 - y0) * ((x - x0) / (x1 - x0))
+    return ys[-1]
+
+
+class Converter:
+    """The node in a graph of its own, with the shipped parameters unless others are given."""
+
+    def __init__(self, parameters=None, **changes):
+        self.graph = Graph()
+        self.run = self.graph.run
+        self.graph.record(VALUE, STATE, "/diagnostics")
+        shipped = {**config("generic_value_converter.yaml"), "csv_path_value_map": MAP, **changes}
+        self.graph.add(GenericValueConverter, NAME, shipped if parameters is None else parameters)
+
+    def command(self, *accelerations, stamp=None):
+        """Send commands; return the values that they got."""
+        since_ns, count = self.graph.now_ns, len(self.graph.recorded[VALUE])
+        for acceleration in accelerations:
+            message = Control(stamp=rospy.Time(nsecs=since_ns + self.graph.ros_ahead_ns) if stamp is None else stamp)
+            message.longitudinal.acceleration = acceleration
+            self.graph.publish(f"{NAME}/input/control_cmd", message)
+        self.run(0.0)
+        return [record.message.data for record in self.graph.recorded[VALUE][count:]]
+
+    def odometry(self, velocity, stamp=None):
+        """Repeat it from now on."""
+        message = Odometry()
+        message.header.stamp = rospy.Time(nsecs=self.graph.now_ns + self.graph.ros_ahead_ns) if stamp is None else stamp
+        message.twist.twist.linear.x = velocity
+        self.graph.hold(f"{NAME}/input/odometry", message, 25)
+        self.run(0.0)
+
+    @property
+    def state(self):
+        return self.graph.newest(STATE)
+
+    def warnings(self):
+        return self.graph.lines(NAME, 0, logging.WARNING)
+
+    def report(self):
+        """The next one."""
+        self.run(1.0)
+        return self.graph.report("generic_value_converter: converter")
+
+
+def test_values_are_those_of_the_map_one_for_each_command_at_once():
+    values, velocities, rows = shipped_map()
+    converter = Converter()
+    for acceleration, velocity in LOOKUPS:
+        converter.run(0.01)
+        converter.odometry(velocity)
+        expected = lerp_saturated(acceleration, [lerp_saturated(velocity, velocities, row) for row in rows], values)
+        assert converter.command(acceleration) == pytest.approx([min(HIGHEST, max(LOWEST, expected))], abs=1e-9)
+    assert converter.command(*[1.479] * 50) == pytest.approx([converter.command(1.479)[0]] * 50)
+    converter.odometry(1.0)
+    assert converter.command(1.479, -100.0) == pytest.approx([1.2, LOWEST], abs=1e-6)  # 1.479: the map's point for 1.2
+    stamp = converter.graph.newest(VALUE).stamp.to_nsec()
+    assert stamp == pytest.approx(converter.graph.now_ns + converter.graph.ros_ahead_ns, abs=1000)
+
+
+def test_odometry_that_falls_silent_ends_the_output_after_its_timeout_and_comes_back():
+    converter = Converter()
+    converter.odometry(1.0)
+    converter.graph.silence(f"{NAME}/input/odometry")
+    converter.run(0.5)
+    assert converter.command(100.0) == [HIGHEST]
+    converter.run(1e-6)
+    assert converter.command(100.0) == []
+    assert converter.state.cause == "odometry silent" and math.isnan(converter.state.value)
+    assert converter.state.reason == "odometry silent for 0.50 s"
+    assert converter.warnings() == ["no output: odometry silent for 0.50 s"]
+    converter.odometry(1.0)
+    assert converter.command(100.0) == [HIGHEST]
+
+
+@pytest.mark.parametrize("number", [NAN, INF, -INF])
+def test_numbers_that_are_none_have_no_output_and_are_warned_of(number):
+    converter = Converter()
+    converter.odometry(1.0)
+    assert converter.command(100.0, number, -100.0) == [HIGHEST, LOWEST]
+    assert converter.warnings() == [f"no output: the commanded acceleration is {number}"]
+    converter.odometry(number)
+    assert converter.command(100.0) == []
+    assert converter.warnings()[1:] == [f"the velocity in the odometry is {number}: no output"]
+    assert converter.state.reason == f"the velocity in the odometry is {number}"
+
+
+@pytest.mark.parametrize("stamp_s, text", [(0, "is zero"), (-86_400, "is 86400 s in the past"), (86_400, "is 86400 s in the future")])
+def test_odd_stamps_are_told_once_and_obeyed(stamp_s, text):
+    converter = Converter()
+    stamp = rospy.Time(nsecs=converter.graph.now_ns + converter.graph.ros_ahead_ns) + rospy.Duration(stamp_s)
+    stamp = stamp if stamp_s else rospy.Time(0)
+    converter.odometry(1.0, stamp)
+    assert converter.command(-100.0, 100.0, stamp=stamp) == [LOWEST, HIGHEST]
+    first, second = converter.warnings()
+    assert re.match(f"the stamp of odometry ({text}).*; it's obeyed all the same", first), first
+    assert second == first.replace("odometry", "control_cmd")
+
+
+def test_state_has_the_value_or_why_there_is_none_when_the_cause_changes_and_once_a_second():
+    converter = Converter()
+    converter.run(0.5)
+    assert (converter.state.cause, converter.state.reason) == ("no request", "waiting for the first command")
+    converter.odometry(1.0)
+    counts = []
+    for acceleration, cause, value, reason in ((100.0, "converting", HIGHEST, "the value is 3.000"),
+                                               (-100.0, "converting", HIGHEST, "the value is 3.000"),  # not yet
+                                               (NAN, "command not finite", NAN, "the commanded acceleration is nan"),
+                                               (NAN, "command not finite", NAN, "the commanded acceleration is nan"),
+                                               (100.0, "converting", HIGHEST, "the value is 3.000")):
+        converter.command(acceleration)
+        assert (converter.state.cause, converter.state.reason) == (cause, reason)
+        assert converter.state.value == value or math.isnan(value) and math.isnan(converter.state.value)
+        counts.append(len(converter.graph.recorded[STATE]))
+    assert counts == [2, 2, 3, 3, 4]
+    converter.run(3.0)
+    times = [record.at_ns for record in converter.graph.recorded[STATE][-3:]]
+    assert [after - before for before, after in zip(times, times[1:])] == [NS_PER_S, NS_PER_S]
+    assert converter.graph.publishers[STATE][0].latch
+
+
+def test_diagnostics_carry_cause_and_counts_once_a_second():
+    converter = Converter()
+    level, message, values = converter.report()
+    assert (level, message, values["age of odometry"]) == (
+        DiagnosticStatus.OK, "waiting for the first command", "never heard")
+    converter.odometry(1.0)
+    converter.command(1.0)
+    level, message, values = converter.report()
+    assert (level, message, values["cause"], values["commands"], values["values sent"]) == (
+        DiagnosticStatus.OK, "converting", "converting", "1", "1")
+    converter.command(NAN, NAN)
+    level, message, values = converter.report()
+    assert (level, message, values["cause"], values["commands"], values["values sent"]) == (
+        DiagnosticStatus.WARN, "no output: the commanded acceleration is nan", "command not finite", "3", "1")
+    assert values["command not finite"] == "2"
+    assert len(converter.graph.messages("/diagnostics")) == 3
+
+
+def test_dropped_messages_take_the_speed_away():
+    converter = Converter()
+    converter.odometry(1.0)
+    assert converter.command(1.0) != []
+    converter.graph.silence(f"{NAME}/input/odometry")
+    converter.graph.nodes[NAME].stall(2.0)
+    converter.run(2.01)
+    assert converter.command(1.0) == []
+    assert converter.state.reason == "odometry was not heard since messages were dropped"
+
+
+# --- parameters ---
+
+@pytest.mark.parametrize("text, where", [
+    ("default,0,1\n0,0,0\n1,1", "line 3 has 2 columns"),
+    ("default,0,1\n0,0,0\n1,x,1\n", "line 3, column 2 is 'x'"),
+    ("default,0,1\n0,0,0\n1,-1,1\n", "velocity 0.0 m/s, from value 0.0 to 1.0 falls"),
+    ("default,0,1\n0,0,0\n1,0,1\n", "stays level at 0.0"),
+])
+def test_bad_map_is_refused_with_the_place(tmp_path, text, where):
+    path = tmp_path / "map.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=f"{re.escape(str(path))}.*{re.escape(where)}"):
+        Converter(csv_path_value_map=str(path))
+
+
+@pytest.mark.parametrize("parameters, text", [
+    ({"csv_path_value_map": "/nowhere.csv"},
+     "csv_path_value_map is '/nowhere.csv'; accepted: a file that can be read (No such file"),
+    ({"csv_path_value_map": "/tmp"}, "Is a directory"),
+    ({}, "csv_path_value_map is missing"),
+    ({"convert_value_cmd": False, "servo": {"channel": 1}}, "unknown parameter servo/channel is 1"),  # throttle_arb's
+])
+def test_bad_parameter_is_refused_by_name(parameters, text):
+    with pytest.raises(ConfigError, match=re.escape(text)):
+        Converter(parameters)
+
+
+@pytest.mark.parametrize("parameters", [{"convert_value_cmd": False}, {"use_value_ff": False}])
+def test_passthrough_is_clamped_and_needs_neither_map_nor_odometry(parameters):
+    converter = Converter(parameters)
+    assert converter.command(1.5, 100.0, -100.0, 0.0) == [1.5, HIGHEST, LOWEST, 0.0]
+    assert converter.warnings() == []
+
+
+def test_map_with_values_beyond_the_limits_of_the_output_is_warned_of():
+    assert re.fullmatch(r".*value_map\.csv has values from \S+ to \S+; min_value and max_value clamp them to -5 to 1",
+                        Converter(max_value=1.0).warnings()[0])
+    assert Converter().warnings() == []

@@ -1,0 +1,323 @@
+"""A person's hands on the gamepad of a virtual car that a planner drives: who has which actuator, and what it does."""
+from __future__ import annotations
+
+import logging
+import re
+
+import pytest
+from car_interface.msg import SteeringState, ThrottleState
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_msgs.msg import Float32
+
+from car import THIRD, Car
+
+SPEED_MPS, RADIUS_M = 1.5, 5.0
+HOLD_S = 0.5
+NOISE_MPS = 0.02
+JOY_S = 0.02
+DEADMEN = [{"autonomous": True}, {"third": True}]  # the third one: the human steers
+TELEOP, PLANNER = ThrottleState.TELEOP, ThrottleState.PLANNER
+
+
+class Drive:
+    """A whole car whose ESC is known, its planner, and two hands."""
+
+    def __init__(self):
+        self.car = Car()
+        self.graph, self.pad, self.joy = self.car.graph, self.car.pad, self.car.joy
+        self.car.whole("speed", throttle={"esc": {"profile": "brake_then_reverse"}}, teleop={"third_button": THIRD},
+                       esc_kind="brake_then_reverse", obstacles=False, collisions=False)
+        self.ask(0.0)
+        self.graph.run(2.5)  # for the ESC, and for the e-stop
+
+    def ask(self, speed_mps):
+        """Have the planner drive on a circle to the left."""
+        self.graph.hold("/av_turnrad_req", Float32(RADIUS_M), 20)
+        self.graph.hold("/av_speed_req", Float32(speed_mps), 20)
+
+    def run(self, duration_s=0.1):
+        self.graph.run(duration_s)
+        return self
+
+    def until(self, condition, within_s=8.0):
+        """When that is so."""
+        return self.graph.run_until(condition, within_s)
+
+    def hold(self, lasts_s=0.1, **what):
+        """Hold buttons and sticks."""
+        self.pad(**what)
+        self.graph.run(lasts_s)
+
+    def press(self, **what):
+        """The same, after all deadmen were let go."""
+        self.hold(**{name: value for name, value in what.items() if name not in ("manual", "autonomous", "third")})
+        self.hold(**what)
+
+    def play(self, *throttles, **held):
+        """Give the throttle's stick a value for each message; the last one stays."""
+        for throttle in throttles:
+            self.hold(JOY_S, throttle=throttle, **held)
+
+    def drive(self, **deadman):
+        """Let the planner drive, until it does."""
+        self.ask(SPEED_MPS)
+        self.press(**deadman or {"autonomous": True})
+        self.until(lambda: self.speed > 0.9 * SPEED_MPS)
+        assert self.throttle.source == PLANNER
+
+    def comes_back(self, **what):
+        """A gamepad that was away: nothing is known of its axes."""
+        self.joy(False)
+        self.until(lambda: self.teleop.cause == "joy silent")
+        self.pad(**what)
+        self.joy()
+        self.until(lambda: self.teleop.cause == "no deadman")
+
+    @property
+    def speed(self):
+        return self.car.speed_mps
+
+    def speeds(self, since_ns):
+        return [message.twist.twist.linear.x for message in self.graph.messages("/car_sim/truth", since_ns)]
+
+    @property
+    def steering(self):
+        return self.graph.newest("/turn_arb/state")
+
+    @property
+    def throttle(self):
+        return self.graph.newest("/throttle_arb/state")
+
+    @property
+    def teleop(self):
+        return self.graph.newest("/teleop_logi/state")
+
+    def stands(self):
+        return self.speed == 0.0
+
+    def states(self, node, since_ns):
+        return self.graph.messages(f"/{node}/state", since_ns)
+
+    def sources(self, node, since_ns):
+        return {state.source for state in self.states(node, since_ns)}
+
+    def logged(self, node, pattern, since_ns):
+        return any(re.search(pattern, line) for line in self.graph.lines(f"/{node}", since_ns))
+
+
+@pytest.fixture
+def drive():
+    return Drive()
+
+
+# --- the throttle ---
+
+@pytest.mark.parametrize("deadman", DEADMEN, ids=["autonomous", "third"])
+def test_pull_brakes_under_each_planner_s_deadman_and_the_planner_gets_it_back(drive, deadman):
+    drive.drive(**deadman)
+    pulled_ns = drive.graph.now_ns
+    drive.pad(throttle=-1.0, **deadman)
+    braked_ns = drive.until(lambda: drive.throttle.esc == "BRAKING")
+    assert braked_ns - pulled_ns <= 20_000_000 + 1_000_000  # the gamepad's period, and the report's delay
+    assert (drive.throttle.source, drive.throttle.cause, drive.throttle.asked) == (TELEOP, "override", -1.0)
+    drive.until(drive.stands)
+    assert drive.logged("teleop_logi", r"the throttle stick overrides the planner by -1\.00", pulled_ns)
+    assert drive.logged("throttle_arb", r"^TELEOP: tele_throt_req is -1\.000, .*it overrides the planner", pulled_ns)
+    centered_ns = drive.graph.now_ns
+    drive.pad(**deadman)
+    back_ns = drive.until(lambda: drive.throttle.source == PLANNER)
+    assert HOLD_S <= (back_ns - centered_ns) / 1e9 <= HOLD_S + 0.08
+    drive.until(lambda: drive.speed > 0.5)
+    assert min(drive.speeds(pulled_ns)) > -NOISE_MPS
+
+
+def test_pull_never_becomes_reverse_however_often_and_by_hand_it_does(drive):
+    drive.press(autonomous=True)
+    since_ns = drive.graph.now_ns
+    for repeat in (3, 10, 40):  # messages, of 20 ms
+        drive.play(*([-1.0] * repeat + [0.0] * repeat) * 3, autonomous=True)
+    drive.hold(2.0, autonomous=True, throttle=-1.0)
+    assert set(drive.speeds(since_ns)) == {0.0}
+    assert "override" in {state.cause for state in drive.states("throttle_arb", since_ns)}
+    # The human takes over while the stick is pulled: nothing before it was centered and pulled twice.
+    for sticks in ({"autonomous": True, "throttle": -1.0}, {}, {"throttle": -1.0}):
+        drive.hold(0.8, manual=True, **sticks)
+        assert (drive.throttle.mode, drive.throttle.asked < -0.9) == ("manual", "throttle" in sticks)
+    assert "REVERSE" not in {state.esc for state in drive.states("throttle_arb", since_ns)}
+    drive.hold(0.8, manual=True)
+    drive.pad(manual=True, throttle=-1.0)
+    drive.until(lambda: drive.speed < -0.3)
+    # And back, while it rolls backward: a pull brakes, and no more.
+    drive.hold(0.3, autonomous=True, throttle=-1.0)
+    assert (drive.throttle.mode, drive.throttle.cause) == ("autonomous", "override")
+    drive.until(drive.stands)
+
+
+def test_push_drives_and_a_pull_stops_a_planner_that_reverses(drive):
+    drive.ask(-2.5)
+    drive.press(autonomous=True)
+    drive.until(lambda: drive.speed < -2.2)
+    drive.pad(autonomous=True, throttle=-1.0)
+    since_ns = drive.until(lambda: drive.throttle.cause == "override" and drive.throttle.esc == "BRAKING")
+    drive.until(drive.stands)
+    speeds = drive.speeds(since_ns)
+    assert min(after - before for before, after in zip(speeds, speeds[10:])) > -NOISE_MPS
+    drive.pad(autonomous=True, throttle=0.8)
+    drive.until(lambda: drive.speed > 0.3)
+
+
+def test_push_that_is_centered_and_trembles_at_the_edge_keeps_the_throttle(drive):
+    drive.drive()
+    drive.hold(autonomous=True, throttle=0.4)
+    assert drive.throttle.cause == "override"
+    since_ns = drive.graph.now_ns
+    drive.play(*[0.09, 0.11] * 50, *([0.09] * 10 + [0.11] * 10) * 5, autonomous=True)
+    assert drive.sources("throttle_arb", since_ns) == {TELEOP}
+    assert {state.throttle_stick for state in drive.states("teleop_logi", since_ns)} == {"override"}
+    drive.hold(0.7, autonomous=True)
+    assert drive.throttle.source == PLANNER
+
+
+# --- the steering ---
+
+def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive):
+    drive.drive()
+    assert drive.steering.source == SteeringState.PLANNER
+    since_ns = drive.graph.now_ns
+    drive.hold(0.15, autonomous=True, steering=-0.8)
+    assert (drive.steering.source, drive.steering.reason) == (
+        SteeringState.TELEOP, "tele_steer_req is -0.800: it overrides the planner")
+    assert drive.steering.turn_radius < 0 and drive.steering.duty == 6380
+    assert drive.logged("teleop_logi", r"the steering stick overrides the planner by -0\.80", since_ns)
+    centered_ns = drive.graph.now_ns
+    drive.pad(autonomous=True)
+    back_ns = drive.until(lambda: drive.steering.source == SteeringState.PLANNER)
+    assert HOLD_S <= (back_ns - centered_ns) / 1e9 <= HOLD_S + 0.08
+    assert drive.sources("throttle_arb", since_ns) == {PLANNER}
+
+
+def test_sticks_that_drift_override_nothing(drive):
+    drive.drive()
+    since_ns = drive.graph.now_ns
+    for drift in (0.03, -0.05, 0.07, 0.09, -0.09):
+        drive.hold(0.5, autonomous=True, steering=drift, throttle=drift)
+    assert drive.sources("turn_arb", since_ns) == {SteeringState.PLANNER}
+    assert drive.sources("throttle_arb", since_ns) == {PLANNER}
+
+
+# --- two deadmen, and sticks that were held before ---
+
+def test_with_both_buttons_the_human_has_both_and_letting_one_go_hands_over_at_once(drive):
+    drive.drive()
+    drive.hold(autonomous=True, manual=True, steering=0.6, throttle=0.5)
+    assert (drive.throttle.source, drive.throttle.cause, drive.steering.source) == (
+        TELEOP, "teleop", SteeringState.TELEOP)
+    drive.hold(autonomous=True, steering=0.6, throttle=0.5)
+    assert (drive.teleop.cause, drive.teleop.steering_stick, drive.teleop.throttle_stick) == (
+        "autonomous", "off center", "off center")
+    assert (drive.throttle.source, drive.steering.source) == (PLANNER, SteeringState.PLANNER)
+    for held, cause in (({}, "override"), ({"manual": True}, "teleop")):
+        drive.hold(autonomous=True, throttle=-0.7, **held)  # straight to a pull
+        assert (drive.throttle.cause, drive.throttle.asked < -0.5) == (cause, True)
+
+
+def test_sticks_that_were_held_at_the_press_override_nothing_but_by_a_pull_until_centered(drive):
+    drive.ask(SPEED_MPS)
+    since_ns = drive.graph.now_ns
+    drive.press(autonomous=True, steering=0.7, throttle=0.9)
+    drive.until(lambda: drive.speed > 0.9 * SPEED_MPS)
+    assert (drive.throttle.source, drive.steering.source) == (PLANNER, SteeringState.PLANNER)
+    assert drive.logged("teleop_logi", "the throttle stick, at 0.90, was off its center when the deadman was", since_ns)
+    drive.hold(autonomous=True)
+    assert (drive.teleop.steering_stick, drive.teleop.throttle_stick) == ("", "")
+    drive.hold(autonomous=True, throttle=0.9)
+    assert (drive.throttle.cause, drive.throttle.asked > 0.5) == ("override", True)
+    drive.press(autonomous=True, throttle=-0.9)
+    assert (drive.throttle.cause, drive.throttle.asked < -0.5) == ("override", True)
+    drive.until(drive.stands)
+
+
+# --- what is no stick ---
+
+def test_trigger_in_the_place_of_the_throttle_s_stick_never_drives(drive):
+    drive.ask(SPEED_MPS)
+    drive.comes_back(throttle=1.0)
+    since_ns = drive.graph.now_ns
+    drive.press(manual=True, throttle=1.0)
+    assert drive.throttle.cause == "teleop not finite"
+    assert drive.throttle.reason == (
+        "tele_throt_req is nan, no number to act on: manual deadman held; the gamepad's throttle_axis 4 is 1.00 and was "
+        "not seen at its rest: it doesn't count")
+    drive.play(0.5, 0.0, -0.5, -1.0, -0.5, 0.0, 0.5, 1.0, manual=True)  # pressed, and let go
+    drive.run(1.0)
+    assert set(drive.speeds(since_ns)) == {0.0}
+    assert TELEOP not in drive.sources("throttle_arb", since_ns)
+    assert any(re.search("throttle_axis 4 is 1.00 and was not seen at its rest.*Let go of the stick. If the axis stays "
+                         "where it is, it is a trigger", line)
+               for line in drive.graph.lines("/teleop_logi", since_ns, logging.WARNING))
+    report = drive.graph.report("teleop_logi: gamepad")
+    assert report.level == DiagnosticStatus.WARN and "not seen at its rest" in report.message
+    drive.press(autonomous=True, throttle=1.0)
+    drive.until(lambda: drive.speed > 0.9 * SPEED_MPS)
+    assert drive.throttle.source == PLANNER
+
+
+def test_trigger_that_rests_at_the_brake_s_end_brakes_and_never_reverses(drive):
+    drive.ask(SPEED_MPS)
+    drive.comes_back(throttle=-1.0)
+    since_ns = drive.graph.now_ns
+    drive.press(autonomous=True, throttle=-1.0)
+    assert drive.throttle.cause == "override"
+    for _ in range(3):
+        drive.play(*[-0.5, 0.0, 0.5, 1.0, 0.5, 0.0, -0.5, -1.0], autonomous=True)
+    drive.run(1.0)
+    assert drive.teleop.throttle_stick == "not at rest"
+    assert min(drive.speeds(since_ns)) > -NOISE_MPS
+
+
+def test_cross_of_a_gamepad_in_d_mode_drives_nothing_by_hand(drive):
+    d_mode = {"axes": 6, "buttons": 12}
+    drive.comes_back(**d_mode)
+    drive.press(manual=True, **d_mode)
+    since_ns = drive.graph.now_ns
+    for cross in (1.0, 0.0, -1.0, 0.0, -1.0):
+        drive.hold(0.5, manual=True, throttle=cross, **d_mode)
+    assert set(drive.speeds(since_ns)) == {0.0}
+    assert "throttle_axis 4 is where a gamepad with 6 axes and 12 buttons has its cross" in drive.teleop.reason
+    drive.hold()
+    assert drive.teleop.throttle_stick == ""
+
+
+# --- stop and go ---
+
+def fires(distances, sequence):
+    """Whether the newest reports are of the sonars of a sequence, twice in its order."""
+    sensors = [record.message.sensor for record in distances[-3 * len(sequence):]]
+    return any(sensors[begin:begin + 2 * len(sequence)] == 2 * sequence for begin in range(len(sequence)))
+
+
+def test_car_sets_off_again_after_each_stop_with_odometry_and_all_sonars_while_it_stands():
+    """The throttle needs odometry that is not older than half a second. Sonars ahead fire more often as it drives."""
+    ahead, everywhere = [1, 0, 1, 2, 1, 4], list(range(6))
+    car = Car()
+    graph = car.graph
+    graph.record("/odom", "/teensy_distance")
+    car.whole("speed", hub={"sonar_sequence_ahead": ahead}, obstacles=False, collisions=False)
+    graph.hold("/av_turnrad_req", Float32(300.0), 20)
+    graph.run(2.5)
+    car.pad(autonomous=True)
+    for _ in range(2):
+        for speed_mps in (1.5, 0.0):
+            graph.hold("/av_speed_req", Float32(speed_mps), 20)
+            graph.run_until(lambda speed_mps=speed_mps: abs(car.speed_mps - speed_mps) < 0.1, 6.0)
+            graph.run_until(lambda speed_mps=speed_mps: fires(graph.recorded["/teensy_distance"],
+                                                              ahead if speed_mps else everywhere), 6.0)
+            assert graph.newest("/odom").twist.twist.linear.x == pytest.approx(car.speed_mps, abs=0.2)
+        graph.run_until(lambda: car.speed_mps == 0.0, 3.0)
+        since_ns = graph.now_ns
+        graph.run(1.5)  # longer than any timeout in the chain
+        times = [record.at_ns for record in graph.recorded["/odom"] if record.at_ns >= since_ns]
+        assert max(after - before for before, after in zip(times, times[1:])) < 500_000_000
+        assert graph.newest("/odom").twist.twist.linear.x == 0.0
+    seen, real = graph.newest("/odom").pose.pose.position, car.truth().pose.pose.position
+    assert abs(complex(seen.x - real.x, seen.y - real.y)) < 0.1

@@ -1,0 +1,384 @@
+"""What waits for a node's thread, and what becomes of the node when that is too much: all that was heard is lost."""
+from __future__ import annotations
+
+import logging
+import re
+import threading
+import time
+
+import pytest
+import rospy
+from car_interface.msg import Control, Float64Stamped, SteeringState
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy, Temperature
+from std_msgs.msg import Bool, Float32, Int32MultiArray
+
+from car import Car
+from car_interface.common.causes import INHIBITS
+from car_interface.ros.inbox import Inbox
+from graph import NodeClocks, TopicPublisher
+
+LIMIT = 20  # of the inboxes in here
+LEFT, CENTER = 3800, 5100
+ESC_NEUTRAL, ESC_FULL = 4915, 6554
+LET_GO = "messages were dropped; let go once: publish false, then true"
+
+
+class Queue:
+    """An inbox for 5 items, and what a node's thread took out of it."""
+
+    def __init__(self):
+        self.inbox = Inbox(limit=5)
+        self.taken = []
+        self.inbox.on_overflow(lambda now_ns: self.taken.append("overflow"))
+
+    def put(self, *items):
+        for item in items:
+            self.inbox.put(lambda item, now_ns: self.taken.append(item), item)
+
+    def take(self):
+        self.inbox.dispatch()
+        return self.taken
+
+
+@pytest.fixture
+def queue():
+    return Queue()
+
+
+def test_inbox_that_is_full_has_lost_nothing(queue):
+    queue.put(*range(5))
+    assert queue.take() == [0, 1, 2, 3, 4]
+    assert queue.inbox.dropped == 0 and not queue.inbox.overflowed_recently(time.monotonic_ns())
+
+
+@pytest.mark.parametrize("count", [6, 7, 9, 10, 100])
+def test_inbox_that_overflows_drops_all_that_waits_says_so_once_and_goes_on_with_what_is_newer(queue, count):
+    queue.put(*range(count))
+    taken = list(queue.take())
+    assert taken == ["overflow", *range(count - len(taken) + 1, count)] and len(taken) <= 5
+    assert queue.inbox.dropped == count - len(taken) + 1  # each item once
+    assert queue.inbox.overflowed_recently(time.monotonic_ns())
+    queue.put("more")
+    assert queue.take() == [*taken, "more"]
+
+
+def test_overflow_is_an_error_in_the_log_at_most_every_ten_seconds(queue, graph):
+    for _ in range(3):
+        queue.put(*range(6))
+        queue.take()
+    assert graph.lines(level=logging.ERROR) == [
+        "the inbox of this node overflowed: messages were dropped, 5 in all; all that was heard before counts as lost"]
+
+
+def test_request_that_is_dropped_is_answered_with_an_error(queue):
+    answers = []
+
+    def ask():
+        with pytest.raises(rospy.ServiceException) as error:
+            queue.inbox.ask(lambda request, done: done.set_result(request), "request")
+        answers.append(str(error.value))
+    thread = threading.Thread(target=ask, daemon=True)
+    thread.start()
+    while queue.inbox.is_empty:
+        time.sleep(0.001)
+    queue.put(*range(5))
+    thread.join(30)
+    assert answers == ["the node was held up for too long: messages were dropped, and this request with them"]
+    assert queue.take() == ["overflow", 4]
+
+
+def test_items_of_several_threads_are_taken_or_counted(queue):
+    threads = [threading.Thread(target=lambda: queue.put(*range(2000))) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        queue.take()
+    queue.take()
+    assert sum(item != "overflow" for item in queue.taken) + queue.inbox.dropped == 6000
+
+
+# --- nodes whose inboxes overflow: each is driven by what it heard, and stops with the messages that it couldn't take ---
+
+class SmallCar(Car):
+    """Its nodes have small inboxes."""
+
+    def __init__(self):
+        super().__init__()
+        self.graph.record("/servo/cmdVector", "/teleop_logi/human_in_loop", "/generic/output/value",
+                          "/generic_value_converter/state")
+        add = self.graph.add
+        self.graph.add = lambda *arguments: add(*arguments, inbox_limit=LIMIT)
+
+    def send(self, topic, *messages):
+        for message in messages:
+            self.graph.publish(topic, message)
+        self.graph.run(0.02)
+
+    def flood(self, topic, message):
+        """More than the inbox holds; then the node's thread has its turn."""
+        self.graph.flood(topic, message, LIMIT + 1)
+        self.graph.run(0.02)
+
+    def deadman(self, *held):
+        self.send("/teleop_logi/human_in_loop", *map(Bool, held))
+
+    @property
+    def command(self):
+        return self.graph.newest("/servo/cmdVector").data
+
+
+@pytest.fixture
+def small():
+    return SmallCar()
+
+
+def test_turn_arb_that_loses_messages_centers_until_the_deadman_was_let_go(small):
+    small.turn_arb(grant_at_start=True, e_stop_timeout=0, input_timeout=0)
+    small.send("/teleop_logi/tele_steer_req", Float32(1.0))
+    small.deadman(True)
+    assert small.command[0] == LEFT
+    small.flood("/av_turnrad_req", Float32(5.0))
+    assert small.command[0] == CENTER
+    since_ns = small.graph.now_ns + 1
+    small.send("/teleop_logi/tele_steer_req", Float32(0.9))
+    small.deadman(True)
+    small.graph.run(2.0)
+    assert {vector.data[0] for vector in small.graph.messages("/servo/cmdVector", since_ns)} == {CENTER}
+    report = small.graph.report("turn_arb: steering")
+    assert report.level == DiagnosticStatus.ERROR and "the inbox of this node overflowed" in report.message
+    assert int(report.values["messages dropped by its inbox"]) >= LIMIT
+    small.deadman(False, True)
+    assert small.command[0] == 3930
+
+
+def test_throttle_arb_that_loses_messages_has_the_esc_at_neutral_until_the_deadman_was_let_go(small):
+    small.throttle_arb(grant_at_start=True, e_stop_timeout=0, human_timeout=0, steering_timeout=0, command_timeout=0,
+                       odometry_timeout=0, output_required=False)
+
+    def all_heard(*deadman):
+        small.send("/turn_arb/state", SteeringState(source=SteeringState.TELEOP))
+        small.send("/odom", Odometry())
+        small.send("/generic/output/value", Float64Stamped(data=100.0))
+        small.deadman(*deadman)
+    all_heard(False, True)
+    small.graph.run(2.0)
+    assert small.command[1] == ESC_FULL
+    small.flood("/odom", Odometry())
+    assert small.command[1] == ESC_NEUTRAL
+    all_heard(True)
+    small.graph.run(2.0)
+    assert small.command[1] == ESC_NEUTRAL
+    all_heard(False, True)
+    assert small.command[1] == ESC_FULL
+
+
+def pressed(button):
+    return Joy(axes=[0.0] * 8, buttons=[0] * 4 + [button] + [0] * 6)
+
+
+def test_teleop_logi_that_loses_messages_holds_nothing_until_all_deadmen_were_let_go(small):
+    small.teleop(joy_timeout=3600)
+    small.send("/joy", pressed(0), pressed(1))
+
+    def holds():
+        return small.graph.newest("/teleop_logi/human_in_loop").data
+    assert holds()
+    small.flood("/joy", pressed(1))
+    assert not holds()
+    small.send("/joy", pressed(0), pressed(1))
+    assert holds()
+
+
+def test_converter_that_loses_messages_has_no_value_until_it_hears_the_speed(small):
+    small.converter(odometry_timeout=0)
+    small.send("/odom", Odometry())
+    small.send("/control/command/control_cmd", Control())
+    assert len(small.graph.messages("/generic/output/value")) == 1
+    small.flood("/control/command/control_cmd", Control())
+    assert len(small.graph.messages("/generic/output/value")) == 1
+    assert small.graph.newest("/generic_value_converter/state").reason == (
+        "odometry was not heard since messages were dropped")
+    small.send("/odom", Odometry())
+    small.send("/control/command/control_cmd", Control())
+    assert len(small.graph.messages("/generic/output/value")) == 2
+
+
+def test_pca9685_that_loses_messages_has_each_channel_at_its_timeout_value_until_a_new_command(small):
+    small.pca9685(timeout=0)
+    left = Int32MultiArray(data=[LEFT] + [-1] * 15)
+    small.send("/servo/cmdVector", left)
+    assert small.graph.newest("/servo/output").data[0] == 3808
+    small.flood("/command", Int32MultiArray(data=[-1] * 15 + [9600]))
+    output = small.graph.newest("/servo/output").data
+    assert (output[0], output[15]) == (5104, 9600)
+    small.send("/servo/cmdVector", left)
+    assert small.graph.newest("/servo/output").data[0] == 3808
+
+
+def test_teensy_sensor_hub_that_loses_messages_no_longer_knows_the_commanded_turn(small):
+    small.hub()
+    for lost, turn in ((False, "2.00 m"), (True, "nan m")):
+        small.graph.run(0.95)
+        small.send("/turn_arb/state", SteeringState(turn_radius=2.0))
+        small.flood("/temperature" if lost else "/elsewhere", Temperature(temperature=20.0))
+        small.graph.run(0.01)
+        report = small.graph.report("teensy_sensor_hub: steering by the wheels", small.graph.now_ns)
+        assert report.values["commanded turn radius"] == turn
+
+
+@pytest.mark.parametrize("stall_s", [0.6, 1.5])
+def test_turn_arb_that_is_held_up_takes_all_for_lost_says_so_and_drives_only_when_it_was_re_armed(small, stall_s):
+    """Its thread stands still, while rospy's go on hearing. An e-stop is among the dropped."""
+    graph = small.graph
+    node = small.turn_arb()
+    graph.hold("/teleop_logi/tele_steer_req", Float32(1.0), 200)
+    graph.hold("/e_stop", Bool(False), 200)
+
+    def hold(held):
+        graph.hold("/teleop_logi/human_in_loop", Bool(held), 200)
+        graph.run(0.1)
+
+    def state():
+        return graph.newest("/turn_arb/state")
+    hold(False)
+    hold(True)
+    assert state().duty == LEFT
+    stalled_ns = graph.now_ns
+    node.stall(stall_s)
+    graph.silence("/e_stop")
+    graph.publish("/e_stop", Bool(True))
+    graph.run(0.1)
+    refused = []
+
+    def tune():
+        with pytest.raises(rospy.ServiceException) as error:
+            graph.reconfigure("/turn_arb", servo_center=5200)
+        refused.append(str(error.value))
+    tune()
+    graph.run(stall_s + 0.5)
+    after = graph.messages("/turn_arb/state", stalled_ns + 1)
+    assert {state.duty for state in after} == {CENTER}
+    assert (state().source, state().reason) == (
+        SteeringState.LOCKED, "e_stop was not heard since messages were dropped")
+    assert "held up for too long: messages were dropped" in refused[0]
+    text = [line for line in graph.lines("/turn_arb", stalled_ns, logging.ERROR) if "overflowed" in line]
+    assert len(text) == 1 and text[0].endswith("in all; all that was heard before counts as lost")
+    graph.hold("/e_stop", Bool(False), 200)
+    graph.run(0.1)
+    assert state().reason == LET_GO
+    hold(False)
+    hold(True)
+    assert state().duty == LEFT
+
+
+# --- nodes that stood still ---
+
+MEANWHILE = (False, False, False, True, True, True, False)  # the deadman is released and held again, and released
+
+
+DRIVES = {3830}, {5412}  # 2 m to the left; 1 m/s² at 1 m/s by the map
+STANDS = {CENTER}, {ESC_NEUTRAL}
+
+
+class FrozenCar:
+    """A car that a planner drives, whose processes are frozen."""
+
+    NODES = ("turn_arb", "converter", "throttle_arb", "pca9685")
+
+    def __init__(self, e_stop_is_latched=False, **arbiters):
+        self.car = Car()
+        self.graph = self.car.graph
+        self.graph.record("/servo/cmdVector")
+        for name in self.NODES:
+            getattr(self.car, name)(**arbiters if name.endswith("_arb") else {})
+        self.e_stop = TopicPublisher(self.graph, "/lock", "/e_stop", Bool, e_stop_is_latched, NodeClocks(self.graph))
+        self.e_stop.publish(Bool(False))
+        command, odometry = Control(), Odometry()
+        command.longitudinal.acceleration = odometry.twist.twist.linear.x = 1.0
+        for topic, message in (("/av_turnrad_req", Float32(2.0)), ("/control/command/control_cmd", command),
+                               ("/odom", odometry), *([] if e_stop_is_latched else [("/e_stop", Bool(False))])):
+            self.graph.hold(topic, message, 50)
+        self.arm()
+
+    def arm(self):
+        """Let go and hold again: it drives."""
+        for held, lasts_s in ((False, 1.1), (True, 0.6)):
+            self.graph.hold("/teleop_logi/human_in_loop", Bool(held), 50)
+            self.graph.run(lasts_s)
+        assert self.duties(self.graph.now_ns - 50_000_000) == DRIVES
+
+    def duties(self, since_ns):
+        """Those of the steering and of the ESC."""
+        return tuple({vector.data[channel] for vector in self.graph.messages("/servo/cmdVector", since_ns)} - {-1}
+                     for channel in (0, 1))
+
+    def freeze(self, seconds, *names, meanwhile=MEANWHILE, after_step=False):
+        """Freeze processes; in the middle of it the human does something. Return when they went on."""
+        for name in names:
+            self.graph.nodes[f"/{name}"].stall(seconds, frozen=True, after_step=after_step)
+        self.graph.run(seconds / 2)
+        if meanwhile and not meanwhile[-1]:
+            self.graph.silence("/teleop_logi/human_in_loop")
+        for held in meanwhile:
+            self.graph.publish("/teleop_logi/human_in_loop", Bool(held))
+        self.graph.run(seconds / 2 - 1e-9)
+        return self.graph.now_ns
+
+
+ALL = ("turn_arb", "generic_value_converter", "throttle_arb", "pca9685")
+
+
+@pytest.mark.parametrize("after_step", [False, True])
+@pytest.mark.parametrize("seconds", [0.55, 3.0])
+@pytest.mark.parametrize("names, duties", [(("turn_arb",), STANDS), (("throttle_arb",), (DRIVES[0], STANDS[1])),
+                                           (ALL, STANDS)], ids=["turn_arb", "throttle_arb", "all"])
+def test_node_that_was_frozen_obeys_nothing_that_was_sent_meanwhile(names, duties, seconds, after_step):
+    frozen = FrozenCar()
+    graph = frozen.graph
+    since_ns = frozen.freeze(seconds, *names, after_step=after_step,
+                             meanwhile=(False, True) if duties[0] == DRIVES[0] else MEANWHILE)
+    graph.run(1.2)
+    assert frozen.duties(since_ns + 1) == duties
+    for name in names:  # but the converter, which acts once a second
+        lines = graph.lines(f"/{name}", since_ns, logging.WARNING)
+        assert any(line.startswith("node stood still for ") for line in lines) or "converter" in name and seconds < 1, name
+    if "turn_arb" in names:
+        states = graph.messages("/turn_arb/state", since_ns)
+        assert {state.cause for state in states} <= INHIBITS
+        assert re.fullmatch(r"node stood still for \d\.\d\d s: what was sent meanwhile is dropped; what is sent from now on "
+                            "counts", graph.lines("/turn_arb", since_ns, logging.WARNING)[0])
+        assert any("messages were dropped" in state.reason for state in states)
+    report = graph.report(f"{names[0]}: {'steering' if names[0] == 'turn_arb' else 'throttle'}", since_ns)
+    assert report.level >= DiagnosticStatus.WARN and "node stood still for" in report.message
+    assert int(report.values["messages dropped after it stood still"]) > 0
+    frozen.arm()
+
+
+def test_deadman_that_is_held_all_the_time_has_to_be_let_go_after_a_standstill():
+    frozen = FrozenCar()
+    since_ns = frozen.freeze(3.0, "turn_arb", meanwhile=())
+    frozen.graph.run(1.0)
+    assert frozen.graph.newest("/turn_arb/state").reason == LET_GO
+    assert frozen.duties(since_ns) == STANDS
+    frozen.arm()
+
+
+@pytest.mark.parametrize("seconds", [0.25, 0.45])
+def test_delays_of_a_busy_computer_change_nothing(seconds):
+    frozen = FrozenCar()
+    for _ in range(5):
+        since_ns = frozen.freeze(seconds, "turn_arb", meanwhile=())
+        frozen.graph.run(0.3)
+        assert CENTER not in frozen.duties(since_ns)[0]
+    assert frozen.graph.lines("/turn_arb", since_ns - 10 ** 10, logging.WARNING) == []
+
+
+def test_e_stop_that_is_latched_and_sent_once_still_counts_after_a_standstill():
+    frozen = FrozenCar(e_stop_is_latched=True, e_stop_timeout=0)
+    frozen.freeze(3.0, "turn_arb")
+    frozen.arm()
+    frozen.e_stop.publish(Bool(True))
+    frozen.graph.run(0.0)
+    assert frozen.graph.newest("/servo/cmdVector").data[0] == CENTER

@@ -1,0 +1,98 @@
+"""The examples of docs/planners.md, each on a virtual car: what it does with them, and what when they die."""
+from __future__ import annotations
+
+import runpy
+import sys
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from car import CENTER, ESC, STEERING, Car
+from car import ESC_NEUTRAL as NEUTRAL
+from car_interface.common import causes
+from graph import NS_PER_S, Graph, NodeClocks, TopicPublisher
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+
+
+class Program:
+    """A program of its own: a rospy script whose ``Rate`` waits for the graph's clock.
+
+    Args:
+        monkeypatch: has the script import this in place of rospy.
+        name: of the example.
+    """
+
+    def __init__(self, graph: Graph, monkeypatch, name: str, *arguments: str):
+        self.name, self.last_ns, self._graph, self._is_over = f"/{name}", 0, graph, False
+        self._goes, self._waits = threading.Semaphore(0), threading.Semaphore(0)
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        monkeypatch.setitem(sys.modules, "rospy", SimpleNamespace(
+            init_node=lambda name: None, Publisher=self._publisher, Rate=self._rate, Time=SimpleNamespace(
+                now=NodeClocks(graph).ros_now), is_shutdown=lambda: self._is_over, ROSInterruptException=KeyError))
+        threading.Thread(target=runpy.run_path, args=(str(EXAMPLES / f"{name}.py"),), daemon=True).start()
+        self._waits.acquire()
+
+    def _publisher(self, topic, message_type, queue_size, latch=False):
+        topic = f"/{topic}".replace("/control/command/", "/autoware/")
+        return TopicPublisher(self._graph, self.name, topic, message_type, latch, NodeClocks(self._graph))
+
+    def _rate(self, rate_hz):
+        def sleep():
+            self.last_ns = self._graph.now_ns
+            self._graph.after(1 / rate_hz, self._go)
+            self._waits.release()
+            self._goes.acquire()
+        return SimpleNamespace(sleep=sleep)
+
+    def _go(self):
+        if not self._is_over:
+            self._goes.release()
+            self._waits.acquire()
+
+    def kill(self):
+        """End it without a word."""
+        self._is_over = True
+        self._goes.release()
+        self._graph.drop(self.name)
+
+
+@pytest.mark.parametrize("source, example, arguments, speed, curvature", [
+    ("drive", "f1tenth_drive", (), 1.0, 0.5),
+    ("cmd_vel", "cmd_vel", (), 0.5, 0.5),
+    ("cmd_vel", "cmd_vel", ("--back",), -0.5, 0.5),
+    ("autoware", "autoware_control", (), 1.0, -0.5),
+    ("autoware", "autoware_control", ("--back",), -1.0, -0.5),
+    ("speed", "end_to_end", (), 0.8, -0.485),  # duty 6652, by the virtual car's own curve
+], ids=lambda value: " ".join(value) if isinstance(value, tuple) else None)
+def test_example_drives_the_car_and_its_end_stops_it_within_its_timeout(monkeypatch, source, example, arguments, speed,
+                                                                        curvature):
+    car = Car().whole(source, collisions=False)
+    graph = car.graph
+    graph.record("/planner_interface/state")
+    graph.run(1.5)  # the ESC is armed
+    car.pad(autonomous=True)
+    program = Program(graph, monkeypatch, example, *arguments)
+    graph.run(6.0)
+    first_ns = graph.now_ns
+    graph.run(1.0)
+    twists = [message.twist.twist for message in graph.messages("/car_sim/truth", first_ns)]
+    assert sum(twist.linear.x for twist in twists) / len(twists) == pytest.approx(speed, rel=0.03)
+    # A count of the servo board is a sixth of it where the shipped table is steep.
+    assert sum(twist.angular.z / twist.linear.x for twist in twists) / len(twists) == pytest.approx(curvature, rel=0.2)
+    assert {message.cause for message in graph.messages("/planner_interface/state", first_ns)} == {"planner"}
+    if source == "speed":
+        assert graph.newest("/turn_arb/state").reason == "av_steer_req is -0.970"
+    program.kill()
+    def is_neutral():
+        return all(abs(car.board.counts[channel] - rest) <= 1 for channel, rest in ((STEERING, CENTER), (ESC, NEUTRAL)))
+    assert 0 < graph.run_until(is_neutral, 1.0) - program.last_ns - NS_PER_S // 2 <= 20e6
+    graph.run(4.0)
+    assert car.speed_mps == 0.0 and is_neutral()
+    assert graph.newest("/planner_interface/state").cause == causes.PLANNER_STALE
+    assert graph.newest("/throttle_arb/state").reason.startswith(f"{source} silent for ")
+    Program(graph, monkeypatch, example, *arguments)  # it is started again, and drives while the deadman is still held
+    graph.run(2.0)
+    assert abs(car.speed_mps) > 0.3

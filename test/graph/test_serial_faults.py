@@ -1,0 +1,243 @@
+"""Every fault of the Teensy's serial line: the hub says which one it is and what to do, survives it, and goes on."""
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import pytest
+from car_interface.msg import LinkStatus
+from car_interface.srv import InjectFaultRequest
+from std_srvs.srv import TriggerRequest
+
+from graph import NS_PER_S
+
+OK, WARN, ERROR = LinkStatus.OK, LinkStatus.WARN, LinkStatus.ERROR
+LINK, REPORT = "/teensy_sensor_hub/link", "teensy_sensor_hub: Teensy link"
+SETTLED_S = 3.2
+PHASES_S = (0.0, 0.37, 0.81)  # of the fault, between two judgements
+
+
+class Line:
+    """A hub and a virtual Teensy on a line with faults."""
+
+    def __init__(self, car, hub=None, **sim):
+        self.car, self.graph = car, car.graph
+        self.graph.record(LINK, "/teensy_pong", "/teensy_distance")
+        car.sim(seed=3, **sim)
+        self.hub = car.hub(**(hub or {}))
+
+    def settled(self, phase_s=0.0):
+        self.graph.run(SETTLED_S + phase_s)
+        assert self.link.state == "fine"
+        return self
+
+    @property
+    def link(self):
+        return self.graph.newest(LINK)
+
+    def inject(self, fault, value=0.0):
+        """Begin a fault; return when."""
+        answer = self.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value))
+        assert answer.success, answer.message
+        return self.graph.now_ns
+
+    def call(self, name):
+        answer = self.graph.call(f"/teensy_sensor_hub/{name}", TriggerRequest())
+        return answer.success, answer.message
+
+    def seconds_until(self, state, within_s=30.0):
+        """Let time go on until that is the state of the link; return for how long it did."""
+        begun_ns = self.graph.now_ns
+        return (self.graph.run_until(lambda: self.link.state == state, within_s) - begun_ns) / NS_PER_S
+
+
+@pytest.fixture
+def line(car):
+    return Line(car)
+
+
+class Fault(NamedTuple):
+    """A fault of the line, what the hub makes of it and within which time, and how long that stays afterwards."""
+
+    fault: str
+    value: float
+    state: str
+    level: int
+    words: str
+    next_step: str
+    found_s: float = 3.0  # in two judgements, one a second, of a whole second each
+    ended_s: float = 3.0
+
+
+FAULTS = [
+    Fault("silence", 60, "silent", ERROR, "the port is open, but nothing comes", "TX leads to this port's RX"),
+    Fault("scramble", 60, "no frames", ERROR, "bytes a second come, but no frames", "~baud 115200"),
+    Fault("flood", 60, "no frames", ERROR, "more than 115200 baud can carry", "~baud 115200"),
+    Fault("bit_errors", 0.002, "bad checksums", WARN, "% of them are corrupt", "serial cable", 4.0, 12.0),
+    Fault("bit_errors", 0.02, "bad checksums", ERROR, "frames come, but", "serial cable", 4.0, 12.0),
+    Fault("unplug", 0, "port absent", ERROR, "there is no such port", "Plug the Teensy in", 0.3, 4.1)]
+
+
+@pytest.mark.parametrize("phase_s", PHASES_S[:2])
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: f"{fault.fault}_{fault.value}")
+def test_fault_is_told_on_the_link_and_in_the_diagnostics_and_goes_with_it(line, fault, phase_s):
+    line.settled(phase_s)
+    line.inject(fault.fault, fault.value)
+    assert line.seconds_until(fault.state) <= fault.found_s
+    line.graph.run(3.0)
+    link = line.link
+    assert (link.state, link.level, link.open) == (fault.state, fault.level, fault.fault != "unplug")
+    assert fault.words in link.words and fault.next_step in link.next_step
+    report = line.graph.report(REPORT)
+    assert report.level == fault.level and report.values["state"] == fault.state
+    assert fault.next_step in report.message and fault.words in report.message
+    line.inject("plug" if fault.fault == "unplug" else fault.fault, 0)
+    assert line.seconds_until("fine") <= fault.ended_s
+    assert line.link.level == OK
+    assert line.call("ping")[0]
+
+
+def test_fault_and_recovery_are_logged_once_each(line):
+    line.settled()
+    begun_ns = line.inject("silence", 5)
+    line.graph.run(10)
+    lines = line.graph.lines("/teensy_sensor_hub", begun_ns)
+    assert lines[0].startswith("a ping went unanswered")
+    assert lines[1:] == [
+        "Teensy on /dev/ttyAMA0: the port is open, but nothing comes from it. Check the Teensy's power and that its TX "
+        "leads to this port's RX; is it the right ~port?", line.graph.lines("/teensy_sensor_hub")[-1]]
+    assert lines[-1].startswith("Teensy on /dev/ttyAMA0: fine: ")
+
+
+def test_link_that_is_fine_says_so_and_carries_its_counters(line):
+    line.settled()
+    assert line.call("get_counters")[0]
+    line.graph.run(1.5)
+    link, report = line.link, line.graph.report(REPORT)
+    assert (link.state, link.level, link.open, link.next_step) == ("fine", OK, True, "")
+    assert link.words == f"fine: {link.words.split()[1]} frames a second"
+    assert link.frames > 0 and 0.002 <= link.round_trip <= 0.02
+    assert {counter.name: counter.count for counter in link.counters}["rxPackets"] > 0
+    assert report.message == link.words and report.values["port"] == "/dev/ttyAMA0"
+    for key in ("frames", "bad frames", "malformed frames", "unknown commands", "noise bytes", "resyncs", "reconnects",
+                "reboots", "pings", "pongs", "firmware checksum", "sonar starts"):
+        assert report.values[key] == str(getattr(link, key.replace(" ", "_")))
+    assert report.values["round trip"] == f"{1e3 * link.round_trip:.1f} ms"
+    assert int(report.values["Teensy's rxPackets"]) > 0
+
+
+@pytest.mark.parametrize("phase_s", PHASES_S)
+def test_port_unplugged_for_a_moment_comes_back_by_itself_and_is_told_at_once_both_times(line, phase_s):
+    before = line.settled(phase_s).link
+    line.inject("unplug", 0.5)
+    assert line.seconds_until("port fails") == 0
+    assert not line.link.open
+    assert 0.5 <= line.seconds_until("waiting") <= 0.61  # tried after 0.2 and 0.6 s
+    assert line.link.open
+    assert line.seconds_until("fine") <= 2.0
+    assert (line.link.reconnects, line.link.resyncs) == (before.reconnects + 1, before.resyncs + 1)
+
+
+def test_frame_cut_in_its_middle_costs_that_frame_and_no_more(line):
+    before = line.settled().link
+    line.inject("cut", 7)
+    line.graph.run(3)
+    assert line.link.bad_frames - before.bad_frames in (1, 2)
+    assert line.link.state == "fine"
+
+
+def test_flood_leaves_pings_services_and_status_going(line):
+    line.settled()
+    line.inject("flood", 60)
+    line.graph.run(5)
+    before = line.link
+    assert line.call("sonar_start")[0]
+    assert line.call("ping")[1] in ("no pong came back", "pong after 4.0 ms", "pong after 6.0 ms")
+    line.graph.run(5)
+    assert line.link.pings - before.pings >= 8
+    assert line.link.firmware_checksum == "shipped"
+    statuses = [record.at_ns for record in line.graph.recorded[LINK]][-5:]
+    assert {after - before for before, after in zip(statuses, statuses[1:])} == {NS_PER_S}
+
+
+@pytest.mark.parametrize("phase_s", PHASES_S)
+def test_receiver_out_of_step_is_back_half_a_second_after_the_first_unanswered_ping(line, phase_s):
+    before = line.settled(phase_s).link
+    begun_ns = line.inject("out_of_step")
+    pongs = len(line.graph.recorded["/teensy_pong"])
+    line.graph.run_until(lambda: len(line.graph.recorded["/teensy_pong"]) > pongs, 1.6)
+    assert 0.5 <= (line.graph.now_ns - begun_ns) / NS_PER_S <= 1.01 + 0.52
+    line.graph.run(1.0)
+    assert line.link.resyncs == before.resyncs + 1
+
+
+@pytest.mark.parametrize("phase_s", PHASES_S)
+def test_reboot_is_told_by_the_teensy_s_own_clock_and_forgotten_after_ten_seconds(line, phase_s):
+    assert line.settled(phase_s).link.reboots == 0
+    line.inject("reboot")
+    assert line.seconds_until("rebooted") <= 1.6  # with the next status
+    link = line.link
+    assert (link.level, link.reboots) == (WARN, 1)
+    assert link.words.startswith("the Teensy rebooted: its clock went from ") and "power supply" in link.next_step
+    assert 9.0 <= line.seconds_until("fine") <= 11.0
+    assert line.link.reboots == 1
+
+
+def test_pings_that_are_not_answered_while_sensors_report_point_at_the_checksum(car):
+    line = Line(car, {"firmware_checksum": "corrected", "ping_period": 0.3})
+    line.graph.run(5)
+    link = line.link
+    assert (link.state, link.level) == ("no pongs", WARN)
+    assert link.words.startswith("frames come, but none of the last ") and "~firmware_checksum" in link.next_step
+
+
+def test_port_that_is_missing_at_the_start_is_waited_for(car):
+    car.graph.record(LINK)
+    car.hub()
+    car.graph.run(5.5)
+    link = car.graph.newest(LINK)
+    assert (link.state, link.open, link.next_step) == ("port absent", False, "Plug the Teensy in")
+    assert "there is no such port" in car.graph.lines("/teensy_sensor_hub")[0]
+    car.sim()
+    car.graph.run_until(lambda: car.graph.newest(LINK).state == "fine", 4.0)
+    assert car.graph.newest(LINK).reconnects == 0
+
+
+def test_line_at_another_baud_rate_from_the_start_is_told_and_a_clock_that_wraps_is_no_reboot(car):
+    line = Line(car, clock_start_ms=4294960000)
+    line.graph.run(0)
+    line.inject("scramble", 3600)
+    assert line.seconds_until("no frames") <= 3.0
+    line.inject("scramble", 0)
+    assert line.seconds_until("fine") <= 3.0
+    line.graph.run(6)
+    ticks = [pong.timestamp2 for pong in line.graph.messages("/teensy_pong")]
+    assert max(ticks) > 2 ** 32 - 7000 and ticks[-1] < 5000
+    assert {link.reboots for link in line.graph.messages(LINK)} == {0}
+
+
+def test_flood_into_the_virtual_teensy_is_taken_at_the_line_s_pace_and_does_it_no_harm(car):
+    line = Line(car).settled()
+    turns, begun_ns = car.graph.nodes["/car_sim"].turns, line.graph.now_ns
+    car.cable.port.write(bytes(range(256)) * 400)
+    line.graph.run(4)
+    taken = 102_400 - len(car.cable.terminal.received)
+    assert 4 * 11_520 <= taken <= 4 * 11_520 + 2 * 4096
+    assert car.graph.nodes["/car_sim"].turns - turns <= 4 * 500 + 200
+    line.graph.run(10)
+    assert line.graph.messages("/teensy_distance", begun_ns)
+    assert line.link.state == "fine"
+
+
+@pytest.mark.parametrize("fault, value, reason", [
+    ("explode", 1, "there is no fault 'explode', only bit_errors, cut, flood, out_of_step, plug"),
+    ("unplug", -1, "unplug is -1.0; accepted: 0 (until plug) to 3600 s"),
+    ("unplug", 3601, "unplug is 3601.0; accepted: 0 (until plug) to 3600 s"),
+    ("silence", 3601, "silence is 3601.0; accepted: 0 to 3600 s"),
+    ("cut", 0.5, "cut is 0.5; accepted: a whole number"),
+    ("bit_errors", 1, "bit_errors is 1.0; accepted: 0 to 0.5"),
+    ("bit_errors", float("nan"), "nan is no number"),
+    ("sonar_stuck", 6, "accepted: a sensor from 0 to 5")])
+def test_fault_that_there_is_not_and_value_that_cannot_be_are_refused(car, fault, value, reason):
+    car.sim()
+    answer = car.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value))
+    assert not answer.success and reason in answer.message

@@ -1,0 +1,552 @@
+"""throttle_arb: from its inputs to the ESC's command, with the ESC that it ships with, and with one that brakes."""
+from __future__ import annotations
+
+import logging
+import math
+import re
+import shutil
+
+import pytest
+import yaml
+from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Range
+from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
+
+from car import CONFIG, Car, config
+from car_interface.common.errors import ConfigError
+from graph import NS_PER_S
+from inputs import Inputs
+
+NEUTRAL, FULL_FORWARD, FULL_BRAKE = 4915, 6554, 3277
+BY_HAND = 5407  # 0.3 of the way to full forward: 4915 + 0.3 · 1639
+BY_PLANNER = 5571  # 4915 + 1.2 / 3 · 1639
+NAN, INF = math.nan, math.inf
+BRAKES = {"esc": {"profile": "brake_then_reverse"}}
+STEERS = SteeringState(source=SteeringState.TELEOP)
+PLANS = SteeringState(source=SteeringState.PLANNER)
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+
+
+def odometry(velocity):
+    message = Odometry()
+    message.twist.twist.linear.x = velocity
+    return message
+
+
+def same(message):
+    return message
+
+
+TOPICS = {"e_stop": ("/e_stop", Bool), "human": ("/teleop_logi/human_in_loop", Bool),
+          "teleop": ("/teleop_logi/tele_throt_req", Float32), "mode": ("/teleop_logi/mode", String),
+          "scale_button": ("/teleop_logi/scale_button", Int8), "teleop_state": ("/teleop_logi/state", same),
+          "steering": ("/turn_arb/state", same), "value": ("/generic/output/value", lambda data: Float64Stamped(data=data)),
+          "converter": ("/generic_value_converter/state", same), "planner": ("/planner_interface/state", same),
+          "speed": ("/odom", odometry)}
+
+
+class Arb(Inputs):
+    """throttle_arb in a graph of its own, and a servo board.
+
+    Attributes:
+        steering: the duty that the board holds on the steering's channel.
+        pulse: what it holds on the ESC's; None = what was commanded.
+    """
+
+    def __init__(self, board=False, **parameters):
+        self.car = Car()
+        super().__init__(self.car.graph, TOPICS, settle_s=0.022)
+        self.graph.record("/servo/cmdVector", "/servo/neutral")
+        self.start_ns = self.graph.now_ns
+        self.steering, self.pulse = 0, None
+        self.node = self.car.throttle_arb(**{"output_required": board, **parameters})
+        if board:
+            self.graph.hold("/servo/output", self._output, 50)
+
+    def _output(self):
+        return Int32MultiArray(data=[self.steering, self.duty if self.pulse is None else self.pulse] + [-1] * 14)
+
+    def present(self, teleop=0.0, speed=1.0, **inputs):
+        """A human, everything well, nobody asks for anything; once the ESC is armed."""
+        self.silence("value", "converter")
+        self.hold(e_stop=False, steering=STEERS, speed=speed, teleop=0.0, human=False)
+        self.hold(**inputs)
+        self.graph.run_until(lambda: self.state.cause == "human absent" and self.state.esc != "ARMING", 5.0)
+        self.hold(human=False)
+        self.hold(human=True, teleop=teleop)
+        return self
+
+    def plan(self, value):
+        self.hold(converter=ConverterState(value=value, cause="converting"), value=value)
+
+    @property
+    def state(self):
+        return self.graph.newest("/throttle_arb/state")
+
+    @property
+    def duty(self):
+        return self.graph.newest("/servo/cmdVector").data[1]
+
+    @property
+    def now(self):
+        """Source, reason and duty; the command has that duty, too."""
+        assert self.state.duty == self.duty
+        return self.state.source, self.state.reason, self.duty
+
+    def duties(self, since_ns=0):
+        return {vector.data[1] for vector in self.graph.messages("/servo/cmdVector", since_ns)}
+
+    def states(self, since_ns):
+        return self.graph.messages("/throttle_arb/state", since_ns)
+
+    def warnings(self, since_ns=0):
+        return self.graph.lines("/throttle_arb", since_ns, logging.WARNING)
+
+    def report(self):
+        """The next one."""
+        self.run(1.0)
+        return self.graph.report("throttle_arb: throttle")
+
+
+# --- what it sends, and when ---
+
+@pytest.mark.parametrize("value_hz", [0, 50])
+def test_commands_come_at_50_hz_with_the_original_layout_and_minus_one_elsewhere(value_hz):
+    """A planner's values, too, have one command each, not one more by the timer."""
+    arb = Arb().present(teleop=0.0 if value_hz else 1.0)
+    if value_hz:
+        arb.plan(1.2)
+        arb.graph.hold("/generic/output/value", lambda: Float64Stamped(data=1.2 + arb.graph.now_ns % 97 / 1000), 50,
+                       phase_s=0.0051)
+    arb.run(0.1)
+    since_ns = arb.graph.now_ns
+    arb.run(1.0)
+    records = [record for record in arb.graph.recorded["/servo/cmdVector"] if record.at_ns > since_ns]
+    assert len(records) == 50
+    assert {after.at_ns - before.at_ns for before, after in zip(records, records[1:])} == {20_000_000}
+    for vector in (record.message for record in records):
+        assert vector.data[:1] + vector.data[2:] == (-1,) * 15 and (value_hz or vector.data[1] == BY_HAND)
+        assert vector.layout.data_offset == 0
+        assert [(dim.label, dim.size, dim.stride) for dim in vector.layout.dim] == [("pwm_channel", 16, 1)]
+
+
+def test_state_comes_10_times_a_second_and_is_latched_and_the_neutral_once():
+    arb = Arb().present()
+    since_ns = arb.graph.now_ns
+    arb.run(2.0)
+    assert len(arb.states(since_ns + 1)) == 20
+    assert {vector.data for vector in arb.graph.messages("/servo/neutral", since_ns)} == {(-1, NEUTRAL) + (-1,) * 14}
+    assert len(arb.graph.messages("/servo/neutral", since_ns)) == 2
+    assert {each.latch for topic in ("/throttle_arb/state", "/servo/neutral") for each in arb.graph.publishers[topic]} == {
+        True}
+    state = arb.state
+    assert abs(state.stamp.to_nsec() - arb.graph.now_ns - arb.graph.ros_ahead_ns) <= 100_000_000
+    assert (state.profile, state.speed, state.output_age, state.mode_age, state.planner_age) == (
+        "unverified", 1.0, INF, INF, INF)
+    for age_s in (state.e_stop_age, state.human_age, state.steering_age, state.teleop_age, state.odometry_age):
+        assert 0 <= age_s < 0.07
+
+
+def test_change_is_commanded_in_the_instant_in_which_it_arrives_in_each_phase_of_the_timer():
+    arb = Arb().present()
+    for request, duty in [(1.0, BY_HAND), (0.0, NEUTRAL)] * 10:
+        arb.run(0.1017)
+        arb.hold(teleop=request)
+        assert arb.duty == duty
+        arb.graph.link("/teleop_logi/tele_throt_req", delay_s=0.0)
+        sent_ns = arb.graph.now_ns
+        arb.once("human", False)
+        arb.run(0.0)
+        assert arb.duties(sent_ns) == {NEUTRAL}
+        arb.hold(human=False)
+        arb.hold(human=True)
+
+
+# --- who drives ---
+
+def test_a_person_drives_the_planner_drives_and_the_person_goes_first():
+    arb = Arb().present()
+    assert arb.now[::2] == (ThrottleState.NEUTRAL, NEUTRAL)
+    assert re.fullmatch("neither tele_throt_req nor a planner's value asks .*", arb.state.reason)
+    assert (arb.state.cause, arb.state.granted) == ("no request", 0.0)
+    arb.hold(teleop=1.0)
+    assert arb.now == (ThrottleState.TELEOP, "tele_throt_req is 1.000, scaled by 0.3", BY_HAND)
+    assert (arb.state.cause, arb.state.asked, arb.state.esc) == ("teleop", 1.0, "FORWARD")
+    assert arb.state.granted == pytest.approx(0.3, abs=1e-6)
+    arb.plan(1.2)
+    assert arb.duty == BY_HAND
+    arb.hold(teleop=0.0)
+    assert arb.now == (ThrottleState.PLANNER, "the planner's value is 1.200", BY_PLANNER)
+    assert arb.state.cause == "planner"
+    arb.hold(human=False)
+    assert arb.now == (ThrottleState.NO_HUMAN, "human_in_loop is false", NEUTRAL)
+    arb.hold(teleop_state=TeleopState(human_in_loop=False, reason="no deadman is held"))
+    arb.run(0.1)
+    assert arb.now[1] == "human_in_loop is false: no deadman is held"
+
+
+def test_by_hand_it_drives_without_odometry_and_without_a_planner():
+    arb = Arb().present(teleop=1.0)
+    arb.silence("speed")
+    arb.run(1.0)
+    assert arb.now == (ThrottleState.TELEOP, "tele_throt_req is 1.000, scaled by 0.3", BY_HAND)
+    assert math.isnan(arb.state.speed)
+
+
+def test_buttons_change_the_scale_once_for_each_press_while_it_drives():
+    arb = Arb().present(teleop=1.0)
+    for button in (0, 1, 1, 0):
+        arb.once("scale_button", button)
+        arb.run(0.03)
+    assert arb.now == (ThrottleState.TELEOP, "tele_throt_req is 1.000, scaled by 0.4", BY_PLANNER)
+    assert arb.state.human_scale == pytest.approx(0.4)
+    assert arb.graph.lines("/throttle_arb").count("driving by hand is scaled by 0.4") == 1
+    for button in (0, -1):
+        arb.once("scale_button", button)
+    arb.run(0.03)
+    assert arb.duty == BY_HAND
+
+
+def test_negative_value_brakes_a_car_that_rolls_and_does_nothing_to_one_that_stands():
+    arb = Arb().present(speed=4.0)
+    arb.plan(-5.0)
+    assert (arb.duty, arb.state.esc, arb.state.asked) == (FULL_BRAKE, "BRAKING", -1.0)
+    since_ns = arb.graph.now_ns
+    arb.hold(speed=0.0)
+    arb.graph.run_until(lambda: arb.state.esc_cause == "at standstill", 3.0)
+    assert (arb.duties(since_ns + 1), arb.state.source, arb.state.esc_reason) == (
+        {NEUTRAL}, ThrottleState.PLANNER, "it stands: a brake doesn't become reverse")
+
+
+STOPPED, LOCKED = (SteeringState(source=source, reason="why") for source in (SteeringState.NO_HUMAN, SteeringState.LOCKED))
+NO_VALUE = ConverterState(value=NAN, cause="command not finite", reason="the commanded acceleration is nan")
+# What is lost, the reason, and after how many ms at most: a timeout and a tick.
+OF_PLANNER = {
+    "values_are_silent": (lambda arb: arb.silence("value"), r"the planner's value silent for 0\.5\d s", 500),
+    "a_value_is_no_number": (lambda arb: arb.plan(NAN), "the planner's value is nan, no number to act on", 0),
+    "the_converter_has_none": (lambda arb: arb.hold(converter=NO_VALUE), "the commanded acceleration is nan", 0),
+    "odometry_is_silent": (lambda arb: arb.silence("speed"), r"odometry silent for 0\.5\d s", 500),
+    "odometry_is_no_number": (lambda arb: arb.hold(speed=NAN), "the velocity in the odometry is nan", 0),
+}
+OF_BOTH = {
+    "the_human_lets_go": (lambda arb: arb.hold(human=False), "human_in_loop is false", 0),
+    "the_human_is_silent": (lambda arb: arb.silence("human"), r"human_in_loop silent for 0\.5\d s", 500),
+    "turn_arb_sees_no_human": (lambda arb: arb.hold(steering=STOPPED), "turn_arb says NO_HUMAN: why", 0),
+    "turn_arb_is_locked": (lambda arb: arb.hold(steering=LOCKED), "turn_arb says LOCKED: why", 0),
+    "turn_arb_is_silent": (lambda arb: arb.silence("steering"), r"turn_arb's state silent for 0\.2\d s", 250),
+    "the_gamepad_is_silent": (lambda arb: arb.silence("teleop"), r"tele_throt_req silent for 0\.5\d s", 500),
+    "the_throttle_is_no_number": (lambda arb: arb.hold(teleop=NAN), "tele_throt_req is nan, no number.*", 0),
+    "the_lock_is_on": (lambda arb: arb.hold(e_stop=True), "e_stop is true", 0),
+    "the_lock_is_silent": (lambda arb: arb.silence("e_stop"), r"e_stop silent for 1\.0\d s", 1000),
+}
+
+
+@pytest.mark.parametrize("driver, name", [*(("planner", name) for name in {**OF_PLANNER, **OF_BOTH}),
+                                          *(("human", name) for name in OF_BOTH)])
+def test_whatever_is_lost_means_neutral_within_its_timeout_and_a_tick(driver, name):
+    break_it, reason, timeout_ms = {**OF_PLANNER, **OF_BOTH}[name]
+    arb = Arb()
+    for phase_ms in (0, 7, 13):
+        arb.present(teleop=0.0 if driver == "planner" else 1.0)
+        if driver == "planner":
+            arb.plan(3.0)
+        arb.run(0.1 + phase_ms / 1000)
+        assert arb.duty == (FULL_FORWARD if driver == "planner" else BY_HAND)
+        broken_ns = arb.graph.now_ns
+        break_it(arb)
+        neutral_ns = arb.graph.run_until(lambda: arb.duty == NEUTRAL, 2.0) if timeout_ms else broken_ns
+        assert timeout_ms - 50 <= (neutral_ns - broken_ns) / 1e6 <= timeout_ms + 20  # 50: since the last message
+        arb.run(0.002)
+        assert arb.duty == NEUTRAL and re.fullmatch(reason, arb.state.reason)
+        arb.run(0.5)
+        assert arb.duties(neutral_ns + 25_000_000) == {NEUTRAL}
+
+
+def test_deadman_held_at_the_start_counts_after_it_was_released():
+    arb = Arb()
+    arb.hold(human=True)
+    arb.run(0.1)
+    assert (arb.state.cause, arb.state.reason) == (
+        "starting", "this node has just started: it waits up to 1 s for e_stop")
+    arb.run(2.0)
+    assert (arb.state.cause, arb.state.reason) == (
+        "not re-armed", "this node has just started; let go once: publish false, then true")
+    assert (arb.state.esc, arb.state.esc_reason, arb.duties()) == (
+        "ARMING", "this node has just started; let go of the deadman", {NEUTRAL})
+
+
+# --- modes ---
+
+def test_mode_says_who_drives_while_the_stick_is_at_rest():
+    arb = Arb().present(mode="autonomous")
+    arb.plan(3.0)
+    assert arb.duty == FULL_FORWARD
+    for mode, source in (("manual", ThrottleState.TELEOP), ("human_steering", ThrottleState.PLANNER),
+                         ("human_throttle", ThrottleState.TELEOP), ("autonomous", ThrottleState.PLANNER)):
+        arb.hold(mode=mode)
+        assert (arb.state.mode, arb.state.source) == (mode, source)
+    arb.hold(mode="sport")
+    assert (arb.state.cause, arb.duty, arb.state.reason) == (
+        "mode unknown", NEUTRAL, "mode is 'sport', which is none of manual, autonomous, human_throttle, human_steering")
+    assert arb.warnings()[0] == ("mode is 'sport': the throttle is neutral while it lasts; accepted: manual, autonomous, "
+                                 "human_throttle, human_steering")
+    arb.hold(mode="autonomous")
+    assert arb.duty == FULL_FORWARD
+    arb.silence("mode")
+    arb.run(0.57)
+    assert arb.now[::2] == (ThrottleState.NEUTRAL, NEUTRAL)
+    assert re.fullmatch(r"mode silent for 0\.5\d s", arb.state.reason)
+
+
+# --- what it reports ---
+
+def test_diagnostics_say_who_drives_and_why_once_a_second():
+    arb = Arb().present(teleop=1.0)
+    arb.graph.recorded["/diagnostics"].clear()
+    level, message, values = arb.report()
+    assert len(arb.graph.messages("/diagnostics")) == 1
+    assert (level, message) == (
+        OK, "TELEOP: tele_throt_req is 1.000, scaled by 0.3; ESC FORWARD: 0.30 is requested")
+    assert [values[key] for key in ("cause", "duty", "asked, granted", "profile of the ESC", "mode", "limit",
+                                    "age of /servo/output", "scale of driving by hand", "cause of the ESC's state")] == [
+        "teleop", str(BY_HAND), "1.000, 0.300", "unverified", "never heard", "none is reached", "never heard", "0.3", "driving"]
+    arb.silence("steering")
+    level, message, _ = arb.report()
+    assert level == WARN and message.startswith("NEUTRAL: turn_arb's state silent for")
+
+
+@pytest.mark.parametrize("name, value, text", [
+    ("teleop", 1.5, "tele_throt_req is 1.500: clamped to -1..1"),
+    ("teleop", NAN, "tele_throt_req is nan: the throttle is neutral while it lasts"),
+    ("value", INF, "the planner's value is inf: it doesn't drive"),
+    ("speed", NAN, "the velocity in the odometry is nan: the planner doesn't drive"),
+    ("steering", SteeringState(source=SteeringState.TELEOP, channel=16),
+     "turn_arb/state names channel 16 of the servo board; accepted: 0 to 15"),
+])
+def test_odd_input_is_warned_of_in_the_log(name, value, text):
+    arb = Arb().present()
+    arb.hold(**{name: value})
+    assert [line for line in arb.warnings() if line.startswith(text)] == [text]
+    arb.hold(teleop=1.0)
+    assert arb.warnings().count("tele_throt_req is 1.000: clamped to -1..1") == 0
+
+
+def test_output_of_another_length_is_ignored_and_warned_of():
+    arb = Arb(board=True)
+    arb.graph.hold("/servo/output", Int32MultiArray(data=[0] * 15), 50)
+    arb.present(teleop=1.0)
+    assert (arb.state.cause, arb.warnings()[0]) == ("board never heard", "/servo/output has 15 values, not 16: ignored")
+
+
+# --- an ESC that brakes before it reverses, on a board that says what it holds ---
+
+def test_stop_brakes_a_car_that_rolls_until_it_is_slow():
+    arb = Arb(board=True, **BRAKES).present(teleop=1.0, speed=4.0)
+    arb.run(1.0)
+    assert (arb.state.esc, arb.state.output_age < 0.1) == ("FORWARD", True)
+    arb.hold(human=False)
+    assert (arb.state.esc, arb.state.source, arb.state.cause, arb.state.granted, arb.duty) == (
+        "BRAKING", ThrottleState.NO_HUMAN, "human absent", -0.5, 4096)  # 4915 − 0.5 · 1638
+    arb.hold(speed=0.2)
+    arb.run(0.1)
+    assert arb.duty == NEUTRAL
+
+
+def test_second_pull_is_reverse_at_standstill_scaled_as_driving_is():
+    arb = Arb(board=True, **BRAKES).present(speed=0.0)
+    arb.run(1.0)
+    for request in (-1.0, 0.0):
+        arb.hold(teleop=request)
+        arb.run(0.7)
+        assert (arb.state.source == ThrottleState.TELEOP, arb.state.asked) == (request != 0.0, request)
+    since_ns = arb.graph.now_ns
+    arb.hold(teleop=-1.0)
+    arb.graph.run_until(lambda: arb.state.esc_cause == "reversing", 2.0)
+    assert (arb.state.esc, arb.duty) == ("REVERSE", 4424)  # 4915 − 0.3 · 1638
+    assert min(arb.duties(since_ns)) == 4424
+
+
+def test_board_that_gives_no_pulse_takes_arming_again():
+    arb = Arb(board=True, **BRAKES).present(teleop=1.0)
+    arb.run(1.0)
+    assert arb.duty == BY_HAND
+    arb.pulse = 0
+    arb.run(0.1)
+    assert (arb.state.esc, arb.duty) == ("ARMING", NEUTRAL)
+    assert arb.state.esc_reason.startswith(
+        "the servo board gave no pulse; let go of the deadman, center the stick")
+    assert arb.graph.lines("/throttle_arb")[-1].startswith("ESC ARMING: the servo board gave no pulse")
+    arb.pulse = None
+    arb.present()
+    arb.run(0.1)
+    assert "ESC armed, profile brake_then_reverse" in arb.graph.lines("/throttle_arb")
+
+
+def test_servo_that_does_not_follow_stops_the_car_until_it_follows_again():
+    """After half a second each: the tolerance of the board watch."""
+    arb = Arb(board=True, **BRAKES).present(teleop=1.0, speed=4.0)
+    arb.run(1.0)
+    assert arb.state.esc == "FORWARD"
+    began_ns = arb.graph.now_ns
+    arb.hold(steering=SteeringState(source=SteeringState.TELEOP, duty=3818))
+    stopped_ns = arb.graph.run_until(lambda: arb.duty < BY_HAND, 1.0)
+    assert 500_000_000 <= stopped_ns - began_ns <= 540_000_000
+    arb.run(0.06)
+    reason = "the servo board holds 0 on channel 0, where turn_arb commands 3818"
+    assert arb.now[:2] == (ThrottleState.NEUTRAL, reason)
+    assert (arb.state.cause, arb.state.asked, arb.state.granted) == ("steering not held", 0.0, -0.5)  # it brakes
+    assert f"NEUTRAL: {reason}" in arb.warnings()
+    level, message, _ = arb.report()
+    assert level == WARN and reason in message
+    arb.steering = 3824  # the nearest count
+    began_ns = arb.graph.now_ns
+    driven_ns = arb.graph.run_until(lambda: arb.duty == BY_HAND, 1.0)
+    assert 500_000_000 <= driven_ns - began_ns <= 560_000_000
+
+
+def test_board_that_falls_silent_stops_the_car():
+    arb = Arb(board=True, **BRAKES).present(teleop=1.0)
+    arb.run(1.0)
+    assert arb.state.esc == "FORWARD"
+    arb.graph.silence("/servo/output")
+    silent_ns = arb.graph.now_ns
+    stopped_ns = arb.graph.run_until(lambda: arb.state.cause == "board silent", 1.0)
+    assert 480_000_000 <= stopped_ns - silent_ns <= 522_000_000
+    assert re.fullmatch(r"/servo/output silent for 0\.5\d s", arb.state.reason)
+
+
+def test_board_that_never_reported_is_not_driven_which_is_told():
+    arb = Arb(output_required=True).present(teleop=1.0)
+    assert (arb.state.cause, arb.state.granted, arb.duties()) == ("board never heard", 0.0, {NEUTRAL})
+    assert "takes output_required: false" in arb.state.reason
+    level, message, _ = arb.report()
+    assert level == WARN and "/servo/output was never heard" in message
+
+
+# --- an ESC whose kind is to be found out: it gets a person's stick, and all say so ---
+
+def test_calibration_drive_passes_a_person_s_pull_at_standstill_on_until_the_deadman_is_released():
+    arb = Arb(board=True, esc={"profile": "unverified", "calibration_drive": True}).present(speed=0.0)
+    arb.run(1.0)
+    warning = ("calibration drive: the ESC gets the stick as it is, and a brake may become reverse; record it for "
+               "calibrate_esc, and start without calibration_drive afterwards")
+    assert arb.warnings().count(warning) == 2  # at the start, and when the ESC is armed
+    arb.plan(-5.0)
+    assert (arb.state.source, arb.state.asked, arb.duty) == (ThrottleState.PLANNER, -1.0, NEUTRAL)
+    arb.silence("value", "converter")
+    arb.hold(teleop=-1.0)
+    assert (arb.duty, arb.state.esc_cause, arb.state.profile) == (4424, "calibration drive", "unverified")
+    assert arb.state.esc_reason == "calibration drive: the ESC gets the stick as it is, and a brake may become reverse"
+    level, message, _ = arb.report()
+    assert level == WARN and message.startswith("calibration drive; ")
+    arb.hold(human=False)
+    assert arb.duty == NEUTRAL
+
+
+# --- of planner_interface ---
+
+def test_planner_reverses_by_its_gear_and_stops_with_the_reason_of_planner_interface():
+    arb = Arb(board=True, **BRAKES).present(speed=0.0, planner=PlannerState(cause="planner", gear="reverse"))
+    arb.run(1.0)
+    arb.plan(-2.0)
+    arb.run(2.0)
+    assert (arb.state.esc_cause, arb.now[::2]) == ("reversing", (ThrottleState.PLANNER, 4260))  # 4915 − 2 / 5 · 1638
+    assert any(line.startswith("ESC REVERSE: ") for line in arb.graph.lines("/throttle_arb"))
+    arb.hold(planner=PlannerState(cause="planner silent", gear="reverse", reason="drive silent for 0.50 s"))
+    assert (arb.state.cause, arb.now) == (
+        "planner silent", (ThrottleState.NEUTRAL, "drive silent for 0.50 s", NEUTRAL))
+    arb.hold(planner=PlannerState(cause="planner", gear="neutral"))
+    assert arb.now == (ThrottleState.PLANNER, "the planner's gear is neutral: the car coasts", NEUTRAL)
+
+
+def test_planner_that_pauses_and_asks_again_is_awaited_and_no_message_was_dropped():
+    arb = Arb(board=True, **BRAKES).present(speed=0.0, planner=PlannerState(cause="planner", gear="drive"))
+    arb.run(1.0)
+    arb.plan(2.0)
+    assert arb.state.source == ThrottleState.PLANNER
+    arb.hold(planner=PlannerState(cause="planner silent", gear="drive", reason="drive silent for 0.50 s"))
+    arb.silence("value")
+    assert arb.state.cause == "planner silent"
+    arb.run(1.0)
+    arb.hold(planner=PlannerState(cause="planner", gear="drive"))
+    assert (arb.state.cause, arb.state.reason) == (
+        "command awaited", "the planner asks again: its first value is awaited")
+    arb.run(0.55)
+    assert (arb.state.cause, arb.state.reason) == (
+        "command silent", "the planner's value was not heard since the planner paused")
+    arb.plan(2.0)
+    assert arb.state.source == ThrottleState.PLANNER
+
+
+# --- limits ---
+
+def test_a_planner_s_car_that_is_too_fast_for_its_turn_slows_down_which_is_told_and_counted():
+    arb = Arb().present(speed=4.0)
+    arb.hold(steering=SteeringState(source=SteeringState.PLANNER, max_speed=2.0))
+    arb.plan(1.0)
+    reason = "the turn that is asked for allows 2.00 m/s, it has 4.00: it brakes"
+    state = arb.state
+    assert (state.limit, state.limit_reason, state.granted, state.max_speed, state.cuts, state.esc) == (
+        "slowed for the turn", reason, -0.5, 2.0, 1, "BRAKING")
+    assert state.asked > 0
+    report = arb.report().values
+    assert (report["limit"], report["requests cut by a limit"]) == (f"slowed for the turn: {reason}", "1")
+    assert arb.graph.lines("/throttle_arb").count(reason) == 1
+    arb.hold(steering=PLANS)
+    assert arb.state.granted > 0
+    assert (arb.state.limit, arb.state.limit_reason, arb.state.max_speed) == ("", "", 0.0)
+
+
+def test_what_a_sonar_ahead_sees_stops_the_car_and_a_silent_one_too():
+    arb = Arb(obstacle_stop=True, sonar_hub=config("sonars.yaml")).present(
+        speed=0.0, steering=SteeringState(source=SteeringState.PLANNER, turn_radius=INF))
+    arb.plan(1.0)
+    assert (arb.state.limit, arb.state.granted) == ("sonar silent", 0.0)
+    assert re.fullmatch(r"(front_\w+) was never heard, and the car doesn't drive blind: "
+                        r"0.00 m/s, it has 0.00: 0.00 instead of 0.33", arb.state.limit_reason)
+    for name in config("sonars.yaml")["sonars"]:
+        arb.graph.hold(f"/sonar/{name}", Range(range=INF), 20)
+    arb.run(0.1)
+    assert (arb.state.limit, arb.state.granted > 0) == ("", True)
+    arb.hold(speed=1.5)
+    arb.graph.hold("/sonar/front_middle", Range(range=0.5), 20)
+    arb.run(0.1)
+    assert (arb.state.limit, arb.state.granted <= 0) == ("obstacle", True)
+    assert re.search(r"front_middle sees 0.50 m, which allows 0\.\d\d m/s, it has 1.50: it stops", arb.state.limit_reason)
+
+
+# --- parameters, tuning, end ---
+
+def test_neutral_is_tuned_live_published_and_saved(tmp_path):
+    path = tmp_path / "throttle.yaml"
+    shutil.copy(f"{CONFIG}/throttle.yaml", path)
+    arb = Arb(save_to=str(path))
+    arb.run(0.1)
+    assert arb.graph.reconfigure("/throttle_arb/servo", neutral=4935)["neutral"] == 4935
+    arb.run(1.0)
+    assert (arb.duty, arb.graph.newest("/servo/neutral").data[1]) == (4935, 4935)
+    assert arb.graph.call("/throttle_arb/save", None).success
+    saved = yaml.safe_load(path.read_text())["servo"]
+    assert (saved["neutral"], saved["duty_table"]) == (4935, [3297, 4935, 6574])
+    assert arb.graph.parameter("/throttle_arb/servo/duty_table") == [3297, 4935, 6574]
+    assert arb.report().values["tuned live"] == "neutral 4915 → 4935"
+
+
+@pytest.mark.parametrize("changes, text", [
+    ({"servo": {**config("throttle.yaml")["servo"], "channel": 16}},
+     "servo/channel is 16; accepted: an integer from 0 to 15"),
+    ({"esc": {"profile": "hobby"}}, "esc/profile is 'hobby'; accepted: one of brake_then_reverse, "),
+    ({"human_scal": 0.3}, "unknown parameter human_scal is 0.3; accepted: only "),
+])
+def test_bad_parameter_is_refused_by_name(changes, text):
+    with pytest.raises(ConfigError, match=f"^{text}"):
+        Arb(**changes)
+
+
+def test_esc_that_is_driven_gets_neutral_when_the_node_ends():
+    arb = Arb().present(teleop=1.0)
+    assert arb.duty == BY_HAND
+    arb.node.end()
+    assert (arb.duty, arb.node.fault, arb.node.is_alive) == (NEUTRAL, "", False)

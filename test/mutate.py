@@ -1,0 +1,495 @@
+"""Measures what the tests notice: changes one place of the source at a time, and counts the changes that fail a test.
+
+``./dev mutate [MODULE...]`` runs the mutants of ``test/mutants/list.txt``, which was drawn once, by a fixed seed. A
+mutant is known by its function, its source line without comments, its change, and its number among equal ones in that
+function, and so survives edits elsewhere; one whose line was changed is reported as gone. A run fails if more mutants
+of a module survive than ``test/mutants/accepted.txt`` names of those that still exist.
+"""
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import io
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import tokenize
+from bisect import bisect_right
+from collections import Counter, defaultdict, deque
+from itertools import accumulate
+from pathlib import Path
+from typing import Iterable, Iterator, NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+MUTANTS, PACKAGE = Path("test/mutants"), Path("src/car_interface")
+SEED, MAX_PER_PART, MAX_PER_NODE = 20261125, 60, 15
+# What decides. The Teensy's link and sensing belong to it: limits, obstacle stop and interlock go by their values.
+PARTS = ("interlock", "steering", "throttle", "planner", "teleop", "pca9685", "teensy/link", "teensy/sensing", "nodes")
+COMMON = ("drive_modes", "fixed_parameters", "live_parameters", "lookup_table", "measured_speed", "name_wait", "params",
+          "publishers", "rate_timer", "refusal", "servo_channels", "staleness", "standstill", "units")
+# A mutant is killed by tests that take this many times as long as in the clean run, and so much more.
+LIMIT_FACTOR, LIMIT_EXTRA_S = 3.0, 15.0
+MAX_MEMORY = 8 * 2 ** 30  # bytes: for a mutant that appends without end
+
+OPERATORS = {ast.Lt: "< <=", ast.LtE: "<= <", ast.Gt: "> >=", ast.GtE: ">= >", ast.Eq: "== !=", ast.NotEq: "!= ==",
+             ast.Is: "is is_not", ast.IsNot: "is_not is", ast.In: "in not_in", ast.NotIn: "not_in in",
+             ast.And: "and or", ast.Or: "or and", ast.Add: "+ -", ast.Sub: "- +", ast.Mult: "* /", ast.Div: "/ *",
+             ast.FloorDiv: "// *", ast.Mod: "% *", ast.BitAnd: "& |", ast.BitOr: "| &", ast.BitXor: "^ |",
+             ast.LShift: "<< >>", ast.RShift: ">> <<"}
+TEXTS = (ast.JoinedStr, ast.Raise, ast.Assert)
+LOG = re.compile(r"log(debug|info|warn|err|fatal)\w*|warn|print")
+
+
+class Key(NamedTuple):
+    """What identifies a mutant. The module is a path below src/car_interface."""
+
+    module: str
+    function: str
+    line: str
+    change: str
+    number: int
+
+
+class Place(NamedTuple):
+    """The bytes from start to end become ``after``."""
+
+    lineno: int
+    start: int
+    end: int
+    after: bytes
+
+
+class _Finder:
+    """Finds the mutants of one module; ``found`` has them in the order of their places."""
+
+    def __init__(self, module: str, source: bytes):
+        self._source = source
+        self._starts = [0, *accumulate(len(line) for line in source.splitlines(keepends=True))]
+        lines, places, equal = source.decode().splitlines(), [], Counter()
+        for token in tokenize.tokenize(io.BytesIO(source).readline):
+            if token.type == tokenize.COMMENT:
+                lines[token.start[0] - 1] = lines[token.start[0] - 1][:token.start[1]]
+        self._walk(ast.parse(source), (), places)
+        self.found: dict[Key, Place] = {}
+        for place, function, change in sorted(places):
+            code = lines[place.lineno - 1].strip()
+            equal[function, code, change] += 1
+            self.found[Key(module, function, code, change, equal[function, code, change])] = place
+
+    def _walk(self, node, scope, places):
+        """Collect the changes of a node and of all below it that is no text, annotation or decorator."""
+        if isinstance(node, TEXTS) or self._is_silent(node):
+            return
+        below = ast.iter_child_nodes(node)
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            scope = (*scope, node.name)
+            defaults = (*node.args.defaults, *node.args.kw_defaults) if isinstance(node, ast.FunctionDef) else ()
+            below = (*filter(None, defaults), *node.body)
+        elif isinstance(node, ast.AnnAssign):
+            below = filter(None, (node.value,))
+        elif isinstance(node, ast.Call) and LOG.fullmatch(getattr(node.func, "attr", getattr(node.func, "id", ""))):
+            below = ()
+        for change, start, end, after in self._changes(node, scope):
+            place = Place(bisect_right(self._starts, start), start, end, after.encode())
+            places.append((place, ".".join(scope) or "-", change))
+        for each in below:
+            self._walk(each, scope, places)
+
+    def _is_silent(self, node):
+        """Return whether it does nothing at run time, or only in a process of its own, or makes a text."""
+        if isinstance(node, ast.If):
+            return re.search("TYPE_CHECKING|__name__", self._text(node.test))
+        return (isinstance(node, ast.FunctionDef) and node.name == "main") or (
+            isinstance(node, (ast.Assign, ast.Expr)) and self._text(node).startswith(("__all__", "status.")))
+
+    def _span(self, node):
+        return (self._starts[node.lineno - 1] + node.col_offset,
+                self._starts[node.end_lineno - 1] + node.end_col_offset)
+
+    def _text(self, node):
+        return self._source[slice(*self._span(node))].decode()
+
+    def _changes(self, node, scope):
+        """Yield the changes of one node: how they are called, from where to where, and what is there instead."""
+        if isinstance(node, ast.Compare):
+            for left, operator, right in zip([node.left, *node.comparators], node.ops, node.comparators):
+                yield from self._operator("compare", left, operator, right)
+        elif isinstance(node, ast.BoolOp):
+            for left, right in zip(node.values, node.values[1:]):
+                yield from self._operator("logic", left, node.op, right)
+        elif isinstance(node, ast.BinOp) and not _is_text(node):
+            yield from self._operator("arithmetic", node.left, node.op, node.right)
+        elif isinstance(node, ast.AugAssign):
+            yield from self._operator("arithmetic", node.target, node.op, node.value, "=")
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            start, _ = self._span(node)
+            yield "arithmetic - → +", start, start + 1, "+"
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            yield ("negate", *self._span(node), f"({self._text(node)[3:].strip()})")
+        elif isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
+            value = node.value
+            after = (not value if isinstance(value, bool) else 1.0 if value == 0.0 and isinstance(value, float) else
+                     value + 1 if isinstance(value, int) and value < 1000 else value * 2)
+            yield (f"constant {self._text(node)} → {after!r}", *self._span(node), repr(after))
+        elif isinstance(node, ast.Return) and node.value is not None and (
+                not isinstance(node.value, ast.Constant) or node.value.value):  # else as false as None is
+            yield ("return None", *self._span(node), "return None")
+        for test in (node.test,) if isinstance(node, (ast.If, ast.While, ast.IfExp)) else getattr(node, "ifs", ()):
+            if not isinstance(test, (ast.UnaryOp, ast.Constant)) and not (  # else another mutant does the same
+                    isinstance(test, ast.Compare) and not isinstance(test.ops[0], (ast.Lt, ast.LtE, ast.Gt, ast.GtE))):
+                yield ("negate", *self._span(test), f"not ({self._text(test)})")
+        targets = [each for target in getattr(node, "targets", [getattr(node, "target", None)])
+                   for each in getattr(target, "elts", [target])]
+        is_assignment = isinstance(node, (ast.Assign, ast.AugAssign)) or (
+            isinstance(node, ast.AnnAssign) and node.value is not None)
+        if (isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)) or (
+                is_assignment and scope[-1:] != ("__init__",)  # without one of these everything fails
+                and any(isinstance(each, (ast.Attribute, ast.Subscript)) for each in targets)):
+            yield ("drop", *self._span(node), "pass")
+
+    def _operator(self, kind, left, operator, right, suffix=""):
+        before, after = (text.replace("_", " ") + suffix for text in OPERATORS.get(type(operator), "? ?").split())
+        start, end = self._span(left)[1], self._span(right)[0]
+        match = re.search(re.escape(before), self._source[start:end].decode())
+        if match and b"#" not in self._source[start:end]:
+            yield f"{kind} {before} → {after}", start + match.start(), start + match.end(), after
+
+
+def _is_text(node):
+    """Return whether a sum is one of texts or lists, which have no other arithmetic."""
+    if isinstance(node, ast.BinOp):
+        return _is_text(node.left) or _is_text(node.right)
+    return isinstance(node, (ast.JoinedStr, ast.List, ast.ListComp, ast.Tuple)) or (
+        isinstance(node, ast.Constant) and isinstance(node.value, (str, bytes)))
+
+
+def find(module: str, source: bytes) -> dict[Key, Place]:
+    """Return all mutants of a module, in the order of their places."""
+    return _Finder(module, source).found
+
+
+def draw(module: str, found: Iterable[Key], limit: int) -> list[Key]:
+    """Return at most ``limit`` of a module's mutants, in turn one of each kind of change, by the fixed seed."""
+    keys, kinds, drawn = list(found), defaultdict(list), []
+    for key in keys:
+        kinds[key.change.split()[0]].append(key)
+    order = random.Random(f"{SEED} {module}")
+    for each in kinds.values():
+        order.shuffle(each)
+    while len(drawn) < limit and any(kinds.values()):
+        drawn += [each.pop() for _, each in sorted(kinds.items()) if each][:limit - len(drawn)]
+    return sorted(drawn, key=keys.index)
+
+
+def draw_list(root: Path, before: dict[str, list[Key]], names: list[str]) -> dict[str, list[Key]]:
+    """Return the list of mutants with those of the named modules drawn anew."""
+    package = root / PACKAGE
+    paths = [*(package / f"common/{name}.py" for name in COMMON),
+             *(path for part in PARTS for path in sorted((package / part).rglob("*.py")))]
+    drawn = dict(before)
+    for path in paths:
+        module = path.relative_to(package).as_posix()
+        if is_named(module, names):
+            limit = MAX_PER_NODE if module.startswith("nodes/") else MAX_PER_PART
+            drawn[module] = draw(module, find(module, path.read_bytes()), limit)
+    return {module: keys for module, keys in drawn.items() if keys}
+
+
+def is_named(module: str, names: list[str]) -> bool:
+    """Return whether a module, or a folder that it is in, is among the names; without names all are."""
+    return not names or any(f"{module[:-3]}/".startswith(f"{name.replace('.py', '').strip('/')}/") for name in names)
+
+
+def to_text(lists: dict[str, list[Key]], titles: dict[str, str]) -> str:
+    """Return the text of mutants: a line for each module (its title), function and mutant."""
+    lines = []
+    for module, keys in lists.items():
+        lines.append(titles.get(module, module))
+        for before, key in zip([None, *keys], keys):
+            if before is None or before.function != key.function:
+                lines.append(f"  {key.function}")
+            lines.append(f"    {key.change}\t{key.line}" + (f"\t{key.number}" if key.number > 1 else ""))
+    return "".join(line + "\n" for line in lines)
+
+
+def from_text(text: str) -> tuple[dict[str, list[Key]], dict[str, str]]:
+    """Return the mutants and the title of each module."""
+    lists, titles, module, function = {}, {}, "", ""
+    for line in text.splitlines():
+        if line.startswith("    "):
+            change, code, number = (*line[4:].split("\t"), "1")[:3]
+            lists[module].append(Key(module, function, code, change, int(number)))
+        elif line.startswith("  "):
+            function = line[2:]
+        else:
+            module = line.split()[0]
+            lists[module], titles[module] = [], line
+    return lists, titles
+
+
+def imported(path: Path, root: Path) -> set[str]:
+    """Return the modules of the package that a file imports."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.ImportFrom):
+            names |= {node.module or "", *(f"{node.module}.{each.name}" for each in node.names)}
+        elif isinstance(node, ast.Import):
+            names |= {each.name for each in node.names}
+    paths = (name[len("car_interface."):].replace(".", "/") + ".py" for name in names
+             if name.startswith("car_interface."))
+    return {module for module in paths if (root / PACKAGE / module).exists()}
+
+
+def tests_of(root: Path, modules: Iterable[str]) -> dict[str, list[str]]:
+    """Return the test files of each module, its own first: those of its folder, and those of others that import it.
+
+    Tests of the tools (calibration, report and so on) are left out: they take long, and notice by accident. For a node
+    also test/graph, or its own node test while there is no test/graph.
+    """
+    files = {path.relative_to(root).as_posix(): imported(path, root) for part in (*PARTS, "common")
+             for path in sorted((root / "test/unit" / part).rglob("test_*.py"))}
+    graph = [path.relative_to(root).as_posix() for path in sorted((root / "test/graph").rglob("test_*.py"))]
+    tests = {}
+    for module in modules:
+        folder, stem = f"test/unit/{Path(module).parent.as_posix()}", Path(module).stem
+        own = [name for name in files if re.fullmatch(rf"{folder}/test_{stem}(_\w+)?\.py", name)]
+        near = [name for name in files if Path(name).parent.as_posix() == folder]
+        by_ros = graph or [f"test/node/{stem}.test"] if module.startswith("nodes/") else []
+        tests[module] = list(dict.fromkeys([*own, *near, *(name for name in files if module in files[name]), *(
+            name for name in by_ros if (root / name).exists())]))
+    return tests
+
+
+class Job(NamedTuple):
+    """A run of test files, with a mutant or, for the clean run, without."""
+
+    key: Key | None
+    place: Place | None
+    tests: list[str]
+    limit_s: float
+
+
+class Result(NamedTuple):
+    """How a job ended; ``called``: each module and name of a function that the clean run called."""
+
+    job: Job
+    passed: bool
+    took_s: float
+    log: str
+    called: set[str]
+
+
+class Slot:
+    """A copy of the checkout, in which one job runs at a time.
+
+    Its ``path`` makes car_interface of the copy's modules and of the messages that the workspace has generated.
+    """
+
+    def __init__(self, root: Path, folder: Path):
+        self.job = None
+        self._root, self._folder, self._copy = root, folder, folder / "copy"
+        shutil.copytree(root, self._copy, symlinks=True, ignore=shutil.ignore_patterns(".git", "__pycache__"))
+        built = [f"{each}/car_interface" for each in os.environ.get("PYTHONPATH", "").split(":")
+                 if os.path.isdir(f"{each}/car_interface/msg")]
+        for name in ("path/car_interface", "tmp"):
+            (folder / name).mkdir(parents=True)
+        init = f"__path__ = {[str(self._copy / PACKAGE), *built]}\n"
+        (folder / "path/car_interface/__init__.py").write_text(init, encoding="utf-8")
+        (folder / "called").touch()
+
+    def begin(self, job: Job) -> None:
+        """Fork a process for a job, which has what this one has imported."""
+        self.job, self._begun_s = job, time.monotonic()
+        if job.key:
+            path = self._copy / PACKAGE / job.key.module
+            source = path.read_bytes()
+            path.write_bytes(source[:job.place.start] + job.place.after + source[job.place.end:])
+            os.utime(str(path), (1, 1))  # older than any byte code
+        self._pid = os.fork()
+        if not self._pid:
+            try:
+                code = self._run(job)
+            except BaseException:
+                code = 3
+            os._exit(code)
+
+    def _run(self, job):
+        os.setsid()
+        resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+        log = os.open(str(self._folder / "log"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        for number, file in enumerate((os.open(os.devnull, os.O_RDONLY), log, log)):
+            os.dup2(file, number)
+        os.chdir(str(self._copy))
+        path, tmp = str(self._folder / "path"), str(self._folder / "tmp")
+        os.environ.update(TMPDIR=tmp, PYTHONPATH=os.pathsep.join([path, os.environ.get("PYTHONPATH", "")]))
+        tempfile.tempdir = tmp
+        sys.path.insert(0, path)
+        if job.key:
+            os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+            sys.dont_write_bytecode = True
+        called: dict = {}  # by id, since code objects are slow to compare
+
+        def note(frame, *_):
+            called.setdefault(id(frame.f_code), frame.f_code)
+        if not job.key:
+            threading.settrace(note)
+            sys.settrace(note)
+        files, code = [name for name in job.tests if name.endswith(".py")], 0
+        if files:
+            code = int(importlib.import_module("pytest").main(
+                ["-q", "-x", "--tb=short", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist", "-m",
+                 "not browser", f"--basetemp={tmp}/pytest", *files]))
+        sys.settrace(None)
+        package = f"{self._copy / PACKAGE}/"
+        (self._folder / "called").write_text("\n".join(
+            f"{each.co_filename.replace(package, '')} {each.co_name}" for each in called.values()), encoding="utf-8")
+        for name in job.tests:
+            if name.endswith(".test") and not code:  # with a limit that ends all that it has started
+                code = subprocess.call([
+                    sys.executable, "test/processes.py", "--limit", str(job.limit_s - 10), "rostest",
+                    f"--pkgdir={self._root}", "--package=car_interface", f"--results-base-dir={tmp}", name])
+        return code
+
+    def poll(self) -> Result | None:
+        """Return how the job ended, or None while it runs."""
+        pid, status = os.waitpid(self._pid, os.WNOHANG)
+        took_s = time.monotonic() - self._begun_s
+        if not pid and took_s < self.job.limit_s:
+            return None
+        self.end()
+        if not pid:
+            os.waitpid(self._pid, 0)
+        job, self.job = self.job, None
+        log, called = ((self._folder / name).read_text("utf-8", "replace") for name in ("log", "called"))
+        if job.key:
+            shutil.copy2(str(self._root / PACKAGE / job.key.module), str(self._copy / PACKAGE / job.key.module))
+        return Result(job, bool(pid) and not status, took_s, log, set(called.splitlines()))
+
+    def end(self) -> None:
+        """End the job, or what it has left behind."""
+        try:
+            os.killpg(self._pid, signal.SIGKILL)
+        except OSError:
+            pass  # there is nothing left
+
+
+def run(slots: list[Slot], jobs: Iterable[Job]) -> Iterator[Result]:
+    """Run jobs, one in each slot at a time; yield those that ended."""
+    waiting = deque(jobs)
+    try:
+        while waiting or any(slot.job for slot in slots):
+            for slot in slots:
+                if not slot.job and waiting:
+                    slot.begin(waiting.popleft())
+                result = slot.poll() if slot.job else None
+                if result:
+                    yield result
+            time.sleep(0.005)
+    finally:
+        for slot in slots:
+            if slot.job:
+                slot.end()
+
+
+def run_clean(slots: list[Slot], files: Iterable[str]) -> dict[str, Result]:
+    """Run test files without a mutant; exit if one of them fails."""
+    clean = {}
+    for result in run(slots, [Job(None, None, [name], 900.0) for name in files]):
+        (name,) = result.job.tests
+        if not result.passed:
+            sys.exit(f"{name} fails without any mutant:\n{result.log[-3000:]}")
+        clean[name] = result
+    return clean
+
+
+def job_of(key: Key, place: Place, files: list[str], clean: dict[str, Result]) -> Job:
+    """Return a mutant's job: the module's own tests, then the fastest, without those that don't call its function."""
+    name = key.function.rpartition(".")[2].replace("-", "<module>")
+    tests = [each for each in files if each.endswith(".test") or f"{key.module} {name}" in clean[each].called]
+    tests.sort(key=lambda each: (each != files[0], clean[each].took_s))
+    return Job(key, place, tests, LIMIT_EXTRA_S + LIMIT_FACTOR * sum(clean[each].took_s for each in tests))
+
+
+def run_mutants(root: Path, slots: list[Slot], lists: dict[str, list[Key]]) -> Iterator[tuple[str, list[Key], dict]]:
+    """Run the mutants; yield each module with its survivors and the places of all that are not gone, when it is done."""
+    files, places, left, survivors = tests_of(root, lists), {}, Counter(), defaultdict(list)
+    clean = run_clean(slots, dict.fromkeys(name for names in files.values() for name in names))
+    print(f"The tests pass without a mutant, in {sum(each.took_s for each in clean.values()):.0f} s", flush=True)
+    jobs = []
+    for module, keys in lists.items():
+        path = root / PACKAGE / module
+        found = find(module, path.read_bytes()) if path.exists() else {}
+        places[module] = {key: found[key] for key in keys if key in found}
+        jobs += [job_of(key, place, files[module], clean) for key, place in places[module].items()]
+        left[module] = len(places[module])
+        if not left[module]:
+            yield module, [], {}
+    for result in run(slots, jobs):
+        module = result.job.key.module
+        survivors[module] += [result.job.key] if result.passed else []
+        left[module] -= 1
+        if not left[module]:
+            yield module, sorted(survivors[module], key=lists[module].index), places[module]
+
+
+def main() -> int:
+    """Run the command; return 1 when more mutants survive than were accepted."""
+    parser = argparse.ArgumentParser(prog="./dev mutate", description="Change one place of the source at a time, and "
+                                     "count the changes that fail a test.")
+    parser.add_argument("modules", nargs="*", metavar="MODULE", help="throttle/control, or a folder such as throttle")
+    parser.add_argument("--draw", action="store_true", help="draw the mutants of these modules anew, and run nothing")
+    parser.add_argument("--record", action="store_true", help="accept the results of this run")
+    options = parser.parse_args()
+    files = [ROOT / MUTANTS / name for name in ("list.txt", "accepted.txt")]
+    (everything, _), (accepted, titles) = (
+        from_text(path.read_text(encoding="utf-8") if path.exists() else "") for path in files)
+    if options.draw:
+        files[0].write_text(to_text(draw_list(ROOT, everything, options.modules), {}), encoding="utf-8")
+        return 0
+    lists = {module: keys for module, keys in everything.items() if is_named(module, options.modules)}
+    if not lists:
+        parser.error(f"{MUTANTS}/list.txt has no module named {' or '.join(options.modules)}")
+    for name in ("pytest", "hypothesis", "numpy", "yaml", "serial"):  # once, for all mutants
+        importlib.import_module(name)
+    os.environ.pop("PYTHONPYCACHEPREFIX", None)
+    sys.pycache_prefix = None  # byte code goes into the copies
+    sums, worse, new = Counter(), [], {}
+    with tempfile.TemporaryDirectory(prefix="mutate-") as folder:
+        os.chmod(folder, 0o755)  # some tests do things as another user
+        slots = [Slot(ROOT, Path(folder, str(index))) for index in range(len(os.sched_getaffinity(0)))]
+        for module, survivors, places in run_mutants(ROOT, slots, lists):
+            title = f"{module} {len(places) - len(survivors)}/{len(places)}"
+            print(title, *(f"  {PACKAGE / module}:{places[key].lineno} {key.change} | {key.line}" for key in survivors),
+                  *(f"  gone: {key.function}: {key.change} | {key.line}" for key in lists[module] if key not in places),
+                  sep="\n", flush=True)
+            known = set(accepted.get(module, ())) & set(places)
+            if module in accepted and len(survivors) > len(known):
+                worse.append(f"{module}: {len(survivors)} survive, {len(known)} were accepted. New: " + "; ".join(
+                    f"{key.function}: {key.change} | {key.line}" for key in survivors if key not in known))
+            kind = "nodes" if module.startswith("nodes/") else "core"
+            sums[kind, "killed"] += len(places) - len(survivors)
+            sums[kind, "all"] += len(places)
+            new[module], titles[module] = survivors, title
+    for kind in sorted({kind for kind, _ in sums}):
+        killed, total = sums[kind, "killed"], sums[kind, "all"]
+        print(f"{kind}: {killed} of {total} mutants killed, {100 * killed / max(1, total):.1f} %")
+    if options.record:
+        merged = {**accepted, **new}
+        files[1].write_text(to_text({module: merged[module] for module in everything if module in merged}, titles),
+                            encoding="utf-8")
+        return 0
+    print(*worse, sep="\n", end="\n" if worse else "")
+    return 1 if worse else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
