@@ -277,9 +277,10 @@ def main() -> int:
     adopt_descendants()
     results = arguments.output / "results"
     os.chdir(str(results))
-    pythons = [Python(path, os.environ.get(variable, ""), is_second=variable != "PYTHONPATH")
-               for path, variable in zip(arguments.python, ("PYTHONPATH", "CAR_INTERFACE_PYTHONPATH38"))
-               if os.access(path, os.X_OK)]
+    first, second = (os.environ.get(name, "") for name in ("PYTHONPATH", "CAR_INTERFACE_PYTHONPATH38"))
+    pythons = [Python(path, first if path == arguments.python[0] else
+                      second if path == os.environ.get("CAR_INTERFACE_PYTHON38") else "", path != arguments.python[0])
+               for path in arguments.python if os.access(path, os.X_OK)]
     return run(arguments.output, all_steps(results, pythons, selected, arguments.all), 1 if arguments.all else AT_WORK,
                len(arguments.python) - len(pythons))
 

@@ -34,7 +34,9 @@ from teensy_bench import (
     parse_counter,
     parse_wheels,
     ping,
+    sonar_reports,
     split_frames,
+    wheel_reports,
 )
 
 # What the original sent
@@ -235,6 +237,17 @@ def test_bytes_that_come_while_it_boots_are_lost():
     bench.write(framed_for_the_receiver(ping(1))).after(400 * MS)
     assert not bench.frames(PONG)
     assert bench.write(framed_for_the_receiver(ping(2))).after(10 * MS).frames(PONG)
+
+
+def test_wrap_of_millis_makes_sonars_hurry_before_it_and_everything_goes_on():
+    bench = Bench(near, clock_start_ms=2**32 - 5000).roll(LEFT, FORWARD, 400, 20 * MS)
+    whens = [report.when for report in sonar_reports(bench)]
+    index = next(i for i, when in enumerate(whens) if when < 2**31)
+    hurried = [later - earlier for earlier, later in zip(whens[: index - 1], whens[1:index]) if earlier > 2**32 - 50]
+    assert hurried and all(gap <= 12 for gap in hurried)
+    assert {later - earlier > 49 for earlier, later in zip(whens[index:], whens[index + 1 :])} == {True}
+    newest = wheel_reports(bench.after(5 * MS))[-1]
+    assert newest.when == 3000 and newest.speed == 50
 
 
 def test_two_failed_pings_without_a_packet_hang_it_until_a_reboot():

@@ -176,8 +176,12 @@ def test_five_pings_unanswered_in_a_row_switch_to_the_other_checksum_and_five_mo
     assert pings.pong(CARRIES, after + MS) is not None
     after = go_unanswered(pings, 4, after)
     assert pings.checksum == CORRECTED
-    go_unanswered(pings, 1, after)
+    after = go_unanswered(pings, 1, after)
     assert pings.checksum == SHIPPED
+    after = go_unanswered(pings, 4, after)
+    assert pings.checksum == SHIPPED, "each has five again"
+    go_unanswered(pings, 1, after)
+    assert pings.checksum == CORRECTED
 
 
 def test_pings_unanswered_with_an_answer_between_do_not_switch():

@@ -68,6 +68,7 @@ def test_first_ping_is_due_as_the_port_opens_and_goes_behind_the_filler(session)
     assert session.next_event_ns() == session.ping_due_ns == NOW
     assert session.ping(CARRIES, NOW) == RESYNC_FILLER + SHIPPED_PING
     assert session.ping_due_ns > NOW and session.resyncs == 1
+    assert session.ping(CARRIES, NOW + S) == SHIPPED_PING
 
 
 def test_port_opened_again_begins_with_filler_again(session):
@@ -114,9 +115,10 @@ def test_other_checksum_is_tried_when_no_ping_is_answered_though_frames_come(ses
     assert session.answered_checksum == CORRECTED
 
 
-def test_malformed_frames_are_no_proof_that_the_teensy_is_there(session):
-    let_pings_expire(session, 12, from_teensy(99, b""))
-    assert session.checksum == SHIPPED
+@pytest.mark.parametrize("data", [b"", from_teensy(99, b"")], ids=["nothing", "malformed_frames"])
+def test_checksum_stays_while_nothing_proves_that_the_teensy_is_there(session, data):
+    events, _ = let_pings_expire(session, 12, data)
+    assert types(events) == 12 * [PingExpired] and session.checksum == SHIPPED
 
 
 def test_checksum_that_answers_is_that_of_the_ping_not_of_the_next_one(session):
