@@ -30,7 +30,7 @@ def test_without_names_every_test_runs_once():
 def test_the_longest_node_tests_begin_first():
     assert names(run.select([]).shared)[:3] == ["one_process.test", "fuzz.test", "doctor_situations.test"]
     assert names(run.select([]).timed) == [f"{name}.test" for name in (
-        "chain", "captures", "demo", "planner_interface", "planners", "serial_faults", "teleop_logi", "turn_arb")]
+        "chain", "captures", "demo", "serial_faults")]
 
 
 def test_tests_with_an_order_or_a_limit_of_their_own_exist():
@@ -40,22 +40,22 @@ def test_tests_with_an_order_or_a_limit_of_their_own_exist():
 @pytest.mark.parametrize("name, expected", [
     ("test_layering", (["test_layering.py"], [], [], [])),
     ("test_messages", ([], ["test_messages.py"], [], [])),
-    ("turn_arb.test", ([], [], [], ["turn_arb.test"])),
-    ("car_display.test", ([], [], ["car_display.test"], [])),
+    ("serial_faults.test", ([], [], [], ["serial_faults.test"])),
+    ("demo_config.test", ([], [], ["demo_config.test"], [])),
 ])
 def test_name_selects_files_that_contain_it(name, expected):
     assert tuple(map(names, run.select([name]))) == expected
 
 
 def test_several_names_select_what_contains_any_of_them():
-    selected = run.select(["car_display.test", "turn_arb.test"])
-    assert (names(selected.shared), names(selected.timed)) == (["car_display.test"], ["turn_arb.test"])
+    selected = run.select(["demo_config.test", "serial_faults.test"])
+    assert (names(selected.shared), names(selected.timed)) == (["demo_config.test"], ["serial_faults.test"])
     assert selected.unit == []
 
 
 def test_name_that_no_test_has_is_refused_even_beside_one_that_some_have():
     with pytest.raises(ValueError, match="no test file has nosuch in its name"):
-        run.select(["turn_arb", "nosuch"])
+        run.select(["test_turn_arb", "nosuch"])
 
 
 @pytest.mark.parametrize("used, share", [
