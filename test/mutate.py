@@ -464,6 +464,7 @@ def main() -> int:
     sys.pycache_prefix = None  # byte code goes into the copies
     sums, worse, new = Counter(), [], {}
     with tempfile.TemporaryDirectory(prefix="mutate-") as folder:
+        os.chmod(folder, 0o755)  # some tests do things as another user
         slots = [Slot(ROOT, Path(folder, str(index))) for index in range(len(os.sched_getaffinity(0)))]
         for module, survivors, places in run_mutants(ROOT, slots, lists):
             title = f"{module} {len(places) - len(survivors)}/{len(places)}"

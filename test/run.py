@@ -1,25 +1,25 @@
 """Runs the tests, as ``./dev test`` does once the workspace is built and sourced.
 
-A *step* is one command with results of its own: the unit tests on one Python, the tests of nodes in one process
-(test/graph), or one node test with its own ROS master. Unit tests keep every CPU busy and node tests mostly wait, so
-that both run side by side.
+A *step* is one command with results of its own: the unit tests on one Python (test/unit), the tests of nodes in one
+process on one Python (test/graph), or one .test file with its own ROS master (test/process). Two steps are at work at a
+time. Those of pytest use every CPU, so that only one of them is; the others mostly wait.
 """
 from __future__ import annotations
 
 import argparse
 import os
+import random
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Callable, Iterable, NamedTuple
+from typing import Iterable, NamedTuple
 from xml.etree import ElementTree
 
 from processes import (
     TIMEOUT_EXIT_CODE,
     adopt_descendants,
-    descendants,
     end_descendants,
     end_of_log,
     free_port,
@@ -31,32 +31,29 @@ from tally import Tally, tally
 
 TEST = Path(__file__).resolve().parent
 ROOT = TEST.parent
-GRAPH_STEP = "graph"
-# Node tests that measure times down to milliseconds: at most two of them run at a time, and no other node test.
-TIMED = ("captures", "chain", "demo", "serial_faults")
-MAX_TIMED = 2
-LONG = ("chain", "one_process", "fuzz", "doctor_situations")  # the longest begin first
-MAX_REPEATED = 3  # more failed node tests than this have one cause: repeating them would only take time
-# Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 1500 s.
-NODE_LIMIT_S, UNIT_LIMIT_S = 900.0, 2400.0
-LONG_UNIT_LIMIT_S = 3600.0  # with --all
-# One unit test fails after 600 s (test/unit/conftest.py); of one that nothing interrupts the log shows where it is.
+AT_WORK = 2  # steps at a time; one with --all, whose bounds are those of a machine that does nothing else
+# Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 900 s.
+PROCESS_LIMIT_S, PYTEST_LIMIT_S = 900.0, 1800.0
+LONG_PYTEST_LIMIT_S = 3600.0  # with --all
+# One unit test fails after 600 s (test/conftest.py); of one that nothing interrupts the log shows where it is.
 PYTEST_TRACEBACK_S = 660
 ROSTEST_LIMIT_S = 60.0  # of a test without a time-limit: wiki.ros.org/roslaunch/XML/test
 START_AND_END_S = 60.0  # for rostest to start its master and nodes, and to end them: 5 s on an idle machine
 END_S = 15.0  # for an interrupted step to end its processes
 POLL_S = 0.2
-# On a second Python only those that could differ there. test/unit/conftest.py explains the marks.
+# On a second Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
+# pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of
+# numerical libraries only compete with each other here.
+PYTEST_ENVIRONMENT = {"PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 class Selection(NamedTuple):
-    """The test files to run; ``shared`` and ``timed`` start processes, of which the latter measure times."""
+    """The test files to run, by their folders; those of ``process`` are .test files."""
 
     unit: list[Path]
     graph: list[Path]
-    shared: list[Path]
-    timed: list[Path]
+    process: list[Path]
 
 
 class Step(NamedTuple):
@@ -67,7 +64,21 @@ class Step(NamedTuple):
     command: tuple[str, ...]
     environment: dict[str, str]
     limit_s: float
-    is_unit: bool = False
+    is_pytest: bool = False
+
+
+class Python(NamedTuple):
+    """An interpreter that the tests run on.
+
+    Attributes:
+        path: of its program.
+        ros_path: PYTHONPATH with ROS and the generated messages for it; empty = it has none, and runs no nodes.
+        is_second: it runs only what could differ there.
+    """
+
+    path: str
+    ros_path: str
+    is_second: bool
 
 
 def select(names: Iterable[str]) -> Selection:
@@ -76,56 +87,55 @@ def select(names: Iterable[str]) -> Selection:
     Raises:
         ValueError: no test file's name contains one of the names.
     """
-    unit = sorted((TEST / "unit").rglob("test_*.py"))
-    graph = sorted((TEST / "graph").glob("test_*.py"))
-    node = sorted((TEST / "process").glob("*.test"), key=start_order)
+    everything = Selection(sorted((TEST / "unit").rglob("test_*.py")), sorted((TEST / "graph").glob("test_*.py")),
+                           sorted((TEST / "process").glob("*.test"), key=lambda path: (-time_limit_s(path), path.name)))
     for name in names:
-        if not any(name in path.name for path in (*unit, *graph, *node)):
+        if not any(name in path.name for paths in everything for path in paths):
             raise ValueError(f"no test file has {name} in its name: see test/unit, test/graph and test/process/*.test")
-
-    def chosen(paths):
-        return [path for path in paths if not names or any(name in path.name for name in names)]
-    return Selection(chosen(unit), chosen(graph), chosen(path for path in node if path.stem not in TIMED),
-                     chosen(path for path in node if path.stem in TIMED))
+    return Selection(*([path for path in paths if not names or any(name in path.name for name in names)]
+                       for paths in everything))
 
 
-def start_order(path: Path) -> tuple[int, str]:
-    """Return the key that sorts node tests: the longest first, then by name."""
-    return LONG.index(path.stem) if path.stem in LONG else len(LONG), path.name
+def time_limit_s(path: Path) -> float:
+    """Return the limit of a .test file: the sum of its tests' own."""
+    tests = ElementTree.parse(str(path)).iter("test")
+    return START_AND_END_S + sum(float(test.get("time-limit", ROSTEST_LIMIT_S)) for test in tests)
 
 
-def free_share(before: list[int], after: list[int]) -> float:
-    """Return the ratio of CPU time that was idle, or used at a low priority, between two readings of /proc/stat.
-
-    The readings are user, nice, system, idle, iowait, irq, softirq and steal: proc(5). Unit tests run at a low
-    priority, so that their time is free for node tests.
-    """
-    used = [now - then for now, then in zip(after, before)]
-    return (used[1] + used[3] + used[4]) / max(1, sum(used))
-
-
-def cpu_count() -> int:
-    """Return how many CPUs this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
-def cpu_times() -> list[int]:
-    """Return the first eight figures of /proc/stat."""
-    with open("/proc/stat", encoding="ascii") as file:
-        return [int(field) for field in file.readline().split()[1:9]]
+def pytest_step(results: Path, title: str, python: Python, files: list[Path], python_path: str, is_all: bool) -> Step:
+    """Return the step of some tests by pytest on one Python, on every CPU."""
+    version = subprocess.check_output([python.path, "-c", "import platform; print(platform.python_version())"],
+                                      text=True).strip()
+    name = title.split()[0] + (f"-{version}" if python.is_second else "")
+    marks = SECOND_PYTHON if python.is_second and not is_all else ()
+    title = f"{title}, Python {version}"
+    if is_all:  # property tests take other cases each time; with the seed, the same again
+        seed = random.randrange(2 ** 32)
+        marks, title = (*marks, f"--hypothesis-seed={seed}"), f"{title}, seed {seed}"
+    command = (python.path, "-m", "pytest", "-q", "--tb=short", "-p", "no:cacheprovider",
+               "-o", f"faulthandler_timeout={PYTEST_TRACEBACK_S}", f"--junitxml={results / name / 'junit.xml'}",
+               "-n", str(len(os.sched_getaffinity(0))), "--dist", "loadfile", *marks, *map(str, files))
+    return Step(name, title, command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": python_path},
+                LONG_PYTEST_LIMIT_S if is_all else PYTEST_LIMIT_S, is_pytest=True)
 
 
-def cpus_have_time() -> bool:
-    """Return whether a third of the CPUs' time is free during the next second."""
-    before = cpu_times()
-    time.sleep(1.0)
-    return 3 * free_share(before, cpu_times()) > 1
+def process_step(results: Path, path: Path, is_all: bool) -> Step:
+    """Return the step of one .test file."""
+    folder = results / path.name
+    command = ("rostest", f"--pkgdir={ROOT}", "--package=car_interface", f"--results-base-dir={folder}", str(path))
+    limit_s = time_limit_s(path) if is_all else min(time_limit_s(path), PROCESS_LIMIT_S)
+    return Step(path.name, path.name, command, {"CAR_INTERFACE_TABLE": str(folder / "table")}, limit_s)
 
 
-def can_leave_idle_policy() -> bool:
-    """Return whether a process may go back from SCHED_IDLE (sched(7)): else it would starve on a busy machine."""
-    leave = "import os; os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))"
-    return not subprocess.call(["chrt", "--idle", "0", sys.executable, "-c", leave], stderr=subprocess.DEVNULL)
+def all_steps(results: Path, pythons: list[Python], selected: Selection, is_all: bool) -> list[Step]:
+    """Return the steps of a run, in the order in which they begin where there is room."""
+    steps = []
+    for python in pythons:
+        if selected.unit:
+            steps.append(pytest_step(results, "unit tests", python, selected.unit, str(ROOT / "src"), is_all))
+        if selected.graph and python.ros_path:
+            steps.append(pytest_step(results, "graph tests", python, selected.graph, python.ros_path, is_all))
+    return steps + [process_step(results, path, is_all) for path in selected.process]
 
 
 class Running(NamedTuple):
@@ -141,20 +151,34 @@ class Runner:
 
     Args:
         output: folder; the results are in ``results/STEP``, the nodes' logs in ``log/test/STEP``.
-        unit_steps: run one after the other, beside the node tests.
+        at_work: how many steps at a time.
     """
 
-    def __init__(self, output: Path, unit_steps: Iterable[Step]):
+    def __init__(self, output: Path, at_work: int):
         self.tallies: dict[str, Tally] = {}  # by step
-        self.hung: set[str] = set()  # names of steps
         self._results, self._logs = output / "results", output / "log" / "test"
-        self._unit_steps = list(unit_steps)
+        self._at_work = at_work
         self._running: list[Running] = []
-        self._unit_policy = os.SCHED_OTHER
-        self.poll()
 
-    def begin(self, step: Step) -> None:
-        """Start a step in the background."""
+    def run(self, steps: list[Step]) -> None:
+        """Run all of them."""
+        waiting = list(steps)
+        while waiting or self._running:
+            for each in [each for each in self._running if each.process.poll() is not None]:
+                self._running.remove(each)
+                self._report(each.step, each.process.returncode, time.monotonic() - each.begun_s)
+            next_step = next((step for step in waiting if self._has_room_for(step)), None)
+            if next_step is not None:
+                waiting.remove(next_step)
+                self._begin(next_step)
+            else:
+                time.sleep(POLL_S)
+
+    def _has_room_for(self, step):
+        return len(self._running) < self._at_work and not (
+            step.is_pytest and any(each.step.is_pytest for each in self._running))
+
+    def _begin(self, step):
         folder = self._results / step.name
         folder.mkdir(parents=True, exist_ok=True)
         environment = {**os.environ, "ROS_LOG_DIR": str(self._logs / step.name),
@@ -165,70 +189,19 @@ class Runner:
                             stdout=log, stderr=log)
         self._running.append(Running(step, process, time.monotonic()))
 
-    def poll(self) -> None:
-        """Report the steps that have ended, and start the next unit tests when there is room for them."""
-        for each in [each for each in self._running if each.process.poll() is not None]:
-            self._running.remove(each)
-            self._report(each.step, each.process.returncode, time.monotonic() - each.begun_s)
-        if self._unit_steps and not self.unit_tests_run():
-            self.begin(self._unit_steps.pop(0))
-            self.set_unit_policy(self._unit_policy)
-
     def _report(self, step, code, took_s, why_ended=""):
         folder, logs = self._results / step.name, self._logs / step.name
         (folder / "exit_code").write_text(str(code), encoding="ascii")
         if code == TIMEOUT_EXIT_CODE:
-            self.hung.add(step.name)
             why_ended = f"hung: ended after {step.limit_s:.0f} s"
         if why_ended:
             (folder / "why_ended").write_text(why_ended, encoding="utf-8")
-        result = tally(folder)
-        self.tallies[step.name] = result
+        result = self.tallies[step.name] = tally(folder)
         print_line(step.title, took_s, str(result))
         if result.failures:
             print(*result.lines(), end_of_log(folder / "log", 60), sep="\n", flush=True)
             if logs.exists():
                 print(f"  (the nodes' logs: {logs})", flush=True)
-
-    def unit_tests_run(self) -> bool:
-        """Return whether unit tests are at work."""
-        return any(each.step.is_unit for each in self._running)
-
-    def node_tests(self) -> int:
-        """Return how many node tests are at work."""
-        return sum(not each.step.is_unit for each in self._running)
-
-    def wait_until(self, condition: Callable[[], bool]) -> None:
-        """Wait, and report what ends meanwhile."""
-        self.poll()
-        while not condition():
-            time.sleep(POLL_S)
-            self.poll()
-
-    def wait_for_node_tests(self, count: int) -> None:
-        """Wait until no more than so many node tests are at work."""
-        self.wait_until(lambda: self.node_tests() <= count)
-
-    def wait_for_unit_tests(self) -> None:
-        """Wait until all unit tests have ended."""
-        self.wait_until(lambda: not self.unit_tests_run() and not self._unit_steps)
-
-    def wait_for_room(self) -> None:
-        """Wait until another node test can begin: one on each CPU and one more, and one at a time on a busy machine."""
-        self.wait_for_node_tests(cpu_count())
-        while self.node_tests() and not cpus_have_time():
-            self.wait_for_node_tests(cpu_count())
-
-    def set_unit_policy(self, policy: int) -> None:
-        """Have the unit tests run by SCHED_OTHER, or by SCHED_IDLE: then only while nothing else needs a CPU."""
-        self._unit_policy = policy
-        supervisors = [each.process.pid for each in self._running if each.step.is_unit]
-        for pid in [*supervisors, *(pid for each in supervisors for pid in descendants(each))]:
-            try:
-                for thread in os.listdir(f"/proc/{pid}/task"):
-                    os.sched_setscheduler(int(thread), policy, os.sched_param(0))
-            except OSError:
-                pass  # it has just ended
 
     def end(self) -> None:
         """End the steps that are still at work, all at once."""
@@ -237,15 +210,16 @@ class Runner:
         wait_until(lambda: all(each.process.poll() is not None for each in self._running), END_S)
         end_descendants()
 
-    def give_up(self, names: Iterable[str]) -> None:
-        """End the run: what is at work, and each of the named steps that has not begun, counts as failed."""
+    def give_up(self, steps: Iterable[Step]) -> None:
+        """End the run: what is at work, and each of the steps that has not begun, counts as failed."""
         ended = [(each, time.monotonic() - each.begun_s) for each in self._running]
         self.end()
         for each, took_s in ended:
             self._report(each.step, each.process.returncode, took_s,
                          f"ended after {took_s:.0f} s, since the whole run was ended")
-        for name in names:
-            self.tallies.setdefault(name, Tally(failures=(f"{name}: not run, since the whole run was ended",)))
+        for step in steps:
+            self.tallies.setdefault(step.name,
+                                    Tally(failures=(f"{step.name}: not run, since the whole run was ended",)))
 
 
 def print_line(title: str, took_s: float, result: str = "") -> None:
@@ -253,126 +227,32 @@ def print_line(title: str, took_s: float, result: str = "") -> None:
     print(f"{title:<44} {took_s:7.1f} s   {result}", flush=True)
 
 
-def pytest_command(python: str, results: Path, *arguments: str) -> tuple[str, ...]:
-    """Return a command that runs pytest at a lower priority than node tests have."""
-    return ("nice", "-n", "5", python, "-m", "pytest", "-q", "--tb=short", "-p", "no:cacheprovider",
-            "-o", f"faulthandler_timeout={PYTEST_TRACEBACK_S}", f"--junitxml={results / 'junit.xml'}", *arguments)
-
-
-# pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of
-# numerical libraries only compete with each other here.
-PYTEST_ENVIRONMENT = {"PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
-
-
-def unit_step(results: Path, python: str, files: list[Path], is_second: bool, everything: bool) -> Step:
-    """Return the step of the unit tests on one Python."""
-    version = subprocess.check_output([python, "-c", "import platform; print(platform.python_version())"], text=True)
-    version = version.strip()
-    name = "unit-" + version if is_second else "unit"
-    marks = SECOND_PYTHON if is_second and not everything else ()
-    command = pytest_command(python, results / name, "-n", str(cpu_count()), "--dist", "loadfile", *marks,
-                             *map(str, files))
-    return Step(name, f"unit tests, Python {version}", command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": str(ROOT / "src")},
-                LONG_UNIT_LIMIT_S if everything else UNIT_LIMIT_S, is_unit=True)
-
-
-def graph_step(results: Path, files: list[Path]) -> Step:
-    """Return the step of the tests of nodes in one process, on a clock of the test's."""
-    command = pytest_command(sys.executable, results / GRAPH_STEP, "-n", str(cpu_count()), *map(str, files))
-    return Step(GRAPH_STEP, "nodes in one process", command, PYTEST_ENVIRONMENT, NODE_LIMIT_S)
-
-
-def node_limit_s(path: Path, everything: bool) -> float:
-    """Return the limit of a node test: the sum of its tests' own, which are those of --all; else at most 15 minutes."""
-    tests = ElementTree.parse(str(path)).iter("test")
-    limit_s = START_AND_END_S + sum(float(test.get("time-limit", ROSTEST_LIMIT_S)) for test in tests)
-    return limit_s if everything else min(limit_s, NODE_LIMIT_S)
-
-
-def node_step(results: Path, path: Path, name: str, everything: bool) -> Step:
-    """Return the step of one node test."""
-    folder = results / name
-    command = ("rostest", f"--pkgdir={ROOT}", "--package=car_interface", f"--results-base-dir={folder}", str(path))
-    return Step(name, name, command, {"CAR_INTERFACE_TABLE": str(folder / "table")}, node_limit_s(path, everything))
-
-
-def run_node_tests(runner: Runner, results: Path, selected: Selection, everything: bool) -> None:
-    """Run the node tests beside the unit tests, those that measure times last."""
-    if selected.graph:
-        runner.begin(graph_step(results, selected.graph))
-    for path in selected.shared:
-        runner.wait_for_room()
-        runner.begin(node_step(results, path, path.name, everything))
-    runner.wait_for_node_tests(0)
-    if not selected.timed:
-        return
-    # The bounds of --all are those of a machine that does nothing else.
-    if everything or not can_leave_idle_policy():
-        runner.wait_for_unit_tests()
-    else:
-        runner.set_unit_policy(os.SCHED_IDLE)
-    for path in selected.timed:
-        runner.wait_for_node_tests(0 if everything else MAX_TIMED - 1)
-        runner.begin(node_step(results, path, path.name, everything))
-    runner.wait_for_node_tests(0)
-    runner.set_unit_policy(os.SCHED_OTHER)
-
-
-def repeat_failed(runner: Runner, results: Path, paths: Iterable[Path]) -> list[str]:
-    """Run the node tests that failed once more, each alone; return the failures of those that pass then.
-
-    A program that was kept from running for seconds by others looks like one that is broken. What is broken fails
-    again, and what passes is named: it depends on time where it shouldn't, in the test or in the code. What hung is not
-    repeated: it has had many times the time that it needs.
-    """
-    failed = [path for path in paths if runner.tallies[path.name].failures and path.name not in runner.hung]
-    if len(failed) > MAX_REPEATED:
-        return []
-    runner.wait_for_unit_tests()
-    unsteady: list[str] = []
-    for path in failed:
-        again = node_step(results, path, f"{path.stem}-again.test", everything=False)
-        runner.begin(again)
-        runner.wait_for_node_tests(0)
-        second = runner.tallies.pop(again.name)
-        if not second.failures:
-            unsteady += runner.tallies[path.name].failures
-            runner.tallies[path.name] = second
-    return unsteady
-
-
-def run(output: Path, pythons: list[str], selected: Selection, everything: bool, repeats: bool) -> int:
-    """Run the selected tests, print the results and their sum; return the exit code.
+def run(output: Path, steps: list[Step], at_work: int, skipped: int) -> int:
+    """Run steps, print the results and their sum; return the exit code.
 
     SIGTERM ends the run early, as timeout(1) does in .ci/run when the run has taken too long: its results are printed,
     and what had not ended by itself counts as failed.
+
+    Args:
+        skipped: how many Pythons could not be prepared: each counts as a skipped test.
     """
-    results, begun_s = output / "results", time.monotonic()
-    runnable = [python for python in pythons if os.access(python, os.X_OK)]
-    os.chdir(str(results))
-    unit_steps = [unit_step(results, python, selected.unit, python != pythons[0], everything)
-                  for python in runnable if selected.unit]
-    runner, unsteady = Runner(output, unit_steps), []
+    begun_s = time.monotonic()
+    runner = Runner(output, at_work)
     try:
-        run_node_tests(runner, results, selected, everything)
-        unsteady = repeat_failed(runner, results, [*selected.shared, *selected.timed]) if repeats else []
-        runner.wait_for_unit_tests()
+        runner.run(steps)
     except SystemExit as end:
         if end.code != 128 + signal.SIGTERM:
             raise
         print(f"./dev test: ended by SIGTERM after {time.monotonic() - begun_s:.0f} s", flush=True)
-        nodes = (*selected.shared, *selected.timed)
-        runner.give_up([*(step.name for step in unit_steps), *([GRAPH_STEP] if selected.graph else []),
-                        *(path.name for path in nodes)])
+        runner.give_up(steps)
     finally:
         runner.end()
     print_line("all", time.monotonic() - begun_s)
-    tables = "".join(path.read_text(encoding="utf-8") for path in sorted(results.glob("*/table")))
+    tables = "".join(path.read_text(encoding="utf-8") for path in sorted((output / "results").glob("*/table")))
     if tables:
         print(f"\nfault | at | trials | median ms | p99 ms | worst ms\n{tables}", end="")
-    # A Python that could not be prepared counts as a skipped test.
-    total = Tally.sum([*runner.tallies.values(), Tally(skipped=len(pythons) - len(runnable))])
-    print("", *(f"UNSTEADY, passed alone: {failure}" for failure in unsteady), *total.lines(), total, sep="\n")
+    total = Tally.sum([*runner.tallies.values(), Tally(skipped=skipped)])
+    print("", *total.lines(), total, sep="\n")
     return 1 if total.failures else 0
 
 
@@ -395,9 +275,13 @@ def main() -> int:
         os.environ.setdefault("CAR_INTERFACE_TRIALS", "50")
     os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}"
     adopt_descendants()
-    # Who asks for one test, or for figures, wants to see it fail.
-    repeats = not arguments.names and not arguments.all
-    return run(arguments.output, arguments.python, selected, arguments.all, repeats)
+    results = arguments.output / "results"
+    os.chdir(str(results))
+    pythons = [Python(path, os.environ.get(variable, ""), is_second=variable != "PYTHONPATH")
+               for path, variable in zip(arguments.python, ("PYTHONPATH", "CAR_INTERFACE_PYTHONPATH38"))
+               if os.access(path, os.X_OK)]
+    return run(arguments.output, all_steps(results, pythons, selected, arguments.all), 1 if arguments.all else AT_WORK,
+               len(arguments.python) - len(pythons))
 
 
 if __name__ == "__main__":

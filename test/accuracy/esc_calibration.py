@@ -222,16 +222,17 @@ class Outcome(NamedTuple):
     errors: tuple[str, ...]  # numbers that are not the ESC's
 
 
-def judge(seed: int, folder: Path) -> Outcome:
-    """Record a drive with the ESC of a seed, and calibrate by it."""
+def judge(seed: int, folder: Path, bag: str | None = None) -> Outcome:
+    """Calibrate by a drive with the ESC of a seed, recorded anew or before."""
     import yaml
-    bag, output = folder / f"{seed}.bag", folder / f"{seed}.yaml"
-    car = record_drive(seed, bag)
+    output, car = folder / f"{seed}.yaml", random_car(seed)
+    if bag is None:
+        bag = str(folder / "drive.bag")
+        record_drive(seed, bag)
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text):
-        code = command_line("calibrate_esc", [str(bag), "-o", str(output)])
+        code = command_line("calibrate_esc", [bag, "-o", str(output)])
     written = yaml.safe_load(output.read_text(encoding="utf-8")) if code == 0 else {}
-    bag.unlink()
     return Outcome(car.esc.kind, code, written.get("esc", {}).get("profile"), text.getvalue(),
                    tuple(_errors(car, written)) if written else ())
 

@@ -9,7 +9,7 @@ import itertools
 import os
 from contextlib import contextmanager
 from functools import lru_cache, partial
-from typing import Any, Iterator
+from typing import Any, Callable, Iterator
 
 import yaml
 from sensor_msgs.msg import Joy
@@ -57,10 +57,13 @@ class Board:
         changes: (time in ns, counts of the 16 pins), each time that they changed.
         holder: the process that has locked the chip; 0 = none.
         guards: all that were started, oldest first.
+        guard_error, guard_start_error: what keeps a guard from the chip, and one from being started.
         guard_delay_s: of the pipes between a node and its guard.  guard_start_s, relay_start_s: a process's start.
     """
 
     address = ADDRESS
+    guard_error: OSError | None = None
+    guard_start_error: OSError | None = None
     guard_delay_s, guard_start_s, relay_start_s = 0.0, 0.1, 0.5
 
     def __init__(self, graph: Graph):
@@ -150,6 +153,8 @@ class BoardClient:
 
     def start_guard(self, kind: str, path: str, address: int, off_after_ns: int, node_name: str,
                     output_topic: str) -> GuardActor:
+        if self._board.guard_start_error is not None:
+            raise self._board.guard_start_error
         guard = GuardActor(self._board, self._pid, off_after_ns, node_name, output_topic)
         self._board.guards.append(guard)
         return guard

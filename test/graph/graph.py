@@ -3,8 +3,8 @@
 Messages are serialised, and delivered in the order and with the delay that the test says. Nothing waits: time goes from
 event to event. A busy computer changes nothing, and a timeout of 0.5 s is exactly that.
 
-A node has its turn, as its thread would, when a message wakes it or its next step is due. Within a step its clock stands
-still, but for its own pauses. What it publishes leaves at that time.
+A node has its turn, as its thread would, when a message wakes it or its next step is due. Within a step its clock
+stands still, but for its own pauses. What it publishes leaves at that time.
 """
 from __future__ import annotations
 
@@ -280,6 +280,7 @@ class NodeGraph:
         return subscriber.replace_connections()
 
     def service(self, name: str, service_type, handler) -> _Service:
+        self._graph.service_types[self.resolve_name(name)] = service_type
         return _Service(self._graph.services, self.resolve_name(name), handler)
 
     def parameter(self, name: str, default: Any) -> Any:
@@ -530,6 +531,7 @@ class Graph:
         self.publishers: dict[str, list[TopicPublisher]] = defaultdict(list)
         self.subscriptions: dict[str, list[Subscription]] = defaultdict(list)
         self.services: dict[str, Callable] = {}
+        self.service_types: dict[str, Any] = {}
         self.nodes: dict[str, Node] = {}
         self.recorded: dict[str, list[Record]] = {}
         self.log: list[Line] = []

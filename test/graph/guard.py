@@ -164,7 +164,8 @@ class Device:
         self._board, self._guard = board, guard
 
     def open(self) -> None:
-        pass
+        if self._board.guard_error is not None:
+            raise self._board.guard_error
 
     def close(self) -> None:
         pass

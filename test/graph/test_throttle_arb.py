@@ -322,6 +322,7 @@ def test_diagnostics_say_who_drives_and_why_once_a_second():
     ("teleop", NAN, "tele_throt_req is nan: the throttle is neutral while it lasts"),
     ("value", INF, "the planner's value is inf: it doesn't drive"),
     ("speed", NAN, "the velocity in the odometry is nan: the planner doesn't drive"),
+    ("speed", 1e308, "the velocity in the odometry is 1e+308: the planner doesn't drive"),  # no float32 of the state
     ("steering", SteeringState(source=SteeringState.TELEOP, channel=16),
      "turn_arb/state names channel 16 of the servo board; accepted: 0 to 15"),
 ])

@@ -51,10 +51,6 @@ def parse_wheels(frame):
     return Wheel(*struct.unpack_from("<HBBIII", frame, 4)), Wheel(*struct.unpack_from("<HBBIII", frame, 20))
 
 
-def wheel_bytes(wheel):
-    return struct.pack("<HBBIII", *wheel)
-
-
 def parse_sonar(frame):
     return Sonar(*struct.unpack_from("<BBHI", frame, 4))
 
@@ -159,11 +155,6 @@ class Bench:
 
 def wheel_reports(bench, side=LEFT):
     return [parse_wheels(frame)[side] for frame in bench.frames(WHEELS)]
-
-
-def fields(wheel):
-    """As the captures' description writes them: speed, direction, when, dist, dist_abs."""
-    return wheel.speed, wheel.direction, wheel.when, wheel.dist, wheel.dist_abs
 
 
 def sensors_of(frames):

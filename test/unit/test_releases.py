@@ -4,42 +4,14 @@ from __future__ import annotations
 import importlib
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-
-import pytest
-
-from car_interface.calibration.drive.step import MEASURING, PAUSED, Step
-from car_interface.common.units import NS_PER_S
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 releases = importlib.import_module("accuracy.releases")
 drives = importlib.import_module("accuracy.calibration_drive")
 
-DRIVEN, PAUSE = Step(0.5, 0.8, MEASURING, ""), Step(None, 0.0, PAUSED, "")
-
 
 def release(extent_m=2.0, hit_mps=None, distance_m=0.5):
     return releases.Release(1.0, 0.8, distance_m, extent_m, extent_m, hit_mps, 1.5)
-
-
-def bench(speed_mps, found):
-    return SimpleNamespace(vehicle=SimpleNamespace(speed_mps=speed_mps), let_go=lambda: found)
-
-
-def test_the_button_is_let_go_every_so_often():
-    one = releases.Releases(2.0, 3.0)
-    for tick in range(50 * 10):
-        one(tick * NS_PER_S // 50, bench(0.8, release()), DRIVEN)
-    assert len(one.found) == 5
-
-
-@pytest.mark.parametrize("speed_mps, step", [(0.8, PAUSE), (0.01, DRIVEN)], ids=("paused", "stands"))
-def test_a_car_that_is_not_driven_is_not_let_go(speed_mps, step):
-    one = releases.Releases(2.0, 3.0)
-    one(0, bench(speed_mps, release()), step)
-    assert one.found == [] and one.text() == "never let go"
-    one(1, bench(0.8, release()), DRIVEN)  # as soon as it is
-    assert len(one.found) == 1
 
 
 def test_the_line_counts_the_cars_that_left_the_circle_and_those_that_hit_a_wall():

@@ -30,7 +30,3 @@ def test_no_car_runs_fast_into_what_it_sees():
 def test_without_it_all_do():
     results = [rooms.run(seed, stops=False) for seed in range(10)]
     assert sum(result.speed_mps > rooms.FAST_MPS for result in results) >= 8
-
-
-def test_a_drive_depends_on_its_seed_alone():
-    assert rooms.run(3) == rooms.run(3)

@@ -29,39 +29,30 @@ def step(tmp_path):
     return write
 
 
-def test_each_outcome_counts_once(step):
-    assert step(junit_xml=[PASSED, FAILED, ERROR, SKIPPED], exit_code="1") == Tally(
-        1, ("turn_arb.test: a.B.fails: 1 is not 2", "turn_arb.test: crashes: no message"), 1)
-
-
-def test_several_files_are_added_and_passes_of_rostest_itself_are_not(step):
-    assert step(one_xml=[PASSED], two_xml=[PASSED], rostest_two_xml=[PASSED], exit_code="0") == Tally(2, (), 0)
-
-
-def test_failure_that_rostest_itself_reports_counts(step):
-    assert len(step(rostest_two_xml=[FAILED], exit_code="1").failures) == 1
-
-
-def test_skipped_tests_that_rosunit_counts_as_passed_are_skipped(step):
-    assert step(one_xml=[PASSED, PASSED], skipped="a: why\n", exit_code="0") == Tally(1, (), 1)
+@pytest.mark.parametrize("files, expected", [
+    ({"junit_xml": [PASSED, FAILED, ERROR, SKIPPED], "exit_code": "1"},
+     Tally(1, ("turn_arb.test: a.B.fails: 1 is not 2", "turn_arb.test: crashes: no message"), 1)),
+    ({"one_xml": [PASSED], "two_xml": [PASSED], "rostest_two_xml": [PASSED], "exit_code": "0"}, Tally(2)),
+    ({"rostest_two_xml": [FAILED], "exit_code": "1"}, Tally(0, ("turn_arb.test: a.B.fails: 1 is not 2",))),
+    ({"one_xml": [PASSED, PASSED], "skipped": "a: why\n", "exit_code": "0"}, Tally(1, (), 1)),
+    ({"exit_code": "124", "one_xml": [FAILED], "why_ended": "hung: ended after 9 s"},
+     Tally(0, ("turn_arb.test: a.B.fails: 1 is not 2", "turn_arb.test: hung: ended after 9 s"))),
+], ids=["each_outcome", "passes_of_rostest_itself_do_not_count", "failures_of_rostest_itself_do",
+        "rosunit_s_passes_that_were_skipped", "hung_after_a_failure"])
+def test_what_a_step_s_files_count_as(step, files, expected):
+    assert step(**files) == expected
 
 
 @pytest.mark.parametrize("files, failure", [
     ({"exit_code": "0"}, "no test ran"),
     ({"exit_code": "139", "one_xml": [PASSED]}, "ended with exit code 139 without a failed test"),
-    ({"exit_code": "124", "one_xml": [PASSED], "why_ended": "hung: ended after 9 s"}, "hung: ended after 9 s"),
     ({"exit_code": "124", "one_xml": ["<cut"], "why_ended": "hung: ended after 9 s"}, "hung: ended after 9 s"),
     ({"exit_code": "0", "one_xml": [PASSED], "left_behind": "2"}, "left 2 processes behind"),
     ({"exit_code": "1", "one_xml": ["<cut"]}, "its result file one.xml is no XML"),
-], ids=["no_test", "crash", "time_limit", "time_limit_and_incomplete_file", "left_behind", "incomplete_file"])
+], ids=["no_test", "crash", "time_limit_and_incomplete_file", "left_behind", "incomplete_file"])
 def test_what_went_wrong_without_a_failed_test_is_a_failure(step, files, failure):
     (found,) = step(**files).failures
     assert found.startswith(f"turn_arb.test: {failure}")
-
-
-def test_step_that_hung_after_a_failed_test_has_both_failures(step):
-    found = step(exit_code="124", one_xml=[FAILED], why_ended="hung: ended after 9 s").failures
-    assert found == ("turn_arb.test: a.B.fails: 1 is not 2", "turn_arb.test: hung: ended after 9 s")
 
 
 def test_sum_adds_everything_and_is_the_last_line():

@@ -55,6 +55,7 @@ from car_interface.cfg import EscNeutralConfig
 from car_interface.common import causes
 from car_interface.common.drive_modes import MODES
 from car_interface.common.live_parameters import Tuning
+from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
@@ -192,7 +193,7 @@ class ThrottleArb:
     def _on_odometry(self, message, now_ns):
         speed_mps = message.twist.twist.linear.x
         self._control.update_odometry(speed_mps, now_ns)
-        if not math.isfinite(speed_mps):
+        if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE,
                                 f"the velocity in the odometry is {speed_mps}: the planner doesn't drive")
 

@@ -14,6 +14,7 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.common.drive_modes import HUMAN_DRIVES, MODES, OVERRIDE_HOLD_S
+from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
@@ -199,8 +200,9 @@ class ThrottleArbiter:
             self._resumed_ns = now_ns
 
     def update_odometry(self, speed_mps: float, now_ns: int) -> None:
-        """The car's speed, forward positive."""
-        self._odometry.update(speed_mps, now_ns)
+        """The car's speed, forward positive; one that no car has counts as infinite."""
+        is_no_cars = abs(speed_mps) > MAX_SPEED_MPS
+        self._odometry.update(math.copysign(math.inf, speed_mps) if is_no_cars else speed_mps, now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all inputs are stale."""

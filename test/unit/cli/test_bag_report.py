@@ -29,7 +29,13 @@ def test_command_writes_the_page_and_says_where(bag, tmp_path, capsys):
     assert out.stat().st_mode & 0o077 == 0o044
 
 
-def test_command_without_output_puts_the_page_beside_the_recording(bag, capsys):
+@pytest.fixture
+def no_plots(monkeypatch):
+    """Pages without plots, each of which takes a second."""
+    monkeypatch.setattr(bag_report, "plots", lambda seen: {})
+
+
+def test_command_without_output_puts_the_page_beside_the_recording(bag, no_plots, capsys):
     assert main("bag_report", [bag]) == 0
     assert capsys.readouterr().out == bag.replace(".bag", ".html") + "\n"
 
@@ -60,7 +66,7 @@ def test_page_that_can_not_be_written_is_refused_and_leaves_nothing(bag, tmp_pat
     assert "there is no folder" in capsys.readouterr().err and list(tmp_path.iterdir()) == []
 
 
-def test_page_replaces_an_old_one_but_never_a_recording(bag, tmp_path, capsys):
+def test_page_replaces_an_old_one_but_never_a_recording(bag, no_plots, tmp_path, capsys):
     old, recording = tmp_path / "old.html", pathlib.Path(bag).read_bytes()
     old.write_text("old")
     assert main("bag_report", [bag, "-o", str(old)]) == 0
@@ -81,14 +87,14 @@ def test_recording_that_breaks_the_report_stops_no_other(bag, tmp_path, capsys, 
     assert shown.err == f"bag_report: {other}: no page can be made of it (KeyError: {other!r})\n"
 
 
-def test_page_of_a_car_below_a_namespace_has_that_in_its_name(tmp_path, capsys):
+def test_page_of_a_car_below_a_namespace_has_that_in_its_name(no_plots, tmp_path, capsys):
     path = write_ros1(tmp_path / "drive.bag", drive(10.0, "/car1"))
     for option in ("--ns", "--namespace"):
         assert main("bag_report", [str(path), option, "/car1/"]) == 0
         assert capsys.readouterr().out == f"{tmp_path / 'drive.car1.html'}\n"
 
 
-def test_guess_and_what_the_user_says_are_told_beside_the_page(tmp_path, capsys):
+def test_guess_and_what_the_user_says_are_told_beside_the_page(no_plots, tmp_path, capsys):
     messages = [message._replace(topic="/ekf") for message in drive(10.0) if message.topic == "/odom"]
     path, out = str(write_ros1(tmp_path / "a.bag", messages)), str(tmp_path / "a.html")
     for options, note in (([], "odom: /ekf (the only nav_msgs/Odometry)"),

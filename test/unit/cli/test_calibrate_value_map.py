@@ -17,7 +17,8 @@ from car_interface.cli.calibrate_value_map import Config, add_arguments, config_
 from car_interface.cli.main import main
 from car_interface.common.errors import ConfigError
 from car_interface.throttle.value_map import load_value_map
-from written_recordings import Written, rename_topics, write_ros1, write_ros2
+from recorded_drives import recorded
+from written_recordings import Written, rename_topics, write_ros1
 
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.append(str(ROOT / "test"))
@@ -26,10 +27,12 @@ SEED, SECONDS = 3, 150.0
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    path = tmp_path_factory.mktemp("drive") / "drive.bag"
-    virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=SECONDS, imu=True)
-    return str(path)
+def bag():
+    return record(imu=True)
+
+
+def record(duration_s=SECONDS, seed=SEED, **options):
+    return recorded(virtual_drive.record, virtual_drive.random_car(SEED), seed=seed, duration_s=duration_s, **options)
 
 
 def odometry(time_s, speed=1.0):
@@ -77,9 +80,7 @@ def test_duty_of_the_escs_channel_serves_as_the_value_that_makes_it(bag, tmp_pat
 
 @pytest.mark.once
 def test_drive_by_hand_is_known_by_itself(tmp_path, capsys):
-    path = tmp_path / "hand.bag"
-    virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=SECONDS, by_hand=True)
-    assert run(path, "-o", tmp_path / "map.csv") == 0
+    assert run(record(100.0, by_hand=True), "-o", tmp_path / "map.csv") == 0
     assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.1
     assert "value: duty:1; accelerations by" in capsys.readouterr().out
 
@@ -165,20 +166,24 @@ def test_other_ways_to_measure_find_the_map_too(bag, tmp_path, options):
 
 
 @pytest.mark.once
-def test_prior_gives_the_axes_and_stays_where_nothing_was_driven(bag, tmp_path, capsys):
-    prior = ROOT / "config" / "value_map.csv"
-    assert run(bag, "-o", tmp_path / "map.csv", "--prior", prior) == 0
-    before, after = load_value_map(str(prior)), load_value_map(str(tmp_path / "map.csv"))
+def test_prior_gives_the_axes_stays_where_nothing_was_driven_and_is_kept_beside_the_map_that_replaces_it(
+        bag, tmp_path, capsys):
+    path, before = tmp_path / "map.csv", load_value_map(str(ROOT / "config" / "value_map.csv"))
+    shutil.copy(str(ROOT / "config" / "value_map.csv"), str(path))
+    (tmp_path / "map.report.txt").write_text("old", encoding="utf-8")
+    assert run(bag, "-o", path, "--prior", path) == 0
+    after, out = load_value_map(str(path)), capsys.readouterr().out
     assert (after.values, after.velocities) == (before.values, before.velocities)
     assert after.acceleration_at(3.0, 10.0) == before.acceleration_at(3.0, 10.0)
     assert abs(after.acceleration_at(1.2, 2.0) - before.acceleration_at(1.2, 2.0)) > 0.02
-    assert "the prior's" in capsys.readouterr().out
+    assert "the prior's" in out
+    kept = sorted(path.name for path in tmp_path.glob("*.bak-*"))
+    assert [name.split(".bak-")[0] for name in kept] == ["map.csv", "map.report.txt"]
+    assert all(f"; the old one is {tmp_path / name}\n" in out for name in kept)
 
 
 def test_two_bags_read_by_two_processes_make_one_map(bag, tmp_path):
-    again = tmp_path / "again.bag"
-    virtual_drive.record(virtual_drive.random_car(SEED), again, SEED + 1, duration_s=60.0)
-    assert run(bag, again, "-o", tmp_path / "map.csv", "--jobs", 2) == 0
+    assert run(bag, record(30.0, SEED + 1), "-o", tmp_path / "map.csv", "--jobs", 2) == 0
 
 
 @pytest.mark.once
@@ -187,17 +192,6 @@ def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
     for again, words in ((bag, "are the same recording"), (tmp_path / "copy.bag", "have the same driving in them")):
         assert run(bag, again, "-o", tmp_path / "map.csv") == 1
         assert f"{bag} and {again} {words}" in capsys.readouterr().err
-
-
-@pytest.mark.once
-def test_map_and_report_that_are_replaced_stay_beside_them(bag, tmp_path, capsys):
-    shutil.copy(str(ROOT / "config" / "value_map.csv"), str(tmp_path / "map.csv"))
-    (tmp_path / "map.report.txt").write_text("old", encoding="utf-8")
-    assert run(bag, "-o", tmp_path / "map.csv", "--prior", tmp_path / "map.csv") == 0
-    kept = sorted(path.name for path in tmp_path.glob("*.bak-*"))
-    assert [name.split(".bak-")[0] for name in kept] == ["map.csv", "map.report.txt"]
-    out = capsys.readouterr().out
-    assert all(f"; the old one is {tmp_path / name}\n" in out for name in kept)
 
 
 @pytest.mark.parametrize("name", ["drive.bag", "map.csv"])
@@ -211,27 +205,17 @@ def test_output_that_would_overwrite_a_recording_is_refused(bag, tmp_path, capsy
     assert mine.read_bytes() == before
 
 
-@pytest.mark.once
-def test_map_may_go_to_a_stream_alone(bag, tmp_path, capfd):
-    assert run(bag, "-o", "/dev/null") == 0
-    assert capfd.readouterr().out.endswith("written: /dev/null\n")
-
-
 def test_too_little_driving_is_refused_with_what_is_missing_and_no_file_is_left(tmp_path, capsys):
-    path = tmp_path / "short.bag"
-    virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=12.0)
-    assert run(path, "-o", tmp_path / "map.csv") == 1
+    assert run(record(12.0), "-o", tmp_path / "map.csv") == 1
     error = capsys.readouterr().err
-    assert "no map is written" in error and "at least" in error or "support" in error
+    assert "no map is written" in error and "--force" in error and "at least" in error or "support" in error
     assert not list(tmp_path.glob("map*"))
 
 
 @pytest.mark.once
 def test_what_was_left_out_of_the_drive_is_missing_and_not_made_up(tmp_path, capsys):
-    path = tmp_path / "slow.bag"
-    virtual_drive.record(virtual_drive.random_car(SEED), path, SEED, duration_s=SECONDS, missing=virtual_drive.NO_FAST)
     given = ("--values", -4, -1, 0, 0.5, 1, 2, "--velocities", 1, 2, 3, 4, 6)
-    assert run(path, "-o", tmp_path / "map.csv", *given) == 0
+    assert run(record(100.0, missing=virtual_drive.NO_FAST), "-o", tmp_path / "map.csv", *given) == 0
     table = load_value_map(str(tmp_path / "map.csv"))
     assert table.velocities[-1] <= 4.0 and table.values[0] >= -1.0  # nobody drove faster than 3.5 m/s, or braked harder
     out = capsys.readouterr().out
@@ -239,11 +223,9 @@ def test_what_was_left_out_of_the_drive_is_missing_and_not_made_up(tmp_path, cap
 
 
 @pytest.mark.once
-def test_force_writes_what_is_refused_and_marks_it(bag, tmp_path, capsys):
+def test_force_writes_what_is_refused_and_marks_it(bag, tmp_path):
     # Two values only: no map that anybody should drive with.
     given = ("--values", "0.2", "2.5", "--velocities", "1", "2", "3")
-    assert run(bag, "-o", tmp_path / "map.csv", *given) == 1
-    assert "--force" in capsys.readouterr().err
     assert run(bag, "-o", tmp_path / "map.csv", *given, "--force") == 0
     assert "not good enough: " in (tmp_path / "map.report.txt").read_text(encoding="utf-8")
 
@@ -260,9 +242,8 @@ def test_force_writes_what_is_refused_and_marks_it(bag, tmp_path, capsys):
     ([odometry(0.02 * i, float("nan")) for i in range(9)] + [value(0.02 * i) for i in range(9)], "odom"),
     ([Written(0.0, "/odom", "std_msgs/Float64", {"data": 1.0}), value(0.0)], "/odom is of type std_msgs/Float64"),
 ], ids=["no_value", "no_odometry", "no_messages", "too_short", "standing", "not_numbers", "wrong_type"])
-@pytest.mark.parametrize("write", [write_ros1, write_ros2], ids=["ros1", "ros2"])
-def test_recording_that_tells_nothing_is_refused_in_one_line(tmp_path, capsys, write, messages, said):
-    path = write(tmp_path / "a.bag", sorted(messages, key=lambda message: message.time_s))
+def test_recording_that_tells_nothing_is_refused_in_one_line(tmp_path, capsys, messages, said):
+    path = write_ros1(tmp_path / "a.bag", sorted(messages, key=lambda message: message.time_s))
     assert run(path, "-o", tmp_path / "map.csv") == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert any(part in line for part in said.split("|")) and "a.bag" in line

@@ -37,7 +37,8 @@ def folder(made, tmp_path):
 
 @pytest.fixture
 def read(monkeypatch):
-    """The recordings that are read, by their names."""
+    """The recordings that are read, by their names; no trends are drawn meanwhile."""
+    monkeypatch.setattr(drives, "trends", lambda rows: "")
     names, summarize = [], drives.summarize
     monkeypatch.setattr(drives, "summarize", lambda path, *more, **topics: (
         names.append(os.path.basename(path)), summarize(path, *more, **topics))[1])

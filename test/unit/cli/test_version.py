@@ -57,11 +57,3 @@ def test_option_prints_name_and_version_and_ends_with_0(parser, monkeypatch, cap
         parser.parse_args(["--version"])
     assert caught.value.code == 0
     assert capsys.readouterr().out == "car_interface 7.8.9\n"
-
-
-def test_version_is_looked_up_only_on_request(parser, monkeypatch):
-    def fails():
-        raise AssertionError("looked up")
-    monkeypatch.setattr(versions, "version", fails)
-    parser.parse_args([])
-    assert "print the version of car_interface and end" in parser.format_help()

@@ -157,6 +157,7 @@ def test_same_request_again_does_not_start_anew():
 TRIPLES = st.tuples(st.integers(3000, 4600), st.integers(4300, 5900), st.integers(5900, 7500))
 
 
+@pytest.mark.once
 @given(st.lists(TRIPLES, min_size=1, max_size=4), st.integers(1, 60), st.sampled_from([1, 37, 500, 20_000]))
 def test_whatever_is_asked_each_step_is_valid_and_within_the_rate(wanted, ticks, rate):
     tuned = tuning(rate=rate)

@@ -62,6 +62,7 @@ def exact_lookup(axis, values, x):
     return values[-1]
 
 
+@pytest.mark.once
 @given(tables_and_points())
 def test_lookup_in_any_table_equals_the_exact_definition(case):
     axis, values, x = case
@@ -107,6 +108,7 @@ def test_rounding_of_a_half_goes_away_from_zero(x, rounded):
     assert result == rounded and isinstance(result, int)
 
 
+@pytest.mark.once
 @given(st.floats(-1e17, 1e17) | st.integers(-10 ** 6, 10 ** 6).map(lambda n: n / 2))
 @example(0.49999999999999994)
 def test_rounding_of_any_number_equals_exact_decimal_rounding(x):

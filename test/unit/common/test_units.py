@@ -23,6 +23,7 @@ def test_a_second_has_a_thousand_milliseconds():
     assert NS_PER_S == 1000 * NS_PER_MS
 
 
+@pytest.mark.once
 @given(st.floats(-math.pi + 1e-6, math.pi - 1e-6), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_yaw_is_that_of_the_quaternion_whatever_pitch_and_roll(yaw, pitch, roll):
     cy, sy, cp, sp, cr, sr = (f(angle / 2) for angle in (yaw, pitch, roll) for f in (math.cos, math.sin))

@@ -31,7 +31,7 @@ def test_shipped_file_is_read_as_yaml_has_it(path):
     pytest.param("\ufeffa: 1\r\nb: 2\r\n", id="byte_order_mark_and_windows_line_ends"),
     pytest.param("a: " + "[" * 99 + "1" + "]" * 99, id="100_levels"),
     pytest.param("# " + "x" * (MAX_BYTES - 8) + "\na: 1\n", id="1_mb"),
-    pytest.param("\n".join(f"name{index}: {index}" for index in range(50_000)), id="a_great_many_values"),
+    pytest.param("\n".join(f"name{index}: {index}" for index in range(5_000)), id="a_great_many_values"),
 ])
 def test_ordinary_file_is_read(text, tmp_path):
     path = tmp_path / "a.yaml"

@@ -222,6 +222,7 @@ def test_ages_are_told():
     assert (interlock.human_age_s(NOW + S), interlock.e_stop_age_s(NOW + S)) == (1.0, 0.75)
 
 
+@pytest.mark.once
 @given(st.lists(st.sampled_from([E_STOP, RUN, HOLD, LET_GO, SILENCE, LONG_SILENCE]), max_size=12))
 def test_whatever_happened_the_car_moves_only_with_the_deadman_held_and_the_lock_not_on(events):
     if after(*events) is None:
@@ -285,6 +286,7 @@ def test_explanation_of_anything_becomes_one_line_of_bounded_length():
     assert len(absent(reason="x" * 10_000)) == len("human_in_loop is false: ") + 300
 
 
+@pytest.mark.once
 @given(st.lists(st.tuples(st.sampled_from([HOLD, LET_GO, E_STOP, RUN, SILENCE, DROPPED]), st.booleans(), st.text()),
                 max_size=12))
 def test_explanation_never_changes_what_is_permitted(steps):

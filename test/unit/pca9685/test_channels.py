@@ -242,6 +242,7 @@ def test_differences_are_the_channels_that_hold_something_else_or_nobody_knows_w
     assert differences(targets, targets) == {}
 
 
+@pytest.mark.once
 @given(st.lists(st.tuples(st.integers(0, 400), st.dictionaries(st.integers(0, 15), st.integers(-3, 65540)))))
 def test_channels_after_any_commands_hold_the_newest_that_is_young_enough(commands):
     """A second, naive bookkeeping: for each channel the time and counts of its newest duty."""

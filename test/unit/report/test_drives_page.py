@@ -31,8 +31,9 @@ def shown(*rows):
 
 
 def test_car_that_hardly_turns_is_no_percentage():
-    assert shown(FULL._replace(straight_per_m=None, left_ratio=0.002, right_ratio=None))[0][5] == (
-        "left: more than 10 times wider")
+    for ratio in (0.002, 0.0):
+        assert shown(FULL._replace(straight_per_m=None, left_ratio=ratio, right_ratio=None))[0][5] == (
+            "left: more than 10 times wider")
 
 
 def test_dates_are_headed_with_their_time_zone():
@@ -113,11 +114,6 @@ def test_distance_of_nothing_is_0_and_not_empty():
     assert float(line["distance_km"]) == 0.0
 
 
-@pytest.mark.parametrize("count", [26, 200])
-def test_long_table_is_not_folded(count):
-    assert "<details>" not in page("drives", [FULL] * count, "")
-
-
 @pytest.mark.parametrize("text", [
     "=1+1.bag", "+1.bag", "-1.bag", "@SUM(A1).bag", "\t=1.bag", "\r=1.bag", "\n=1.bag", "\uff1d1.bag", "\u22121.bag",
     '=HYPERLINK("http://x","y").bag'])
@@ -143,7 +139,3 @@ def test_text_within_a_cell_begins_no_cell_of_its_own(delimiter):
 def test_zero_byte_in_a_cause_leaves_a_file_that_can_be_read():
     (line,) = csv.DictReader(io.StringIO(csv_text([FULL._replace(losses={"a\0b": 1})])))
     assert line["losses_by_cause"] == "a\ufffdb: 1"
-
-
-def test_car_that_does_not_turn_at_all_turns_wider():
-    assert shown(FULL._replace(left_ratio=0.0, right_ratio=None))[0][5].endswith("left: more than 10 times wider")

@@ -391,8 +391,7 @@ def serve_one(listener):
     return publisher
 
 
-@pytest.mark.parametrize("first", [b"", encode_ros_handshake_header(PUBLISHER)[:-1], FOUR_GIB, b"\x02\0\0\0ab"],
-                         ids=["silent", "all but one byte", "4 GiB", "no header"])
+@pytest.mark.parametrize("first", [b"", FOUR_GIB, b"\x02\0\0\0ab"], ids=["silent", "4 GiB", "no header"])
 def test_publisher_without_a_header_is_tried_again(listener, subscription, caplog, first):
     silent = accept(listener)
     silent.sendall(first)

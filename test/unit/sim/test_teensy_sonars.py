@@ -4,7 +4,6 @@ import struct
 import pytest
 
 from car_interface.sim.teensy_sonars import SONAR_FINE, SONAR_MISSING, SONAR_STUCK
-from car_interface.sim.teensy_wheels import FORWARD, LEFT
 from teensy_bench import (
     ECHOES_US,
     MS,
@@ -18,39 +17,12 @@ from teensy_bench import (
     Bench,
     S,
     framed_for_the_receiver,
-    message,
     near,
     parse_sonar,
     ping,
     sensors_of,
     sonar_reports,
-    wheel_reports,
 )
-
-
-def test_sonars_report_in_turn_echo_and_50_ms_and_1_to_2_ms_apart():
-    bench = Bench(near).until(20 * S)
-    reports = sonar_reports(bench)
-    assert sensors_of(bench.frames(SONAR))[:8] == [0, 1, 2, 3, 4, 5, 0, 1]
-    for before, after in zip(reports, reports[1:]):
-        assert 50 < after.when - before.when - ECHOES_US[after.sensor] / 1000 < 53
-    assert len(reports) / 20 == pytest.approx(17, abs=0.6)
-
-
-def test_13_us_are_taken_off_an_echo():
-    for report in sonar_reports(Bench(near).until(3 * S)):
-        assert report.echo_us == pytest.approx(ECHOES_US[report.sensor] - 13, abs=1)
-
-
-def test_echo_s_tick_is_that_of_its_end():
-    asked = []
-
-    def echo_us(sensor, at_ns):
-        asked.append(at_ns)
-        return 6000
-
-    for at_ns, report in zip(asked, sonar_reports(Bench(echo_us).until(500 * MS))):
-        assert report.when == 300 + (at_ns + 449_000 + 6_000_000) // MS
 
 
 @pytest.mark.parametrize(
@@ -67,20 +39,6 @@ def test_echo_s_tick_is_that_of_its_end():
 def test_every_echo_is_reported_up_to_the_sensor_s_own_end(echo_us, pulse_end_us, reported_us):
     bench = Bench(lambda sensor, at_ns: echo_us, sonar_pulse_end_us=pulse_end_us).until(2 * S)
     assert {abs(report.echo_us - reported_us) <= 1 for report in sonar_reports(bench)} == {True}
-
-
-def test_ping_holds_the_loop_up_for_the_0_46_ms_until_the_pin_rises():
-    bench = Bench(near).until(300 * MS)
-    ping_ns = bench.teensy.next_event_ns
-    while not bench.teensy.next_event_ns > bench.now_ns + 300_000:
-        ping_ns = bench.teensy.next_event_ns
-        bench.until(ping_ns)
-    held_until_ns = ping_ns + 449_000
-    bench.teensy.wheel_pulse(LEFT, FORWARD, ping_ns + 50_000)
-    bench.until(held_until_ns - 1000)
-    assert wheel_reports(bench)[-1].dist_abs == 0 and not bench.teensy._transmitter._unsent
-    bench.until(held_until_ns + 5 * MS)
-    assert wheel_reports(bench)[-1].dist_abs == 1
 
 
 def held_up_ms(bench, span_s):
@@ -111,15 +69,6 @@ def test_sensor_that_is_missing_later_is_skipped_and_holds_the_loop_up_for_29_ms
     assert held_up_ms(Bench(near).until(S), 2.0) < 8
 
 
-def test_sensor_that_is_connected_again_reports_again():
-    bench = Bench(near).until(2 * S)
-    bench.teensy.set_sonar(3, SONAR_MISSING, bench.now_ns)
-    bench.after(S)
-    bench.teensy.set_sonar(3, SONAR_FINE, bench.now_ns)
-    bench.fresh(SONAR)
-    assert set(sensors_of(bench.after(S).fresh(SONAR))) == set(range(6))
-
-
 def test_two_neighbours_that_are_missing_are_both_skipped():
     bench = Bench(near).until(2 * S)
     for sensor in (2, 3):
@@ -136,25 +85,9 @@ def test_first_sensor_missing_at_power_up_silences_all_six_and_is_tried_once_a_s
     assert len(bench.after(2 * S).frames(SONAR)) > 12
 
 
-def test_sonar_start_steps_over_a_first_sensor_that_is_missing():
-    bench = Bench(near, sonars_missing=(0,)).until(3 * S).command(START).after(2 * S)
-    assert sensors_of(bench.frames(SONAR))[:8] == [1, 2, 3, 4, 5, 1, 2, 3]
-
-
 def test_other_sensor_missing_at_power_up_is_skipped():
     bench = Bench(near, sonars_missing=(4,)).until(3 * S)
     assert sensors_of(bench.frames(SONAR))[:8] == [0, 1, 2, 3, 5, 0, 1, 2]
-
-
-def test_sensor_that_is_stuck_high_costs_about_the_uptime_and_reports_0():
-    # As captured: reports at 832, 2406, 5554 and 11850 ms.
-    bench = Bench(near, sonars_missing=())
-    bench.teensy.set_sonar(2, SONAR_STUCK, 0)
-    bench.until(13 * S)
-    stuck = [report for report in sonar_reports(bench) if report.sensor == 2]
-    assert [report.echo_us for report in stuck] == [0, 0, 0, 0]
-    assert [report.when for report in stuck] == pytest.approx([832, 2406, 5554, 11850], rel=0.02)
-    assert sensors_of(bench.frames(SONAR))[:14] == [0, 1, 2, 3, 4, 5, 0, 1, 2, 3, 4, 5, 0, 1]
 
 
 def test_sensor_that_is_stuck_high_hangs_the_sonars_of_an_old_teensy_until_sonar_start():
@@ -184,41 +117,6 @@ def test_sensor_that_lets_go_again_is_heard_again():
     bench.teensy.set_sonar(2, SONAR_FINE, bench.now_ns)
     bench.fresh(SONAR)
     assert set(sensors_of(bench.after(S).fresh(SONAR))) == set(range(6))
-
-
-def started_while(bench, sensor, after_ping_us):
-    """Sends SONAR_START so that it is taken so long after a ping with ``sensor``; returns the next three reports."""
-    pinged = []
-    bench.teensy.echo_us = lambda number, at_ns: pinged.append((number, at_ns)) or ECHOES_US[number]
-    wire = framed_for_the_receiver(message(START))
-    cycle_ns = 6 * 60 * MS
-    bench.after(cycle_ns)
-    while not pinged or pinged[-1][0] != sensor:
-        bench.after(50_000)
-    bench.until(pinged[-1][1] + after_ping_us * 1000 - round(len(wire) * 86_806))
-    bench.fresh(SONAR)
-    reports = map(parse_sonar, bench.write(wire).after(100 * MS).fresh(SONAR))
-    return [(report.sensor, report.echo_us) for report in reports]
-
-
-def test_sonar_start_while_the_sonars_run_takes_the_present_one_s_echo_for_the_next_one_s():
-    # As captured: sensor 2 at 6406 µs reports 4181, its neighbour's 4659 less the 465 µs between the pings and 13.
-    reports = started_while(Bench(near).until(S), 1, after_ping_us=30_000)
-    assert reports[0] == (2, pytest.approx(4659 - 465 - 13, abs=2))
-    assert reports[1] == (3, pytest.approx(ECHOES_US[3] - 13, abs=1))
-
-
-def test_sonar_start_while_an_echo_is_high_reports_it_below_zero_and_holds_the_loop_up():
-    # As captured: 48131 where the echo ended 0.6 ms after the command.
-    reports = started_while(Bench(near).until(S), 1, after_ping_us=449 + 4659 - 623)
-    sensor, echo_us = reports[0]
-    assert sensor == 1 and echo_us == pytest.approx(48_131, abs=60)
-    assert reports[1] == (2, pytest.approx(ECHOES_US[2] - 13, abs=1))
-
-
-def test_sonar_start_whose_next_sensor_hears_first_is_right():
-    reports = started_while(Bench(near).until(S), 5, after_ping_us=30_000)
-    assert reports[0] == (0, pytest.approx(ECHOES_US[0] - 13, abs=1))
 
 
 def test_sonars_stopped_are_silent_and_started_go_on():

@@ -128,6 +128,7 @@ def test_steering_that_never_rests_is_judged_by_all_that_it_commanded(car):
     assert "commanded left" in car.warning
 
 
+@pytest.mark.once
 @given(st.lists(st.tuples(st.sampled_from([1.5, -2.0, 4.0, INF, -12.0]), st.floats(0.1, 4.0),
                           st.sampled_from([-1.5, -0.6, 0.0, 0.3, 0.45, 0.6, 1.5])), max_size=8))
 def test_car_that_does_what_it_is_told_is_never_warned_of(drives):

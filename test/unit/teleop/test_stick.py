@@ -1,6 +1,7 @@
 """One stick: whether its axis counts, and whether it overrides the planner. Time is passed in."""
 from __future__ import annotations
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,6 +23,7 @@ def after(moves, brakes=True):
     return stick, seen, now_ns
 
 
+@pytest.mark.once
 @given(MOVES, st.booleans())
 @settings(max_examples=500)
 def test_stick_beyond_its_dead_band_overrides_now_if_it_may_and_a_pull_always_does(moves, brakes):
@@ -34,6 +36,7 @@ def test_stick_beyond_its_dead_band_overrides_now_if_it_may_and_a_pull_always_do
         assert stick.override() <= 0 or stick.counts and not stick.is_off_center
 
 
+@pytest.mark.once
 @given(MOVES)
 @settings(max_examples=500)
 def test_nothing_overrides_longer_than_the_hold_after_the_stick_came_to_rest(moves):
@@ -41,6 +44,7 @@ def test_nothing_overrides_longer_than_the_hold_after_the_stick_came_to_rest(mov
     assert not stick.overrides(seen[-1][2] + HOLD_NS)
 
 
+@pytest.mark.once
 @given(MOVES)
 @settings(max_examples=500)
 def test_axis_that_was_never_within_the_dead_band_does_not_count(moves):

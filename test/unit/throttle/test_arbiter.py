@@ -123,6 +123,8 @@ def test_nobody_who_asks_is_no_stop():
                  id="odometry_silent"),
     pytest.param({"odometry": (NAN, 0.1)}, NEUTRAL, "odometry not finite", "the velocity in the odometry is nan",
                  id="odometry_not_finite"),
+    pytest.param({"odometry": (-100.1, 0.1)}, NEUTRAL, "odometry not finite", "the velocity in the odometry is -inf",
+                 id="odometry_of_no_car"),
 ])
 def test_planner_is_stopped_with_cause_and_reason(inputs, source, cause, reason):
     decision = decide(**{"planner": (0.7, 0.1), **inputs})

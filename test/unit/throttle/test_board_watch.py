@@ -185,6 +185,7 @@ def sweep(period_ms, amplitude=1200):
     return lambda at: round(CENTER + amplitude * math.sin(2 * math.pi * at / period_ms))
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("state_late, report_late", [
     pytest.param(1, 1, id="prompt"), pytest.param(1, 25, id="reports_late"), pytest.param(25, 1, id="states_late"),
     pytest.param(40, 45, id="both_late")])

@@ -21,7 +21,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2]))
 sequences = importlib.import_module("esc_sequences")
 
 IS_LONG = bool(os.environ.get("CAR_INTERFACE_ALL"))
-DRIVES = 100_000 if IS_LONG else 600
+DRIVES = 100_000 if IS_LONG else 300
 
 
 @pytest.mark.once
@@ -53,5 +53,5 @@ def _careless(stop):
 @pytest.mark.once
 @pytest.mark.parametrize("stop, text", [(-0.4, "a stop became reverse"), (0.0, "reverse that nobody meant")])
 def test_careless_rules_are_found_out(stop, text):
-    texts = [sequences.failures(sequences.run(seed, _careless(stop))) for seed in range(60)]
-    assert sum(text in one for one in texts) > 5
+    texts = [sequences.failures(sequences.run(seed, _careless(stop))) for seed in range(30)]
+    assert sum(text in one for one in texts) > 2

@@ -82,6 +82,7 @@ def drives_into(x_m, y_m, curvature_per_m, is_backward, outline, step_m=0.001):
     return None
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("is_backward", [False, True])
 @pytest.mark.parametrize("curvature_per_m", [0.0, 0.3, -0.3, 1.0, -1.0])
 def test_on_any_arc_it_is_where_a_driven_car_meets_the_point(curvature_per_m, is_backward):

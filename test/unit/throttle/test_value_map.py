@@ -119,6 +119,7 @@ def maps(draw):
     return values, velocities, [list(row) for row in zip(*columns)]
 
 
+@pytest.mark.once
 @given(maps(), st.floats(-120, 120), st.floats(-120, 120))
 def test_value_in_any_map_equals_the_naive_lookup_s(case, acceleration, velocity):
     values, velocities, rows = case
@@ -126,6 +127,7 @@ def test_value_in_any_map_equals_the_naive_lookup_s(case, acceleration, velocity
     assert ValueMap(values, velocities, rows).value_at(acceleration, velocity) == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.once
 @given(maps(), st.data())
 def test_value_in_any_map_at_its_own_points_equals_the_row_s(case, data):
     values, velocities, rows = case
@@ -134,6 +136,7 @@ def test_value_in_any_map_at_its_own_points_equals_the_row_s(case, data):
     assert ValueMap(values, velocities, rows).value_at(rows[row][column], velocities[column]) == values[row]
 
 
+@pytest.mark.once
 @given(maps(), st.floats(-120, 120), st.floats(-120, 120))
 def test_forward_of_inverse_is_the_acceleration_as_far_as_the_map_reaches(case, acceleration, velocity):
     values, velocities, rows = case
@@ -144,6 +147,7 @@ def test_forward_of_inverse_is_the_acceleration_as_far_as_the_map_reaches(case, 
         expected, abs=1e-6)
 
 
+@pytest.mark.once
 @given(maps(), st.floats(0, 1), st.floats(-120, 120))
 def test_inverse_of_forward_is_the_value(case, part, velocity):
     values, velocities, rows = case
@@ -152,6 +156,7 @@ def test_inverse_of_forward_is_the_value(case, part, velocity):
     assert value_map.value_at(value_map.acceleration_at(value, velocity), velocity) == pytest.approx(value, abs=1e-6)
 
 
+@pytest.mark.once
 @given(maps(), st.floats(-120, 120), st.floats(-120, 120), st.floats(-120, 120))
 def test_greater_acceleration_never_gets_a_lesser_value(case, one, other, velocity):
     value_map = ValueMap(*case)
@@ -162,6 +167,7 @@ def test_greater_acceleration_never_gets_a_lesser_value(case, one, other, veloci
 NEARLY_LEVEL = st.sampled_from([0.0, 5e-324, 1.0 - 2 ** -53, 1.0, 1.0 + 2 ** -52, 2.0, -1.0])
 
 
+@pytest.mark.once
 @given(st.data())
 def test_lookup_in_a_map_all_but_level_never_fails_nor_leaves_the_map(data):
     rows = data.draw(st.integers(2, 4))
@@ -404,6 +410,7 @@ def test_text_that_will_be_a_file_is_checked_before_there_is_one(tmp_path):
     assert os.listdir(str(tmp_path)) == []
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("content", [
     pytest.param(SHIPPED.read_bytes(), id="shipped"),
     pytest.param(b"\xef\xbb\xbf" + GOOD.replace("default", "Wägelchen").replace("\n", "\r\n").encode(),

@@ -150,8 +150,9 @@ class WheelFilter:
             return
         self._predict(now_ms)
         since_ms = now_ms - self._pulse_ms
+        fastest = 1 / since_ms if since_ms > FAR_APART_MS / 3 else math.inf  # or the next pulse would have come
         # The newest pulse was somewhere in its tick, and until then no other had come: half a tick to either side.
-        slack = abs(self.speed) * TICK_MIDDLE_MS if since_ms <= FAR_APART_MS else 0.0
+        slack = min(abs(self.speed), fastest) * TICK_MIDDLE_MS if since_ms <= FAR_APART_MS else 0.0
         low, high = self.count - slack, self.count + 1 + slack
         if since_ms > STANDS_AFTER_MS:
             self.position = min(max(self.position, low), high) if not self.is_uncounted else self.position
@@ -165,8 +166,7 @@ class WheelFilter:
             elif self.position < low:
                 self._correct(low + PASSED_BY, PASSED_VARIANCE)
         self.position = min(max(self.position, low), high)
-        fastest = 1 / max(since_ms, FAR_APART_MS / 3)
-        if abs(self.speed) > fastest and since_ms > FAR_APART_MS / 3:
+        if abs(self.speed) > fastest:
             self.speed = math.copysign(fastest, self.speed)
             self._acceleration = 0.0
 

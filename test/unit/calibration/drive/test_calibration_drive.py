@@ -136,7 +136,7 @@ def test_by_how_it_was_seen_to_stop_it_is_slower_or_faster_from_then_on(monkeypa
         for yaw_rad in (0.0, 1.5, 3.0, 4.5):
             let_go(one, mps2, yaw_rad)
         one.pose, one.holds, before = Pose(0.0, 0.0, 0.0), True, len(one.steps)
-        one.run(40)
+        one.run(15)
         speeds.append(np.mean([step.speed_mps for step in one.steps[before:]]))
     assert faster * (speeds[1] - speeds[0]) > 0.03
 

@@ -131,10 +131,10 @@ def test_a_way_across_ends_in_time_for_the_turn_about_which_less_is_known(monkey
     monkeypatch.setattr(Outlook, "rooms_m", lambda self, duty, curvature_per_m, *how: (
         [0.0, 0.0] if abs(curvature_per_m) > 0.5 else rooms_m(self, duty, curvature_per_m, *how)))
     one = car()
-    one.run(100)
+    one.run(60)
     turns = [step.target_duty for before, step in zip(one.steps, one.steps[1:])
              if step.phase == TURNING and before.phase == MEASURING]
-    assert len(turns) >= 5 and turns.count(end) >= 0.8 * len(turns)
+    assert len(turns) >= 3 and turns.count(end) >= 0.8 * len(turns)
 
 
 def test_a_person_is_asked_to_place_it_where_no_way_leads_to_the_turns_that_are_missing(monkeypatch):

@@ -21,6 +21,7 @@ def fitted(make, seed=1, **changes):
     return fit(Person(make(**changes), seed=seed).drive())
 
 
+@pytest.mark.once
 def test_random_escs_are_told_right_or_refused():
     right = 0
     for seed in range(RANDOM_ESCS):

@@ -71,6 +71,7 @@ def test_esc_that_takes_shorter_pulses_for_forward_is_mirrored(tmp_path):
     assert duty_at(drive, 4.0) == 2 * 4915 - 4200
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("gap, known, unknown", [((4.0, 4.4), (4.2,), ()), ((4.0, 6.0), (3.9, 6.1), (4.1, 5.9))])
 def test_where_odometry_is_missing_nothing_is_known_of_the_esc(tmp_path, gap, known, unknown):
     drive = driven(tmp_path, [*outputs((0.0, 4912), (5.0, 4000)), state(1.0)], gap).drive
@@ -85,6 +86,7 @@ def test_where_the_board_s_output_is_missing_nothing_is_known_of_the_esc(tmp_pat
     assert [duty_at(drive, time_s) for time_s in (3.4, 3.6, 4.9, 5.1)] == [4000, 0, 0, 4912]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("duty", [-1, 0, 65535])
 def test_duty_that_is_no_pulse_counts_as_none(tmp_path, duty):
     drive = driven(tmp_path, [*outputs((0.0, 4912), (3.0, duty)), state(1.0)]).drive
@@ -101,6 +103,7 @@ def test_pulls_of_two_recordings_do_not_belong_together(tmp_path):
     assert both.t_s[-1] > 2 * END_S
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("messages, error, said", [
     ([state(1.0)], NoRecording, "has no topic /servo/output, which says what the ESC got"),
     ([*outputs((0.0, -1)), state(1.0)], CarInterfaceError, "channel 1 of the servo board never had a pulse"),

@@ -1,6 +1,8 @@
 """Synthetic drives whose value map, slope, battery and delay are known."""
 from __future__ import annotations
 
+import functools
+import math
 import random
 
 import numpy as np
@@ -15,12 +17,14 @@ DELAY_S = 0.08
 
 def acceleration(value, speed):
     """The synthetic car's: two slopes, a motor that gets weaker, drag."""
+    if isinstance(value, float):  # a step of a drive; numpy takes ten times as long for one number
+        return (1.8 * value / (1 + speed / 10) if value > 0 else 1.4 * value) - 0.35 - 0.08 * speed
     return np.where(value > 0, 1.8 * value / (1 + speed / 10), 1.4 * value) - 0.35 - 0.08 * speed
 
 
+@functools.lru_cache(maxsize=16)
 def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pitch=False, with_imu=False, pulses=True,
-          mounting_rad=0.0, map_of=acceleration, there_and_back=False,
-          circles=False):
+          mounting_rad=0.0, map_of=acceleration, there_and_back=False, circles=False):
     """A drive with a random value every second or so, straight on or all round."""
     rng = random.Random(seed)
     count = int(seconds / STEP_S)
@@ -29,9 +33,10 @@ def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pi
     now, until, turn, held, v, heading = 0.0, 0.0, 0.0, [], 1.0, 0.0
     forces = np.zeros(count)
     for index in range(count):
-        if t_s[index] >= until or v < 0.6 and now < 0 or v > 7.0 and now > 0:
+        now_s = index * STEP_S
+        if now_s >= until or v < 0.6 and now < 0 or v > 7.0 and now > 0:
             now = rng.uniform(0.5, 3.0) if v < 1.0 else rng.uniform(-4.0, 0.0) if v > 6.0 else rng.uniform(-4.0, 3.0)
-            until, turn = t_s[index] + rng.uniform(0.6, 1.6), rng.uniform(-0.4, 0.4) if turns else 0.0
+            until, turn = now_s + rng.uniform(0.6, 1.6), rng.uniform(-0.4, 0.4) if turns else 0.0
         held.append(now)
         value[index] = now
         acting = held[max(0, index - round(DELAY_S / STEP_S))]
@@ -39,13 +44,13 @@ def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pi
         coasting = map_of(0.0, v)
         push = coasting + (push - coasting) * (1 + sag * (0.5 - index / count) if acting > 0 else 1.0)
         forces[index] = push
-        if circles and t_s[index] % 40 > 30:
+        if circles and now_s % 40 > 30:
             turn, push = 0.7 * v, push - 0.4  # tyres brake
         elif circles:
-            turn, heading = 0.0, 2 * np.pi * round(heading / 2 / np.pi)
-        change = push - 9.81 * (uphill[0] * np.cos(heading) + uphill[1] * np.sin(heading))
+            turn, heading = 0.0, 2 * math.pi * round(heading / 2 / math.pi)
+        change = push - 9.81 * (uphill[0] * math.cos(heading) + uphill[1] * math.sin(heading))
         v = max(0.0, v + change * STEP_S)
-        heading = np.pi * (t_s[index] // 20 % 2) if there_and_back else heading + turn * STEP_S
+        heading = math.pi * (now_s // 20 % 2) if there_and_back else heading + turn * STEP_S
         speed[index], yaw[index] = v, heading
     commanded_s, t_s = t_s, t_s + STEP_S  # what follows from a command is there a step later
     distance_m = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * STEP_S)))

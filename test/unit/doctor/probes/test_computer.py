@@ -23,41 +23,24 @@ MASTER = "http://car:11311"
 # --- groups ---
 
 
-def group_named(name, mode=0o20660):
-    """Fakes of os.stat and grp.getgrgid for a device of this group."""
-    return {"stat": lambda path, **how: os.stat_result((mode, 3, 26, 1, 0, 5, 0, 0, 0, 0)),
-            "getgrgid": lambda number: grp.struct_group((name, "x", number, []))}
+@pytest.mark.parametrize("mode, name, usual, group", [
+    (0o20660, "gpio", "i2c", "gpio"), (0o20620, "tty", "dialout", "dialout"), (0o20600, "root", "dialout", "dialout"),
+    (0o20660, None, "dialout", "dialout"), (None, "gpio", "dialout", "dialout"),
+], ids=["its_own", "a_consoles", "roots", "without_a_name", "absent"])
+def test_group_of_a_device_is_its_own_where_that_is_one_to_join_and_else_the_usual_one(monkeypatch, mode, name, usual,
+                                                                                       group):
+    def stat(path, **how):
+        if mode is None:
+            raise FileNotFoundError(path)
+        return os.stat_result((mode, 3, 26, 1, 0, 0 if name == "root" else 5, 0, 0, 0, 0))
 
-
-def test_group_of_a_device_is_read_from_it(monkeypatch):
-    fakes = group_named("gpio")
-    monkeypatch.setattr(os, "stat", fakes["stat"])
-    monkeypatch.setattr(grp, "getgrgid", fakes["getgrgid"])
-    assert computer.group_of("/dev/i2c-1", "i2c") == "gpio"
-
-
-def test_group_of_a_port_that_a_console_has_is_the_usual_one(monkeypatch):
-    fakes = group_named("tty", 0o20620)
-    monkeypatch.setattr(os, "stat", fakes["stat"])
-    monkeypatch.setattr(grp, "getgrgid", fakes["getgrgid"])
-    assert computer.group_of("/dev/ttyAMA0", "dialout") == "dialout"
-
-
-def test_group_of_an_absent_device_is_the_usual_one(tmp_path):
-    assert computer.group_of(str(tmp_path / "ttyACM0"), "dialout") == "dialout"
-
-
-def test_group_of_a_device_that_is_roots_is_the_usual_one(monkeypatch):
-    monkeypatch.setattr(os, "stat", lambda path, **how: os.stat_result((0o20600, 3, 26, 1, 0, 0, 0, 0, 0, 0)))
-    assert computer.group_of("/dev/ttyACM0", "dialout") == "dialout"
-
-
-def test_group_without_a_name_is_the_usual_one(monkeypatch):
-    def unknown(number):
-        raise KeyError(number)
-    monkeypatch.setattr(os, "stat", group_named("")["stat"])
-    monkeypatch.setattr(grp, "getgrgid", unknown)
-    assert computer.group_of("/dev/ttyACM0", "dialout") == "dialout"
+    def group_by_number(number):
+        if name is None:
+            raise KeyError(number)
+        return grp.struct_group((name, "x", number, []))
+    monkeypatch.setattr(os, "stat", stat)
+    monkeypatch.setattr(grp, "getgrgid", group_by_number)
+    assert computer.group_of("/dev/ttyAMA0", usual) == group
 
 
 @pytest.fixture

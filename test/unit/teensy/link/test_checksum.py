@@ -125,6 +125,7 @@ def test_corrected_frame_of_any_payload_is_received_by_a_corrected_receiver(body
     assert corrected_receiver_takes(encode(body, CORRECTED)) == body
 
 
+@pytest.mark.once
 @given(st.lists(BODIES, max_size=6))
 def test_shipped_frames_in_a_row_leave_the_receiver_in_step(bodies):
     receiver = ShippedReceiver().feed(b"".join(encode(body, SHIPPED) for body in bodies))
@@ -161,10 +162,6 @@ def test_corrected_frame_spelled_out_by_hand(body, frame):
     assert encode(body, CORRECTED) == bytes.fromhex(frame)
 
 
-def test_encoding_without_a_choice_is_the_shipped_one():
-    assert encode(ping_body(0xffffffff)) == encode(ping_body(0xffffffff), SHIPPED)
-
-
 # The model is only worth what it predicts: these shares were measured on the real firmware with the textbook checksum.
 
 def test_textbook_pings_of_a_minute_in_ms_are_answered_by_half_as_measured():
@@ -176,21 +173,6 @@ def test_textbook_pings_over_all_32_bits_are_answered_by_one_in_twenty_as_measur
     timestamps = [n * 2654435761 % 2 ** 32 for n in range(20_000)]  # spread evenly over the range
     answered = sum(bool(received(encode(ping_body(timestamp), CORRECTED))) for timestamp in timestamps)
     assert 0.035 < answered / len(timestamps) < 0.065
-
-
-@pytest.mark.parametrize("start", [0, 0x7d7d7d00, 0xffffff00, 1_700_000_000_000 % 2 ** 32])
-def test_shipped_pings_are_all_answered(start):
-    for timestamp in range(start, start + 2_000):
-        body = ping_body(timestamp % 2 ** 32)
-        assert received(encode(body, SHIPPED)) == [body]
-
-
-@given(st.lists(BYTES, min_size=4, max_size=4))
-def test_friendly_timestamp_is_the_same_frame_under_both_rules(timestamp):
-    total = sum(timestamp)
-    if total <= 251 and total not in (125, 126) and not {FLAG, ESCAPE} & set(timestamp):
-        body = bytes([2, 1, 1, 0, *timestamp, 0, 0, 0, 0])
-        assert encode(body, SHIPPED) == encode(body, CORRECTED)
 
 
 PING = encode(ping_body(1))

@@ -97,11 +97,6 @@ def test_port_that_fails_is_told_at_once_in_the_port_s_own_words(good_link):
     assert good_link.health.verdict == (BUSY, ERROR, "another program has it open", "See which one")
 
 
-def test_port_that_is_still_closed_stays_what_it_is_as_time_passes(good_link):
-    good_link.health.port_failed(ABSENT, "there is no such port", "Plug it in")
-    assert good_link.live(NOTHING, NOTHING, NOTHING) == [ABSENT] * 3
-
-
 def test_port_opened_again_is_judged_anew(good_link):
     good_link.live(NOTHING, NOTHING)
     good_link.health.port_failed(ABSENT, "there is no such port", "Plug it in")
@@ -132,27 +127,33 @@ def test_fault_of_an_open_port_is_told_in_words_with_the_next_step(link, second,
     assert next_step in verdict.next_step
 
 
-@pytest.mark.parametrize("fault, state", [(NOTHING, SILENT), (OTHER_BAUD, NO_FRAMES), (OTHER_CHECKSUM, BAD_CHECKSUMS),
-                                          (UNANSWERED, NO_PONGS)])
-def test_fault_takes_two_seconds_to_come_and_two_to_go(good_link, fault, state):
-    assert good_link.live(fault, fault, fault, GOOD, GOOD, GOOD) == [FINE, state, state, state, FINE, FINE]
+HALF = a_second_of(bytes_in=1000, records=10, bad_frames=5)  # a fault begins or ends within it
+DRIVING = a_second_of(bytes_in=11_000, records=400, bad_frames=1)
+STANDING_BAD = a_second_of(bytes_in=190, records=4, bad_frames=1)
 
 
-def test_second_in_which_a_fault_begins_says_little_and_is_not_believed(good_link):
-    half = a_second_of(bytes_in=1000, records=10, bad_frames=5)
-    assert good_link.live(half, OTHER_BAUD, OTHER_BAUD) == [FINE, NO_FRAMES, NO_FRAMES]
+@pytest.mark.parametrize("seconds, states", [
+    *(pytest.param([fault] * 3 + [GOOD] * 3, [FINE] + [state] * 3 + [FINE] * 2, id=f"{state}_two_to_come_two_to_go")
+      for fault, state in ((NOTHING, SILENT), (OTHER_BAUD, NO_FRAMES), (OTHER_CHECKSUM, BAD_CHECKSUMS),
+                           (UNANSWERED, NO_PONGS))),
+    pytest.param([HALF] + [OTHER_BAUD] * 2, [FINE] + [NO_FRAMES] * 2, id="second_in_which_a_fault_begins"),
+    pytest.param([NOTHING, GOOD, OTHER_BAUD, GOOD, GOOD], [FINE] * 5, id="single_bad_seconds"),
+    pytest.param([STANDING] * 20, [FINE] * 20, id="car_that_stands_with_its_sonars_off"),
+    pytest.param(([GOOD] * 9 + [NOISY]) * 5, [FINE] * 50, id="corrupt_frame_now_and_then"),
+    pytest.param([DRIVING] * 20, [FINE] * 20, id="small_share_of_bad_frames"),
+    pytest.param(([STANDING] * 4 + [STANDING_BAD]) * 4, [FINE] * 20, id="two_bad_frames_in_ten_seconds_of_few"),
+    pytest.param([OTHER_BAUD] * 3 + [HALF] + [GOOD] * 5, [FINE] + [NO_FRAMES] * 3 + [FINE] * 5,
+                 id="second_in_which_another_baud_rate_ends_is_no_noise"),
+    pytest.param([FLOOD] * 5 + [GOOD] * 10, [FINE] + [NO_FRAMES] * 5 + [FINE] * 9, id="flood_is_no_noise_afterwards"),
+    pytest.param([NOISY] * 20 + [GOOD] * 11, [FINE] * 3 + [BAD_CHECKSUMS] * 25 + [FINE] * 3,
+                 id="noise_is_forgotten_within_ten_seconds"),
+])
+def test_state_of_a_good_link_second_by_second(good_link, seconds, states):
+    assert good_link.live(*seconds) == states
 
 
 def test_fault_that_changes_its_face_every_second_is_no_fine_link(good_link):
     assert good_link.live(NOTHING, OTHER_BAUD, NOTHING, OTHER_BAUD)[1:].count(FINE) == 0
-
-
-def test_single_bad_second_changes_nothing(good_link):
-    assert good_link.live(NOTHING, GOOD, OTHER_BAUD, GOOD, GOOD) == [FINE] * 5
-
-
-def test_car_that_stands_with_its_sonars_off_is_fine(good_link):
-    assert good_link.live(*[STANDING] * 20) == [FINE] * 20
 
 
 def test_noise_is_told_by_its_share_over_ten_seconds(good_link):
@@ -161,36 +162,6 @@ def test_noise_is_told_by_its_share_over_ten_seconds(good_link):
     assert verdict.level == WARN
     assert "5 % of them are corrupt" in verdict.description
     assert "fuser -v" in verdict.next_step
-
-
-def test_noise_that_ended_is_forgotten_within_ten_seconds(good_link):
-    good_link.live(*[NOISY] * 20)
-    assert good_link.live(*[GOOD] * 11)[-1] == FINE
-
-
-def test_corrupt_frame_now_and_then_is_no_fault(good_link):
-    assert set(good_link.live(*([GOOD] * 9 + [NOISY]) * 5)) == {FINE}
-
-
-def test_bad_frames_of_another_baud_rate_do_not_pass_for_noise_afterwards(good_link):
-    good_link.live(*[FLOOD] * 5)
-    assert good_link.live(*[GOOD] * 10)[1:] == [FINE] * 9
-
-
-def test_second_in_which_another_baud_rate_ends_does_not_pass_for_noise_afterwards(good_link):
-    half = a_second_of(bytes_in=1000, records=10, bad_frames=5)
-    good_link.live(*[OTHER_BAUD] * 3)
-    assert good_link.live(half, *[GOOD] * 5) == [NO_FRAMES] + [FINE] * 5
-
-
-def test_share_of_bad_frames_that_is_small_is_no_fault(good_link):
-    driving = a_second_of(bytes_in=11_000, records=400, bad_frames=1)
-    assert set(good_link.live(*[driving] * 20)) == {FINE}
-
-
-def test_two_bad_frames_in_ten_seconds_are_no_fault_however_few_the_others(good_link):
-    bad = a_second_of(bytes_in=190, records=4, bad_frames=1)
-    assert set(good_link.live(*([STANDING] * 4 + [bad]) * 4)) == {FINE}
 
 
 def test_pings_in_vain_over_a_noisy_line_stay_the_greater_fault(link):

@@ -236,6 +236,7 @@ def test_of_many_pongs_the_tightest_count_wherever_they_come_among_the_others():
     assert abs(error_ns(clock, teensy, 30)) < 0.9 * MS
 
 
+@pytest.mark.once
 @given(skew_ppm=st.floats(-200, 200), seed=st.integers(0, 1000), back_ms=st.sampled_from([0.0, 1.0, 10.0, 100.0]),
        seconds=st.sampled_from([5, 30, 90]), later_s=st.floats(-30, 300))
 def test_truth_lies_within_the_uncertainty_and_that_in_turn_is_no_more_than_the_bounds_leave(
@@ -274,6 +275,7 @@ def test_offset_is_when_the_teensy_s_clock_was_at_zero():
     assert sync.offset_ns == pytest.approx(NOW - 50 * S, abs=2 * MS)
 
 
+@pytest.mark.once
 def test_temperature_that_bends_the_line_is_followed():
     teensy = Teensy(ramp_ppm_per_h=20)
     clock = Clock()
@@ -539,6 +541,7 @@ def test_until_then_a_tick_that_contradicts_its_receipt_is_as_unsure_as_before_i
     assert abs(stamp.time_ns - at_ns) <= stamp.uncertainty_ns
 
 
+@pytest.mark.once
 def test_pings_a_hundred_times_a_second_cost_no_more_memory():
     teensy = Teensy(skew_ppm=40)
     clock = converged(teensy, seconds=100, period_s=0.01)

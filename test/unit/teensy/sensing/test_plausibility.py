@@ -82,6 +82,7 @@ def drive(speeds_mps, seconds_each=1.0):
     return data, made
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("speeds_mps", [
     pytest.param([0.0, 0.05, 0.05, 0.0], id="crawl_of_5_cm_per_s"),
     pytest.param([0.0, 8.0, 0.0, 8.0, 0.0], id="stop_and_go"),
@@ -96,6 +97,7 @@ def test_nothing_of_a_clean_drive_is_refused_and_each_pulse_counts(speeds_mps):
     assert some.refused == 0
 
 
+@pytest.mark.once
 @given(st.lists(st.integers(0, 3), min_size=30, max_size=200))
 def test_reports_lost_anywhere_cost_no_pulse_once_three_have_come(kept):
     records = crawl(len(kept) + 3)
@@ -112,6 +114,7 @@ SMALL_WHEELS = st.builds(Wheel, st.integers(0, 40), st.integers(0, 3), st.intege
 REPORTS = st.builds(WheelStatus, WHEELS | SMALL_WHEELS, WHEELS | SMALL_WHEELS)
 
 
+@pytest.mark.once
 @given(st.lists(REPORTS, max_size=30))
 def test_gates_fed_anything_answer_and_take_up_a_crawl_after_at_most_three_reports(junk):
     some = Gates()
@@ -125,6 +128,7 @@ def wheel_bodies(data):
     return [body for body in FrameDecoder().feed(data) if isinstance(decode(body), WheelStatus)]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("bodies", [
     pytest.param(wheel_bodies(CAPTURE)[60:70], id="capture_at_0.3_m_per_s"),
     pytest.param(wheel_bodies(drive([8.0, 8.0])[0])[-60:-50], id="8_m_per_s"),

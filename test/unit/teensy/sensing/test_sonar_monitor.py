@@ -317,6 +317,7 @@ def test_car_whose_first_sonar_is_missing_has_the_other_five_after_one_start():
     assert car.listener.first("front_right does not report") <= 10
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("uptime_s", [pytest.param(0.3, id="since_power_up"), pytest.param(60, id="after_a_minute"),
                                       pytest.param(185, id="after_it_silences_all_others")])
 def test_car_with_a_stuck_sonar_gets_the_other_five_back(uptime_s):

@@ -1,0 +1,64 @@
+"""What holds for all tests by pytest: test/unit and test/graph.
+
+Hypothesis takes the same cases on every run, without a stopwatch, and without a file in the checkout. With
+CAR_INTERFACE_ALL, as in `./dev test --all`, it takes others on every run, by the seed that test/run.py prints; what
+fails there is kept as an `@example`. In a run of `./dev test` a test that hangs fails, and the others run.
+
+A second Python runs what can differ there: syntax, the standard library, and other versions of numpy, matplotlib,
+rosbags and PyYAML. Once is enough for what takes long and is arithmetic (drives of virtual cars, fits, properties
+with hundreds of examples), for what only reads the checkout, and for the tests of the test runner: that runs on the
+system's Python alone. The short tests of the same module run on both, so that each module's code is run on both.
+"""
+import os
+import signal
+import tempfile
+
+import pytest
+from hypothesis import settings
+from hypothesis.configuration import set_hypothesis_home_dir
+
+if "HYPOTHESIS_STORAGE_DIRECTORY" not in os.environ:
+    set_hypothesis_home_dir(os.path.join(tempfile.gettempdir(), f"hypothesis-{os.getuid()}"))
+IS_RANDOM = bool(os.environ.get("CAR_INTERFACE_ALL"))
+settings.register_profile("car_interface", database=None, deadline=None, derandomize=not IS_RANDOM)
+settings.load_profile("car_interface")
+
+# What ``./dev test`` leaves out where it runs the same tests on a second Python; the mark, or one of these files.
+ONCE = ("test_bench", "test_calibration_drives", "test_documentation", "test_launch", "test_layering", "test_noise",
+        "test_packages", "test_packaging", "test_planner_drives", "test_processes", "test_releases", "test_room_drives",
+        "test_run", "test_tally")
+MARKS = ("once: takes long, and comes out the same with every Python: one of them is enough",
+         "browser: looks at a page in a real browser")
+
+
+# The longest test takes some 30 s on an idle machine.
+LIMIT_S = float(os.environ.get("CAR_INTERFACE_UNIT_LIMIT_S", "600"))
+
+
+def pytest_configure(config):
+    for mark in MARKS:
+        config.addinivalue_line("markers", mark)
+    if hasattr(config, "workerinput"):  # of pytest-xdist: who runs pytest alone may be debugging
+        signal.signal(signal.SIGALRM, _raise_hung)
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if os.path.splitext(os.path.basename(str(item.fspath)))[0] in ONCE:
+            item.add_marker(pytest.mark.once)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_protocol(item):
+    if hasattr(item.config, "workerinput"):
+        signal.setitimer(signal.ITIMER_REAL, LIMIT_S, LIMIT_S)  # again if its teardown hangs, too
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+class Hung(BaseException):
+    """A test took too long. Not an Exception: hypothesis would run the same case again."""
+
+
+def _raise_hung(*_):
+    raise Hung(f"hung: ended after {LIMIT_S:.0f} s")

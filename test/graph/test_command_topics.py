@@ -1,0 +1,204 @@
+"""Who publishes on the topics that nodes obey: each fault is reported within 1.5 s, and logged if it lasts.
+
+Wrong message types, second publishers, and channels of the servo board that nobody commands any more.
+"""
+from __future__ import annotations
+
+import re
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Twist
+from std_msgs.msg import Bool, Float32, Float64, Int32MultiArray
+
+from car import CENTER, LEFT, STEERING, Car
+from car_interface.common import causes
+from graph import NS_PER_S
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+FINE = "each has the publishers that it should have"
+HUMAN, VECTOR = "/teleop_logi/human_in_loop", "/servo/cmdVector"
+WITHIN_S = 1.5  # the publishers are looked up once a second
+LASTS_S = 5.0
+
+
+def vector(channel: int, duty: int = 5100) -> Int32MultiArray:
+    return Int32MultiArray(data=[duty if index == channel else -1 for index in range(16)])
+
+
+@pytest.fixture
+def car():
+    car = Car().whole()
+    car.graph.run(2.5)
+    return car
+
+
+def report(car, node):
+    return car.graph.report(f"{node}: command topics")
+
+
+@pytest.mark.parametrize("node", ["turn_arb", "pca9685", "generic_value_converter", "teleop_logi", "throttle_arb"])
+def test_healthy_car_has_nothing_to_report(car, node):
+    assert report(car, node)[:2] == (OK, FINE)
+
+
+FAULTS = [
+    pytest.param("turn_arb", "/av_turnrad_req", Float64(2.0), ERROR,
+                 "/rostopic_7 on 127.0.0.1 publishes std_msgs/Float64 on /av_turnrad_req, which takes std_msgs/Float32: "
+                 "none of its messages is received", causes.WRONG_TYPE,
+                 "Have /rostopic_7 publish std_msgs/Float32, or publish on another topic", id="wrong_type"),
+    pytest.param("generic_value_converter", "/control/command/control_cmd", Twist(), ERROR,
+                 "/rostopic_7 on 127.0.0.1 publishes geometry_msgs/Twist on /control/command/control_cmd, which takes "
+                 "car_interface/Control: none of its messages is received", causes.WRONG_TYPE,
+                 "Have /rostopic_7 publish car_interface/Control, or publish on another topic", id="remapped"),
+    pytest.param("turn_arb", HUMAN, Bool(False), WARN,
+                 f"2 nodes publish on {HUMAN}, /rostopic_7 on 127.0.0.1 and /teleop_logi on 127.0.0.1: the newest "
+                 "message counts, so that each undoes what the other commands", causes.SECOND_PUBLISHER,
+                 "End all but the one that shall command: rosnode kill /rostopic_7", id="second_deadman"),
+    pytest.param("pca9685", VECTOR, vector(0), WARN,
+                 "2 nodes command channel 0, /rostopic_7 on 127.0.0.1 and /turn_arb on 127.0.0.1: the newest "
+                 "message counts, so that each undoes what the other commands", causes.SECOND_PUBLISHER,
+                 "End all but the one that shall command: rosnode kill /rostopic_7", id="second_on_a_channel")]
+
+
+@pytest.mark.parametrize(("node", "topic", "message", "level", "text", "cause", "remedy"), FAULTS)
+def test_publisher_that_should_not_be_there_is_reported_with_its_remedy_until_it_goes(
+        car, node, topic, message, level, text, cause, remedy):
+    graph = car.graph
+    end = graph.repeat(topic, message, 10, sender="/rostopic_7")
+    graph.run_until(lambda: report(car, node).message != FINE and "unknown machine" not in report(car, node).message,
+                    WITHIN_S)
+    found = report(car, node)
+    assert found == (level, text, found.values)
+    assert (found.values["cause"], found.values["remedy"]) == (cause, remedy)
+    assert "/rostopic_7 on 127.0.0.1" in found.values.get(topic, "")
+    end()
+    graph.unregister(topic, "/rostopic_7")
+    graph.run_until(lambda: report(car, node).message == FINE, WITHIN_S + 1.0)
+
+
+def test_two_nodes_on_two_channels_are_as_they_should_be(car):
+    car.graph.repeat(VECTOR, vector(15), 10, sender="/rostopic_7")
+    car.graph.run(WITHIN_S)
+    found = report(car, "pca9685")
+    assert found[:2] == (OK, FINE) and "/rostopic_7" in found.values[VECTOR]
+
+
+def test_publisher_that_sends_once_and_goes_is_shown_but_not_logged(car):
+    since_ns = car.graph.now_ns
+    car.graph.publish(HUMAN, Bool(False), "/rostopic_7")
+    car.graph.run(3.0)
+    assert report(car, "turn_arb").level == WARN
+    car.graph.unregister(HUMAN, "/rostopic_7")
+    car.graph.run(LASTS_S)
+    assert report(car, "turn_arb").message == FINE
+    assert not [line for line in car.graph.lines(since_ns=since_ns) if "nodes publish" in line]
+
+
+def test_publisher_that_stays_is_an_error_after_five_seconds_and_is_logged_then_and_every_ten(car):
+    began_ns = car.graph.now_ns
+    car.graph.repeat("/e_stop", Bool(False), 10, sender="/rostopic_7")
+    car.graph.run(19.0)
+    logged_s = [(line.at_ns - began_ns) / NS_PER_S for line in car.graph.log
+                if line.node == "/turn_arb" and "2 nodes publish on /e_stop" in line.text]
+    assert len(logged_s) == 2 and LASTS_S < logged_s[0] < LASTS_S + 2.0 and 10 <= logged_s[1] - logged_s[0] < 11
+    assert report(car, "turn_arb").level == ERROR
+
+
+# --- what a second publisher does, as docs/safety.md has it ---
+
+@pytest.fixture
+def steered(car):
+    """A car that is steered by a gamepad."""
+    car.pad(manual=True, steering=0.0)
+    car.graph.run(0.3)
+    car.pad(manual=True, steering=1.0)
+    car.graph.run(0.1)
+    assert car.board.counts[STEERING] == LEFT
+    return car
+
+
+def test_second_true_keeps_the_car_going_when_the_gamepad_lets_go(steered):
+    """Each false stops it, and the true after it grants control again."""
+    steered.graph.repeat(HUMAN, Bool(True), 60, sender="/rostopic_7")
+    steered.graph.hold("/av_turnrad_req", Float32(1.0))
+    at_ns = steered.graph.now_ns
+    steered.pad()
+    steered.graph.run(0.5)
+    counts = [each for _, each in steered.board.since(at_ns + 1, STEERING)]
+    assert CENTER in counts and LEFT in counts and len(counts) > 20
+
+
+@pytest.mark.parametrize(("topic", "message"), [(HUMAN, Bool(False)), ("/e_stop", Bool(True))])
+def test_second_publisher_that_stops_the_car_stops_it_at_once(steered, topic, message):
+    at_ns = steered.graph.now_ns
+    steered.graph.publish(topic, message, "/rostopic_7")
+    steered.graph.run(0.1)
+    assert steered.board.since(at_ns, STEERING)[0] == (at_ns, CENTER)
+
+
+# --- a channel that nobody commands any more ---
+
+class Channel:
+    """A board whose channel 3 a node commands, and no longer."""
+
+    def __init__(self, sender: str = "/commander"):
+        self.car, self.sender = Car(), sender
+        self.car.pca9685(guard=True)
+        self.graph = self.car.graph
+        self.command()
+
+    def command(self) -> None:
+        self.graph.hold(VECTOR, vector(3), sender=self.sender)
+        self.graph.run(2.5)
+        assert [each.message for each in self.reports()] == ["running at 50.03 Hz", FINE]
+
+    def reports(self):
+        return [self.graph.report(f"pca9685: {kind}") for kind in ("servo board", "command topics")]
+
+    def assert_error(self, why: str, remedy: str) -> None:
+        """Both reports are errors with the reason, its cause and the remedy; and the log has it."""
+        for found in self.reports():
+            assert found.level == ERROR and found.values["cause"] == causes.CHANNEL_TIMED_OUT
+            assert re.search(r"channel timed out: channel 3, for \d+\.\d s" + re.escape(why), found.message)
+            assert remedy in found.values["remedy"]
+        assert any(line.startswith("channel timed out: channel 3") for line in self.graph.lines("/pca9685"))
+
+
+def test_commander_that_is_gone_is_named_until_the_channel_is_commanded_again():
+    channel = Channel()
+    channel.graph.silence(VECTOR, sender="/commander")
+    channel.graph.unregister(VECTOR, "/commander")
+    channel.graph.run_until(lambda: channel.reports()[0].level == ERROR, 0.3)  # at once, when it times out
+    channel.graph.run(2.0)
+    channel.assert_error("; /commander, which commanded it last, is gone",
+                         "Start /commander again; or, where nobody is to command channel 3 any more, start this node "
+                         "again: rosnode kill /pca9685")
+    channel.command()
+
+
+def test_commander_that_falls_silent_is_named():
+    channel = Channel()
+    channel.graph.silence(VECTOR, sender="/commander")
+    channel.graph.run(2.0)
+    channel.assert_error("; /commander on 127.0.0.1, which commanded it last, publishes, but commands nothing there",
+                         "rosnode ping /commander")
+
+
+def test_channel_that_was_made_safe_when_the_node_stood_still_is_told_so():
+    channel = Channel()
+    channel.graph.nodes["/pca9685"].stall(1.0, frozen=True)
+    channel.graph.run(0.9)
+    channel.graph.silence(VECTOR, sender="/commander")
+    channel.graph.run(2.0)
+    channel.assert_error(", since this node stood still or lost messages: no command has come after that; ",
+                         "rosnode ping /commander")
+
+
+def test_channel_that_was_never_commanded_is_no_error():
+    channel = Channel()
+    channel.graph.nodes["/pca9685"].kill()
+    channel.graph.silence(VECTOR, sender="/commander")
+    channel.graph.nodes["/pca9685"].start()
+    channel.graph.run(3.0)
+    assert [each.message for each in channel.reports()] == ["running at 50.03 Hz", FINE]
