@@ -131,7 +131,8 @@ def test_numbers_that_are_none_have_no_output_and_are_warned_of(number):
     assert converter.state.reason == f"the velocity in the odometry is {number}"
 
 
-@pytest.mark.parametrize("stamp_s, text", [(0, "is zero"), (-86_400, "is 86400 s in the past"), (86_400, "is 86400 s in the future")])
+@pytest.mark.parametrize("stamp_s, text", [
+    (0, "is zero"), (-86_400, "is 86400 s in the past"), (86_400, "is 86400 s in the future")])
 def test_odd_stamps_are_told_once_and_obeyed(stamp_s, text):
     converter = Converter()
     stamp = rospy.Time(nsecs=converter.graph.now_ns + converter.graph.ros_ahead_ns) + rospy.Duration(stamp_s)
