@@ -103,8 +103,9 @@ def test_values_are_those_of_the_map_one_for_each_command_at_once():
     assert stamp == pytest.approx(converter.graph.now_ns + converter.graph.ros_ahead_ns, abs=1000)
 
 
-def test_odometry_that_falls_silent_ends_the_output_after_its_timeout_and_comes_back():
-    converter = Converter()
+@pytest.mark.parametrize("parameters", [None, {"csv_path_value_map": MAP}], ids=["shipped", "defaults"])
+def test_odometry_that_falls_silent_ends_the_output_after_its_timeout_and_comes_back(parameters):
+    converter = Converter(parameters)
     converter.odometry(1.0)
     converter.graph.silence(f"{NAME}/input/odometry")
     converter.run(0.5)
@@ -130,7 +131,8 @@ def test_numbers_that_are_none_have_no_output_and_are_warned_of(number):
     assert converter.state.reason == f"the velocity in the odometry is {number}"
 
 
-@pytest.mark.parametrize("stamp_s, text", [(0, "is zero"), (-86_400, "is 86400 s in the past"), (86_400, "is 86400 s in the future")])
+@pytest.mark.parametrize("stamp_s, text", [
+    (0, "is zero"), (-86_400, "is 86400 s in the past"), (86_400, "is 86400 s in the future")])
 def test_odd_stamps_are_told_once_and_obeyed(stamp_s, text):
     converter = Converter()
     stamp = rospy.Time(nsecs=converter.graph.now_ns + converter.graph.ros_ahead_ns) + rospy.Duration(stamp_s)
@@ -230,4 +232,5 @@ def test_passthrough_is_clamped_and_needs_neither_map_nor_odometry(parameters):
 def test_map_with_values_beyond_the_limits_of_the_output_is_warned_of():
     assert re.fullmatch(r".*value_map\.csv has values from \S+ to \S+; min_value and max_value clamp them to -5 to 1",
                         Converter(max_value=1.0).warnings()[0])
+    assert len(Converter(min_value=-4.99).warnings()) == 1
     assert Converter().warnings() == []

@@ -247,8 +247,8 @@ def test_trigger_in_the_place_of_the_throttle_s_stick_never_drives(drive):
     drive.press(manual=True, throttle=1.0)
     assert drive.throttle.cause == "teleop not finite"
     assert drive.throttle.reason == (
-        "tele_throt_req is nan, no number to act on: manual deadman held; the gamepad's throttle_axis 4 is 1.00 and was "
-        "not seen at its rest: it doesn't count")
+        "tele_throt_req is nan, no number to act on: manual deadman held; the gamepad's throttle_axis 4 is 1.00 and "
+        "was not seen at its rest: it doesn't count")
     drive.play(0.5, 0.0, -0.5, -1.0, -0.5, 0.0, 0.5, 1.0, manual=True)  # pressed, and let go
     drive.run(1.0)
     assert set(drive.speeds(since_ns)) == {0.0}

@@ -1,10 +1,10 @@
-"""A stall of each node at each time of a story: a person holds the deadman, a planner steers and drives, the person stops.
+"""A stall of each node at each time of a story: a person holds the deadman, a planner drives, the person stops.
 
 Each stall has a process of its own, forked from the one that plays the story at that time. What holds in each of them:
 
 - After the person let go or sent an e-stop, and the timeouts, the servo is at its center and the ESC at neutral.
 - The car never goes backward, and the ESC is never made to.
-- Throttle is given while the servo board doesn't do what turn_arb commands for no longer than the board watch tolerates.
+- Throttle is given while the board doesn't do what turn_arb commands for no longer than the board watch tolerates.
 - A node that obeys a person obeys nothing after its stall until the person has let go and held again; then it drives.
 """
 from __future__ import annotations
@@ -107,8 +107,8 @@ class Story:
         self.car.pad()
         self.graph.run(1.2)  # the ESC may have to find its neutral again
         self.car.pad(autonomous=True)
-        self.graph.run_until(lambda: self.car.board.counts[STEERING] < CENTER and self.car.board.counts[ESC] > ESC_NEUTRAL,
-                             2.0)
+        counts = self.car.board.changes
+        self.graph.run_until(lambda: counts[-1][1][STEERING] < CENTER and counts[-1][1][ESC] > ESC_NEUTRAL, 2.0)
         self.graph.run_until(lambda: self.car.speed_mps > 0.3, 2.0)
 
 
@@ -128,7 +128,7 @@ class Stall(NamedTuple):
 
 
 def fork_stall(story, node, at_ms, number):
-    """Begin one: a thread that is held up, or, each second time, a frozen process; and go on to the end of the story."""
+    """Begin one, of a thread or, each second time, of the process; play the rest of the story there."""
     read_fd, write_fd = os.pipe()
     pid = os.fork()
     if pid:

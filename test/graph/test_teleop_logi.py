@@ -222,8 +222,8 @@ def test_silence_of_0_27_s_with_the_button_held_on_is_named_once_whatever_the_ti
     assert (report.values["times joy silent"], report.values["times not re-armed"]) == ("1", "1")
     (first, text), second = teleop.log(since_ns)
     assert first == logging.WARNING
-    assert re.fullmatch(r"human in loop: False \(joy silent for 0\.2\d s\)\. See whether the gamepad is on, charged and in "
-                        r"range and joy_node runs: rostopic hz /joy", text)
+    assert re.fullmatch(r"human in loop: False \(joy silent for 0\.2\d s\)\. See whether the gamepad is on, charged "
+                        r"and in range and joy_node runs: rostopic hz /joy", text)
     assert second == (logging.WARNING, f"human in loop: False (the gamepad was silent; {REARM})")
 
 
@@ -246,8 +246,8 @@ def test_gamepad_that_was_never_heard_is_a_warning_with_the_remedy_in_its_namesp
     assert (state.human_in_loop, state.cause, state.reason, state.joy_age) == (
         False, "joy never heard", "joy was never heard", math.inf)
     report = graph.report("car7/teleop_logi: gamepad")
-    assert report[:2] == (WARN, "joy was never heard. See whether joy_node runs and finds the gamepad: rostopic info "
-                                "/car7/joy; ls /dev/input/js*")
+    remedy = "See whether joy_node runs and finds the gamepad: rostopic info /car7/joy; ls /dev/input/js*"
+    assert report[:2] == (WARN, f"joy was never heard. {remedy}")
     assert (report.values["age of joy"], report.values["steering stick"]) == ("never heard", "as the mode says")
 
 

@@ -16,7 +16,6 @@ from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 
 from car import CONFIG, Car, config
 from car_interface.common.errors import ConfigError
-from graph import NS_PER_S
 from inputs import Inputs
 
 NEUTRAL, FULL_FORWARD, FULL_BRAKE = 4915, 6554, 3277
@@ -35,6 +34,10 @@ def odometry(velocity):
     return message
 
 
+def value(data):
+    return Float64Stamped(data=data)
+
+
 def same(message):
     return message
 
@@ -42,7 +45,7 @@ def same(message):
 TOPICS = {"e_stop": ("/e_stop", Bool), "human": ("/teleop_logi/human_in_loop", Bool),
           "teleop": ("/teleop_logi/tele_throt_req", Float32), "mode": ("/teleop_logi/mode", String),
           "scale_button": ("/teleop_logi/scale_button", Int8), "teleop_state": ("/teleop_logi/state", same),
-          "steering": ("/turn_arb/state", same), "value": ("/generic/output/value", lambda data: Float64Stamped(data=data)),
+          "steering": ("/turn_arb/state", same), "value": ("/generic/output/value", value),
           "converter": ("/generic_value_converter/state", same), "planner": ("/planner_interface/state", same),
           "speed": ("/odom", odometry)}
 
@@ -139,8 +142,8 @@ def test_state_comes_10_times_a_second_and_is_latched_and_the_neutral_once():
     assert len(arb.states(since_ns + 1)) == 20
     assert {vector.data for vector in arb.graph.messages("/servo/neutral", since_ns)} == {(-1, NEUTRAL) + (-1,) * 14}
     assert len(arb.graph.messages("/servo/neutral", since_ns)) == 2
-    assert {each.latch for topic in ("/throttle_arb/state", "/servo/neutral") for each in arb.graph.publishers[topic]} == {
-        True}
+    for topic in ("/throttle_arb/state", "/servo/neutral"):
+        assert [each.latch for each in arb.graph.publishers[topic]] == [True]
     state = arb.state
     assert abs(state.stamp.to_nsec() - arb.graph.now_ns - arb.graph.ros_ahead_ns) <= 100_000_000
     assert (state.profile, state.speed, state.output_age, state.mode_age, state.planner_age) == (
@@ -220,7 +223,8 @@ def test_negative_value_brakes_a_car_that_rolls_and_does_nothing_to_one_that_sta
         {NEUTRAL}, ThrottleState.PLANNER, "it stands: a brake doesn't become reverse")
 
 
-STOPPED, LOCKED = (SteeringState(source=source, reason="why") for source in (SteeringState.NO_HUMAN, SteeringState.LOCKED))
+STOPPED = SteeringState(source=SteeringState.NO_HUMAN, reason="why")
+LOCKED = SteeringState(source=SteeringState.LOCKED, reason="why")
 NO_VALUE = ConverterState(value=NAN, cause="command not finite", reason="the commanded acceleration is nan")
 # What is lost, the reason, and after how many ms at most: a timeout and a tick.
 OF_PLANNER = {
@@ -290,8 +294,8 @@ def test_mode_says_who_drives_while_the_stick_is_at_rest():
     arb.hold(mode="sport")
     assert (arb.state.cause, arb.duty, arb.state.reason) == (
         "mode unknown", NEUTRAL, "mode is 'sport', which is none of manual, autonomous, human_throttle, human_steering")
-    assert arb.warnings()[0] == ("mode is 'sport': the throttle is neutral while it lasts; accepted: manual, autonomous, "
-                                 "human_throttle, human_steering")
+    assert arb.warnings()[0] == ("mode is 'sport': the throttle is neutral while it lasts; accepted: manual, "
+                                 "autonomous, human_throttle, human_steering")
     arb.hold(mode="autonomous")
     assert arb.duty == FULL_FORWARD
     arb.silence("mode")
@@ -309,9 +313,11 @@ def test_diagnostics_say_who_drives_and_why_once_a_second():
     assert len(arb.graph.messages("/diagnostics")) == 1
     assert (level, message) == (
         OK, "TELEOP: tele_throt_req is 1.000, scaled by 0.3; ESC FORWARD: 0.30 is requested")
-    assert [values[key] for key in ("cause", "duty", "asked, granted", "profile of the ESC", "mode", "limit",
-                                    "age of /servo/output", "scale of driving by hand", "cause of the ESC's state")] == [
-        "teleop", str(BY_HAND), "1.000, 0.300", "unverified", "never heard", "none is reached", "never heard", "0.3", "driving"]
+    expected = {"cause": "teleop", "duty": str(BY_HAND), "asked, granted": "1.000, 0.300",
+                "profile of the ESC": "unverified", "mode": "never heard", "limit": "none is reached",
+                "age of /servo/output": "never heard", "scale of driving by hand": "0.3",
+                "cause of the ESC's state": "driving"}
+    assert {key: values[key] for key in expected} == expected
     arb.silence("steering")
     level, message, _ = arb.report()
     assert level == WARN and message.startswith("NEUTRAL: turn_arb's state silent for")
@@ -515,7 +521,8 @@ def test_what_a_sonar_ahead_sees_stops_the_car_and_a_silent_one_too():
     arb.graph.hold("/sonar/front_middle", Range(range=0.5), 20)
     arb.run(0.1)
     assert (arb.state.limit, arb.state.granted <= 0) == ("obstacle", True)
-    assert re.search(r"front_middle sees 0.50 m, which allows 0\.\d\d m/s, it has 1.50: it stops", arb.state.limit_reason)
+    assert re.fullmatch(r"front_middle sees 0.50 m, which allows 0\.\d\d m/s, it has 1.50: it stops",
+                        arb.state.limit_reason)
 
 
 # --- parameters, tuning, end ---

@@ -89,8 +89,8 @@ def test_a_swing_of_3_rad_is_refused_in_each_half_wave_until_it_was_sane_for_2_s
     graph = angles.graph
     since_ns = graph.now_ns
     angles.send(*(drive(3.0 * math.cos(2 * math.pi * tick / 40)) for tick in range(40)), lasts_s=6.1)
-    assert re.match(r"drive: drive\.steering_angle of -?\d\S* rad \(degrees\?\): no wheel turns so far; refused until it "
-                    "was sane for 2 s", graph.messages("/planner_interface/state", since_ns)[2].reason)
+    assert re.match(r"drive: drive\.steering_angle of -?\d\S* rad \(degrees\?\): no wheel turns so far; refused until "
+                    "it was sane for 2 s", graph.messages("/planner_interface/state", since_ns)[2].reason)
     assert angles.state.refused > 120 and angles.state.cause == "request refused"
     assert [state for state in graph.messages("/planner_interface/state", since_ns) if state.cause == "planner"] == []
     assert SteeringState.PLANNER not in {state.source for state in graph.messages("/turn_arb/state", since_ns)}
@@ -137,7 +137,8 @@ def test_degrees_per_second_are_cut_and_told_everywhere_and_once_in_the_log(rate
 def test_teleop_twist_keyboard_s_defaults_are_told_and_its_turn_on_the_spot_traps_nobody(rates):
     """Its keys u, j and i, at its speed of 0.5 m/s and its turn of 1 rad/s."""
     rates.send(twist(0.5, 1.0))
-    assert (rates.steering.limit, rates.steering.duty, rates.steering.limit_reason) == ("too tight", LEFT, too_tight("0.50"))
+    state = rates.steering
+    assert (state.limit, state.duty, state.limit_reason) == ("too tight", LEFT, too_tight("0.50"))
     rates.send(twist(0.0, 1.0))
     assert (rates.state.cause, rates.state.reason) == (
         "request refused", "cmd_vel: angular.z is 1 rad/s at linear.x 0 m/s: a car can't turn on the spot")

@@ -191,7 +191,8 @@ class Interfaces(unittest.TestCase):
                     for topic, nodes in listed for node in nodes if node[1:] in STATES and topic in TOPICS}
         eventually(lambda: found() == expected, lambda: f"{found() ^ expected}")
         types = dict(master.getTopicTypes())
-        self.assertEqual({topic: types[topic] for topic in TOPICS}, {topic: each[0]._type for topic, each in TOPICS.items()})
+        for topic, (message_type, *_) in TOPICS.items():
+            self.assertEqual(types[topic], message_type._type, topic)
         services = {name for name, _ in master.getSystemState()[2]}
         self.assertLessEqual({"/turn_arb/set_parameters", "/turn_arb/save", "/throttle_arb/servo/set_parameters",
                               "/throttle_arb/save"}, services)
@@ -336,7 +337,8 @@ class Interfaces(unittest.TestCase):
         self.press()
         type(self).lets_go = False
         self.addCleanup(setattr, type(self), "lets_go", True)
-        pids = xmlrpc.client.ServerProxy(rosgraph.Master("/test").lookupNode("/turn_arb")).getPid("/test")[2], process.pid
+        turn_arb = xmlrpc.client.ServerProxy(rosgraph.Master("/test").lookupNode("/turn_arb"))
+        pids = turn_arb.getPid("/test")[2], process.pid
         self.addCleanup(go_on, *pids)
         for each in pids:
             os.kill(each, signal.SIGSTOP)
@@ -365,8 +367,9 @@ class Interfaces(unittest.TestCase):
     def test_launched_it_grants_nothing_at_its_start_unless_its_owners_file_says_so(self):
         """A file of one's own that says nothing of it must not have the car drive on when a node was started again."""
         shipped = os.path.join(PACKAGE, "config")
+        granting = "grant_at_start: true"
         for says, one_process, grants in (("", "false", False), ("", "true", False),
-                                          ("grant_at_start: true", "false", True), ("grant_at_start: true", "true", True)):
+                                          (granting, "false", True), (granting, "true", True)):
             for name in os.listdir(shipped):
                 with open(os.path.join(shipped, name), encoding="utf-8") as file:
                     text = file.read()
