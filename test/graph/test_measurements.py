@@ -75,7 +75,7 @@ def wrapped(angle_rad):
     return math.remainder(angle_rad, 2 * math.pi)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_odometry_is_where_the_car_is_and_knows_how_well(car, seed):
     driven = Driven(car, seed=seed)
     distance_m = driven.drive(CENTER, FORWARD, 1.5) + driven.drive(LEFT, FORWARD, 2.0) + driven.drive(LEFT, REVERSE, 1.0)
