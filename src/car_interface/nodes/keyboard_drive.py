@@ -23,7 +23,6 @@ import math
 import re
 from dataclasses import dataclass
 
-import rosgraph
 import rospy
 from sensor_msgs.msg import Joy
 
@@ -101,19 +100,26 @@ def read_config(params, teleop_logi=None) -> KeyboardDriveConfig:
 
 
 class KeyboardDrive:
-    """Reads the keys and publishes joy."""
+    """Reads the keys and publishes joy.
 
-    def __init__(self, params, inbox):
+    Args:
+        params: the node's parameters.
+        inbox: the node's.
+        keys: of the terminal; ``None`` = of the one that the node runs in.
+        make_keyboards: called with a pattern of paths, as ``Keyboards``.
+    """
+
+    def __init__(self, params, inbox, keys=None, make_keyboards=Keyboards):
         self._config = read_config(params, Params(inbox.graph.parameter("teleop_logi", {})))
         self._inbox = inbox
         self._fault = ""
         self._device = self._inbox.graph.parameter("pca9685/device", None)
         self._shown = self._seen = ""
-        _check_no_other_publisher(inbox.resolve_name("joy"))
+        self._check_no_other_publisher(inbox.resolve_name("joy"))
         devices = "" if self._config.input_devices == NO_DEVICES else self._config.input_devices
-        self._keyboards = Keyboards(devices)
+        self._keyboards = make_keyboards(devices)
         if not len(self._keyboards):
-            _check_virtual(self._device, self._config.input_devices)
+            self._check_virtual()
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._timer = RateTimer(RATE_HZ, now_ns)
@@ -123,12 +129,12 @@ class KeyboardDrive:
         self._was_warned = False
         self._joy = advertise("joy", Joy, inbox)
         subscribe("turn_arb/state", SteeringState, inbox, self._on_state)
-        self._keys = Keys()
+        self._keys = keys or Keys()
         if not self._keys.start():
             raise CarInterfaceError("no terminal to read keys from: start it by rosrun in a terminal of its own, not "
                                     "by roslaunch and not in the background")
         print(help_text(len(self._keyboards) > 0), flush=True)
-        inbox.graph.start_thread(self._watch_device, "watch of pca9685")
+        inbox.graph.repeat_in_thread(self._watch_device, WATCH_S, lambda: inbox.ending, "watch of pca9685")
 
     @property
     def _is_virtual(self):
@@ -201,47 +207,43 @@ class KeyboardDrive:
 
     def _watch_device(self):
         """A virtual car may be replaced by a real one on the same master."""
-        while not (rospy.is_shutdown() or self._inbox.ending):
-            self._clocks.sleep(WATCH_S)
-            try:
-                device = self._inbox.graph.parameter("pca9685/device", self._device)
-            except Exception:  # the master is gone: no node can start either
-                continue
-            if device != self._device:
-                self._inbox.put(self._on_device, device)
+        try:
+            device = self._inbox.graph.parameter("pca9685/device", self._device)
+        except Exception:  # the master is gone: no node can start either
+            return
+        if device != self._device:
+            self._inbox.put(self._on_device, device)
 
     def _on_device(self, device, now_ns):
         self._fault = f"pca9685's device was {self._device} when this node started and is {device} now: start it again"
 
+    def _check_no_other_publisher(self, name):
+        """Refuse to be a second one: each would undo what the other holds.
 
-def _check_no_other_publisher(name):
-    """Refuse to be a second one: each would undo what the other holds.
+        Raises:
+            CarInterfaceError: naming it.
+        """
+        graph = self._inbox.graph
+        others = [node for node in graph.publishers(name) if node != graph.process_name()]
+        if others:
+            raise CarInterfaceError(f"{others[0]} publishes {name} already. End it first: rosnode kill {others[0]}; or "
+                                    "rosnode cleanup, if it is dead. A demo has no drive of its own by drive:=false")
 
-    Raises:
-        CarInterfaceError: naming it.
-    """
-    publishers, _, _ = rosgraph.Master(rospy.get_name()).getSystemState()
-    others = [node for published, nodes in publishers if published == name for node in nodes
-              if node != rospy.get_name()]
-    if others:
-        raise CarInterfaceError(f"{others[0]} publishes {name} already. End it first: rosnode kill {others[0]}; or "
-                                "rosnode cleanup, if it is dead. A demo has no drive of its own by drive:=false")
+    def _check_virtual(self):
+        """Refuse a car that isn't virtual.
 
-
-def _check_virtual(device, pattern):
-    """Refuse a car that isn't virtual.
-
-    Raises:
-        CarInterfaceError: with the remedy.
-    """
-    if device is None:
-        raise CarInterfaceError(f"there is no {rospy.resolve_name('pca9685/device')}: no car, or it is in another "
-                                f"namespace (ROS_NAMESPACE). {START_VIRTUAL}")
-    if device != VIRTUAL:
-        raise CarInterfaceError(f"{rospy.resolve_name('pca9685/device')} is {device}, a real servo board, and no "
-                                f"keyboard can be read ({pattern}): a terminal doesn't say when a key is released. "
-                                "Drive by gamepad; or, with a keyboard on this computer: rosrun car_interface "
-                                "setup_hardware")
+        Raises:
+            CarInterfaceError: with the remedy.
+        """
+        name = self._inbox.resolve_name("pca9685/device")
+        if self._device is None:
+            raise CarInterfaceError(f"there is no {name}: no car, or it is in another namespace (ROS_NAMESPACE). "
+                                    f"{START_VIRTUAL}")
+        if not self._is_virtual:
+            raise CarInterfaceError(f"{name} is {self._device}, a real servo board, and no keyboard can be read "
+                                    f"({self._config.input_devices}): a terminal doesn't say when a key is released. "
+                                    "Drive by gamepad; or, with a keyboard on this computer: rosrun car_interface "
+                                    "setup_hardware")
 
 
 def main():

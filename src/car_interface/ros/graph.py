@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 from typing import Any, Callable
 
+import rosgraph
 import rospy
 
 from car_interface.ros.backlog import replace_connections
@@ -75,6 +76,20 @@ class RosGraph:
     def start_thread(self, target: Callable[[], None], name: str) -> None:
         """Run a function beside the node's thread."""
         threading.Thread(target=target, name=name, daemon=True).start()
+
+    def repeat_in_thread(self, target: Callable[[], None], period_s: float, is_over: Callable[[], bool],
+                         name: str) -> None:
+        """Call a function again and again beside the node's thread, first after ``period_s``."""
+        def run():
+            while not (rospy.is_shutdown() or is_over()):
+                self.clocks.sleep(period_s)
+                target()
+        self.start_thread(run, name)
+
+    def publishers(self, topic: str) -> list[str]:
+        """Return the names of the nodes that publish on a topic."""
+        published, _, _ = rosgraph.Master(rospy.get_name()).getSystemState()
+        return [node for name, nodes in published if name == topic for node in nodes]
 
 
 ROS = RosGraph()

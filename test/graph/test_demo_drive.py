@@ -1,0 +1,132 @@
+"""The demo's scripted drive, on the package's own files and on those of another car, and the walls of its room."""
+from __future__ import annotations
+
+import shutil
+from functools import partial
+from pathlib import Path
+
+import pytest
+import yaml
+from std_msgs.msg import Bool, Int32MultiArray
+
+import car as cars
+from car import Car, config
+from car_interface.nodes import demo_drive
+from car_interface.nodes.demo_drive import DemoDrive
+from car_interface.sim.demo_script import DriveConfig
+from graph import Graph
+
+NEUTRAL, FORWARD, REVERSE, STRAIGHT, FULL_LEFT = 4915, 5500, 4300, 5070, 3800
+WALL_M, NOSE_M = 6.0, 0.426  # the room's, along x; from the rear axle
+
+
+class Demo(Car):
+    """The car of demo.launch, and its drive."""
+
+    def __init__(self, without=(), sim_has_files=False):
+        super().__init__(Graph())
+        files = {"steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
+                 "wheels": config("teensy_sensor_hub.yaml")}
+        self.pca9685()
+        self.sim(**(files if sim_has_files else {}))  # else its own, which the package's files fit
+        for start in (self.hub, self.turn_arb, self.converter, self.throttle_arb, self.teleop):
+            if start.__name__ not in without:
+                start()
+        self.drive = self.graph.add(DemoDrive, "demo_drive", {**files, "gamepad": config("teleop_logi.yaml")})
+
+    def drives(self):
+        """Run until the drive is over; return what ended it, if it failed."""
+        self.graph.run_until(lambda: not self.drive.is_alive, 90.0)
+        return self.drive.fault
+
+
+@pytest.fixture
+def another_car(tmp_path, monkeypatch):
+    """Files of a car that differs in everything: channels, a reversed servo, ESC, wheels, gamepad."""
+    shutil.copytree(cars.CONFIG, tmp_path / "mine")
+    steering, servo = config("turn_arb.yaml"), config("throttle.yaml")["servo"]
+    tables = [steering[f"k_pwmcmd_{side}_table_servo"] for side in ("left", "right")]
+    for name, changes in (
+            ("turn_arb.yaml", {"servo_channel": 6, "servo_left": 6600, "servo_center": 5200, "servo_right": 3900,
+                               "k_pwmcmd_left_table_servo": [duty - 100 for duty in tables[1][:-1]] + [5200],
+                               "k_pwmcmd_right_table_servo": [duty + 100 for duty in tables[0]]}),
+            ("throttle.yaml", {"servo": {**servo, "channel": 9, "neutral": servo["neutral"] + 80,
+                                         "duty_table": [duty + 80 for duty in servo["duty_table"]]}}),
+            ("teensy_sensor_hub.yaml", {"wheel_diameter": 0.12, "track": 0.25, "pulses_per_revolution": 12}),
+            ("teleop_logi.yaml", {"steer_axis": 9, "manual_button": 1, "autonomous_button": 12, "steer_scale": -1.0})):
+        path = Path(tmp_path, "mine", name)
+        path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **changes}))
+    monkeypatch.setattr(cars, "CONFIG", str(tmp_path / "mine"))
+
+
+def test_drive_goes_as_planned(capsys):
+    demo = Demo()
+    assert demo.drives() == ""
+    shown = capsys.readouterr().out
+    assert "as planned: yes" in shown and "frames good, bad" in shown
+    assert not [line for line in demo.graph.lines(level=30) if "ran into" in line or "tipped" in line]
+
+
+def test_drive_of_a_car_that_differs_in_everything_goes_as_planned(another_car, capsys):
+    demo = Demo(sim_has_files=True)
+    demo.graph.run_until(lambda: demo.board.counts[6] * 16 > 6000, 30.0)  # the human's circle, to the left
+    assert demo.drives() == ""
+    assert "as planned: yes" in capsys.readouterr().out
+
+
+def test_drive_that_somebody_stops_has_failed_and_says_why(monkeypatch):
+    monkeypatch.setattr(demo_drive, "DriveConfig", partial(DriveConfig, nobody_s=3.0, max_turn_s=2.0, let_go_s=1.0))
+    demo = Demo()
+    demo.graph.run(5.0)
+    demo.graph.repeat("/e_stop", Bool(True), 10)
+    assert demo.drives() == "the drive didn't go as planned: " + "; ".join((
+        "the human didn't steer all the time", "the human didn't drive all the time", "the human's circle wasn't closed",
+        "the planner didn't steer all the time", "the planner didn't drive all the time",
+        "the left circle wasn't closed", "the right circle wasn't closed"))
+
+
+def test_car_that_is_not_ready_is_given_up_after_30_s_and_what_is_missing_is_named():
+    demo = Demo(without=("hub",))
+    begun_ns = demo.graph.now_ns
+    assert demo.drives() == "the car isn't ready: nothing from odom, the Teensy's link"
+    assert 30.0 < demo.seconds_since(begun_ns) <= 30.1
+
+
+def test_drive_that_is_ended_before_it_is_over_has_failed():
+    demo = Demo()
+    demo.graph.run(10.0)
+    demo.drive.end()
+    assert demo.drive.fault == "the drive was ended before it was over"
+
+
+# --- car_sim's room ---
+
+def rolling(esc, steering=STRAIGHT, **sim):
+    """A car whose servo and ESC are commanded by duty, and the function that commands them."""
+    car, duties = Car(), [steering, esc] + [-1] * 14
+    car.graph.record("/car_sim/collisions", "/car_sim/rollovers")
+    car.pca9685()
+    car.sim(**sim)
+    car.graph.repeat("/servo/cmdVector", lambda: Int32MultiArray(data=duties), 50)
+    return car, duties
+
+
+def test_wall_stops_the_car_which_is_counted_and_logged_once_and_it_backs_out():
+    car, duties = rolling(FORWARD, start=[4.5, 0, 0])
+
+    def x_m():
+        return car.truth().pose.pose.position.x
+    car.graph.run(5.0)
+    assert (car.speed_mps, x_m()) == (0.0, pytest.approx(WALL_M - NOSE_M, abs=0.01))
+    (line,) = [line for line in car.graph.lines("/car_sim", level=30) if "ran into something" in line]
+    assert line.endswith("and stands, its wheels stalled (collision 1): drive it out the way it came")
+    duties[1] = REVERSE
+    car.graph.run_until(lambda: x_m() < 5.0)
+    assert [message.data for message in car.graph.messages("/car_sim/collisions")] == [0, 1]
+
+
+def test_a_turn_too_fast_tips_the_car_over_which_is_counted_and_logged():
+    car, _ = rolling(FORWARD, FULL_LEFT, collisions=False, rollover=3.0)
+    car.graph.run_until(lambda: car.graph.newest("/car_sim/rollovers").data == 1)
+    (line,) = [line for line in car.graph.lines("/car_sim", level=30) if "tipped over" in line]
+    assert line.startswith("the car would have tipped over: 3.") and line.endswith(" m/s (rollover 1)")
