@@ -17,7 +17,6 @@ import re
 import resource
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -253,7 +252,7 @@ def tests_of(root: Path, modules: Iterable[str]) -> dict[str, list[str]]:
     """Return the test files of each module, its own first: those of its folder, and those of others that import it.
 
     Tests of the tools (calibration, report and so on) are left out: they take long, and notice by accident. For a node
-    also test/graph, or its own node test while there is no test/graph.
+    also test/graph.
     """
     files = {path.relative_to(root).as_posix(): imported(path, root) for part in (*PARTS, "common")
              for path in sorted((root / "test/unit" / part).rglob("test_*.py"))}
@@ -263,9 +262,8 @@ def tests_of(root: Path, modules: Iterable[str]) -> dict[str, list[str]]:
         folder, stem = f"test/unit/{Path(module).parent.as_posix()}", Path(module).stem
         own = [name for name in files if re.fullmatch(rf"{folder}/test_{stem}(_\w+)?\.py", name)]
         near = [name for name in files if Path(name).parent.as_posix() == folder]
-        by_ros = graph or [f"test/node/{stem}.test"] if module.startswith("nodes/") else []
-        tests[module] = list(dict.fromkeys([*own, *near, *(name for name in files if module in files[name]), *(
-            name for name in by_ros if (root / name).exists())]))
+        others = [name for name in files if module in files[name]]
+        tests[module] = list(dict.fromkeys([*own, *near, *others, *(graph if module.startswith("nodes/") else ())]))
     return tests
 
 
@@ -343,21 +341,16 @@ class Slot:
         if not job.key:
             threading.settrace(note)
             sys.settrace(note)
-        files, code = [name for name in job.tests if name.endswith(".py")], 0
-        if files:
-            code = int(importlib.import_module("pytest").main(
-                ["-q", "-x", "--tb=short", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist", "-m",
-                 "not browser", f"--basetemp={tmp}/pytest", *files]))
+        code = 0
+        if job.tests:
+            code = importlib.import_module("pytest").main(
+                ["-q", "-x", "--tb=short", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist",
+                 "-m", "not browser", f"--basetemp={tmp}/pytest", *job.tests])
         sys.settrace(None)
         package = f"{self._copy / PACKAGE}/"
         (self._folder / "called").write_text("\n".join(
             f"{each.co_filename.replace(package, '')} {each.co_name}" for each in called.values()), encoding="utf-8")
-        for name in job.tests:
-            if name.endswith(".test") and not code:  # with a limit that ends all that it has started
-                code = subprocess.call([
-                    sys.executable, "test/processes.py", "--limit", str(job.limit_s - 10), "rostest",
-                    f"--pkgdir={self._root}", "--package=car_interface", f"--results-base-dir={tmp}", name])
-        return code
+        return int(code)
 
     def poll(self) -> Result | None:
         """Return how the job ended, or None while it runs."""
@@ -414,13 +407,13 @@ def run_clean(slots: list[Slot], files: Iterable[str]) -> dict[str, Result]:
 def job_of(key: Key, place: Place, files: list[str], clean: dict[str, Result]) -> Job:
     """Return a mutant's job: the module's own tests, then the fastest, without those that don't call its function."""
     name = key.function.rpartition(".")[2].replace("-", "<module>")
-    tests = [each for each in files if each.endswith(".test") or f"{key.module} {name}" in clean[each].called]
+    tests = [each for each in files if f"{key.module} {name}" in clean[each].called]
     tests.sort(key=lambda each: (each != files[0], clean[each].took_s))
     return Job(key, place, tests, LIMIT_EXTRA_S + LIMIT_FACTOR * sum(clean[each].took_s for each in tests))
 
 
 def run_mutants(root: Path, slots: list[Slot], lists: dict[str, list[Key]]) -> Iterator[tuple[str, list[Key], dict]]:
-    """Run the mutants; yield each module with its survivors and the places of all that are not gone, when it is done."""
+    """Run the mutants; yield each module that is done with its survivors and the places of all that are not gone."""
     files, places, left, survivors = tests_of(root, lists), {}, Counter(), defaultdict(list)
     clean = run_clean(slots, dict.fromkeys(name for names in files.values() for name in names))
     print(f"The tests pass without a mutant, in {sum(each.took_s for each in clean.values()):.0f} s", flush=True)
