@@ -91,6 +91,7 @@ def test_file_loads_keeps_the_rest_of_its_base_and_says_what_was_seen(bag, tmp_p
     assert yaml.safe_load(path.read_text(encoding="utf-8")) == before
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("heading, said", [
     ("creep backward", "esc/dead_band_reverse: from standstill, pull the stick so slowly that the car just sets off"),
     ("pull twice", "the profile: after a brake, center the stick for a second and pull back all the way"),
@@ -106,6 +107,7 @@ def test_what_was_not_driven_is_refused_with_what_to_drive(tmp_path, capsys, hea
     assert f"  missing: {said}" in found.out and "not shown by the drive, stays" in found.out
 
 
+@pytest.mark.once
 def test_force_writes_what_is_shown_and_keeps_the_rest(tmp_path, capsys):
     path = record(leaves_out=("creep backward",))
     assert run(path, "-o", tmp_path / "new.yaml") == 1
@@ -125,6 +127,7 @@ def test_force_names_no_profile_that_was_not_shown(tmp_path, capsys):
     assert not (tmp_path / "new.yaml").exists()
 
 
+@pytest.mark.once
 def test_what_one_recording_lacks_another_one_may_have(tmp_path, capsys):
     one, other = (record(leaves_out=parts) for parts in (
         ("wait and pull",), ("creep forward", "brake", "pull twice", "creep backward")))
@@ -142,6 +145,7 @@ def test_drive_without_calibration_drive_is_refused_with_what_to_start(tmp_path,
         "calibration_drive:=true, and drive again\n")
 
 
+@pytest.mark.once
 def test_esc_without_reverse_keeps_its_neutral_and_is_not_asked_for_what_it_has_not(tmp_path, capsys):
     assert run(record(RACE), "-o", tmp_path / "new.yaml") == 0
     config = load_throttle(str(tmp_path / "new.yaml"))
@@ -151,12 +155,14 @@ def test_esc_without_reverse_keeps_its_neutral_and_is_not_asked_for_what_it_has_
     assert re.search(r"  esc/dead_band_forward: 0\.\d+ \(was 0\.08\): the car set off at 5\d{3} \(3 times\)\n", out)
 
 
+@pytest.mark.once
 def test_crawler_s_pause_is_what_names_it(tmp_path, capsys):
     assert run(record(CRAWLER), "-o", tmp_path / "new.yaml") == 0
     assert re.search(r"esc/profile: brake_becomes_reverse \(was unverified\): \d brakes that were held drove the car "
                      r"backward, after it had stood for 0\.2\d s\n", capsys.readouterr().out)
 
 
+@pytest.mark.once
 def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
     shutil.copy(bag, str(tmp_path / "copy.bag"))
     assert run(bag, tmp_path / "copy.bag", "-o", tmp_path / "new.yaml") == 1
@@ -197,6 +203,7 @@ def test_recording_without_the_board_s_output_is_refused(tmp_path, capsys):
     assert "has no topic /servo/output, which says what the ESC got" in capsys.readouterr().err
 
 
+@pytest.mark.once
 def test_recording_with_topics_of_other_names_comes_to_the_same_calibration(bag, tmp_path, capsys):
     names = {"/odom": "/ekf/odometry", "/servo/output": "/board/duties"}
     other = rename_topics(bag, tmp_path / "other.bag", names)

@@ -251,6 +251,7 @@ def test_output_that_can_not_be_written_is_refused_before_the_work(tmp_path, cap
     assert f"{tmp_path / 'none' / 'a.yaml'} can't be written: there is no folder" in capsys.readouterr().err
 
 
+@pytest.mark.once
 def test_terminal_that_knows_ascii_only_loses_no_work(bag, tmp_path):
     made = tmp_path / "made.yaml"
     done = subprocess.run([sys.executable, "-B", str(ROOT / "scripts" / "calibrate_steering"), bag, "-o", str(made)],

@@ -86,6 +86,7 @@ def test_second_run_reads_only_what_is_new_or_has_changed(folder, read, capsys):
     assert sorted(read) == ["drive.bag", "new.bag"] and len(lines(folder)) == 3
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("options", [["--fresh"], ["--map", "/odom=odom"]], ids=["fresh", "other_options"])
 def test_everything_is_read_again_where_the_old_rows_are_not_wanted(folder, read, options):
     run(folder)
@@ -108,6 +109,7 @@ def test_damaged_cache_is_said_and_built_again(folder, read, capsys):
     assert run(folder) == 0 and read == ["broken.bag"]
 
 
+@pytest.mark.once
 def test_damaged_row_of_the_cache_is_said_and_only_its_recording_is_read_again(folder, read, capsys):
     run(folder)
     first, path = lines(folder), Path(folder, NAME)
@@ -124,6 +126,7 @@ def test_damaged_row_of_the_cache_is_said_and_only_its_recording_is_read_again(f
     assert run(folder) == 0 and read == ["broken.bag"]
 
 
+@pytest.mark.once
 def test_what_was_read_before_an_interruption_is_kept(folder, read, monkeypatch):
     def interrupted(drive, path):
         if path == "drive.bag":
@@ -228,6 +231,7 @@ def test_file_name_that_is_no_utf_8_is_shown_all_the_same(folder):
     assert run(folder) == 0 and "?.bag" in [row["recording"] for row in lines(folder)]
 
 
+@pytest.mark.once
 def test_process_that_is_killed_loses_no_row_that_was_read(folder, read, monkeypatch):
     def for_each(function, items, jobs):
         yield function(items[0])

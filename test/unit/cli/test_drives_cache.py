@@ -137,6 +137,7 @@ def _is_good(field, value):
 WRONG_ENTRIES = list(wrong_entries())
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("spoil", [spoil for _, spoil in WRONG_ENTRIES], ids=[name for name, _ in WRONG_ENTRIES])
 def test_entry_of_another_structure_is_not_used_and_the_others_are(folder, spoil):
     cache = Cache(folder, "1")

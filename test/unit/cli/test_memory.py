@@ -40,6 +40,7 @@ def run(mib, name, bag, folder):
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), *filter(None, sys.path)])})
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name", ["bag_report"])
 def test_a_limit_that_is_high_enough_changes_nothing(name, bag, tmp_path):
     """400 MB are, with Debian 12's libraries; others take more."""
@@ -53,6 +54,7 @@ if os.environ.get("CAR_INTERFACE_ALL"):
     LIMITS_MIB = dict.fromkeys(LIMITS_MIB, (40, 70, 100, 130, 160, 200, 240, 400))
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name, mib", [(name, mib) for name, limits in LIMITS_MIB.items() for mib in limits])
 def test_less_is_enough_or_ends_with_one_line(name, mib, bag, tmp_path):
     done = run(mib, name, bag, tmp_path)

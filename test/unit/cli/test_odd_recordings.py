@@ -37,25 +37,18 @@ def changed(messages, kind, *values):
     return [message._replace(fields=walk(message.fields)) for message in messages]
 
 
-def with_odometry(messages, x_m, speed_mps):
-    return [odometry(one.time_s, x_m, 0.0, 0.0, speed_mps) if one.topic == "/odom" else one for one in messages]
-
-
 def odd_drives():
     """Messages of odd drives, by what is odd about them."""
     whole = drive(25.0)
-    for number in (math.nan, math.inf, 1e-300):
+    for number in (math.nan, math.inf):
         yield f"all_numbers_are_{number}", changed(whole, float, number)
     yield "all_numbers_are_huge_of_either_sign", changed(whole, float, LARGEST_FLOAT32, -LARGEST_FLOAT32)
-    yield "all_counts_are_0", changed(whole, int, 0)
-    yield "all_counts_are_3_or_5", changed(whole, int, 3, 5)
+    yield "all_counts_are_odd", changed(whole, int, 3, 5, 0)
     yield "odd_texts", changed(whole, str, *TEXTS)
-    yield "three_messages", whole[:3]
     yield "one_message", [odometry(0.0)]
-    yield "standing", [odometry(step / 20) for step in range(400)]
     yield "all_at_one_time", [one._replace(time_s=1.0) for one in whole]
-    yield "odometry_is_nan", with_odometry(whole, math.nan, math.nan)
-    yield "odometry_is_huge", with_odometry(whole, 1e300, 1e300)
+    yield "odometry_is_huge", [
+        odometry(one.time_s, 1e300, 0.0, 0.0, 1e300) if one.topic == "/odom" else one for one in whole]
 
 
 @pytest.fixture(scope="module")

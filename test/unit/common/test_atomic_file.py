@@ -113,6 +113,7 @@ def is_complete(text):
     return f"{head}: {{}}\n" == TEXT and value.endswith("\n") and value.strip().isdigit()
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("change, kills", [
     pytest.param("", 15 * TIMES, id="files_without_a_name"),
     pytest.param(WITHOUT_O_TMPFILE, 5 * TIMES, id="file_system_where_all_have_names"),

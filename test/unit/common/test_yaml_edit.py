@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.common import atomic_file
@@ -131,6 +131,7 @@ def test_file_that_cannot_be_edited_safely_is_refused(text, values, message):
 NUMBERS = st.integers(0, 65535) | st.floats(0, 65535, allow_nan=False).map(lambda x: round(x, 1))
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 65535), st.lists(NUMBERS, min_size=15, max_size=15))
 def test_shipped_steering_file_loads_with_what_was_saved_and_keeps_its_comments(center, table):
     text = (CONFIG / "turn_arb.yaml").read_text(encoding="utf-8")

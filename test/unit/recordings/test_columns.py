@@ -65,12 +65,6 @@ def test_odometry_counts_by_its_stamps_and_its_heading_is_unwrapped(tmp_path, wr
     assert set(odom.speed_mps) == {2.0}
 
 
-def test_unchanged_output_is_kept_now_and_then_only(tmp_path):
-    many = [vector(0.01 * index, duties(5104)) for index in range(200)]
-    output = load(str(write_ros1(tmp_path / "a.bag", many)), [OUTPUT]).output
-    assert 3 <= len(output.t_s) <= 5
-
-
 @pytest.mark.parametrize("bad, note", (
     (odometry(0.55, x_m=math.nan), "/odom: 1 message with a number that is none: left out"),
     (odometry(0.1)._replace(time_s=0.55), "/odom: 1 message with a stamp that doesn't rise: left out"),
@@ -121,12 +115,6 @@ def test_stamp_up_to_two_seconds_from_the_recording_time_counts_and_others_do_no
     assert column.build().t_s == pytest.approx([-1.99, 0.1, 4.99, 5.1])
     assert column.notes() == [
         "v: 2 messages with a stamp seconds away from when it was recorded: recording time taken"]
-
-
-def test_repeated_stamp_is_left_out():
-    column = values(ValueColumn("v"), (0.0, 0.0, 1), (0.1, 0.0, 2), (0.2, 0.2, 3))
-    assert column.build().value.tolist() == [1, 3]
-    assert column.notes() == ["v: 1 message with a stamp that doesn't rise: left out"]
 
 
 def test_each_reason_has_a_note_of_its_own():

@@ -122,12 +122,6 @@ def test_missing_output_is_named(tmp_path):
         load(str(path), [OUTPUT], output="/board")
 
 
-def test_topic_of_another_type_is_named(tmp_path):
-    path = write_ros1(tmp_path / "a.bag", [Written(0.0, "/odom", "std_msgs/Float64", {"data": 1.0})])
-    with pytest.raises(NoRecording, match="/odom is of type std_msgs/Float64"):
-        load(str(path), [ODOM])
-
-
 def test_topic_that_the_user_names_is_of_another_type_though_that_is_another_role_s(tmp_path):
     path = write_ros1(tmp_path / "a.bag", [*ODOMETRY, Written(0.0, "/imu/data", "sensor_msgs/Imu", {})])
     with pytest.raises(NoRecording, match=r"/imu/data is of type sensor_msgs/Imu; accepted: nav_msgs/Odometry$"):

@@ -74,6 +74,7 @@ def test_axis_is_labelled_with_dates(figure):
     assert labels[0] == "no date" and len(labels) == 5
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("count", [2, 3, 5, 6, 7, 8, 11, 12, 13, 14, 19, 31, 47, 59])
 def test_labels_stand_evenly_so_that_none_covers_its_neighbour(figure, count):
     trends(ROWS[:1] * count)

@@ -35,6 +35,7 @@ from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_sonars import SONAR_STUCK
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 
+pytestmark = pytest.mark.once
 MS, US = 1_000_000, 1_000
 BYTE_NS = 10 * 1_000_000_000 / 115200
 LOOK_NS = MS // 2
@@ -385,7 +386,6 @@ def replay(request, replays):
     return replays[name]
 
 
-@pytest.mark.once
 def test_same_inputs_give_the_captured_frames_in_their_order(replay):
     expected = [frame for _, frame in captured_frames(replay.capture)]
     sent = [frame for _, _, frame in replay.frames]
@@ -410,7 +410,6 @@ def test_frames_leave_the_line_when_they_did(replay):
             assert -LATE_NS <= sent[partner[i]][0] - free_ns <= LATE_NS + LOOK_NS, expected[i]
 
 
-@pytest.mark.once
 def test_frame_that_a_restart_cuts_leaves_the_captured_part_of_it(replays):
     capture = next(capture for capture in POWERED_UP if capture.name == "reboot_rolling")
     replay = replays.setdefault(capture.name, Replay(capture))
@@ -421,7 +420,6 @@ def test_frame_that_a_restart_cuts_leaves_the_captured_part_of_it(replays):
         assert before.endswith(part)
 
 
-@pytest.mark.once
 def test_busiest_line_carries_as_many_reports_of_each_kind_and_as_old_ones():
     replay = Replay(BUSY)
     expected = captured_frames(BUSY)

@@ -26,6 +26,7 @@ from car_interface.teensy.sensing import verdicts
 from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionMeasurement
 from car_interface.teensy.sensing.ranging import MICROS_WRAP, STUCK, RangingConfig
 
+pytestmark = pytest.mark.once
 S_US = 1_000_000
 SPEED_OF_SOUND_MPS = 343.42
 MAX_RANGE_M = 2.0
@@ -94,7 +95,6 @@ def as_record(frame):
     return ErrorCount(frame["count"], frame["name"])
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("name", NAMES)
 def test_each_frame_is_decoded_as_the_firmware_meant_it_and_in_its_order(name):
     capture = load(name)
@@ -105,7 +105,6 @@ def test_each_frame_is_decoded_as_the_firmware_meant_it_and_in_its_order(name):
     assert decoder.tally.bad_frames <= cuts
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("name", NAMES)
 def test_no_record_of_a_healthy_firmware_is_refused(replayed, name):
     _, _, measurements, _ = replayed(name)
@@ -182,7 +181,6 @@ def test_car_that_has_stopped_is_said_to_stand_within_a_second_and_four_times_a_
         assert all(error.speed_mps == 0.0 for error in standing)
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("name, begin_s", [
     pytest.param("stop_go", 9.6, id="standing_after_a_drive"),
     pytest.param("stop_go", 5.1, id="in_mid_drive"),
@@ -213,7 +211,6 @@ def test_reboots_in_mid_drive_leave_heading_and_place(replayed):
 # --- what a wheel's report may look like, all of it seen in a capture ---
 
 
-@pytest.mark.once
 def test_captures_have_what_the_gates_must_let_through():
     reports = [as_record(frame) for name in NAMES for frame in load(name).frames if frame["frame"] == "wheel"]
     wheels = [wheel for report in reports for wheel in report]
@@ -239,7 +236,6 @@ def ranges(capture, moments):
     return result
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("name", NAMES)
 def test_each_range_is_true_to_a_millimetre(replayed, name):
     capture, moments, _, _ = replayed(name)
@@ -280,7 +276,6 @@ def test_false_echoes_after_sonar_start_make_no_range(replayed):
     assert 10 <= refused <= 3 * 10, "three reports for each of ten SONAR_STARTs at most"
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("stuck_sonar", "wrap", "sonar_start",
                                                                          "missing_sonars", "stuck_old")])
 def test_each_echo_of_healthy_sonars_makes_a_range(replayed, name):
