@@ -30,6 +30,7 @@ ROS_AHEAD_NS = 1_700_000_000 * NS_PER_S
 SHORTEST_WAIT_NS = 1000  # of a node that wants its next step at once
 WATCH_NS = NS_PER_S
 REAL_POLL_S = 0.001
+COUNTED_NS, MAX_TURNS = NS_PER_S // 100, 2000  # of a node in such a time; none needs so many
 MACHINE = "127.0.0.1"
 
 
@@ -337,6 +338,7 @@ class Node:
     def start(self) -> None:
         """Start it, or start it again."""
         self.fault, self.turns, self.watches = "", 0, []
+        self._counted_from = self.graph.now_ns, 0  # time and turns
         self.exit_actions: list[Callable[[], None]] = []
         self.stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
         self._planned_ns: int | None = None
@@ -375,6 +377,9 @@ class Node:
             self.plan_step(self.stalled_until_ns)
             return
         self.turns += 1
+        if self.graph.now_ns - self._counted_from[0] >= COUNTED_NS:
+            self._counted_from = self.graph.now_ns, self.turns
+        assert self.turns - self._counted_from[1] < MAX_TURNS, f"{self.name} takes the whole time of a CPU"
         with self.graph.turn_of(self.name):
             try:
                 due_ns = self._steps.step()
