@@ -1,0 +1,344 @@
+#!/usr/bin/env python3
+"""Programs beside a car, as people start them: terminals, keys, a gamepad's device, recordings, live tuning."""
+from __future__ import annotations
+
+import glob
+import os
+import re
+import shutil
+import signal
+import struct
+import tempfile
+import threading
+import time
+import tty
+import unittest
+from contextlib import suppress
+from xmlrpc.client import ServerProxy
+
+import rosbag
+import rosgraph
+import rospy
+import rostest
+from car_interface.msg import SteeringState, TeleopState, ThrottleState
+from dynamic_reconfigure.client import Client
+from dynamic_reconfigure.msg import Config, DoubleParameter, GroupState, IntParameter, StrParameter
+from dynamic_reconfigure.srv import Reconfigure
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from car_interface.common import causes
+from terminal import Terminal
+from waiting import PACKAGE, NodeProcess, Repeater, Sender, Topic, eventually, executable, set_params, start
+
+AUTONOMOUS, LB = 5, 4  # buttons, as config/teleop_logi.yaml has them
+LEFT, CENTER, RIGHT = 3800, 5100, 6700
+BUTTON, AXIS, INIT = 1, 2, 0x80  # linux/joystick.h
+ESCAPES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|\r")
+READY = "To drive: "
+WAITS = "^waits: no deadman is held; hold the autonomous deadman and it begins"
+NOWHERE = "http://127.0.0.1:1"
+
+
+class Hand:
+    """Holds one key of a terminal, which repeats as on a desktop."""
+
+    def __init__(self, test, terminal, key):
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(terminal, key), daemon=True)
+        self._thread.start()
+        test.addCleanup(self.let_go)
+
+    def _run(self, terminal, key):
+        pause_s = 0.5
+        terminal.type(key)
+        while not self._ending.wait(pause_s):
+            terminal.type(key)
+            pause_s = 0.033
+
+    def let_go(self):
+        self._ending.set()
+        self._thread.join()
+
+
+class Pad:
+    """A gamepad: a pseudo-terminal behind a link, as /dev/input/js0 appears and vanishes."""
+
+    def __init__(self, path):
+        self._path = path
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.symlink(os.ttyname(self._far), path)
+        for kind, count in ((AXIS, 8), (BUTTON, 11)):
+            for number in range(count):
+                self.send(0, kind | INIT, number)
+
+    def send(self, value, kind, number):
+        os.write(self._near, struct.pack("=IhBB", 1234, value, kind, number))
+
+    def unplug(self):
+        os.unlink(self._path)
+        os.close(self._far)
+        os.close(self._near)
+
+
+def processes_with(text):
+    """The command lines, of all processes, in which a text is found."""
+    found = []
+    for path in glob.glob("/proc/[0-9]*/cmdline"):
+        with suppress(OSError), open(path, encoding="utf-8", errors="replace") as file:
+            line = file.read().replace("\0", " ")
+            found += [line] if text in line else []
+    return found
+
+
+class Tools(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.truth = Topic("/car_sim/truth", Odometry).connected()
+        cls.steering = Topic("/turn_arb/state", SteeringState).connected()
+        cls.throttle = Topic("/throttle_arb/state", ThrottleState).connected()
+        cls.throttle.wait_for(lambda state: state.esc != "ARMING")
+
+    def setUp(self):
+        self.folder = tempfile.mkdtemp(prefix="tools_test")
+        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
+
+    def terminal(self, *command, env=None):
+        terminal = Terminal(*command, env=env)
+        self.addCleanup(terminal.clean_up)
+        return terminal
+
+    def wait_for_steering(self, source):
+        return self.steering.wait_for(lambda state: state.source == source, self.steering.mark()).what
+
+    def wait_until_it_drives(self, within_s=60):
+        self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, self.truth.mark(), within_s)
+
+    def wait_until_it_stands(self):
+        self.truth.wait_for(lambda truth: truth.twist.twist.linear.x == 0.0, self.truth.mark())
+
+    # --- keys ---
+
+    def test_keyboard_drives_the_car_and_is_alone_and_its_terminal_is_restored(self):
+        terminal = self.terminal(executable("keyboard_drive"))
+        terminal.wait_for_line(READY)
+        self.assertNotEqual(terminal.settings(), terminal.settings_before)
+        terminal.wait_for_line("^NO_HUMAN: human_in_loop is false: no deadman is held")
+        deadman = Hand(self, terminal, b"m")
+        terminal.wait_for_line("^TELEOP: tele_steer_req")
+        deadman.let_go()
+        faster = Hand(self, terminal, b"w")
+        self.wait_until_it_drives()
+        second = self.terminal(executable("keyboard_drive"), "__name:=second")
+        second.wait_for_line("/keyboard_drive publishes /joy already. End it first: rosnode kill /keyboard_drive")
+        self.assertEqual(second.wait_for_exit(), 1)
+        faster.let_go()
+        self.wait_for_steering(SteeringState.NO_HUMAN)
+        self.wait_until_it_stands()
+        terminal.type(b"q")
+        self.assertEqual((terminal.wait_for_exit(), terminal.settings()), (0, terminal.settings_before))
+
+    def test_keyboard_restores_its_terminal_however_it_ends_and_is_refused_without_one(self):
+        endings = {"ctrl-c": lambda terminal: terminal.type(b"\x03"),
+                   "terminate": lambda terminal: os.kill(terminal.pid, signal.SIGTERM),
+                   "hang_up": lambda terminal: os.kill(terminal.pid, signal.SIGHUP)}
+        terminals = {}
+        for name in (*endings, "pipe"):
+            set_params(self, f"/{name}/pca9685", {"device": "virtual"})
+        for name in endings:
+            terminals[name] = self.terminal(executable("keyboard_drive"), f"__ns:=/{name}")
+        piped = start(self, executable("keyboard_drive"), "__ns:=/pipe")
+        for name, end in endings.items():
+            terminal = terminals[name]
+            terminal.wait_for_line(READY)
+            end(terminal)
+            eventually(lambda terminal=terminal: terminal.settings() == terminal.settings_before, "the settings")
+            self.assertEqual(terminal.wait_for_exit(), 0, name)
+            self.assertNotIn("Traceback", "\n".join(terminal.lines.since()))
+        piped.wait_for_line("no terminal to read keys from: start it by rosrun in a terminal of its own, not by "
+                            "roslaunch and not in the background")
+        self.assertEqual(piped.wait_for_exit(), 1)
+
+    def test_keyboard_in_the_background_lets_go_and_in_the_foreground_goes_on(self):
+        set_params(self, "/job/pca9685", {"device": "virtual"})
+        joy = Topic("/job/joy", Joy)
+        self.addCleanup(joy.close)
+
+        def wait_for_deadman(is_held):
+            joy.wait_for(lambda message: message.buttons[LB] == is_held, joy.mark())
+        shell = self.terminal("bash", "--norc", "--noprofile", "-i")
+        shell.type(f"{executable('keyboard_drive')} __ns:=/job\n".encode())
+        shell.wait_for_line(READY)
+        joy.connected()
+        hand = Hand(self, shell, b"m")
+        wait_for_deadman(1)
+        shell.type(b"\x1a")
+        shell.wait_for_line("Stopped")
+        hand.let_go()
+        shell.type(b"\x15bg\n")  # Ctrl-U: what the hand has typed into the shell
+        wait_for_deadman(0)
+        mark = joy.mark()
+        shell.type(b"mmm\x15")
+        self.assertEqual({message.buttons[LB] for message in joy.wait_for_count(30, mark)}, {0})
+        shell.type(b"fg\n")
+        shell.wait_for_line("keyboard_drive __ns", shell.lines.mark() - 1)
+        Hand(self, shell, b"m")
+        wait_for_deadman(1)
+
+    # --- a gamepad ---
+
+    def test_gamepad_joy_of_the_launch_file_follows_a_gamepad_that_is_unplugged_and_plugged_in_again(self):
+        path = os.path.join(self.folder, "js0")
+        pad = Pad(path)
+        human = Topic("/pad/teleop_logi/human_in_loop", Bool)
+        states = Topic("/pad/teleop_logi/state", TeleopState)
+        launch = start(self, "roslaunch", "car_interface", "teleop_logi.launch", "ns:=pad", "gamepad:=true",
+                       "joy_driver:=gamepad_joy", f"joy_device:={path}")
+        self.addCleanup(launch.end)
+
+        def hold_until_it_counts():
+            """A deadman that is held when teleop_logi first hears it, or after a loss, doesn't count."""
+            mark = human.mark()
+
+            def counts():
+                pad.send(0, BUTTON, LB)
+                time.sleep(0.1)
+                pad.send(1, BUTTON, LB)
+                time.sleep(0.3)
+                return any(message.data for message in human.since(mark))
+            eventually(counts, "a deadman that counts")
+        states.wait_for(lambda state: state.cause == causes.NO_DEADMAN)
+        hold_until_it_counts()
+        pad.unplug()
+        human.wait_for(lambda message: not message.data, human.mark())
+        launch.wait_for_line("the gamepad is gone|there is no such device|Input/output error")
+        pad = Pad(path)
+        pad.send(1, BUTTON | INIT, LB)
+        states.wait_for(lambda state: state.cause == causes.NOT_REARMED and state.joy_age < 1.0, states.mark())
+        hold_until_it_counts()
+
+    def press(self, button=None):
+        """Hold a deadman of the gamepad from now on; ``None`` = let go."""
+        self.inputs.hold(self.joy, Joy(axes=[0.0] * 8, buttons=[int(index == button) for index in range(11)]))
+
+    def take_gamepad(self):
+        self.joy, self.inputs = Sender("/joy", Joy), Repeater(0.02)
+        self.addCleanup(self.joy.close)
+        self.addCleanup(self.inputs.end)
+        self.press()
+        self.wait_for_steering(SteeringState.NO_HUMAN)
+
+    def hold(self):
+        """Hold the autonomous deadman until the car drives; let go of it first where an arbiter asks for that."""
+        mark = self.truth.mark()
+
+        def drives():
+            if any(truth.twist.twist.linear.x > 0.3 for truth in self.truth.since(mark)):
+                return True
+            reasons = self.steering.since()[-1].reason, self.throttle.since()[-1].reason
+            self.press(None if any("let go" in reason for reason in reasons) else AUTONOMOUS)
+            time.sleep(0.2)
+            return False
+        eventually(drives, "a car that drives", 90)
+
+    # --- planners ---
+
+    def test_example_of_a_planner_drives_the_car_and_its_death_stops_it(self):
+        self.take_gamepad()
+        process = NodeProcess("python3", os.path.join(PACKAGE, "docs", "examples", "end_to_end.py"))
+        self.addCleanup(process.clean_up)
+        self.hold()
+        self.assertEqual(self.wait_for_steering(SteeringState.PLANNER).reason, "av_steer_req is -0.970")
+        process.end(signal.SIGKILL)
+        self.throttle.wait_for(lambda state: state.reason.startswith("speed silent for "), self.throttle.mark())
+        self.wait_until_it_stands()
+
+    # --- calibration_drive ---
+
+    def begin(self, folder, *arguments):
+        """Start calibration_drive until it waits for the deadman."""
+        terminal = self.terminal(executable("calibration_drive"), "-o", os.path.join(folder, "turn_arb.yaml"),
+                                 "--no-sonars", *arguments)
+        terminal.lines.wait_for(lambda line: re.search(WAITS, ESCAPES.sub("", line)))
+        return terminal
+
+    def recording(self, folder):
+        """The bag's name, closed, and nothing else left in the folder, and no process."""
+        eventually(lambda: not processes_with(folder), lambda: f"the end of {processes_with(folder)}")
+        (bag,) = os.listdir(folder)
+        self.assertRegex(bag, r"^turn_arb_[\d_-]+\.bag$")
+        with rosbag.Bag(os.path.join(folder, bag)) as recorded:
+            self.assertIn("/turn_arb/state", recorded.get_type_and_topic_info().topics)
+        return os.path.join(folder, bag)
+
+    def test_calibration_drive_drives_while_the_deadman_is_held_and_ctrl_c_ends_it_with_a_closed_recording(self):
+        self.take_gamepad()
+        terminal = self.begin(self.folder)
+        self.hold()
+        self.assertRegex(self.wait_for_steering(SteeringState.PLANNER).reason, "^av_steer_req is")
+        terminal.type(b"\x03")
+        self.assertEqual(terminal.wait_for_exit(), 1)
+        lines = [ESCAPES.sub("", line) for line in terminal.lines.since()]
+        self.assertIn("ended before it was over: nothing is written", lines[-1])
+        self.wait_until_it_stands()  # though it is still held
+        self.assertIn(f"recording: {self.recording(self.folder)}", lines)
+        self.assertEqual(terminal.settings(), terminal.settings_before)
+
+    def test_calibration_drive_that_is_killed_or_loses_its_terminal_leaves_a_closed_recording_and_no_process(self):
+        self.take_gamepad()
+        folders = [os.path.join(self.folder, name) for name in ("killed", "hung_up")]
+        for folder in folders:
+            os.mkdir(folder)
+        killed, hung_up = (self.begin(folder, f"__name:={os.path.basename(folder)}") for folder in folders)
+        help_text = start(self, "env", f"ROS_MASTER_URI={NOWHERE}", executable("calibration_drive"), "--help")
+        os.kill(killed.pid, signal.SIGKILL)
+        hung_up.hang_up()
+        for folder in folders:
+            self.recording(folder)
+        self.assertEqual(help_text.wait_for_exit(), 0)  # needs no master
+        self.assertRegex(help_text.stdout.since()[0], "^usage: rosrun car_interface calibration_drive ")
+
+    # --- live tuning ---
+
+    def test_steering_is_tuned_by_dynamic_reconfigure_and_a_node_that_roslaunch_starts_again_keeps_that(self):
+        def client(name):
+            made = Client(name, timeout=30)
+            self.addCleanup(made.close)
+            return made
+        steering, esc = client("/turn_arb"), client("/throttle_arb/servo")
+        described = {each["name"]: (each["min"], each["max"], each["default"])
+                     for each in (*steering.get_parameter_descriptions(), *esc.get_parameter_descriptions())}
+        self.assertEqual(described, {"servo_left": (3300, 4300, LEFT), "servo_center": (4600, 5600, CENTER),
+                                     "servo_right": (6200, 7200, RIGHT), "neutral": (4815, 5015, 4915)})
+        ask = rospy.ServiceProxy("/turn_arb/set_parameters", Reconfigure)
+        for odd in (Config(), Config(strs=[StrParameter("servo_center", "straight")]),
+                    Config(doubles=[DoubleParameter("servo_center", float("nan"))]),
+                    Config(ints=[IntParameter("servo_channel", 3), IntParameter("groups", 1)]),
+                    Config(groups=[GroupState("odd", True, 7, 9)])):
+            self.assertEqual({value.name: value.value for value in ask(odd).config.ints},
+                             {"servo_left": LEFT, "servo_center": CENTER, "servo_right": RIGHT})
+        self.assertEqual(steering.update_configuration({"servo_center": 5150})["servo_center"], 5150)
+        self.addCleanup(lambda: client("/turn_arb").update_configuration({"servo_center": CENTER}))
+        self.assertEqual(steering.get_configuration(timeout=30)["servo_center"], 5150)
+        self.assertEqual(esc.get_configuration(timeout=30)["neutral"], 4915)
+        answer = rospy.ServiceProxy("/turn_arb/save", Trigger)()
+        self.assertFalse(answer.success)
+        self.assertIn("turn_arb.yaml is the package's own, which the demo leaves as it is", answer.message)
+
+        def uri():
+            with suppress(Exception):
+                return rosgraph.Master(rospy.get_name()).lookupNode("/turn_arb")
+            return None
+        before = uri()
+        os.kill(ServerProxy(before).getPid(rospy.get_name())[2], signal.SIGKILL)
+        eventually(lambda: uri() not in (None, before), "the new turn_arb")
+        self.steering.wait_for(lambda state: state.source == SteeringState.NO_HUMAN and state.duty == 5150,
+                               self.steering.mark())
+
+
+if __name__ == "__main__":
+    rospy.init_node("tools_test")
+    rostest.rosrun("car_interface", "tools_test", "__main__")
