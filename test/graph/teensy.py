@@ -29,13 +29,15 @@ def frame(body: bytes) -> bytes:
 
 def sonar(sensor: int, echo_us: int, tick_ms: int) -> bytes:
     """A sonar's report."""
-    return frame(b"\x01\x02\x06\x00" + bytes((sensor, 0)) + echo_us.to_bytes(2, "little") + tick_ms.to_bytes(4, "little"))
+    return frame(b"\x01\x02\x06\x00" + bytes((sensor, 0)) + echo_us.to_bytes(2, "little")
+                 + tick_ms.to_bytes(4, "little"))
 
 
 def wheels(pulses: tuple[int, int], ticks_ms: tuple[int, int], speed: int = 50, direction: int = 0) -> bytes:
     """A report of the wheels: their pulses so far, never backward, and when the last ones were."""
-    return frame(b"\x01\x02\x07\x00" + b"".join(struct.pack("<HBBIII", speed, direction, 0, tick_ms, min(count, 1), count)
-                                                for count, tick_ms in zip(pulses, ticks_ms)))
+    return frame(b"\x01\x02\x07\x00" + b"".join(
+        struct.pack("<HBBIII", speed, direction, 0, tick_ms, min(count, 1), count)
+        for count, tick_ms in zip(pulses, ticks_ms)))
 
 
 def unescaped(on_wire: bytes) -> bytes:

@@ -10,6 +10,7 @@ from functools import partial
 
 import pytest
 import yaml
+from car_interface.msg import PlannerState, SteeringState
 from std_msgs.msg import Float32
 from visualization_msgs.msg import Marker
 
@@ -20,7 +21,6 @@ from car_interface.calibration.drive.conclusion import Conclusion
 from car_interface.cli.main import main
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.units import yaw_rad
-from car_interface.msg import PlannerState, SteeringState
 from car_interface.nodes import calibration_drive
 from car_interface.nodes.calibration_drive import CalibrationDriveNode
 from car_interface.ros.drive_topics import TOPICS
@@ -190,13 +190,15 @@ def ended(car, within_s=5.0):
 # --- before it drives ---
 
 def test_car_that_is_not_launched_is_told_so(tmp_path):
-    with pytest.raises(CarInterfaceError, match=r"turn_arb's calibration isn't known: its parameter servo_left is missing"
+    with pytest.raises(CarInterfaceError, match="turn_arb's calibration isn't known: its parameter servo_left is "
+                                               "missing"
                                                 r".* Is the car launched, and in this namespace \(ROS_NAMESPACE\)\?"):
         Practice(tmp_path, starts=False).begin()
 
 
 @pytest.mark.parametrize("arguments, text", [
-    (["--output", f"{os.path.realpath(CONFIG)}/turn_arb.yaml"], "is the package's own: name a file of your car's by -o"),
+    (["--output", f"{os.path.realpath(CONFIG)}/turn_arb.yaml"],
+     "is the package's own: name a file of your car's by -o"),
     (["--radius", "1"], "radius is 1.0; accepted: a number from 2.5 to 100")])
 def test_package_s_own_files_and_bad_options_are_named(tmp_path, arguments, text):
     with pytest.raises(CarInterfaceError, match=text):
@@ -219,7 +221,8 @@ def test_all_that_is_missing_and_another_program_that_steers_are_listed_with_the
                  "- there is no odometry on odom: is teensy_sensor_hub running",
                  "- throttle_arb isn't heard, which drives the ESC: launch with throttle:=true",
                  "- planner_interface obeys drive, not speeds: launch with planner:=speed in its place",
-                 "- no range of the sonars front_right, front_middle, ", "- teleop_logi isn't heard, which reads the gamepad",
+                 "- no range of the sonars front_right, front_middle, ",
+                 "- teleop_logi isn't heard, which reads the gamepad",
                  "- /other publishes /av_turnrad_req, too: end it"):
         assert text in car.terminal.text
     assert max(len(line) for line in car.terminal.lines if line.startswith("  ")) < 80
@@ -330,7 +333,8 @@ def test_without_a_terminal_there_are_plain_lines_of_what_it_waits_for_and_does(
     car.graph.run(1.0)
     lines = [line for line in car.terminal.lines if re.match(r" +\d+%", line)]
     assert re.match("  0%, 0:00 driven, about 4:00 left; waiting: .* hold the autonomous deadman ", lines[0])
-    assert all(re.match(r" +\d+%, \d:\d\d driven, .* left; (settling|measuring|turning): ", line) for line in lines[1:-1])
+    driven = re.compile(r" +\d+%, \d:\d\d driven, .* left; (settling|measuring|turning): ")
+    assert all(driven.match(line) for line in lines[1:-1])
     assert 2 <= len(lines[1:-1]) <= 3  # at each change, and each 10 s
     assert re.match(f".* left; paused: {HOLD_IT} goes on", lines[-1])
     assert car.terminal.block == []
@@ -346,7 +350,8 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
     shutil.copy(f"{CONFIG}/turn_arb.yaml", tmp_path)
     old = (tmp_path / "turn_arb.yaml").read_text(encoding="utf-8")
     new = old.replace("servo_center: 5100", "servo_center: 5050")
-    monkeypatch.setattr(calibration_drive, "conclude", lambda *_: Conclusion(new, ("it is so",), "", 5050, (3800, 6700)))
+    conclusion = Conclusion(new, ("it is so",), "", 5050, (3800, 6700))
+    monkeypatch.setattr(calibration_drive, "conclude", lambda *_: conclusion)
     car = Practice(tmp_path, "--no-sonars", *arguments, live=live).begin()
     car.hold()
     car.program.node._drive.finish()

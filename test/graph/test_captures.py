@@ -54,8 +54,8 @@ class Player(Teensy):
             kept[pong.start():pong.end()] = bytes(pong.end() - pong.start())
         place = 0
         for t_us, data in chunks:
-            data, place = bytes(byte for byte, keep in zip(data, kept[place:]) if keep), place + len(data)
-            car.graph.at(self.begin_ns + 1000 * t_us, lambda t_us=t_us, data=data: self._play(t_us, data))
+            part, place = bytes(byte for byte, keep in zip(data, kept[place:]) if keep), place + len(data)
+            car.graph.at(self.begin_ns + 1000 * t_us, lambda t_us=t_us, part=part: self._play(t_us, part))
         for command in capture.commands:
             if command["host"] == "sonar_start":
                 car.graph.at(self.begin_ns + 1000 * (command["t_us"] - COMMAND_US), self._start_sonars)

@@ -6,15 +6,15 @@ import math
 import pytest
 import rospkg
 import rospy
-from car_interface.common.errors import ConfigError
 from car_interface.msg import SteeringState
-from car_interface.nodes import rviz_window
-from car_interface.nodes.car_display import CarDisplay
 from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
 from nav_msgs.msg import Odometry
 from roslaunch.config import load_config_default
 from visualization_msgs.msg import Marker, MarkerArray
 
+from car_interface.common.errors import ConfigError
+from car_interface.nodes import rviz_window
+from car_interface.nodes.car_display import CarDisplay
 from graph import NS_PER_S, START_NS
 
 MARKERS = "/car_display/markers"

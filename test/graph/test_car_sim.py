@@ -2,11 +2,12 @@
 from __future__ import annotations
 
 import pytest
-from car_interface.common.errors import ConfigError
 from car_interface.msg import LinkStatus, WheelDirection
 from car_interface.srv import InjectFaultRequest, SetSonarSequenceRequest, SetSonarWaitRequest
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
+
+from car_interface.common.errors import ConfigError
 
 LINK, PONGS, WHEELS, SONARS, ERRORS = (
     "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_wheel", "/teensy_distance", "/teensy_error")

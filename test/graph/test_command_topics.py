@@ -44,7 +44,8 @@ def test_healthy_car_has_nothing_to_report(car, node):
 
 FAULTS = [
     pytest.param("turn_arb", "/av_turnrad_req", Float64(2.0), ERROR,
-                 "/rostopic_7 on 127.0.0.1 publishes std_msgs/Float64 on /av_turnrad_req, which takes std_msgs/Float32: "
+                 "/rostopic_7 on 127.0.0.1 publishes std_msgs/Float64 on /av_turnrad_req, which takes "
+                 "std_msgs/Float32: "
                  "none of its messages is received", causes.WRONG_TYPE,
                  "Have /rostopic_7 publish std_msgs/Float32, or publish on another topic", id="wrong_type"),
     pytest.param("generic_value_converter", "/control/command/control_cmd", Twist(), ERROR,

@@ -156,7 +156,7 @@ def test_missing_and_unknown_parameters_are_named(node):
     for missing in required:
         with pytest.raises(ConfigError, match=f"^{missing}(/channel)? is missing; accepted: "):
             read(node, {name: value for name, value in required.items() if name != missing})
-    with pytest.raises(ConfigError, match="^unknown parameter no_such_thing is 1; accepted: only "):
+    with pytest.raises(ConfigError, match=r"^unknown parameter no_such_thing is 1; accepted: only "):
         read(node, {**required, "no_such_thing": 1})
 
 

@@ -80,7 +80,8 @@ def test_drive_that_somebody_stops_has_failed_and_says_why(monkeypatch):
     demo.graph.run(5.0)
     demo.graph.repeat("/e_stop", Bool(True), 10)
     assert demo.drives() == "the drive didn't go as planned: " + "; ".join((
-        "the human didn't steer all the time", "the human didn't drive all the time", "the human's circle wasn't closed",
+        "the human didn't steer all the time", "the human didn't drive all the time",
+        "the human's circle wasn't closed",
         "the planner didn't steer all the time", "the planner didn't drive all the time",
         "the left circle wasn't closed", "the right circle wasn't closed"))
 

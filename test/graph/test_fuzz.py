@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gc
 import importlib
-import io
 import math
 import os
 import random
@@ -18,14 +17,14 @@ from typing import NamedTuple
 import genpy
 import pytest
 import rospy
+from car_interface.msg import Distance
+
+from car import Car
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
 from car_interface.interlock.motion_interlock import read_interlock
-from car_interface.msg import Distance
 from car_interface.nodes.car_display import CarDisplay
 from car_interface.ros.measurement_publisher import read_settings
-
-from car import Car
 from teensy import Teensy, sonar
 
 ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))

@@ -6,6 +6,7 @@ import re
 from html import unescape
 
 import pytest
+from car_interface.msg import SteeringState
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
@@ -15,7 +16,6 @@ from car_interface.common import causes
 from car_interface.common.params import Params
 from car_interface.doctor.checks.findings import BAD, OK, WARN
 from car_interface.doctor.checks.gamepad import Gamepad, JoySample, check_gamepad
-from car_interface.msg import SteeringState
 from car_interface.nodes.teleop_logi import TeleopLogi
 from car_interface.nodes.turn_arb import TurnArb
 from car_interface.report import faults as report
@@ -82,7 +82,8 @@ class Driven:
     pytest.param(lambda driven: setattr(driven, "message", joy(throttle=math.nan)), causes.JOY_NOT_FINITE, NAN,
                  (BAD, NAN, NO_NUMBER), [(report.ERROR, NAN)], id="axis_that_is_no_number"),
     pytest.param(lambda driven: driven.fall_silent(0.27), causes.JOY_STALE, REARM, (WARN, REARM, LET_GO),
-                 [(report.WARN, "joy silent for 0.26 s"), (report.WARN, REARM)], id="silence_of_0_27_s_with_the_button_held_on"),
+                 [(report.WARN, "joy silent for 0.26 s"), (report.WARN, REARM)],
+                 id="silence_of_0_27_s_with_the_button_held_on"),
 ])
 def test_gamepad_that_fails_is_told_word_for_word(tmp_path, fail, cause, reason, doctor, faults):
     driven = Driven()

@@ -99,7 +99,8 @@ def test_axes_are_published_together_buttons_at_once_and_the_state_at_the_asked_
     pad.send((16384, AXIS, 4), run_s=0.1)
     (record,) = [record for record in pad.graph.recorded["/joy"] if any(record.message.axes)]
     assert record.at_ns - at_ns == 50_000_000
-    assert (record.message.axes[0], record.message.axes[4]) == (1.0, pytest.approx(-0.444, abs=1e-3))  # (0.5 − 0.1) / 0.9
+    axes = record.message.axes
+    assert (axes[0], axes[4]) == (1.0, pytest.approx(-0.444, abs=1e-3))  # (0.5 − 0.1) / 0.9
     assert (record.message.header.frame_id, record.message.header.stamp.to_nsec()) == (
         pad.path, record.at_ns + pad.graph.ros_ahead_ns)
     at_ns = pad.graph.now_ns
@@ -130,8 +131,8 @@ def test_nothing_is_published_while_there_is_no_gamepad_and_the_log_and_diagnost
 
 def test_device_that_is_no_joystick_and_a_bad_parameter_are_refused(tmp_path):
     pad = Pad(tmp_path, dev="/dev/zero").start()  # its bytes would be events
-    assert pad.device() == (2, "/dev/zero: it is no joystick. A gamepad is /dev/input/js0 or the like, not .../event*: "
-                               "ls /dev/input/js*")
+    assert pad.device() == (2, ("/dev/zero: it is no joystick. A gamepad is /dev/input/js0 or the like, not .../event*"
+                                ": ls /dev/input/js*"))
     assert pad.graph.recorded["/joy"] == []
-    with pytest.raises(ConfigError, match="^deadzone is 1.5; accepted: a number from 0 to 0.9$"):
+    with pytest.raises(ConfigError, match=r"^deadzone is 1\.5; accepted: a number from 0 to 0.9$"):
         Pad(tmp_path, deadzone=1.5).start()

@@ -99,7 +99,8 @@ def test_node_of_car_nodes_has_no_collector_of_its_own(spun):
 
 
 def test_process_has_a_collector(spun, monkeypatch):
-    for name in ("_register", "_on_end_signals", "_keep_rosout_parameter", "LogStream", "LogThreads", "limit_connections",
+    for name in ("_register", "_on_end_signals", "_keep_rosout_parameter", "LogStream", "LogThreads",
+                 "limit_connections",
                  "keep_tracebacks_from_terminal", "send_directly", "IdleCollector"):
         monkeypatch.setattr(runtime, name, lambda *arguments, name=name: mock.MagicMock(name=name))
     for module, name in ((sys, "stdout"), (sys, "stderr"), (runtime.rospy, "signal_shutdown"),

@@ -4,11 +4,11 @@ from __future__ import annotations
 from functools import partial
 
 import pytest
+from car_interface.msg import SteeringState
 from sensor_msgs.msg import Joy
 
 from car import Car
 from car_interface.common.errors import CarInterfaceError
-from car_interface.msg import SteeringState
 from car_interface.nodes.keyboard_drive import KeyboardDrive
 from graph import Graph
 
@@ -61,7 +61,8 @@ class Hand:
         self.graph.record("/joy")
         for name, values in {"pca9685": {"device": "virtual"}, **(parameters or {})}.items():
             self.graph.set_parameter(f"/{name}", values)
-        self.node = self.graph.add(partial(KeyboardDrive, keys=self.keys, make_keyboards=lambda pattern: self.keyboards),
+        self.node = self.graph.add(
+            partial(KeyboardDrive, keys=self.keys, make_keyboards=lambda pattern: self.keyboards),
                                    "keyboard_drive", own)
         self.graph.run(0.1)
 
@@ -184,13 +185,16 @@ def test_terminal_that_is_closed_and_a_car_that_becomes_real_end_it_and_let_go()
 
 
 @pytest.mark.parametrize("parameters, own, keys, text", [
-    ({"pca9685": {}}, {}, {}, "there is no /pca9685/device: no car, or it is in another namespace (ROS_NAMESPACE). Start "
-                              "the virtual car first: roslaunch car_interface demo.launch drive:=false"),
-    (REAL, {"input_devices": "none"}, {},
-     "/pca9685/device is /dev/i2c-1, a real servo board, and no keyboard can be read (none): a terminal doesn't say when "
-     "a key is released. Drive by gamepad; or, with a keyboard on this computer: rosrun car_interface setup_hardware"),
-    ({}, {}, {"starts": False}, "no terminal to read keys from: start it by rosrun in a terminal of its own, not by "
-                                "roslaunch and not in the background")])
+    ({"pca9685": {}}, {}, {}, (
+        "there is no /pca9685/device: no car, or it is in another namespace (ROS_NAMESPACE). Start the virtual car "
+        "first: roslaunch car_interface demo.launch drive:=false")),
+    (REAL, {"input_devices": "none"}, {}, (
+        "/pca9685/device is /dev/i2c-1, a real servo board, and no keyboard can be read (none): a terminal doesn't say "
+        "when a key is released. Drive by gamepad; or, with a keyboard on this computer: rosrun car_interface "
+        "setup_hardware")),
+    ({}, {}, {"starts": False}, (
+        "no terminal to read keys from: start it by rosrun in a terminal of its own, not by roslaunch and not in the "
+        "background"))])
 def test_where_it_cannot_drive_it_is_refused(monkeypatch, parameters, own, keys, text):
     for name, value in keys.items():
         monkeypatch.setattr(Keys, name, value)
@@ -201,7 +205,8 @@ def test_where_it_cannot_drive_it_is_refused(monkeypatch, parameters, own, keys,
 
 def test_second_publisher_of_joy_is_refused_by_name(graph):
     graph.publish("/joy", Joy(), sender="/joy_node")
-    with pytest.raises(CarInterfaceError, match="^/joy_node publishes /joy already. End it first: rosnode kill /joy_node"):
+    with pytest.raises(CarInterfaceError, match=r"^/joy_node publishes /joy already\. End it first: rosnode "
+                                               "kill /joy_node"):
         Hand(graph)
 
 

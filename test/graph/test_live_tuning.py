@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from car_interface.msg import SteeringState
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from car import CONFIG, ESC, STEERING, Car
-from car_interface.msg import SteeringState
 from graph import NS_PER_S
 
 LEFT, CENTER, RIGHT, NEUTRAL = 3800, 5100, 6700, 4915

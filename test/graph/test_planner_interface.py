@@ -5,6 +5,7 @@ import math
 from typing import Any
 
 import pytest
+from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
@@ -13,7 +14,6 @@ from std_msgs.msg import Bool, Float32, UInt8
 from car import AUTOWARE, CONTROL, GEAR, Car
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
-from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
 from car_interface.nodes.planner_interface import PlannerInterface
 from car_interface.ros.ackermann_messages import ackermann_drive_class
 from car_interface.ros.inbox import INBOX_LIMIT
@@ -181,8 +181,8 @@ def test_silence_is_a_radius_of_0_and_a_full_brake_at_its_timeout_and_then_nothi
 @pytest.mark.parametrize("message, cause, reason", [
     (drive(NAN, 1.0), causes.REQUEST_NOT_FINITE, "drive: drive.steering_angle is nan, no number to act on"),
     (drive(0.1, INF), causes.REQUEST_NOT_FINITE, "drive: drive.speed is inf, no number to act on"),
-    (drive(20.0, 1.0), causes.REQUEST_REFUSED, "drive: drive.steering_angle of 20 rad (degrees?): no wheel turns so "
-                                               "far; refused until it was sane for 2 s"),
+    (drive(20.0, 1.0), causes.REQUEST_REFUSED, (
+        "drive: drive.steering_angle of 20 rad (degrees?): no wheel turns so far; refused until it was sane for 2 s")),
 ])
 def test_what_cannot_be_obeyed_stops_at_once_and_says_why(message, cause, reason):
     car = Interface("drive")
@@ -407,7 +407,7 @@ def test_overflow_is_a_loss_of_everything_until_the_next_messages():
     car.graph.run(0.021)
     state = car.graph.messages(STATES, at_ns)[0]
     assert state.cause == causes.PLANNER_STALE
-    assert [message.data for message in car.graph.messages(RADII, at_ns)][0] == 0.0
+    assert next(message.data for message in car.graph.messages(RADII, at_ns)) == 0.0
     car.graph.run(0.2)
     assert car.state.cause == "planner"
 

@@ -103,8 +103,8 @@ def test_fault_and_recovery_are_logged_once_each(line):
     lines = line.graph.lines("/teensy_sensor_hub", begun_ns)
     assert lines[0].startswith("a ping went unanswered")
     assert lines[1:] == [
-        "Teensy on /dev/ttyAMA0: the port is open, but nothing comes from it. Check the Teensy's power and that its TX "
-        "leads to this port's RX; is it the right ~port?", line.graph.lines("/teensy_sensor_hub")[-1]]
+        ("Teensy on /dev/ttyAMA0: the port is open, but nothing comes from it. Check the Teensy's power and that its "
+         "TX leads to this port's RX; is it the right ~port?"), line.graph.lines("/teensy_sensor_hub")[-1]]
     assert lines[-1].startswith("Teensy on /dev/ttyAMA0: fine: ")
 
 

@@ -107,7 +107,8 @@ class Soak:
             "chip: without power": self.power,
             "bus held down": lambda: (self.hold(True), graph.run(self.choose.uniform(0.3, 1.5)), self.hold(False)),
         }
-        for name, value, duration_s in (("unplug", 1.0, 1.1), ("silence", 2.0, 2.0), ("reboot", 0, 0.5), ("flood", 1.0, 1.0),
+        for name, value, duration_s in (("unplug", 1.0, 1.1), ("silence", 2.0, 2.0), ("reboot", 0, 0.5),
+                                        ("flood", 1.0, 1.0),
                                         ("scramble", 1.0, 1.0), ("cut", 50, 0.1), ("out_of_step", 0, 0.1),
                                         ("bit_errors", 1e-3, 2.0)):
             found[f"line: {name}"] = lambda name=name, value=value, duration_s=duration_s: (

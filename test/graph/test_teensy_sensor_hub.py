@@ -6,13 +6,13 @@ import os
 import struct
 
 import pytest
-from car_interface.common.errors import CarInterfaceError
 from car_interface.msg import Distance
 from car_interface.srv import SetSonarSequenceRequest as Sequence
 from car_interface.srv import SetSonarWaitRequest as Wait
 from std_srvs.srv import TriggerRequest
 
 from car import CONFIG
+from car_interface.common.errors import CarInterfaceError
 from graph import NS_PER_S, ROS_AHEAD_NS, START_NS
 from teensy import FILLER, FLAG, PORT, Teensy, frame, sonar, unescaped, wheels
 
@@ -121,7 +121,8 @@ def test_ping_after_an_unanswered_one_comes_after_half_a_second_behind_the_fille
 
 
 @pytest.mark.parametrize("name, request_, on_wire", [
-    ("sonar_start", TRIGGER, SONAR_START), ("sonar_stop", TRIGGER, "02010400f8"), ("wheel_reset", TRIGGER, "02010800f4"),
+    ("sonar_start", TRIGGER, SONAR_START), ("sonar_stop", TRIGGER, "02010400f8"),
+    ("wheel_reset", TRIGGER, "02010800f4"),
     ("get_counters", TRIGGER, "02010a00f2"), ("set_sonar_sequence", Sequence([0, 1, 5]), SEQUENCE_015),
     ("set_sonar_sequence", Sequence(list(range(6))), SEQUENCE_ALL), ("set_sonar_wait", Wait(50), "02010c0032000000be")])
 def test_service_sends_its_command_at_once(car, start, call, name, request_, on_wire):
@@ -230,7 +231,7 @@ def test_port_is_tried_ever_more_rarely_and_opened_again_with_filler_and_ping(ca
 def test_second_hub_on_the_port_is_refused_and_gets_it_when_the_first_ends(car, start):
     teensy = start()
     first = car.graph.nodes["/teensy_sensor_hub"]
-    second = car.graph.add(first._class, "second", {})
+    car.graph.add(first._class, "second", {})
     car.graph.run(5)
     assert car.graph.lines("/second") == [f"Teensy on {PORT}: another program has it open. End it. Trying again"]
     first.end()

@@ -290,7 +290,8 @@ class ByItself(unittest.TestCase):
             terminal.type(b"SNRCXYs")
             line.wait_for(SEQUENCE_ALL, mark)
             eventually(lambda mark=mark: line.commands(mark) == [
-                SONAR_START, SONAR_STOP, WHEEL_RESET, GET_COUNTERS, SEQUENCE_015, SEQUENCE_ALL, SONAR_START], "commands")
+                SONAR_START, SONAR_STOP, WHEEL_RESET, GET_COUNTERS, SEQUENCE_015, SEQUENCE_ALL,
+                SONAR_START], "commands")
             mark = line.frames.mark()
             terminal.type(b"P")
             line.wait_for(PING_HEADER, mark)
