@@ -63,12 +63,14 @@ def test_limit_of_a_process_test_is_that_of_its_tests(tmp_path, tests, is_all, l
 # A process of a session of its own, as roslaunch's nodes are.
 HANGS = ("sh", "-c", "setsid sleep 600 & echo $! > hangs.pid; echo its last line; wait")
 PASSES = ("sh", "-c", "echo '<testsuite><testcase name=\"a\"/></testsuite>' > results/passes.test/a.xml")
-# Notes that it has begun, and ends when as many have begun as its argument says, or fails.
+# Ends when as many have begun as its argument says, and none is at work beside one that is to be alone.
 MEETS = """
-echo x >> {kind}; i=0
-until [ "$(wc -l < {kind})" -ge {count} ]; do i=$((i+1)); [ $i -lt 200 ] || exit 1; sleep 0.05; done
-echo '<testsuite><testcase name="a"/></testsuite>' > results/{name}/a.xml
+[ ! -e alone ] || exit 1; [ {count} != 1 ] || touch alone; echo x >> begun; i=0
+until [ "$(wc -l < begun)" -ge {count} ]; do i=$((i+1)); [ $i -lt 600 ] || exit 1; sleep 0.05; done
+sleep 0.5; rm -f alone; echo '<testsuite><testcase name="a"/></testsuite>' > results/{name}/a.xml
 """
+FAILS_ONCE = ("sh", "-c", "[ -e failed ] || { touch failed; exit 1; }; "
+              "echo '<testsuite><testcase name=\"a\"/></testsuite>' > results/once.test/a.xml")
 RUN = """
 import sys
 from pathlib import Path
@@ -76,7 +78,7 @@ sys.path.insert(0, sys.argv[1])
 import run
 run.adopt_descendants()
 STEPS = {steps}
-sys.exit(run.run(Path(), [run.Step(name, name, *step) for name, step in STEPS.items()], {at_work}, 0))
+sys.exit(run.run(Path(), [run.Step(name, name, *step) for name, step in STEPS.items()], {at_work}, 0, True))
 """
 
 
@@ -110,13 +112,17 @@ def has_ended(pid):
     return not path.exists() or path.read_text(encoding="utf-8").rpartition(")")[2].split()[0] in "ZX"
 
 
-def test_two_steps_are_at_work_together_but_only_one_of_pytest(tmp_path):
-    meets = {name: ("sh", "-c", MEETS.format(kind=kind, count=count, name=name))
-             for name, kind, count in (("py1", "first", 2), ("py2", "second", 2), ("a.test", "first", 2),
-                                       ("b.test", "second", 2))}
-    # Each pytest step ends only beside a process test; two of pytest together would leave one waiting for ever.
-    lines = lines_of(run_steps(tmp_path, meets, at_work=2))
-    assert lines[-1] == "4 passed, 0 failed, 0 skipped"
+def test_steps_of_pytest_are_at_work_alone_and_two_others_together(tmp_path):
+    meets = {name: ("sh", "-c", MEETS.format(count=count, name=name))
+             for name, count in (("py1", 1), ("py2", 1), ("a.test", 4), ("b.test", 4))}
+    assert lines_of(run_steps(tmp_path, meets, at_work=2))[-1] == "4 passed, 0 failed, 0 skipped"
+
+
+def test_process_test_that_fails_is_run_once_more_and_named_if_it_passes(tmp_path):
+    lines = lines_of(run_steps(tmp_path, {"once.test": FAILS_ONCE, "always.test": ("false",), "passes.test": PASSES}))
+    assert "UNSTEADY, passed alone: once.test: ended with exit code 1 without a failed test" in lines
+    assert lines[-2:] == ["FAILED always.test: ended with exit code 1 without a failed test",
+                          "2 passed, 1 failed, 0 skipped"]
 
 
 @pytest.mark.once
