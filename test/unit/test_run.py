@@ -69,8 +69,8 @@ MEETS = """
 until [ "$(wc -l < begun)" -ge {count} ]; do i=$((i+1)); [ $i -lt 600 ] || exit 1; sleep 0.05; done
 sleep 0.5; rm -f alone; echo '<testsuite><testcase name="a"/></testsuite>' > results/{name}/a.xml
 """
-FAILS_ONCE = ("sh", "-c", "[ -e failed ] || { touch failed; exit 1; }; "
-              "echo '<testsuite><testcase name=\"a\"/></testsuite>' > results/once.test/a.xml")
+FAILS_ONCE = ("sh", "-c", ("[ -e failed ] || { touch failed; exit 1; }; "
+                           "echo '<testsuite><testcase name=\"a\"/></testsuite>' > results/once.test/a.xml"))
 RUN = """
 import sys
 from pathlib import Path
