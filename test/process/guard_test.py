@@ -317,8 +317,12 @@ class BesideItsNode(Guarded):
         process.send(signal.SIGKILL)
         stopped = truths.wait_for(lambda truth: truth.twist.twist.linear.x == 0.0, truths.mark())
         self.assertEqual(self.chip.read(LED0 + 4, 4), bytes((0, 0, 0x33, 0x01)))  # 307 counts: neutral, not off
-        self.chip.write(LED0 + 4, bytes((0, 0, 0x77, 0x01)))  # for 50 ms, until the guard has seen it
-        truths.wait_for(lambda truth: truth.twist.twist.linear.x > 0.0, truths.mark())
+        mark = truths.mark()
+
+        def moves():
+            self.chip.write(LED0 + 4, bytes((0, 0, 0x77, 0x01)))  # for 50 ms at most, until the guard has seen it
+            return any(truth.twist.twist.linear.x > 0.0 for truth in truths.since(mark))
+        eventually(moves, "the car to follow the chip")
         self.assertIsNotNone(stopped)
         self.assertEqual(follower.end(), 0)
 
