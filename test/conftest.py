@@ -23,7 +23,7 @@ IS_RANDOM = bool(os.environ.get("CAR_INTERFACE_ALL"))
 settings.register_profile("car_interface", database=None, deadline=None, derandomize=not IS_RANDOM)
 settings.load_profile("car_interface")
 
-# What ``./dev test`` leaves out where it runs the same tests on a second Python: the mark, or one of these files here.
+# What ``./dev test`` leaves out where it runs the same tests on a second Python: the mark, or one of these files.
 ONCE = ("test_bench", "test_calibration_drives", "test_documentation", "test_launch", "test_layering", "test_mutate",
         "test_noise", "test_packages", "test_packaging", "test_planner_drives", "test_processes", "test_releases",
         "test_room_drives", "test_run", "test_tally")
@@ -43,7 +43,7 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
-    files = {os.path.join(os.path.dirname(__file__), f"{name}.py") for name in ONCE}
+    files = {os.path.join(os.path.dirname(__file__), "unit", f"{name}.py") for name in ONCE}
     for item in items:
         if str(item.fspath) in files:
             item.add_marker(pytest.mark.once)

@@ -1,7 +1,7 @@
 """Virtual cars that calibrate their own steering: they stay inside, hit nothing, and write a table that holds.
 
-Twenty cars with CAR_INTERFACE_ALL, 20 s each; otherwise the one of test/graph/test_calibration_drive.py is the sample. All have to
-write, within what is asked of a person's drive: see docs/calibrate.md.
+Twenty cars with CAR_INTERFACE_ALL, 20 s each; otherwise the one of test/graph/test_calibration_drive.py is the
+sample. All have to write, within what is asked of a person's drive: see docs/calibrate.md.
 """
 from __future__ import annotations
 
