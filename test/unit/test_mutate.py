@@ -101,6 +101,8 @@ def test_mutant_is_killed_by_a_failure_or_a_hang_and_survives_where_nobody_looks
     source.write_text("def f(n):\n  while n > 0:\n    n -= 1\n  return n\n\ndef g():\n  return 5\n")
     test.write_text("from car_interface.steering.a import f\n\ndef test_f():\n  assert f(3) == 0\n")
     monkeypatch.setattr(mutate, "LIMIT_EXTRA_S", 2.0)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "car_interface"]:
+        monkeypatch.delitem(sys.modules, name)  # of other tests in this process, which the runs of the mutants fork
     keys = list(mutate.find("steering/a.py", source.read_bytes()))
     gone = keys[0]._replace(line="while n > 1:")
     slots = [mutate.Slot(root, tmp_path / "slot")]
