@@ -5,7 +5,7 @@ from pathlib import Path
 
 TEST = Path(__file__).resolve().parents[1]
 # In place of this folder: its modules are imported as bench.…, and do not shadow those of the nodes that it starts.
-sys.path[:1] = [str(TEST), str(TEST / "node")]
+sys.path[:1] = [str(TEST), str(TEST / "process")]
 processes = importlib.import_module("processes")
 processes.adopt_descendants()
 try:

@@ -63,7 +63,7 @@ class TwoCarsDrive(unittest.TestCase):
     def drive(self):
         """Both cars' drives, from their launch on."""
         self.attempts += 1
-        self.cars = start(self, shutil.which("roslaunch"), os.path.join(PACKAGE, "test", "node", "two_cars.launch"),
+        self.cars = start(self, shutil.which("roslaunch"), os.path.join(PACKAGE, "test", "process", "two_cars.launch"),
                           f"port:={self.folder}/teensy{self.attempts}")
         self.addCleanup(self.cars.end, within_s=START_WITHIN_S)  # a roslaunch that is killed leaves its nodes behind
         nodes = {f"{car}/{node}" for car in CARS for node in NODES}
