@@ -3,9 +3,7 @@
 
 Its standard input takes lines: ``NAME VALUE`` publishes a value now and at 50 Hz from then on, ``NAME -`` lets the
 name fall silent. For each first publication it prints ``NAME VALUE`` and the monotonic time just before, in ns, a
-moment later: whoever reads it must not take a core from the nodes that are measured. Told
-``relay`` on its command line it passes relay/in on to relay/out, and as ``sink`` it prints when something arrives
-there: what two hops take by themselves. As ``truth`` it prints the speed of the virtual car, and when that was.
+moment later: whoever reads it must not take a core from the nodes that are measured.
 """
 from __future__ import annotations
 
@@ -23,7 +21,6 @@ from car_interface.ros.direct_connection import send_directly
 
 PERIOD_S = 0.02
 REACTION_S = 0.005  # within which the chip is written
-BARE = ("floor", "relay", "sink")  # of rospy alone; who plays one of the car's nodes sends as these do
 
 
 def joy(value):
@@ -49,15 +46,14 @@ def odometry(value):
 
 
 KINDS = {
-    "human": ("/teleop_logi/human_in_loop", Bool, lambda value: Bool(value == "1")),
-    "e_stop": ("/e_stop", Bool, lambda value: Bool(value == "1")),
+    "human": ("/teleop_logi/human_in_loop", Bool, lambda value: Bool(float(value) == 1)),
+    "e_stop": ("/e_stop", Bool, lambda value: Bool(float(value) == 1)),
     "steering": ("/teleop_logi/tele_steer_req", Float32, lambda value: Float32(float(value))),
     "radius": ("/av_turnrad_req", Float32, lambda value: Float32(float(value))),
     "throttle": ("/teleop_logi/tele_throt_req", Float32, lambda value: Float32(float(value))),
     "joy": ("/joy", Joy, joy),
     "acceleration": ("/control/command/control_cmd", Control, control),
     "odometry": ("/localization/kinematic_state", Odometry, odometry),
-    "relay": ("/relay/in", Bool, lambda value: Bool(value == "1")),
 }
 
 
@@ -93,35 +89,11 @@ class Driver:
                     self._publish(name, value)
 
 
-def relay():
-    publisher = rospy.Publisher("/relay/out", Bool, queue_size=10)
-    rospy.Subscriber("/relay/in", Bool, publisher.publish, tcp_nodelay=True)
-
-
-def sink():
-    rospy.Subscriber("/relay/out", Bool,
-                     lambda message: print("sink", int(message.data), time.monotonic_ns(), flush=True),
-                     tcp_nodelay=True)
-
-
-def truth():
-    rospy.Subscriber("/car_sim/truth", Odometry, lambda message: print(
-        "truth", message.twist.twist.linear.x, message.header.stamp.to_nsec(), flush=True), tcp_nodelay=True)
-
-
 if __name__ == "__main__":
-    role = sys.argv[1]
-    if role not in BARE:
-        send_directly()
-    rospy.init_node(role, disable_signals=True)
+    send_directly()
+    rospy.init_node(sys.argv[1], disable_signals=True)
     sys.setswitchinterval(0.0005)  # as the package's nodes: it's their time that is measured
-    if role == "relay":
-        relay()
-    elif role == "sink":
-        sink()
-    elif role == "truth":
-        truth()
-    driver = Driver(sys.argv[2].split(",") if len(sys.argv) > 2 and role not in ("relay", "sink", "truth") else ())
+    driver = Driver(sys.argv[2].split(","))
     print("ready", flush=True)
     for each_line in sys.stdin:
         driver.obey(each_line)

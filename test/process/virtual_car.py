@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import xmlrpc.client
 
 import rospkg
 
@@ -17,6 +16,7 @@ from waiting import PATIENCE_S, NodeProcess, eventually, executable
 PACKAGE = rospkg.RosPack().get_path("car_interface")
 HERE = os.path.dirname(os.path.abspath(__file__))
 DRIVER = os.path.join(HERE, "chain_driver.py")
+CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6700, 4915
 START_WITHIN_S = 60  # of a program on a machine with much other work
 PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")  # one that can import rospy, with its PYTHONPATH
 PYTHONPATH38 = os.environ.get("CAR_INTERFACE_PYTHONPATH38")
@@ -78,31 +78,40 @@ class Chip:
         return self._counts[channel][bisect.bisect_right(self._times_ns[channel], since_ns):]
 
 
+def free_port():
+    """A port on which nobody listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
 class Car:
     """A master and the nodes of a car, each a process.
 
     Args:
-        test: what it all ends with.
+        add_cleanup: of the test or the class that it all ends with.
         node_env: what the environment of the nodes has besides.
         python38: run the nodes on that Python.
     """
 
-    def __init__(self, test, node_env=None, python38=False):
-        self._test = test
+    def __init__(self, add_cleanup, node_env=None, python38=False):
+        self._add_cleanup = add_cleanup
         self.folder = tempfile.mkdtemp()
-        test.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
+        add_cleanup(shutil.rmtree, self.folder, ignore_errors=True)
         self._python38 = python38
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self._port = probe.getsockname()[1]
-        self._env = {"ROS_MASTER_URI": f"http://127.0.0.1:{self._port}", "ROS_IP": "127.0.0.1",
-                     "ROS_LOG_DIR": self.folder}
-        self._node_env = {**self._env, **(node_env or {})}
+        self._port = free_port()
+        self.env = {"ROS_MASTER_URI": f"http://127.0.0.1:{self._port}", "ROS_IP": "127.0.0.1",
+                    "ROS_LOG_DIR": self.folder}
+        self._node_env = {**self.env, **(node_env or {})}
         if python38:
             self._node_env["PYTHONPATH"] = PYTHONPATH38
         self.processes = {}
         self.chip = Chip(os.path.join(self.folder, "chip"))
-        self.master = self.start("master", shutil.which("rosmaster"), "--core", "-p", str(self._port))
+        self.start_master()
+
+    def start_master(self):
+        """Start the master, or another one in its place."""
+        self.start("master", shutil.which("rosmaster"), "--core", "-p", str(self._port))
         eventually(self._master_answers, "a master")
 
     def _master_answers(self):
@@ -115,8 +124,8 @@ class Car:
 
     def start(self, name, *command, env=None):
         """Start a program under a name."""
-        process = NodeProcess(*self.on_host(name, command), env=env or self._env)
-        self._test.addCleanup(process.clean_up)
+        process = NodeProcess(*self.on_host(name, command), env=env or self.env)
+        self._add_cleanup(process.clean_up)
         self.processes[name] = process
         return process
 
@@ -125,17 +134,6 @@ class Car:
         program = (PYTHON38, os.path.join(PACKAGE, "scripts", node)) if self._python38 else (executable(node),)
         return self.start(node, *program, *arguments, env=self._node_env)
 
-    @property
-    def master_api(self):
-        """The master's XML-RPC server."""
-        return xmlrpc.client.ServerProxy(self._env["ROS_MASTER_URI"])
-
-    def uri_of(self, node):
-        """The URI of a node's XML-RPC server."""
-        code, text, uri = self.master_api.lookupNode("/test", node)
-        assert code == 1, text
-        return uri
-
     def load(self, node, *names):
         """Set a node's parameters from files in config/."""
         for name in names:
@@ -143,7 +141,7 @@ class Car:
 
     def _rosparam(self, *arguments):
         subprocess.run(self.on_host("rosparam", (shutil.which("rosparam"), *arguments)), check=True,
-                       env={**os.environ, **self._env}, stdout=subprocess.DEVNULL)
+                       env={**os.environ, **self.env}, stdout=subprocess.DEVNULL)
 
     def load_actors(self):
         """The parameters of the four nodes between the senders and the chip."""
@@ -157,10 +155,14 @@ class Car:
     def actors(self, odometry="localization/kinematic_state"):
         """The four nodes between the senders and the chip."""
         self.load_actors()
-        self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
+        self.pca9685()
         self.turn_arb()
         self.converter(odometry)
         self.throttle_arb(odometry)
+
+    def pca9685(self):
+        """Start pca9685; its parameters are there."""
+        return self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
 
     def turn_arb(self):
         """Start turn_arb; its parameters are there."""
@@ -173,10 +175,10 @@ class Car:
                          f"generic_value_converter/input/odometry:={odometry}",
                          f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
 
-    def throttle_arb(self, odometry="localization/kinematic_state", *arguments):
+    def throttle_arb(self, odometry="localization/kinematic_state"):
         """Start throttle_arb; its parameters are there."""
         return self.node("throttle_arb", "throttle_arb/input/value:=generic_value_converter/output/value",
-                         f"throttle_arb/input/odometry:={odometry}", *arguments)
+                         f"throttle_arb/input/odometry:={odometry}")
 
     def load_one_process(self):
         """The parameters of car_nodes. Its Teensy is absent."""
@@ -221,10 +223,49 @@ def guard_of(pid):
     return None
 
 
-def guard_has_chip(pid):
-    """Whether a guard is connected to its virtual chip."""
-    folder = f"/proc/{pid}/fd"
+def has_ended(pid):
+    """Whether a process has ended, be it that its parent has yet to notice."""
     try:
-        return any(os.readlink(os.path.join(folder, fd)).startswith("socket:") for fd in os.listdir(folder))
+        with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+            return file.read().rpartition(")")[2].split()[0] == "Z"
     except OSError:
-        return False  # it is opening or closing files, or has ended
+        return True
+
+
+class FakeBus:
+    """An I²C bus with a chip for processes of environment ``env``, which fake_i2c.c is preloaded into."""
+
+    def __init__(self, folder):
+        self.path = os.path.join(folder, "i2c-1")
+        library = os.path.join(folder, "fake_i2c.so")
+        subprocess.run(["cc", "-shared", "-fPIC", "-o", library, os.path.join(HERE, "fake_i2c.c"), "-ldl"], check=True)
+        self.env = {"LD_PRELOAD": library, "FAKE_I2C": self.path, "FAKE_I2C_LOG": f"{self.path}.log"}
+        registers = bytearray(256)  # the data sheet's reset values
+        registers[0], registers[1], registers[254] = 0x11, 0x04, 0x1E
+        registers[9:70:4] = bytes((0x10,)) * 16
+        with open(self.path, "wb") as file:
+            file.write(registers)
+
+    def registers(self, first, length):
+        """What the chip's registers hold."""
+        with open(self.path, "rb") as file:
+            return file.read()[first: first + length]
+
+    def lines(self):
+        """What was done to the bus, and tried on other devices."""
+        if not os.path.exists(f"{self.path}.log"):
+            return []
+        with open(f"{self.path}.log", encoding="ascii") as file:
+            return file.read().splitlines()
+
+    def texts(self, pid, since_ns=0):
+        """What a process did since then."""
+        found = (line.split(" ", 2) for line in self.lines())
+        return [text for at_ns, who, text in found if int(who) == pid and int(at_ns) >= since_ns]
+
+    def hold(self, on):
+        """Hold the bus down, or let it go."""
+        if on:
+            open(f"{self.path}.held", "wb").close()
+        else:
+            os.unlink(f"{self.path}.held")

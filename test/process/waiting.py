@@ -139,10 +139,10 @@ class Repeater:
         self._thread.start()
 
     def hold(self, sender: Sender, message) -> None:
-        """Publish ``message`` now, and again and again."""
+        """Publish a message, or what a function returns, now, and again and again."""
         with self._lock:
             self._messages[sender] = message
-            sender.publish(message)
+            sender.publish(message() if callable(message) else message)
 
     def drop(self, *senders: Sender) -> None:
         """Let inputs fall silent; all of them when none is named."""
@@ -159,7 +159,7 @@ class Repeater:
         while not self._ending.wait(self._period_s):
             with self._lock:
                 for sender, message in self._messages.items():
-                    sender.publish(message)
+                    sender.publish(message() if callable(message) else message)
 
 
 class NodeProcess:
