@@ -3,9 +3,6 @@
 A *step* is one command with results of its own: the unit tests on one Python (test/unit), the tests of nodes in one
 process on one Python (test/graph), or one .test file with its own ROS master (test/process). Those of pytest use every
 CPU, one after the other; of the .test files, which mostly wait, two are at work at a time.
-
-A .test file that fails is run once more, alone: some of them measure times still, and a computer that stood still for a
-second looks like a node that did. What passes then is named as UNSTEADY.
 """
 from __future__ import annotations
 
@@ -35,7 +32,6 @@ from tally import Tally, tally
 TEST = Path(__file__).resolve().parent
 ROOT = TEST.parent
 AT_WORK = 2  # .test files at a time; one with --all, whose bounds are those of a machine that does nothing else
-MAX_REPEATED = 3  # more failed .test files than this have one cause: repeating them would only take time
 # Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 900 s.
 PROCESS_LIMIT_S, PYTEST_LIMIT_S = 900.0, 1800.0
 LONG_PYTEST_LIMIT_S = 3600.0  # with --all
@@ -160,7 +156,6 @@ class Runner:
 
     def __init__(self, output: Path, at_work: int):
         self.tallies: dict[str, Tally] = {}  # by step
-        self._hung: set[str] = set()  # names of steps
         self._results, self._logs = output / "results", output / "log" / "test"
         self._at_work = at_work
         self._running: list[Running] = []
@@ -198,7 +193,6 @@ class Runner:
         folder, logs = self._results / step.name, self._logs / step.name
         (folder / "exit_code").write_text(str(code), encoding="ascii")
         if code == TIMEOUT_EXIT_CODE:
-            self._hung.add(step.name)
             why_ended = f"hung: ended after {step.limit_s:.0f} s"
         if why_ended:
             (folder / "why_ended").write_text(why_ended, encoding="utf-8")
@@ -208,22 +202,6 @@ class Runner:
             print(*result.lines(), end_of_log(folder / "log", 60), sep="\n", flush=True)
             if logs.exists():
                 print(f"  (the nodes' logs: {logs})", flush=True)
-
-    def repeat_failed(self, steps: list[Step]) -> list[str]:
-        """Run the .test files that failed once more, each alone; return the failures of those that pass then.
-
-        What hung is not repeated: it has had many times the time that it needs.
-        """
-        failed = [step for step in steps if not step.is_pytest and self.tallies[step.name].failures
-                  and step.name not in self._hung]
-        unsteady: list[str] = []
-        for step in failed if len(failed) <= MAX_REPEATED else ():
-            first = self.tallies[step.name]
-            (self._results / step.name).rename(self._results / f"{step.name}.first")
-            self.run([step])
-            if not self.tallies[step.name].failures:
-                unsteady += first.failures
-        return unsteady
 
     def end(self) -> None:
         """End the steps that are still at work, all at once."""
@@ -249,7 +227,7 @@ def print_line(title: str, took_s: float, result: str = "") -> None:
     print(f"{title:<44} {took_s:7.1f} s   {result}", flush=True)
 
 
-def run(output: Path, steps: list[Step], at_work: int, skipped: int, repeats: bool = False) -> int:
+def run(output: Path, steps: list[Step], at_work: int, skipped: int) -> int:
     """Run steps, print the results and their sum; return the exit code.
 
     SIGTERM ends the run early, as timeout(1) does in .ci/run when the run has taken too long: its results are printed,
@@ -257,13 +235,11 @@ def run(output: Path, steps: list[Step], at_work: int, skipped: int, repeats: bo
 
     Args:
         skipped: how many Pythons could not be prepared: each counts as a skipped test.
-        repeats: .test files that fail are run once more.
     """
     begun_s = time.monotonic()
-    runner, unsteady = Runner(output, at_work), []
+    runner = Runner(output, at_work)
     try:
         runner.run(steps)
-        unsteady = runner.repeat_failed(steps) if repeats else []
     except SystemExit as end:
         if end.code != 128 + signal.SIGTERM:
             raise
@@ -276,7 +252,7 @@ def run(output: Path, steps: list[Step], at_work: int, skipped: int, repeats: bo
     if tables:
         print(f"\nfault | at | trials | median ms | p99 ms | worst ms\n{tables}", end="")
     total = Tally.sum([*runner.tallies.values(), Tally(skipped=skipped)])
-    print("", *(f"UNSTEADY, passed alone: {failure}" for failure in unsteady), *total.lines(), total, sep="\n")
+    print("", *total.lines(), total, sep="\n")
     return 1 if total.failures else 0
 
 
@@ -306,7 +282,7 @@ def main() -> int:
                       second if path == os.environ.get("CAR_INTERFACE_PYTHON38") else "", path != arguments.python[0])
                for path in arguments.python if os.access(path, os.X_OK)]
     return run(arguments.output, all_steps(results, pythons, selected, arguments.all), 1 if arguments.all else AT_WORK,
-               len(arguments.python) - len(pythons), repeats=not (arguments.all or arguments.names))
+               len(arguments.python) - len(pythons))
 
 
 if __name__ == "__main__":

@@ -86,6 +86,15 @@ def test_drive_that_somebody_stops_has_failed_and_says_why(monkeypatch):
         "the left circle wasn't closed", "the right circle wasn't closed"))
 
 
+def test_drive_that_fails_while_the_computer_stood_still_says_so(monkeypatch):
+    monkeypatch.setattr(demo_drive, "DriveConfig", partial(DriveConfig, nobody_s=3.0, max_turn_s=2.0, let_go_s=1.0))
+    demo = Demo()
+    demo.graph.run(4.0)
+    demo.drive.stall(0.7, frozen=True)
+    assert demo.drives().endswith("; this computer stood still for 0.7 s meanwhile, which a car takes for a person who "
+                                  "is gone: end other programs, and start the demo again")
+
+
 def test_car_that_is_not_ready_is_given_up_after_30_s_and_what_is_missing_is_named():
     demo = Demo(without=("hub",))
     begun_ns = demo.graph.now_ns

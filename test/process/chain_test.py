@@ -449,8 +449,9 @@ class Relayed(Guarded):
         outputs = Topic("/gagged/output", Int32MultiArray)
         self.addCleanup(outputs.close)
         node = subprocess.Popen(
-            ["sh", "-c", 'ulimit -v 400000; exec "$0" "$@"', executable("pca9685"), "_device:=virtual", "__name:=gagged",
-             "/servo/output:=/gagged/output", "command:=/gagged/command"], stdout=write_end, stderr=write_end)
+            ["sh", "-c", 'ulimit -v 400000; exec "$0" "$@"', executable("pca9685"), "_device:=virtual",
+             "__name:=gagged", "/servo/output:=/gagged/output", "command:=/gagged/command"],
+            stdout=write_end, stderr=write_end)
         self.addCleanup(lambda: node.poll() is None and node.kill())
         os.close(write_end)
         command = Sender("/gagged/command", Int32MultiArray)

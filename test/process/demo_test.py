@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""demo.launch end to end, for two cars on one master that drive at the same time."""
+"""demo.launch end to end: two cars on one master that drive at the same time, and the bag, its replay and its page."""
 from __future__ import annotations
 
 import glob
+import hashlib
 import itertools
 import math
 import os
@@ -21,25 +22,28 @@ import rosgraph
 import rosnode
 import rospy
 import rostest
+import yaml
+from dynamic_reconfigure.client import Client
+from std_msgs.msg import Int32MultiArray
+from std_srvs.srv import Trigger
 
 from car_interface.recordings.recording import read
 from car_interface.recordings.replay import TOPICS, replay
 from car_interface.recordings.signals import PARTS, load
 from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionMeasurement
-from waiting import PACKAGE, eventually, start, start_node
-from witness import measured
+from waiting import PACKAGE, Topic, config, eventually, set_params, start, start_node
 
 sys.path.append(os.path.join(os.path.dirname(os.path.abspath(__file__)), os.pardir, "unit"))
 from browser import Browser, find_browser
 
-DRIVE_WITHIN_S = 120
-ATTEMPTS = 3
-START_WITHIN_S = 120
+DRIVE_WITHIN_S = START_WITHIN_S = 120
+SHIPPED = Path(PACKAGE, "config")
+DRIVE_FILES = {"steering": "turn_arb.yaml", "esc": "throttle.yaml", "gamepad": "teleop_logi.yaml",
+               "wheels": "teensy_sensor_hub.yaml"}
 CARS = ("", "/car1")
 NODES = ("turn_arb", "throttle_arb", "pca9685", "teensy_sensor_hub", "teleop_logi", "generic_value_converter",
          "car_sim")
 SAME_PLACE_M = 1e-6
-MAX_UNCERTAIN_NS = 30_000_000
 LISTENING, LOOPBACK = "0A", "0100007F:"  # as /proc/net/tcp has them
 # What a car's namespace moves although it's absolute by default.
 ABSOLUTE = ("/servo/output", "/servo/cmdVector", "/teleop_logi/human_in_loop", "/teleop_logi/tele_steer_req",
@@ -47,44 +51,68 @@ ABSOLUTE = ("/servo/output", "/servo/cmdVector", "/teleop_logi/human_in_loop", "
 
 
 class TwoCarsDrive(unittest.TestCase):
-    def test_both_drives_go_as_planned_and_neither_hears_the_other(self):
-        bags = tempfile.TemporaryDirectory()
-        self.addCleanup(bags.cleanup)
-        self.folder, self.cars, self.attempts = bags.name, None, 0
-        measured(self.drive, self.end_cars, ATTEMPTS)
-        self.check_names()
-        self.check_listeners()
-        self.check_bag(self.bag_dir())
+    """One car has the package's files; the other one, in a namespace, its owner's, in which everything is different."""
 
-    def bag_dir(self):
-        """Of this attempt."""
-        return os.path.join(self.folder, str(self.attempts))
-
-    def drive(self):
-        """Both cars' drives, from their launch on."""
-        self.attempts += 1
-        self.cars = start(self, shutil.which("roslaunch"), os.path.join(PACKAGE, "test", "process", "two_cars.launch"),
-                          f"port:={self.folder}/teensy{self.attempts}")
-        self.addCleanup(self.cars.end, within_s=START_WITHIN_S)  # a roslaunch that is killed leaves its nodes behind
+    def test_both_drives_end_and_neither_hears_the_other_nor_changes_the_package(self):
+        self.folder = tempfile.mkdtemp()
+        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
+        before, mine = digests(), self.my_car()
+        cars = start(self, shutil.which("roslaunch"), os.path.join(PACKAGE, "test", "process", "two_cars.launch"),
+                     f"port:={self.folder}/teensy", f"config:={mine}")
+        self.addCleanup(cars.end, within_s=START_WITHIN_S)  # a roslaunch that is killed leaves its nodes behind
         nodes = {f"{car}/{node}" for car in CARS for node in NODES}
         eventually(lambda: nodes <= set(rosnode.get_node_names()), "the cars' nodes", START_WITHIN_S)
-        alone = start_node(self, "demo_drive", f"_bag_dir:={self.bag_dir()}")
-        remaps = [f"{name}:={name[1:]}" for name in ABSOLUTE]
-        other = start_node(self, "demo_drive", "__ns:=car1", *remaps)
-        codes = [process.wait_for_exit(DRIVE_WITHIN_S) for process in (alone, other)]
-        for process, code in zip((alone, other), codes):
+        outputs = Topic("/car1/servo/output", Int32MultiArray)
+        alone = start_node(self, "demo_drive", f"_bag_dir:={self.folder}/bags")
+        for name, file in DRIVE_FILES.items():
+            set_params(self, f"/car1/demo_drive/{name}", yaml.safe_load((mine / file).read_text(encoding="utf-8")))
+        other = start_node(self, "demo_drive", "__ns:=car1", *(f"{name}:={name[1:]}" for name in ABSOLUTE))
+        outputs.wait_for(lambda message: message.data[6] > 6000, within_s=DRIVE_WITHIN_S)  # the circle to the left
+        self.check_saves(mine)
+        for process in (alone, other):
+            code = process.wait_for_exit(DRIVE_WITHIN_S)
             shown = "\n".join(process.stdout.since() + process.stderr.since())
-            self.assertEqual(code, 0, shown)
-            self.assertIn("as planned: yes", shown)
             self.assertNotIn("Traceback", shown)
-            answered, sent = map(int, re.search(r"pings answered +(\d+) of (\d+)", shown).groups())
-            self.assertGreaterEqual(answered, sent - 1)
-            self.assertGreater(answered, 20)
-            self.assertRegex(shown, r"frames good, bad +[1-9]\d+, 0\n")
+            self.assertNotIn("ran into something", shown)
+            if "this computer stood still" not in shown:
+                self.assertEqual(code, 0, shown)
+                self.assertIn("as planned: yes", shown)
+        self.assertEqual(digests(), before)
+        self.check_names()
+        self.check_listeners()
+        self.check_bag(f"{self.folder}/bags")
 
-    def end_cars(self):
-        """Before another attempt."""
-        self.cars.end(within_s=START_WITHIN_S)
+    def my_car(self):
+        """Files of a car that differs in everything: channels, a reversed servo, ESC, wheels, gamepad."""
+        mine = Path(self.folder, "my_car")
+        shutil.copytree(str(SHIPPED), str(mine))
+        steering, throttle = config("turn_arb.yaml"), config("throttle.yaml")
+        servo = throttle["servo"]
+        for name, changes in (
+                ("turn_arb.yaml", {
+                    "servo_channel": 6, "servo_left": 6600, "servo_center": 5200, "servo_right": 3900,
+                    "k_pwmcmd_left_table_servo": [
+                        *(duty - 100 for duty in steering["k_pwmcmd_right_table_servo"][:-1]), 5200],
+                    "k_pwmcmd_right_table_servo": [duty + 100 for duty in steering["k_pwmcmd_left_table_servo"]]}),
+                ("throttle.yaml", {"servo": {**servo, "channel": 9, "neutral": servo["neutral"] + 80,
+                                             "duty_table": [duty + 80 for duty in servo["duty_table"]]}}),
+                ("teensy_sensor_hub.yaml", {"wheel_diameter": 0.12, "track": 0.25, "pulses_per_revolution": 12}),
+                ("teleop_logi.yaml", {"steer_axis": 9, "manual_button": 1, "autonomous_button": 12,
+                                      "steer_scale": -1.0})):
+            values = yaml.safe_load((mine / name).read_text(encoding="utf-8"))
+            (mine / name).write_text(yaml.safe_dump({**values, **changes}), encoding="utf-8")
+        return mine
+
+    def check_saves(self, mine):
+        """The owner's file takes a value that was tuned; the package's files take none."""
+        self.assertEqual(rospy.get_param("/car1/teensy_sensor_hub/wheel_diameter"), 0.12)
+        Client("/car1/turn_arb", timeout=START_WITHIN_S).update_configuration({"servo_center": 5205})
+        answer = rospy.ServiceProxy("/car1/turn_arb/save", Trigger)()
+        self.assertRegex(answer.message, f"^saved to {mine}/turn_arb.yaml, the old one is {mine}/turn_arb.yaml.bak-")
+        for node, name in (("turn_arb", "turn_arb"), ("throttle_arb", "throttle")):
+            answer = rospy.ServiceProxy(f"/{node}/save", Trigger)()
+            self.assertFalse(answer.success)
+            self.assertIn(f"{SHIPPED}/{name}.yaml is the package's own, which the demo leaves as it is", answer.message)
 
     def check_names(self):
         """Each topic exists once for each car, and every car's node keeps to its own."""
@@ -147,7 +175,6 @@ class TwoCarsDrive(unittest.TestCase):
         uncertain_ns = (statistics.median(clock.uncertainty for clock in clocks) * 1e9
                         + statistics.median(measured.stamp.uncertainty_ns for measured in again))
         self.assertLess(statistics.median(late_ns), uncertain_ns)
-        self.assertLess(uncertain_ns, MAX_UNCERTAIN_NS)
 
     def check_report(self, path):
         """bag_report makes a page of it; a browser shows every plot and has nothing to complain of."""
@@ -167,6 +194,11 @@ class TwoCarsDrive(unittest.TestCase):
         self.assertEqual((plots, browser.complaints), (["who", "steering", "throttle", "path", "speed", "link"], []))
         self.assertNotIn("can't tell", words)
         self.assertRegex(words, r"^The gamepad drove for \d+\.\d s and the planner for \d+\.\d s\.")
+
+
+def digests():
+    """Of the package's files."""
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(SHIPPED.iterdir())}
 
 
 def _place(message):

@@ -463,8 +463,8 @@ class LostParameters(Closing):
                  f"device is '/dev/i2c-1'; accepted: virtual, {BY_LAUNCH}"),
                 (lambda: master.setParam("/pca9685/address", 0x40), f"address is 64; accepted: 0x41, {BY_LAUNCH}"),
                 (lambda: master.setParam("/pca9685/virtual_chip", f"{self.folder}/chip"),
-                 f"virtual_chip is '{self.folder}/chip'; accepted: none, {BY_LAUNCH}; its argument virtual_chip sets "
-                 "it"),
+                 (f"virtual_chip is '{self.folder}/chip'; accepted: none, {BY_LAUNCH}; its argument virtual_chip sets "
+                  "it")),
                 (replace_master, f"device is missing; accepted: virtual, {BY_LAUNCH}")):
             with self.subTest(reason):
                 pid = ServerProxy(master.lookupNode("/pca9685")).getPid("/test")[2]

@@ -289,26 +289,6 @@ def eventually(condition: Callable[[], Any], what: str | Callable[[], str], with
         time.sleep(POLL_S)
 
 
-def retried(attempt: Callable[[], Any], times: int = 5) -> Any:
-    """What ``attempt`` returns; one that fails an assertion is made again: measurements on a machine that is busy."""
-    for left in reversed(range(times)):
-        try:
-            return attempt()
-        except AssertionError:
-            if not left:
-                raise
-    return None
-
-
-def rate_hz(record: Record, over_s: float) -> float:
-    """How many arrive in a second, by the arrivals of the next ``over_s`` seconds."""
-    mark = record.mark()
-    first = record.wait_for(lambda _: True, mark)
-    record.wait_for(lambda _: time.monotonic() - first.at_s >= over_s, mark)
-    arrivals_s = [heard.at_s for heard in record.heard_since(mark)]
-    return (len(arrivals_s) - 1) / (arrivals_s[-1] - arrivals_s[0])
-
-
 def skip(test, reason: str) -> None:
     """Skip a test, and note it in the file that $CAR_INTERFACE_SKIPPED names: rosunit's results say that it passed."""
     path = os.environ.get("CAR_INTERFACE_SKIPPED")

@@ -69,8 +69,6 @@ MEETS = """
 until [ "$(wc -l < begun)" -ge {count} ]; do i=$((i+1)); [ $i -lt 600 ] || exit 1; sleep 0.05; done
 sleep 0.5; rm -f alone; echo '<testsuite><testcase name="a"/></testsuite>' > results/{name}/a.xml
 """
-FAILS_ONCE = ("sh", "-c", ("[ -e failed ] || { touch failed; exit 1; }; "
-                           "echo '<testsuite><testcase name=\"a\"/></testsuite>' > results/once.test/a.xml"))
 RUN = """
 import sys
 from pathlib import Path
@@ -78,7 +76,7 @@ sys.path.insert(0, sys.argv[1])
 import run
 run.adopt_descendants()
 STEPS = {steps}
-sys.exit(run.run(Path(), [run.Step(name, name, *step) for name, step in STEPS.items()], {at_work}, 0, True))
+sys.exit(run.run(Path(), [run.Step(name, name, *step) for name, step in STEPS.items()], {at_work}, 0))
 """
 
 
@@ -116,13 +114,6 @@ def test_steps_of_pytest_are_at_work_alone_and_two_others_together(tmp_path):
     meets = {name: ("sh", "-c", MEETS.format(count=count, name=name))
              for name, count in (("py1", 1), ("py2", 1), ("a.test", 4), ("b.test", 4))}
     assert lines_of(run_steps(tmp_path, meets, at_work=2))[-1] == "4 passed, 0 failed, 0 skipped"
-
-
-def test_process_test_that_fails_is_run_once_more_and_named_if_it_passes(tmp_path):
-    lines = lines_of(run_steps(tmp_path, {"once.test": FAILS_ONCE, "always.test": ("false",), "passes.test": PASSES}))
-    assert "UNSTEADY, passed alone: once.test: ended with exit code 1 without a failed test" in lines
-    assert lines[-2:] == ["FAILED always.test: ended with exit code 1 without a failed test",
-                          "2 passed, 1 failed, 0 skipped"]
 
 
 @pytest.mark.once

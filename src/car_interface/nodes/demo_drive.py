@@ -61,6 +61,7 @@ from car_interface.teensy.link.protocol import SONARS
 
 RATE_HZ = 50
 READY_WITHIN_S = 30
+STILL_S = 0.1  # held up for longer, the drive may fail by that alone
 LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
 AXES, BUTTONS, MAX_INDEX = 8, 11, 63
 SETTLING_NS = NS_PER_S // 10  # after a change of stage the source isn't checked
@@ -216,6 +217,7 @@ class DemoDrive:
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._started_ns = now_ns
+        self._stepped_ns, self._longest_step_ns = now_ns, 0
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._line_timer = RateTimer(1 / LINE_PERIOD_S, now_ns)
         self._joy = advertise("joy", Joy, inbox)
@@ -252,8 +254,11 @@ class DemoDrive:
         self._inbox.dispatch()
         if self._drive is None:
             self._wait_until_ready(now_ns)
-        elif self._timer.is_due(now_ns):
-            self._order(now_ns)
+        else:
+            self._longest_step_ns = max(self._longest_step_ns, now_ns - self._stepped_ns)
+            if self._timer.is_due(now_ns):
+                self._order(now_ns)
+        self._stepped_ns = now_ns
         if self._drive is not None and self._line_timer.is_due(now_ns):
             self._show(now_ns)
         return self._timer.due_ns if self._drive is not None else now_ns + NS_PER_S // 10
@@ -333,6 +338,9 @@ class DemoDrive:
             print(f"  {name:<32} {figure}")
         failures = [text for text, passed in self._checks() if not passed]
         print("as planned: " + ("yes" if not failures else "no"), flush=True)
+        if failures and self._longest_step_ns > STILL_S * NS_PER_S:
+            failures.append(f"this computer stood still for {self._longest_step_ns / NS_PER_S:.1f} s meanwhile, which "
+                            "a car takes for a person who is gone: end other programs, and start the demo again")
         if failures:
             raise CarInterfaceError("the drive didn't go as planned: " + "; ".join(failures))
 
