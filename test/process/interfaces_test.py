@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -30,10 +31,11 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 from std_srvs.srv import Trigger
 
-from waiting import PACKAGE, Topic, config, delete_param, eventually, one_process_params, set_params, start_node
+from waiting import PACKAGE, Topic, config, delete_param, eventually, one_process_params, set_params, start, start_node
 
 CENTER, LEFT, PLANNER_LEFT = 5100, 3800, 3830
 NEUTRAL, BY_HAND = 4915, 5407
+CENTER_ON_CHIP = 5104  # 319 counts: 5100 / 16 = 318.75
 FROZEN_S = 3.0
 STATES = {"turn_arb": SteeringState, "throttle_arb": ThrottleState, "teleop_logi": TeleopState,
           "generic_value_converter": ConverterState}
@@ -206,6 +208,20 @@ class Interfaces(unittest.TestCase):
             self.assertGreaterEqual(vector.data[channel], 0)
             self.assertEqual(vector.layout.data_offset, 0)
             self.assertEqual([(dim.label, dim.size, dim.stride) for dim in vector.layout.dim], [("pwm_channel", 16, 1)])
+
+    def test_line_of_the_readme_commands_a_servo_board_as_typed(self):
+        with open(os.path.join(PACKAGE, "README.md"), encoding="utf-8") as file:
+            line = next(line for line in file if line.startswith("    rostopic pub /command "))
+        board = start_node(self, "pca9685", "_device:=virtual", "/servo/output:=bare/output",
+                           "/servo/cmdVector:=bare/cmdVector", name="bare")
+        outputs = Topic("/bare/output", Int32MultiArray)
+        self.addCleanup(outputs.close)
+        outputs.wait_for(lambda output: output.data == (0,) * 16)
+        typed = start(self, *shlex.split(line))
+        outputs.wait_for(lambda output: output.data == (CENTER_ON_CHIP,) + (0,) * 15)
+        typed.end()
+        outputs.wait_for(lambda output: output.data == (0,) * 16, outputs.mark())
+        self.assertEqual(board.end(), 0)
 
     def test_states_and_neutrals_are_latched_for_who_comes_late(self):
         for name, message_type in (*((f"/{node}/state", each) for node, each in STATES.items()),

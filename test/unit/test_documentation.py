@@ -1,7 +1,6 @@
 """README and docs: links, paths, parameters and commands that they name exist."""
 from __future__ import annotations
 
-import ast
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -89,13 +88,6 @@ def test_readme_and_recordings_name_the_debian_package_of_every_dependency():
     debian = {key: other_names.get(key) or "python3-" + re.sub("^python3-", "", key).replace("_", "-") for key in keys}
     words = set(re.findall(r"[\w.-]+", text_of(README) + text_of(ROOT / "docs/recordings.md")))
     assert {key: name for key, name in debian.items() if name not in words} == {}
-
-
-def test_readme_has_the_line_that_a_node_test_types():
-    tree = ast.parse(text_of(ROOT / "test/process/pca9685_test.py"))
-    (line,) = [ast.literal_eval(node.value) for node in tree.body
-               if isinstance(node, ast.Assign) and node.targets[0].id == "README_LINE"]
-    assert f"\n    {line}\n" in text_of(README)
 
 
 def test_node_reference_names_every_parameter():
