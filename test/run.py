@@ -250,7 +250,7 @@ def run(output: Path, steps: list[Step], at_work: int, skipped: int) -> int:
     print_line("all", time.monotonic() - begun_s)
     tables = "".join(path.read_text(encoding="utf-8") for path in sorted((output / "results").glob("*/table")))
     if tables:
-        print(f"\nfault | at | trials | median ms | p99 ms | worst ms\n{tables}", end="")
+        print(f"\nfault | at | trials | median ms | worst ms\n{tables}", end="")
     total = Tally.sum([*runner.tallies.values(), Tally(skipped=skipped)])
     print("", *total.lines(), total, sep="\n")
     return 1 if total.failures else 0

@@ -1,234 +1,35 @@
 #!/usr/bin/env python3
-"""The car's nodes and ROS itself: names that are taken, parameters that are lost or refused, sockets, several hosts.
-
-Two cars run by demo.launch: /four of four processes and more, /one of one process.
-"""
+"""Nodes and ROS itself: parts of one process that fail, names that are taken, a link between two hosts."""
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 import unittest
-from xmlrpc.client import ServerProxy
 
-import rosgraph
 import rosnode
 import rospy
 import rostest
 import yaml
 from car_interface.msg import SteeringState, ThrottleState
 from car_interface.srv import InjectFault
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, Float32, Int32MultiArray
 
-from car_interface.common import causes
 from car_interface.teleop.gamepad import REARM_TEXT
-from virtual_car import CENTER, ESC_NEUTRAL, HERE, LEFT, PACKAGE, RIGHT, Car, Chip, FakeBus
-from waiting import (
-    NodeProcess,
-    Repeater,
-    Sender,
-    Topic,
-    config,
-    eventually,
-    executable,
-    one_process_params,
-    set_params,
-    skip,
-    start,
-    start_node,
-)
+from closing import LAUNCH_S, PARTS, Closing, graph_of, joy, output_of, pid_of
+from virtual_car import CENTER, ESC_NEUTRAL, HERE, LEFT, PACKAGE, RIGHT, Car, Chip
+from waiting import config, eventually, executable, one_process_params, set_params, skip, start, start_node
 
-LAUNCH_S = 60
 STRICT = bool(os.environ.get("CAR_INTERFACE_ALL"))
-PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb")
 NODES = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "teleop_logi")
 BARE = os.path.join(PACKAGE, "test", "bench", "bare.py")
-PEERS, FAULTY = (os.path.join(HERE, name) for name in ("half_open_peers.py", "faulty_car_nodes.py"))
-LEFT_DUTY, OFF = 238 * 16, 0
-RESPAWNED = {"CAR_INTERFACE_RESPAWN": "true"}
-BY_LAUNCH = "by the launch file that started this process"
-REFUSED = "servo_left is 'x'; accepted: an integer from 0 to 65535"
+FAULTY = os.path.join(HERE, "faulty_car_nodes.py")
+OFF = 0
 HOSTS = {"car": "10.213.77.1", "laptop": "10.213.77.2"}
-
-
-def ask(node, method, *arguments):
-    """What a node answers; ``None`` without the node."""
-    try:
-        return getattr(ServerProxy(rosgraph.Master("/test").lookupNode(node)), method)("/test", *arguments)[2]
-    except (rosgraph.MasterException, OSError):
-        return None
-
-
-def pid_of(node):
-    """The process of a node that answers."""
-    return ask(node, "getPid")
-
-
-def graph_of(namespace, nodes):
-    """What nodes have on the ROS graph: topics that they publish and hear, and services; without the namespace."""
-    paths = {f"{namespace}/{node}" for node in nodes}
-    found = []
-    for names in rospy.get_master().getSystemState()[2]:
-        ours = {name for name, users in names if paths & set(users)}
-        found.append({name[len(namespace):] if name.startswith(f"{namespace}/") else name for name in ours
-                      if not re.search("/rosout$|/get_loggers$|/set_logger_level$", name)})
-    return found
-
-
-def joy(held):
-    """The stick to the left with the manual deadman, or all let go."""
-    return Joy(axes=[float(held)] + [0.0] * 7, buttons=[int(held and index == 4) for index in range(11)])
-
-
-def output_of(process):
-    """All lines of a process so far."""
-    return process.stdout.since() + process.stderr.since()
-
-
-class Closing(unittest.TestCase):
-    """What a test makes ends with it."""
-
-    def setUp(self):
-        self.folder = tempfile.mkdtemp()
-        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
-        self.repeater = Repeater(0.02)
-
-    def tearDown(self):
-        self.repeater.end()  # before its senders are closed
-
-    def topic(self, name, message_type):
-        topic = Topic(name, message_type)
-        self.addCleanup(topic.close)
-        return topic
-
-    def sender(self, name, message_type):
-        sender = Sender(name, message_type)
-        self.addCleanup(sender.close)
-        return sender
-
-    def launch(self, *arguments, env=None):
-        """Start a launch file of this package."""
-        process = NodeProcess("roslaunch", "car_interface", *arguments, env=env)
-        self.addCleanup(lambda: process.runs() and process.end())  # with its nodes
-        return process
-
-    def wait_s(self, seconds):
-        began_s = time.monotonic()
-        eventually(lambda: time.monotonic() - began_s > seconds, f"{seconds} s")
-
-
-class TwoCars(Closing):
-    def test_both_have_the_same_topics_services_parameters_and_reports_and_the_doctor_sees_all_parts(self):
-        heard, names = self.topic("/diagnostics", DiagnosticArray), {"four": set(), "one": set()}
-
-        def both():
-            return graph_of("/four", PARTS), graph_of("/one", ["car_nodes"])
-        eventually(lambda: both()[0] == both()[1] and len(both()[0][2]) >= 8, lambda: f"the same names: {both()}")
-        published, subscribed, services = both()[1]
-        self.assertLessEqual({"/turn_arb/state"}, published)
-        self.assertLessEqual({"/servo/cmdVector"}, subscribed)
-        self.assertLessEqual({"/teensy_sensor_hub/ping", "/pca9685/inject_fault"}, services)
-        for part in PARTS:
-            four, one = ({name: value for name, value in rospy.get_param(f"/{namespace}/{part}").items()
-                          if name not in ("port", "frame_prefix")} for namespace in ("four", "one"))
-            self.assertEqual(four, one)
-        self.assertNotIn("/one/turn_arb", rosnode.get_node_names())
-        for namespace in names:  # a topic latches one message in a process, and in the one two parts publish
-            neutrals = self.topic(f"/{namespace}/servo/neutral", Int32MultiArray)
-            for channel in (0, 1):
-                neutrals.wait_for(lambda neutral, channel=channel: neutral.data[channel] != -1)
-
-        def same_reports():
-            for array in heard.since():
-                for status in array.status:
-                    namespace, _, name = status.name.partition("/")
-                    names.setdefault(namespace, set()).add(re.sub("_four|_one", "", name))
-            return names["four"] == names["one"] and len(names["one"]) > 12
-        eventually(same_reports, lambda: f"the same names: {names}")
-        doctor = start_node(self, "doctor", "--ns", "/one")
-        doctor.wait_for_exit()
-        shown = "\n".join(doctor.stdout.since())
-        self.assertRegex(shown, f"{', '.join(PARTS)}, .* run in /one")
-        self.assertNotIn("not running", shown)
-
-    def test_publishers_of_the_wrong_type_on_an_unknown_host_or_killed_are_told_by_name(self):
-        set_params(self, "/late/turn_arb", config("turn_arb.yaml"))
-        reports = self.topic("/diagnostics", DiagnosticArray)
-        master = rosgraph.Master("/ros_test")
-        lost = ("env", "--unset=ROS_IP", "ROS_HOSTNAME=no-such-host.invalid")
-        publishers = {topic: start(self, *before, "rostopic", "pub", "-r", "10", topic, f"std_msgs/{kind}", "2.0")
-                      for topic, kind, before in (
-                          ("/late/av_turnrad_req", "Float64", ()), ("/late/av_steer_req", "Float32", lost),
-                          ("/one/av_turnrad_req", "Float64", ()), ("/four/av_turnrad_req", "Float64", ()))}
-
-        def name_on(topic):
-            return next((name for name in dict(master.getSystemState()[0]).get(topic, []) if "rostopic" in name), None)
-        names = {topic: eventually(lambda topic=topic: name_on(topic), topic, LAUNCH_S) for topic in publishers}
-        start_node(self, "turn_arb", "__ns:=/late")  # the master takes the first publisher's type for the topic's
-
-        def wait_until(node, *texts, level=DiagnosticStatus.ERROR):
-            def wanted(array):
-                return any(status.name == f"{node}: command topics" and status.level == level
-                           and all(text in f"{status.message} {status.values}" for text in texts)
-                           for status in array.status)
-            reports.wait_for(wanted, reports.mark())
-        wait_until("late/turn_arb", "set ROS_IP",
-                   f"{names['/late/av_turnrad_req']} on 127.0.0.1 publishes std_msgs/Float64 on /late/av_turnrad_req",
-                   f"{names['/late/av_steer_req']} publishes on /late/av_steer_req from a computer that it calls "
-                   "no-such-host.invalid, which can't be looked up here: none of its messages is received")
-        for car in ("one", "four"):
-            topic = f"/{car}/av_turnrad_req"
-            wait_until(f"{car}/turn_arb", names[topic], f"publishes std_msgs/Float64 on {topic}, which takes "
-                       "std_msgs/Float32: none of its messages is received")
-            publishers[topic].end(signal.SIGKILL)
-            wait_until(f"{car}/turn_arb", "each has the publishers that it should have", level=DiagnosticStatus.OK)
-            self.assertEqual(name_on(topic), names[topic])  # it is still registered
-
-    def test_nodes_come_back_while_silent_connections_are_opened_on_the_others_again_and_again(self):
-        stick, output = self.sender("/four/joy", Joy), self.topic("/four/servo/output", Int32MultiArray)
-        states = self.topic("/four/turn_arb/state", SteeringState)
-
-        def drive():
-            while True:
-                self.repeater.hold(stick, joy(False))
-                states.wait_for(lambda state: state.cause == causes.HUMAN_ABSENT, states.mark())
-                self.wait_s(0.3)  # the stick's rest
-                self.repeater.hold(stick, joy(True))
-                try:
-                    return output.wait_for(lambda message: message.data[0] == LEFT_DUTY, output.mark(), 3.0)
-                except AssertionError:  # a connection was not there yet
-                    if time.monotonic() - began_s > LAUNCH_S:
-                        raise
-        began_s = time.monotonic()
-        drive()
-        published = {"/four/turn_arb": "/four/turn_arb/state", "/four/throttle_arb": "/four/throttle_arb/state",
-                     "/four/teleop_logi": "/four/teleop_logi/human_in_loop"}
-        ports = [str(eventually(lambda node=node, topic=topic: ask(node, "requestTopic", topic, [["TCPROS"]]), node)[2])
-                 for node, topic in published.items()]
-        for mode in ("hold", "reopen"):
-            peers = start(self, PEERS, *ports, "200", mode)
-            peers.stdout.wait_for(lambda line: line == "open")
-            mark, killed_s = output.mark(), time.monotonic()
-            os.kill(pid_of("/four/pca9685"), signal.SIGKILL)
-            output.wait_for(lambda message: message.data[0] != LEFT_DUTY, mark)  # its guard
-            back = output.wait_for(lambda message: message.data[0] == LEFT_DUTY, output.mark())
-            print(f"{mode}: pca9685 is back after {back.at_s - killed_s:.2f} s", flush=True)
-            if STRICT:
-                self.assertLess(back.at_s - killed_s, 5.0)
-            if mode == "hold":
-                peers.clean_up()
-        os.kill(pid_of("/four/turn_arb"), signal.SIGKILL)
-        mark = states.mark()
-        states.wait_for(lambda state: state.cause == causes.NOT_REARMED, mark)  # it hears teleop_logi
-        began_s = time.monotonic()
-        drive()
 
 
 class Parts(Closing):
@@ -427,130 +228,6 @@ class Names(Closing):
         frozen.send(signal.SIGCONT)
         self.assertEqual(frozen.wait_for_exit(), 0)
         eventually(lambda: pid_of("/turn_arb") == heir.pid, "the node that took over, by its name")
-
-
-class LostParameters(Closing):
-    """Nodes that are started again after their parameters were deleted or exchanged open no real car's devices."""
-
-    def setUp(self):
-        super().setUp()
-        self.bus = FakeBus(self.folder)
-
-    def parameters(self, name):
-        """A node's parameters, which are gone with the test."""
-        self.addCleanup(lambda: rospy.has_param(name) and rospy.delete_param(name))
-        return rospy.get_param(name)
-
-    @staticmethod
-    def refused(launch, mark, reason):
-        line = launch.stderr.wait_for(lambda line: "FATAL" in line and reason in line, mark, LAUNCH_S).what
-        assert f"{reason}. This node waits, and reads its parameters again in" in line, line
-
-    def test_board_is_not_exchanged_for_another_one_also_not_when_the_master_was_replaced(self):
-        car = Car(self.addCleanup)  # for its master
-        master = rosgraph.Master("/test", car.env["ROS_MASTER_URI"])
-        launch = self.launch("pca9685.launch", "device:=virtual", "address:=0x41", env={**car.env, **self.bus.env})
-        launch.stdout.wait_for(lambda line: "running at" in line, within_s=LAUNCH_S)
-        values = master.getParam("/pca9685")
-
-        def replace_master():
-            car.processes["master"].end(signal.SIGKILL)
-            car.start_master()
-            self.assertFalse(master.hasParam("/pca9685"))
-        for change, reason in (
-                (lambda: master.deleteParam("/pca9685"), f"device is missing; accepted: virtual, {BY_LAUNCH}"),
-                (lambda: master.setParam("/pca9685/device", "/dev/i2c-1"),
-                 f"device is '/dev/i2c-1'; accepted: virtual, {BY_LAUNCH}"),
-                (lambda: master.setParam("/pca9685/address", 0x40), f"address is 64; accepted: 0x41, {BY_LAUNCH}"),
-                (lambda: master.setParam("/pca9685/virtual_chip", f"{self.folder}/chip"),
-                 (f"virtual_chip is '{self.folder}/chip'; accepted: none, {BY_LAUNCH}; its argument virtual_chip sets "
-                  "it")),
-                (replace_master, f"device is missing; accepted: virtual, {BY_LAUNCH}")):
-            with self.subTest(reason):
-                pid = ServerProxy(master.lookupNode("/pca9685")).getPid("/test")[2]
-                change()
-                marks = launch.stderr.mark(), launch.stdout.mark()
-                os.kill(pid, signal.SIGKILL)
-                self.refused(launch, marks[0], reason)
-                if change is replace_master:
-                    doctor = NodeProcess(executable("doctor"), env=car.env)
-                    doctor.wait_for_exit()
-                    shown = "\n".join(doctor.stdout.since())
-                    self.assertIn(reason, shown)
-                    self.assertNotIn("/dev/i2c-1", shown)
-                master.setParam("/pca9685", values)
-                launch.stdout.wait_for(lambda line: "the parameters are accepted now" in line, marks[1], LAUNCH_S)
-                launch.stdout.wait_for(lambda line: "running at" in line, marks[1])
-        self.assertFalse(os.path.exists(f"{self.folder}/chip"))
-        self.assertEqual(self.bus.lines(), [])
-        self.assertFalse([line for line in output_of(launch) if "Traceback" in line])
-        real = self.launch("pca9685.launch", env={**car.env, **self.bus.env, "ROS_NAMESPACE": "/real"})
-        real.stderr.wait_for(lambda line: "already running" in line, within_s=LAUNCH_S)
-        self.assertEqual(launch.end(), 0)
-        real.stdout.wait_for(lambda line: "running at" in line)  # what was looked for is there to be found
-        self.assertTrue([line for line in self.bus.lines() if line.endswith("lock 40: 0")])
-
-    def test_parts_of_one_process_refuse_each_for_itself_and_the_others_run(self):
-        port = os.path.join(self.folder, "my teensy")  # a path may have a space
-        states, outputs = self.topic("/turn_arb/state", SteeringState), self.topic("/servo/output", Int32MultiArray)
-        reports = self.topic("/diagnostics", DiagnosticArray)
-        launch = self.launch("car_nodes.launch", "device:=virtual", f"port:={port}", "throttle:=true", env=self.bus.env)
-        outputs.wait_for(lambda output: output.data[0] > 0, within_s=LAUNCH_S)
-        values = {name: self.parameters(f"/{name}") for name in (*PARTS, "car_nodes")}
-        for path in ("/pca9685/device", "/teensy_sensor_hub", "/car_nodes/throttle"):
-            rospy.delete_param(path)
-        marks = launch.stderr.mark(), launch.stdout.mark()
-        os.kill(pid_of("/car_nodes"), signal.SIGKILL)
-        self.refused(launch, marks[0], f"throttle is missing; accepted: true, {BY_LAUNCH}")
-        rospy.set_param("/car_nodes/throttle", True)
-        for part, parameter, reason in (
-                ("pca9685", "device", f"device is missing; accepted: virtual, {BY_LAUNCH}"),
-                ("teensy_sensor_hub", "port", f"port is missing; accepted: {port}, {BY_LAUNCH}")):
-            self.refused(launch, marks[0], reason)
-            status = next(status for status in reports.wait_for(lambda array, part=part: any(
-                status.name == f"{part}: parameters" and status.level == DiagnosticStatus.ERROR
-                for status in array.status)).what.status)
-            self.assertEqual(status.message, f"this node doesn't run, as it refuses a parameter: {reason}")
-            self.assertEqual({value.key: value.value for value in status.values},
-                             {"cause": causes.PARAMETER_REFUSED, "parameter": parameter})
-            states.wait_for(lambda _: True, states.mark())  # another part
-            rospy.set_param(f"/{part}", values[part])
-            launch.stdout.wait_for(lambda line, part=part: f"{part}: the parameters are accepted now" in line, marks[1],
-                                   LAUNCH_S)
-        outputs.wait_for(lambda output: output.data[0] > 0, outputs.mark())
-        eventually(lambda: "/throttle_arb/state" in dict(rospy.get_published_topics()), "throttle_arb")
-        self.assertEqual(self.bus.lines(), [])
-        self.assertEqual(launch.end(), 0)
-
-    def test_node_under_respawn_that_refuses_a_parameter_says_so_once_and_starts_when_it_is_repaired(self):
-        path = os.path.join(self.folder, "turn_arb.yaml")
-        with open(path, "w", encoding="utf-8") as file:
-            yaml.safe_dump({**config("turn_arb.yaml"), "servo_left": "x"}, file)
-        reports = self.topic("/diagnostics", DiagnosticArray)
-        launch = self.launch("turn_arb.launch", f"config:={path}")
-        line = launch.stderr.wait_for(lambda line: "FATAL" in line, within_s=LAUNCH_S).what
-        self.parameters("/turn_arb")
-        self.assertTrue(line.endswith(
-            f"{REFUSED}. This node waits, and reads its parameters again in 1 s, later every 30 s"), line)
-        reports.wait_for(lambda array: array.status[0].name == "turn_arb: parameters"
-                         and array.status[0].level == DiagnosticStatus.ERROR)
-        by_hand = start_node(self, "turn_arb", "__ns:=by_hand", "_servo_left:=x")
-        self.assertEqual(by_hand.wait_for_exit(), 1)
-        self.assertEqual(len([line for line in by_hand.stderr.since() if "FATAL" in line]), 1)
-        state = self.topic("/turn_arb/state", SteeringState)
-        rospy.set_param("/turn_arb/servo_left", 3800)
-        launch.stdout.wait_for(lambda line: "the parameters are accepted now" in line, within_s=LAUNCH_S)
-        state.wait_for(lambda message: True)
-        reports.wait_for(lambda array: array.status[0].name == "turn_arb: parameters"
-                         and array.status[0].level == DiagnosticStatus.OK)
-        self.assertEqual(len([line for line in launch.stderr.since() if "FATAL" in line]), 1)
-        self.assertFalse([line for line in output_of(launch) if "has died" in line or "Traceback" in line])
-        rospy.set_param("/turn_arb/servo_left", "x")
-        mark = launch.stderr.mark()
-        os.kill(pid_of("/turn_arb"), signal.SIGKILL)
-        launch.stderr.wait_for(lambda line: "FATAL" in line, mark, LAUNCH_S)
-        self.assertEqual(launch.end(), 0)  # a signal ends its wait
-        self.assertFalse([line for line in launch.stderr.since() if "escalating" in line])
 
 
 def run(*command):

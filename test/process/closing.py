@@ -1,0 +1,84 @@
+"""What tests of several processes share: what they make ends with them; asking nodes and the master."""
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+import time
+import unittest
+from xmlrpc.client import ServerProxy
+
+import rosgraph
+import rospy
+from sensor_msgs.msg import Joy
+
+from waiting import NodeProcess, Repeater, Sender, Topic, eventually
+
+LAUNCH_S = 60
+PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb")
+
+
+def ask(node, method, *arguments):
+    """What a node answers; ``None`` without the node."""
+    try:
+        return getattr(ServerProxy(rosgraph.Master("/test").lookupNode(node)), method)("/test", *arguments)[2]
+    except (rosgraph.MasterException, OSError):
+        return None
+
+
+def pid_of(node):
+    """The process of a node that answers."""
+    return ask(node, "getPid")
+
+
+def graph_of(namespace, nodes):
+    """What nodes have on the ROS graph: topics that they publish and hear, and services; without the namespace."""
+    paths = {f"{namespace}/{node}" for node in nodes}
+    found = []
+    for names in rospy.get_master().getSystemState()[2]:
+        ours = {name for name, users in names if paths & set(users)}
+        found.append({name[len(namespace):] if name.startswith(f"{namespace}/") else name for name in ours
+                      if not re.search("/rosout$|/get_loggers$|/set_logger_level$", name)})
+    return found
+
+
+def joy(held):
+    """The stick to the left with the manual deadman, or all let go."""
+    return Joy(axes=[float(held)] + [0.0] * 7, buttons=[int(held and index == 4) for index in range(11)])
+
+
+def output_of(process):
+    """All lines of a process so far."""
+    return process.stdout.since() + process.stderr.since()
+
+
+class Closing(unittest.TestCase):
+    """What a test makes ends with it."""
+
+    def setUp(self):
+        self.folder = tempfile.mkdtemp()
+        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
+        self.repeater = Repeater(0.02)
+
+    def tearDown(self):
+        self.repeater.end()  # before its senders are closed
+
+    def topic(self, name, message_type):
+        topic = Topic(name, message_type)
+        self.addCleanup(topic.close)
+        return topic
+
+    def sender(self, name, message_type):
+        sender = Sender(name, message_type)
+        self.addCleanup(sender.close)
+        return sender
+
+    def launch(self, *arguments, env=None):
+        """Start a launch file of this package."""
+        process = NodeProcess("roslaunch", "car_interface", *arguments, env=env)
+        self.addCleanup(lambda: process.runs() and process.end())  # with its nodes
+        return process
+
+    def wait_s(self, seconds):
+        began_s = time.monotonic()
+        eventually(lambda: time.monotonic() - began_s > seconds, f"{seconds} s")
