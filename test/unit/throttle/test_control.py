@@ -23,6 +23,7 @@ from car_interface.throttle.esc_config import (
 from car_interface.throttle.limits import DriveLimits, ThrottleLimits
 from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig
 from car_interface.throttle.stick import StickConfig
+from car_interface.throttle.value_map import ValueMap
 
 S = 1_000_000_000
 TICK = S // 50
@@ -191,9 +192,10 @@ def test_board_without_pulses_takes_arming_again():
     assert (decision.duty, decision.esc.state_name) == (NEUTRAL_DUTY, "ARMING")
 
 
-def test_board_that_is_checked_must_report_again_after_dropped_messages():
-    rig = Rig(board=BoardConfig())
-    assert rig.pull((1.0, 0.1)).duty == BY_HAND
+def test_after_dropped_messages_nothing_brakes_and_a_board_that_is_checked_must_agree_again():
+    rig = Rig(BRAKE_THEN_REVERSE, board=BoardConfig())
+    rig.speed = 4.0
+    assert rig.pull((1.0, 1.0)).duty == BY_HAND
     rig.control.mark_stale(rig.now_ns)
     decision = rig.control.decide(rig.now_ns)
     assert (decision.duty, decision.arbitration.is_stop) == (NEUTRAL_DUTY, True)
@@ -236,6 +238,13 @@ def test_max_speed_holds_backward_while_the_esc_reverses():
     assert rig.run(1.0).limited.cause == ""
     rig.speed = 0.9  # that of a car which odometry takes to roll forward, slowly
     assert rig.run(0.02).limited.cause == causes.SPEED_LIMITED
+
+
+def test_acceleration_is_limited_to_the_value_s_duty():
+    value_map = ValueMap([-5.0, 0.0, 3.0], [0.0, 10.0], [[-10.0, -10.0], [0.0, 0.0], [6.0, 6.0]])
+    rig = Rig(limits=ThrottleLimits(planner=DriveLimits(max_acceleration_mps2=3.0), value_map=value_map))
+    rig.value = 3.0
+    assert rig.run(0.1).duty == 5735  # that of 1.5
 
 
 SONAR = ObstacleConfig({"front_middle": Mount(0.42, 0.0, 0.0)})

@@ -286,6 +286,7 @@ def test_stop_with_an_unverified_profile_or_without_a_stop_brake_is_neutral(chan
 @pytest.mark.parametrize("profile, is_measured, coasts_s, fraction", [
     (SEQUENCE, False, 0.0, 0.0),
     (SEQUENCE, True, 0.0, -0.5),
+    (SEQUENCE, True, 0.3, -0.5),
     (SEQUENCE, True, 0.6, 0.0),  # no ESC is trusted to remember for so long
     (TURNS, True, 0.0, 0.0),
     (DIRECT, True, 0.0, 0.0),
