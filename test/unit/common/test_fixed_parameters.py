@@ -41,10 +41,10 @@ def test_in_a_process_of_several_each_has_its_own():
 
 
 @pytest.mark.parametrize("arguments, message", [
-    pytest.param(["--devise", "virtual"], "argument --devise is unknown; accepted: --device VALUE, --address VALUE, "
-                                          "--virtual-chip VALUE$", id="misspelt"),
-    pytest.param(["--device", "my", "car"], "argument car is unknown", id="value_with_a_space_that_was_not_quoted"),
-    pytest.param(["--device"], "argument --device has no value; accepted: a value after it", id="without_a_value"),
+    (["--devise", "virtual"],
+     "argument --devise is unknown; accepted: --device VALUE, --address VALUE, --virtual-chip VALUE$"),
+    (["--device", "my", "car"], "argument car is unknown"),
+    (["--device"], "argument --device has no value; accepted: a value after it"),
 ])
 def test_arguments_that_fix_nothing_are_refused(arguments, message):
     with pytest.raises(ConfigError, match=message):
@@ -52,13 +52,13 @@ def test_arguments_that_fix_nothing_are_refused(arguments, message):
 
 
 @pytest.mark.parametrize("reader, fixed, value", [
-    pytest.param("text", "virtual", "virtual", id="text"),
-    pytest.param("integer", "0x40", "0x40", id="number_in_hex_as_roslaunch_leaves_it"),
-    pytest.param("integer", "0x40", 64, id="the_same_number_written_otherwise"),
-    pytest.param("flag", "True", True, id="flag_as_eval_writes_it"),
-    pytest.param("flag", "false", False, id="flag_as_a_person_writes_it"),
-    pytest.param("text_or_integer", "1", 1, id="number_of_a_bus"),
-    pytest.param("path", "/tmp/chip", "/tmp/chip", id="path"),
+    ("text", "virtual", "virtual"),
+    ("integer", "0x40", "0x40"),
+    ("integer", "0x40", 64),
+    ("flag", "True", True),
+    ("flag", "false", False),
+    ("text_or_integer", "1", 1),
+    ("path", "/tmp/chip", "/tmp/chip"),
 ])
 def test_parameter_that_is_as_the_launch_file_has_it_is_taken(reader, fixed, value):
     arguments = ("default",) if reader == "text_or_integer" else ()
@@ -68,19 +68,16 @@ def test_parameter_that_is_as_the_launch_file_has_it_is_taken(reader, fixed, val
 
 
 @pytest.mark.parametrize("reader, default, fixed, value, message", [
-    pytest.param("text_or_integer", "/dev/i2c-1", "virtual", None,
-                 "^x is missing; accepted: virtual, by the launch file that started this process$",
-                 id="missing_and_the_default_is_not_taken"),
-    pytest.param("text_or_integer", "/dev/i2c-1", "virtual", "/dev/i2c-1",
-                 "^x is '/dev/i2c-1'; accepted: virtual, by the launch file that started this process$",
-                 id="other_text"),
-    pytest.param("integer", 64, "0x40", "0x41", "^x is '0x41'; accepted: 0x40, by", id="other_number"),
-    pytest.param("flag", False, "true", None, "^x is missing; accepted: true, by", id="flag_that_is_missing"),
-    pytest.param("flag", False, "true", False, "^x is False; accepted: true, by", id="other_flag"),
-    pytest.param("flag", False, "maybe", False, "^x is False; accepted: maybe, by", id="no_flag_in_the_launch_file"),
-    pytest.param("path", None, None, "/tmp/other",
-                 "^x is '/tmp/other'; accepted: none, by the launch file that started this process; its argument x "
-                 "sets it$", id="set_where_none_may_be"),
+    ("text_or_integer", "/dev/i2c-1", "virtual", None,
+     "^x is missing; accepted: virtual, by the launch file that started this process$"),
+    ("text_or_integer", "/dev/i2c-1", "virtual", "/dev/i2c-1",
+     "^x is '/dev/i2c-1'; accepted: virtual, by the launch file that started this process$"),
+    ("integer", 64, "0x40", "0x41", "^x is '0x41'; accepted: 0x40, by"),
+    ("flag", False, "true", None, "^x is missing; accepted: true, by"),
+    ("flag", False, "true", False, "^x is False; accepted: true, by"),
+    ("flag", False, "maybe", False, "^x is False; accepted: maybe, by"),
+    ("path", None, None, "/tmp/other",
+     "^x is '/tmp/other'; accepted: none, by the launch file that started this process; its argument x sets it$"),
 ])
 def test_parameter_that_is_missing_or_differs_is_refused(reader, default, fixed, value, message):
     params = Params({} if value is None else {"x": value}, fixed={"x": fixed})
