@@ -17,18 +17,9 @@ def test_arguments_fix_the_parameters_of_their_node():
         "port": "/tmp/a", "virtual_chip": "/tmp/chip"}
 
 
-def test_auto_is_no_device():
-    """A default that a real car shares must not count."""
-    assert fixed_parameters("pca9685", ["--device", "auto"]) == {"device": "auto"}
-    assert fixed_parameters("teensy_sensor_hub", ["--port", "auto"]) == {"port": "auto"}
-
-
-def test_node_that_is_started_by_hand_has_none():
+def test_auto_is_no_device_and_a_node_that_is_started_by_hand_or_has_no_device_fixes_nothing():
+    assert fixed_parameters("pca9685", ["--device", "auto"]) == {"device": "auto"}  # a real car may share the default
     assert fixed_parameters("pca9685", ["_device:=virtual", *ROS]) == {}
-    assert fixed_parameters("pca9685", []) == {}
-
-
-def test_node_without_a_device_may_have_options_of_its_own():
     assert fixed_parameters("calibration_drive", ["--output", "/tmp/table.yaml", "x"]) == {}
 
 
@@ -86,16 +77,9 @@ def test_parameter_that_is_missing_or_differs_is_refused(reader, default, fixed,
     assert error.value.name == "x"
 
 
-def test_value_that_cannot_be_is_refused_as_without_a_launch_file():
+def test_value_that_cannot_be_is_refused_as_without_a_launch_file_and_none_around_a_node_stands_in_for_it():
     with pytest.raises(ConfigError, match=r"^address is 'foo'; accepted: an integer from 64 to 127$"):
         Params({"address": "foo"}, fixed={"address": "foo"}).integer("address", 64, 64, 127)
-
-
-def test_parameter_that_must_not_be_set_has_its_default():
-    assert Params({}, fixed={"x": None}).path("x", None) is None
-
-
-def test_namespace_around_a_node_does_not_stand_in_for_a_fixed_parameter():
-    params = Params({}, lambda name: "7", fixed={"x": "7"})
     with pytest.raises(ConfigError, match="x is missing"):
-        params.integer("x", search_parents=True)
+        Params({}, lambda name: "7", fixed={"x": "7"}).integer("x", search_parents=True)
+    assert Params({}, fixed={"x": None}).path("x", None) is None
