@@ -24,15 +24,8 @@ def convert(acceleration, velocity=0.0, age_s=0.1, value_map=MAP, **config):
 
 
 @pytest.mark.parametrize("acceleration, velocity, value", [
-    (2.0, 0.0, 1.0),
-    (2.0, 10.0, 1.5),
-    (2.0, 5.0, 1.25),
-    (-4.0, 0.0, -2.0),
-    (100.0, 0.0, 3.0),
-    (-100.0, 0.0, -5.0),
-    (8.0, 0.0, 3.0),
-    (2.0, -3.0, 1.0),
-])
+    (2.0, 0.0, 1.0), (2.0, 10.0, 1.5), (2.0, 5.0, 1.25), (-4.0, 0.0, -2.0), (100.0, 0.0, 3.0), (-100.0, 0.0, -5.0),
+    (8.0, 0.0, 3.0), (2.0, -3.0, 1.0)])
 def test_command_is_looked_up_and_clamped(acceleration, velocity, value):
     assert convert(acceleration, velocity) == (pytest.approx(value), "", "")
 

@@ -9,16 +9,9 @@ from car_interface.throttle.stick import Scale, StickConfig, read_stick, shaped
 
 
 @pytest.mark.parametrize("request_, deadband, expo, expected", [
-    (0.05, 0.05, 0.0, 0.0),
-    (-0.05, 0.05, 0.0, 0.0),
-    (0.525, 0.05, 0.0, 0.5),
-    (-1.0, 0.05, 0.0, -1.0),
-    (7.0, 0.05, 0.0, 1.0),
-    (0.5, 0.0, 1.0, 0.125),
-    (0.5, 0.0, 0.5, 0.3125),
-    (-0.5, 0.0, 1.0, -0.125),
-    (0.01, 0.0, 0.0, 0.01),
-])
+    (0.05, 0.05, 0.0, 0.0), (-0.05, 0.05, 0.0, 0.0), (0.525, 0.05, 0.0, 0.5), (-1.0, 0.05, 0.0, -1.0),
+    (7.0, 0.05, 0.0, 1.0), (0.5, 0.0, 1.0, 0.125), (0.5, 0.0, 0.5, 0.3125), (-0.5, 0.0, 1.0, -0.125),
+    (0.01, 0.0, 0.0, 0.01)])
 def test_stick_is_shaped(request_, deadband, expo, expected):
     assert shaped(request_, deadband, expo) == pytest.approx(expected)
 
