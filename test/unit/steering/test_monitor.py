@@ -100,13 +100,11 @@ def test_drive_through_all_turns_is_no_warning_while_the_servo_is_on_its_way(car
 
 
 def test_steering_that_never_rests_is_judged_by_all_that_it_commanded(car):
-    warnings = set()
-    for index in range(400):
-        radius_m = 2.0 + math.sin(index / 10)
-        warnings.update(car.drives(radius_m, 2.0, 0.04))
-    assert warnings == {""}
-    for index in range(400):
-        car.drives(2.0 + math.sin(index / 10), 9.0, 0.04)
+    swings_m = [2.0 + math.sin(index / 10) for index in range(400)]
+    for radius_m in swings_m:
+        assert set(car.drives(radius_m, 2.0, 0.04)) == {""}
+    for radius_m in swings_m:
+        car.drives(radius_m, 9.0, 0.04)
     assert "commanded left" in car.warning
 
 
@@ -121,31 +119,29 @@ def test_car_that_does_what_it_is_told_is_never_warned_of(drives):
 
 # --- a car that doesn't ---
 
-@pytest.mark.parametrize("speed_mps", [0.6, 1.9, -1.0])
-@pytest.mark.parametrize("commanded_m, driven_m, words", [
-    (2.0, 3.2, "commanded left, 2.0 m, the car went left, 3.2 m"),
-    (-2.0, -3.2, "commanded right, 2.0 m, the car went right, 3.2 m"),
-    (3.0, 1.4, "commanded left, 3.0 m, the car went left, 1.4 m"),
-    (2.0, INF, "commanded left, 2.0 m, the car went straight on"),
-    (INF, -7.0, "commanded straight on, the car went right, 7.0 m"),
-])
-def test_radius_off_by_more_than_half_for_two_seconds_is_a_warning(car, commanded_m, driven_m, words, speed_mps):
-    assert set(car.drives(commanded_m, driven_m, 2.4, speed_mps)) == {""}  # and half a second for the servo
-    car.drives(commanded_m, driven_m, 0.3, speed_mps)
-    assert car.warning.startswith(words + ": steering calibration? Measure which duty drives ")
+# How long there is no warning, half a second of it for the servo; in how much more there is one; and what it advises.
+OFF = 2.4, 0.3, "Measure which duty drives "
+WRONG_SIDE = 0.9, 0.3, "See whether the servo, or the wheels' sensors, are the wrong way round"
 
 
 @pytest.mark.parametrize("speed_mps", [0.6, 1.4, -1.0])
-@pytest.mark.parametrize("commanded_m, driven_m, words", [
-    (2.0, -2.0, "commanded left, 2.0 m, the car went right, 2.0 m"),
-    (-2.0, 3.0, "commanded right, 2.0 m, the car went left, 3.0 m"),
+@pytest.mark.parametrize("commanded_m, driven_m, words, times_and_advice", [
+    (2.0, 3.2, "commanded left, 2.0 m, the car went left, 3.2 m", OFF),
+    (-2.0, -3.2, "commanded right, 2.0 m, the car went right, 3.2 m", OFF),
+    (3.0, 1.4, "commanded left, 3.0 m, the car went left, 1.4 m", OFF),
+    (2.0, INF, "commanded left, 2.0 m, the car went straight on", OFF),
+    (INF, -7.0, "commanded straight on, the car went right, 7.0 m", OFF),
+    (2.0, -2.0, "commanded left, 2.0 m, the car went right, 2.0 m", WRONG_SIDE),
+    (-2.0, 3.0, "commanded right, 2.0 m, the car went left, 3.0 m", WRONG_SIDE),
 ])
-def test_turn_to_the_other_side_is_a_warning_after_half_a_second(car, commanded_m, driven_m, words, speed_mps):
-    assert set(car.drives(commanded_m, driven_m, 0.9, speed_mps)) == {""}  # and half a second for the servo
-    car.drives(commanded_m, driven_m, 0.3, speed_mps)
-    assert car.warning.startswith(words + ": steering calibration? See whether the servo")
+def test_turn_off_by_more_than_half_or_to_the_other_side_is_a_warning_after_a_while(
+        car, commanded_m, driven_m, words, times_and_advice, speed_mps):
+    quiet_s, then_s, advice = times_and_advice
+    assert set(car.drives(commanded_m, driven_m, quiet_s, speed_mps)) == {""}
+    car.drives(commanded_m, driven_m, then_s, speed_mps)
+    assert car.warning.startswith(f"{words}: steering calibration? {advice}")
     car.drives(commanded_m, driven_m, 5.0, speed_mps)
-    assert "wrong way round" in car.warning
+    assert advice in car.warning
 
 
 def test_wide_turn_to_the_other_side_takes_longer_to_tell_from_straight_on(car):
@@ -162,8 +158,7 @@ def test_turn_is_not_judged_when_the_car_is_slow_or_too_fast_for_its_tyres_or_no
 
 def test_command_that_fell_silent_is_not_judged_any_more(car):
     car.drives(2.0, 2.0, 2.0)
-    assert set(car.drives(None, 2.0, 0.6)) == {""}
-    assert set(car.drives(None, -2.0, 10.0)) == {""}
+    assert set(car.drives(None, 2.0, 0.6) + car.drives(None, -2.0, 10.0)) == {""}
 
 
 @pytest.mark.parametrize("between", [
@@ -189,12 +184,6 @@ def test_speed_that_wavers_about_the_least_one_is_at_speed_still(car):
     for index in range(40):
         car.drives(2.0, 8.0, 0.1, speed_mps=0.52 if index % 2 else 0.46)
     assert "commanded left" in car.warning
-
-
-def test_yaw_rate_that_is_off_for_a_moment_is_no_warning(car):
-    for _ in range(20):
-        assert set(car.drives(2.0, 2.0, 0.9)) == {""}
-        assert set(car.drives(2.0, INF, 0.1)) == {""}
 
 
 # --- how long a warning stays ---

@@ -128,78 +128,47 @@ def test_terminal_alone_counts_where_it_may(counts, until_ms):
 
 # --- with a keyboard that reports presses and releases ---
 
-def with_events(counts=False):
-    """A keyboard on which M is held, and was typed."""
-    keyboard = Keyboard(counts)
-    keyboard.press(CODE_M, NOW)
-    assert keyboard.type(MANUAL, NOW + 5 * MS)
-    return keyboard
+STORIES = {
+    "key_counts_until_its_release_without_being_repeated": (False, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 5, True), ("press", CODE_W, 60_000, True),
+        ("release", CODE_M, 60_000, False)]),
+    "press_counts_by_a_character_that_comes_in_time": (False, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 300, True)]),
+    "press_that_is_meant_for_another_window_counts_for_nothing": (False, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 301, False)]),
+    "repetition_that_arrives_after_the_release_does_not_count_again": (True, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 5, True), ("release", CODE_M, 1000, False),
+        ("type", MANUAL, 1100, False)]),
+    "tap_that_ended_before_its_character_came_does_not_count": (True, [
+        ("press", CODE_M, 0, False), ("release", CODE_M, 10, False), ("type", MANUAL, 10, False)]),
+    "key_with_shift_is_the_letter_s": (False, [
+        ("press", CODE_SHIFT, 0, False), ("press", CODE_M, 50, False), ("type", MANUAL, 50, True),
+        ("release", CODE_SHIFT, 1000, True), ("release", CODE_M, 1000, False)]),
+    "held_key_must_be_pressed_again_after_space": (False, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 5, True), ("type", RELEASE, 10, False),
+        ("type", MANUAL, 50, False), ("type", MANUAL, 1000, False), ("release", CODE_M, 2000, False),
+        ("press", CODE_M, 3000, False), ("type", MANUAL, 3000, True)]),
+}
 
 
-def test_key_counts_until_its_release_without_being_repeated():
-    keyboard = with_events()
-    assert keyboard.controls(NOW + 60 * S) == Controls(manual=True)
-    keyboard.release(CODE_M, NOW + 60 * S)
-    assert keyboard.controls(NOW + 60 * S) == Controls()
-
-
-@pytest.mark.parametrize("late_ms, counts", [(300, True), (301, False)])
-def test_press_that_is_meant_for_another_window_counts_for_nothing(late_ms, counts):
-    keyboard = Keyboard(counts_without_release=False)
-    keyboard.press(CODE_M, NOW)
-    assert keyboard.controls(NOW) == Controls()
-    assert keyboard.type(MANUAL, NOW + late_ms * MS) is counts
+@pytest.mark.parametrize("counts, steps", STORIES.values(), ids=STORIES)
+def test_key_of_a_keyboard_that_reports_releases(counts, steps):
+    keyboard = Keyboard(counts_without_release=counts)
+    for act, value, at_ms, is_held in steps:
+        getattr(keyboard, act)(value, NOW + at_ms * MS)
+        assert keyboard.controls(NOW + at_ms * MS) == Controls(manual=is_held)
 
 
 def test_key_is_known_by_its_character_and_each_is_released_by_itself():
-    keyboard = with_events()
-    for code, key in ((44, FORWARD), (CODE_A, LEFT)):  # 44: what types a w on a French keyboard
-        keyboard.press(code, NOW + S)
-        assert keyboard.type(key, NOW + S)
-        assert keyboard.type(key, NOW + S + MS)  # as it repeats
-    keyboard.controls(NOW + S)
-    assert keyboard.controls(NOW + 2 * S) == Controls(1.0, 1.0, manual=True)
-    keyboard.release(44, NOW + 2 * S)
-    assert keyboard.controls(NOW + 2 * S) == Controls(1.0, 0.0, manual=True)
-
-
-def test_repetition_that_arrives_after_the_release_does_not_count_again():
-    """Over a slow connection, of a terminal that counts by itself otherwise."""
-    keyboard = with_events(counts=True)
-    keyboard.release(CODE_M, NOW + S)
-    keyboard.type(MANUAL, NOW + S + 100 * MS)
-    assert keyboard.controls(NOW + S + 100 * MS) == Controls()
-
-
-def test_tap_that_ended_before_its_character_came_does_not_count():
-    keyboard = Keyboard(counts_without_release=True)
-    keyboard.press(CODE_M, NOW)
-    keyboard.release(CODE_M, NOW + 10 * MS)
-    keyboard.type(MANUAL, NOW + 10 * MS)
-    assert keyboard.controls(NOW + 10 * MS) == Controls()
-
-
-def test_key_with_shift_is_the_letter_s():
     keyboard = Keyboard(counts_without_release=False)
-    keyboard.press(CODE_SHIFT, NOW)
-    keyboard.press(CODE_M, NOW + 50 * MS)
-    keyboard.type(MANUAL, NOW + 50 * MS)
-    keyboard.release(CODE_SHIFT, NOW + S)
-    assert keyboard.controls(NOW + S).manual
-    keyboard.release(CODE_M, NOW + S)
-    assert not keyboard.controls(NOW + S).manual
-
-
-def test_after_letting_go_of_everything_a_held_key_must_be_pressed_anew():
-    keyboard = with_events()
-    keyboard.release_all()
-    assert keyboard.type(MANUAL, NOW + 50 * MS) is False  # as it repeats on
-    assert keyboard.controls(NOW + 50 * MS) == Controls()
-    assert keyboard.type(MANUAL, NOW + S) is False
-    keyboard.release(CODE_M, NOW + 2 * S)
-    keyboard.press(CODE_M, NOW + 3 * S)
-    keyboard.type(MANUAL, NOW + 3 * S)
-    assert keyboard.controls(NOW + 3 * S).manual
+    for code, key in ((CODE_M, MANUAL), (44, FORWARD), (CODE_A, LEFT)):  # 44: what types a w on a French keyboard
+        keyboard.press(code, NOW)
+        assert keyboard.type(key, NOW) and keyboard.type(key, NOW + MS)  # as it repeats
+    assert not keyboard.type(RIGHT, NOW + MS)
+    keyboard.controls(NOW)
+    assert keyboard.controls(NOW + S) == Controls(1.0, 1.0, manual=True)
+    keyboard.release(44, NOW + S)
+    assert keyboard.controls(NOW + S) == Controls(1.0, 0.0, manual=True)
 
 
 STEPS = st.lists(st.one_of(
@@ -248,15 +217,12 @@ def held(*keys, seconds):
     return found
 
 
-@pytest.mark.parametrize("key, way", [(SLOWLY_FORWARD, 1), (SLOWLY_BACKWARD, -1)])
-def test_slow_key_pushes_ever_farther_from_the_dead_band_on(key, way):
-    assert held(key, seconds=3) == pytest.approx([way * 0.05, way * 0.12, way * 0.19, way * 0.26])
-
-
-def test_slow_push_beside_a_whole_one_or_its_opposite_is_none():
-    assert held(SLOWLY_FORWARD, FORWARD, seconds=1) == [1.0, 1.0]
-    assert held(SLOWLY_FORWARD, BACKWARD, seconds=1) == [-1.0, -1.0]
-    assert held(SLOWLY_FORWARD, SLOWLY_BACKWARD, seconds=1) == [0.0, 0.0]
+@pytest.mark.parametrize("keys, throttles", [
+    ((SLOWLY_FORWARD,), [0.05, 0.12, 0.19, 0.26]), ((SLOWLY_BACKWARD,), [-0.05, -0.12, -0.19, -0.26]),
+    ((SLOWLY_FORWARD, FORWARD), [1.0] * 4), ((SLOWLY_FORWARD, BACKWARD), [-1.0] * 4),
+    ((SLOWLY_FORWARD, SLOWLY_BACKWARD), [0.0] * 4)])
+def test_slow_key_alone_pushes_ever_farther_from_the_dead_band_on(keys, throttles):
+    assert held(*keys, seconds=3) == pytest.approx(throttles)
 
 
 def test_slow_push_begins_again_after_each_release_and_after_the_deadman():

@@ -102,15 +102,12 @@ def test_a_stop_and_neutral_without_a_source_pass(speed_mps):
         assert answer.arbitration is one and not answer.cause
 
 
-def test_a_planner_s_car_slows_to_the_speed_that_its_turn_allows():
+def test_a_planner_s_car_slows_to_the_speed_that_its_turn_allows_and_the_least_speed_counts():
     answer = limited(limiter_at(4.0), 0.3, turn_max_mps=2.0)
     assert answer.arbitration.drive == -0.5 and answer.cause == causes.CURVE_SLOWED
     assert answer.reason == "the turn that is asked for allows 2.00 m/s, it has 4.00: it brakes"
     assert not limited(limiter_at(4.0), 0.3, TELEOP, turn_max_mps=2.0).is_cut
     assert not limited(limiter_at(4.0, slow_down=False), 0.3, turn_max_mps=2.0).is_cut
-
-
-def test_the_least_speed_counts():
     bound = SpeedBound(0.5, causes.OBSTACLE_SLOWED, "an obstacle allows")
     answer = limited(limiter_at(0.4, TO_3), 1.0, turn_max_mps=2.0, bounds=[bound])
     assert (answer.cause, answer.max_speed_mps) == (causes.OBSTACLE_SLOWED, 0.5)
@@ -139,15 +136,12 @@ def test_the_limiter_s_own_brake_keeps_to_max_braking():
     assert answer.arbitration.brake == pytest.approx(-0.2) and answer.cause == causes.BRAKING_LIMITED
 
 
-def test_without_any_odometry_nothing_is_limited_and_that_is_told():
+def test_without_any_odometry_nothing_is_limited_and_once_it_is_lost_the_last_speed_counts():
     answer = limited(limiter_at(None, human=TO_3), 1.0, TELEOP)
     assert answer.arbitration.drive == 1.0 and not answer.is_cut
     assert (answer.cause, answer.reason) == (causes.LIMITS_OFF, "odom was never heard: nothing limits the throttle")
-
-
-def test_when_odometry_is_lost_the_human_is_held_by_the_last_speed():
-    limiter = limiter_at(2.75, human=TO_3)
-    assert limiter.limit(asked(1.0, TELEOP), False, 0.0, 3600 * S).arbitration.drive == pytest.approx(0.5)
+    lost = limiter_at(2.75, human=TO_3)
+    assert lost.limit(asked(1.0, TELEOP), False, 0.0, 3600 * S).arbitration.drive == pytest.approx(0.5)
 
 
 def test_a_planner_s_throttle_waits_while_reports_of_the_speed_are_missing():
@@ -173,10 +167,16 @@ def test_parameters_are_read_by_source_with_the_defaults_that_are_documented():
     assert (limits.human.max_speed_mps, limits.planner.max_speed_mps, limits.slow_down) == (3.0, 5.0, False)
 
 
-@pytest.mark.parametrize("name", ["max_acceleration", "max_braking"])
-def test_an_acceleration_needs_the_value_map(name):
-    with pytest.raises(ConfigError, match=f"human/{name} is 2.0.*csv_path_value_map"):
-        read_limits(Params({"human": {name: 2.0}}))
+@pytest.mark.parametrize("values, message", [
+    ({"human": {"max_acceleration": 2.0}}, "human/max_acceleration is 2.0.*csv_path_value_map"),
+    ({"human": {"max_braking": 2.0}}, "human/max_braking is 2.0.*csv_path_value_map"),
+    ({"planner": {"max_speed": -1}}, "planner/max_speed"),
+    ({"planner": {"max_acceleration": -1}}, "planner/max_acceleration"),
+    ({"planner": {"max_braking": -1}}, "planner/max_braking"),
+])
+def test_an_impossible_limit_or_one_that_needs_a_value_map_is_refused_by_name(values, message):
+    with pytest.raises(ConfigError, match=message):
+        read_limits(Params(values))
 
 
 def test_the_value_map_is_read_where_it_is_needed(tmp_path):
@@ -185,12 +185,6 @@ def test_the_value_map_is_read_where_it_is_needed(tmp_path):
     values = {"csv_path_value_map": str(path), "planner": {"max_braking": 2}}
     assert read_limits(Params(values)).value_map.acceleration_at(-5, 0) == -10
     assert read_limits(Params({"csv_path_value_map": "/nowhere/map.csv"})).value_map is None
-
-
-@pytest.mark.parametrize("name", ["max_speed", "max_acceleration", "max_braking"])
-def test_an_impossible_limit_is_refused_by_name(name):
-    with pytest.raises(ConfigError, match=f"planner/{name}"):
-        read_limits(Params({"planner": {name: -1}}))
 
 
 def test_a_limit_costs_less_than_50_microseconds():

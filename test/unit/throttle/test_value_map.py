@@ -45,42 +45,22 @@ def naive_value_at(values, velocities, rows, acceleration, velocity):
 
 VALUES = [-2.0, 0.0, 1.0, 3.0]
 VELOCITIES = [0.0, 5.0, 10.0]
-ROWS = [
-    [-4.0, -5.0, -6.0],
-    [0.0, -0.5, -1.0],
-    [1.0, 0.5, 0.0],
-    [5.0, 3.5, 2.0],
-]
-
-
-@pytest.fixture
-def value_map():
-    return ValueMap(VALUES, VELOCITIES, ROWS)
+ROWS = [[-4.0, -5.0, -6.0], [0.0, -0.5, -1.0], [1.0, 0.5, 0.0], [5.0, 3.5, 2.0]]
 
 
 @pytest.mark.parametrize("acceleration, velocity, value", [
-    (-4.0, 0.0, -2.0),
-    (5.0, 0.0, 3.0),
-    (2.0, 10.0, 3.0),
-    (-0.5, 5.0, 0.0),
-    (3.0, 0.0, 2.0),
-    (0.25, 2.5, 0.5),  # the rows at 2.5 m/s: -4.5 -0.25 0.75 4.25
-    (2.5, 2.5, 2.0),
-    (-10.0, 3.0, -2.0),
-    (math.inf, 3.0, 3.0),
-    (3.0, -7.0, 2.0),
-    (1.0, math.inf, 2.0),
-])
-def test_value_at_acceleration_and_velocity_is_interpolated_and_clamped(value_map, acceleration, velocity, value):
-    assert value_map.value_at(acceleration, velocity) == pytest.approx(value)
+    (-4.0, 0.0, -2.0), (2.0, 10.0, 3.0), (-0.5, 5.0, 0.0), (3.0, 0.0, 2.0), (0.25, 2.5, 0.5), (-10.0, 3.0, -2.0),
+    (math.inf, 3.0, 3.0), (3.0, -7.0, 2.0), (1.0, math.inf, 2.0)])
+def test_value_at_acceleration_and_velocity_is_interpolated_and_clamped(acceleration, velocity, value):
+    assert ValueMap(VALUES, VELOCITIES, ROWS).value_at(acceleration, velocity) == pytest.approx(value)
     assert naive_value_at(VALUES, VELOCITIES, ROWS, acceleration, min(velocity, 1e9)) == pytest.approx(value)
 
 
 @pytest.mark.parametrize("value, velocity, acceleration", [
     (-2.0, 0.0, -4.0), (3.0, 10.0, 2.0), (0.5, 2.5, 0.25), (-9.0, 5.0, -5.0), (9.0, 5.0, 3.5), (1.0, -1.0, 1.0),
     (1.0, 11.0, 0.0)])
-def test_acceleration_at_value_and_velocity_is_interpolated_and_clamped(value_map, value, velocity, acceleration):
-    assert value_map.acceleration_at(value, velocity) == pytest.approx(acceleration)
+def test_acceleration_at_value_and_velocity_is_interpolated_and_clamped(value, velocity, acceleration):
+    assert ValueMap(VALUES, VELOCITIES, ROWS).acceleration_at(value, velocity) == pytest.approx(acceleration)
 
 
 GAPS = st.floats(0.01, 10)
@@ -197,14 +177,10 @@ def test_plateau_s_sides_are_interpolated_as_ever():
     assert value_map.value_at(0.25, 10.0) == pytest.approx(3.5)
 
 
-@pytest.mark.parametrize("rows, acceleration, value", [
-    ([[0, 0], [0, 0], [1, 1]], 0.0, 1.0),
-    ([[0, 0], [0, 0], [1, 1]], -0.1, 1.0),
-    ([[0, 0], [1, 1], [1, 1]], 1.0, 2.0),
-    ([[0, 0], [1, 1], [1, 1]], 1.1, 3.0),
-    ([[1, 1], [1, 1], [1, 1]], 1.0, 1.0),
-])
-def test_plateau_at_an_end_of_the_map(rows, acceleration, value):
+@pytest.mark.parametrize("accelerations, acceleration, value", [
+    ((0, 0, 1), 0.0, 1.0), ((0, 0, 1), -0.1, 1.0), ((0, 1, 1), 1.0, 2.0), ((0, 1, 1), 1.1, 3.0), ((1, 1, 1), 1.0, 1.0)])
+def test_plateau_at_an_end_of_the_map(accelerations, acceleration, value):
+    rows = [(each, each) for each in accelerations]
     assert ValueMap([1.0, 2.0, 3.0], [0.0, 1.0], rows, allow_plateaus=True).value_at(acceleration, 0.5) == value
 
 
@@ -232,7 +208,9 @@ def test_map_with_a_fault_is_refused_naming_it(values, velocities, rows, message
         ValueMap(values, velocities, rows, name="map")
 
 
-def test_falling_stretch_is_refused_with_plateaus_allowed_too():
+def test_with_plateaus_allowed_a_level_stretch_is_loaded_and_a_falling_one_is_refused(tmp_path):
+    path = written(tmp_path, "default,0,1\n1,2,3\n2,2,4\n")
+    assert load_value_map(path, allow_plateaus=True).value_at(2.0, 0.0) == 1.0
     with pytest.raises(ConfigError, match=r"from value 1 to 2 falls from 3.0 to 2.0 m/s²"):
         ValueMap([1, 2], [0, 1], [[3, 1], [2, 2]], allow_plateaus=True)
 
@@ -293,11 +271,6 @@ def test_file_with_a_fault_is_refused_naming_file_line_and_column(tmp_path, monk
         load_value_map(os.path.basename(written(tmp_path, content)))
     assert "value_map" in caught.value.name
     assert "value_map.csv" in str(caught.value)
-
-
-def test_file_with_a_level_stretch_is_loaded_when_plateaus_are_allowed(tmp_path):
-    path = written(tmp_path, "default,0,1\n1,2,3\n2,2,4\n")
-    assert load_value_map(path, allow_plateaus=True).value_at(2.0, 0.0) == 1.0
 
 
 @pytest.mark.parametrize("name, reason", [("missing.csv", "No such file or directory"), ("", "Is a directory"),
