@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import mmap
 import os
 import random
 import signal
@@ -15,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from car_interface.common import atomic_file
-from car_interface.common.atomic_file import is_write_protected, replace
-from car_interface.common.errors import ConfigError
+from car_interface.common.atomic_file import replace
 from car_interface.common.yaml_edit import save
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -51,12 +49,6 @@ def test_new_file_has_the_mode_of_the_umask(tmp_path):
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "b").stat().st_mode) == 0o640
-
-
-def test_write_protection_goes_by_the_mode_also_for_root(path):
-    assert not is_write_protected(str(path))
-    path.chmod(0o444)
-    assert is_write_protected(str(path))
 
 
 # --- a process that is killed in a save ---
@@ -205,41 +197,6 @@ def test_failure_at_any_step_leaves_nothing_behind(path, monkeypatch, call, keep
     with pytest.raises(OSError, match="No space left"):
         replace(str(path), b"new", keeps_old)
     assert len(done) == counted and path.read_bytes() == b"old" and os.listdir(path.parent) == ["a.yaml"]
-
-
-@pytest.fixture()
-def small_disk(tmp_path):
-    """A disk of 16 pages."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    made = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={16 * mmap.PAGESIZE}", "none", str(folder)],
-                          capture_output=True, check=False)
-    if made.returncode:
-        pytest.skip("no disk can be mounted here")
-    yield folder
-    subprocess.run(["umount", "--lazy", str(folder)], check=True)
-
-
-@pytest.mark.parametrize("free_pages", [0, 1, 2])
-def test_full_disk_keeps_the_old_file_and_nothing_else(small_disk, free_pages):
-    path = small_disk / "turn_arb.yaml"
-    path.write_text(TEXT.format("1"), encoding="utf-8")
-    assert path.stat().st_size <= mmap.PAGESIZE
-    with contextlib.suppress(OSError), open(str(small_disk / "filler"), "wb", buffering=0) as filler:
-        while filler.write(bytes(mmap.PAGESIZE)):
-            pass
-    os.truncate(str(small_disk / "filler"), (small_disk / "filler").stat().st_size - free_pages * mmap.PAGESIZE)
-    before = set(os.listdir(str(small_disk)))
-    if free_pages < 2:  # the new file and the backup need one each
-        for _ in range(3):
-            with pytest.raises(ConfigError, match=r"can't be saved \(No space left on device\)"):
-                save(str(path), {"servo_center": 2})
-        assert path.read_text(encoding="utf-8") == TEXT.format("1")
-        assert set(os.listdir(str(small_disk))) == before
-    else:
-        aside = save(str(path), {"servo_center": 2})
-        assert path.read_text(encoding="utf-8") == TEXT.format("2")
-        assert set(os.listdir(str(small_disk))) == before | {os.path.basename(aside)}
 
 
 def test_file_that_may_not_grow_is_not_half_written(tmp_path):

@@ -25,7 +25,7 @@ def test_before_the_first_it_is_unknown_and_lost():
 @pytest.mark.parametrize("speed_mps", [3.0, -3.0])
 def test_a_steady_car_is_as_fast_as_it_was(speed_mps):
     measured, now_ns = fed([speed_mps] * 20)
-    assert measured.last_mps == speed_mps and measured.highest_mps(now_ns) == 3.0
+    assert measured.was_received and measured.last_mps == speed_mps and measured.highest_mps(now_ns) == 3.0
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -134,8 +134,9 @@ def test_cuts_are_counted_when_they_begin():
 
 def test_whoever_takes_over_turns_in_from_where_the_car_is():
     limiter = limiter_at(4.0)
+    turned_in(limiter, 0.5, ticks=1)
     limiter.release(0.4, MS)
-    assert limiter.limit(0.4, JERK, 2 * MS).curvature_per_m == 0.4
+    assert limiter.limit(0.5, JERK, 2 * MS).curvature_per_m == 0.5
 
 
 def test_while_reports_are_missing_the_car_may_be_getting_faster():

@@ -51,6 +51,8 @@ def test_map_all_of_whose_values_are_beyond_the_limits_is_refused(values):
     with pytest.raises(ConfigError, match=fr"value map has values from {values[0]} to {values[1]}; accepted: values "
                                           r"within min_value -5\.0 to max_value 3\.0"):
         Converter(ConversionConfig(), ValueMap(values, [0.0, 10.0], [[-1.0, -1.0], [1.0, 1.0]]))
+    reaching = ValueMap([-9.0, -6.0, 2.0], [0.0, 10.0], [[-2.0, -2.0], [-1.0, -1.0], [1.0, 1.0]])
+    assert convert(1.0, value_map=reaching).value == 2.0
 
 
 @pytest.mark.parametrize("acceleration", [math.nan, -math.inf])
