@@ -43,6 +43,7 @@ def test_input_that_was_stale_for_a_while_says_so_until_it_is_received_again():
     timed = received_once(0.5, "old")
     assert timed.age_s(AT + 520_000_000) == pytest.approx(0.52)
     assert timed.stale_reason(AT + 520_000_000) == "human_in_loop silent for 0.52 s"
+    assert timed.age_s(AT) == timed.age_s(AT - 1) == 0.0
     timed.update("new", AT + S)
     assert not timed.is_stale(AT + S + 1) and timed.value == "new"
 
