@@ -22,30 +22,23 @@ def limiter_at(speed_mps):
     return limiter
 
 
-@pytest.mark.parametrize(("speed_mps", "asked_per_m", "granted_per_m"), [
-    (2.0, 1.0, 1.0), (2.0, -1.0, -1.0), (4.0, 1.0, 0.25), (4.0, -1.0, -0.25), (-4.0, 1.0, 0.25), (0.0, 1.0, 1.0)])
-def test_a_turn_is_no_tighter_than_the_lateral_acceleration_allows(speed_mps, asked_per_m, granted_per_m):
-    turn = limiter_at(speed_mps).limit(asked_per_m, LATERAL, MS)
-    assert turn.curvature_per_m == granted_per_m
-    assert turn.is_cut == (granted_per_m != asked_per_m)
+AT_4_MPS = "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.00 m was asked for"
+ODD = 0.1 + 0.2  # no number that a detour over radius and back would keep
 
 
-def test_straight_on_is_allowed_at_any_speed():
-    assert limiter_at(4.0).limit(0.0, LATERAL, MS) == (0.0, "", "", math.inf)
-
-
-def test_a_cut_is_reported_in_words_and_numbers():
-    turn = limiter_at(4.0).limit(1 / 1.5, LATERAL, MS)
-    assert turn[1:] == (causes.LATERAL_LIMITED,
-                        "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.50 m was asked for",
-                        pytest.approx(math.sqrt(4.0 * 1.5)))
-
-
-def test_below_the_limit_the_same_number_comes_back_and_the_speed_up_to_which_that_holds():
-    asked_per_m = 0.1 + 0.2  # no number that a detour over radius and back would keep
-    turn = limiter_at(2.0).limit(asked_per_m, SourceLimits(4.0, 40.0), MS)
-    assert turn.curvature_per_m == asked_per_m and (turn.cause, turn.reason) == ("", "")
-    assert turn.max_speed_mps == pytest.approx(math.sqrt(4.0 / 0.3))
+@pytest.mark.parametrize(("speed_mps", "asked_per_m", "turn"), [
+    (2.0, 1.0, (1.0, "", "", 2.0)),
+    (2.0, -1.0, (-1.0, "", "", 2.0)),
+    (4.0, 1.0, (0.25, causes.LATERAL_LIMITED, AT_4_MPS, 2.0)),
+    (4.0, -1.0, (-0.25, causes.LATERAL_LIMITED, AT_4_MPS, 2.0)),
+    (-4.0, 1.0, (0.25, causes.LATERAL_LIMITED, AT_4_MPS, 2.0)),
+    (0.0, 1.0, (1.0, "", "", 2.0)),
+    (4.0, 0.0, (0.0, "", "", math.inf)),
+    (2.0, ODD, (ODD, "", "", pytest.approx(math.sqrt(4.0 / 0.3)))),
+])
+def test_a_turn_is_no_tighter_than_the_lateral_acceleration_allows(speed_mps, asked_per_m, turn):
+    found = limiter_at(speed_mps).limit(asked_per_m, LATERAL, MS)
+    assert found == turn and found.is_cut == bool(turn[1])
 
 
 def test_without_any_odometry_nothing_is_limited_and_the_car_turns_in_from_where_it_is_once_there_is_one():
@@ -67,12 +60,16 @@ def test_when_odometry_is_lost_or_no_speed_the_last_bound_stays():
     assert nonsense.limit(1.0, LATERAL, 20 * MS).curvature_per_m == 0.25
 
 
-def test_the_bound_is_that_of_the_speed_that_the_car_will_have():
+def test_the_bound_is_that_of_the_speed_that_the_car_will_have_and_may_have_while_reports_are_missing():
     limiter = limiter_at(3.0)
     for tick in range(1, 11):
         limiter.speed.update(3.0 + 0.1 * tick, tick * 20 * MS)  # 5 m/s²
     turn = limiter.limit(1.0, LATERAL, 200 * MS)
     assert turn.curvature_per_m == pytest.approx(4.0 / (4.0 + 5.0 * 0.06) ** 2)
+    limiter = limiter_at(2.0)
+    fresh, late = (limiter.limit(1.0, LATERAL, now_ns) for now_ns in (20 * MS, 100 * MS))
+    assert fresh.curvature_per_m == 1.0
+    assert late.curvature_per_m == pytest.approx(4.0 / (2.0 + 6.0 * 0.06) ** 2, rel=0.01)
 
 
 def turned_in(limiter, asked_per_m, limits=JERK, start_ns=0, ticks=20):
@@ -139,13 +136,6 @@ def test_whoever_takes_over_turns_in_from_where_the_car_is():
     assert limiter.limit(0.5, JERK, 2 * MS).curvature_per_m == 0.5
 
 
-def test_while_reports_are_missing_the_car_may_be_getting_faster():
-    limiter = limiter_at(2.0)
-    fresh, late = (limiter.limit(1.0, LATERAL, now_ns) for now_ns in (20 * MS, 100 * MS))
-    assert fresh.curvature_per_m == 1.0
-    assert late.curvature_per_m == pytest.approx(4.0 / (2.0 + 6.0 * 0.06) ** 2, rel=0.01)
-
-
 def test_parameters_are_read_by_source_with_the_defaults_that_are_documented():
     limits = read_limits(Params({}))
     assert limits == SteeringLimits(SourceLimits(0.0, 0.0), SourceLimits(4.0, 40.0), 0.5)
@@ -178,9 +168,6 @@ def test_an_impossible_limit_is_refused_by_name(source, name, value):
 def test_a_turn_is_too_tight_below_nine_tenths_of_the_tightest_and_the_reason_says_what_to_look_for(
         asked_m, tightest_m, speed_mps, reason):
     assert too_tight_reason(asked_m, *tightest_m, speed_mps) == reason
-
-
-AT_4_MPS = "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.00 m was asked for"
 
 
 @pytest.mark.parametrize("limiter, limits, turn", [
