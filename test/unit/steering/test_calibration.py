@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 
 import pytest
 from hypothesis import given
@@ -163,29 +162,14 @@ SKIDPAD = {
 }
 
 
-@lru_cache(maxsize=None)
-def fitted_understeer(speeds_mps):
-    """The one term, and each angle's radius at a crawl, that fit the rows of these speeds best."""
-    def crawl_radius_m(rows, understeer):
-        return sum(slow_radius_m(rows[speed], speed, understeer) for speed in speeds_mps) / len(speeds_mps)
-
-    def error(understeer):
-        return sum((driven_radius_m(crawl_radius_m(rows, understeer), speed, understeer) / rows[speed] - 1) ** 2
-                   for rows in SKIDPAD.values() for speed in speeds_mps)
-
-    understeer = min((index * 1e-5 for index in range(500, 1200)), key=error)
-    return understeer, {angle: crawl_radius_m(rows, understeer) for angle, rows in SKIDPAD.items()}
-
-
 @pytest.mark.parametrize("angle", SKIDPAD)
 def test_a_term_fitted_below_1_5_mps_predicts_a_real_car_s_radii_at_2_and_2_5_mps(angle):
-    understeer, crawl_m = fitted_understeer((0.5, 1.0, 1.5))
-    assert understeer == pytest.approx(0.0085, abs=0.0002)
+    understeer, slow_mps = 0.0085, (0.5, 1.0, 1.5)
+    rows = SKIDPAD[angle]
+    crawl_m = sum(slow_radius_m(rows[speed_mps], speed_mps, understeer) for speed_mps in slow_mps) / len(slow_mps)
     for speed_mps in (2.0, 2.5):  # up to 5 m/s² sideways
-        assert driven_radius_m(crawl_m[angle], speed_mps, understeer) == pytest.approx(
-            SKIDPAD[angle][speed_mps], rel=0.03)
-    # A table without speed is off by more than twice that.
-    assert crawl_m[angle] / SKIDPAD[angle][2.0] < 0.935
+        assert driven_radius_m(crawl_m, speed_mps, understeer) == pytest.approx(rows[speed_mps], rel=0.03)
+    assert crawl_m / rows[2.0] < 0.935  # a table without speed is off by more than twice that
 
 
 @pytest.mark.parametrize("speed_mps", [-4.0, 0.0, 8.0])

@@ -110,15 +110,11 @@ def test_planner_is_stopped_with_cause_and_reason(inputs, source, cause, reason)
     assert decide(**{"planner": (0.7, 0.1), **inputs}) == (source, cause, reason, 0.0, 0.0, 0.0, True, "auto")
 
 
-@pytest.mark.parametrize("inputs", [
-    {"human": (False, 0.0)}, {"human": (True, 0.51)}, {"steering": (NO_HUMAN, 0.0)}, {"steering": (TELEOP, 0.26)},
-    {"mode": (MANUAL, 0.51)}, {"mode": ("", 0.0)}, {"teleop": (FORWARD, 0.51)}, {"teleop": (INF, 0.0)}])
-def test_human_is_stopped_by_all_but_planner_and_odometry(inputs):
-    by_hand = {"teleop": (FORWARD, 0.1), "mode": (MANUAL, 0.1), "planner": (NAN, 0.1), "odometry": None,
-               "no_value": NoValue("odometry silent", "odometry silent for 0.52 s")}
-    assert decide(**by_hand).source == TELEOP
-    decision = decide(**{**by_hand, **inputs})
-    assert decision.is_stop and decision.drive == decision.brake == 0.0
+@pytest.mark.parametrize("trouble", [{}, {"steering": (NO_HUMAN, 0.0)}, {"mode": ("", 0.0)}, {"teleop": (INF, 0.0)}])
+def test_human_is_stopped_by_turn_arb_mode_and_stick_but_not_by_planner_and_odometry(trouble):
+    decision = decide(**{"teleop": (FORWARD, 0.1), "mode": (MANUAL, 0.1), "planner": (NAN, 0.1), "odometry": None,
+                         "no_value": NoValue("odometry silent", "odometry silent for 0.52 s"), **trouble})
+    assert (decision.is_stop, decision.drive != 0.0) == (bool(trouble), not trouble)
 
 
 def test_reasons_of_turn_arb_and_teleop_logi_are_quoted():
