@@ -1,7 +1,6 @@
 """The value map: looking values up and back, and the files that are refused."""
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 from pathlib import Path
@@ -288,23 +287,6 @@ def test_text_that_will_be_a_file_is_checked_before_there_is_one(tmp_path):
     with pytest.raises(ConfigError, match=rf"^{path} has 1 line\(s\)"):
         load_value_map(path, text="default,0,1\n")
     assert os.listdir(str(tmp_path)) == []
-
-
-def test_file_cut_at_any_byte_is_loaded_or_refused_and_nothing_else(tmp_path):
-    content = b"\xef\xbb\xbf" + GOOD.replace("default", "Wägelchen").replace("\n", "\r\n").encode()
-    loaded = 0
-    for length in range(len(content)):
-        with contextlib.suppress(ConfigError):
-            loaded += len(load_value_map(written(tmp_path, content[:length])).values) >= 2
-    assert 0 < loaded < len(content)
-
-
-@given(st.integers(0, len(GOOD) - 1), st.binary(max_size=2) | st.sampled_from([b",", b"\n", b"\r", b'"', b"-", b"e"]))
-def test_file_with_any_byte_replaced_is_loaded_or_refused_and_nothing_else(tmp_path_factory, place, instead):
-    content = GOOD.encode()
-    path = written(tmp_path_factory.getbasetemp(), content[:place] + instead + content[place + 1:])
-    with contextlib.suppress(ConfigError):
-        load_value_map(path)
 
 
 def test_shipped_map_covers_the_shipped_limits_and_brakes_at_every_velocity():
