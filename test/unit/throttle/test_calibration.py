@@ -61,11 +61,8 @@ def test_duty_beyond_the_table_stands_for_more_than_1(calibration, duty, request
 
 
 @pytest.mark.parametrize("duty", [-1, 0, 65535])
-def test_what_is_no_pulse_stands_for_no_request(duty):
+def test_what_is_no_pulse_stands_for_no_request_and_neutral_is_no_negative_zero(duty):
     assert DutyMap(SHIPPED).request_of_duty(duty) is None
-
-
-def test_neutral_is_no_negative_zero():
     assert math.copysign(1, DutyMap(SHIPPED).request_of_duty(4915)) == 1
 
 

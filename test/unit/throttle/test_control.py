@@ -104,23 +104,17 @@ def test_release_stops_at_once_and_brakes_where_the_esc_is_known_to_brake(profil
     assert not decision.is_driven
 
 
-def test_human_brakes_by_brake_scale_and_reverses_by_human_scale():
+def test_human_brakes_by_brake_scale():
     rig = Rig(BRAKE_THEN_REVERSE)
     rig.speed = 4.0
     assert rig.pull((1.0, 1.0), (-1.0, 0.5)).duty == FULL_BRAKE
-    rig.speed = 0.0
-    rig.pull((-1.0, 2.0), (0.0, 1.0))
-    rig.duties = []
-    decision = rig.pull((-1.0, 2.0))
-    assert (decision.duty, decision.esc.state_name) == (REVERSE_BY_HAND, "REVERSE")
-    assert min(rig.duties) == REVERSE_BY_HAND
 
 
 @pytest.mark.parametrize("profile", [DIRECT_REVERSE, UNVERIFIED, BRAKE_THEN_REVERSE])
-def test_reverse_never_gets_the_scale_of_the_brake_not_even_for_a_moment(profile):
+def test_reverse_has_the_scale_of_driving_and_never_that_of_the_brake_not_even_for_a_moment(profile):
     rig = Rig(profile)
     decision = rig.pull((-1.0, 0.5), (0.0, 1.0), (-1.0, 0.5), (0.0, 0.2), (-1.0, 3.0))
-    assert decision.esc.state_name == "REVERSE"
+    assert (decision.duty, decision.esc.state_name) == (REVERSE_BY_HAND, "REVERSE")
     assert min(rig.duties) == REVERSE_BY_HAND
 
 

@@ -9,6 +9,7 @@ import math
 
 import pytest
 
+from car_interface.common import causes
 from car_interface.throttle.esc import ARMING, BRAKING, FORWARD, HOLD, NEUTRAL, REVERSE, Esc, EscConfig, Request
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
 
@@ -102,16 +103,13 @@ def test_board_that_lost_its_power_means_arming_again():
     (1.0, 1.0, FORWARD, "1.00 is requested"),
     (7.0, 1.0, FORWARD, "1.00 is requested (7, clamped)"),
     (-0.079, 0.0, NEUTRAL, "neutral is requested"),
+    (math.nan, 0.0, NEUTRAL, "the request is nan; it stops in neutral"),
+    (-math.inf, 0.0, NEUTRAL, "the request is -inf; it stops in neutral"),
 ])
-def test_forward_is_passed_beyond_the_dead_band_and_clamped(value, fraction, state, reason):
+def test_forward_is_passed_beyond_the_dead_band_and_clamped_and_what_is_no_number_stops(value, fraction, state, reason):
     decision = Car().stick(value)
     assert (decision.fraction, decision.state, decision.reason) == (fraction, state, reason)
-
-
-@pytest.mark.parametrize("value", [math.nan, -math.inf])
-def test_number_that_is_none_is_a_stop(value):
-    reason = f"the request is {value}; it stops in neutral"
-    assert Car().stick(value)[:4] == (0.0, NEUTRAL, "request not finite", reason)
+    assert (decision.cause == causes.REQUEST_NOT_FINITE) == (not math.isfinite(value))
 
 
 # --- brake ---
@@ -151,13 +149,6 @@ def test_second_pull_while_it_rolls_is_an_uncertain_brake_and_no_reverse_at_stan
     assert car.stick(-0.5, 2.0, speed=0.0).state == REVERSE
 
 
-def test_guard_s_neutral_during_a_brake_makes_it_uncertain():
-    car = Car()
-    car.drive_and_brake_to_standstill()
-    car.esc.update_held(0.0, car.now_ns)
-    assert car.stick(-0.5, speed=0.0)[:3] == (0.0, NEUTRAL, "at standstill")
-
-
 @pytest.mark.parametrize("profile", [*KNOWN, "unverified"])
 def test_planner_s_hold_never_becomes_reverse_however_often_the_deadman_is_let_go(profile):
     car = Car(profile)
@@ -169,14 +160,16 @@ def test_planner_s_hold_never_becomes_reverse_however_often_the_deadman_is_let_g
             assert decision.state in (HOLD, NEUTRAL) and (decision.fraction == 0 or profile == NO_REVERSE)
 
 
-def test_pull_is_neutral_while_it_rolls_backward_and_after_messages_were_dropped():
-    car = Car()
-    car.planner(0.5, 0.5, speed=1.0)
-    assert car.planner(-0.4, speed=-0.15).fraction == 0
-    dropped = Car()
+def test_pull_is_neutral_while_it_rolls_backward_after_a_guard_s_neutral_and_after_messages_were_dropped():
+    backward, guarded, dropped = Car(), Car(), Car()
+    backward.planner(0.5, 0.5, speed=1.0)
+    assert backward.planner(-0.4, speed=-0.15)[:2] == (0.0, NEUTRAL)
+    guarded.drive_and_brake_to_standstill()
+    guarded.esc.update_held(0.0, guarded.now_ns)
+    assert guarded.stick(-0.5, speed=0.0)[:3] == (0.0, NEUTRAL, "at standstill")
     dropped.stick(0.5, 0.5, speed=0.4)
     dropped.esc.mark_stale()
-    assert dropped.stick(-0.5, speed=0.4).fraction == 0.0
+    assert dropped.stick(-0.5, speed=0.4)[:2] == (0.0, NEUTRAL)
 
 
 # --- reverse ---
@@ -255,21 +248,19 @@ def test_brake_in_reverse_gear_slows_above_the_margin_and_never_drives_forward()
 
 # --- stop ---
 
-@pytest.mark.parametrize("profile", KNOWN)
-def test_stop_brakes_above_the_margin_with_any_named_profile(profile):
-    car = Car(profile)
+@pytest.mark.parametrize("profile, changes, fraction, guarantee", [
+    *((profile, {}, -0.5, (1.5, 0.5)) for profile in KNOWN),
+    ("unverified", {}, 0.0, (0.3, 0.0)),
+    (SEQUENCE, {"stop_brake": 0.0}, 0.0, (0.3, 0.0)),
+])
+def test_stop_brakes_above_the_margin_with_any_named_profile(profile, changes, fraction, guarantee):
+    car = Car(profile, **changes)
     car.stick(0.5, 0.5, speed=3.0)
-    assert car.stop(0.2, speed=3.0)[:4] == (-0.5, BRAKING, "stopping", "it brakes")
-    assert (car.decision.stop_mps2, car.decision.coasts_below_mps) == (1.5, 0.5)
+    decision = car.stop(0.2, speed=3.0)
+    assert decision[:3] == (fraction, BRAKING if fraction else NEUTRAL, causes.STOPPING)
+    assert decision.reason == ("it brakes" if fraction else "it stops in neutral")
+    assert (decision.stop_mps2, decision.coasts_below_mps) == guarantee
     assert car.stop(0.02, speed=0.6)[:2] == (0.0, NEUTRAL)
-
-
-@pytest.mark.parametrize("changes", [{"profile": "unverified"}, {"stop_brake": 0.0}])
-def test_stop_with_an_unverified_profile_or_without_a_stop_brake_is_neutral(changes):
-    car = Car(**changes)
-    car.stick(0.5, 0.5, speed=5.0)
-    assert car.stop(speed=5.0)[:2] == (0.0, NEUTRAL)
-    assert (car.decision.stop_mps2, car.decision.coasts_below_mps) == (0.3, 0.0)
 
 
 @pytest.mark.parametrize("profile, is_measured, coasts_s, fraction", [

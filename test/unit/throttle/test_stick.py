@@ -40,22 +40,14 @@ def test_scale_changes_by_a_step_each_time_that_a_button_is_pressed(buttons, val
     assert any(changes) == (value != 0.3) and not changes[0]
 
 
-def test_scale_ends_at_1_and_at_the_smaller_of_a_step_and_the_start():
-    scale = Scale(StickConfig(human_scale=0.3, scale_step=0.2))
+@pytest.mark.parametrize("start, step, least", [(0.3, 0.2, 0.2), (0.05, 0.1, 0.05), (0.3, 0.0, 0.3)])
+def test_scale_ends_at_1_and_at_the_smaller_of_a_step_and_the_start_and_a_step_of_0_changes_nothing(start, step, least):
+    scale = Scale(StickConfig(human_scale=start, scale_step=step))
     press(scale, *[0, 1] * 20)
-    assert scale.value == 1.0
+    assert scale.value == (1.0 if step else start)
     assert press(scale, 0, 1) == [False, False]
     press(scale, *[0, -1] * 20)
-    assert scale.value == pytest.approx(0.2)
-    low = Scale(StickConfig(human_scale=0.05, scale_step=0.1))
-    press(low, 0, -1)
-    assert low.value == 0.05
-
-
-def test_step_of_0_switches_the_buttons_off():
-    scale = Scale(StickConfig(scale_step=0.0))
-    press(scale, 0, 1, 0, -1)
-    assert scale.value == 0.3
+    assert scale.value == pytest.approx(least)
 
 
 def test_defaults_are_a_third_forward_and_the_whole_brake():
