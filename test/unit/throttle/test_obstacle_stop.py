@@ -99,21 +99,6 @@ def test_of_a_cone_the_place_counts_where_the_car_arrives_first():
 
 # --- ranges ---
 
-def seeing(ranges, now_ns=10 * S, cycle_ns=400 * MS, names=("front_middle",)):
-    """One whose sonars have seen this for some cycles, up to now."""
-    stop = ObstacleStop(ObstacleConfig({name: Mount(*SONARS[name]) for name in names}, outline=CAR))
-    for step in range(4, -1, -1):
-        for name, range_m in ranges.items():
-            stop.update_range(name, range_m, now_ns - step * cycle_ns)
-    return stop
-
-
-def test_the_speed_is_that_from_which_it_stops_in_time_with_age_cycle_and_actuation():
-    bound = seeing({"front_middle": 1.0}).bound(0.0, False, BRAKE, 10 * S + 50 * MS)
-    assert bound.speed_mps == pytest.approx(stopping_speed_mps(1.02 - 0.1, 0.05 + 0.4 + 0.1, BRAKE), rel=0.02)
-    assert (bound.cause, bound.words) == (causes.OBSTACLE_SLOWED, "front_middle sees 1.00 m, which allows")
-
-
 @pytest.mark.parametrize(("arrivals_ms", "cycle_s"), [
     ((0,), 0.43), ((0, 140), 0.14), ((0, 300, 440, 580), 0.3), ((0, 300, 440, 580, 720), 0.14)])
 def test_a_cycle_is_the_longest_of_the_last_three_and_before_there_is_one_the_longest_that_there_can_be(arrivals_ms,
@@ -126,41 +111,49 @@ def test_a_cycle_is_the_longest_of_the_last_three_and_before_there_is_one_the_lo
     assert bound.speed_mps == pytest.approx(stopping_speed_mps(distance_m - 0.1, cycle_s + 0.1, BRAKE), abs=1e-9)
 
 
-@pytest.mark.parametrize("range_m", [math.inf, 2.0, 3.5])
-def test_no_echo_counts_as_the_largest_range_and_too_near_is_no_speed(range_m):
-    bound = seeing({"front_middle": range_m}).bound(0.0, False, BRAKE, 10 * S)
-    assert bound == seeing({"front_middle": math.inf}).bound(0.0, False, BRAKE, 10 * S)
-    assert 1.4 < bound.speed_mps < 1.8 and bound.words == "front_middle sees nothing to 2 m, which allows"
-    assert seeing({"front_middle": -math.inf}).bound(0.0, False, BRAKE, 10 * S).speed_mps == 0.0
-
-
-@pytest.mark.parametrize(("ranges", "later_ns", "is_dropped", "why"), [
-    ({"front_middle": 1.0}, 1500 * MS, False, "front_middle silent for 1.50 s"),
-    ({}, 0, False, "front_middle was never heard"),
-    ({"front_middle": math.nan}, 0, False, "front_middle measures nan"),
-    ({"front_middle": 1.0}, 0, True, "front_middle was not heard since messages were dropped"),
-])
-def test_a_faulty_sonar_allows_no_speed_towards_it_and_is_named(ranges, later_ns, is_dropped, why):
-    stop = seeing(ranges)
+def bound_of(ranges, curvature_per_m=0.0, is_backward=False, later_ms=0, is_dropped=False, names=("front_middle",)):
+    """The bound by sonars that have seen this for some cycles of 400 ms."""
+    stop = ObstacleStop(ObstacleConfig({name: Mount(*SONARS[name]) for name in names}, outline=CAR))
+    for step in range(5):
+        for name, range_m in ranges.items():
+            stop.update_range(name, range_m, 10 * S + (step - 4) * 400 * MS)
     if is_dropped:
         stop.mark_stale()
-    bound = stop.bound(0.0, False, BRAKE, 10 * S + later_ns)
-    assert (bound.speed_mps, bound.cause) == (0.0, causes.SONAR_SILENT)
-    assert bound.words == f"{why}, and the car doesn't drive blind:"
+    return stop.bound(curvature_per_m, is_backward, BRAKE, 10 * S + later_ms * MS)
+
+
+FRONT = ("front_middle", "front_left", "front_right")
+BLIND = ", and the car doesn't drive blind:"
+# With what is left to the margin, and the age, a cycle and the actuation; the cone's edge is a little nearer.
+TO_1_M, TO_2_M = (pytest.approx(stopping_speed_mps(seen_m + 0.02 - 0.1, age_s + 0.4 + 0.1, BRAKE), rel=0.02)
+                  for seen_m, age_s in ((1.0, 0.05), (2.0, 0.0)))
+LITTLE = pytest.approx(0.1, abs=0.06)
+
+
+@pytest.mark.parametrize(("ranges", "inputs", "speed_mps", "cause", "words"), [
+    ({"front_middle": 1.0}, {"later_ms": 50}, TO_1_M, causes.OBSTACLE_SLOWED, "front_middle sees 1.00 m, which allows"),
+    *(({"front_middle": range_m}, {}, TO_2_M, causes.OBSTACLE_SLOWED, "front_middle sees nothing to 2 m, which allows")
+      for range_m in (2.0, 3.5, math.inf)),
+    ({"front_middle": -math.inf}, {}, 0.0, causes.OBSTACLE_SLOWED, "front_middle sees 0.00 m, which allows"),
+    # the least of all counts
+    (dict(zip(FRONT, (1.5, 0.2, math.inf))), {"names": FRONT}, LITTLE, causes.OBSTACLE_SLOWED,
+     "front_left sees 0.20 m, which allows"),
+    ({"rear_middle": 0.1, "front_left": 0.3}, {"is_backward": True, "names": ("rear_middle", "front_left")}, LITTLE,
+     causes.OBSTACLE_SLOWED, "rear_middle sees 0.10 m, which allows"),
+    # a faulty one allows no speed
+    ({"front_middle": 1.0}, {"later_ms": 1500}, 0.0, causes.SONAR_SILENT, "front_middle silent for 1.50 s" + BLIND),
+    ({}, {}, 0.0, causes.SONAR_SILENT, "front_middle was never heard" + BLIND),
+    ({"front_middle": math.nan}, {}, 0.0, causes.SONAR_SILENT, "front_middle measures nan" + BLIND),
+    ({"front_middle": 1.0}, {"is_dropped": True}, 0.0, causes.SONAR_SILENT,
+     "front_middle was not heard since messages were dropped" + BLIND),
+])
+def test_speed_is_bounded_by_the_nearest_that_a_sonar_sees_or_may_not_see(ranges, inputs, speed_mps, cause, words):
+    assert bound_of(ranges, **inputs) == (speed_mps, cause, words)
 
 
 def test_a_sonar_that_looks_elsewhere_or_that_the_car_does_not_have_does_not_count():
-    stop = seeing({"rear_middle": 0.1, "front_left": 0.3}, names=("rear_middle", "front_left"))
-    assert stop.bound(-0.9, False, BRAKE, 10 * S) is None
-    assert stop.bound(0.0, True, BRAKE, 10 * S).speed_mps < 0.2
-    assert seeing({"front_middle": 1.0, "rear_left": 0.1}).bound(0.0, True, BRAKE, 10 * S) is None
-
-
-def test_the_least_of_all_sonars_counts():
-    names = ("front_middle", "front_left", "front_right")
-    bound = seeing({"front_middle": 1.5, "front_left": 0.2, "front_right": math.inf}, names=names).bound(
-        0.0, False, BRAKE, 10 * S)
-    assert bound.words.startswith("front_left sees 0.20 m")
+    assert bound_of({"rear_middle": 0.1, "front_left": 0.3}, -0.9, names=("rear_middle", "front_left")) is None
+    assert bound_of({"front_middle": 1.0, "rear_left": 0.1}, is_backward=True) is None
 
 
 # --- parameters ---
