@@ -249,28 +249,28 @@ THROTTLE_THIRD, STEERING_THIRD = ({"third_button": 2, "third_mode": mode} for mo
                                                                                        "human_steering"))
 
 
+OVERRIDES = "the {} stick overrides the planner by {:.2f}"
+
+
 @pytest.mark.parametrize("buttons, changes, axes, steering, throttle", [
-    (AUTONOMOUS, {}, (0.5, 0.4), 0.5, 0.4),
+    (AUTONOMOUS, {}, (0.5, -0.8), 0.5, -0.8),
     (AUTONOMOUS, {}, (0.5, 0.0), 0.5, 0.0),
     (AUTONOMOUS, {}, (0.0, 0.4), 0.0, 0.4),
-    ([0, 0, 1], THROTTLE_THIRD, (0.5, 0.4), 0.5, 0.4),
-    ([0, 0, 1], STEERING_THIRD, (0.5, 0.4), 0.5, 0.4),
+    ([0, 0, 1], THROTTLE_THIRD, (0.5, 0.0), 0.5, 0.0),
+    ([0, 0, 1], STEERING_THIRD, (0.002, 0.4), 0.002, 0.4),
     (AUTONOMOUS, {"override_deadband": 0.45}, (0.5, 0.4), 0.5, 0.0),
     (AUTONOMOUS, {"steer_scale": -1.0, "throttle_scale": -1.0}, (0.5, 0.4), -0.5, -0.4),
 ])
-def test_stick_that_is_moved_under_any_deadman_has_its_actuator_at_once(buttons, changes, axes, steering, throttle):
+def test_stick_that_is_moved_under_any_deadman_has_its_actuator_at_once_and_the_reason_says_so(
+        buttons, changes, axes, steering, throttle):
     person = Person(buttons=buttons, **changes)
-    person.hold(REST, buttons)
-    assert person.hold(axes, buttons)[:3] == (True, steering, throttle)
-
-
-def test_override_is_reported_with_stick_and_value():
-    person = Person()
-    assert person.hold(REST, AUTONOMOUS)[3:] == (causes.AUTONOMOUS, "autonomous deadman held", "", "")
-    read = person.hold((0.5, -0.8), AUTONOMOUS)
-    assert (read.mode, read.steering_stick, read.throttle_stick) == ("autonomous", causes.OVERRIDE, causes.OVERRIDE)
-    assert read.reason == ("autonomous deadman held; the steering stick overrides the planner by 0.50; "
-                           "the throttle stick overrides the planner by -0.80")
+    before = person.hold(REST, buttons)
+    assert before[5:] == ("", "") and before.reason == f"{before.mode} deadman held"
+    read = person.hold(axes, buttons)
+    assert read[:3] == (True, steering, throttle) and read.mode == before.mode
+    moved = [(name, value) for name, value in (("steering", steering), ("throttle", throttle)) if abs(value) > 0.1]
+    assert read.reason == "; ".join([before.reason, *(OVERRIDES.format(*each) for each in moved)])
+    assert [stick == causes.OVERRIDE for stick in read[5:]] == [abs(steering) > 0.1, abs(throttle) > 0.1]
 
 
 @pytest.mark.parametrize("drift, steering", [(0.0, 0.002), (0.09, 0.09), (-0.09, -0.09)])
@@ -295,28 +295,21 @@ def test_chatter_at_the_edge_does_not_give_the_actuator_back_and_forth(low, high
     assert all(read.steering for read in person.seen)
 
 
-def test_stick_that_was_held_when_the_deadman_was_pressed_overrides_nothing_until_it_was_centered():
-    person = Person()
-    person.hold((0.5, 0.5), NONE)
-    read = person.hold((0.6, 0.7), AUTONOMOUS, 3.0)
-    assert read[1:3] == (0.0, 0.0)
-    assert (read.steering_stick, read.throttle_stick) == (causes.OFF_CENTER, causes.OFF_CENTER)
-    assert read.reason == ("autonomous deadman held; the steering stick, at 0.60, was off its center when the deadman "
-                           "was pressed: center it once; the throttle stick, at 0.70, was off its center when the "
-                           "deadman was pressed: center it once")
-    person.hold((0.02, 0.02), AUTONOMOUS)
-    assert person.hold((0.5, 0.5), AUTONOMOUS)[1:3] == (0.5, 0.5)
-
-
 @pytest.mark.parametrize("between", [BOTH, NONE])
-def test_stick_that_is_held_through_a_change_of_deadmen_is_the_planner_s_at_once(between):
+def test_stick_that_was_held_when_the_deadman_was_pressed_overrides_nothing_until_it_was_centered(between):
     person = Person()
     person.hold(REST, AUTONOMOUS)
     person.hold((0.5, 0.5), AUTONOMOUS)
     person.hold((0.5, 0.5), between)
     assert person.hold((0.5, 0.5), AUTONOMOUS)[1:3] == (0.0, 0.0)
     assert person.hold((0.5, 0.5), BOTH)[1:3] == (0.5, 0.5)
-    assert person.hold((0.5, 0.5), AUTONOMOUS, 1.0)[1:3] == (0.0, 0.0)
+    read = person.hold((0.6, 0.7), AUTONOMOUS, 3.0)
+    assert read[1:3] == (0.0, 0.0) and read[5:] == (causes.OFF_CENTER, causes.OFF_CENTER)
+    assert read.reason == ("autonomous deadman held; the steering stick, at 0.60, was off its center when the deadman "
+                           "was pressed: center it once; the throttle stick, at 0.70, was off its center when the "
+                           "deadman was pressed: center it once")
+    person.hold((0.02, 0.02), AUTONOMOUS)
+    assert person.hold((0.5, 0.5), AUTONOMOUS)[1:3] == (0.5, 0.5)
 
 
 @pytest.mark.parametrize("buttons, changes", [(AUTONOMOUS, {}), ([0, 0, 1], {"third_button": 2})])
@@ -357,16 +350,12 @@ def test_trigger_in_the_place_of_a_stick_never_drives_nor_steers(rest):
     assert read.reason.endswith("it doesn't count" if rest > 0 else "it only brakes")
 
 
-def test_trigger_that_is_pressed_and_let_go_passes_the_center_without_counting():
+def test_axis_counts_once_it_stayed_at_its_rest_which_a_trigger_only_passes():
     person = Person(axes=(0.0, 1.0))
     for axis in (1.0, 0.6, 0.2, -0.05, -0.4, -1.0, -0.5, 0.05, 0.6, 1.0):
         person.hold((0.0, axis), MANUAL)
     assert all(math.isnan(read.throttle) for read in person.seen if read.human_in_loop)
-
-
-def test_axis_counts_once_it_stayed_at_its_rest():
-    person = Person(axes=(1.0, 1.0))
-    person.hold(REST, MANUAL, 0.2)
+    person.hold(REST, NONE, 0.2)
     assert person.hold((0.5, 0.5), MANUAL)[1:3] == (0.5, 0.5)
 
 

@@ -84,20 +84,17 @@ def test_deadman_that_is_held_counts_through_the_delay_of_its_repetition(delay_m
     assert not typed(*steps, until_ms=3000 + 740).manual
 
 
-def test_deadman_counts_while_another_key_repeats_in_its_place():
-    steps = [(MANUAL, 0), *repeated(FORWARD, 300, 5000)]
-    assert typed(*steps, until_ms=5000) == Controls(0.0, 1.0, manual=True)
-    assert typed(*steps, until_ms=5720) == Controls()
-
-
-@pytest.mark.parametrize("steps, until_ms", [
-    (repeated(FORWARD, 0, 2000), 2000),
-    ([(MANUAL, 0), *repeated(FORWARD, 800, 2000)], 2000),
-    ([(MANUAL, 0), (FORWARD, 100), (RELEASE, 200)], 200),
-    ([(MANUAL, 0), (FORWARD, 100), (RELEASE, 200), (FORWARD, 300)], 300),
+@pytest.mark.parametrize("steps, until_ms, controls", [
+    (repeated(FORWARD, 0, 2000), 2000, Controls()),
+    ([(MANUAL, 0), *repeated(FORWARD, 800, 2000)], 2000, Controls()),
+    ([(MANUAL, 0), (FORWARD, 100), (RELEASE, 200)], 200, Controls()),
+    ([(MANUAL, 0), (FORWARD, 100), (RELEASE, 200), (FORWARD, 300)], 300, Controls()),
+    ([(MANUAL, 0), *repeated(FORWARD, 300, 5000)], 5000, Controls(0.0, 1.0, manual=True)),
+    ([(MANUAL, 0), *repeated(FORWARD, 300, 5000)], 5720, Controls()),
+    ([(AUTONOMOUS, 0)], 100, Controls(autonomous=True)),
 ])
-def test_key_without_a_deadman_or_after_space_asks_for_nothing_and_arms_none(steps, until_ms):
-    assert typed(*steps, until_ms=until_ms) == Controls()
+def test_key_counts_with_a_deadman_that_lasts_while_others_repeat_and_until_space(steps, until_ms, controls):
+    assert typed(*steps, until_ms=until_ms) == controls
     assert typed(*steps, (MANUAL, until_ms + 100), until_ms=until_ms + 100).manual
 
 
@@ -114,7 +111,6 @@ def test_steering_takes_a_quarter_of_a_second_to_the_end_and_back():
     ((RIGHT, FORWARD), -1.0, 1.0)])
 def test_held_keys_add_up(keys, steering, throttle):
     assert typed((MANUAL, 0), *((key, 0) for key in keys), until_ms=500) == Controls(steering, throttle, manual=True)
-    assert typed((AUTONOMOUS, 0), until_ms=100) == Controls(autonomous=True)
 
 
 @pytest.mark.parametrize("counts, until_ms", [(False, -1), (True, 700)])

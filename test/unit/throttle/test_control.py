@@ -275,30 +275,18 @@ def test_calibration_drive_hands_over_the_stick_once_it_was_let_go():
     assert rig.pull((0.0, 0.1), (-1.0, 0.1)).duty == REVERSE_BY_HAND
 
 
-@pytest.fixture
-def reversing():
-    """A car that its planner drives backward."""
+def test_pull_brakes_a_car_that_its_planner_drives_backward_until_it_is_slow_and_a_push_drives_it_forward():
     rig = Rig(DIRECT_REVERSE, mode="autonomous")
     rig.gear, rig.value = "reverse", -2.0
     assert rig.run(1.0).esc.state_name == "REVERSE"
     rig.speed = -2.0
     rig.run(0.5)
     rig.duties = []
-    return rig
-
-
-def test_pull_brakes_a_car_that_its_planner_drives_backward_until_it_is_slow(reversing):
-    decision = reversing.pull((-1.0, 0.2))
+    decision = rig.pull((-1.0, 0.2))
     assert (decision.duty, decision.esc.state_name) == (FULL_FORWARD, "BRAKING")
-    reversing.speed = -0.4
-    assert reversing.run(0.2).duty == NEUTRAL_DUTY
-    reversing.speed = 0.0
-    reversing.run(3.0)
-    assert reversing.decision.duty == min(reversing.duties) == NEUTRAL_DUTY
-
-
-def test_push_drives_a_car_forward_that_its_planner_drives_backward(reversing):
-    assert reversing.pull((1.0, 0.2)).esc.state_name == "BRAKING"
-    reversing.speed = 0.0
-    decision = reversing.run(0.2)
+    rig.speed = -0.4
+    assert rig.run(0.2).duty == NEUTRAL_DUTY
+    rig.speed = 0.0
+    assert rig.run(3.0).duty == min(rig.duties) == NEUTRAL_DUTY
+    decision = rig.pull((1.0, 0.2))
     assert (decision.duty, decision.esc.state_name) == (BY_HAND, "FORWARD")
