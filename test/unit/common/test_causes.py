@@ -7,10 +7,6 @@ CONSTANTS = {name: value for name, value in vars(causes).items() if name.isupper
 CAUSES = {name: value for name, value in CONSTANTS.items() if isinstance(value, str)}
 
 
-def test_every_cause_has_one_constant():
-    assert len(set(CAUSES.values())) == len(CAUSES) > 20
-
-
 def test_sets_hold_causes_only_and_cannot_change():
     sets = [value for value in CONSTANTS.values() if not isinstance(value, str)]
     assert len(sets) == 8
@@ -26,11 +22,5 @@ def test_causes_named_stale_or_not_finite_are_losses():
 
 
 def test_what_an_operator_does_is_no_loss():
-    operator = {causes.E_STOP, causes.HUMAN_ABSENT, causes.NO_DEADMAN, causes.STARTING, causes.NO_RADIUS,
-                causes.TELEOP, causes.PLANNER, causes.DRIVING,
-                causes.CONVERTING}
-    assert not operator & causes.LOSSES
-
-
-def test_locks_inhibit():
-    assert causes.LOCKS < causes.INHIBITS
+    assert not causes.LOSSES & {causes.E_STOP, causes.HUMAN_ABSENT, causes.NO_DEADMAN, causes.STARTING,
+                                causes.NO_RADIUS, causes.TELEOP, causes.PLANNER, causes.DRIVING, causes.CONVERTING}

@@ -37,24 +37,13 @@ def holder(tmp_path, fd):
         process.kill()
 
 
-def test_byte_that_nobody_has_locked_has_no_holder(fd):
-    assert lock_holder(fd, 64) == NOBODY
-
-
-def test_own_lock_does_not_count(fd):
-    lock_byte(fd, 64)
-    assert lock_holder(fd, 64) == NOBODY
-
-
-def test_holder_is_known_by_its_process_and_for_its_byte_only(fd, holder):
+def test_holder_is_another_process_that_has_locked_just_that_byte(fd, holder):
     assert lock_holder(fd, 64) == holder.pid
     assert lock_holder(fd, 63) == lock_holder(fd, 65) == NOBODY
-
-
-def test_byte_of_another_process_is_refused_and_its_neighbour_is_not(fd, holder):
     with pytest.raises(OSError, match=r"Resource temporarily unavailable|Permission denied"):
         lock_byte(fd, 64)
     lock_byte(fd, 65)
+    assert lock_holder(fd, 65) == NOBODY  # its own doesn't count
 
 
 def test_lock_of_a_process_that_died_is_gone(fd, holder):

@@ -17,18 +17,9 @@ def test_arguments_fix_the_parameters_of_their_node():
         "port": "/tmp/a", "virtual_chip": "/tmp/chip"}
 
 
-def test_auto_is_no_device():
-    """A default that a real car shares must not count."""
-    assert fixed_parameters("pca9685", ["--device", "auto"]) == {"device": "auto"}
-    assert fixed_parameters("teensy_sensor_hub", ["--port", "auto"]) == {"port": "auto"}
-
-
-def test_node_that_is_started_by_hand_has_none():
+def test_auto_is_no_device_and_a_node_that_is_started_by_hand_or_has_no_device_fixes_nothing():
+    assert fixed_parameters("pca9685", ["--device", "auto"]) == {"device": "auto"}  # a real car may share the default
     assert fixed_parameters("pca9685", ["_device:=virtual", *ROS]) == {}
-    assert fixed_parameters("pca9685", []) == {}
-
-
-def test_node_without_a_device_may_have_options_of_its_own():
     assert fixed_parameters("calibration_drive", ["--output", "/tmp/table.yaml", "x"]) == {}
 
 
@@ -41,10 +32,10 @@ def test_in_a_process_of_several_each_has_its_own():
 
 
 @pytest.mark.parametrize("arguments, message", [
-    pytest.param(["--devise", "virtual"], "argument --devise is unknown; accepted: --device VALUE, --address VALUE, "
-                                          "--virtual-chip VALUE$", id="misspelt"),
-    pytest.param(["--device", "my", "car"], "argument car is unknown", id="value_with_a_space_that_was_not_quoted"),
-    pytest.param(["--device"], "argument --device has no value; accepted: a value after it", id="without_a_value"),
+    (["--devise", "virtual"],
+     "argument --devise is unknown; accepted: --device VALUE, --address VALUE, --virtual-chip VALUE$"),
+    (["--device", "my", "car"], "argument car is unknown"),
+    (["--device"], "argument --device has no value; accepted: a value after it"),
 ])
 def test_arguments_that_fix_nothing_are_refused(arguments, message):
     with pytest.raises(ConfigError, match=message):
@@ -52,13 +43,13 @@ def test_arguments_that_fix_nothing_are_refused(arguments, message):
 
 
 @pytest.mark.parametrize("reader, fixed, value", [
-    pytest.param("text", "virtual", "virtual", id="text"),
-    pytest.param("integer", "0x40", "0x40", id="number_in_hex_as_roslaunch_leaves_it"),
-    pytest.param("integer", "0x40", 64, id="the_same_number_written_otherwise"),
-    pytest.param("flag", "True", True, id="flag_as_eval_writes_it"),
-    pytest.param("flag", "false", False, id="flag_as_a_person_writes_it"),
-    pytest.param("text_or_integer", "1", 1, id="number_of_a_bus"),
-    pytest.param("path", "/tmp/chip", "/tmp/chip", id="path"),
+    ("text", "virtual", "virtual"),
+    ("integer", "0x40", "0x40"),
+    ("integer", "0x40", 64),
+    ("flag", "True", True),
+    ("flag", "false", False),
+    ("text_or_integer", "1", 1),
+    ("path", "/tmp/chip", "/tmp/chip"),
 ])
 def test_parameter_that_is_as_the_launch_file_has_it_is_taken(reader, fixed, value):
     arguments = ("default",) if reader == "text_or_integer" else ()
@@ -68,19 +59,16 @@ def test_parameter_that_is_as_the_launch_file_has_it_is_taken(reader, fixed, val
 
 
 @pytest.mark.parametrize("reader, default, fixed, value, message", [
-    pytest.param("text_or_integer", "/dev/i2c-1", "virtual", None,
-                 "^x is missing; accepted: virtual, by the launch file that started this process$",
-                 id="missing_and_the_default_is_not_taken"),
-    pytest.param("text_or_integer", "/dev/i2c-1", "virtual", "/dev/i2c-1",
-                 "^x is '/dev/i2c-1'; accepted: virtual, by the launch file that started this process$",
-                 id="other_text"),
-    pytest.param("integer", 64, "0x40", "0x41", "^x is '0x41'; accepted: 0x40, by", id="other_number"),
-    pytest.param("flag", False, "true", None, "^x is missing; accepted: true, by", id="flag_that_is_missing"),
-    pytest.param("flag", False, "true", False, "^x is False; accepted: true, by", id="other_flag"),
-    pytest.param("flag", False, "maybe", False, "^x is False; accepted: maybe, by", id="no_flag_in_the_launch_file"),
-    pytest.param("path", None, None, "/tmp/other",
-                 "^x is '/tmp/other'; accepted: none, by the launch file that started this process; its argument x "
-                 "sets it$", id="set_where_none_may_be"),
+    ("text_or_integer", "/dev/i2c-1", "virtual", None,
+     "^x is missing; accepted: virtual, by the launch file that started this process$"),
+    ("text_or_integer", "/dev/i2c-1", "virtual", "/dev/i2c-1",
+     "^x is '/dev/i2c-1'; accepted: virtual, by the launch file that started this process$"),
+    ("integer", 64, "0x40", "0x41", "^x is '0x41'; accepted: 0x40, by"),
+    ("flag", False, "true", None, "^x is missing; accepted: true, by"),
+    ("flag", False, "true", False, "^x is False; accepted: true, by"),
+    ("flag", False, "maybe", False, "^x is False; accepted: maybe, by"),
+    ("path", None, None, "/tmp/other",
+     "^x is '/tmp/other'; accepted: none, by the launch file that started this process; its argument x sets it$"),
 ])
 def test_parameter_that_is_missing_or_differs_is_refused(reader, default, fixed, value, message):
     params = Params({} if value is None else {"x": value}, fixed={"x": fixed})
@@ -89,16 +77,9 @@ def test_parameter_that_is_missing_or_differs_is_refused(reader, default, fixed,
     assert error.value.name == "x"
 
 
-def test_value_that_cannot_be_is_refused_as_without_a_launch_file():
+def test_value_that_cannot_be_is_refused_as_without_a_launch_file_and_none_around_a_node_stands_in_for_it():
     with pytest.raises(ConfigError, match=r"^address is 'foo'; accepted: an integer from 64 to 127$"):
         Params({"address": "foo"}, fixed={"address": "foo"}).integer("address", 64, 64, 127)
-
-
-def test_parameter_that_must_not_be_set_has_its_default():
-    assert Params({}, fixed={"x": None}).path("x", None) is None
-
-
-def test_namespace_around_a_node_does_not_stand_in_for_a_fixed_parameter():
-    params = Params({}, lambda name: "7", fixed={"x": "7"})
     with pytest.raises(ConfigError, match="x is missing"):
-        params.integer("x", search_parents=True)
+        Params({}, lambda name: "7", fixed={"x": "7"}).integer("x", search_parents=True)
+    assert Params({}, fixed={"x": None}).path("x", None) is None

@@ -33,13 +33,13 @@ def sparse(path):
 
 
 @pytest.mark.parametrize("make, reason", [
-    pytest.param(pipe, "it is a pipe", id="pipe_that_nobody_writes_to"),
-    pytest.param(lambda path: "/dev/zero", "it is a device", id="device_without_an_end"),
-    pytest.param(lambda path: "/dev/tty", "it is a device", id="device_that_waits"),
-    pytest.param(listening, "it is a socket", id="socket"),
-    pytest.param(lambda path: path.parent, "Is a directory", id="folder"),
-    pytest.param(sparse, "it has 1,000.0 MB, more than 2 MB", id="sparse_file_of_1_gb"),
-    pytest.param(lambda path: path, "No such file or directory", id="nothing"),
+    (pipe, "it is a pipe"),
+    (lambda path: "/dev/zero", "it is a device"),
+    (lambda path: "/dev/tty", "it is a device"),
+    (listening, "it is a socket"),
+    (lambda path: path.parent, "Is a directory"),
+    (sparse, "it has 1,000.0 MB, more than 2 MB"),
+    (lambda path: path, "No such file or directory"),
 ])
 def test_what_is_no_file_of_a_person_is_refused_by_its_kind_or_size(tmp_path, make, reason):
     with pytest.raises(OSError) as caught:

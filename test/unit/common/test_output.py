@@ -75,48 +75,26 @@ def test_half_written_file_is_none(tmp_path, monkeypatch):
     assert [(other.name, other.read_text()) for other in tmp_path.iterdir()] == [("a", "old")]
 
 
-def folder(tmp_path):
-    return tmp_path, "is a folder"
-
-
-def new_folder(tmp_path):
-    return f"{tmp_path}/new/", "is a folder"
-
-
-def in_no_folder(tmp_path):
-    return tmp_path / "none" / "a", "there is no folder"
-
-
-def recording_given(tmp_path):
+@pytest.mark.parametrize("name, words", [
+    ("", "is a folder"),
+    ("new/", "is a folder"),
+    ("none/a", "there is no folder"),
+    ("given.bag", "is one of the recordings"),
+    ("link.html", "is one of the recordings"),
+    ("other.yaml", "is a recording, and would be lost"),
+    ("protected.yaml", "is write-protected"),
+])
+def test_output_that_can_not_be_or_would_be_a_loss_is_refused_by_the_name_it_was_given(name, words, tmp_path):
     (tmp_path / "given.bag").touch()
-    return tmp_path / "given.bag", "is one of the recordings"
-
-
-def link_to_recording_given(tmp_path):
-    (tmp_path / "given.bag").touch()
-    (tmp_path / "a.html").symlink_to(tmp_path / "given.bag")
-    return tmp_path / "a.html", "is one of the recordings"
-
-
-def other_recording(tmp_path):
-    (tmp_path / "a.yaml").write_bytes(b"#ROSBAG V2.0\n")
-    return tmp_path / "a.yaml", "is a recording, and would be lost"
-
-
-def protected(tmp_path):
-    (tmp_path / "a.yaml").touch(mode=0o444)
-    return tmp_path / "a.yaml", "is write-protected"
-
-
-@pytest.mark.parametrize("made", [folder, new_folder, in_no_folder, recording_given, link_to_recording_given,
-                                  other_recording, protected], ids=lambda made: made.__name__)
-def test_output_that_can_not_be_or_would_be_a_loss_is_refused_by_the_name_it_was_given(made, tmp_path):
-    path, words = made(tmp_path)
+    (tmp_path / "link.html").symlink_to(tmp_path / "given.bag")
+    (tmp_path / "other.yaml").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "protected.yaml").touch(mode=0o444)
+    path = f"{tmp_path}/{name}"
     with pytest.raises(CarInterfaceError, match=f"^{path} [^\n]*{words}[^\n]*$"):
-        output.check(str(path), [str(tmp_path / "given.bag")])
+        output.check(path, [str(tmp_path / "given.bag")])
 
 
-def test_folder_without_permission_is_told(tmp_path, monkeypatch):
+def test_folder_without_permission_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, mode: path != str(tmp_path))  # root may write everywhere
     with pytest.raises(CarInterfaceError, match=f"a can't be written: no permission in the folder {tmp_path}"):
         output.check(str(tmp_path / "a"))

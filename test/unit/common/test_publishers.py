@@ -18,12 +18,19 @@ def topic(*publishers, is_shared=False):
     return CommandTopic("/av_turnrad_req", FLOAT, publishers, is_shared)
 
 
-@pytest.mark.parametrize("publishers", [(), (PLANNER,)], ids=["nobody", "one_of_the_right_type"])
-def test_nobody_or_one_of_the_right_type_is_no_fault(publishers):
-    assert find_faults(topic(*publishers)) == []
+@pytest.mark.parametrize("publishers, is_shared, found", [
+    ([], False, []),
+    ([PLANNER], False, []),
+    ([PLANNER, LAPTOPS], False, [causes.WRONG_TYPE]),
+    ([PLANNER, Publisher("/other", "laptop", "")], False, [causes.UNKNOWN_HOST]),
+    ([PLANNER, TELEOP], False, [causes.SECOND_PUBLISHER]),
+    ([TELEOP, PLANNER, LAPTOPS], True, [causes.WRONG_TYPE]),
+])
+def test_second_publisher_is_one_whose_messages_arrive_where_only_one_may_be(publishers, is_shared, found):
+    assert [fault.cause for fault in find_faults(topic(*publishers, is_shared=is_shared))] == found
 
 
-def test_wrong_type_is_told_with_node_machine_and_both_types():
+def test_wrong_type_is_reported_with_node_machine_and_both_types():
     fault, = find_faults(topic(LAPTOPS))
     assert (fault.cause, fault.subject) == (causes.WRONG_TYPE, "/av_turnrad_req")
     assert fault.text == ("/planner on laptop publishes std_msgs/Float64 on /av_turnrad_req, which takes "
@@ -31,20 +38,17 @@ def test_wrong_type_is_told_with_node_machine_and_both_types():
                           "std_msgs/Float32, or publish on another topic")
 
 
-def test_topic_of_two_types_takes_either_and_names_both():
+def test_topic_of_two_types_takes_either_and_names_both_and_one_that_is_only_counted_takes_any():
     both = CommandTopic("/cmd_vel", f"{FLOAT} or {DOUBLE}", (PLANNER,))
     assert find_faults(both) == [] == find_faults(both._replace(publishers=(LAPTOPS,)))
     fault, = find_faults(both._replace(publishers=(Publisher("/planner", "car", "std_msgs/Bool"),)))
     assert fault.cause == causes.WRONG_TYPE and "which takes std_msgs/Float32 or std_msgs/Float64: " in fault.reason
     fault, = find_faults(both._replace(publishers=(PLANNER, LAPTOPS)))
     assert fault.cause == causes.SECOND_PUBLISHER
-
-
-def test_topic_whose_messages_are_only_counted_takes_any_type_from_anybody():
     assert find_faults(CommandTopic("/cmd_vel", "*", (PLANNER, LAPTOPS, TELEOP), is_shared=True)) == []
 
 
-def test_publisher_on_a_computer_whose_name_is_unknown_is_told_with_the_remedy():
+def test_publisher_on_a_computer_whose_name_is_unknown_is_reported_with_the_remedy():
     fault, = find_faults(topic(Publisher("/planner", "laptop", "")))
     assert fault.cause == causes.UNKNOWN_HOST
     assert fault.text == ("/planner publishes on /av_turnrad_req from a computer that it calls laptop, which can't be "
@@ -52,16 +56,7 @@ def test_publisher_on_a_computer_whose_name_is_unknown_is_told_with_the_remedy()
                           "computer's address, and start it again; if it has ended: rosnode cleanup")
 
 
-def test_publisher_whose_messages_do_not_arrive_is_no_second_one():
-    assert [fault.cause for fault in find_faults(topic(PLANNER, Publisher("/other", "laptop", "")))] == [
-        causes.UNKNOWN_HOST]
-
-
-def test_publisher_of_the_wrong_type_is_no_second_one():
-    assert [fault.cause for fault in find_faults(topic(PLANNER, LAPTOPS))] == [causes.WRONG_TYPE]
-
-
-def test_second_publisher_is_told_with_all_nodes_and_machines_and_the_one_started_by_hand_is_to_be_ended():
+def test_second_publisher_is_reported_with_all_nodes_and_machines_and_the_one_started_by_hand_is_to_be_ended():
     fault, = find_faults(topic(TELEOP, BY_HAND))
     assert fault.cause == causes.SECOND_PUBLISHER
     assert fault.text == ("2 nodes publish on /av_turnrad_req, /rostopic_12_34 on laptop and /teleop_logi on car: the "
@@ -75,36 +70,18 @@ def test_of_two_nodes_none_is_named_as_the_wrong_one():
     assert fault.remedy == "End all but the one that shall command: rosnode kill ends a node"
 
 
-def test_shared_topic_may_have_several_publishers_of_the_right_type():
-    causes_found = [fault.cause for fault in find_faults(topic(TELEOP, PLANNER, LAPTOPS, is_shared=True))]
-    assert causes_found == [causes.WRONG_TYPE]
-
-
 # --- what is logged ---
 
 WRONG, SECOND = (find_faults(topic(LAPTOPS))[0], find_faults(topic(TELEOP, BY_HAND))[0])
 
 
-def test_wrong_type_is_logged_at_once_and_then_every_ten_seconds():
+@pytest.mark.parametrize("faults, logged", [
+    (lambda second: [WRONG], [0, 10, 20]),
+    (lambda second: [WRONG] if second % 2 else [], [1, 11, 21]),
+    (lambda second: [SECOND], [5, 15]),
+    (lambda second: [SECOND] if second % 5 < 4 else [], []),
+], ids=["wrong_type", "wrong_type_that_comes_and_goes", "second_publisher", "second_publisher_that_comes_and_goes"])
+def test_wrong_type_is_logged_at_once_and_a_second_publisher_once_it_has_lasted_every_ten_seconds(faults, logged):
     log = FaultLog()
-    logged = [second for second in range(25) if log.update([WRONG], second * NS_PER_S)]
-    assert logged == [0, 10, 20]
-
-
-def test_second_publisher_is_logged_once_it_has_lasted():
-    log = FaultLog()
-    assert [second for second in range(20) if log.update([SECOND], second * NS_PER_S)] == [5, 15]
-    assert log.is_lasting(SECOND, 20 * NS_PER_S)
-
-
-def test_publisher_that_comes_and_goes_is_never_logged():
-    log = FaultLog()
-    present = [second % 5 < 4 for second in range(60)]
-    assert not any(log.update([SECOND] if is_there else [], second * NS_PER_S)
-                   for second, is_there in enumerate(present))
-
-
-def test_wrong_type_that_comes_and_goes_is_logged_every_ten_seconds_at_most():
-    log = FaultLog()
-    logged = [second for second in range(22) if log.update([WRONG] if second % 2 else [], second * NS_PER_S)]
-    assert logged == [1, 11, 21]
+    assert [second for second in range(25) if log.update(faults(second), second * NS_PER_S)] == logged
+    assert log.is_lasting(SECOND, 25 * NS_PER_S) == (5 in logged)

@@ -16,24 +16,15 @@ def pauses_and_lines(refused, text, count, now_ns=0):
     return found, now_ns
 
 
-def test_pauses_grow_from_one_second_to_thirty():
-    found, _ = pauses_and_lines(RefusedParameters(), BAD, 8)
-    assert [pause for pause, _ in found] == [1, 2, 4, 8, 16, 30, 30, 30]
-
-
-def test_line_names_the_parameter_and_says_what_happens_next():
-    found, _ = pauses_and_lines(RefusedParameters(), BAD, 1)
-    assert found[0][1] == f"{BAD}. This node waits, and reads its parameters again in 1 s, later every 30 s"
-
-
-def test_same_line_is_not_repeated_for_five_minutes():
+def test_pauses_grow_from_one_second_to_thirty_and_the_line_that_says_so_comes_at_once_and_after_five_minutes():
     found, _ = pauses_and_lines(RefusedParameters(), BAD, 16)
-    logged = [line for _, line in found]
-    assert logged[1:14] == [""] * 13
-    assert logged[14:] == [f"{BAD}. This node waits, and reads its parameters again in 30 s", ""]
+    assert [pause for pause, _ in found[:8]] == [1, 2, 4, 8, 16, 30, 30, 30]
+    assert [line for _, line in found] == [
+        f"{BAD}. This node waits, and reads its parameters again in 1 s, later every 30 s", *[""] * 13,
+        f"{BAD}. This node waits, and reads its parameters again in 30 s", ""]
 
 
-def test_new_reason_is_logged_at_once_and_the_pauses_begin_anew():
+def test_new_reason_is_logged_at_once_and_the_pauses_begin_again():
     refused = RefusedParameters()
     _, now_ns = pauses_and_lines(refused, BAD, 5)
     found, _ = pauses_and_lines(refused, "servo_right is missing; accepted: an integer", 2, now_ns)

@@ -1,4 +1,4 @@
-"""How long ago an input was heard. Time is a number that's passed in; nothing here waits."""
+"""How long ago an input was timed. Time is a number that's passed in; nothing here waits."""
 from __future__ import annotations
 
 import math
@@ -11,69 +11,49 @@ S = 1_000_000_000
 AT = 1000 * S
 
 
-def heard_once(timeout_s, value="something"):
-    heard = TimedInput("human_in_loop", timeout_s)
-    heard.update(value, AT)
-    return heard
+def received_once(timeout_s, value="something"):
+    timed = TimedInput("human_in_loop", timeout_s)
+    timed.update(value, AT)
+    return timed
 
 
-@pytest.mark.parametrize("timeout_s, age_ns, silent", [
-    pytest.param(0.5, 0, False, id="just_heard_is_fresh"),
-    pytest.param(0.5, S // 2, False, id="exactly_as_old_as_its_timeout_is_fresh"),
-    pytest.param(0.5, S // 2 + 1, True, id="a_nanosecond_older_than_its_timeout_is_silent"),
-    pytest.param(3600.0, 3600 * S, False, id="an_hour_old_is_fresh_with_a_timeout_of_an_hour"),
-    pytest.param(3600.0, 3600 * S + 1, True, id="a_nanosecond_more_is_silent"),
-    pytest.param(0.0, 10 ** 9 * S, False, id="timeout_0_is_never_silent_once_heard"),
-    pytest.param(1e-10, 1, True, id="a_timeout_of_next_to_nothing_is_not_taken_for_never"),
+@pytest.mark.parametrize("timeout_s, age_ns, stale", [
+    (0.5, S // 2, False),
+    (0.5, S // 2 + 1, True),
+    (3600.0, 3600 * S, False),
+    (0.0, 10 ** 9 * S, False),
+    (1e-10, 1, True),
 ])
-def test_input_of_an_age_is_silent_or_not(timeout_s, age_ns, silent):
-    assert heard_once(timeout_s).is_stale(AT + age_ns) is silent
+def test_input_is_stale_when_it_is_older_than_its_timeout(timeout_s, age_ns, stale):
+    assert received_once(timeout_s).is_stale(AT + age_ns) is stale
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, 0.5])
-def test_input_never_heard_is_silent_whatever_its_timeout(timeout_s):
-    heard = TimedInput("human_in_loop", timeout_s)
-    assert heard.is_stale(AT)
-    assert not heard.was_received
-    assert heard.age_s(AT) == math.inf
-    assert heard.stale_reason(AT) == "human_in_loop was never heard"
+def test_input_that_was_never_received_is_stale_and_stays_so_when_it_is_marked_stale(timeout_s):
+    timed = TimedInput("human_in_loop", timeout_s)
+    timed.mark_stale()
+    assert timed.is_stale(AT) and not timed.was_received and not timed.is_marked_stale
+    assert timed.age_s(AT) == math.inf
+    assert timed.stale_reason(AT) == "human_in_loop was never heard"
+    timed.update("new", AT)
+    assert not timed.is_stale(AT) and timed.was_received and timed.value == "new"
 
 
-def test_input_heard_again_is_fresh_with_the_newest_value():
-    heard = heard_once(0.5, "old")
-    assert heard.is_stale(AT + S)
-    heard.update("new", AT + S)
-    assert not heard.is_stale(AT + S + 1)
-    assert heard.value == "new" and heard.was_received
-
-
-def test_input_silent_for_a_while_says_so_in_words_and_seconds():
-    heard = heard_once(0.5)
-    assert heard.age_s(AT + 520_000_000) == pytest.approx(0.52)
-    assert heard.stale_reason(AT + 520_000_000) == "human_in_loop silent for 0.52 s"
+def test_input_that_was_stale_for_a_while_says_so_until_it_is_received_again():
+    timed = received_once(0.5, "old")
+    assert timed.age_s(AT + 520_000_000) == pytest.approx(0.52)
+    assert timed.stale_reason(AT + 520_000_000) == "human_in_loop silent for 0.52 s"
+    assert timed.age_s(AT) == timed.age_s(AT - 1) == 0.0
+    timed.update("new", AT + S)
+    assert not timed.is_stale(AT + S + 1) and timed.value == "new"
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, 0.5])
-def test_input_marked_stale_is_silent_until_it_is_heard_again_whatever_its_timeout(timeout_s):
-    heard = heard_once(timeout_s)
-    heard.mark_stale()
-    assert heard.is_stale(AT) and heard.was_received
-    assert heard.stale_reason(AT) == "human_in_loop was not heard since messages were dropped"
-    heard.update("new", AT)
-    assert not heard.is_stale(AT)
-
-
-def test_input_marked_stale_for_another_reason_says_that_one():
-    heard = heard_once(0.5)
-    heard.mark_stale("the planner paused")
-    assert heard.stale_reason(AT) == "human_in_loop was not heard since the planner paused"
-    heard.mark_stale()
-    assert heard.stale_reason(AT) == "human_in_loop was not heard since messages were dropped"
-
-
-def test_input_never_heard_stays_so_when_it_is_marked_stale():
-    heard = TimedInput("human_in_loop", 0.5)
-    heard.mark_stale()
-    assert heard.stale_reason(AT) == "human_in_loop was never heard"
-    heard.update("new", AT)
-    assert not heard.is_stale(AT)
+def test_input_that_was_marked_stale_says_why_until_it_is_received_again_whatever_its_timeout(timeout_s):
+    timed = received_once(timeout_s)
+    for since, words in ((("the planner paused",), "the planner paused"), ((), "messages were dropped")):
+        timed.mark_stale(*since)
+        assert timed.is_stale(AT) and timed.was_received
+        assert timed.stale_reason(AT) == f"human_in_loop was not heard since {words}"
+    timed.update("new", AT)
+    assert not timed.is_stale(AT) and not timed.is_marked_stale

@@ -28,78 +28,53 @@ S = 1_000_000_000
 NOW = 1000 * S
 
 
-def arbiter_with(human_timeout_s=None, **rules):
+def arbiter_with(human=None, teleop=None, planner=None, steering=None, odometry=None, calibration=SLASH,
+                 human_timeout_s=None, **rules):
+    """One that received each input once: (value, its age in seconds at NOW), or None = never."""
     if human_timeout_s is not None:
         rules["interlock"] = InterlockConfig(human_timeout_s=human_timeout_s)
-    return SteeringArbiter(SLASH, ArbiterConfig(**rules))
+    arbiter = SteeringArbiter(calibration, ArbiterConfig(**rules))
+    for update, received in ((arbiter.update_odometry, odometry), (arbiter.update_human, human),
+                             (arbiter.update_teleop, teleop), (arbiter.update_planner, planner),
+                             (arbiter.update_planner_steering, steering)):
+        if received is not None:
+            value, age_s = received
+            update(value, NOW - round(age_s * S))
+    return arbiter
 
 
-def decide(human=None, teleop=None, planner=None, **changes):
-    """The decision at NOW after each input was heard once: (value, its age in seconds), or None = never."""
-    arbiter = arbiter_with(**changes)
-    for hear, heard in ((arbiter.update_human, human), (arbiter.update_teleop, teleop),
-                        (arbiter.update_planner, planner)):
-        if heard is not None:
-            value, age_s = heard
-            hear(value, NOW - round(age_s * S))
-    return arbiter.decide(NOW)
+def decide(human=None, teleop=None, planner=None, **inputs):
+    return arbiter_with(human, teleop, planner, **inputs).decide(NOW)
 
 
 HELD, LET_GO = (True, 0.1), (False, 0.1)
 STEERS, RESTS = (0.5, 0.1), (0.0, 0.1)  # a duty of 4450
 ASKS, ASKS_NOTHING = (-10.0, 0.1), (0.0, 0.1)  # a duty of 6250
 FRESH, STALE = 0.5, 0.500000001
+NAN, INF = math.nan, math.inf
 
 
 @pytest.mark.parametrize("human, teleop, planner, source, duty, reason", [
-    pytest.param(None, None, None, NO_HUMAN, CENTER, "human_in_loop was never heard", id="nobody_was_ever_heard"),
-    pytest.param(None, STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop was never heard",
-                 id="without_a_human_neither_gamepad_nor_planner_gets_the_wheel"),
-    pytest.param(LET_GO, STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop is false", id="a_human_who_lets_go_stops_both"),
-    pytest.param((True, 0.52), STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop silent for 0.52 s",
-                 id="a_silent_human_stops_both"),
-    pytest.param((True, STALE), STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop silent for 0.50 s",
-                 id="a_human_a_nanosecond_too_old_is_silent"),
-    pytest.param((True, FRESH), STEERS, ASKS, TELEOP, 4450, "tele_steer_req is 0.500",
-                 id="a_human_exactly_as_old_as_the_timeout_is_there"),
-    pytest.param((False, 0.52), STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop silent for 0.52 s",
-                 id="a_false_that_is_too_old_is_silence"),
-
-    pytest.param(HELD, None, None, NEUTRAL, CENTER, "neither tele_steer_req nor av_turnrad_req asks for anything",
-                 id="a_human_alone_means_neutral"),
-    pytest.param(HELD, STEERS, ASKS, TELEOP, 4450, "tele_steer_req is 0.500", id="the_gamepad_wins_over_the_planner"),
-    pytest.param(HELD, STEERS, None, TELEOP, 4450, "tele_steer_req is 0.500", id="the_gamepad_needs_no_planner"),
-    pytest.param(HELD, (0.5, STALE), ASKS, NEUTRAL, CENTER, "tele_steer_req silent for 0.50 s",
-                 id="a_gamepad_that_fell_silent_means_neutral_and_not_the_planner"),
-    pytest.param(HELD, (0.0, STALE), ASKS, NEUTRAL, CENTER, "tele_steer_req silent for 0.50 s",
-                 id="so_does_one_that_rested_when_it_fell_silent"),
-    pytest.param(HELD, (0.5, FRESH), ASKS, TELEOP, 4450, "tele_steer_req is 0.500",
-                 id="a_gamepad_exactly_as_old_as_the_timeout_steers"),
-    pytest.param(HELD, (math.nan, 0.1), ASKS, NEUTRAL, CENTER, "tele_steer_req is nan",
-                 id="a_gamepad_that_sends_nan_means_neutral_and_not_the_planner"),
-    pytest.param(HELD, (math.inf, 0.1), ASKS, NEUTRAL, CENTER, "tele_steer_req is inf", id="so_does_infinity"),
-    pytest.param(HELD, (-math.inf, 0.1), ASKS, NEUTRAL, CENTER, "tele_steer_req is -inf", id="so_does_minus_infinity"),
-
-    pytest.param(HELD, None, ASKS, PLANNER, 6250, "av_turnrad_req is -10.000 m",
-                 id="with_a_gamepad_never_heard_the_planner_may_drive"),
-    pytest.param(HELD, RESTS, ASKS, PLANNER, 6250, "av_turnrad_req is -10.000 m",
-                 id="with_the_gamepad_at_rest_the_planner_may_drive"),
-    pytest.param(HELD, RESTS, None, NEUTRAL, CENTER, "neither tele_steer_req nor av_turnrad_req asks for anything",
-                 id="a_gamepad_at_rest_without_a_planner_means_neutral"),
-    pytest.param(HELD, None, (-10.0, STALE), NEUTRAL, CENTER, "av_turnrad_req silent for 0.50 s",
-                 id="a_silent_planner_means_neutral"),
-    pytest.param(HELD, None, (-10.0, FRESH), PLANNER, 6250, "av_turnrad_req is -10.000 m",
-                 id="a_planner_exactly_as_old_as_the_timeout_steers"),
-    pytest.param(HELD, RESTS, ASKS_NOTHING, NEUTRAL, CENTER, "av_turnrad_req is 0, which asks for nothing",
-                 id="a_planner_that_asks_for_nothing_means_neutral"),
-    pytest.param(HELD, None, (math.nan, 0.1), NEUTRAL, CENTER, "av_turnrad_req is nan",
-                 id="a_planner_that_sends_nan_asks_for_nothing"),
-    pytest.param(HELD, None, (math.inf, 0.1), PLANNER, CENTER, "av_turnrad_req is inf: straight on",
-                 id="an_infinite_radius_is_straight_on"),
-    pytest.param(HELD, None, (-math.inf, 0.1), PLANNER, CENTER, "av_turnrad_req is -inf: straight on",
-                 id="so_is_a_radius_of_minus_infinity"),
-    pytest.param(HELD, STEERS, (math.nan, 0.1), TELEOP, 4450, "tele_steer_req is 0.500",
-                 id="a_planner_that_sends_nan_is_no_matter_to_the_gamepad"),
+    (None, STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop was never heard"),
+    (LET_GO, STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop is false"),
+    ((True, STALE), STEERS, ASKS, NO_HUMAN, CENTER, "human_in_loop silent for 0.50 s"),
+    ((True, FRESH), STEERS, ASKS, TELEOP, 4450, "tele_steer_req is 0.500"),
+    (HELD, None, None, NEUTRAL, CENTER, "neither tele_steer_req nor av_turnrad_req asks for anything"),
+    (HELD, (0.5, STALE), ASKS, NEUTRAL, CENTER, "tele_steer_req silent for 0.50 s"),
+    (HELD, (0.0, STALE), ASKS, NEUTRAL, CENTER, "tele_steer_req silent for 0.50 s"),
+    (HELD, (0.5, FRESH), ASKS, TELEOP, 4450, "tele_steer_req is 0.500"),
+    (HELD, (NAN, 0.1), ASKS, NEUTRAL, CENTER, "tele_steer_req is nan, no number to act on"),
+    (HELD, (-INF, 0.1), ASKS, NEUTRAL, CENTER, "tele_steer_req is -inf, no number to act on"),
+    (HELD, None, ASKS, PLANNER, 6250, "av_turnrad_req is -10.000 m"),
+    (HELD, RESTS, ASKS, PLANNER, 6250, "av_turnrad_req is -10.000 m"),
+    (HELD, RESTS, None, NEUTRAL, CENTER, "neither tele_steer_req nor av_turnrad_req asks for anything"),
+    (HELD, None, (-10.0, STALE), NEUTRAL, CENTER, "av_turnrad_req silent for 0.50 s"),
+    (HELD, None, (-10.0, FRESH), PLANNER, 6250, "av_turnrad_req is -10.000 m"),
+    (HELD, RESTS, ASKS_NOTHING, NEUTRAL, CENTER, "av_turnrad_req is 0, which asks for nothing"),
+    (HELD, None, (NAN, 0.1), NEUTRAL, CENTER, "av_turnrad_req is nan"),
+    (HELD, STEERS, (NAN, 0.1), TELEOP, 4450, "tele_steer_req is 0.500"),
+    (HELD, None, (INF, 0.1), PLANNER, CENTER, "av_turnrad_req is inf: straight on"),
+    (HELD, None, (-INF, 0.1), PLANNER, CENTER, "av_turnrad_req is -inf: straight on"),
 ])
 def test_arbiter_with_these_inputs_picks_source_duty_and_reason(human, teleop, planner, source, duty, reason):
     decision = decide(human, teleop, planner)
@@ -107,58 +82,15 @@ def test_arbiter_with_these_inputs_picks_source_duty_and_reason(human, teleop, p
     assert decision.reason.startswith(reason)
 
 
-def test_arbiter_through_a_drive_hands_the_wheel_on_and_back():
-    arbiter = SteeringArbiter(SLASH)
-    now = NOW
-
-    def after(milliseconds):
-        nonlocal now
-        now += milliseconds * 1_000_000
-        return SOURCE_NAMES[arbiter.decide(now).source]
-
-    assert after(0) == "NO_HUMAN"
-    arbiter.update_planner(5.0, now)
-    assert after(1) == "NO_HUMAN"
-    arbiter.update_human(True, now)
-    assert after(1) == "PLANNER"
-    arbiter.update_teleop(0.3, now)
-    assert after(1) == "TELEOP"
-    arbiter.update_teleop(0.0, now)
-    assert after(1) == "PLANNER"
-    arbiter.update_human(True, now)
-    arbiter.update_planner(5.0, now)
-    assert after(499) == "PLANNER"
-    arbiter.update_human(True, now)
-    arbiter.update_planner(5.0, now)
-    assert after(2) == "NEUTRAL"  # the gamepad is 501 ms old
-    arbiter.update_teleop(0.0, now)
-    assert after(1) == "PLANNER"
-    arbiter.update_human(False, now)
-    assert after(1) == "NO_HUMAN"
-    arbiter.update_human(True, now)
-    assert after(1) == "PLANNER"
-    assert after(500) == "NO_HUMAN"
-
-
-def test_first_true_of_the_human_after_start_grants_control():
-    arbiter = SteeringArbiter(SLASH)
-    arbiter.update_human(True, NOW)
-    arbiter.update_teleop(1.0, NOW)
-    assert arbiter.decide(NOW).source == TELEOP
-
-
 @pytest.mark.parametrize("name, human, teleop, planner, source", [
-    pytest.param("human_timeout_s", (True, 1e6), STEERS, ASKS, TELEOP, id="human"),
-    pytest.param("teleop_timeout_s", HELD, (0.5, 1e6), ASKS, TELEOP, id="teleop"),
-    pytest.param("planner_timeout_s", HELD, None, (-10.0, 1e6), PLANNER, id="planner"),
+    ("human_timeout_s", (True, 1e6), STEERS, ASKS, TELEOP),
+    ("teleop_timeout_s", HELD, (0.5, 1e6), ASKS, TELEOP),
+    ("planner_timeout_s", HELD, None, (-10.0, 1e6), PLANNER),
 ])
-def test_timeout_of_0_never_makes_an_input_silent(name, human, teleop, planner, source):
+def test_timeout_of_0_never_makes_an_input_stale(name, human, teleop, planner, source):
     assert decide(human, teleop, planner).source != source
     assert decide(human, teleop, planner, **{name: 0.0}).source == source
-
-
-def test_timeout_of_0_does_not_make_a_human_of_one_never_heard():
-    assert decide(None, STEERS, ASKS, human_timeout_s=0.0).source == NO_HUMAN
+    assert decide(None, teleop, planner, **{name: 0.0}).source == NO_HUMAN
 
 
 def test_timeouts_of_the_inputs_are_each_their_own():
@@ -170,10 +102,11 @@ def test_timeouts_of_the_inputs_are_each_their_own():
 
 
 def test_decision_carries_the_age_of_each_input():
-    decision = decide((True, 0.25), None, (5.0, 7.5))
-    assert decision.human_age_s == pytest.approx(0.25)
-    assert decision.teleop_age_s == math.inf
-    assert decision.planner_age_s == pytest.approx(7.5)
+    arbiter = arbiter_with((True, 0.0))
+    arbiter.update_planner(5.0, NOW - 7 * S)
+    assert arbiter.decide(NOW + S // 4)[4:8] == (INF, 0.25, INF, 7.25)
+    arbiter.update_e_stop(False, NOW)
+    assert arbiter.decide(NOW + S // 4).e_stop_age_s == 0.25
 
 
 def test_decision_differs_only_in_source_duty_or_cause():
@@ -188,51 +121,38 @@ def test_decision_differs_only_in_source_duty_or_cause():
 
 
 @pytest.mark.parametrize("neutral, deadband, request_, source", [
-    pytest.param(0.0, 0.001, 0.0, NEUTRAL, id="zero_rests"),
-    pytest.param(0.0, 0.001, 0.001, NEUTRAL, id="the_edge_of_the_deadband_rests"),
-    pytest.param(0.0, 0.001, 0.0010000000474974513, NEUTRAL, id="the_edge_as_a_float32_has_it_rests"),
-    pytest.param(0.0, 0.001, -0.001, NEUTRAL, id="the_other_edge_rests"),
-    pytest.param(0.0, 0.001, 0.0011, TELEOP, id="beyond_the_deadband_steers_left"),
-    pytest.param(0.0, 0.001, -0.0011, TELEOP, id="beyond_the_deadband_steers_right"),
-    pytest.param(0.5, 0.001, 0.5, NEUTRAL, id="an_old_stack_rests_at_a_half"),
-    pytest.param(0.5, 0.001, 0.4995, NEUTRAL, id="an_old_stack_rests_near_a_half"),
-    pytest.param(0.5, 0.001, 0.0, TELEOP, id="zero_of_an_old_stack_is_an_active_command"),
-    pytest.param(0.0, 0.2, 0.15, NEUTRAL, id="a_wide_deadband_rests_far_out"),
-    pytest.param(0.0, 0.0, 0.0, NEUTRAL, id="without_a_deadband_only_zero_rests"),
-    pytest.param(0.0, 0.0, 1e-9, TELEOP, id="without_a_deadband_anything_else_steers"),
+    (0.0, 0.001, 0.0, NEUTRAL),
+    (0.0, 0.001, 0.0010000000474974513, NEUTRAL),  # as a float32 has its edge
+    (0.0, 0.001, -0.001, NEUTRAL),
+    (0.0, 0.001, 0.0011, TELEOP),
+    (0.0, 0.001, -0.0011, TELEOP),
+    (0.5, 0.001, 0.4995, NEUTRAL),  # the neutral of an old stack
+    (0.5, 0.001, 0.0, TELEOP),
+    (0.0, 0.2, 0.15, NEUTRAL),
+    (0.0, 0.0, 0.0, NEUTRAL),
+    (0.0, 0.0, 1e-9, TELEOP),
 ])
 def test_teleop_request_near_its_neutral_rests(neutral, deadband, request_, source):
     decision = decide(HELD, (request_, 0.1), tele_steer_neutral=neutral, tele_steer_deadband=deadband)
     assert SOURCE_NAMES[decision.source] == SOURCE_NAMES[source]
 
 
-@pytest.mark.parametrize("radius_m, duty", [
-    pytest.param(1.0, 3800, id="tightest_left"),
-    pytest.param(-1.0, 6700, id="tightest_right"),
-    pytest.param(1.25, 3808, id="between_1_and_2_m_to_the_left"),  # 3807.5: the original divided by 0 here
-    pytest.param(-1.5, 6675, id="between_1_and_2_m_to_the_right"),
-    pytest.param(8.0, 3883, id="left_between_breakpoints_is_rounded_down"),  # 3883.33
-    pytest.param(-8.0, 6317, id="right_between_breakpoints_is_rounded_up"),  # 6316.67
-    pytest.param(50.0, 4150, id="wide_left"),
-    pytest.param(-50.0, 5925, id="wide_right"),
-    pytest.param(300.0, 5100, id="widest_left"),
-    pytest.param(-300.0, 5100, id="widest_right"),
-    pytest.param(0.3, 3800, id="tighter_than_the_axis_saturates_left"),
-    pytest.param(-0.3, 6700, id="tighter_than_the_axis_saturates_right"),
-    pytest.param(0.0011, 3800, id="just_more_than_no_radius_is_full_left"),
-    pytest.param(-0.0011, 6700, id="just_more_than_no_radius_is_full_right"),
-    pytest.param(1e30, 5100, id="beyond_the_axis_saturates_left"),
-    pytest.param(-1e30, 5100, id="beyond_the_axis_saturates_right"),
+@pytest.mark.parametrize("radius_m, source, duty", [
+    (1.25, PLANNER, 3808),  # 3807.5
+    (-1.5, PLANNER, 6675),
+    (8.0, PLANNER, 3883),  # 3883.33
+    (-8.0, PLANNER, 6317),  # 6316.67
+    (0.0011, PLANNER, 3800),
+    (-0.0011, PLANNER, 6700),
+    (1e30, PLANNER, 5100),
+    (-1e30, PLANNER, 5100),
+    (0.001, NEUTRAL, 5100),
+    (0.0010000000474974513, NEUTRAL, 5100),  # as a float32 has it
+    (-0.001, NEUTRAL, 5100),
 ])
-def test_planner_radius_makes_duty(radius_m, duty):
+def test_planner_s_radius_makes_the_duty_and_within_a_millimetre_of_0_it_is_no_request(radius_m, source, duty):
     decision = decide(HELD, None, (radius_m, 0.1))
-    assert (SOURCE_NAMES[decision.source], decision.duty) == ("PLANNER", duty)
-
-
-@pytest.mark.parametrize("radius_m", [0.0, -0.0, 0.001, -0.001, 0.0005])
-def test_planner_radius_within_a_millimetre_of_0_is_no_request(radius_m):
-    decision = decide(HELD, None, (radius_m, 0.1))
-    assert (SOURCE_NAMES[decision.source], decision.duty) == ("NEUTRAL", CENTER)
+    assert (SOURCE_NAMES[decision.source], decision.duty) == (SOURCE_NAMES[source], duty)
 
 
 FINITE_OR_NOT = st.floats(allow_nan=True, allow_infinity=True)
@@ -256,93 +176,67 @@ def test_source_names_are_in_the_order_of_the_message_s_constants():
     assert (LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER) == (0, 1, 2, 3, 4)
 
 
-def arbiter_with_a_human(**changes):
-    arbiter = arbiter_with(**changes)
-    arbiter.update_human(True, NOW)
-    return arbiter
-
-
 def test_lock_stands_above_everything():
-    arbiter = arbiter_with_a_human()
-    arbiter.update_teleop(1.0, NOW)
-    arbiter.update_planner(5.0, NOW)
+    arbiter = arbiter_with(HELD, STEERS, ASKS)
     assert arbiter.decide(NOW).source == TELEOP
     arbiter.update_e_stop(True, NOW)
-    decision = arbiter.decide(NOW)
-    assert (decision.source, decision.duty, decision.reason) == (LOCKED, CENTER, "e_stop is true")
+    assert arbiter.decide(NOW)[:4] == (LOCKED, CENTER, "e_stop", "e_stop is true")
 
 
-def test_decision_carries_the_age_of_the_lock():
-    arbiter = arbiter_with_a_human()
-    assert arbiter.decide(NOW).e_stop_age_s == math.inf
-    arbiter.update_e_stop(False, NOW)
-    assert arbiter.decide(NOW + S // 4).e_stop_age_s == pytest.approx(0.25)
+def test_reason_of_teleop_logi_is_quoted_while_the_deadman_is_false():
+    arbiter = arbiter_with(LET_GO)
+    arbiter.explain_human(False, "no deadman is held", NOW)
+    assert arbiter.decide(NOW).reason == "human_in_loop is false: no deadman is held"
 
 
-def test_slew_limit_moves_the_servo_no_faster():
-    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+def test_slew_limit_moves_the_servo_no_faster_and_no_farther_than_what_is_asked_for():
+    arbiter = arbiter_with((True, 0.0), slew_limit=1000.0)
     arbiter.decide(NOW)
     arbiter.update_teleop(1.0, NOW)
     duties = [arbiter.decide(NOW + tenth * S // 10).duty for tenth in range(5)]
     assert duties == [5100, 5000, 4900, 4800, 4700]
     arbiter.update_teleop(-1.0, NOW + 4 * S // 10)
     assert arbiter.decide(NOW + 5 * S // 10).duty == 4800
+    by_planner = arbiter_with(HELD, slew_limit=1000.0, planner_timeout_s=0.0, human_timeout_s=0.0)
+    by_planner.decide(NOW)
+    by_planner.update_planner(1.0, NOW)  # 3800
+    assert [by_planner.decide(NOW + s * S).duty for s in (1, 2, 3)] == [4100, 3800, 3800]
 
 
-def test_slew_limit_holds_at_the_request_and_for_the_planner_too():
-    arbiter = arbiter_with_a_human(slew_limit=1000.0, planner_timeout_s=0.0,
-                                   interlock=InterlockConfig(human_timeout_s=0.0))
-    arbiter.decide(NOW)
-    arbiter.update_planner(1.0, NOW)  # 3800
-    assert [arbiter.decide(NOW + s * S).duty for s in (1, 2, 3)] == [4100, 3800, 3800]
-
-
-@pytest.mark.parametrize("stop", [
-    pytest.param(lambda arbiter, now_ns: arbiter.update_human(False, now_ns), id="no_human"),
-    pytest.param(lambda arbiter, now_ns: arbiter.update_e_stop(True, now_ns), id="locked"),
-    pytest.param(lambda arbiter, now_ns: arbiter.update_teleop(0.0, now_ns), id="nobody_steers"),
-    pytest.param(lambda arbiter, now_ns: arbiter.update_teleop(math.nan, now_ns), id="nonsense"),
-])
-def test_slew_limit_never_slows_the_way_back_to_neutral(stop):
-    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+@pytest.mark.parametrize("update, value", [("update_human", False), ("update_e_stop", True), ("update_teleop", 0.0),
+                                           ("update_teleop", NAN)])
+def test_slew_limit_never_slows_the_way_back_to_neutral(update, value):
+    arbiter, at_ns = arbiter_with((True, 0.0), slew_limit=1000.0), NOW + S // 2
     arbiter.decide(NOW)
     arbiter.update_teleop(1.0, NOW)
-    assert arbiter.decide(NOW + S // 2).duty == 4600
-    stop(arbiter, NOW + S // 2)
-    assert arbiter.decide(NOW + S // 2).duty == CENTER
+    assert arbiter.decide(at_ns).duty == 4600
+    getattr(arbiter, update)(value, at_ns)
+    assert arbiter.decide(at_ns).duty == CENTER
 
 
-def test_slew_begins_anew_at_neutral_however_long_that_lasted():
-    arbiter = arbiter_with_a_human(slew_limit=1000.0)
+def test_slew_begins_again_at_neutral_however_long_that_lasted():
+    arbiter = arbiter_with((True, 0.0), slew_limit=1000.0)
     arbiter.decide(NOW)
     arbiter.decide(NOW + S // 4)
     arbiter.update_teleop(1.0, NOW + S // 4)
     assert arbiter.decide(NOW + S // 4).duty == CENTER
-
-
-def test_times_out_of_order_do_not_disturb_the_slew():
-    arbiter = arbiter_with_a_human(slew_limit=1000.0)
-    arbiter.decide(NOW + S // 10)
-    arbiter.update_teleop(1.0, NOW)
-    assert arbiter.decide(NOW).duty == CENTER
-    assert arbiter.decide(NOW + S // 5).duty == 5000
+    assert arbiter.decide(NOW).duty == CENTER  # a time that steps back changes nothing
+    assert arbiter.decide(NOW + S // 4 + S // 10).duty == 5000
 
 
 def arbiter_at_3_mps(teleop):
     """One in which a planner has just taken over, at 3 m/s, from a human whose stick was there."""
-    arbiter = arbiter_with()
-    arbiter.update_odometry(3.0, NOW)
-    arbiter.update_human(True, NOW)
-    arbiter.update_teleop(teleop, NOW)
+    arbiter = arbiter_with((True, 0.0), (teleop, 0.0), odometry=(3.0, 0.0))
     arbiter.decide(NOW)
     arbiter.update_teleop(0.0, NOW)
     arbiter.update_planner(3.0, NOW)
     return arbiter
 
 
-def test_planner_that_takes_over_turns_in_from_where_the_human_steered():
-    decision = arbiter_at_3_mps(teleop=1.0).decide(NOW + S // 1000)  # 1 m to the left
-    assert (decision.duty, decision.limit) == (3840, "")
+@pytest.mark.parametrize("teleop, limit", [(1.0, ""), (0.931, causes.JERK_LIMITED)])  # 1 m, and 10 m to the left
+def test_planner_that_takes_over_turns_in_from_where_the_human_steered(teleop, limit):
+    decision = arbiter_at_3_mps(teleop).decide(NOW + S // 1000)
+    assert (decision.duty == 3840, decision.limit) == (not limit, limit)
 
 
 def test_planner_that_takes_over_from_nobody_turns_in_from_straight_on():
@@ -352,90 +246,62 @@ def test_planner_that_takes_over_from_nobody_turns_in_from_straight_on():
     assert duties[0].duty > duties[1].duty > duties[2].duty == 3840
 
 
-@pytest.mark.parametrize("again, source, reason", [
-    pytest.param(["human"], NEUTRAL, "tele_steer_req was not heard since messages were dropped", id="gamepad_lost"),
-    pytest.param(["human", "teleop"], NEUTRAL, "av_turnrad_req was not heard since messages were dropped",
-                 id="planner_lost"),
-    pytest.param(["human", "teleop", "planner"], PLANNER, "av_turnrad_req is 5.000 m", id="all_heard_again"),
-])
-def test_dropped_messages_make_every_input_stale(again, source, reason):
+def test_dropped_messages_make_every_input_stale():
     arbiter = arbiter_with(interlock=InterlockConfig(e_stop_timeout_s=0.0), planner_timeout_s=0.0, teleop_timeout_s=0.0)
-    inputs = {"human": lambda: (arbiter.update_human(False, NOW), arbiter.update_human(True, NOW)),
-              "teleop": lambda: arbiter.update_teleop(0.0, NOW), "planner": lambda: arbiter.update_planner(5.0, NOW)}
-    for hear in inputs.values():
-        hear()
-    assert arbiter.decide(NOW).source == PLANNER
+
+    def rearm():
+        arbiter.update_human(False, NOW)
+        arbiter.update_human(True, NOW)
+
+    inputs = {"human_in_loop": (NO_HUMAN, rearm),
+              "tele_steer_req": (NEUTRAL, lambda: arbiter.update_teleop(0.0, NOW)),
+              "av_turnrad_req": (NEUTRAL, lambda: arbiter.update_planner(1.0, NOW))}
+    arbiter.update_odometry(3.0, NOW)
+    arbiter.update_planner_steering(0.5, NOW)
+    for _, receive in inputs.values():
+        receive()
     arbiter.mark_stale(NOW)
-    assert arbiter.decide(NOW)[:2] == (NO_HUMAN, CENTER)
-    for name in again:
-        inputs[name]()
+    for name, (source, receive) in inputs.items():
+        decision = arbiter.decide(NOW)
+        assert decision[:2] == (source, CENTER)
+        assert decision.reason == f"{name} was not heard since messages were dropped"
+        receive()
     decision = arbiter.decide(NOW)
-    assert (SOURCE_NAMES[decision.source], decision.reason) == (SOURCE_NAMES[source], reason)
+    assert (decision.source, decision.reason) == (PLANNER, "av_turnrad_req is 1.000 m")
+    assert decision.limit_reason.endswith("by the last speed, odom was not heard since messages were dropped")
 
 
-def test_arbiter_calibrated_anew_keeps_what_it_heard():
-    arbiter = SteeringArbiter(SLASH)
-    arbiter.update_human(True, S)
-    arbiter.update_teleop(1.0, S)
+def test_arbiter_keeps_what_it_received_when_its_calibration_changes():
+    arbiter = arbiter_with(HELD, (1.0, 0.1))
     arbiter.calibrate(trimmed(SLASH, 3700, 5100, 6700))
-    assert arbiter.decide(S)[:3] == (TELEOP, 3700, "teleop")
+    assert arbiter.decide(NOW)[:3] == (TELEOP, 3700, "teleop")
 
 
 # --- a planner that knows no radius ---
 
-def steered(steering, steering_age_s=0.1, radius_m=None, radius_age_s=0.1, teleop=None):
-    """The decision at NOW with av_steer_req, and what else is given."""
-    arbiter = arbiter_with()
-    arbiter.update_human(True, NOW)
-    if steering is not None:
-        arbiter.update_planner_steering(steering, NOW - round(steering_age_s * S))
-    if radius_m is not None:
-        arbiter.update_planner(radius_m, NOW - round(radius_age_s * S))
-    if teleop is not None:
-        arbiter.update_teleop(teleop, NOW)
-    return arbiter.decide(NOW)
-
-
-@pytest.mark.parametrize("steering, duty", [(0.5, 4450), (-0.5, 5900), (1.0, 3800), (-1.0, 6700), (7.0, 3800),
-                                            (0.0, CENTER), (-0.0, CENTER)])
-def test_av_steer_req_is_scaled_like_the_gamepad_s_and_0_is_straight_on(steering, duty):
-    decision = steered(steering)
-    assert (decision.source, decision.cause, decision.duty) == (PLANNER, causes.PLANNER, duty)
-    assert decision.reason == f"av_steer_req is {steering:.3f}"
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_av_steer_req_that_is_no_number_means_neutral(value):
-    decision = steered(value)
-    assert (decision.source, decision.cause, decision.duty) == (NEUTRAL, causes.PLANNER_NOT_FINITE, CENTER)
-    assert decision.reason == f"av_steer_req is {value}, no number to act on"
-
-
-def test_av_steer_req_has_the_planner_s_priority():
-    assert (steered(0.5, teleop=-1.0).source, steered(0.5, teleop=0.0).source) == (TELEOP, PLANNER)
-
-
-@pytest.mark.parametrize("radius_m", [-10.0, 0.0, math.nan, math.inf])
-def test_both_requests_of_a_planner_at_once_are_neither_obeyed(radius_m):
-    decision = steered(0.5, radius_m=radius_m)
-    assert (decision.source, decision.cause, decision.duty) == (NEUTRAL, causes.TWO_REQUESTS, CENTER)
-    assert decision.reason == "av_turnrad_req and av_steer_req are both published: neither is obeyed"
-
-
-def test_the_one_that_is_fresh_is_obeyed():
-    assert steered(0.5, radius_m=-10.0, radius_age_s=0.6).reason == "av_steer_req is 0.500"
-    assert steered(0.5, steering_age_s=0.6, radius_m=-10.0).reason == "av_turnrad_req is -10.000 m"
-
-
-def test_of_two_silent_ones_the_newer_is_named():
-    decision = steered(0.5, steering_age_s=0.6, radius_m=-10.0, radius_age_s=0.7)
-    assert (decision.cause, decision.reason) == (causes.PLANNER_STALE, "av_steer_req silent for 0.60 s")
-    assert decision.planner_age_s == pytest.approx(0.6)
+@pytest.mark.parametrize("steering, teleop, planner, source, duty, cause, reason", [
+    ((0.5, 0.1), None, None, PLANNER, 4450, causes.PLANNER, "av_steer_req is 0.500"),
+    ((-0.5, 0.1), RESTS, None, PLANNER, 5900, causes.PLANNER, "av_steer_req is -0.500"),
+    ((7.0, 0.1), None, None, PLANNER, 3800, causes.PLANNER, "av_steer_req is 7.000"),
+    ((0.0, 0.1), None, None, PLANNER, CENTER, causes.PLANNER, "av_steer_req is 0.000"),
+    ((0.5, 0.1), (-1.0, 0.1), None, TELEOP, 6700, causes.TELEOP, "tele_steer_req is -1.000"),
+    ((NAN, 0.1), None, None, NEUTRAL, CENTER, causes.PLANNER_NOT_FINITE, "av_steer_req is nan, no number to act on"),
+    ((-INF, 0.1), None, None, NEUTRAL, CENTER, causes.PLANNER_NOT_FINITE, "av_steer_req is -inf, no number to act on"),
+    *(((0.5, 0.1), None, (radius_m, 0.1), NEUTRAL, CENTER, causes.TWO_REQUESTS,
+       "av_turnrad_req and av_steer_req are both published: neither is obeyed") for radius_m in (-10.0, 0.0, NAN, INF)),
+    ((0.5, 0.1), None, (-10.0, 0.6), PLANNER, 4450, causes.PLANNER, "av_steer_req is 0.500"),
+    ((0.5, 0.6), None, (-10.0, 0.1), PLANNER, 6250, causes.PLANNER, "av_turnrad_req is -10.000 m"),
+    ((0.5, 0.6), None, (-10.0, 0.7), NEUTRAL, CENTER, causes.PLANNER_STALE, "av_steer_req silent for 0.60 s"),
+])
+def test_av_steer_req_is_scaled_like_the_gamepad_s_in_the_planner_s_place(steering, teleop, planner, source, duty,
+                                                                          cause, reason):
+    decision = decide(HELD, teleop, planner, steering=steering)
+    assert decision[:4] == (source, duty, cause, reason)
+    assert decision.planner_age_s == pytest.approx(min(age_s for _, age_s in filter(None, (steering, planner))))
 
 
 def test_dropped_messages_make_av_steer_req_stale():
-    arbiter = arbiter_with()
-    arbiter.update_planner_steering(0.5, NOW)
+    arbiter = arbiter_with(steering=(0.5, 0.0))
     arbiter.mark_stale(NOW)
     later_ns = NOW + 2 * S  # and the e-stop, which may have been among them, has not come
     arbiter.update_human(False, later_ns)
@@ -448,84 +314,66 @@ def test_dropped_messages_make_av_steer_req_stale():
     (False, 0.1, "tele_steer_req is 0.500"),
     (True, 0.6, "tele_steer_req is 0.500"),
 ])
-def test_stick_that_overrides_the_planner_is_told_as_long_as_teleop_logi_says_so(overrides, age_s, reason):
-    arbiter = SteeringArbiter(SLASH)
-    arbiter.update_human(True, NOW)
-    arbiter.update_teleop(0.5, NOW)
+def test_stick_that_overrides_the_planner_is_reported_as_long_as_teleop_logi_says_so(overrides, age_s, reason):
+    arbiter = arbiter_with(HELD, STEERS)
     arbiter.explain_teleop(overrides, NOW - round(age_s * S))
-    decision = arbiter.decide(NOW)
-    assert (decision.source, decision.cause, decision.reason) == (TELEOP, "teleop", reason)
+    assert arbiter.decide(NOW)[:4] == (TELEOP, 4450, "teleop", reason)
 
 
 # --- a planner that asks for more than the wheels can do ---
 
 WRONG = "asks for 0.17 m, this car turns on 1.00 m to the left: rad? rad/s? wheelbase?"
+UNLIMITED = SteeringLimits(planner=SourceLimits())
+FASTER_IS_WIDER = replace(SLASH, understeer=0.0078)
+# To the right the wheels are at their stop from 1.6 m on: the table has its duty for tighter turns, too.
+STOPS_AT_1_6 = replace(SLASH, radius_axis_m=(1.2, 1.6, *SLASH.radius_axis_m[2:]),
+                       right_duties=(6700, 6700, 6690, *SLASH.right_duties[3:]))
 
 
-def asked_for(radius_m, speed_mps=1.0, calibration=SLASH, limits=None):
+def asked_for(speed_mps=1.0, planner=None, **inputs):
     """An arbiter whose planner asks for a radius, and its decision."""
-    arbiter = SteeringArbiter(calibration, ArbiterConfig(**({} if limits is None else {"limits": limits})))
-    if speed_mps is not None:
-        arbiter.update_odometry(speed_mps, NOW)
-    arbiter.update_human(True, NOW)
-    arbiter.update_planner(radius_m, NOW)
+    odometry = None if speed_mps is None else (speed_mps, 0.0)
+    arbiter = arbiter_with((True, 0.0), planner=planner and (planner, 0.0), odometry=odometry, **inputs)
     arbiter.decide(NOW)
     return arbiter, arbiter.decide(NOW + S // 10)  # it has turned in
 
 
-@pytest.mark.parametrize("speed_mps", [None, 0.0, 1.0])
-@pytest.mark.parametrize("limits", [None, SteeringLimits(planner=SourceLimits())])
-def test_a_request_tighter_than_the_car_is_cut_and_told(speed_mps, limits):
-    arbiter, decision = asked_for(0.17, speed_mps, limits=limits)
-    assert (decision.source, decision.cause, decision.duty) == (PLANNER, causes.PLANNER, 3800)
-    assert (decision.limit, decision.limit_reason) == (causes.TOO_TIGHT, WRONG)
-    assert decision.asked_radius_m == 0.17
+@pytest.mark.parametrize("speed_mps, limits", [(None, SteeringLimits()), (0.0, UNLIMITED), (1.0, SteeringLimits())])
+def test_a_request_tighter_than_the_car_is_cut_and_reported(speed_mps, limits):
+    arbiter, decision = asked_for(speed_mps, 0.17, limits=limits)
+    assert decision[:3] == (PLANNER, 3800, causes.PLANNER)
+    assert (decision.limit, decision.limit_reason, decision.asked_radius_m) == (causes.TOO_TIGHT, WRONG, 0.17)
     assert arbiter.turn_radius_m(decision.duty) == 1.0
     assert (arbiter.cuts, arbiter.too_tight_lately(NOW + 2 * S)) == (1, WRONG)
 
 
-def test_max_speed_is_that_of_the_turn_which_is_steered():
-    assert asked_for(0.17)[1].max_speed_mps == asked_for(1.0)[1].max_speed_mps == 2.0
-
-
-@pytest.mark.parametrize("radius_m", [1.0, -1.0, 0.95, -0.95, 0.9001, math.inf])
+@pytest.mark.parametrize("radius_m", [1.0, -1.0, 0.9001, -0.9001, INF])
 def test_a_planner_that_asks_for_the_car_s_own_tightest_turn_is_not_bothered(radius_m):
-    arbiter, decision = asked_for(radius_m)
+    arbiter, decision = asked_for(1.0, radius_m)
     assert (decision.limit, decision.limit_reason, arbiter.cuts, arbiter.too_tight_lately(NOW)) == ("", "", 0, "")
 
 
-@pytest.mark.parametrize("radius_m, limit", [(1.2, ""), (-1.2, causes.TOO_TIGHT), (-1.45, "")])
-def test_each_side_goes_by_what_it_can_turn(radius_m, limit):
-    """To the right the wheels are at their stop from 1.6 m on: the table has its duty for tighter turns, too."""
-    right_duties = (6700, 6700, 6690, *SLASH.right_duties[3:])
-    calibration = replace(SLASH, radius_axis_m=(1.2, 1.6, *SLASH.radius_axis_m[2:]), right_duties=right_duties)
-    _, decision = asked_for(radius_m, calibration=calibration)
+@pytest.mark.parametrize("radius_m, calibration, limit, max_speed_mps", [
+    (0.17, SLASH, causes.TOO_TIGHT, 2.0),
+    (1.0, SLASH, "", 2.0),
+    (1.2, STOPS_AT_1_6, "", math.sqrt(4.0 * 1.2)),
+    (-1.2, STOPS_AT_1_6, causes.TOO_TIGHT, math.sqrt(4.0 * 1.6)),
+    (-1.45, STOPS_AT_1_6, "", math.sqrt(4.0 * 1.6)),
+])
+def test_each_side_goes_by_what_it_can_turn_and_so_does_its_max_speed(radius_m, calibration, limit, max_speed_mps):
+    _, decision = asked_for(1.0, radius_m, calibration=calibration)
     assert (decision.limit, decision.asked_radius_m) == (limit, radius_m)
+    assert decision.max_speed_mps == pytest.approx(max_speed_mps)
 
 
-def test_max_speed_of_a_side_is_that_of_what_it_can_turn():
-    calibration = replace(SLASH, radius_axis_m=(0.5, *SLASH.radius_axis_m[1:]), right_duties=(6700, 6700,
-                          *SLASH.right_duties[2:]))
-    assert asked_for(-0.17, calibration=calibration)[1].max_speed_mps == pytest.approx(math.sqrt(4.0 * 2.0))
-
-
-def test_a_car_whose_turns_widen_is_told_by_what_it_turns_at_its_speed():
-    limits = SteeringLimits(planner=SourceLimits())
-    _, decision = asked_for(1.5, 4.0, replace(SLASH, understeer=0.0078), limits)
+def test_a_car_whose_turns_widen_is_judged_by_what_it_turns_at_its_speed():
+    _, decision = asked_for(4.0, 1.5, calibration=FASTER_IS_WIDER, limits=UNLIMITED)
     assert decision.limit_reason == ("asks for 1.50 m, this car turns on 2.00 m to the left at 4.0 m/s, as its turns "
                                      "widen with speed")
-    assert asked_for(1.5, 1.0, replace(SLASH, understeer=0.0078), limits)[1].limit == ""
+    assert asked_for(1.0, 1.5, calibration=FASTER_IS_WIDER, limits=UNLIMITED)[1].limit == ""
 
 
-def test_a_stick_at_full_lock_and_a_planner_s_steering_ask_for_no_radius():
-    arbiter = arbiter_with(limits=SteeringLimits(human=SourceLimits(4.0)))
-    arbiter.update_odometry(1.0, NOW)
-    arbiter.update_human(True, NOW)
-    arbiter.update_teleop(1.0, NOW)
-    assert (arbiter.decide(NOW).source, arbiter.decide(NOW).limit) == (TELEOP, "")
-    arbiter = arbiter_with()
-    arbiter.update_odometry(1.0, NOW)
-    arbiter.update_human(True, NOW)
-    arbiter.update_planner_steering(1.0, NOW)
-    arbiter.decide(NOW)
-    assert (arbiter.decide(NOW + S // 10).source, arbiter.decide(NOW + S // 10).limit) == (PLANNER, "")
+@pytest.mark.parametrize("inputs, source", [({"teleop": (1.0, 0.0)}, TELEOP), ({"steering": (1.0, 0.0)}, PLANNER)])
+def test_a_stick_at_full_lock_and_a_planner_s_steering_ask_for_no_radius(inputs, source):
+    _, decision = asked_for(1.0, limits=SteeringLimits(human=SourceLimits(4.0)), **inputs)
+    assert (decision.source, decision.limit) == (source, "")

@@ -7,13 +7,7 @@ import pytest
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.steering.limits import (
-    SourceLimits,
-    SteeringLimiter,
-    SteeringLimits,
-    read_limits,
-    too_tight_reason,
-)
+from car_interface.steering.limits import SourceLimits, SteeringLimiter, SteeringLimits, read_limits, too_tight_reason
 
 MS, S = 1_000_000, 1_000_000_000
 LATERAL = SourceLimits(max_lateral_mps2=4.0)
@@ -28,56 +22,54 @@ def limiter_at(speed_mps):
     return limiter
 
 
-@pytest.mark.parametrize(("speed_mps", "asked_per_m", "granted_per_m"), [
-    (2.0, 0.99, 0.99), (2.0, 1.0, 1.0), (2.0, -1.0, -1.0),
-    (4.0, 1.0, 0.25), (4.0, -1.0, -0.25), (-4.0, 1.0, 0.25), (8.0, 1.0, 0.0625), (0.0, 1.0, 1.0), (4.0, 0.0, 0.0)])
-def test_a_turn_is_no_tighter_than_the_lateral_acceleration_allows(speed_mps, asked_per_m, granted_per_m):
-    turn = limiter_at(speed_mps).limit(asked_per_m, LATERAL, MS)
-    assert turn.curvature_per_m == granted_per_m
-    assert turn.is_cut == (granted_per_m != asked_per_m)
+AT_4_MPS = "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.00 m was asked for"
+ODD = 0.1 + 0.2  # no number that a detour over radius and back would keep
 
 
-def test_a_cut_is_told_in_words_and_numbers():
-    turn = limiter_at(4.0).limit(1 / 1.5, LATERAL, MS)
-    assert turn.cause == causes.LATERAL_LIMITED
-    assert turn.reason == "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.50 m was asked for"
-    assert turn.max_speed_mps == pytest.approx(math.sqrt(4.0 * 1.5))
+@pytest.mark.parametrize(("speed_mps", "asked_per_m", "turn"), [
+    (2.0, 1.0, (1.0, "", "", 2.0)),
+    (2.0, -1.0, (-1.0, "", "", 2.0)),
+    (4.0, 1.0, (0.25, causes.LATERAL_LIMITED, AT_4_MPS, 2.0)),
+    (4.0, -1.0, (-0.25, causes.LATERAL_LIMITED, AT_4_MPS, 2.0)),
+    (-4.0, 1.0, (0.25, causes.LATERAL_LIMITED, AT_4_MPS, 2.0)),
+    (0.0, 1.0, (1.0, "", "", 2.0)),
+    (4.0, 0.0, (0.0, "", "", math.inf)),
+    (2.0, ODD, (ODD, "", "", pytest.approx(math.sqrt(4.0 / 0.3)))),
+])
+def test_a_turn_is_no_tighter_than_the_lateral_acceleration_allows(speed_mps, asked_per_m, turn):
+    found = limiter_at(speed_mps).limit(asked_per_m, LATERAL, MS)
+    assert found == turn and found.is_cut == bool(turn[1])
 
 
-def test_below_the_limit_the_same_number_comes_back_and_the_speed_up_to_which_that_holds():
-    asked_per_m = 0.1 + 0.2  # no number that a detour over radius and back would keep
-    turn = limiter_at(2.0).limit(asked_per_m, SourceLimits(4.0, 40.0), MS)
-    assert turn.curvature_per_m == asked_per_m and (turn.cause, turn.reason) == ("", "")
-    assert turn.max_speed_mps == pytest.approx(math.sqrt(4.0 / 0.3))
+def test_without_any_odometry_nothing_is_limited_and_the_car_turns_in_from_where_it_is_once_there_is_one():
+    limiter = SteeringLimiter(SteeringLimits())
+    assert limiter.limit(1.0, LATERAL, S) == (
+        1.0, causes.LIMITS_OFF, "odom was never heard: nothing limits the steering", 0.0)
+    limiter.speed.update(4.0, S)
+    assert limiter.limit(1.0, JERK, S + MS).curvature_per_m == 1.0
 
 
-def test_without_any_odometry_nothing_is_limited_and_that_is_told():
-    turn = SteeringLimiter(SteeringLimits()).limit(1.0, LATERAL, S)
-    assert (turn.curvature_per_m, turn.is_cut, turn.max_speed_mps) == (1.0, False, 0.0)
-    assert (turn.cause, turn.reason) == (causes.LIMITS_OFF, "odom was never heard: nothing limits the steering")
-
-
-def test_when_odometry_is_lost_the_last_bound_stays():
+def test_when_odometry_is_lost_or_no_speed_the_last_bound_stays():
     limiter = limiter_at(4.0)
     for now_ns in (S, 3600 * S):  # for 0.1 s it may have gained speed before anything noticed
         turn = limiter.limit(1.0, LATERAL, now_ns)
         assert turn.curvature_per_m == pytest.approx(4.0 / (4.0 + 6.0 * 0.1) ** 2, rel=0.01)
         assert turn.reason.endswith(f"by the last speed, odom silent for {now_ns // S}.00 s")
+    nonsense = limiter_at(4.0)
+    nonsense.speed.update(math.nan, MS)
+    assert nonsense.limit(1.0, LATERAL, 20 * MS).curvature_per_m == 0.25
 
 
-@pytest.mark.parametrize("nonsense", [math.nan, math.inf])
-def test_a_speed_that_is_none_leaves_the_bound_of_the_last(nonsense):
-    limiter = limiter_at(4.0)
-    limiter.speed.update(nonsense, MS)
-    assert limiter.limit(1.0, LATERAL, 20 * MS).curvature_per_m == 0.25
-
-
-def test_the_bound_is_that_of_the_speed_that_the_car_will_have():
+def test_the_bound_is_that_of_the_speed_that_the_car_will_have_and_may_have_while_reports_are_missing():
     limiter = limiter_at(3.0)
     for tick in range(1, 11):
         limiter.speed.update(3.0 + 0.1 * tick, tick * 20 * MS)  # 5 m/s²
     turn = limiter.limit(1.0, LATERAL, 200 * MS)
     assert turn.curvature_per_m == pytest.approx(4.0 / (4.0 + 5.0 * 0.06) ** 2)
+    limiter = limiter_at(2.0)
+    fresh, late = (limiter.limit(1.0, LATERAL, now_ns) for now_ns in (20 * MS, 100 * MS))
+    assert fresh.curvature_per_m == 1.0
+    assert late.curvature_per_m == pytest.approx(4.0 / (2.0 + 6.0 * 0.06) ** 2, rel=0.01)
 
 
 def turned_in(limiter, asked_per_m, limits=JERK, start_ns=0, ticks=20):
@@ -120,6 +112,13 @@ def test_both_limits_together_end_at_the_lateral_one():
     assert granted[0] == pytest.approx(2.0 / 16) and granted[-1] == 0.25
 
 
+def test_what_rises_at_once_is_used_up_until_it_has_grown_again():
+    limiter = limiter_at(4.0)
+    assert turned_in(limiter, 0.0625, ticks=1) == [0.0625]  # 1 m/s² of the 2 that may rise at once
+    assert turned_in(limiter, 0.5, start_ns=MS, ticks=1) == [pytest.approx(0.0625 + 1.04 / 16)]
+    assert turned_in(limiter, 0.5, start_ns=2 * MS, ticks=1) == [pytest.approx(0.0625 + 1.08 / 16)]
+
+
 def test_cuts_are_counted_when_they_begin():
     limiter = limiter_at(4.0)
     for asked_per_m in (1.0, 0.9, 0.1, 1.0, 1.0):
@@ -132,24 +131,15 @@ def test_cuts_are_counted_when_they_begin():
 
 def test_whoever_takes_over_turns_in_from_where_the_car_is():
     limiter = limiter_at(4.0)
+    turned_in(limiter, 0.5, ticks=1)
     limiter.release(0.4, MS)
-    assert limiter.limit(0.4, JERK, 2 * MS).curvature_per_m == 0.4
+    assert limiter.limit(0.5, JERK, 2 * MS).curvature_per_m == 0.5
 
 
-def test_while_reports_are_missing_the_car_may_be_getting_faster():
-    limiter = limiter_at(2.0)
-    fresh, late = (limiter.limit(1.0, LATERAL, now_ns) for now_ns in (20 * MS, 100 * MS))
-    assert fresh.curvature_per_m == 1.0
-    assert late.curvature_per_m == pytest.approx(4.0 / (2.0 + 6.0 * 0.06) ** 2, rel=0.01)
-
-
-def test_parameters_have_the_defaults_that_are_documented():
+def test_parameters_are_read_by_source_with_the_defaults_that_are_documented():
     limits = read_limits(Params({}))
     assert limits == SteeringLimits(SourceLimits(0.0, 0.0), SourceLimits(4.0, 40.0), 0.5)
-    assert limits.human.is_off and not limits.planner.is_off
-
-
-def test_parameters_are_read_by_source():
+    assert [SourceLimits(*numbers).is_off for numbers in ((0.0, 0.0), (4.0, 0.0), (0.0, 40.0))] == [True, False, False]
     params = Params({"human": {"max_lateral_acceleration": 6, "max_lateral_jerk": 80}, "planner":
                      {"max_lateral_acceleration": 0, "max_lateral_jerk": 0}, "odometry_timeout": 1.0})
     limits = read_limits(params)
@@ -167,50 +157,32 @@ def test_an_impossible_limit_is_refused_by_name(source, name, value):
 
 # --- what the wheels can't do ---
 
-@pytest.mark.parametrize("asked_m, is_told", [(1.0, False), (-1.0, False), (0.91, False), (0.9, False), (0.89, True),
-                                              (-0.89, True), (0.17, True), (0.01, True), (300.0, False)])
-def test_a_turn_is_too_tight_below_nine_tenths_of_the_tightest(asked_m, is_told):
-    assert bool(too_tight_reason(asked_m, 1.0, 1.0, 1.0)) == is_told
-
-
-@pytest.mark.parametrize("asked_m, speed_mps, reason", [
-    (0.17, 1.0, "asks for 0.17 m, this car turns on 1.03 m to the left: rad? rad/s? wheelbase?"),
-    (-0.17, 1.0, "asks for 0.17 m, this car turns on 1.03 m to the right: rad? rad/s? wheelbase?"),
-    (-1.03, -3.0, "asks for 1.03 m, this car turns on 1.50 m to the right at 3.0 m/s, as its turns widen with speed"),
+@pytest.mark.parametrize("asked_m, tightest_m, speed_mps, reason", [
+    (0.9, (1.0, 1.0), 1.0, ""),
+    (-0.9, (1.0, 1.0), 1.0, ""),
+    (0.89, (1.0, 1.0), 1.0, "asks for 0.89 m, this car turns on 1.00 m to the left: rad? rad/s? wheelbase?"),
+    (-0.17, (1.03, 1.5), 1.0, "asks for 0.17 m, this car turns on 1.03 m to the right: rad? rad/s? wheelbase?"),
+    (-1.03, (1.03, 1.5), -3.0,
+     "asks for 1.03 m, this car turns on 1.50 m to the right at 3.0 m/s, as its turns widen with speed"),
 ])
-def test_a_turn_that_is_too_tight_is_told_with_what_to_look_for(asked_m, speed_mps, reason):
-    assert too_tight_reason(asked_m, 1.03, 1.5, speed_mps) == reason
+def test_a_turn_is_too_tight_below_nine_tenths_of_the_tightest_and_the_reason_says_what_to_look_for(
+        asked_m, tightest_m, speed_mps, reason):
+    assert too_tight_reason(asked_m, *tightest_m, speed_mps) == reason
 
 
-@pytest.mark.parametrize("limits", [LATERAL, JERK, SourceLimits()])
-def test_the_tightest_turn_is_granted_in_its_place_and_the_reason_is_kept(limits):
-    turn = limiter_at(1.0).limit(0.97, limits, MS, "asks for too much")
-    assert (turn.curvature_per_m, turn.cause, turn.reason) == (0.97, causes.TOO_TIGHT, "asks for too much")
-    assert turn.is_cut
-
-
-def test_the_speed_for_it_is_that_of_the_turn_that_the_car_does():
-    assert limiter_at(1.0).limit(1.0, LATERAL, MS, "asks for too much").max_speed_mps == 2.0
-
-
-def test_what_else_limits_it_is_told_too():
-    turn = limiter_at(4.0).limit(1.0, LATERAL, MS, "asks for too much")
-    assert (turn.curvature_per_m, turn.cause) == (0.25, causes.TOO_TIGHT)
-    assert turn.reason.startswith("asks for too much; 4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m")
-
-
-def test_without_odometry_it_is_told_all_the_same():
-    turn = SteeringLimiter(SteeringLimits()).limit(1.0, LATERAL, S, "asks for too much")
-    assert (turn.curvature_per_m, turn.cause, turn.reason) == (1.0, causes.TOO_TIGHT, "asks for too much")
-
-
-@pytest.mark.parametrize("limiter", [limiter_at(1.0), limiter_at(4.0), SteeringLimiter(SteeringLimits())])
-def test_it_is_counted_once_when_it_begins(limiter):
+@pytest.mark.parametrize("limiter, limits, turn", [
+    (limiter_at(1.0), LATERAL, (1.0, causes.TOO_TIGHT, "asks for too much", 2.0)),
+    (limiter_at(1.0), JERK, (1.0, causes.TOO_TIGHT, "asks for too much", 0.0)),
+    (limiter_at(1.0), SourceLimits(), (1.0, causes.TOO_TIGHT, "asks for too much", 0.0)),
+    (SteeringLimiter(SteeringLimits()), LATERAL, (1.0, causes.TOO_TIGHT, "asks for too much", 0.0)),
+    (limiter_at(4.0), LATERAL, (0.25, causes.TOO_TIGHT, f"asks for too much; {AT_4_MPS}", 2.0)),
+])
+def test_the_tightest_turn_is_granted_and_its_reason_kept_and_counted_once_when_it_begins(limiter, limits, turn):
     for tick in range(1, 10):
-        limiter.limit(1.0, LATERAL, tick * MS, "asks for too much")
+        assert limiter.limit(1.0, limits, tick * MS, "asks for too much") == turn
     assert limiter.cuts == 1
-    limiter.limit(0.1, LATERAL, 20 * MS)
-    limiter.limit(1.0, LATERAL, 21 * MS, "asks for too much")
+    limiter.limit(0.1, limits, 20 * MS)
+    limiter.limit(1.0, limits, 21 * MS, "asks for too much")
     assert limiter.cuts == 2
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.common.yaml_file import load_yaml
 from car_interface.steering.arbiter import ArbiterConfig
+from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.params import load_steering, read_arbiter, read_calibration
 from slash import PARAMETERS, SLASH
 
@@ -37,6 +37,29 @@ def test_file_of_turn_arb_may_say_how_far_it_may_be_tuned(tmp_path):
 
 def test_calibration_comes_from_the_original_names():
     assert read_calibration(Params(PARAMETERS)) == SLASH
+    lowest = {**PARAMETERS, "servo_left": 0, "servo_center": 0, "servo_right": 1, "servo_channel": 15, "understeer": 1,
+              "k_pwmcmd_left_table_servo": [0] * 15, "k_pwmcmd_right_table_servo": [0] * 15}
+    assert read_calibration(Params(lowest)) == SteeringCalibration(*lowest.values())
+
+
+@pytest.mark.parametrize("name, value, accepted", [
+    ("servo_left", -1, "an integer from 0 to 65535"),
+    ("servo_center", 65536, "an integer from 0 to 65535"),
+    ("servo_right", 65536, "an integer from 0 to 65535"),
+    ("servo_channel", 16, "an integer from 0 to 15"),
+    ("understeer", 1.1, "a number from 0 to 1"),
+    ("k_pwmcmd_left_table_servo", [-1, *[0] * 14], ""),
+    ("k_pwmcmd_right_table_servo", [65536, *[0] * 14], ""),
+    ("tele_steer_neutral", 1.1, "a number from -1 to 1"),
+    ("tele_steer_neutral", -1.1, "a number from -1 to 1"),
+    ("tele_steer_deadband", 1.1, "a number from 0 to 1"),
+    ("slew_limit", 1.1e9, ""),
+    ("tele_stear", 1, ""),
+])
+def test_parameter_out_of_range_or_unknown_is_refused_by_its_name(tmp_path, name, value, accepted):
+    text = "".join(f"{key}: {number}\n" for key, number in {**PARAMETERS, name: value}.items())
+    with pytest.raises(ConfigError, match=f"{name}.*{accepted}"):
+        load_steering(str(tmp_path / "turn_arb.yaml"), text)
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -53,33 +76,9 @@ def test_input_timeout_is_the_default_of_the_other_timeouts():
     assert read_arbiter(Params({})) == ArbiterConfig()
 
 
-@pytest.mark.parametrize("content, message", [
-    pytest.param("a: [", "is no YAML", id="broken"),
-    pytest.param("- 1", "has no such lines; accepted: YAML lines", id="list"),
-    pytest.param("", "has no such lines; accepted: YAML lines", id="empty"),
-])
-def test_file_that_is_no_mapping_is_refused(tmp_path, content, message):
-    path = tmp_path / "a.yaml"
-    path.write_text(content, encoding="utf-8")
-    with pytest.raises(ConfigError, match=message):
-        load_yaml(str(path))
-
-
 def test_text_that_will_be_a_file_is_checked_before_there_is_one(tmp_path):
     path = tmp_path / "mine.yaml"
     with pytest.raises(ConfigError, match=f"^{path}, servo_left is missing"):
         load_steering(str(path), "servo_channel: 0\n")
     assert load_steering(str(path), CONFIG_FILE.read_text(encoding="utf-8")) == load_steering(str(CONFIG_FILE))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_fault_of_the_file_itself_names_the_file_once(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\na: 2\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match=f"^{path}, lines 1 and 2 both give a; accepted: each name once$"):
-        load_steering(str(path))
-
-
-def test_absent_file_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="can't be read"):
-        load_yaml(str(tmp_path / "absent.yaml"))

@@ -31,29 +31,25 @@ CODE_M, CODE_W, CODE_A, CODE_SHIFT = 50, 17, 30, 42  # linux/input-event-codes.h
 
 # --- what a terminal sends ---
 
-
 @pytest.mark.parametrize("text, keys", [
-    pytest.param("wasd", [FORWARD, LEFT, BACKWARD, RIGHT], id="letters"),
-    pytest.param("WASDMPQ", [FORWARD, LEFT, BACKWARD, RIGHT, MANUAL, AUTONOMOUS, QUIT], id="with_caps_lock"),
-    pytest.param("ec+=-", [SLOWLY_FORWARD, SLOWLY_BACKWARD, MORE, MORE, LESS], id="slow_keys_and_the_scale"),
-    pytest.param("\x1b[A\x1b[B\x1b[C\x1b[D", [FORWARD, BACKWARD, RIGHT, LEFT], id="arrows"),
-    pytest.param("\x1bOA\x1bOD", [FORWARD, LEFT], id="arrows_in_application_mode"),
-    pytest.param("\x1b[1;5A", [FORWARD], id="arrow_with_ctrl"),
-    pytest.param("\x1b[3~w", [FORWARD], id="delete_means_nothing"),
-    pytest.param("\x1bw", [FORWARD], id="escape_or_alt_before_a_key"),
-    pytest.param("m w", [MANUAL, RELEASE, FORWARD], id="space"),
-    pytest.param("xyz1\r\n\t", [], id="keys_that_mean_nothing"),
+    ("wasd", [FORWARD, LEFT, BACKWARD, RIGHT]),
+    ("WASDMPQ", [FORWARD, LEFT, BACKWARD, RIGHT, MANUAL, AUTONOMOUS, QUIT]),
+    ("ec+=-", [SLOWLY_FORWARD, SLOWLY_BACKWARD, MORE, MORE, LESS]),
+    ("\x1b[A\x1b[B\x1b[C\x1b[D", [FORWARD, BACKWARD, RIGHT, LEFT]),
+    ("\x1bOA\x1bOD", [FORWARD, LEFT]),  # in application mode
+    ("\x1b[1;5A", [FORWARD]),  # with Ctrl
+    ("\x1b[3~w", [FORWARD]),
+    ("\x1bw", [FORWARD]),
+    ("m w", [MANUAL, RELEASE, FORWARD]),
+    ("xyz1\r\n\t", []),
+    ("\x1b[" + "1" * 100, []),
 ])
-def test_characters_are_read_as_keys_whole_and_one_by_one(text, keys):
-    assert KeyReader().feed(text) == keys
+def test_characters_are_read_as_keys_whole_and_one_by_one_and_swallow_nothing_that_follows(text, keys):
+    reader = KeyReader()
+    assert reader.feed(text) == keys
+    assert reader.feed("w") == [FORWARD]
     reader = KeyReader()
     assert [key for character in text for key in reader.feed(character)] == keys
-
-
-def test_escape_sequence_without_an_end_does_not_swallow_what_follows():
-    reader = KeyReader()
-    assert reader.feed("\x1b[" + "1" * 100) == []
-    assert reader.feed("w") == [FORWARD]
 
 
 @given(st.text(max_size=40))
@@ -65,7 +61,6 @@ def test_any_text_is_read_without_an_error_and_later_keys_count(text):
 
 
 # --- a terminal alone ---
-
 
 def typed(*steps, until_ms, counts=True):
     """The controls after (key, time in ms), at a time, asked for every 20 ms as the node does."""
@@ -82,34 +77,25 @@ def repeated(key, from_ms, to_ms, delay_ms=500):
     return [(key, from_ms), *((key, time_ms) for time_ms in range(from_ms + delay_ms, to_ms, 33))]
 
 
-@pytest.mark.parametrize("delay_ms", [250, 500, 660], ids=["console", "gnome", "x11"])
+@pytest.mark.parametrize("delay_ms", [250, 500, 660])  # of a console, of Gnome and of X11
 def test_deadman_that_is_held_counts_through_the_delay_of_its_repetition(delay_ms):
     steps = repeated(MANUAL, 0, 3000, delay_ms)
     assert all(typed(*steps, until_ms=until_ms).manual for until_ms in range(0, 3600, 50))
     assert not typed(*steps, until_ms=3000 + 740).manual
 
 
-@pytest.mark.parametrize("age_ms, counts", [(700, True), (710, False)])
-def test_key_of_a_terminal_counts_for_0_7_s(age_ms, counts):
-    assert typed((MANUAL, 0), until_ms=age_ms).manual is counts
-
-
-def test_deadman_counts_while_another_key_repeats_in_its_place():
-    steps = [(MANUAL, 0), *repeated(FORWARD, 300, 5000)]
-    assert typed(*steps, until_ms=5000) == Controls(0.0, 1.0, manual=True)
-    assert typed(*steps, until_ms=5720) == Controls()
-
-
-def test_key_without_a_deadman_asks_for_nothing_and_arms_none():
-    assert typed(*repeated(FORWARD, 0, 3000), until_ms=2000) == Controls()
-    assert typed((MANUAL, 0), *repeated(FORWARD, 800, 3000), until_ms=2000) == Controls()
-
-
-def test_space_lets_go_of_everything_until_it_is_pressed_anew():
-    steps = [(MANUAL, 0), (FORWARD, 100), (RELEASE, 200)]
-    assert typed(*steps, until_ms=200) == Controls()
-    assert typed(*steps, (FORWARD, 300), until_ms=300) == Controls()
-    assert typed(*steps, (MANUAL, 300), until_ms=300) == Controls(manual=True)
+@pytest.mark.parametrize("steps, until_ms, controls", [
+    (repeated(FORWARD, 0, 2000), 2000, Controls()),
+    ([(MANUAL, 0), *repeated(FORWARD, 800, 2000)], 2000, Controls()),
+    ([(MANUAL, 0), (FORWARD, 100), (RELEASE, 200)], 200, Controls()),
+    ([(MANUAL, 0), (FORWARD, 100), (RELEASE, 200), (FORWARD, 300)], 300, Controls()),
+    ([(MANUAL, 0), *repeated(FORWARD, 300, 5000)], 5000, Controls(0.0, 1.0, manual=True)),
+    ([(MANUAL, 0), *repeated(FORWARD, 300, 5000)], 5720, Controls()),
+    ([(AUTONOMOUS, 0)], 100, Controls(autonomous=True)),
+])
+def test_key_counts_with_a_deadman_that_lasts_while_others_repeat_and_until_space(steps, until_ms, controls):
+    assert typed(*steps, until_ms=until_ms) == controls
+    assert typed(*steps, (MANUAL, until_ms + 100), until_ms=until_ms + 100).manual
 
 
 def test_steering_takes_a_quarter_of_a_second_to_the_end_and_back():
@@ -121,113 +107,64 @@ def test_steering_takes_a_quarter_of_a_second_to_the_end_and_back():
 
 
 @pytest.mark.parametrize("keys, steering, throttle", [
-    ((LEFT,), 1.0, 0.0), ((RIGHT,), -1.0, 0.0), ((LEFT, RIGHT), 0.0, 0.0),
-    ((FORWARD,), 0.0, 1.0), ((BACKWARD,), 0.0, -1.0), ((FORWARD, BACKWARD), 0.0, 0.0), ((RIGHT, FORWARD), -1.0, 1.0),
-])
+    ((LEFT,), 1.0, 0.0), ((LEFT, RIGHT), 0.0, 0.0), ((BACKWARD,), 0.0, -1.0), ((FORWARD, BACKWARD), 0.0, 0.0),
+    ((RIGHT, FORWARD), -1.0, 1.0)])
 def test_held_keys_add_up(keys, steering, throttle):
     assert typed((MANUAL, 0), *((key, 0) for key in keys), until_ms=500) == Controls(steering, throttle, manual=True)
 
 
-def test_planner_s_deadman_is_its_own():
-    assert typed((AUTONOMOUS, 0), until_ms=100) == Controls(autonomous=True)
-
-
-def test_terminal_alone_counts_for_nothing_where_it_must_not():
-    keyboard = Keyboard(counts_without_release=False)
-    assert keyboard.type(MANUAL, NOW) is False
-    assert keyboard.controls(NOW) == Controls()
+@pytest.mark.parametrize("counts, until_ms", [(False, -1), (True, 700)])
+def test_terminal_alone_counts_where_it_may(counts, until_ms):
+    """Over ssh it does: this computer's keyboards can be read, but they aren't the one that is typed on."""
+    keyboard = Keyboard(counts_without_release=counts)
+    assert keyboard.type(MANUAL, NOW) is counts
+    for age_ms in (0, 700, 710):
+        assert keyboard.controls(NOW + age_ms * MS).manual == (age_ms <= until_ms)
 
 
 # --- with a keyboard that reports presses and releases ---
 
+STORIES = {
+    "key_counts_until_its_release_without_being_repeated": (False, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 5, True), ("press", CODE_W, 60_000, True),
+        ("release", CODE_M, 60_000, False)]),
+    "press_counts_by_a_character_that_comes_in_time": (False, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 300, True)]),
+    "press_that_is_meant_for_another_window_counts_for_nothing": (False, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 301, False)]),
+    "repetition_that_arrives_after_the_release_does_not_count_again": (True, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 5, True), ("release", CODE_M, 1000, False),
+        ("type", MANUAL, 1100, False)]),
+    "tap_that_ended_before_its_character_came_does_not_count": (True, [
+        ("press", CODE_M, 0, False), ("release", CODE_M, 10, False), ("type", MANUAL, 10, False)]),
+    "key_with_shift_is_the_letter_s": (False, [
+        ("press", CODE_SHIFT, 0, False), ("press", CODE_M, 50, False), ("type", MANUAL, 50, True),
+        ("release", CODE_SHIFT, 1000, True), ("release", CODE_M, 1000, False)]),
+    "held_key_must_be_pressed_again_after_space": (False, [
+        ("press", CODE_M, 0, False), ("type", MANUAL, 5, True), ("type", RELEASE, 10, False),
+        ("type", MANUAL, 50, False), ("type", MANUAL, 1000, False), ("release", CODE_M, 2000, False),
+        ("press", CODE_M, 3000, False), ("type", MANUAL, 3000, True)]),
+}
 
-def with_events(counts=False):
-    """A keyboard on which M is held, and was typed."""
-    keyboard = Keyboard(counts)
-    keyboard.press(CODE_M, NOW)
-    assert keyboard.type(MANUAL, NOW + 5 * MS)
-    return keyboard
+
+@pytest.mark.parametrize("counts, steps", STORIES.values(), ids=STORIES)
+def test_key_of_a_keyboard_that_reports_releases(counts, steps):
+    keyboard = Keyboard(counts_without_release=counts)
+    for act, value, at_ms, is_held in steps:
+        getattr(keyboard, act)(value, NOW + at_ms * MS)
+        assert keyboard.controls(NOW + at_ms * MS) == Controls(manual=is_held)
 
 
-def test_key_counts_until_its_release_without_being_repeated():
-    keyboard = with_events()
-    assert keyboard.controls(NOW + 60 * S) == Controls(manual=True)
-    keyboard.release(CODE_M, NOW + 60 * S)
-    assert keyboard.controls(NOW + 60 * S) == Controls()
-
-
-def test_press_that_is_meant_for_another_window_counts_for_nothing():
+def test_key_is_known_by_its_character_and_each_is_released_by_itself():
     keyboard = Keyboard(counts_without_release=False)
-    keyboard.press(CODE_M, NOW)
-    assert keyboard.controls(NOW) == Controls()
-    assert keyboard.type(MANUAL, NOW + 301 * MS) is False
-
-
-def test_key_is_told_by_its_character_whatever_the_layout():
-    keyboard = with_events()
-    keyboard.press(44, NOW)  # what types a w on a French keyboard
-    keyboard.type(FORWARD, NOW)
-    assert keyboard.controls(NOW).throttle == 1.0
-    keyboard.release(44, NOW)
-    assert keyboard.controls(NOW).throttle == 0.0
-
-
-def test_two_keys_are_released_each_by_itself():
-    keyboard = with_events()
-    for code, key in ((CODE_W, FORWARD), (CODE_A, LEFT)):
-        keyboard.press(code, NOW + S)
-        keyboard.type(key, NOW + S)
-    keyboard.controls(NOW + S)
-    assert keyboard.controls(NOW + 2 * S) == Controls(1.0, 1.0, manual=True)
-    keyboard.release(CODE_W, NOW + 2 * S)
-    assert keyboard.controls(NOW + 2 * S) == Controls(1.0, 0.0, manual=True)
-
-
-def test_repetition_that_arrives_after_the_release_does_not_count_again():
-    """Over a slow connection, of a terminal that counts by itself otherwise."""
-    keyboard = with_events(counts=True)
-    keyboard.release(CODE_M, NOW + S)
-    keyboard.type(MANUAL, NOW + S + 100 * MS)
-    assert keyboard.controls(NOW + S + 100 * MS) == Controls()
-
-
-def test_tap_that_ended_before_its_character_came_does_not_count():
-    keyboard = Keyboard(counts_without_release=True)
-    keyboard.press(CODE_M, NOW)
-    keyboard.release(CODE_M, NOW + 10 * MS)
-    keyboard.type(MANUAL, NOW + 10 * MS)
-    assert keyboard.controls(NOW + 10 * MS) == Controls()
-
-
-def test_key_with_shift_is_the_letter_s():
-    keyboard = Keyboard(counts_without_release=False)
-    keyboard.press(CODE_SHIFT, NOW)
-    keyboard.press(CODE_M, NOW + 50 * MS)
-    keyboard.type(MANUAL, NOW + 50 * MS)
-    keyboard.release(CODE_SHIFT, NOW + S)
-    assert keyboard.controls(NOW + S).manual
-    keyboard.release(CODE_M, NOW + S)
-    assert not keyboard.controls(NOW + S).manual
-
-
-def test_after_letting_go_of_everything_a_held_key_must_be_pressed_anew():
-    keyboard = with_events()
-    keyboard.release_all()
-    assert keyboard.type(MANUAL, NOW + 50 * MS) is False  # as it repeats on
-    assert keyboard.controls(NOW + 50 * MS) == Controls()
-    assert keyboard.type(MANUAL, NOW + S) is False
-    keyboard.release(CODE_M, NOW + 2 * S)
-    keyboard.press(CODE_M, NOW + 3 * S)
-    keyboard.type(MANUAL, NOW + 3 * S)
-    assert keyboard.controls(NOW + 3 * S).manual
-
-
-def test_other_computer_s_keyboard_counts_as_a_terminal_alone_where_it_may():
-    """Over ssh: this computer's keyboards can be read, but they aren't the one that is typed on."""
-    keyboard = Keyboard(counts_without_release=True)
-    keyboard.type(MANUAL, NOW)
-    assert keyboard.controls(NOW + 700 * MS).manual
-    assert not keyboard.controls(NOW + 710 * MS).manual
+    for code, key in ((CODE_M, MANUAL), (44, FORWARD), (CODE_A, LEFT)):  # 44: what types a w on a French keyboard
+        keyboard.press(code, NOW)
+        assert keyboard.type(key, NOW) and keyboard.type(key, NOW + MS)  # as it repeats
+    assert not keyboard.type(RIGHT, NOW + MS)
+    keyboard.controls(NOW)
+    assert keyboard.controls(NOW + S) == Controls(1.0, 1.0, manual=True)
+    keyboard.release(44, NOW + S)
+    assert keyboard.controls(NOW + S) == Controls(1.0, 0.0, manual=True)
 
 
 STEPS = st.lists(st.one_of(
@@ -262,7 +199,6 @@ def test_help_names_every_key_and_how_to_hold_the_deadman():
 
 # --- slow pushes and the scale ---
 
-
 def held(*keys, seconds):
     """The throttle each second of holding keys beside the deadman."""
     keyboard, found = Keyboard(True), []
@@ -277,26 +213,25 @@ def held(*keys, seconds):
     return found
 
 
-@pytest.mark.parametrize("key, way", [(SLOWLY_FORWARD, 1), (SLOWLY_BACKWARD, -1)])
-def test_slow_key_pushes_ever_farther_from_the_dead_band_on(key, way):
-    assert held(key, seconds=3) == pytest.approx([way * 0.05, way * 0.12, way * 0.19, way * 0.26])
+@pytest.mark.parametrize("keys, throttles", [
+    ((SLOWLY_FORWARD,), [0.05, 0.12, 0.19, 0.26]), ((SLOWLY_BACKWARD,), [-0.05, -0.12, -0.19, -0.26]),
+    ((SLOWLY_FORWARD, FORWARD), [1.0] * 4), ((SLOWLY_FORWARD, BACKWARD), [-1.0] * 4),
+    ((SLOWLY_FORWARD, SLOWLY_BACKWARD), [0.0] * 4)])
+def test_slow_key_alone_pushes_ever_farther_from_the_dead_band_on(keys, throttles):
+    assert held(*keys, seconds=3) == pytest.approx(throttles)
 
 
-def test_slow_push_beside_a_whole_one_or_its_opposite_is_none():
-    assert held(SLOWLY_FORWARD, FORWARD, seconds=1) == [1.0, 1.0]
-    assert held(SLOWLY_FORWARD, BACKWARD, seconds=1) == [-1.0, -1.0]
-    assert held(SLOWLY_FORWARD, SLOWLY_BACKWARD, seconds=1) == [0.0, 0.0]
-
-
-def test_slow_push_begins_anew_after_each_release():
+def test_slow_push_begins_again_after_each_release_and_after_the_deadman():
     keyboard = Keyboard(True)
-    for begin_ns in (NOW, NOW + 5 * S):
+    for begin_ns, lets_go in ((NOW, False), (NOW + 5 * S, True), (NOW + 6 * S, False)):
         for tick in range(26):
             keyboard.type(MANUAL, begin_ns + tick * 20 * MS)
             keyboard.type(SLOWLY_FORWARD, begin_ns + tick * 20 * MS)
             controls = keyboard.controls(begin_ns + tick * 20 * MS)
         assert controls.throttle == pytest.approx(0.05 + 25 * 0.02 * 0.07)
-        assert keyboard.controls(begin_ns + 3 * S).throttle == 0.0
+        if lets_go:
+            keyboard.type(RELEASE, begin_ns + 500 * MS)
+        assert keyboard.controls(begin_ns + (501 if lets_go else 3000) * MS).throttle == 0.0
 
 
 def test_keys_for_the_scale_are_buttons_with_a_deadman_only():

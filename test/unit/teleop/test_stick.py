@@ -53,7 +53,27 @@ def test_axis_that_was_never_within_the_dead_band_does_not_count(moves):
         assert not stick.counts
 
 
-def test_steering_that_does_not_count_overrides_to_neither_side():
-    for deflection in (-1.0, 1.0):
-        stick, _, now_ns = after([(deflection, True, True, 500)] * 3, brakes=False)
-        assert not stick.overrides(now_ns)
+@pytest.mark.parametrize("deflection", [-1.0, 1.0])
+def test_steering_that_does_not_count_overrides_to_neither_side(deflection):
+    stick, _, now_ns = after([(deflection, True, True, 500)] * 3, brakes=False)
+    assert not stick.overrides(now_ns)
+
+
+@pytest.mark.parametrize("moves, is_off_center", [
+    ([(0.05, 1)], False),
+    ([(0.051, 1)], True),
+    ([(0.06, 499), (0.06, 1)], True),
+    ([(0.06, 500), (0.06, 1)], False),
+    ([(0.06, 300), (0.079, 300), (0.06, 1)], False),
+    ([(0.06, 300), (0.081, 300), (0.06, 300), (0.081, 1)], True),
+])
+def test_stick_is_centered_within_half_its_dead_band_or_where_it_stays(moves, is_off_center):
+    pressed = [(0.0, False, True, 200), (0.5, True, True, 100)]
+    stick, _, _ = after([*pressed, *((deflection, True, True, lasts_ms) for deflection, lasts_ms in moves)])
+    assert stick.is_off_center == is_off_center
+
+
+def test_override_that_has_ended_does_not_come_back_within_the_dead_band():
+    moves = [(0.0, 200), (0.5, 200), (0.0, 600), (0.0, 1), (0.09, 1)]
+    stick, seen, _ = after([(deflection, True, True, lasts_ms) for deflection, lasts_ms in moves])
+    assert not stick.overrides(seen[-1][2])

@@ -9,8 +9,6 @@ import pytest
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.steering.arbiter import TELEOP
-from car_interface.throttle.arbiter import ArbiterConfig, ThrottleArbiter
 from car_interface.throttle.board_watch import BoardConfig, BoardWatch, read_board
 
 MS = 1_000_000
@@ -79,63 +77,39 @@ def agreed(**arguments):
     return car
 
 
-def test_board_that_never_reported_is_not_driven_and_the_reason_names_the_parameter():
+def test_board_that_never_reports_is_driven_only_if_the_parameter_says_so_and_one_that_does_is_checked():
+    trouble = Car().run(2000, CENTER, None)
+    assert trouble.cause == causes.BOARD_NEVER_RECEIVED and "output_required: false" in trouble.reason
+    foreign = Car(output_required=False)
+    assert foreign.run(100, CENTER, None) is None
+    assert foreign.run(1000, LEFT, CENTER).cause == causes.STEERING_NOT_HELD
+
+
+def test_throttle_is_given_once_both_agreed_for_half_a_second_and_the_reason_says_so():
+    assert Car().run(100, None, CENTER).reason == "turn_arb's command for the steering isn't known"
     car = Car()
-    trouble = car.run(2000, CENTER, None)
-    assert trouble.cause == causes.BOARD_NEVER_RECEIVED
-    assert "output_required: false" in trouble.reason
+    assert car.run(500, CENTER, CENTER) == (
+        causes.STEERING_NOT_HELD, "the servo board holds turn_arb's command, which must last for 0.5 s")
+    assert car.run(20, CENTER, CENTER) is None
 
 
-def test_foreign_board_that_never_reports_is_driven_unchecked_if_the_parameter_says_so():
-    assert Car(output_required=False).run(100, CENTER, None) is None
-
-
-def test_foreign_board_that_does_report_is_checked():
-    car = Car(output_required=False)
-    assert car.run(1000, LEFT, CENTER).cause == causes.STEERING_NOT_HELD
-
-
-def test_throttle_is_given_once_both_agreed_for_half_a_second():
-    car = Car()
-    assert car.run(500, CENTER, CENTER).cause == causes.STEERING_NOT_HELD
-    assert car.run(60, CENTER, CENTER) is None
-
-
-def test_reason_at_the_start_says_for_how_long_they_must_agree():
-    trouble = Car().run(300, CENTER, CENTER)
-    assert trouble.reason == "the servo board holds turn_arb's command, which must last for 0.5 s"
-
-
-def test_board_that_does_not_follow_a_command_ends_the_throttle_after_half_a_second():
-    assert agreed().ms_until_trouble(LEFT, CENTER) == pytest.approx(500, abs=20)
-
-
-def test_channel_that_timed_out_ends_the_throttle_after_half_a_second():
+@pytest.mark.parametrize("before", [CENTER, LEFT])  # a board that doesn't follow, and a channel that timed out
+def test_difference_ends_the_throttle_after_half_a_second(before):
     car = agreed()
-    car.run(1000, LEFT, LEFT)
+    car.run(1000, before, before)
     assert car.ms_until_trouble(LEFT, CENTER) == pytest.approx(500, abs=20)
 
 
-def test_reason_names_both_duties_and_the_channel():
-    car = agreed(channel=3)
-    assert (car.run(1000, LEFT, CENTER).reason
-            == "the servo board holds 5100 on channel 3, where turn_arb commands 3818")
+@pytest.mark.parametrize("channel, held, words", [(3, CENTER, "5100 on channel 3"), (0, -1, "nothing on channel 0")])
+def test_reason_names_both_duties_and_the_channel(channel, held, words):
+    reason = Car(channel=channel).run(1000, LEFT, held).reason
+    assert reason == f"the servo board holds {words}, where turn_arb commands 3818"
 
 
-def test_channel_that_the_board_never_set_is_a_difference():
-    assert (Car().run(1000, CENTER, -1).reason
-            == "the servo board holds nothing on channel 0, where turn_arb commands 5100")
-
-
-def test_board_that_falls_silent_ends_the_throttle_after_its_timeout():
+def test_board_that_falls_silent_ends_the_throttle_after_its_timeout_and_must_agree_again_for_half_a_second():
     car = agreed()
     assert car.ms_until_trouble(CENTER, None) == pytest.approx(500, abs=20)
-    assert car.watch.trouble(car.now).cause == causes.BOARD_STALE
-
-
-def test_board_that_reports_again_must_agree_for_half_a_second():
-    car = agreed()
-    car.run(1000, CENTER, None)
+    assert car.run(500, CENTER, None).cause == causes.BOARD_STALE
     assert car.run(450, CENTER, CENTER) is not None
     assert car.run(120, CENTER, CENTER) is None
 
@@ -147,37 +121,28 @@ def test_board_that_follows_again_must_do_so_for_half_a_second():
     assert car.run(70, LEFT, LEFT) is None
 
 
-def test_dropped_messages_take_the_agreement_away():
+def test_dropped_messages_take_the_agreement_and_the_command_away():
+    car = agreed()
+    car.watch.mark_stale()
+    assert car.step(CENTER, CENTER).cause == causes.STEERING_NOT_HELD
     car = agreed()
     car.watch.mark_stale()
     assert car.watch.trouble(car.now).cause == causes.BOARD_STALE
+    assert car.step(None, CENTER).reason == "turn_arb's command for the steering isn't known"
     assert car.run(300, CENTER, CENTER).cause == causes.STEERING_NOT_HELD
     assert car.run(300, CENTER, CENTER) is None
 
 
-def test_agreement_from_before_dropped_messages_does_not_count_when_the_next_report_is_there_at_once():
-    car = agreed()
-    car.watch.mark_stale()
-    assert car.step(CENTER, CENTER).cause == causes.STEERING_NOT_HELD
+@pytest.mark.parametrize("held, until_ms", [(LEFT - 10, math.inf), (LEFT + 16, math.inf), (LEFT + 17, 500)])
+def test_rounding_of_the_board_is_no_difference(held, until_ms):
+    assert agreed().ms_until_trouble(LEFT, held) == pytest.approx(until_ms, abs=20)
 
 
-@pytest.mark.parametrize("held", [pytest.param(3808, id="rounded_down"), pytest.param(3824, id="rounded_up"),
-                                  pytest.param(3834, id="a_count_more")])
-def test_rounding_of_the_board_is_no_difference(held):
-    car = agreed()
-    assert car.ms_until_trouble(LEFT, held) == math.inf
-
-
-def test_two_counts_are_a_difference():
-    assert agreed().ms_until_trouble(LEFT, LEFT + 32) < 600
-
-
-def test_limits_of_the_board_are_no_difference():
-    car = Car(pwm_min=(4000,) * 16, pwm_max=(6000,) * 16)
-    car.run(700, CENTER, CENTER)
-    assert car.ms_until_trouble(3800, 4000, 2000) == math.inf
-    assert car.ms_until_trouble(6700, 6000, 2000) == math.inf
-    assert car.ms_until_trouble(3800, 3800) < 600
+@pytest.mark.parametrize("commanded, held, until_ms", [(3800, 4000, math.inf), (6700, 6000, math.inf),
+                                                       (3800, 3800, 500)])
+def test_limits_of_the_board_are_no_difference(commanded, held, until_ms):
+    car = agreed(pwm_min=(4000,) * 16, pwm_max=(6000,) * 16)
+    assert car.ms_until_trouble(commanded, held, 2000) == pytest.approx(until_ms, abs=20)
 
 
 def sweep(period_ms, amplitude=1200):
@@ -186,14 +151,11 @@ def sweep(period_ms, amplitude=1200):
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("state_late, report_late", [
-    pytest.param(1, 1, id="prompt"), pytest.param(1, 25, id="reports_late"), pytest.param(25, 1, id="states_late"),
-    pytest.param(40, 45, id="both_late")])
-@pytest.mark.parametrize("period_ms", [400, 1000, 3000])
+@pytest.mark.parametrize("state_late, report_late", [(1, 1), (1, 25), (25, 1), (40, 45)])
+@pytest.mark.parametrize("period_ms", [400, 3000])
 def test_board_that_follows_a_moving_stick_is_never_in_trouble(state_late, report_late, period_ms):
-    car = agreed(state_late=state_late, report_late=report_late)
     wave = sweep(period_ms)
-    assert car.ms_until_trouble(wave, wave, 10_000) == math.inf
+    assert agreed(state_late=state_late, report_late=report_late).ms_until_trouble(wave, wave, 10_000) == math.inf
 
 
 def test_board_that_follows_on_a_busy_computer_is_not_in_trouble():
@@ -211,19 +173,15 @@ def bursts(period_ms, away_ms, there=CENTER, away=LEFT):
     return lambda at: away if at % period_ms < away_ms else there
 
 
-@pytest.mark.parametrize("period_ms, away_ms", [(120, 100), (180, 130), (150, 100), (200, 100), (1090, 470), (260, 160),
-                                                (600, 300)])
+@pytest.mark.parametrize("period_ms, away_ms", [(120, 100), (200, 100), (1090, 470), (600, 300)])
 def test_servo_that_stands_still_while_commands_return_to_its_place_for_moments_ends_the_throttle(period_ms, away_ms):
     assert agreed().ms_until_trouble(bursts(period_ms, away_ms), CENTER, 30_000) < 3000
 
 
-@pytest.mark.parametrize("period_ms, away_ms", [(900, 380), (1200, 300), (1000, 250), (40, 10), (20, 10)])
-def test_second_sender_that_has_the_servo_for_more_than_a_fifth_of_the_time_ends_the_throttle(period_ms, away_ms):
-    assert agreed().ms_until_trouble(CENTER, bursts(period_ms, away_ms), 30_000) < 30_000
-
-
-def test_second_sender_that_has_the_servo_for_less_than_that_does_not():
-    assert agreed().ms_until_trouble(CENTER, bursts(1000, 150), 30_000) == math.inf
+@pytest.mark.parametrize("period_ms, away_ms, ends", [(900, 380, True), (1000, 250, True), (40, 10, True),
+                                                      (20, 10, True), (1000, 150, False)])
+def test_second_sender_that_has_the_servo_for_more_than_a_fifth_of_the_time_ends_the_throttle(period_ms, away_ms, ends):
+    assert (agreed().ms_until_trouble(CENTER, bursts(period_ms, away_ms), 30_000) < 30_000) == ends
 
 
 def test_board_that_failed_once_is_given_less_time_the_next_time():
@@ -233,7 +191,7 @@ def test_board_that_failed_once_is_given_less_time_the_next_time():
     assert car.ms_until_trouble(LEFT, CENTER) < 400
 
 
-@pytest.mark.parametrize("stall_ms", [100, 200, 240, 400])
+@pytest.mark.parametrize("stall_ms", [100, 240, 400])
 def test_stalls_of_the_arbiter_excuse_nothing(stall_ms):
     car = agreed()
     begun_ns = car.now
@@ -245,15 +203,10 @@ def test_stalls_of_the_arbiter_excuse_nothing(stall_ms):
     assert car.now - begun_ns <= 500 * MS + stall_ms * MS + 2 * TICK
 
 
-@pytest.mark.parametrize("period_ms", [200, 300, 500, 700, 1000, 2000, 4000])
+@pytest.mark.parametrize("period_ms", [200, 700, 4000])
 def test_servo_that_stands_still_while_the_stick_goes_to_and_fro_ends_the_throttle(period_ms):
     """A driver whose car doesn't steer moves the stick; each pass over the servo's position must not excuse it."""
     assert agreed().ms_until_trouble(sweep(period_ms), CENTER) < 1600
-
-
-def test_second_sender_that_has_the_servo_half_of_the_time_ends_the_throttle():
-    car = agreed()
-    assert car.ms_until_trouble(LEFT, lambda at: LEFT if at // 10 % 2 else CENTER) < 1500
 
 
 def test_stall_of_the_judge_alone_is_no_difference():
@@ -263,40 +216,6 @@ def test_stall_of_the_judge_alone_is_no_difference():
     car.now += 300 * MS
     assert car.run(1000, LEFT, LEFT) is None
     assert set(car.troubles[-100:]) == {None}
-
-
-class Arbiter:
-    """The arbiter that has a person's push at each step of 10 ms, unless nobody holds the deadman."""
-
-    def __init__(self):
-        self._arbiter = ThrottleArbiter(ArbiterConfig(board=BoardConfig()))
-        self._now = S
-
-    def run(self, ms, commanded, held, human=True):
-        """The arbitration at the end."""
-        for _ in range(0, ms, 10):
-            self._now += TICK
-            self._arbiter.update_human(human, self._now)
-            self._arbiter.update_steering(TELEOP, "", self._now)
-            self._arbiter.update_steering_command(0, commanded, self._now)
-            self._arbiter.update_output(vector(held), self._now)
-            self._arbiter.update_teleop(0.8, self._now)
-            arbitration = self._arbiter.decide(self._now)
-        return arbitration
-
-
-def test_arbiter_gives_no_throttle_and_says_why_although_human_and_steering_are_well():
-    arbiter = Arbiter()
-    assert arbiter.run(1000, CENTER, CENTER).drive > 0
-    arbitration = arbiter.run(600, LEFT, CENTER)
-    assert (arbitration.drive, arbitration.is_stop, arbitration.cause) == (0.0, True, causes.STEERING_NOT_HELD)
-
-
-def test_agreement_is_judged_without_a_human_too():
-    """Otherwise each press of the deadman would wait for half a second."""
-    arbiter = Arbiter()
-    assert arbiter.run(1000, CENTER, CENTER, human=False).cause == causes.HUMAN_ABSENT
-    assert arbiter.run(10, CENTER, CENTER).drive > 0
 
 
 def test_configuration_is_read_with_the_board_s_own_limits():

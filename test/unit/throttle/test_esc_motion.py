@@ -20,13 +20,14 @@ def motion(*speeds):
     return measured
 
 
-def test_speed_is_unknown_before_the_first_after_half_a_second_and_if_it_is_no_number():
-    assert motion().speed_mps(0) is None
-    assert motion(1.0).speed_mps(500 * MS) == 1.0 and motion(1.0).speed_mps(501 * MS) is None
-    assert motion(1.0, math.nan).speed_mps(100 * MS) is None and motion(1.0, math.inf, 2.0).speed_mps(200 * MS) == 2.0
-    dropped = motion(1.0)
-    dropped.mark_stale()
-    assert dropped.speed_mps(0) is None and not dropped.rolls_forward(0) and not dropped.stands(0)
+@pytest.mark.parametrize("speeds, age_ms, speed_mps", [
+    ([], 0, None), ([1.0], 500, 1.0), ([1.0], 501, None), ([1.0, math.nan], 0, None), ([1.0, math.inf, 2.0], 0, 2.0),
+    ([1.0, 100.1], 0, None), ([1.0, -1e308], 0, None), ([-100.0], 0, -100.0)])
+def test_speed_is_unknown_before_the_first_after_half_a_second_and_if_it_is_no_car_s(speeds, age_ms, speed_mps):
+    measured = motion(*speeds)
+    assert measured.speed_mps((max(0, len(speeds) - 1) * 100 + age_ms) * MS) == speed_mps
+    measured.mark_stale()
+    assert measured.speed_mps(0) is None and not measured.rolls_forward(0) and not measured.stands(0)
 
 
 @pytest.mark.parametrize("speed_mps, stands, forward, backward", [
@@ -35,11 +36,6 @@ def test_speed_is_unknown_before_the_first_after_half_a_second_and_if_it_is_no_n
 def test_standstill_is_below_a_tenth_of_a_meter_a_second(speed_mps, stands, forward, backward):
     measured = motion(speed_mps)
     assert (measured.stands(0), measured.rolls_forward(0), measured.rolls_backward(0)) == (stands, forward, backward)
-
-
-@pytest.mark.parametrize("speed_mps", [100.1, -100.1, 1e308, -1e308, math.inf])
-def test_speed_that_no_car_has_is_unknown(speed_mps):
-    assert motion(1.0, speed_mps).speed_mps(100 * MS) is None
 
 
 def test_locked_wheels_are_no_standstill_until_the_car_must_have_stopped():
@@ -76,21 +72,19 @@ def checked(*speeds, is_reverse=False, after_reverse=False):
     return "", None
 
 
-def test_rolling_backward_without_reverse_is_told_within_the_time():
-    assert checked(*[-0.3] * 9) == ("it rolled backward at 0.3 m/s without reverse", 200)
-    assert checked(*[-0.19] * 9) == ("", None)
-    assert checked(-0.3, -0.3, -0.3, 0.0, -0.3, -0.3) == ("", None)
-
-
-def test_rolling_forward_in_reverse_is_told():
-    assert checked(*[0.4] * 9, is_reverse=True) == ("it rolled forward at 0.4 m/s in reverse", 200)
-    assert checked(*[-2.0] * 9, is_reverse=True) == ("", None)
-
-
-def test_car_may_roll_out_after_reverse_but_not_get_faster_nor_set_off_again():
-    assert checked(-1.0, -0.9, -0.8, -0.7, -0.6, -0.5, after_reverse=True) == ("", None)
-    assert checked(-1.0, -0.8, *[-1.1] * 9, after_reverse=True)[0]
-    assert checked(-1.0, -0.5, 0.0, *[-0.5] * 9, after_reverse=True)[0]
+@pytest.mark.parametrize("speeds, reverse, found", [
+    ([-0.3] * 9, {}, ("it rolled backward at 0.3 m/s without reverse", 200)),
+    ([-0.19] * 9, {}, ("", None)),
+    ([-0.3, -0.3, -0.3, 0.0, -0.3, -0.3], {}, ("", None)),
+    ([0.4] * 9, {"is_reverse": True}, ("it rolled forward at 0.4 m/s in reverse", 200)),
+    ([-2.0] * 9, {"is_reverse": True}, ("", None)),
+    # it may roll out after reverse, but neither get faster nor set off again
+    ([-1.0, -0.9, -0.8, -0.7, -0.6, -0.5], {"after_reverse": True}, ("", None)),
+    ([-1.0, -0.8, *[-1.1] * 9], {"after_reverse": True}, ("it rolled backward at 1.1 m/s without reverse", 300)),
+    ([-1.0, -0.5, 0.0, *[-0.5] * 9], {"after_reverse": True}, ("it rolled backward at 0.5 m/s without reverse", 350)),
+])
+def test_motion_against_the_state_is_found_within_the_time(speeds, reverse, found):
+    assert checked(*speeds, **reverse) == found
 
 
 def test_unknown_speed_neither_tells_nor_forgets():

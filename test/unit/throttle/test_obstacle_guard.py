@@ -53,12 +53,13 @@ BY_BRAKE, BY_DRAG = (pytest.approx(stopping_speed_mps(1.494 - 0.1, 0.43 + 0.1, g
 
 
 @pytest.mark.parametrize(("answers", "request_", "speed_mps"), [
-    pytest.param([(FORWARD, 0.5, 0.0)], 0.5, BY_BRAKE, id="driven_forward"),
-    pytest.param([(FORWARD, 0.5, 0.2), (NEUTRAL, 0.0, 0.0)], 0.0, BY_BRAKE, id="coasting_for_a_moment"),
-    pytest.param([(FORWARD, 0.5, 0.4), (NEUTRAL, 0.0, 0.0)], 0.0, BY_DRAG, id="coasting_for_too_long"),
-    pytest.param([(BRAKING, -0.5, 0.0)], -0.5, BY_BRAKE, id="braking_as_its_driver_wants"),
-    pytest.param([(BRAKING, -0.5, 0.0)], 0.5, BY_DRAG, id="a_brake_that_would_be_released"),
-    pytest.param([], 0.5, BY_DRAG, id="before_the_first_answer"),
+    ([(FORWARD, 0.5, 0.0)], 0.5, BY_BRAKE),
+    ([(FORWARD, 0.5, 0.3), (NEUTRAL, 0.0, 0.0)], 0.0, BY_BRAKE),
+    ([(FORWARD, 0.5, 0.4), (NEUTRAL, 0.0, 0.0)], 0.0, BY_DRAG),
+    ([(REVERSE, -0.5, 0.1), (NEUTRAL, 0.0, 0.0)], 0.0, BY_DRAG),
+    ([(BRAKING, -0.5, 0.0)], -0.5, BY_BRAKE),
+    ([(BRAKING, -0.5, 0.0)], 0.5, BY_DRAG),  # which is about to be released
+    ([], 0.5, BY_DRAG),
 ])
 def test_a_stop_is_trusted_for_as_long_as_it_is_certain(answers, request_, speed_mps):
     assert allowed(guard_after(*answers), asked(request_), 0.5)[0] == speed_mps
@@ -68,12 +69,16 @@ def test_backward_it_goes_by_the_sonars_behind_and_by_drag():
     guard = guard_after((REVERSE, -0.5, 0.0), ahead_m=0.2, behind_m=1.5)
     assert allowed(guard, asked(-0.5), -0.4)[0] == BY_DRAG
     assert allowed(guard, asked(-0.5), 0.0)[0] == BY_DRAG
+    assert allowed(guard_after((FORWARD, 0.5, 0.0), ahead_m=0.2), asked(0.5), -0.1)[0] == BY_DRAG
 
 
-def test_at_standstill_the_request_says_which_way():
+@pytest.mark.parametrize("speed_mps", [0.0, 0.09])
+def test_at_standstill_the_request_says_which_way(speed_mps):
     guard = guard_after((NEUTRAL, 0.0, 0.0), ahead_m=0.05, behind_m=1.5)
-    assert allowed(guard, asked(0.5), 0.0) == (0.0, False)
-    assert allowed(guard, asked(-0.5), 0.0)[0] == BY_DRAG
+    assert allowed(guard, asked(0.5), speed_mps) == (0.0, False)
+    assert allowed(guard, asked(-0.5), speed_mps)[0] == BY_DRAG
+    assert allowed(guard, asked(0.0), speed_mps) == (0.0, False)
+    assert allowed(guard, asked(-0.5), 0.1) == (0.0, True)
 
 
 @pytest.mark.parametrize("source", [PLANNER, TELEOP])
@@ -81,6 +86,7 @@ def test_a_car_that_is_faster_has_to_stop_whoever_drives(source):
     guard = guard_after((FORWARD, 0.5, 0.0))
     assert allowed(guard, asked(0.5, source), 3.0)[1]
     assert not allowed(guard, asked(0.5, source), 1.0)[1]
+    assert allowed(guard_after((FORWARD, 0.5, 0.0), ahead_m=0.05), asked(0.5, source), 0.1) == (0.0, True)
 
 
 def test_a_turn_that_leaves_every_cone_is_not_bounded():
@@ -88,9 +94,6 @@ def test_a_turn_that_leaves_every_cone_is_not_bounded():
 
 
 @pytest.mark.parametrize("arbitration", [asked(0.0, PLANNER, stops=True), asked(0.0, NOBODY)])
-def test_where_nobody_drives_there_is_nothing_to_bound(arbitration):
+def test_where_nobody_drives_or_without_any_odometry_there_is_nothing_to_bound(arbitration):
     assert guard_after((FORWARD, 0.5, 0.0)).check(arbitration, moving(3.0), 0.0, NOW) is NONE
-
-
-def test_without_any_odometry_it_says_nothing():
     assert guard_after().check(asked(0.5), MeasuredSpeed(0.5), 0.0, NOW) is NONE

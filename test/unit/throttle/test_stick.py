@@ -9,19 +9,9 @@ from car_interface.throttle.stick import Scale, StickConfig, read_stick, shaped
 
 
 @pytest.mark.parametrize("request_, deadband, expo, expected", [
-    pytest.param(0.0, 0.05, 0.0, 0.0, id="at_rest"),
-    pytest.param(0.05, 0.05, 0.0, 0.0, id="at_the_edge_of_the_dead_band"),
-    pytest.param(-0.05, 0.05, 0.0, 0.0, id="at_its_other_edge"),
-    pytest.param(0.525, 0.05, 0.0, 0.5, id="beyond_it_the_request_begins_at_0"),
-    pytest.param(1.0, 0.05, 0.0, 1.0, id="full_forward"),
-    pytest.param(-1.0, 0.05, 0.0, -1.0, id="full_brake"),
-    pytest.param(7.0, 0.05, 0.0, 1.0, id="beyond_1_is_clamped"),
-    pytest.param(-7.0, 0.05, 0.0, -1.0, id="beyond_minus_1_is_clamped"),
-    pytest.param(0.5, 0.0, 1.0, 0.125, id="expo_1_is_the_cube"),
-    pytest.param(0.5, 0.0, 0.5, 0.3125, id="expo_between_is_a_mean"),
-    pytest.param(-0.5, 0.0, 1.0, -0.125, id="expo_keeps_the_sign"),
-    pytest.param(0.01, 0.0, 0.0, 0.01, id="no_dead_band"),
-])
+    (0.05, 0.05, 0.0, 0.0), (-0.05, 0.05, 0.0, 0.0), (0.525, 0.05, 0.0, 0.5), (-1.0, 0.05, 0.0, -1.0),
+    (7.0, 0.05, 0.0, 1.0), (0.5, 0.0, 1.0, 0.125), (0.5, 0.0, 0.5, 0.3125), (-0.5, 0.0, 1.0, -0.125),
+    (0.01, 0.0, 0.0, 0.01)])
 def test_stick_is_shaped(request_, deadband, expo, expected):
     assert shaped(request_, deadband, expo) == pytest.approx(expected)
 
@@ -36,49 +26,28 @@ def press(scale, *buttons):
     return [scale.update(button) for button in buttons]
 
 
-def test_scale_changes_by_a_step_when_a_button_is_pressed():
+@pytest.mark.parametrize("buttons, value", [
+    ((0, 1), 0.4),
+    ((0, 1, 0, -1, 0, -1), 0.2),
+    ((0, 1, 1, 1, 1), 0.4),
+    ((1, 1), 0.3),  # a node that was restarted gets the last message of the gamepad
+    ((0, 2, 0, -2, 100), 0.3),
+])
+def test_scale_changes_by_a_step_each_time_that_a_button_is_pressed(buttons, value):
     scale = Scale(StickConfig(human_scale=0.3, scale_step=0.1))
-    assert press(scale, 0, 1) == [False, True]
-    assert scale.value == 0.4
-    assert press(scale, 0, -1, 0, -1) == [False, True, False, True]
-    assert scale.value == 0.2
+    changes = press(scale, *buttons)
+    assert scale.value == value
+    assert any(changes) == (value != 0.3) and not changes[0]
 
 
-def test_scale_changes_once_while_a_button_is_held():
-    scale = Scale(StickConfig())
-    press(scale, 0, 1, 1, 1, 1)
-    assert scale.value == 0.4
-
-
-def test_button_that_is_held_at_the_first_message_does_not_count():
-    """A node that was restarted gets the last message of the gamepad."""
-    scale = Scale(StickConfig())
-    press(scale, 1, 1)
-    assert scale.value == 0.3
-
-
-def test_scale_ends_at_1_and_at_the_smaller_of_a_step_and_the_start():
-    scale = Scale(StickConfig(human_scale=0.3, scale_step=0.2))
+@pytest.mark.parametrize("start, step, least", [(0.3, 0.2, 0.2), (0.05, 0.1, 0.05), (0.3, 0.0, 0.3)])
+def test_scale_ends_at_1_and_at_the_smaller_of_a_step_and_the_start_and_a_step_of_0_changes_nothing(start, step, least):
+    scale = Scale(StickConfig(human_scale=start, scale_step=step))
     press(scale, *[0, 1] * 20)
-    assert scale.value == 1.0
+    assert scale.value == (1.0 if step else start)
     assert press(scale, 0, 1) == [False, False]
     press(scale, *[0, -1] * 20)
-    assert scale.value == pytest.approx(0.2)
-    low = Scale(StickConfig(human_scale=0.05, scale_step=0.1))
-    press(low, 0, -1)
-    assert low.value == 0.05
-
-
-@pytest.mark.parametrize("pressed", [2, -2, 100])
-def test_number_that_is_no_button_changes_nothing(pressed):
-    scale = Scale(StickConfig())
-    assert press(scale, 0, pressed) == [False, False]
-
-
-def test_step_of_0_switches_the_buttons_off():
-    scale = Scale(StickConfig(scale_step=0.0))
-    press(scale, 0, 1, 0, -1)
-    assert scale.value == 0.3
+    assert scale.value == pytest.approx(least)
 
 
 def test_defaults_are_a_third_forward_and_the_whole_brake():
