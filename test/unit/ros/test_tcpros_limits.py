@@ -156,7 +156,7 @@ def test_silent_and_slow_peers_hold_up_nobody_and_are_dropped_after_a_second_wit
         for byte in header_of("/slow"):
             slow.sendall(bytes([byte]))
             time.sleep(0.1)
-    assert HANDSHAKE_S - 0.1 < time.monotonic() - began_s
+    assert time.monotonic() - began_s > HANDSHAKE_S - 0.1
     wait_until(lambda: all(map(is_closed, waiting)))
     line = only_line(caplog)
     assert "Inbound TCP/IP connection failed: 127.0.0.1:" in line and "sent no whole header within 1 s" in line
@@ -311,8 +311,8 @@ def string(text):
 
 
 @pytest.mark.parametrize("first, text", [
-    (b"", "sent no whole header within 1 s"), (FOUR_GIB, "announces a header"), (b"\2\0\0\0ab", "sends no TCPROS header"),
-    (None, "closed the connection before its header was whole"),
+    (b"", "sent no whole header within 1 s"), (FOUR_GIB, "announces a header"),
+    (b"\2\0\0\0ab", "sends no TCPROS header"), (None, "closed the connection before its header was whole"),
 ], ids=["silent", "4 GiB", "no header", "leaves"])
 def test_publisher_without_a_header_is_tried_again_after_one_line(listener, subscription, caplog, first, text):
     publisher = accept(listener, first or b"")
