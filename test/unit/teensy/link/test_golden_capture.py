@@ -11,30 +11,23 @@ from pathlib import Path
 import pytest
 
 from car_interface.teensy.link.framing import FrameDecoder
-from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, WheelStatus, decode
+from car_interface.teensy.link.protocol import ErrorCount, Pong, SonarStatus, WheelStatus, decode
 
 DATA = Path(__file__).resolve().parents[3] / "data"
 CAPTURE = (DATA / "capture_mixed.bin").read_bytes()
 LINES = [json.loads(text) for text in (DATA / "capture_mixed.jsonl").read_text(encoding="utf-8").splitlines()]
 BOOT, FRAMES = LINES[0], LINES[1:]
+COMMANDS = {Pong: 2, SonarStatus: 6, WheelStatus: 7, ErrorCount: 9}
 
 
 def fields_of(record):
     """A record as the capture's description has it."""
-    if isinstance(record, Pong):
-        return {"cmd": 2, "timestamp1": record.timestamp1, "timestamp2": record.timestamp2}
+    fields = record._asdict()
     if isinstance(record, SonarStatus):
-        return {"cmd": 6, "sensor": record.sensor, "distance": record.echo_us, "when": record.when}
-    if isinstance(record, WheelStatus):
-        return {"cmd": 7, "left": wheel_fields(record.left), "right": wheel_fields(record.right)}
-    if isinstance(record, ErrorCount):
-        return {"cmd": 9, "count": record.count, "name": record.name}
-    return record
-
-
-def wheel_fields(wheel):
-    return {"speed": wheel.speed, "direction": wheel.direction, "when": wheel.when, "dist": wheel.dist,
-            "dist_abs": wheel.dist_abs}
+        fields["distance"] = fields.pop("echo_us")
+    elif isinstance(record, WheelStatus):
+        fields = {side: wheel._asdict() for side, wheel in fields.items()}
+    return {"cmd": COMMANDS[type(record)], **fields}
 
 
 def expected_fields(frame):
@@ -48,14 +41,6 @@ def expected_fields(frame):
     return fields
 
 
-def whole(data):
-    return [data]
-
-
-def byte_by_byte(data):
-    return [data[index:index + 1] for index in range(len(data))]
-
-
 def random_pieces(data):
     pieces, start, choose = [], 0, random.Random(2)
     while start < len(data):
@@ -65,38 +50,15 @@ def random_pieces(data):
     return pieces
 
 
-@pytest.fixture(scope="module", params=[whole, byte_by_byte, random_pieces])
-def fed(request):
-    """The bodies found in the capture, and the decoder that found them."""
+@pytest.mark.parametrize("cut", [lambda data: [data], random_pieces], ids=["whole", "random_pieces"])
+def test_capture_gives_each_frame_s_bytes_and_fields_in_order_and_no_fault_but_the_boot_frame(cut):
     decoder = FrameDecoder()
-    return [body for piece in request.param(CAPTURE) for body in decoder.feed(piece)], decoder
-
-
-def test_capture_fed_gives_each_frame_s_bytes_in_order(fed):
-    bodies, _ = fed
+    bodies = [body for piece in cut(CAPTURE) for body in decoder.feed(piece)]
     assert [body.hex() for body in bodies] == [frame["raw"] for frame in FRAMES]
-
-
-def test_capture_fed_gives_each_frame_s_fields_in_order(fed):
-    bodies, _ = fed
-    assert len(bodies) == len(FRAMES)
     for body, frame in zip(bodies, FRAMES):
         assert fields_of(decode(body)) == expected_fields(frame), frame
-
-
-def test_capture_fed_has_no_fault_but_the_boot_frame(fed):
-    _, decoder = fed
     tally = decoder.tally
-    assert (tally.frames, tally.too_short, tally.bad_frames) == (795, 1, 0)
+    assert (tally.frames, tally.too_short, tally.bad_frames, decoder.pending) == (795, 1, 0, 0)
     assert tally.noise_bytes == BOOT["end"] - BOOT["start"] - 1 == 2
     assert tally.bytes_in == len(CAPTURE) == tally.frame_bytes + tally.flags + tally.noise_bytes
     assert tally.flags == CAPTURE.count(b"\x7e")
-    assert decoder.pending == 0
-
-
-def test_capture_with_each_body_s_header_spoiled_is_malformed():
-    for frame in FRAMES[::11]:
-        for place, value in ((0, 2), (1, 1), (2, 11), (3, 1)):
-            body = bytearray.fromhex(frame["raw"])
-            body[place] = value
-            assert isinstance(decode(bytes(body)), Malformed)
