@@ -67,7 +67,8 @@ class Axle:
 @pytest.mark.once
 @pytest.mark.parametrize("name, worst_percent, worst_deg, worst_speed_percent", (
     ("straight 20 m", 1.0, 2.0, 2.0), ("stop and go 60 m", 1.0, 2.0, 2.0), ("reversing 60 m", 1.0, 2.0, 2.0),
-    ("20 m, six resets", 1.0, 2.0, 2.0), ("reversing, resets", 1.0, 2.0, 3.0), ("crawl 0.05 m/s", 1.0, 2.0, 10.0)))
+    ("20 m, six resets", 1.0, 2.0, 2.0), ("reversing, resets", 1.0, 2.0, 3.0), ("crawl 0.05 m/s", 1.0, 2.0, 10.0),
+    ("8 m/s", 0.5, 2.0, 2.0)))
 def test_virtual_car_is_where_odometry_says(name, worst_percent, worst_deg, worst_speed_percent):
     drive = next(make for make in odometry_accuracy.drives() if make().name == name)
     score = odometry_accuracy.run(drive, (0.3, 0.9), 1)
@@ -78,22 +79,12 @@ def test_virtual_car_is_where_odometry_says(name, worst_percent, worst_deg, wors
     assert score.inside / score.reports >= 0.99
 
 
-@pytest.mark.once
-@pytest.mark.parametrize("phases", ((0.1, 0.3), (0.4, 0.4), (0.8, 0.7)))
-def test_fast_way_leads_to_no_side_wherever_the_pulses_are_in_their_ticks(phases):
-    drive = next(make for make in odometry_accuracy.drives() if make().name == "8 m/s")
-    score = odometry_accuracy.run(drive, phases, 1)
-    assert 100 * score.position_m / score.distance_m <= 0.5
-
-
-def test_nothing_has_happened_at_the_start():
-    motion = Axle().motion
-    assert (motion.x_m, motion.y_m, motion.yaw_rad, motion.speed_mps, motion.distance_m) == (0, 0, 0, 0, 0)
-
-
 @pytest.mark.parametrize("phases", ((0.5, 0.5), (0.01, 0.99), (0.99, 0.01), (0.25, 0.75)))
 def test_straight_way_is_straight_wherever_the_magnets_stood(phases):
-    motion = Axle(phases).roll((1.0, 1.0), 5.0)
+    axle = Axle(phases)
+    motion = axle.motion
+    assert (motion.x_m, motion.y_m, motion.yaw_rad, motion.speed_mps, motion.distance_m) == (0, 0, 0, 0, 0)
+    motion = axle.roll((1.0, 1.0), 5.0)
     assert motion.x_m == pytest.approx(5.0, abs=0.02)
     assert motion.y_m == pytest.approx(0.0, abs=0.05)
     assert motion.yaw_rad == pytest.approx(0.0, abs=math.radians(0.5))
@@ -152,11 +143,6 @@ def test_wheels_in_opposite_directions_turn_the_car_where_it_stands():
     assert motion.yaw_rad == pytest.approx(2 * 1.0 / TRACK_M, abs=0.1)
     assert math.hypot(motion.x_m, motion.y_m) < 0.02
     assert motion.yaw_rate_radps == pytest.approx(1.0 / TRACK_M, rel=0.1)
-
-
-def test_crawl_has_the_speed_of_its_pulses():
-    motion = Axle((0.1, 0.6)).roll((0.05, 0.05), 5.0)
-    assert motion.speed_mps == pytest.approx(0.05, rel=0.05)
 
 
 def test_speed_sinks_when_pulses_fail_to_come_and_is_zero_after_a_second():
@@ -232,11 +218,6 @@ def test_pulse_from_a_time_that_cannot_be_counts_all_the_same():
     assert motion.speed_mps == pytest.approx(1.0, rel=0.1)
 
 
-def test_one_wheel_alone_waits_for_the_other_with_the_heading_and_counts():
-    motion = Axle().roll((0.0, 0.5), 3.0)
-    assert motion.yaw_rad == pytest.approx(1.5 / TRACK_M, abs=0.2)
-
-
 def test_covariance_grows_with_the_way_and_not_with_the_time():
     axle = Axle()
     near = axle.roll((1.0, 1.0), 2.0).pose_covariance
@@ -259,18 +240,14 @@ def test_steering_fills_the_gap_between_pulses_only_when_it_is_used():
         headings.append(axle.roll((0.3 * (1 - half), 0.3 * (1 + half)), 3.0).yaw_rad)
         assert headings[-1] == pytest.approx(0.3 * 3.0 * curvature, abs=math.radians(2.5))
     assert headings[0] != headings[1]
-
-
-def test_steering_that_is_unknown_is_no_steering():
-    axle = Axle(use_steering=True)
-    axle.odometry.steer(math.nan)
-    axle.odometry.steer(math.inf)
-    assert math.isfinite(axle.roll((1.0, 1.0), 1.0).yaw_rad)
+    for unknown in (math.nan, math.inf):
+        axle.odometry.steer(unknown)
+        assert math.isfinite(axle.roll((1.0, 1.0), 0.5).yaw_rad)
 
 
 @pytest.mark.parametrize("changes", (
     {"track_m": 0}, {"wheel_diameter_m": -1}, {"pulses_per_revolution": 0}, {"wheelbase_m": math.nan},
-    {"distance_sigma": -1}, {"heading_sigma": math.inf}))
+    {"distance_sigma": -1}, {"heading_sigma": math.inf}, {"track_m": 1e-300}))
 def test_car_that_cannot_be_is_refused_by_name(changes):
     with pytest.raises(ConfigError, match=next(iter(changes))):
         OdometryConfig(**changes)
