@@ -41,43 +41,30 @@ def test_register_after_power_up_holds_its_reset_value(chip, register, value):
     assert chip.read(register, 1) == [value]
 
 
-def test_channels_after_power_up_are_full_off(chip):
-    for channel in range(16):
-        assert [chip.read(led(channel) + offset, 1)[0] for offset in range(4)] == [0, 0, 0, 0x10]
-        assert chip.high_counts(channel) == 0
-
-
-def test_power_up_after_use_resets_everything(chip):
+def test_power_up_after_use_resets_everything_and_switches_the_channels_off(chip):
     fresh = [chip.read(register, 1) for register in range(256)]
+    assert fresh[led(0):led(16)] == [[0], [0], [0], [0x10]] * 16
     chip.write(0x00, [0x70])
     chip.write(0xFE, [121])
     chip.write(0xFA, [1, 2, 3, 4])
     chip.write(0x00, [0x20])
     chip.power_up()
     assert [chip.read(register, 1) for register in range(256)] == fresh
+    assert [chip.high_counts(channel) for channel in range(16)] == [0] * 16
 
 
-def test_write_without_auto_increment_stays_at_its_register(chip):
+def test_write_goes_on_to_the_next_register_with_auto_increment_only(chip):
     chip.write(led(0), [1, 2, 3])
     assert [chip.read(led(0) + offset, 1)[0] for offset in range(4)] == [3, 0, 0, 0x10]
-
-
-def test_write_with_auto_increment_goes_on_to_the_next_register(awake):
-    awake.write(led(3), [0x99, 0x01, 0xCC, 0x04, 0x12])
-    assert awake.read(led(3), 5) == [0x99, 0x01, 0xCC, 0x04, 0x12]
+    chip.write(0x00, [AWAKE])
+    chip.write(led(3), [0x99, 0x01, 0xCC, 0x04, 0x12])
+    assert chip.read(led(3), 5) == [0x99, 0x01, 0xCC, 0x04, 0x12]
+    assert (chip.read(69, 3), chip.read(254, 3)) == ([0x10, AWAKE, 0x04], [0x1E, AWAKE, 0x04])  # round to MODE1
 
 
 def test_auto_increment_that_a_transfer_sets_works_within_it(chip):
     chip.write(0x00, [ASLEEP, 0x04, 0xE2])  # figure 21: all registers in one transfer, AI initially clear
     assert chip.read(0x00, 3) == [ASLEEP, 0x04, 0xE2]
-
-
-def test_auto_increment_past_register_69_points_to_mode1(awake):
-    assert awake.read(69, 3) == [0x10, AWAKE, 0x04]
-
-
-def test_auto_increment_past_register_254_points_to_mode1(awake):
-    assert awake.read(254, 3) == [0x1E, AWAKE, 0x04]
 
 
 def test_prescale_is_blocked_awake(awake):
@@ -115,21 +102,16 @@ def test_pin_of_a_channel_is_high_for(awake, registers, high):
     assert [awake.high_counts(other) for other in (3, 5)] == [0, 0]
 
 
-def test_pins_asleep_are_low(awake):
-    awake.write(led(0), [0, 0, 0x3F, 0x01])
-    awake.write(0x00, [ASLEEP])
-    assert awake.high_counts(0) == 0
-
-
 def test_reserved_bits_of_channel_registers_are_not_writable(awake):
     awake.write(led(0), [0xFF] * 4)
     assert awake.read(led(0), 4) == [0xFF, 0x1F, 0xFF, 0x1F]
 
 
-def test_all_led_registers_load_every_channel(awake):
+def test_all_led_registers_load_every_channel_and_read_as_zero(awake):
     awake.write(0xFA, [0x11, 0x02, 0x33, 0x04])
     for channel in range(16):
         assert awake.read(led(channel), 4) == [0x11, 0x02, 0x33, 0x04]
+    assert awake.read(0xFA, 4) == [0, 0, 0, 0]
 
 
 def test_all_led_off_h_alone_turns_every_channel_off(awake):
@@ -137,11 +119,6 @@ def test_all_led_off_h_alone_turns_every_channel_off(awake):
     awake.write(led(9), [0, 0x10, 0, 0])
     awake.write(0xFD, [0x10])
     assert [awake.high_counts(channel) for channel in range(16)] == [0] * 16
-
-
-def test_all_led_registers_read_as_zero(awake):
-    awake.write(0xFA, [0x11, 0x02, 0x33, 0x04])
-    assert awake.read(0xFA, 4) == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("register, value", [(0x01, 0x10), (0x02, 0x12), (0x03, 0x34), (0x04, 0x56), (0x05, 0x78)],
@@ -157,45 +134,37 @@ def test_reserved_registers_hold_nothing(awake, register):
     assert awake.read(register, 1) == [0]
 
 
-def put_to_sleep_with_a_pulse(chip):
-    chip.write(led(0), [0, 0, 0x3F, 0x01])
-    chip.write(0x00, [ASLEEP])
-
-
-def test_sleep_with_pulses_running_sets_restart(awake):
-    put_to_sleep_with_a_pulse(awake)
-    assert awake.read(0x00, 1) == [RESTART | ASLEEP]
-
-
-def test_sleep_with_a_pin_full_on_sets_restart_too(awake):
-    awake.write(led(0), [0, 0x10, 0, 0])
-    awake.write(0x00, [ASLEEP])
-    assert awake.read(0x00, 1) == [RESTART | ASLEEP]
-
-
-def test_sleep_after_an_orderly_shutdown_does_not_set_restart(awake):
+@pytest.fixture
+def asleep(awake):
+    """A chip that was put to sleep in the middle of a pulse."""
     awake.write(led(0), [0, 0, 0x3F, 0x01])
-    awake.write(0xFD, [0x10])
     awake.write(0x00, [ASLEEP])
-    assert awake.read(0x00, 1) == [ASLEEP]
+    return awake
 
 
-def test_waking_with_restart_set_keeps_the_pins_low_until_a_1_is_written_to_it(awake):
-    put_to_sleep_with_a_pulse(awake)
-    awake.write(0x00, [AWAKE])
-    assert awake.read(0x00, 1) == [RESTART | AWAKE]  # a write of 0 has no effect on RESTART
-    assert awake.high_counts(0) == 0
-    awake.write(0x00, [RESTART | AWAKE])
-    assert awake.read(0x00, 1) == [AWAKE]
-    assert awake.high_counts(0) == 0x13F
+@pytest.mark.parametrize("registers, mode1", [
+    ([0, 0, 0x3F, 0x01], RESTART | ASLEEP), ([0, 0x10, 0, 0], RESTART | ASLEEP), ([0, 0, 0x3F, 0x11], ASLEEP)],
+    ids=["a_pulse", "full_on", "off"])
+def test_sleep_makes_the_pins_low_and_sets_restart_unless_they_are_off(awake, registers, mode1):
+    awake.write(led(0), registers)
+    awake.write(0x00, [ASLEEP])
+    assert awake.read(0x00, 1) == [mode1] and awake.high_counts(0) == 0
+
+
+def test_waking_with_restart_set_keeps_the_pins_low_until_a_1_is_written_to_it(asleep):
+    asleep.write(0x00, [AWAKE])
+    assert asleep.read(0x00, 1) == [RESTART | AWAKE]  # a write of 0 has no effect on RESTART
+    assert asleep.high_counts(0) == 0
+    asleep.write(0x00, [RESTART | AWAKE])
+    assert asleep.read(0x00, 1) == [AWAKE]
+    assert asleep.high_counts(0) == 0x13F
 
 
 @pytest.mark.parametrize("register, data", [(led(7), [0, 0, 1, 0]), (0xFD, [0x00])],
                          ids=["of_a_channel", "of_all_channels"])
-def test_write_to_any_pwm_register_clears_restart(awake, register, data):
-    put_to_sleep_with_a_pulse(awake)
-    awake.write(register, data)
-    assert awake.read(0x00, 1) == [ASLEEP]
+def test_write_to_any_pwm_register_clears_restart(asleep, register, data):
+    asleep.write(register, data)
+    assert asleep.read(0x00, 1) == [ASLEEP]
 
 
 def test_extclk_once_set_is_cleared_by_nothing_but_power(chip):
@@ -219,11 +188,9 @@ def test_bus_carries_address_register_and_data_of_each_write():
 
 
 @pytest.mark.parametrize("transfer", [
-    pytest.param(lambda bus: bus.read_byte_data(0x41, 0), id="read_of_a_byte"),
-    pytest.param(lambda bus: bus.read_i2c_block_data(0x41, 0, 4), id="read_of_a_block"),
-    pytest.param(lambda bus: bus.write_byte_data(0x41, 0, 0), id="write_of_a_byte"),
-    pytest.param(lambda bus: bus.write_i2c_block_data(0x41, 6, [0] * 4), id="write_of_a_block"),
-])
+    lambda bus: bus.read_byte_data(0x41, 0), lambda bus: bus.read_i2c_block_data(0x41, 0, 4),
+    lambda bus: bus.write_byte_data(0x41, 0, 0), lambda bus: bus.write_i2c_block_data(0x41, 6, [0] * 4),
+], ids=["read_of_a_byte", "read_of_a_block", "write_of_a_byte", "write_of_a_block"])
 def test_bus_at_an_empty_address_fails_as_linux_does(transfer):
     writes = []
     with pytest.raises(OSError, match="Remote I/O error") as caught:
@@ -233,9 +200,8 @@ def test_bus_at_an_empty_address_fails_as_linux_does(transfer):
 
 
 @pytest.mark.parametrize("transfer", [
-    pytest.param(lambda bus: bus.write_i2c_block_data(ADDRESS, 6, [0] * 33), id="write"),
-    pytest.param(lambda bus: bus.read_i2c_block_data(ADDRESS, 6, 33), id="read"),
-])
+    lambda bus: bus.write_i2c_block_data(ADDRESS, 6, [0] * 33), lambda bus: bus.read_i2c_block_data(ADDRESS, 6, 33),
+], ids=["write", "read"])
 def test_bus_refuses_a_block_of_more_than_32_bytes_as_smbus_does(transfer):
     with pytest.raises(ValueError, match="Data length cannot exceed 32 bytes, got 33"):
         transfer(VirtualBus({ADDRESS: VirtualPca9685()}))

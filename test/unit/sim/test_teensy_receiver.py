@@ -1,5 +1,4 @@
 """The simulated Teensy's receiver, with the four faults of the original."""
-import random
 
 import pytest
 from hypothesis import given
@@ -41,24 +40,11 @@ def receiver_after(wire):
     return receiver
 
 
-def test_receiver_has_78_states():
-    found = states_and_how_to_reach_them()
-    assert len(found) == 78
-    assert {phase for phase, _ in found} == {"idle", "waiting", "data", "escaped"}
-
-
 def test_receiver_in_any_state_waits_for_a_flag_after_39_zeros():
-    for state, wire in states_and_how_to_reach_them().items():
+    states = states_and_how_to_reach_them()
+    assert len(states) == 78
+    for state, wire in states.items():
         assert receiver_after(wire + bytes(39)).state == ("waiting", 0), state
-
-
-def test_receiver_in_one_state_does_not_after_38_zeros():
-    stuck = [
-        state
-        for state, wire in states_and_how_to_reach_them().items()
-        if receiver_after(wire + bytes(38)).state != ("waiting", 0)
-    ]
-    assert stuck == [("escaped", 37)]
 
 
 @given(command=st.integers(0, 255), payload=st.binary(max_size=32))
@@ -72,23 +58,6 @@ def test_frame_with_the_receiver_s_own_checksum_and_any_payload_is_accepted(comm
 def test_frame_of_the_textbook_and_any_payload_is_accepted_by_a_corrected_firmware(command, payload):
     accepted, _ = received(framed_by_the_textbook(message(command, payload)), corrected=True)
     assert len(accepted) == 1 and accepted[0].startswith(message(command, payload))
-
-
-def share_answered(timestamps):
-    answered = sum(len(received(framed_by_the_textbook(ping(timestamp1)))[0]) for timestamp1 in timestamps)
-    return answered / len(timestamps)
-
-
-def test_textbook_pings_with_a_free_running_counter_are_answered_one_time_in_twenty():
-    # Over all 32-bit values it's 3.9 %; how much a counter gets in a few minutes hangs on its upper bytes.
-    draw = random.Random(2)
-    assert 0.035 <= share_answered([draw.getrandbits(32) for _ in range(8000)]) <= 0.06
-
-
-def test_escaped_byte_is_summed_as_it_came_and_the_escape_not_at_all():
-    # 02 01 0c 00 | 7e 00 00 00: summed as 5e the total is 6d; the checksum that makes it ff is 92.
-    assert received(bytes.fromhex("7e02010c007d5e000000927e"))[0]
-    assert not received(bytes.fromhex("7e02010c007d5e000000727e"))[0]
 
 
 @pytest.mark.parametrize(
