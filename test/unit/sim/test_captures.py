@@ -34,6 +34,18 @@ from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_sonars import SONAR_STUCK
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
+from teensy_bench import (
+    PONG,
+    SONAR,
+    WHEELS,
+    framed_for_the_receiver,
+    message,
+    ones_complement_sum,
+    parse_counter,
+    parse_sonar,
+    parse_wheels,
+    unstuffed,
+)
 
 pytestmark = pytest.mark.once
 MS, US = 1_000_000, 1_000
@@ -189,20 +201,10 @@ def pulses_of(rows):
     return sorted(found)
 
 
-def stuffed(data):
-    return b"".join(bytes([0x7D, byte ^ 0x20]) if byte in (0x7D, 0x7E) else bytes([byte]) for byte in data)
-
-
 def command(kind, *values):
     """A command as the captures' host framed it: with the receiver's own checksum."""
     payload = {"ping": lambda token: struct.pack("<II", token, 0), "sonar_wait": lambda ms: struct.pack("<I", ms)}
-    message = bytes([2, 1, COMMANDS[kind], 0]) + payload.get(kind, lambda: b"")(*values)
-    for reserved in (b"\x00", b"\x7d\x20"):
-        wire = stuffed(message[:3]) + reserved + stuffed(message[4:])
-        checksum = 0xFF - sum(byte for byte in wire if byte != 0x7D) % 256
-        if checksum not in (0x7D, 0x7E):
-            break
-    return b"\x7e" + wire + bytes([checksum]) + b"\x7e"
+    return framed_for_the_receiver(message(COMMANDS[kind], payload.get(kind, lambda: b"")(*values)))
 
 
 # What comes out
@@ -210,15 +212,13 @@ def command(kind, *values):
 
 def parsed(frame):
     """An unescaped frame → (kind, fields), as in the captures."""
-    if frame[2] == 7:
-        wheels = (struct.unpack_from("<HBBIII", frame, offset) for offset in (4, 20))
-        return ("wheel", *([speed, direction, *rest] for speed, direction, _, *rest in wheels))
-    if frame[2] == 6:
-        sensor, _, echo_us, when = struct.unpack_from("<BBHI", frame, 4)
-        return "sonar", sensor, echo_us, when
-    if frame[2] == 2:
-        return ("pong", *struct.unpack_from("<II", frame, 4))
-    return "counter", frame[8:-1].decode(), struct.unpack_from("<I", frame, 4)[0]
+    if frame[2] == WHEELS:
+        return ("wheel", *([wheel.speed, wheel.direction, wheel.when, wheel.dist, wheel.dist_abs]
+                           for wheel in parse_wheels(frame)))
+    if frame[2] == SONAR:
+        sonar = parse_sonar(frame)
+        return "sonar", sonar.sensor, sonar.echo_us, sonar.when
+    return ("pong", *struct.unpack_from("<II", frame, 4)) if frame[2] == PONG else ("counter", *parse_counter(frame))
 
 
 class Replay:
@@ -303,24 +303,6 @@ class Replay:
 
 def rows_of(rows, kind):
     return [row for row in rows if row[0] == kind]
-
-
-def unstuffed(data):
-    plain, escaped = bytearray(), False
-    for byte in data:
-        if byte == 0x7D:
-            escaped = True
-        else:
-            plain.append(byte ^ 0x20 if escaped else byte)
-            escaped = False
-    return bytes(plain)
-
-
-def ones_complement_sum(data):
-    total = sum(data)
-    while total > 0xFF:
-        total = (total & 0xFF) + (total >> 8)
-    return total
 
 
 # Both beside each other
