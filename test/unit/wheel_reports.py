@@ -4,13 +4,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from car_interface.teensy.link.protocol import (
-    FORWARD,
-    NO_DIRECTION,
-    SonarStatus,
-    Wheel,
-    WheelStatus,
-)
+from car_interface.teensy.link.protocol import FORWARD, NO_DIRECTION, SonarStatus, Wheel, WheelStatus
 from car_interface.teensy.sensing.plausibility import Gates
 
 PULSE_M = math.pi * 0.095 / 20

@@ -60,22 +60,19 @@ def test_frame_of_the_textbook_and_any_payload_is_accepted_by_a_corrected_firmwa
     assert len(accepted) == 1 and accepted[0].startswith(message(command, payload))
 
 
-@pytest.mark.parametrize(
-    ("wire", "accepted"),
-    [
-        pytest.param(GOOD * 3, 3, id="each_with_its_own_flags"),
-        pytest.param(b"\x00\x55\x7d" + GOOD, 1, id="noise_before"),
-        pytest.param(GOOD[:-1] + GOOD[:-1] + GOOD, 2, id="shared_flags_lose_every_second"),
-        pytest.param(b"\x7e" + GOOD * 20, 0, id="one_odd_flag_before_loses_all"),
-        pytest.param(b"\x7e" + GOOD * 20 + b"\x7e" + GOOD, 1, id="until_another_odd_flag"),
-        pytest.param(GOOD[1:] + GOOD * 20, 0, id="a_missing_opening_flag_loses_all"),
-        pytest.param(GOOD[:-1] + GOOD * 20, 1, id="a_missing_closing_flag_loses_all_later"),
-        pytest.param(b"\x7e" + bytes(37) + b"\x7e" + GOOD, 1, id="36_bytes_and_a_wrong_checksum_lose_one"),
-        pytest.param(b"\x7e" + bytes(38) + b"\x7e" + GOOD * 20, 0, id="37_bytes_before_the_checksum_lose_all"),
-        pytest.param(b"\x7e" + GOOD * 9 + bytes(39) + GOOD, 1, id="39_zeros_bring_it_back"),
-        pytest.param(b"\x7e\x02\x01\x7d" + GOOD, 0, id="an_escaped_flag_is_data"),
-    ],
-)
+@pytest.mark.parametrize(("wire", "accepted"), [
+    pytest.param(GOOD * 3, 3, id="each_with_its_own_flags"),
+    pytest.param(b"\x00\x55\x7d" + GOOD, 1, id="noise_before"),
+    pytest.param(GOOD[:-1] + GOOD[:-1] + GOOD, 2, id="shared_flags_lose_every_second"),
+    pytest.param(b"\x7e" + GOOD * 20, 0, id="one_odd_flag_before_loses_all"),
+    pytest.param(b"\x7e" + GOOD * 20 + b"\x7e" + GOOD, 1, id="until_another_odd_flag"),
+    pytest.param(GOOD[1:] + GOOD * 20, 0, id="a_missing_opening_flag_loses_all"),
+    pytest.param(GOOD[:-1] + GOOD * 20, 1, id="a_missing_closing_flag_loses_all_later"),
+    pytest.param(b"\x7e" + bytes(37) + b"\x7e" + GOOD, 1, id="36_bytes_and_a_wrong_checksum_lose_one"),
+    pytest.param(b"\x7e" + bytes(38) + b"\x7e" + GOOD * 20, 0, id="37_bytes_before_the_checksum_lose_all"),
+    pytest.param(b"\x7e" + GOOD * 9 + bytes(39) + GOOD, 1, id="39_zeros_bring_it_back"),
+    pytest.param(b"\x7e\x02\x01\x7d" + GOOD, 0, id="an_escaped_flag_is_data"),
+])
 def test_receiver_accepts(wire, accepted):
     assert len(received(wire)[0]) == accepted
 
@@ -92,17 +89,14 @@ def test_receiver_fed_in_any_pieces_answers_alike(noise, data):
     assert whole.frames(PONG)
 
 
-@pytest.mark.parametrize(
-    ("wire", "counter", "count"),
-    [
-        pytest.param(b"\x7e\x02\x01\x0a\x00\x01\x7e", "rxErrorChecksum", 1, id="wrong_checksum"),
-        pytest.param(b"\x7e\x7e", "rxErrorChecksum", 1, id="empty_frame"),
-        pytest.param(b"\x7e\x02\x01\x0a\xf2\x7e", "rxErrorTooShort", 1, id="less_than_a_header"),
-        pytest.param(b"\x7e" + bytes(38), "rxErrorTooLong", 1, id="more_than_any_message"),
-        pytest.param(b"\x01\x02\x03", "rxErrorDropped", 3, id="bytes_outside_of_frames"),
-        pytest.param(GOOD, "rxPackets", 1, id="good_frame"),
-        pytest.param(GOOD, "rxBytes", 7, id="bytes_of_a_good_frame"),
-    ],
-)
+@pytest.mark.parametrize(("wire", "counter", "count"), [
+    pytest.param(b"\x7e\x02\x01\x0a\x00\x01\x7e", "rxErrorChecksum", 1, id="wrong_checksum"),
+    pytest.param(b"\x7e\x7e", "rxErrorChecksum", 1, id="empty_frame"),
+    pytest.param(b"\x7e\x02\x01\x0a\xf2\x7e", "rxErrorTooShort", 1, id="less_than_a_header"),
+    pytest.param(b"\x7e" + bytes(38), "rxErrorTooLong", 1, id="more_than_any_message"),
+    pytest.param(b"\x01\x02\x03", "rxErrorDropped", 3, id="bytes_outside_of_frames"),
+    pytest.param(GOOD, "rxPackets", 1, id="good_frame"),
+    pytest.param(GOOD, "rxBytes", 7, id="bytes_of_a_good_frame"),
+])
 def test_receiver_counts(wire, counter, count):
     assert received(wire)[1][counter] == count

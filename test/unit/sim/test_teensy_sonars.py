@@ -23,17 +23,14 @@ from teensy_bench import (
 )
 
 
-@pytest.mark.parametrize(
-    ("echo_us", "pulse_end_us", "reported_us"),
-    [
-        pytest.param(11_600, 38_000, 11_587, id="2_m_are_no_limit"),
-        pytest.param(17_471, 38_000, 17_458, id="wall_at_3_m"),
-        pytest.param(0, 38_000, 37_987, id="nothing_there"),
-        pytest.param(60_000, 38_000, 37_987, id="beyond_the_sensor_s_own_end"),
-        pytest.param(0, 200_000, 3_379, id="clone_that_holds_200_ms_wraps_at_16_bits"),
-        pytest.param(1, 38_000, 103, id="nothing_nearer_than_2_cm"),
-    ],
-)
+@pytest.mark.parametrize(("echo_us", "pulse_end_us", "reported_us"), [
+    pytest.param(11_600, 38_000, 11_587, id="2_m_are_no_limit"),
+    pytest.param(17_471, 38_000, 17_458, id="wall_at_3_m"),
+    pytest.param(0, 38_000, 37_987, id="nothing_there"),
+    pytest.param(60_000, 38_000, 37_987, id="beyond_the_sensor_s_own_end"),
+    pytest.param(0, 200_000, 3_379, id="clone_that_holds_200_ms_wraps_at_16_bits"),
+    pytest.param(1, 38_000, 103, id="nothing_nearer_than_2_cm"),
+])
 def test_every_echo_is_reported_up_to_the_sensor_s_own_end(echo_us, pulse_end_us, reported_us):
     bench = Bench(lambda sensor, at_ns: echo_us, sonar_pulse_end_us=pulse_end_us).until(2 * S)
     assert {abs(report.echo_us - reported_us) <= 1 for report in sonar_reports(bench)} == {True}
@@ -118,14 +115,11 @@ def test_sonar_sequence_set_is_followed(sequence, followed):
     assert sensors in [(2 * (followed[start:] + followed[:start])) for start in range(len(followed))]
 
 
-@pytest.mark.parametrize(
-    ("payload", "counter", "count"),
-    [
-        pytest.param(bytes([0]), "badSeqLen", 1, id="empty"),
-        pytest.param(bytes([25] + [0] * 25), "badSeqCommand", 1, id="too_long"),
-        pytest.param(bytes([4, 0, 6, 255, 1]), "badSonarIdx", 2, id="no_such_sensor"),
-    ],
-)
+@pytest.mark.parametrize(("payload", "counter", "count"), [
+    pytest.param(bytes([0]), "badSeqLen", 1, id="empty"),
+    pytest.param(bytes([25] + [0] * 25), "badSeqCommand", 1, id="too_long"),
+    pytest.param(bytes([4, 0, 6, 255, 1]), "badSonarIdx", 2, id="no_such_sensor"),
+])
 def test_bad_sonar_sequence_is_counted(payload, counter, count):
     bench = Bench(lambda sensor, at_ns: 1000).command(SET_SEQ, payload).until(100 * MS)
     assert bench.counters()[counter] == count

@@ -37,18 +37,15 @@ def test_distance_to_a_wall(pose, sensor, distance_m):
     assert heard_m == (distance_m and pytest.approx(distance_m))
 
 
-@pytest.mark.parametrize(
-    ("boxes", "posts", "distance_m"),
-    [
-        pytest.param((Box(1.5, 0.0, 1.0, 1.0),), (), 1.0, id="box_ahead"),
-        pytest.param((Box(1.5, 0.0, 1.0, 1.0, math.pi / 4),), (), 1.5 - math.sqrt(0.5), id="box_on_its_corner"),
-        pytest.param((), (Post(1.5, 0.0, 0.25),), 1.25, id="post_ahead"),
-        pytest.param((Box(1.5, 0.0, 0.2, 0.2),), (Post(1.0, 0.0, 0.1),), 0.9, id="the_nearer_one"),
-        pytest.param((Box(-1.5, 0.0, 1.0, 1.0),), (Post(-1.0, 0.0, 0.25),), None, id="behind_its_back"),
-        pytest.param((), (Post(0.0, 1.0, 0.25),), None, id="beside_the_cone"),
-        pytest.param((), (Post(0.0, 0.0, 0.25),), 0.0, id="inside_a_post"),
-    ],
-)
+@pytest.mark.parametrize(("boxes", "posts", "distance_m"), [
+    pytest.param((Box(1.5, 0.0, 1.0, 1.0),), (), 1.0, id="box_ahead"),
+    pytest.param((Box(1.5, 0.0, 1.0, 1.0, math.pi / 4),), (), 1.5 - math.sqrt(0.5), id="box_on_its_corner"),
+    pytest.param((), (Post(1.5, 0.0, 0.25),), 1.25, id="post_ahead"),
+    pytest.param((Box(1.5, 0.0, 0.2, 0.2),), (Post(1.0, 0.0, 0.1),), 0.9, id="the_nearer_one"),
+    pytest.param((Box(-1.5, 0.0, 1.0, 1.0),), (Post(-1.0, 0.0, 0.25),), None, id="behind_its_back"),
+    pytest.param((), (Post(0.0, 1.0, 0.25),), None, id="beside_the_cone"),
+    pytest.param((), (Post(0.0, 0.0, 0.25),), 0.0, id="inside_a_post"),
+])
 def test_distance_to_an_obstacle(boxes, posts, distance_m):
     heard_m = hall(boxes, posts).distance_m((0.0, 0.0, 0.0), FRONT)
     assert heard_m == (distance_m if distance_m is None else pytest.approx(distance_m))
@@ -106,17 +103,14 @@ def test_default_room_leaves_the_figure_eight_free_and_has_something_to_hear_on_
         assert min(near_m) > 0.3 and len(near_m) > 100
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "accepted"),
-    [
-        ("walls", (1, -1, 0, 1), "x from < x to, y from < y to"),
-        ("mounts", (), "six of them"),
-        ("cone_rad", 4.0, "more than 0, less than pi"),
-        ("rays", 0, "1 or more"),
-        ("max_range_m", 0, "more than 0"),
-        ("temperature_c", 300, "-100 to 100"),
-    ],
-)
+@pytest.mark.parametrize(("name", "value", "accepted"), [
+    ("walls", (1, -1, 0, 1), "x from < x to, y from < y to"),
+    ("mounts", (), "six of them"),
+    ("cone_rad", 4.0, "more than 0, less than pi"),
+    ("rays", 0, "1 or more"),
+    ("max_range_m", 0, "more than 0"),
+    ("temperature_c", 300, "-100 to 100"),
+])
 def test_config_of_no_room_is_refused(name, value, accepted):
     with pytest.raises(ConfigError, match=f"{name} is .*; accepted: {accepted}"):
         WorldConfig(**{name: value})

@@ -12,15 +12,7 @@ import pytest
 
 from captures import NAMES, NS_PER_US, load, replay
 from car_interface.teensy.link.framing import FrameDecoder
-from car_interface.teensy.link.protocol import (
-    BACKWARD,
-    ErrorCount,
-    Pong,
-    SonarStatus,
-    Wheel,
-    WheelStatus,
-    decode,
-)
+from car_interface.teensy.link.protocol import BACKWARD, ErrorCount, Pong, SonarStatus, Wheel, WheelStatus, decode
 from car_interface.teensy.sensing import verdicts
 from car_interface.teensy.sensing.measurements import MotionMeasurement
 from car_interface.teensy.sensing.ranging import DISTRUSTED, MICROS_WRAP, STUCK
