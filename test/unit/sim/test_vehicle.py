@@ -182,13 +182,6 @@ def test_car_that_stops_within_a_step_stands_where_it_stopped(dt_ns):
     assert vehicle.speed_mps == 0.0
 
 
-def test_car_steered_left_goes_left_by_rep_103():
-    vehicle = rolling(1.0)
-    drive(vehicle, 1.0, 4500, NEUTRAL)
-    assert vehicle.pose.x_m > 0 and vehicle.pose.y_m > 0 and vehicle.pose.yaw_rad > 0
-    assert vehicle.yaw_rate_radps > 0 and vehicle.steering_angle_rad == pytest.approx(math.atan(0.5 * 0.324))
-
-
 def test_car_started_elsewhere_starts_there():
     config = VehicleConfig(steering=PLAIN.steering, drive=frictionless().drive, start=Pose(1.0, 2.0, math.pi / 2))
     vehicle = Vehicle(config, start_ns=5 * S)
@@ -402,9 +395,3 @@ def test_a_brake_beyond_the_grip_locks_the_wheels_it_slides_straight_on_and_make
     assert vehicle.speed_mps == pytest.approx(4.0 - 0.5 * 3.0, abs=0.01)
     drive(vehicle, 0.3, 4500, NEUTRAL)
     assert not vehicle.slides and vehicle.pose.yaw_rad > turning
-
-
-def test_a_motor_beyond_the_grip_pushes_no_harder_than_the_grip():
-    vehicle = rolling(0.0, replace(frictionless(), tyres=TyreConfig(grip_mps2=3.0)))
-    drive(vehicle, 0.5, 5000, FULL)
-    assert vehicle.speed_mps == pytest.approx(1.5, abs=0.01) and not vehicle.slides

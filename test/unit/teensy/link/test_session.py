@@ -6,12 +6,11 @@ import struct
 
 import pytest
 
-import captures
 from car_interface.sim.teensy_transmitter import frame_body
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED
 from car_interface.teensy.link.health import ABSENT, BAD_CHECKSUMS, FINE, NO_PONGS, REBOOTED, SILENT, WAITING
 from car_interface.teensy.link.pinging import AUTO, Answer
-from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, WheelStatus, wheel_reset
+from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, wheel_reset
 from car_interface.teensy.link.session import (
     MAX_COUNTERS,
     ChecksumChanged,
@@ -203,35 +202,3 @@ def test_reboot_is_the_verdict_on_a_fine_link(session):
     assert judge_seconds(session, b"".join(sonar(90_000 + n) for n in range(20))) == FINE
     session.receive(sonar(100) + sonar(101), NOW + 3 * S)
     assert session.verdict.state == REBOOTED
-
-
-# The original firmware's bytes
-
-
-def replay(capture):
-    """Give a session the capture's bytes and the pings that its host sent."""
-    session = Session(115200, S, SHIPPED, 0)
-    session.opened(0)
-    pings, events = list(capture.pings), []
-    for t_us, data in capture.chunks():
-        while pings and pings[0].sent_us < t_us:
-            ping = pings.pop(0)
-            session.ping(ping.timestamp1, ping.sent_us * 1000)
-        events += session.receive(data, t_us * 1000)
-        session.expire(t_us * 1000)
-    return session, events
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("name", captures.NAMES)
-def test_captured_link_is_understood_whole(name):
-    capture = captures.load(name)
-    session, events = replay(capture)
-    answered = [event.record.timestamp1 for event in events if isinstance(event, PongReceived) and event.answer]
-    assert len(answered) == session.pongs == sum(ping.received_us is not None for ping in capture.pings)
-    assert set(answered) == {ping.timestamp1 for ping in capture.pings if ping.received_us is not None}
-    assert set(types(events)) <= {PongReceived, SonarStatus, WheelStatus, ErrorCount, Rebooted}
-    cut = sum(frame.get("cut", False) for frame in capture.frames)
-    assert len(events) - session.reboots == len(capture.frames) - cut
-    assert (session.malformed, session.tally.bad_frames) == (0, cut)
-    assert session.reboots == sum(event["event"] == "reboot" for event in capture.events)
