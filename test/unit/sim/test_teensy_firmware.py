@@ -118,17 +118,6 @@ def test_counters_asked_for_too_often_between_pings_bring_the_receiver_out_of_st
 # Restarts, the wrap of millis(), the loop
 
 
-def test_restart_cuts_the_frame_on_the_line_and_the_boot_frame_s_flag_ends_it():
-    bench = Bench(near).until(100 * MS)
-    size = len(bench.sent)
-    while len(bench.sent) < size + 8:
-        bench.after(20_000)
-    before = bench.sent
-    bench.teensy.reboot(bench.now_ns)
-    assert before[-8] == 0x7E and len(before) == size + 8
-    assert bench.after(310 * MS).sent[len(before) :].startswith(b"\x7e\xc1\x3e\x7e\x01\x02\x07")
-
-
 def test_bytes_that_come_while_it_boots_are_lost():
     bench = Bench().until(S)
     bench.teensy.reboot(bench.now_ns)

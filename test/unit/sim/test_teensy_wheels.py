@@ -3,17 +3,7 @@
 import pytest
 
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from teensy_bench import MS, WHEELS, Bench, parse_wheels, wheel_reports
-
-
-def test_wheels_that_race_are_reported_every_5_ms_and_no_pulse_is_lost():
-    bench = Bench().until(500 * MS)
-    bench.roll(LEFT, FORWARD, 1000, every_ns=1_070_000)  # 14 m/s
-    reports = wheel_reports(bench.after(400 * MS))
-    racing = [report.when for report in reports if 0 < report.dist_abs < 1000]
-    assert {later - earlier for earlier, later in zip(racing, racing[1:])} <= {5, 6, 7}
-    assert reports[-1].dist_abs == 1000
-    assert bench.teensy.counters["rotUpdSkip"] + len(racing) in (999, 1000)
+from teensy_bench import MS, Bench, wheel_reports
 
 
 @pytest.mark.parametrize(("gap_ms", "reported"), [(4, False), (5, True)])
@@ -27,14 +17,6 @@ def test_pulse_within_5_ms_of_a_reported_one_waits_for_the_next_report(gap_ms, r
     bench.teensy.wheel_pulse(LEFT, FORWARD, 391 * MS)
     right = wheel_reports(bench.until(400 * MS), RIGHT)[-1]
     assert (right.dist_abs, right.when) == (1, 600 + gap_ms)
-
-
-def test_pulse_that_waits_comes_with_a_repeat_at_the_latest_and_loses_its_tick():
-    bench = Bench().until(300 * MS)
-    bench.teensy.wheel_pulse(LEFT, FORWARD, 300 * MS)
-    bench.teensy.wheel_pulse(RIGHT, FORWARD, 304 * MS)
-    left, right = parse_wheels(bench.until(720 * MS).frames(WHEELS)[-1])
-    assert right.dist_abs == 1 and right.when == left.when > 800
 
 
 # Each pair is a hall state (pulses modulo 4 of a Gray code 0 1 3 2) and what the first pulses seem to be:

@@ -3,7 +3,7 @@
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
+from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m
 
 # A 3.5 kg F1TENTH car on a skid pad, by motion capture, steady commands, left: speed (m/s) and radius (m) of three
 # steering angles. From the public recordings of Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline.
@@ -39,11 +39,6 @@ def test_the_grip_is_shared_between_along_and_across():
     assert path_curvature_per_m(1.0, 5.0, 0.0, tyres) == pytest.approx(5.0 / 25)
     assert path_curvature_per_m(1.0, 5.0, -3.0, tyres) == pytest.approx(4.0 / 25)
     assert path_curvature_per_m(1.0, 5.0, 5.0, tyres) == 0.0
-
-
-@pytest.mark.parametrize(("demanded_mps2", "possible_mps2"), [(2.0, 2.0), (-2.0, -2.0), (9.0, 5.0), (-9.0, -5.0)])
-def test_no_more_than_the_grip_is_possible_along_the_car(demanded_mps2, possible_mps2):
-    assert possible_acceleration_mps2(demanded_mps2, TyreConfig(grip_mps2=5.0)) == possible_mps2
 
 
 def test_a_rollover_counts_once_until_the_car_stands_again():
