@@ -15,24 +15,6 @@ sys.path.append(str(TEST))
 run = importlib.import_module("run")
 
 
-def names(paths):
-    return [path.name for path in paths]
-
-
-def test_name_selects_files_that_contain_it_and_one_that_no_test_has_is_refused():
-    assert tuple(map(names, run.select(["test_layering"]))) == (["test_layering.py"], [], [])
-    assert tuple(map(names, run.select(["test_story", "test_tally"]))) == (["test_tally.py"], ["test_story.py"], [])
-    with pytest.raises(ValueError, match="no test file has nosuch in its name"):
-        run.select(["test_story", "nosuch"])
-
-
-def test_second_python_leaves_out_what_cannot_differ_unless_everything_is_asked_for(tmp_path):
-    steps = [run.pytest_step(tmp_path, "unit tests", run.Python(sys.executable, "", is_second), [TEST], "", is_all)
-             for is_second, is_all in ((False, False), (True, False), (True, True))]
-    assert ["not once and not browser" in step.command for step in steps] == [False, True, False]
-    assert len({steps[0].name, steps[1].name}) == 2
-
-
 # A process of a session of its own, as roslaunch's nodes are.
 HANGS = ("sh", "-c", "setsid sleep 600 & echo $! > hangs.pid; echo its last line; wait")
 PASSES = ("sh", "-c", "echo '<testsuite><testcase name=\"a\"/></testsuite>' > results/passes.test/a.xml")

@@ -106,10 +106,6 @@ def header_of(caller="/board", **fields):
     return encode_ros_handshake_header({**SUBSCRIBER, "callerid": caller, **fields})
 
 
-def service_header(**fields):
-    return encode_ros_handshake_header({"service": "/save", "md5sum": SetBool._md5sum, "callerid": "/tool", **fields})
-
-
 def wait_until(is_true):
     until = time.monotonic() + PATIENCE_S
     while not is_true():
@@ -149,7 +145,7 @@ def test_silent_and_slow_peers_hold_up_nobody_and_are_dropped_after_a_second_wit
     began_s = time.monotonic()
     waiting = [server.connect() for _ in range(5)]
     slow = server.connect()
-    server.connect(service_header())
+    server.connect(encode_ros_handshake_header({"service": "/save", "md5sum": "*", "callerid": "/tool"}))
     subscriber = server.connect(header_of())
     wait_until(lambda: sorted(server.names()) == ["/board", "/tool"])
     with pytest.raises(OSError):  # the server closes it before its end, which would take 20 s
@@ -378,30 +374,27 @@ def service(server):
     return server
 
 
-def client_of(address):
-    protocol = tcpros_service.TCPROSServiceClient("/save", SetBool, headers={"persistent": "1"})
+def client_of(address, is_persistent=True):
+    headers = {"persistent": "1"} if is_persistent else {}
+    protocol = tcpros_service.TCPROSServiceClient("/save", SetBool, headers=headers)
     transport = tcpros_base.TCPROSTransport(protocol, "/save")
     transport.connect(*address, "rosrpc://127.0.0.1")
     return transport
 
 
-def test_service_answers(service):
-    client = client_of(service.address)
-    for number in (1, 2):
-        client.send_message(SetBool._request_class(True), number)
-        response, = client.receive_once()
+@pytest.mark.parametrize("is_persistent", [True, False])
+def test_service_answers_and_a_request_of_4_gib_closes_the_connection_with_one_line(service, caplog, is_persistent):
+    peer = client_of(service.address, is_persistent)
+    for number in range(is_persistent):
+        peer.send_message(SetBool._request_class(True), number)
+        response, = peer.receive_once()
         assert response.success and response.message == "done"
-    client.close()
-
-
-@pytest.mark.parametrize("header", [{"persistent": "1"}, {}], ids=["persistent", "once"])
-def test_request_of_4_gib_closes_the_connection_with_one_line(service, caplog, header):
-    peer = service.connect(service_header(**header))
-    read_header(peer)
-    peer.sendall(FOUR_GIB + b"x")
-    wait_until(lambda: is_closed(peer))
+    peer.socket.sendall(FOUR_GIB + b"x")
+    wait_until(lambda: is_closed(peer.socket))
     line = only_line(caplog)
-    assert line.startswith("/save: /tool: 127.0.0.1:") and "announces a message of 4294967295 bytes" in line
+    assert line.startswith("/save: ") and ": 127.0.0.1:" in line
+    assert "announces a message of 4294967295 bytes" in line
+    peer.close()
 
 
 @pytest.mark.parametrize("ok", [b"\1", b"\0"], ids=["response", "error"])

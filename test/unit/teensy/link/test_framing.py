@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import tracemalloc
 from dataclasses import asdict
-from pathlib import Path
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from car_interface.teensy.link.framing import FrameDecoder
+from teensy_bench import CAPTURE, CAPTURED, framed_by_the_textbook
 
 
 def line(text):
@@ -136,18 +136,6 @@ def test_line_of_4_mb_without_a_flag_is_one_overlong_frame_and_not_kept(filling,
     assert decoder.feed(SONAR) == [SONAR_BODY] and adds_up(decoder)
 
 
-def textbook_frame(body):
-    """A frame as the protocol describes it, a byte at a time."""
-    total = 0
-    for byte in body:
-        total += byte
-        total = total % 256 + total // 256
-    frame = [0x7e]
-    for byte in [*body, 0xff - total]:
-        frame += [0x7d, byte ^ 0x20] if byte in (0x7d, 0x7e) else [byte]
-    return bytes([*frame, 0x7e])
-
-
 SPECIAL_BYTES = st.sampled_from([0x7e, 0x7d, 0x5e, 0x5d, 0x20, 0x00, 0xff])
 BYTES = (st.integers(0, 255) | SPECIAL_BYTES)
 BODIES = st.lists(BYTES, min_size=4, max_size=36).map(bytes).filter(any)  # zeros alone sum to 0 by any checksum
@@ -156,7 +144,7 @@ BODIES = st.lists(BYTES, min_size=4, max_size=36).map(bytes).filter(any)  # zero
 @pytest.mark.once
 @given(st.lists(BODIES, max_size=8), st.booleans(), st.lists(st.integers(1, 40), min_size=1))
 def test_decoder_fed_any_frames_in_any_pieces_returns_their_bodies(bodies, shares_flags, sizes):
-    frames = [textbook_frame(body) for body in bodies]
+    frames = [framed_by_the_textbook(body) for body in bodies]
     data = b"".join(frame[:-1] for frame in frames) + b"\x7e" if shares_flags else b"".join(frames)
     decoder, found, start = FrameDecoder(), [], 0
     while start < len(data):
@@ -168,7 +156,7 @@ def test_decoder_fed_any_frames_in_any_pieces_returns_their_bodies(bodies, share
 
 
 @pytest.mark.once
-@given(st.lists(st.lists(BYTES, max_size=100).map(bytes) | BODIES.map(textbook_frame), max_size=8))
+@given(st.lists(st.lists(BYTES, max_size=100).map(bytes) | BODIES.map(framed_by_the_textbook), max_size=8))
 @example([b"\x7e" + b"\x7d\x00" * 60 + b"\x7e"])
 def test_decoder_fed_anything_finds_the_same_in_any_pieces_and_its_tally_adds_up(chunks):
     in_pieces, decoder = decode(chunks)
@@ -179,34 +167,23 @@ def test_decoder_fed_anything_finds_the_same_in_any_pieces_and_its_tally_adds_up
     assert adds_up(decoder) and adds_up(other) and adds_up(third)
 
 
-CAPTURE = (Path(__file__).resolve().parents[3] / "data" / "capture_mixed.bin").read_bytes()
-FLAG = 0x7e
-
-
-def frames_of_the_capture():
-    """(start, end) of each frame's bytes between its flags, the boot frame left out."""
-    flags = [place for place, byte in enumerate(CAPTURE) if byte == FLAG]
-    return [(start + 1, end) for start, end in zip(flags, flags[1:]) if end - start > 5]
-
-
 def spoilt(place, kind):
     """The byte at ``place`` of the capture after one fault."""
     byte = CAPTURE[place]
     if kind == "deleted":
         return b""
-    if isinstance(kind, int):  # inserted before it
-        return bytes((kind, byte))
-    return bytes((byte ^ int(kind, 16),))
+    return bytes((kind, byte)) if isinstance(kind, int) else bytes((byte ^ int(kind, 16),))
 
 
-FAULTS = ["deleted", 0x00, 0xff, 0x7d, 0x7e, 0x5e, 0x01, "0x01", "0x20", "0x80", "0xff", "0x03"]
+# Numbers are inserted before it, texts flip bits.
+FAULTS = ["deleted", 0x00, 0xff, 0x7d, 0x7e, 0x01, "0x01", "0x20", "0xff", "0x03"]
 
 
 @pytest.mark.once
 @pytest.mark.parametrize("fault", FAULTS, ids="{0!r}".format)
 def test_decoder_after_any_byte_of_the_capture_spoilt_has_recovered_by_the_end_of_the_next_frame(fault):
     """Exhaustive: each byte, flags included, in each frame. What is sent after the next frame comes out whole."""
-    frames = frames_of_the_capture()
+    frames = [(frame["start"] + 1, frame["end"]) for frame in CAPTURED[1:]]
     clean = [FrameDecoder().feed(b"\x7e" + CAPTURE[start:end + 1])[0] for start, end in frames]
     for index in range(1, len(frames) - 3):
         start, end = frames[index]
