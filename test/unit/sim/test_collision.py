@@ -128,15 +128,3 @@ def test_scripted_demo_touches_nothing():
             now_ns += 2 * MS
         nearest_m = min(nearest_m, World().obstacles.clearance_m(vehicle.pose))
     assert vehicle.travel_m > 25 and collisions.count == 0 and nearest_m > 0.1
-
-
-def test_collisions_cost_little_far_from_everything():
-    looked = []
-
-    class Watched(Obstacles):
-        def is_free(self, pose):
-            looked.append(pose)
-            return super().is_free(pose)
-    vehicle, _ = car_before(Watched([(100.0, -50.0, 0.0, 100.0)], []))
-    drive(vehicle, 4, FORWARD)
-    assert len(looked) < 10

@@ -28,12 +28,6 @@ def test_at_a_crawl_the_path_is_where_the_steering_points(steered_per_m):
     assert path_curvature_per_m(steered_per_m, 0.2, 0.0, TyreConfig()) == pytest.approx(steered_per_m, rel=0.001)
 
 
-@pytest.mark.parametrize("speed_mps", [-3.0, 3.0])
-def test_left_and_right_forward_and_backward_are_alike(speed_mps):
-    left = path_curvature_per_m(0.8, speed_mps, 0.0, TyreConfig())
-    assert 0 < left < 0.8 and path_curvature_per_m(-0.8, speed_mps, 0.0, TyreConfig()) == -left
-
-
 def test_the_grip_is_shared_between_along_and_across():
     tyres = TyreConfig(understeer=0.0, grip_mps2=5.0)
     assert path_curvature_per_m(1.0, 5.0, 0.0, tyres) == pytest.approx(5.0 / 25)

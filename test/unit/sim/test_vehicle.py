@@ -75,44 +75,23 @@ def test_steering_by_the_calibration_table_is_right_within_a_few_percent_and_nev
 def test_steering_with_more_duty_never_turns_more_to_the_left(one, other):
     vehicle = Vehicle()
     low, high = sorted((one, other))
-    assert vehicle.true_curvature_per_m(low) >= vehicle.true_curvature_per_m(high)
+    left_per_m, right_per_m = (vehicle.true_curvature_per_m(duty) for duty in (2000, 8000))
+    assert (1 / left_per_m, 1 / right_per_m) == pytest.approx((0.971, -1.031), abs=0.001)  # at its stops
+    assert left_per_m >= vehicle.true_curvature_per_m(low) >= vehicle.true_curvature_per_m(high) >= right_per_m
 
 
-@pytest.mark.parametrize(("duty", "radius_m"), [(3800, 0.971), (2000, 0.971), (8000, -1.031)])
-def test_steering_at_its_stops_turns_on_a_metre(duty, radius_m):
-    vehicle = Vehicle()
-    drive(vehicle, 0.5, duty, NEUTRAL)
-    assert 1 / vehicle.curvature_per_m == pytest.approx(radius_m, abs=0.001)
-
-
-def test_steering_takes_a_quarter_of_a_second_from_stop_to_stop():
+def test_steering_takes_a_quarter_of_a_second_from_stop_to_stop_and_stays_there_without_pulse():
     vehicle = Vehicle()
     drive(vehicle, 0.5, LEFT_DUTY, NEUTRAL)
     drive(vehicle, 0.1, RIGHT_DUTY, NEUTRAL)
     assert vehicle.servo_duty < 5200
     drive(vehicle, 0.25, RIGHT_DUTY, NEUTRAL)
-    assert vehicle.servo_duty == pytest.approx(RIGHT_DUTY, abs=10)
+    assert RIGHT_DUTY - 10 <= vehicle.servo_duty <= RIGHT_DUTY
     drive(vehicle, 0.5, RIGHT_DUTY, NEUTRAL)
     assert vehicle.servo_duty == RIGHT_DUTY
-
-
-@pytest.mark.parametrize("no_pulse", [NEVER_SET, OFF, 65535])
-def test_servo_without_pulse_stays_where_it_is(no_pulse):
-    vehicle = Vehicle()
-    drive(vehicle, 0.5, 4000, NEUTRAL)
-    drive(vehicle, 1.0, no_pulse, NEUTRAL)
-    assert vehicle.servo_duty == 4000
-
-
-@given(st.integers(1, 20 * MS), st.integers(3000, 7500))
-def test_servo_never_overshoots(dt_ns, duty):
-    vehicle = Vehicle()
-    positions = [vehicle.servo_duty]
-    for _ in range(20):
-        vehicle.step(dt_ns, duty, NEUTRAL)
-        positions.append(vehicle.servo_duty)
-    assert positions == sorted(positions, reverse=duty < CENTER)
-    assert min(CENTER, duty) <= positions[-1] <= max(CENTER, duty)
+    for no_pulse in (NEVER_SET, OFF, 65535):
+        drive(vehicle, 1.0, no_pulse, NEUTRAL)
+        assert vehicle.servo_duty == RIGHT_DUTY
 
 
 # Speed
@@ -148,14 +127,6 @@ def test_car_braked_stops_and_then_drives_backward():
     assert all(speed < 0 for speed in speeds[standing + 1 :])
 
 
-def test_step_does_what_the_true_acceleration_says():
-    vehicle = rolling(3.0)
-    vehicle.step(MS, 5000, 5600)
-    expected_mps2 = true_acceleration_mps2(5600, 3.0)
-    assert vehicle.acceleration_mps2 == pytest.approx(expected_mps2)
-    assert vehicle.speed_mps == pytest.approx(3.0 + expected_mps2 / 1000)
-
-
 # Pose
 
 
@@ -164,13 +135,6 @@ def test_car_in_one_long_step_moves_on_the_exact_arc():
     vehicle.servo_duty, vehicle.steered_per_m = 4500.0, 0.5
     vehicle.step(S, 4500, NEUTRAL)  # 2 m on a circle of 2 m: 1 rad
     assert vehicle.pose == pytest.approx((2 * math.sin(1), 2 * (1 - math.cos(1)), 1.0))
-
-
-def test_car_steered_meanwhile_turns_by_the_mean_of_both_curvatures():
-    vehicle = rolling(2.0, frictionless())
-    vehicle.step(10 * MS, 4000, NEUTRAL)
-    assert 0 < vehicle.curvature_per_m < 1
-    assert vehicle.pose.yaw_rad == pytest.approx(0.02 * vehicle.curvature_per_m / 2)
 
 
 @pytest.mark.parametrize("dt_ns", [MS, 20 * MS, 500 * MS])

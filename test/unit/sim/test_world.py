@@ -89,20 +89,6 @@ def test_echo_anywhere_in_the_default_room_is_none_or_within_range(x_m, y_m, yaw
     assert echo_us == 0 or 1 <= echo_us <= round(8e6 / 343.42)
 
 
-def test_default_room_leaves_the_figure_eight_free_and_has_something_to_hear_on_it():
-    """Two circles of 1.5 m, 1.8 m or 2.2 m that touch in the origin: no sonar within 0.3 m of anything."""
-    world = World()
-    for radius_m in (1.5, 1.8, 2.2):
-        heard_m = []
-        for side in (1, -1):
-            for degree in range(0, 360, 4):
-                turn_rad = side * math.radians(degree)
-                pose = (radius_m * math.sin(abs(turn_rad)), side * radius_m * (1 - math.cos(turn_rad)), turn_rad)
-                heard_m += [world.distance_m(pose, sensor) for sensor in range(6)]
-        near_m = [distance_m for distance_m in heard_m if distance_m is not None]
-        assert min(near_m) > 0.3 and len(near_m) > 100
-
-
 @pytest.mark.parametrize(("name", "value", "accepted"), [
     ("walls", (1, -1, 0, 1), "x from < x to, y from < y to"),
     ("mounts", (), "six of them"),

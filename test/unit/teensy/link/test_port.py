@@ -218,8 +218,12 @@ def test_port_busy_without_a_lock_names_whoever_has_it_open(tmp_path, terminal, 
         f"another program has it open: terminal_program (process {program.process.pid})")
 
 
-def test_port_busy_by_what_proc_does_not_tell_is_still_explained(terminal, other_program, monkeypatch):
+def test_port_busy_by_what_proc_does_not_tell_is_still_explained_and_for_modem_manager_with_the_cure(
+        terminal, other_program, monkeypatch):
     other_program(locks=True)
+    with monkeypatch.context() as patch:
+        patch.setattr("car_interface.teensy.link.port.process_name", lambda pid: "ModemManager")
+        assert "rosrun car_interface setup_hardware" in refusal(terminal.path).remedy
 
     def deny(*args, **kwargs):
         raise PermissionError(errno.EACCES, "denied")
@@ -244,12 +248,6 @@ def test_who_has_a_port_that_stays_busy_is_searched_for_at_each_fifth_attempt(te
     link.close()
     other_program(locks=True)
     assert [refused() for _ in range(6)] == [4] * 5 + [5]
-
-
-def test_port_held_by_modem_manager_names_the_cure(terminal, other_program, monkeypatch):
-    other_program(locks=True)
-    monkeypatch.setattr("car_interface.teensy.link.port.process_name", lambda pid: "ModemManager")
-    assert "rosrun car_interface setup_hardware" in refusal(terminal.path).remedy
 
 
 def test_port_that_fails_while_it_is_set_up_is_left_to_others(terminal, monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 
 from car_interface.sim.teensy_transmitter import frame_body
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED
-from car_interface.teensy.link.health import ABSENT, BAD_CHECKSUMS, FINE, NO_PONGS, REBOOTED, SILENT, WAITING
+from car_interface.teensy.link.health import ABSENT, BAD_CHECKSUMS, FINE, NO_PONGS, SILENT, WAITING
 from car_interface.teensy.link.pinging import AUTO, Answer
 from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, wheel_reset
 from car_interface.teensy.link.session import (
@@ -196,9 +196,3 @@ def test_verdict_is_that_of_the_bytes_and_the_pings(session, data, pings, second
     assert session.verdict.state == WAITING
     let_pings_expire(session, pings, data)
     assert judge_seconds(session, data, seconds) == state
-
-
-def test_reboot_is_the_verdict_on_a_fine_link(session):
-    assert judge_seconds(session, b"".join(sonar(90_000 + n) for n in range(20))) == FINE
-    session.receive(sonar(100) + sonar(101), NOW + 3 * S)
-    assert session.verdict.state == REBOOTED

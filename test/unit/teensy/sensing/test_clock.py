@@ -461,7 +461,7 @@ def test_pings_a_hundred_times_a_second_cost_no_more_memory():
 
 
 SCENARIOS = {
-    "saturated_wrap": {"saturated": True, "drift_ppm": 100, "clock_start_ms": UINT32 - 15_000},
+    "saturated_wrap": {"saturated": True, "drift_ppm": 100, "clock_start_ms": UINT32 - 9_000},
     "saturated_reboot": {"saturated": True, "drift_ppm": 40, "reboot_s": 8},
     "saturated_noise": {"saturated": True, "drift_ppm": 40, "bit_errors": 1e-4},
 }
@@ -471,9 +471,9 @@ SCENARIOS = {
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_stamps_on_the_virtual_teensy_are_within_a_millisecond_and_honest(name):
     """A short set of what the script measures at length."""
-    scenario = clock_accuracy.Scenario(name, ramp_ppm_per_h=20, seconds=25, **SCENARIOS[name])
+    scenario = clock_accuracy.Scenario(name, ramp_ppm_per_h=20, seconds=16, **SCENARIOS[name])
     score = clock_accuracy.run(scenario)
-    assert len(score.clock) > 150
+    assert len(score.clock) > 100
     assert score.failures() == []
     assert score.converged_s < 2.5
     assert score.bytes_per_s > 8000

@@ -18,7 +18,7 @@ reboot_accuracy = importlib.import_module("accuracy.reboot")
 
 TRACK_M = 0.296
 BEFORE_MS = 10_000.0
-REBOOTS = 200 if os.environ.get("CAR_INTERFACE_ALL") else 24
+REBOOTS = 200 if os.environ.get("CAR_INTERFACE_ALL") else 16
 
 
 @pytest.mark.once
