@@ -462,7 +462,7 @@ def test_pings_a_hundred_times_a_second_cost_no_more_memory():
 
 SCENARIOS = {
     "saturated_wrap": {"saturated": True, "drift_ppm": 100, "clock_start_ms": UINT32 - 9_000},
-    "saturated_reboot": {"saturated": True, "drift_ppm": 40, "reboot_s": 8},
+    "saturated_reboot": {"saturated": True, "drift_ppm": 40, "reboot_s": 2},
     "saturated_noise": {"saturated": True, "drift_ppm": 40, "bit_errors": 1e-4},
 }
 
