@@ -7,19 +7,16 @@ clock that is 25 ppm fast.
 
 What comes out is the captures' frames in the captures' order, all of them, with these tolerances and exceptions:
 
-- A pulse's time is interpolated between positions 20 ms (``drive``, ``drive_reverse``: 50 ms) apart, to some 0.1 ms.
-  So a tick of a wheel (``when``) may be 1 ms off, and with it the speed, by that share. Where both wheels' pulses lie
-  within such a time of each other, or of the 5 ms that a report waits, it is not determined which report a pulse comes
-  in: so many frames may differ as ``undetermined`` says, out of thousands.
-- Echoes begin at times that are known to 1 µs: ±2 µs in an echo, 1 ms in its tick.
+- A pulse's time is interpolated between positions 20 ms (``drive``, ``drive_reverse``: 50 ms) apart, to some 0.1 ms: a
+  tick of a wheel (``when``) may be 1 ms off, and its speed by that share. Where both wheels' pulses lie that close to
+  each other, or to the 5 ms that a report waits, it isn't determined in which report one comes: ``undetermined``.
+- Echoes begin at times that are known to 1 µs: ±2 µs in an echo, 1 ms in its tick. Its filler byte isn't compared.
 - A frame leaves the line within 2 ms of the capture's, beside the 0.5 ms in which this test looks: a pass of the loop
   where two ticks meet, and another report that went first then (1.3 ms).
-- ``line_busy``: of several reports that wait for the line the next one is chosen within a byte's time, which hangs on
-  all the bytes since the line was last idle. The order isn't determined there: numbers and ages are held instead.
-- A sonar report's filler byte isn't compared.
+- ``line_busy``: which of several waiting reports is next hangs on all the bytes since the line was last idle. Numbers
+  and ages are held instead of the order.
 
-In ``wrap`` the offset of the clock is known to 1 µs only, and what it does near the wrap hangs on less: of the offsets
-within that µs one was taken that gives the captured ticks.
+In ``wrap`` the offset of the clock is known to 1 µs only: one was taken that gives the captured ticks near the wrap.
 """
 
 import math
