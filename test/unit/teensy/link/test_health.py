@@ -89,7 +89,7 @@ def test_port_that_fails_is_told_at_once_in_the_port_s_own_words_and_judged_anew
     good_link.live(NOTHING, NOTHING)
     good_link.health.port_failed(BUSY, "another program has it open", "See which one")
     assert good_link.health.verdict == (BUSY, ERROR, "another program has it open", "See which one")
-    assert good_link.live(GOOD) == [BUSY]
+    assert good_link.live(GOOD, GOOD) == [BUSY, BUSY]
     good_link.open()
     assert good_link.health.verdict.state == WAITING
     assert good_link.live(GOOD) == [FINE]

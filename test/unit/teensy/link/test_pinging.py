@@ -6,7 +6,7 @@ import pytest
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.teensy.link.framing import CORRECTED, SHIPPED, FrameDecoder
-from car_interface.teensy.link.pinging import AUTO, DITHER_NS, QUICK_PINGS, Answer, Pinger
+from car_interface.teensy.link.pinging import AUTO, Answer, Pinger
 from car_interface.teensy.link.protocol import Pong, decode
 
 S = 1_000_000_000
@@ -14,7 +14,8 @@ MS = 1_000_000
 NOW = 100 * S
 GIVE_UP = S // 2
 FILLER = bytes(39)
-QUICK = 200 * MS
+QUICK, QUICK_PINGS = 200 * MS, 5
+DITHER_NS = 10 * MS
 TICK = MS
 
 # A timestamp whose frame carries, so that the two checksums differ: 4 + 4·ff = 400 (hex).

@@ -8,7 +8,7 @@ import pytest
 
 from car_interface.sim.teensy_transmitter import frame_body
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED
-from car_interface.teensy.link.health import ABSENT, BAD_CHECKSUMS, FINE, NO_PONGS, SILENT, WAITING
+from car_interface.teensy.link.health import ABSENT, BAD_CHECKSUMS, FINE, NO_PONGS, REBOOTED, SILENT, WAITING
 from car_interface.teensy.link.pinging import AUTO, Answer
 from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, wheel_reset
 from car_interface.teensy.link.session import (
@@ -22,7 +22,6 @@ from car_interface.teensy.link.session import (
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 100 * S
-BEGIN = 50_000 * MS
 GIVE_UP = S // 2
 # A timestamp whose frame carries, so that the two checksums differ.
 CARRIES = 0xffffffff
@@ -68,8 +67,11 @@ def test_first_ping_is_due_as_the_port_opens_and_goes_behind_the_filler(session)
         assert session.ping_due_ns > NOW
         assert session.ping(CARRIES, NOW + S) == SHIPPED_PING
         assert (session.openings, session.resyncs) == (openings, openings)
+        session.receive(sonar(5000)[:9], NOW)
         session.port_failed(ABSENT, "it is gone", "plug it in")
         session.opened(NOW)
+        session.receive(sonar(5000)[1:], NOW)
+        assert session.tally.bad_frames == 0  # the two halves are no frame
 
 
 def test_pong_comes_with_the_answer_about_its_ping(session):
@@ -102,6 +104,7 @@ def test_other_checksum_is_tried_when_no_ping_is_answered_though_frames_come(ses
     events, now_ns = let_pings_expire(session, 5, sonar(5000))
     assert events == [*map(PingExpired, range(5)), ChecksumChanged(CORRECTED)]
     assert session.checksum == CORRECTED and session.answered_checksum is None
+    assert session.resyncs == 1 + 4
     assert session.ping(CARRIES, now_ns).endswith(CORRECTED_PING)
     session.receive(pong(CARRIES, 9000), now_ns + MS)
     assert session.answered_checksum == CORRECTED
@@ -196,3 +199,9 @@ def test_verdict_is_that_of_the_bytes_and_the_pings(session, data, pings, second
     assert session.verdict.state == WAITING
     let_pings_expire(session, pings, data)
     assert judge_seconds(session, data, seconds) == state
+
+
+def test_reboot_is_the_verdict_on_a_fine_link(session):
+    assert judge_seconds(session, b"".join(sonar(90_000 + n) for n in range(20))) == FINE
+    session.receive(sonar(100) + sonar(101), NOW + 3 * S)
+    assert session.verdict.state == REBOOTED
