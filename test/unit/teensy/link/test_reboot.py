@@ -62,3 +62,14 @@ def test_clock_that_begins_anew_again_also_while_the_port_was_away_is_another_re
     run(detector, sonars(1_000_000))
     assert len(run(detector, sonars(2_000), NOW + 30 * S)) == 1
     assert detector.reboots == 3
+
+
+@pytest.mark.parametrize("ticks, step_ms, reboots", [
+    ([50_000, 49_500, 49_500], 0, 0), ([50_000, 49_499, 49_499], 0, 1),  # back
+    # Of a tick ahead that fits, what goes on from before it is a reboot.
+    ([50_000, 50_501, 50_000, 50_000], 0, 0), ([50_000, 50_500, 49_999, 49_999], 0, 1),
+    ([50_000, 150_601, 150_100, 150_100], 100_000, 0), ([50_000, 150_599, 150_098, 150_098], 100_000, 1),
+    ([WRAP - 10_000, 86_390_000, 86_390_000], 0, 0), ([WRAP - 10_000, 86_390_001, 86_390_001], 0, 1),  # a day ahead
+])
+def test_tick_fits_from_half_a_second_back_to_half_a_second_and_a_thousandth_ahead(ticks, step_ms, reboots):
+    assert len(run(RebootDetector(), ticks, step_ms=step_ms)) == reboots
