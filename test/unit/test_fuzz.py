@@ -1,7 +1,7 @@
 """Whatever comes in from outside ends as a value, a count or an error of this package; never as anything else.
 
 The serial line's cases are made by test/fuzz.py from the golden capture; ``python3 test/fuzz.py`` runs a million.
-The nodes' own parameters and callbacks are fuzzed in test/graph/test_fuzz.py, where there is ROS.
+Parameters and the nodes' callbacks are fuzzed in test/graph/test_fuzz.py, where there is ROS.
 """
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.params import Params
 from car_interface.teensy.link import protocol
 from car_interface.throttle.value_map import ValueMap, load_value_map
 
@@ -87,34 +85,3 @@ def test_map_of_any_cells_is_loaded_or_refused_with_a_config_error(rows):
     found = loaded(text.getvalue().encode("utf-8", "surrogatepass"))
     if found is not None:
         check_map(found)
-
-
-SCALARS = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.integers(-10 ** 400, 10 ** 400), st.floats(), st.text(max_size=12),
-    st.sampled_from(["1e-3", "0x40", "nan", "-inf", "1e999", "0x", "1_0", "٣", "\ud800", "9" * 400, "0x" + "f" * 400]))
-VALUES = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=18) | st.dictionaries(
-    st.text(max_size=4), inner, max_size=3), max_leaves=20)
-READERS = [
-    lambda params: params.number("x", 0.5, low=-1, high=1),
-    lambda params: params.number("x", above=0.0),
-    lambda params: params.integer("x", low=0, high=15),
-    lambda params: params.integer("x", None),
-    lambda params: params.numbers("x"),
-    lambda params: params.integers("x", 16, 0, 0, 65535),
-    lambda params: params.flag("x"),
-    lambda params: params.text("x"),
-    lambda params: params.text_or_integer("x", "a"),
-    lambda params: params.choice("x", "a", ("a", "b")),
-    lambda params: params.timeout("x", 0.5),
-    lambda params: params.finish(),
-]
-
-
-@pytest.mark.once
-@settings(max_examples=400)
-@given(st.sampled_from(READERS), VALUES)
-def test_reader_of_a_parameter_of_any_value_returns_or_raises_a_config_error(reader, value):
-    try:
-        reader(Params({"x": value}))
-    except ConfigError as error:
-        assert str(error)
