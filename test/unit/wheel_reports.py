@@ -42,10 +42,11 @@ def counted(verdicts):
     return tuple(sum(verdict.pulses[side] + verdict.unproven[side] for verdict in verdicts) for side in (0, 1))
 
 
-def crawling():
-    """Gates that have seen five reports of a crawl; the last one is (104, START_MS + 200)."""
+def crawling(ticks=()):
+    """Gates that have seen five reports of a crawl, the last one is (104, START_MS + 200), and sonars' ticks."""
     some = Gates()
     judged(crawl(5), some.wheels)
+    judged(map(sonar, ticks), some.sonar)
     return some
 
 

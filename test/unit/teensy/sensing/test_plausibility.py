@@ -10,18 +10,9 @@ from hypothesis import strategies as st
 from car_interface.common.errors import ConfigError
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.link.framing import FrameDecoder
-from car_interface.teensy.link.protocol import (
-    BACKWARD,
-    FORWARD,
-    UINT32,
-    Malformed,
-    Pong,
-    SonarStatus,
-    Wheel,
-    WheelStatus,
-    decode,
-)
+from car_interface.teensy.link.protocol import UINT32, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
 from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
 from car_interface.teensy.sensing.pulse_counts import signed_pulses

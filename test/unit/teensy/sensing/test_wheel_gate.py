@@ -3,35 +3,10 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.teensy.link.protocol import (
-    BACKWARD,
-    DIRECTION_ERROR,
-    FORWARD,
-    NO_DIRECTION,
-    UINT32,
-    SonarStatus,
-    Wheel,
-    WheelStatus,
-)
+from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, UINT32, Wheel, WheelStatus
 from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import Gates
-from wheel_reports import (
-    HARM_M,
-    LAST,
-    NEW,
-    NEXT,
-    PULSE_M,
-    START_MS,
-    counted,
-    crawl,
-    crawled,
-    crawling,
-    forward,
-    judged,
-    proven,
-    report,
-    sonar,
-)
+from wheel_reports import LAST, NEW, NEXT, counted, crawl, crawled, crawling, forward, judged, proven, report, sonar
 
 
 def test_reports_of_a_crawl_are_accepted_and_their_pulses_counted():
@@ -43,7 +18,7 @@ def test_reports_of_a_crawl_are_accepted_and_their_pulses_counted():
 
 
 @pytest.mark.parametrize("wheel, reason", [
-    pytest.param(NEXT._replace(direction=DIRECTION_ERROR), gates.SENSOR_ERROR, id="direction_3"),
+    pytest.param(NEXT._replace(direction=3), gates.SENSOR_ERROR, id="direction_3"),
     pytest.param(NEXT._replace(direction=NO_DIRECTION), gates.COUNTS_DISAGREE, id="no_direction_though_it_counted"),
     pytest.param(Wheel(0, NO_DIRECTION, 100, 0, 3), gates.COUNTS_DISAGREE, id="third_pulse_without_a_direction"),
     pytest.param(NEXT._replace(dist=NEXT.dist_abs + 1), gates.COUNTS_DISAGREE, id="dist_beyond_dist_abs"),
@@ -70,7 +45,7 @@ def test_report_that_can_not_be_is_refused_by_name_and_does_no_harm(wheel, reaso
 
 
 def test_reversal_at_speed_is_refused_and_after_a_stop_it_is_not():
-    fast = [report(forward(100 + 3 * index, START_MS + 5 * index)) for index in range(10)]  # 9 m/s
+    fast = [report(forward(100 + 3 * index, LAST.when + 5 * index)) for index in range(10)]  # 9 m/s
     last = fast[-1].left
     for pause_ms, accepted in ((5, False), (200, True)):
         some = Gates()
@@ -84,7 +59,7 @@ def test_reversal_at_speed_is_refused_and_after_a_stop_it_is_not():
 
 def test_pulse_minutes_ahead_of_the_teensy_s_clock_waits_for_others():
     some = crawling()
-    some.sonar(SonarStatus(0, 0, LAST.when + 20))
+    some.sonar(sonar(LAST.when + 20))
     verdict = some.wheels(report(NEXT._replace(when=LAST.when + 2 ** 18), LAST))
     assert (verdict.accepted, verdict.reason) == (False, gates.PULSE_AHEAD)
 
@@ -92,25 +67,10 @@ def test_pulse_minutes_ahead_of_the_teensy_s_clock_waits_for_others():
 def test_wheel_that_stood_for_an_hour_goes_on_at_once():
     some = crawling()
     hour_ms = 3_600_000
-    some.sonar(SonarStatus(0, 0, LAST.when + hour_ms))
+    some.sonar(sonar(LAST.when + hour_ms))
     verdicts = judged(crawl(3, LAST.dist_abs + 1, start_ms=LAST.when + hour_ms), some.wheels)
     assert [verdict.accepted for verdict in verdicts] == [True] * 3
     assert proven(verdicts) == (3, 3)
-
-
-@pytest.mark.parametrize("bit", range(32))
-def test_bit_of_the_count_flipped_moves_a_wheel_by_less_than_10_cm_and_nothing_is_left_of_it(bit):
-    for first in (100, 127, 2 ** 20 + 5):
-        records = crawl(12, first)
-        wrong = records[6].left
-        records[6] = report(wrong._replace(dist_abs=wrong.dist_abs ^ 1 << bit), records[6].right)
-        some, at, truth = Gates(), 0, first
-        for index, record in enumerate(records):
-            verdict = some.wheels(record)
-            at += verdict.pulses[0]
-            truth = first + index
-            assert abs(first + at - truth) * PULSE_M < HARM_M or not verdict.accepted
-        assert first + at == truth
 
 
 @pytest.mark.parametrize("right, pulses", [
@@ -150,7 +110,7 @@ def test_report_that_may_follow_puts_an_end_to_a_jump_that_nothing_confirmed():
 
 def test_wrong_first_report_is_given_up_after_three_others():
     some = Gates()
-    some.wheels(report(forward(2 ** 24, START_MS)))
+    some.wheels(report(forward(2 ** 24, LAST.when)))
     verdicts = judged(crawl(4), some.wheels)
     assert [verdict.accepted for verdict in verdicts] == [False, False, True, True]
     assert [verdict.restarted for verdict in verdicts] == [False, False, True, False]
@@ -158,7 +118,7 @@ def test_wrong_first_report_is_given_up_after_three_others():
 
 
 TRUE_JUMPS = [
-    pytest.param(crawl(5, 1, start_ms=START_MS + 700), 0, True, id="wheel_reset_whose_first_report_was_lost"),
+    pytest.param(crawl(5, 1, start_ms=LAST.when + 500), 0, True, id="wheel_reset_whose_first_report_was_lost"),
     pytest.param(crawl(5, 1, start_ms=300), 0, True, id="reboot_whose_first_reports_were_lost"),
     pytest.param(crawl(5, LAST.dist_abs + 40, start_ms=LAST.when + 3000), 40, False, id="frames_lost_for_3_s"),
     pytest.param(crawl(5, LAST.dist_abs + 400, 5, LAST.when + 1000), 400, False, id="frames_lost_at_6_m_per_s"),
@@ -180,8 +140,7 @@ def test_true_jump_is_taken_up_with_the_third_consistent_report_without_losing_a
     pytest.param(report(NEW, Wheel(0, BACKWARD, NEXT.when, 1, 2)), (0, -2), id="one_has_gone_back_since"),
 ])
 def test_odometers_that_were_reset_are_taken_up_at_once(fresh, pulses):
-    some = crawling()
-    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)  # the clock goes on
+    some = crawling(ticks=(LAST.when - 20, LAST.when + 10))  # the clock goes on
     verdict = some.wheels(fresh)
     assert (verdict.accepted, verdict.reason, verdict.pulses) == (True, gates.ODOMETERS_RESET, pulses)
     assert verdict.restarted
@@ -198,7 +157,7 @@ def test_counters_that_wrap_are_no_jump():
     verdicts = judged(records, some.wheels)
     assert some.refused == 0
     assert proven(verdicts) == (7, 7) and not any(any(verdict.unproven) for verdict in verdicts)
-    assert [some.sonar(SonarStatus(0, 0, (UINT32 - 100 + 50 * n) % UINT32)).accepted for n in range(6)] == [True] * 6
+    assert [some.sonar(sonar((UINT32 - 100 + 50 * n) % UINT32)).accepted for n in range(6)] == [True] * 6
 
 
 # --- what only the firmware knows of its wheels ---
@@ -265,8 +224,7 @@ BOOT = [
 
 @pytest.mark.parametrize("kept", [range(7), (0, 3, 5, 6), (0, 5, 6)], ids=["all", "half", "most_lost"])
 def test_first_two_pulses_of_a_wheel_after_power_up_are_unproven_whatever_the_firmware_says(kept):
-    some = crawling()
-    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)
+    some = crawling(ticks=(LAST.when - 20, LAST.when + 10))
     verdicts = judged([BOOT[index] for index in kept], some.wheels)
     assert all(verdict.accepted for verdict in verdicts) and verdicts[0].restarted
     assert tuple(sum(verdict.unproven[side] for verdict in verdicts) for side in (0, 1)) == (2, 2)
@@ -274,16 +232,14 @@ def test_first_two_pulses_of_a_wheel_after_power_up_are_unproven_whatever_the_fi
 
 
 def test_first_pulse_after_power_up_tells_the_reboot_before_any_tick_has_come():
-    some = crawling()
-    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)
+    some = crawling(ticks=(LAST.when - 20, LAST.when + 10))
     verdicts = judged(BOOT[:3], some.wheels)
     assert [verdict.boot_tick for verdict in verdicts] == [None, 311, None]
     assert some.sonar(sonar(330)).reason == "", "the tick gate knows the new clock already"
 
 
 def test_tick_that_goes_back_after_odometers_at_zero_is_a_reboot_at_once():
-    some = crawling()
-    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)
+    some = crawling(ticks=(LAST.when - 20, LAST.when + 10))
     some.wheels(BOOT[0])
     verdict = some.sonar(sonar(303))
     assert (verdict.accepted, verdict.reason, verdict.restarted) == (True, gates.CLOCK_RESTARTED, True)
@@ -292,8 +248,7 @@ def test_tick_that_goes_back_after_odometers_at_zero_is_a_reboot_at_once():
 
 
 def test_after_wheel_reset_every_direction_is_proven():
-    some = crawling()
-    judged([sonar(tick) for tick in (LAST.when - 20, LAST.when + 10)], some.sonar)
+    some = crawling(ticks=(LAST.when - 20, LAST.when + 10))
     zero = report(NEW._replace(when=LAST.when))
     verdicts = judged([zero, report(forward(1, LAST.when + 50)), report(forward(2, LAST.when + 90))], some.wheels)
     assert proven(verdicts) == (2, 2) and not any(any(verdict.unproven) for verdict in verdicts)
