@@ -14,7 +14,7 @@ from car_interface.sim.teensy_receiver import Receiver
 from car_interface.sim.teensy_wheels import LEFT
 
 MS, S = 1_000_000, 1_000_000_000
-PING, PONG, SET_SEQ, STOP, START, SONAR, WHEELS, RESET, COUNTER, GET_COUNTERS, WAIT = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12
+PING, PONG, SET_SEQ, START, SONAR, WHEELS, COUNTER, GET_COUNTERS, WAIT = 1, 2, 3, 5, 6, 7, 9, 10, 12
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 CAPTURE = (DATA / "capture_mixed.bin").read_bytes()

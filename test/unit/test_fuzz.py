@@ -36,7 +36,6 @@ def test_line_fed_cases_made_of_the_capture_stays_in_order():
     assert set(run.records) == {record.__name__ for record in RECORDS}
 
 
-MAP = "default,0,5,10\n-1,-3,-3.5,-4\n0,0.5,0,-1\n1,2,1.5,1\n"
 CELLS = st.one_of(
     st.floats(allow_nan=True).map(str), st.integers(-10 ** 30, 10 ** 30).map(str), st.text(max_size=8),
     st.sampled_from(["", " ", "nan", "inf", "-inf", "1e999", "1e-999", "0x10", "1,5", '"', '"1', "1_0", "\ufeff", "#"]))

@@ -8,7 +8,7 @@ import pytest
 from car_interface.pca9685 import guard_board
 from car_interface.sim.pca9685_chip import VirtualPca9685
 
-AWAKE, ASLEEP = 0x20, 0x30  # MODE1 with auto-increment
+AWAKE = 0x20  # MODE1 with auto-increment
 LED0, ALL_LED_OFF_H = 0x06, 0xFD
 COUNTS = (319, 307, 4096) + (0,) * 13
 

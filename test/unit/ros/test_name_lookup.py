@@ -1,7 +1,6 @@
 """Who has a node's name, asked of servers that answer as the ROS master and as nodes do."""
 from __future__ import annotations
 
-import os
 import re
 import socket
 import threading
@@ -17,7 +16,6 @@ from car_interface.ros import name_lookup, xmlrpc_calls
 from car_interface.ros.name_lookup import NameLookup, own_name
 
 HERE = "127.0.0.1 (this computer)"
-PID = os.getpid()
 
 
 @contextmanager

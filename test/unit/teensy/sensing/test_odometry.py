@@ -145,44 +145,20 @@ def test_wheel_reset_in_mid_drive_moves_nothing():
     assert motion.speed_mps == pytest.approx(1.0, rel=0.03)
 
 
-def test_pulses_that_were_lost_with_a_reboot_are_made_up_for_by_the_speed():
+@pytest.mark.parametrize("pause_ms, pulse_ms, count, pulses, x_m, error_m", [
+    pytest.param(300, 3300, 1, 0, 2.3, 0.05, id="those_lost_with_a_reboot_are_made_up_for_by_the_speed"),
+    pytest.param(60_000, 63_000, 90_000, 0, 2.0, 0.1, id="but_a_jump_after_a_long_silence_does_not_throw_the_car"),
+    pytest.param(500, 3500, None, 33, 2.0 + 33 * PULSE_M, 0.03, id="those_after_lost_reports_count"),
+    pytest.param(30, 12, None, 2, 2.03, 0.03, id="those_from_a_time_that_cannot_be_too"),
+])
+def test_pulses_after_a_gap(pause_ms, pulse_ms, count, pulses, x_m, error_m):
     axle = Axle()
     axle.roll((1.0, 1.0), 2.0)
-    axle.ms += 300
-    axle.way = [way + 0.3 / PULSE_M for way in axle.way]
-    pulse = round(axle.ms)
-    axle.wheels = [Wheel(0, FORWARD, pulse, 1, 1)] * 2
-    before = axle.motion.x_m
-    after = axle.report((0, 0), restarted=True, at_ms=pulse + 0.5)
-    assert after.x_m - before == pytest.approx(0.3, abs=0.05)
-    assert after.pose_covariance[0][0] > 0
-
-
-def test_counter_that_jumps_after_a_long_silence_does_not_throw_the_car():
-    axle = Axle()
-    axle.roll((1.0, 1.0), 2.0)
-    before = axle.motion.x_m
-    axle.ms += 60_000
-    axle.wheels = [Wheel(0, FORWARD, round(axle.ms), 70_000, 90_000)] * 2
-    assert axle.report((0, 0), restarted=True).x_m - before == pytest.approx(0, abs=0.1)
-
-
-def test_pulses_after_lost_reports_are_all_counted():
-    axle = Axle()
-    axle.roll((1.0, 1.0), 2.0)
-    axle.ms += 500
-    axle.wheels = [Wheel(0, FORWARD, round(axle.ms), wheel.dist, wheel.dist_abs + 33) for wheel in axle.wheels]
-    assert axle.report((33, 33), at_ms=axle.ms + 0.5).x_m == pytest.approx(2.0 + 33 * PULSE_M, abs=0.03)
-
-
-def test_pulse_from_a_time_that_cannot_be_counts_all_the_same():
-    axle = Axle()
-    axle.roll((1.0, 1.0), 2.0)
-    axle.ms += 30
-    axle.wheels = [Wheel(0, FORWARD, 12, wheel.dist, wheel.dist_abs + 2) for wheel in axle.wheels]
-    motion = axle.report((2, 2))
-    assert motion.x_m == pytest.approx(2.03, abs=0.03)
-    assert motion.speed_mps == pytest.approx(1.0, rel=0.1)
+    axle.ms += pause_ms
+    axle.wheels = [Wheel(0, FORWARD, pulse_ms, 1, count or wheel.dist_abs + pulses) for wheel in axle.wheels]
+    motion = axle.report((pulses, pulses), restarted=count is not None, at_ms=axle.ms + 0.5)
+    assert motion.x_m == pytest.approx(x_m, abs=error_m) and motion.pose_covariance[0][0] > 0
+    assert motion.speed_mps == pytest.approx(0.0 if count == 90_000 else 1.0, rel=0.1)
 
 
 def test_covariance_grows_with_the_way_and_not_with_the_time():

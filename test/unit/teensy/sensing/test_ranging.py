@@ -17,7 +17,6 @@ TICK = 60_000
 NONE_US = 38_001  # of an HC-SR04 that hears nothing; as seen in test/data/firmware
 # At 20 °C sound travels 343.42 m/s: 1 m and back takes 5823.8 µs, 2 cm 116.5 µs, 2 m 11647.5 µs.
 ONE_METRE_US = 5824
-HALF_A_US_M = 0.5e-6 * 343.42 / 2
 
 
 def ranges(ranging, *echoes_us, sensor=SENSOR):
