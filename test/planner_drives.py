@@ -1,7 +1,7 @@
 """Random planners on random cars, through the arbiters and their limits: does the car tip over?
 
 ``python3 test/planner_drives.py 1000`` runs so many planners, each on one of 20 cars, on all cores;
-test_planner_drives.py runs a sample. Each drive has a seed, and the seed is all that it depends on:
+test_virtual_drives.py runs a sample. Each drive has a seed, and the seed is all that it depends on:
 ``python3 test/planner_drives.py --seed 17`` shows one.
 
 A planner asks for turns and throttle that no sane one would: full lock at full throttle, slaloms, steps, noise, at 5 to

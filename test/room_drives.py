@@ -1,7 +1,7 @@
 """Cars that drive blindly in random rooms, with obstacle_stop: how fast do they run into something?
 
-``python3 test/room_drives.py 1000`` runs so many on all cores; test_room_drives.py runs a sample. Each has a seed, and
-the seed is all that it depends on: ``python3 test/room_drives.py --seed 17`` shows one.
+``python3 test/room_drives.py 1000`` runs so many on all cores; test_virtual_drives.py runs a sample. Each has a seed,
+and the seed is all that it depends on: ``python3 test/room_drives.py --seed 17`` shows one.
 
 A planner pushes with no idea of the room, on arcs that it changes now and then. The sonars fire as the Teensy fires
 them, one after another; ranges are late and noisy. Judged by the vehicle and the room alone: a collision counts as one

@@ -18,7 +18,7 @@ from typing import Iterator, NamedTuple
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
-from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
+from car_interface.teensy.sensing.measurements import Measurements
 from car_interface.teensy.sensing.sonar_monitor import SonarMonitor
 
 FOLDER = Path(__file__).resolve().parents[1] / "data" / "firmware"
@@ -127,16 +127,9 @@ class Moment(NamedTuple):
     result: object  # what Measurements made of it, or None
 
 
-def replay(capture: Capture, config: MeasurementConfig | None = None, skip_us: int = 0
-           ) -> tuple[list[Moment], Measurements]:
-    """Feed a capture's bytes to the measurements at the pace at which they came.
-
-    Args:
-        capture: which.
-        config: of the measurements.
-        skip_us: the host begins to listen then.
-    """
-    measurements = Measurements(config or MeasurementConfig())
+def replay(capture: Capture, skip_us: int = 0) -> tuple[list[Moment], Measurements]:
+    """Feed a capture's bytes to the measurements at the pace at which they came, from when the host listens."""
+    measurements = Measurements()
     monitor = SonarMonitor()
     decoder = FrameDecoder()
     starts_us = [line["t_us"] - COMMAND_US for line in capture.commands if line["host"] == "sonar_start"]

@@ -14,7 +14,7 @@ from car_interface.sim.teensy_receiver import Receiver
 from car_interface.sim.teensy_wheels import LEFT
 
 MS, S = 1_000_000, 1_000_000_000
-PING, PONG, SET_SEQ, STOP, START, SONAR, WHEELS, RESET, COUNTER, GET_COUNTERS, WAIT = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12
+PING, PONG, SET_SEQ, START, SONAR, WHEELS, COUNTER, GET_COUNTERS, WAIT = 1, 2, 3, 5, 6, 7, 9, 10, 12
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 CAPTURE = (DATA / "capture_mixed.bin").read_bytes()
@@ -27,24 +27,29 @@ Sonar = namedtuple("Sonar", "sensor filler echo_us when")
 # From the wire, by the text
 
 
+def unstuffed(data):
+    plain, escaped = bytearray(), False
+    for byte in data:
+        if byte == 0x7D:
+            escaped = True
+        else:
+            plain.append(byte ^ 0x20 if escaped else byte)
+            escaped = False
+    return bytes(plain)
+
+
+def ones_complement_sum(data):
+    total = sum(data)
+    while total > 0xFF:
+        total = (total & 0xFF) + (total >> 8)
+    return total
+
+
 def split_frames(data):
     """Bytes → unescaped frames without their checksums; empty ones and the boot frame left out."""
-    found = []
-    for chunk in data.split(b"\x7e")[1:-1]:
-        plain, escaped = bytearray(), False
-        for byte in chunk:
-            if byte == 0x7D:
-                escaped = True
-            else:
-                plain.append(byte ^ 0x20 if escaped else byte)
-                escaped = False
-        if len(plain) >= 5:
-            total = sum(plain)
-            while total > 0xFF:
-                total = (total & 0xFF) + (total >> 8)
-            assert total == 0xFF, plain.hex()
-            found.append(bytes(plain[:-1]))
-    return found
+    found = [frame for frame in map(unstuffed, data.split(b"\x7e")[1:-1]) if len(frame) >= 5]
+    assert all(ones_complement_sum(frame) == 0xFF for frame in found)
+    return [frame[:-1] for frame in found]
 
 
 def parse_wheels(frame):
@@ -78,10 +83,7 @@ def framed_for_the_receiver(message):
 
 
 def framed_by_the_textbook(message):
-    total = sum(message)
-    while total > 0xFF:
-        total = (total & 0xFF) + (total >> 8)
-    return b"\x7e" + stuffed(message + bytes([0xFF - total])) + b"\x7e"
+    return b"\x7e" + stuffed(message + bytes([0xFF - ones_complement_sum(message)])) + b"\x7e"
 
 
 def message(command, payload=b"", dst=2):

@@ -34,37 +34,21 @@ def anchors(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_of_a_page_lead_to_files_and_headings_that_exist(page):
-    broken = []
-    for link in LINK.findall(text_of(page)):
-        if re.match(r"https?://", link):
-            continue
+def test_links_paths_commands_and_measuring_programs_that_a_page_names_exist(page):
+    text, broken = text_of(page), []
+    for link in LINK.findall(text):
         name, _, anchor = link.partition("#")
         target = (page.parent / name).resolve() if name else page
-        if not target.exists() or (anchor and anchor not in anchors(target)):
+        if not re.match(r"https?://", link) and (not target.exists() or (anchor and anchor not in anchors(target))):
             broken.append(link)
-    assert broken == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_paths_that_a_page_names_exist(page):
     # `turn_arb/state` and the like are topics; only what begins with a folder of the repository is a path.
-    named = set(PATH.findall(LINK.sub("", text_of(page))))
-    missing = [path for path in sorted(named)
+    broken += [path for path in PATH.findall(LINK.sub("", text))
                if not (ROOT / path).exists() and not (ROOT / "launch" / path).exists()]
-    assert missing == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_measuring_programs_that_a_page_names_exist(page):
-    named = re.findall(r"python3 -m accuracy\.(\w+)", text_of(page))
-    assert [name for name in named if not (ROOT / "test/accuracy" / f"{name}.py").exists()] == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_commands_that_a_page_names_are_scripts(page):
-    named = re.findall(r"rosrun car_interface (\w+)", text_of(page))
-    assert [name for name in named if not (ROOT / "scripts" / name).exists() and name != "COMMAND"] == []
+    broken += [name for name in re.findall(r"python3 -m accuracy\.(\w+)", text)
+               if not (ROOT / "test/accuracy" / f"{name}.py").exists()]
+    broken += [name for name in re.findall(r"rosrun car_interface (\w+)", text)
+               if not (ROOT / "scripts" / name).exists() and name != "COMMAND"]
+    assert broken == []
 
 
 def test_readme_links_every_page():

@@ -12,7 +12,6 @@ from car_interface.common.fixed_parameters import FIXED, PARTS
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
-REQUIRED: set[tuple[str, str]] = set()  # (file, argument): those that a user must give
 MAX_DOC = 100  # characters: a line of `roslaunch --ros-args`
 
 
@@ -39,18 +38,11 @@ def name_of(argument: Argument) -> str:
 
 
 @pytest.mark.parametrize("argument", ARGUMENTS, ids=name_of)
-def test_argument_has_a_short_doc(argument):
+def test_argument_has_a_short_doc_and_a_default(argument):
     assert 0 < len(argument.doc) <= MAX_DOC
     assert argument.doc == argument.doc.strip() and not argument.doc.endswith(".")
-
-
-@pytest.mark.parametrize("argument", ARGUMENTS, ids=name_of)
-def test_argument_has_a_default_unless_it_is_required(argument):
-    if (argument.file, argument.name) in REQUIRED:
-        assert argument.default is None
-    else:
-        # `roslaunch --ros-args` lists an argument as required whose default is empty, or becomes so when evaluated.
-        assert argument.default and not argument.default.startswith("$(eval")
+    # `roslaunch --ros-args` lists an argument as required whose default is empty, or becomes so when evaluated.
+    assert argument.default and not argument.default.startswith("$(eval")
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)

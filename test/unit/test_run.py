@@ -15,60 +15,9 @@ sys.path.append(str(TEST))
 run = importlib.import_module("run")
 
 
-def names(paths):
-    return [path.name for path in paths]
-
-
-def test_without_names_every_test_runs_once_and_the_longest_process_tests_begin_first():
-    selected = run.select([])
-    for paths, pattern in zip(selected, ("unit/**/test_*.py", "graph/test_*.py", "process/*.test")):
-        assert sorted(paths) == sorted(TEST.glob(pattern)) != []
-    limits_s = [run.time_limit_s(path) for path in selected.process]
-    assert limits_s == sorted(limits_s, reverse=True)
-
-
-def test_name_selects_files_that_contain_it_and_one_that_no_test_has_is_refused():
-    assert tuple(map(names, run.select(["test_layering"]))) == (["test_layering.py"], [], [])
-    assert tuple(map(names, run.select(["test_story", "test_tally"]))) == (["test_tally.py"], ["test_story.py"], [])
-    with pytest.raises(ValueError, match="no test file has nosuch in its name"):
-        run.select(["test_story", "nosuch"])
-
-
-def test_second_python_leaves_out_what_cannot_differ_unless_everything_is_asked_for(tmp_path):
-    steps = [run.pytest_step(tmp_path, "unit tests", run.Python(sys.executable, "", is_second), [TEST], "", is_all)
-             for is_second, is_all in ((False, False), (True, False), (True, True))]
-    assert ["not once and not browser" in step.command for step in steps] == [False, True, False]
-    assert len({steps[0].name, steps[1].name}) == 2
-
-
-def test_python_without_ros_runs_no_nodes(tmp_path):
-    pythons = [run.Python(sys.executable, "ros", False), run.Python(sys.executable, "", True)]
-    steps = run.all_steps(tmp_path, pythons, run.Selection([TEST], [TEST], [TEST / "process/demo.test"]), False)
-    assert [step.name.split("-")[0] for step in steps] == ["unit", "graph", "unit", "demo.test"]
-
-
-@pytest.mark.parametrize("tests, is_all, limit_s", [
-    ('<test time-limit="240"/>', False, 300.0),
-    ('<test time-limit="200"/><group><test time-limit="40"/></group>', False, 300.0),
-    ("<test/>", False, 120.0),
-    ('<test time-limit="3600"/>', False, 900.0),
-    ('<test time-limit="3600"/>', True, 3660.0),
-], ids=["own_and_a_minute", "several_are_added", "without_one_rostest_s", "long_with_all", "long_of_all"])
-def test_limit_of_a_process_test_is_that_of_its_tests(tmp_path, tests, is_all, limit_s):
-    path = tmp_path / "x.test"
-    path.write_text(f"<launch>{tests}</launch>", encoding="utf-8")
-    assert run.process_step(tmp_path, path, is_all).limit_s == limit_s
-
-
 # A process of a session of its own, as roslaunch's nodes are.
 HANGS = ("sh", "-c", "setsid sleep 600 & echo $! > hangs.pid; echo its last line; wait")
 PASSES = ("sh", "-c", "echo '<testsuite><testcase name=\"a\"/></testsuite>' > results/passes.test/a.xml")
-# Ends when as many have begun as its argument says, and none is at work beside one that is to be alone.
-MEETS = """
-[ ! -e alone ] || exit 1; [ {count} != 1 ] || touch alone; echo x >> begun; i=0
-until [ "$(wc -l < begun)" -ge {count} ]; do i=$((i+1)); [ $i -lt 600 ] || exit 1; sleep 0.05; done
-sleep 0.5; rm -f alone; echo '<testsuite><testcase name="a"/></testsuite>' > results/{name}/a.xml
-"""
 RUN = """
 import sys
 from pathlib import Path
@@ -108,12 +57,6 @@ def hanging_pid(folder):
 def has_ended(pid):
     path = Path(f"/proc/{pid}/stat")
     return not path.exists() or path.read_text(encoding="utf-8").rpartition(")")[2].split()[0] in "ZX"
-
-
-def test_steps_of_pytest_are_at_work_alone_and_two_others_together(tmp_path):
-    meets = {name: ("sh", "-c", MEETS.format(count=count, name=name))
-             for name, count in (("py1", 1), ("py2", 1), ("a.test", 4), ("b.test", 4))}
-    assert lines_of(run_steps(tmp_path, meets, at_work=2))[-1] == "4 passed, 0 failed, 0 skipped"
 
 
 @pytest.mark.once
@@ -191,10 +134,9 @@ def run_ci(folder, hanging, trap, end_s):
 @pytest.mark.once
 @pytest.mark.parametrize("hanging, trap, end_s, expected", [
     ("nothing", ":", 60, (["3 passed, 0 failed, 0 skipped"], 0)),
-    ("lint", "echo lint hung; exit 1", 60, (["lint hung"], 124)),
     ("test", "echo 3 passed, 1 failed, 0 skipped; exit 1", 60, (["3 passed, 1 failed, 0 skipped"], 124)),
     ("test", "", 1, ([".ci/run: ./dev test was killed", "0 passed, 1 failed, 0 skipped"], 137)),
-], ids=["nothing_hangs", "lint", "test", "test_that_does_not_end_when_asked_to"])
+], ids=["nothing_hangs", "test", "test_that_does_not_end_when_asked_to"])
 def test_ci_run_ends_what_hangs(tmp_path, hanging, trap, end_s, expected):
     lines, code = run_ci(tmp_path, hanging, trap, end_s)
     # Before its last lines, bash reports what was killed.
@@ -206,23 +148,3 @@ def test_limits_of_ci_run_are_an_hour_together():
     text = (TEST.parent / ".ci" / "run").read_text(encoding="utf-8")
     lint_s, test_s, end_s = (int(text.partition(f"{name}=")[2].split()[0]) for name in ("LINT_S", "TEST_S", "END_S"))
     assert lint_s + test_s + 2 * end_s <= 3600
-
-
-@pytest.mark.once
-def test_set_up_that_is_ended_says_what_it_did_and_its_last_line_is_the_sum(tmp_path):
-    text = (TEST.parent / "dev").read_text(encoding="utf-8")
-    main = 'main "$@"\n'
-    assert text.endswith(main)
-    setup = 'setup() { say "Installing it"; logged pip supervised sh -c \'echo $$ > "$PID_FILE"; sleep 600\'; }\n'
-    (tmp_path / "dev").write_text(text[:-len(main)] + setup + main, encoding="utf-8")
-    (tmp_path / "test").symlink_to(TEST)
-    environment = {**run.os.environ, "CAR_INTERFACE_WORKSPACE": str(tmp_path.with_name("workspace")),
-                   "PID_FILE": str(tmp_path / "hangs.pid")}
-    process = subprocess.Popen(["timeout", "600", "bash", str(tmp_path / "dev"), "test"], env=environment,
-                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    pid = hanging_pid(tmp_path)
-    process.terminate()  # which timeout hands on to all of its process group
-    lines = lines_of(process)
-    assert lines[-2:] == ["./dev: ended by SIGTERM; the last that it did: Installing it",
-                          "0 passed, 1 failed, 0 skipped"]
-    assert process.returncode != 0 and has_ended(pid)

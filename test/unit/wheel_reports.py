@@ -4,13 +4,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from car_interface.teensy.link.protocol import (
-    FORWARD,
-    NO_DIRECTION,
-    SonarStatus,
-    Wheel,
-    WheelStatus,
-)
+from car_interface.teensy.link.protocol import FORWARD, NO_DIRECTION, SonarStatus, Wheel, WheelStatus
 from car_interface.teensy.sensing.plausibility import Gates
 
 PULSE_M = math.pi * 0.095 / 20
@@ -48,10 +42,11 @@ def counted(verdicts):
     return tuple(sum(verdict.pulses[side] + verdict.unproven[side] for verdict in verdicts) for side in (0, 1))
 
 
-def crawling():
-    """Gates that have seen five reports of a crawl; the last one is (104, START_MS + 200)."""
+def crawling(ticks=()):
+    """Gates that have seen five reports of a crawl, the last one is (104, START_MS + 200), and sonars' ticks."""
     some = Gates()
     judged(crawl(5), some.wheels)
+    judged(map(sonar, ticks), some.sonar)
     return some
 
 

@@ -30,19 +30,14 @@ def test_fresh_computer_gets_groups_rules_and_a_reload_in_this_order():
     ]
 
 
-def test_second_time_there_is_nothing_to_do():
-    done = computer(groups=GROUPS, joined=GROUPS, rules_are_new=True)
-    assert plan(done, "/share/rules") == [] and remarks(done, []) == []
-
-
-def test_only_what_is_missing_is_done():
-    assert commands(computer(groups=GROUPS, joined=["dialout", "i2c"], rules_are_new=True)) == [
-        "usermod --append --groups input ann"]
-
-
-def test_changed_rules_are_installed_again():
-    assert [step.command[0] for step in plan(computer(groups=GROUPS, joined=GROUPS), "/share/rules")] == [
-        "install", "udevadm", "udevadm"]
+@pytest.mark.parametrize("joined, rules_are_new, expected", [
+    (GROUPS, True, []), (["dialout", "i2c"], True, ["usermod --append --groups input ann"]),
+    (GROUPS, False, commands(computer())[2:]),
+], ids=["nothing", "a_group", "rules"])
+def test_only_what_is_missing_is_done_and_told(joined, rules_are_new, expected):
+    done = computer(groups=GROUPS, joined=joined, rules_are_new=rules_are_new)
+    assert commands(done) == expected and remarks(done, []) == []
+    assert ("log out and in again" in " ".join(remarks(done, plan(done, "/share/rules")))) == (joined != GROUPS)
 
 
 def test_without_udev_the_groups_are_made_and_the_rest_is_told():
@@ -56,14 +51,6 @@ def test_root_is_added_to_no_group_and_told_so():
     root = computer(user="root")
     assert "usermod" not in " ".join(commands(root))
     assert "--user NAME" in " ".join(remarks(root, plan(root, "/share/rules")))
-
-
-def test_user_is_told_to_log_in_anew():
-    assert "log out and in again" in " ".join(remarks(computer(), plan(computer(), "/share/rules")))
-
-
-def test_user_is_told_nothing_of_what_was_not_done():
-    assert remarks(computer(), []) == []
 
 
 def test_only_what_udev_does_by_itself_later_may_fail():
@@ -96,29 +83,23 @@ def applied(subsystem, **attributes):
     return assigned
 
 
-@pytest.mark.parametrize("product", ["0483", "0487", "0489", "048a", "048b", "048c"])
-def test_every_teensy_with_a_serial_port_gets_name_and_group_and_is_no_modem(product):
-    given = applied("tty", idVendor="16c0", idProduct=product, interface="00")
-    assert given == {"GROUP": "dialout", "MODE": "0660", "SYMLINK": "teensy_sensor_hub",
-                     "ENV{ID_MM_PORT_IGNORE}": "1", "ENV{ID_MM_DEVICE_IGNORE}": "1"}
+TEENSY = {"GROUP": "dialout", "MODE": "0660", "SYMLINK": "teensy_sensor_hub", "ENV{ID_MM_PORT_IGNORE}": "1",
+          "ENV{ID_MM_DEVICE_IGNORE}": "1"}
+
+
+@pytest.mark.parametrize(("subsystem", "vendor", "product", "given"), [
+    *(("tty", "16c0", product, TEENSY) for product in ("0483", "0487", "0489", "048a", "048b", "048c")),
+    ("usb", "16c0", "0483", {"ENV{ID_MM_DEVICE_IGNORE}": "1"}), ("i2c-dev", "", "", {"GROUP": "i2c", "MODE": "0660"}),
+    ("tty", "16c0", "05dc", {}), ("tty", "2341", "0483", {}), ("usb", "2341", "0043", {}),
+    ("block", "16c0", "0483", {}),
+])
+def test_every_teensy_with_a_serial_port_and_every_bus_gets_name_and_group_and_other_devices_nothing(
+        subsystem, vendor, product, given):
+    assert applied(subsystem, idVendor=vendor, idProduct=product, interface="00") == given
 
 
 def test_second_port_of_a_teensy_does_not_take_the_name():
     assert "SYMLINK" not in applied("tty", idVendor="16c0", idProduct="048b", interface="02")
-
-
-def test_whole_teensy_is_no_modem():
-    assert applied("usb", idVendor="16c0", idProduct="0483") == {"ENV{ID_MM_DEVICE_IGNORE}": "1"}
-
-
-def test_bus_is_its_groups():
-    assert applied("i2c-dev") == {"GROUP": "i2c", "MODE": "0660"}
-
-
-@pytest.mark.parametrize(("subsystem", "vendor", "product"), [
-    ("tty", "16c0", "05dc"), ("tty", "2341", "0483"), ("usb", "2341", "0043"), ("block", "16c0", "0483")])
-def test_other_devices_are_left_alone(subsystem, vendor, product):
-    assert applied(subsystem, idVendor=vendor, idProduct=product, interface="00") == {}
 
 
 def test_rules_come_after_the_interface_is_known_and_before_modem_manager():

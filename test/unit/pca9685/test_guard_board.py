@@ -8,7 +8,7 @@ import pytest
 from car_interface.pca9685 import guard_board
 from car_interface.sim.pca9685_chip import VirtualPca9685
 
-AWAKE, ASLEEP = 0x20, 0x30  # MODE1 with auto-increment
+AWAKE = 0x20  # MODE1 with auto-increment
 LED0, ALL_LED_OFF_H = 0x06, 0xFD
 COUNTS = (319, 307, 4096) + (0,) * 13
 
@@ -49,25 +49,21 @@ def device():
     return Device()
 
 
-def test_timeout_values_go_to_every_channel_in_two_transfers(device):
+def test_timeout_values_go_to_every_channel_in_two_transfers_and_once_they_hold_are_only_read(device):
     assert guard_board.write_counts(device, COUNTS) == [COUNTS]
     assert device.pulses() == COUNTS
+    assert guard_board.keep_counts(device, COUNTS) == [COUNTS]
     assert device.writes == [(LED0, 32), (LED0 + 32, 32)]
 
 
-def test_timeout_values_that_the_chip_does_not_hold_are_an_error(device):
+@pytest.mark.parametrize("act", [
+    lambda device: guard_board.write_counts(device, COUNTS), lambda device: guard_board.keep_counts(device, COUNTS),
+    guard_board.switch_off], ids=["write", "keep", "switch_off"])
+def test_what_the_chip_does_not_hold_afterwards_is_an_error(device, act):
     device.chip.write = lambda register, data: None
-    with pytest.raises(OSError, match="the chip doesn't hold what was written"):
-        guard_board.write_counts(device, COUNTS)
-    with pytest.raises(OSError, match="the chip doesn't hold what was written"):
-        guard_board.switch_off(device)
-
-
-def test_chip_that_holds_the_timeout_values_is_only_read(device):
-    guard_board.write_counts(device, COUNTS)
-    device.writes.clear()
-    assert guard_board.keep_counts(device, COUNTS) == [COUNTS]
-    assert device.writes == []
+    with pytest.raises(OSError, match="the chip doesn't hold what was written") as caught:
+        act(device)
+    assert caught.value.errno == errno.EIO
 
 
 def test_channel_that_was_changed_is_brought_back_and_what_it_held_is_told(device):
@@ -77,31 +73,23 @@ def test_channel_that_was_changed_is_brought_back_and_what_it_held_is_told(devic
     assert device.pulses() == COUNTS
 
 
-def test_full_off_is_one_bit_in_one_transfer_and_written_once(device):
-    guard_board.write_counts(device, COUNTS)
-    device.writes.clear()
-    assert guard_board.switch_off(device) == [(0,) * 16]
-    assert guard_board.switch_off(device) == [(0,) * 16]
+def test_full_off_is_one_bit_in_one_transfer_and_written_once_and_timeout_values_after_it_pulse_again(device):
+    assert guard_board.switch_off(device) == guard_board.switch_off(device) == [(0,) * 16]
     assert device.pulses() == (0,) * 16
     assert device.writes == [(ALL_LED_OFF_H, 1)]
     assert device.chip.read(0x00, 1) == [AWAKE]  # not put to sleep
-
-
-def test_timeout_values_after_full_off_pulse_again(device):
-    guard_board.switch_off(device)
     assert guard_board.keep_counts(device, COUNTS) == [(0,) * 16, COUNTS]
     assert device.pulses() == COUNTS
 
 
-@pytest.mark.parametrize("act", [
-    pytest.param(lambda device: guard_board.write_counts(device, COUNTS), id="write"),
-    pytest.param(lambda device: guard_board.keep_counts(device, COUNTS), id="keep"),
-    pytest.param(guard_board.switch_off, id="switch_off"),
-    pytest.param(guard_board.probe, id="probe"),
-])
-def test_chip_that_sleeps_as_after_a_loss_of_power_is_not_written_to(device, act):
+@pytest.mark.parametrize("act, held", [
+    (lambda device: guard_board.write_counts(device, COUNTS), [(0,) * 16]),
+    (lambda device: guard_board.keep_counts(device, COUNTS), [(0,) * 16]),
+    (guard_board.switch_off, [(0,) * 16]), (guard_board.probe, None),
+], ids=["write", "keep", "switch_off", "probe"])
+def test_chip_that_sleeps_as_after_a_loss_of_power_is_not_written_to(device, act, held):
     device.chip.power_up()
-    assert act(device) in (None, [(0,) * 16])
+    assert act(device) == held
     assert device.writes == []
     assert device.pulses() == (0,) * 16
 
@@ -114,8 +102,9 @@ def test_chip_without_auto_increment_gets_it_first(device):
     assert device.chip.read(0x00, 1) == [0x21]
 
 
-@pytest.mark.parametrize("act, transfers", [(guard_board.write_counts, 5), (guard_board.keep_counts, 3)],
-                         ids=["write", "keep"])
+@pytest.mark.parametrize("act, transfers", [
+    (guard_board.write_counts, 5), (guard_board.keep_counts, 3), (lambda device, _: guard_board.probe(device), 1),
+], ids=["write", "keep", "probe"])
 def test_error_of_any_transfer_is_passed_on(device, act, transfers):
     guard_board.write_counts(device, COUNTS)
     for works_for in range(transfers):

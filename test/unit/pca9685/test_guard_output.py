@@ -8,7 +8,7 @@ from car_interface.pca9685.guard_output import MAX_PENDING, OutputReadings
 MS = 1_000_000
 SAFE = (319, 307) + (0,) * 14
 OFF = (0,) * 16
-FOREIGN = (319, 4096) + (0,) * 14
+FULL_ON = (319, 4096) + (0,) * 14
 SAFE_DUTIES, OFF_DUTIES = [5104, 4912] + [0] * 14, [0] * 16
 
 
@@ -28,21 +28,13 @@ def published(readings, *given):
 
 
 def test_readings_are_published_as_duties_on_change(readings):
-    assert published(readings, (0, SAFE), (50, SAFE), (100, OFF), (150, OFF), (200, SAFE)) == [
-        (0, SAFE_DUTIES), (100, OFF_DUTIES), (200, SAFE_DUTIES)]
+    assert published(readings, (0, SAFE), (50, SAFE), (100, OFF), (150, OFF), (200, FULL_ON)) == [
+        (0, SAFE_DUTIES), (100, OFF_DUTIES), (200, [5104, 65535] + [0] * 14)]
 
 
-def test_full_on_is_65535(readings):
-    assert published(readings, (0, FOREIGN)) == [(0, [5104, 65535] + [0] * 14)]
-
-
-def test_reading_that_stays_the_same_is_repeated_ten_times_a_second(readings):
-    assert [at_ms for at_ms, _ in published(readings, *((at_ms, SAFE) for at_ms in range(0, 401, 50)))] == [
-        0, 100, 200, 300, 400]
-
-
-def test_nothing_is_repeated_without_a_reading(readings):
-    assert [at_ms for at_ms, _ in published(readings, (0, SAFE), (5000, SAFE), (5050, SAFE))] == [0, 5000]
+def test_reading_that_stays_the_same_is_repeated_ten_times_a_second_but_not_without_a_reading(readings):
+    at_ms = [*range(0, 401, 50), 5000, 5050]
+    assert [ms for ms, _ in published(readings, *((ms, SAFE) for ms in at_ms))] == [0, 100, 200, 300, 400, 5000]
 
 
 def test_readings_that_wait_for_the_master_are_kept_in_order_and_repetitions_are_not(readings):

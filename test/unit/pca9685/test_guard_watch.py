@@ -45,51 +45,39 @@ def watched(bench):
     bench.watch.start(bench.now_ns)
     bench.live()
     bench.answer()
-    assert bench.watch.watches
+    assert bench.watch.watches and not bench.watch.holds
     return bench
 
 
 def test_node_without_a_guard_obeys(bench):
-    assert not bench.watch.is_present
-    assert not bench.watch.watches
-    assert not bench.watch.holds
+    assert not (bench.watch.is_present or bench.watch.watches or bench.watch.holds)
     assert bench.watch.error == NOT_TRIED
     bench.live()
     bench.wait(1000)
     assert bench.watch.stood_still_ns(bench.now_ns) == 1000 * MS
-    assert not bench.watch.holds
-
-
-def test_first_step_is_no_standing_still(bench):
-    assert bench.watch.stood_still_ns(bench.now_ns) == 0
-    assert bench.watch.due_ns <= bench.now_ns
-    assert not bench.watch.is_late(bench.now_ns)
+    assert not (bench.watch.holds or bench.watch.watches)
 
 
 def test_node_that_had_not_reached_its_chip_before_did_not_stand_still(bench):
-    bench.watch.sign_of_life(bench.now_ns, COUNTS, False)
-    bench.wait(5000)  # it waited for the chip
-    assert bench.watch.stood_still_ns(bench.now_ns) == 0
-    assert not bench.watch.is_late(bench.now_ns)
+    assert bench.watch.due_ns <= bench.now_ns
+    for _ in range(2):
+        assert bench.watch.stood_still_ns(bench.now_ns) == 0 and not bench.watch.is_late(bench.now_ns)
+        bench.watch.sign_of_life(bench.now_ns, COUNTS, False)
+        bench.wait(5000)  # it waited for the chip
 
 
 def test_signs_of_life_are_due_every_50_ms_and_carry_the_timeout_values(watched):
     assert watched.watch.due_ns == watched.now_ns + 50 * MS
     message = watched.live(50)
     assert (message.kind, message.has_reached, message.timeout_counts) == (ALIVE, True, COUNTS)
-    assert message.sequence == 2
-
-
-def test_guard_that_answers_each_sign_is_there(watched):
-    for _ in range(100):
-        watched.live(50)
-        watched.answer()
-        assert not watched.watch.hangs(watched.now_ns)
-        assert not watched.watch.was_overruled()
-        assert watched.watch.stood_still_ns(watched.now_ns) == 0
+    assert (message.sequence, message.acknowledged) == (2, 0)
 
 
 def test_guard_that_does_not_answer_for_400_ms_hangs(watched):
+    for _ in range(10):
+        watched.live(50)
+        watched.answer()
+        assert not watched.watch.was_overruled() and watched.watch.stood_still_ns(watched.now_ns) == 0
     for _ in range(8):
         watched.live(50)
     assert not watched.watch.hangs(watched.now_ns)
@@ -97,17 +85,15 @@ def test_guard_that_does_not_answer_for_400_ms_hangs(watched):
     assert watched.watch.hangs(watched.now_ns)
 
 
-def test_guard_that_starts_has_3_s(bench):
-    bench.watch.start(bench.now_ns)
-    bench.wait(3000)
-    assert not bench.watch.hangs(bench.now_ns)
-    bench.wait(1)
-    assert bench.watch.hangs(bench.now_ns)
-
-
-@pytest.mark.parametrize("state, error", [(WATCHING, NOT_TRIED), (WATCHING, errno.ETIMEDOUT), (ACTING, 0), (SAFE, 0)])
-def test_guard_that_may_wait_for_a_held_bus_has_3_s(watched, state, error):
-    watched.answer(state, error=error)
+@pytest.mark.parametrize("state, error", [
+    (None, 0), (WATCHING, NOT_TRIED), (WATCHING, errno.ETIMEDOUT), (ACTING, 0), (SAFE, 0)])
+def test_guard_that_starts_or_may_wait_for_a_held_bus_has_3_s(watched, state, error):
+    if state is None:
+        watched.watch.start(watched.now_ns)
+        assert not watched.watch.watches
+    else:
+        watched.answer(state, error=error)
+        assert watched.watch.watches == (state == WATCHING) and watched.watch.error == error
     watched.wait(3000)
     assert not watched.watch.hangs(watched.now_ns)
     watched.wait(1)
@@ -143,8 +129,9 @@ def test_node_that_stood_still_obeys_when_the_guard_has_answered_a_newer_sign_of
 def test_node_that_stood_still_does_not_take_its_guard_for_dead(watched):
     watched.wait(3000)
     assert watched.watch.stood_still_ns(watched.now_ns)
+    watched.wait(400)
     assert not watched.watch.hangs(watched.now_ns)
-    watched.wait(401)
+    watched.wait(1)
     assert watched.watch.hangs(watched.now_ns)
 
 
@@ -169,13 +156,15 @@ def test_intervention_after_the_node_was_back_is_noticed_too(watched):
 
 
 def test_node_whose_guard_is_lost_obeys_and_a_new_guard_begins_anew(watched):
+    watched.answer(ACTING, interventions=2, error=errno.EIO)
     watched.wait(300)
     assert watched.watch.stood_still_ns(watched.now_ns)
     watched.watch.lose()
-    assert not watched.watch.holds
+    assert not (watched.watch.holds or watched.watch.watches)
     assert not watched.watch.hangs(watched.now_ns + 10_000 * MS)
     watched.watch.start(watched.now_ns)
-    assert not watched.watch.holds
-    assert not watched.watch.was_overruled()
+    assert not watched.watch.holds and not watched.watch.was_overruled()
     assert watched.watch.error == NOT_TRIED
     assert watched.live().acknowledged == 0
+    watched.answer(ACTING, interventions=1)
+    assert watched.watch.interventions == 3

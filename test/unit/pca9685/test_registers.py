@@ -19,25 +19,7 @@ from car_interface.pca9685.registers import (
 )
 
 
-@pytest.mark.parametrize("duty, counts", [
-    pytest.param(0, 0, id="zero_is_off"),
-    pytest.param(7, 0, id="less_than_half_a_count_is_off"),
-    pytest.param(8, 1, id="half_a_count_goes_up"),
-    pytest.param(16, 1, id="sixteen_is_one_count"),
-    pytest.param(23, 1, id="less_than_one_and_a_half_goes_down"),
-    pytest.param(24, 2, id="one_and_a_half_goes_up"),
-    pytest.param(3800, 238, id="the_servo_s_left"),  # 237.5
-    pytest.param(5100, 319, id="the_servo_s_center"),  # 318.75
-    pytest.param(6700, 419, id="the_servo_s_right"),  # 418.75
-    pytest.param(65519, 4095, id="the_longest_pulse_below_full_on"),
-    pytest.param(65528, 4096, id="less_than_half_a_count_below_full_on_is_full_on"),
-    pytest.param(65535, 4096, id="the_greatest_duty_is_full_on"),
-])
-def test_duty_is_rounded_to_the_nearest_count(duty, counts):
-    assert counts_of_duty(duty) == counts
-
-
-def test_duty_each_of_65536_is_rounded_half_up_exactly():
+def test_duty_each_of_65536_is_rounded_to_the_nearest_count_half_up():
     assert [counts_of_duty(duty) for duty in range(65536)] == [
         floor(Fraction(duty, 16) + Fraction(1, 2)) for duty in range(65536)]
 
@@ -47,9 +29,9 @@ def test_counts_as_a_duty_are_sixteen_each_and_65535_when_full_on(counts, duty):
     assert duty_of_counts(counts) == duty
 
 
-@given(st.integers(0, 4096))
-def test_counts_through_a_duty_and_back_stay_what_they_were(counts):
-    assert counts_of_duty(duty_of_counts(counts)) == counts
+def test_counts_through_a_duty_or_registers_and_back_stay_what_they_were():
+    for counts in range(4097):
+        assert counts_of_duty(duty_of_counts(counts)) == counts_of_registers(register_bytes(counts)) == counts
 
 
 @pytest.mark.parametrize("counts, registers", [
@@ -76,13 +58,7 @@ def test_prescale_for_frequency_at_25_mhz(frequency_hz, prescale):
     assert prescale_for(frequency_hz) == prescale
 
 
-@pytest.mark.parametrize("prescale, frequency_hz", [
-    pytest.param(121, 50.03, id="the_correct_one"),
-    pytest.param(122, 49.62, id="the_original_s"),
-    pytest.param(30, 196.9, id="the_reset_value"),
-    pytest.param(3, 1526, id="fastest"),
-    pytest.param(255, 23.84, id="slowest"),
-])
+@pytest.mark.parametrize("prescale, frequency_hz", [(121, 50.03), (122, 49.62), (30, 196.9), (3, 1526), (255, 23.84)])
 def test_frequency_of_prescale_at_25_mhz(prescale, frequency_hz):
     assert frequency_for(prescale) == pytest.approx(frequency_hz, abs=frequency_hz * 5e-4)
 
@@ -102,7 +78,7 @@ def test_prescale_for_any_frequency_is_no_worse_than_its_neighbours(frequency_hz
     assert all(wrong_by(prescale) <= wrong_by(other) for other in (prescale - 1, prescale + 1))
 
 
-@pytest.mark.parametrize("frequency_hz", [1e-310, 1, 23.7, 1800, 1e300])
+@pytest.mark.parametrize("frequency_hz", [1e-310, 23.7, 1800, 1e300])
 def test_prescale_for_frequency_out_of_reach_is_refused(frequency_hz):
     with pytest.raises(ConfigError, match=r"frequency is .*; accepted: 23.8 to 1526 Hz with this oscillator"):
         prescale_for(frequency_hz)
@@ -118,8 +94,3 @@ def test_prescale_for_frequency_out_of_reach_is_refused(frequency_hz):
 ])
 def test_counts_of_registers(registers, counts):
     assert counts_of_registers(bytes(registers)) == counts_of_registers(list(registers)) == counts
-
-
-@given(st.integers(0, 4096))
-def test_registers_of_counts_give_the_counts_back(counts):
-    assert counts_of_registers(register_bytes(counts)) == counts

@@ -33,9 +33,12 @@ class Bench:
         self.events = []
         self.opened = self.closed = 0
         self.open_error = None
-        self.supervisor = BoardSupervisor(self._open, self._close, self._board,
-                                          lambda event, error: self.events.append(event))
+        self.on_event = self.events.append
+        self.supervisor = self.another_supervisor()
         self.now_ns = NOW
+
+    def another_supervisor(self):
+        return BoardSupervisor(self._open, self._close, self._board, lambda event, error: self.on_event(event))
 
     def _open(self):
         if self.open_error is not None:
@@ -83,64 +86,50 @@ def test_first_call_opens_and_brings_every_channel_to_its_target(bench):
     bench.update(NEUTRAL)
     assert bench.supervisor.running
     assert bench.events == [FOUND, RUNNING]
-    assert bench.pulses() == NEUTRAL
-    assert bench.supervisor.held == NEUTRAL
+    assert bench.pulses() == bench.supervisor.held == NEUTRAL
 
 
-def test_what_did_not_change_is_not_written(running):
-    running.update(NEUTRAL, 1)
-    running.update(LEFT, 1)
-    running.update(LEFT, 1)
-    assert len(running.writes) == 1
-    assert running.pulses() == LEFT
+def test_what_did_not_change_is_not_written_and_the_chip_is_read_twice_a_second(running):
+    for targets in (NEUTRAL, LEFT, LEFT):
+        running.update(targets, 1)
+    assert len(running.writes) == 1 and running.pulses() == LEFT
+    running.update_when_due(LEFT)
+    assert [running.update_when_due(LEFT) for _ in range(4)] == [500] * 4
+    assert len(running.writes) == 1 and running.events == []
 
 
 def test_one_failed_transfer_is_made_again_at_once(running):
     running.bus.nacks_left = 1
     running.update(LEFT, 1)
-    assert running.events == [RETRIED]
-    assert running.pulses() == LEFT
-    assert running.supervisor.running
-    assert running.supervisor.tally.errors == 1
+    assert running.events == [RETRIED] and running.supervisor.tally.errors == 1
+    assert running.supervisor.running and running.pulses() == LEFT
 
 
-def test_two_failures_lose_the_board_and_close_the_bus(running):
+def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_with_the_newest_target(running):
     running.bus.nacks_left = 2
     running.update(LEFT, 1)
-    assert running.events == [RETRIED, DISCONNECTED]
-    assert not running.supervisor.running
-    assert running.supervisor.held == [None] * 16
-    assert running.closed == 1
-
-
-def test_board_that_was_lost_is_opened_again_after_100_ms_with_the_newest_target(running):
-    running.bus.nacks_left = 2
-    running.update(LEFT, 1)
+    assert running.events == [RETRIED, DISCONNECTED] and running.supervisor.tally.errors == 2
+    assert running.supervisor.held == [None] * 16 and running.closed == 1
     running.update(NEUTRAL, 99)
     assert not running.supervisor.running
     running.update(NEUTRAL, 1)
-    assert running.supervisor.running
-    assert running.pulses() == NEUTRAL
+    assert running.supervisor.running and running.pulses() == NEUTRAL
     assert running.supervisor.tally.reopenings == 1
 
 
-def test_pauses_between_attempts_double_from_100_ms_to_2_s(bench):
+def test_pauses_between_attempts_double_from_100_ms_to_2_s_and_begin_anew_after_the_board_was_there(bench):
     bench.bus.remove(ADDRESS)
     bench.update(NEUTRAL)
     assert [bench.update_when_due(NEUTRAL) for _ in range(7)] == [100, 200, 400, 800, 1600, 2000, 2000]
-    assert bench.events == [ABSENT] * 8
-
-
-def test_pauses_begin_anew_after_the_board_was_there(bench):
-    bench.bus.remove(ADDRESS)
-    bench.update(NEUTRAL)
-    bench.update_when_due(NEUTRAL)
+    assert bench.events == [ABSENT] * 8 and bench.supervisor.tally.errors == 8
+    assert not bench.supervisor.ever_ran
     bench.bus.attach(ADDRESS, bench.chip)
     bench.update_when_due(NEUTRAL)
     assert bench.supervisor.running
     bench.bus.remove(ADDRESS)
     bench.update(LEFT, 1)
     assert bench.update_when_due(LEFT) == 100
+    assert bench.supervisor.ever_ran
 
 
 def test_bus_that_cannot_be_opened_is_tried_again(bench):
@@ -175,21 +164,15 @@ def test_chip_that_lost_its_power_is_noticed_within_half_a_second(running, drive
     assert running.supervisor.tally.reinitialisations == 1
 
 
-def test_chip_that_lost_its_power_is_known_to_give_no_pulse_before_it_is_written_again(running):
+def test_what_the_chip_holds_is_known_before_it_is_written_anew(running):
     found = []
-    running.supervisor._on_event = lambda event, error: found.append((event, running.supervisor.held))
+    running.on_event = lambda event: found.append((event, running.supervisor.held))
     running.chip.power_up()
     running.update_when_due(NEUTRAL)
-    assert found == [(MISMATCH, NEUTRAL), (FOUND, [0] * 16)]
-    assert running.pulses() == NEUTRAL
-
-
-def test_what_a_running_chip_holds_is_known_before_it_is_changed(running):
+    assert found == [(MISMATCH, NEUTRAL), (FOUND, [0] * 16)] and running.pulses() == NEUTRAL
     running.update(LEFT, 1)
-    running.supervisor.close()
-    found = []
-    running.supervisor = BoardSupervisor(running._open, running._close, running._board,
-                                         lambda event, error: found.append((event, running.supervisor.held)))
+    running.supervisor = running.another_supervisor()
+    found.clear()
     running.update(NEUTRAL, 1)
     assert found == [(FOUND, LEFT), (RUNNING, NEUTRAL)]
 
@@ -215,25 +198,15 @@ def test_what_another_program_wrote_is_known_after_reading_back(running):
 def test_repetition_after_a_failure_writes_what_is_wanted_by_then(running):
     wanted = [LEFT]
 
-    def targets():
-        return wanted[0]
-
     def fail_slowly(register, data, write=running.chip.write):
         wanted[0] = NEUTRAL[:1] + [307] + [0] * 14  # it took so long that the command has expired
         running.chip.write = write
         raise TimeoutError(110, "Connection timed out")
     running.chip.write = fail_slowly
-    running.update(targets, 1)
+    running.update(lambda: wanted[0], 1)
     assert running.events == [RETRIED]
     assert running.pulses() == wanted[0]
     assert LEFT[0] not in [write[2][2] + 256 * write[2][3] for write in running.writes]
-
-
-def test_chip_that_is_fine_is_asked_twice_a_second_and_not_written_to(running):
-    for _ in range(4):
-        assert running.update_when_due(NEUTRAL) == 500
-    assert running.writes == []
-    assert running.events == []
 
 
 def test_chip_that_does_not_keep_its_prescale_counts_as_absent(bench):
@@ -259,17 +232,6 @@ def test_retry_now_makes_the_next_attempt_at_once(running):
     running.supervisor.retry_now()
     running.update(NEUTRAL)
     assert running.pulses() == NEUTRAL
-
-
-def test_board_that_was_never_there_never_ran(bench):
-    bench.bus.remove(ADDRESS)
-    bench.update(NEUTRAL)
-    assert not bench.supervisor.ever_ran
-    bench.bus.attach(ADDRESS, bench.chip)
-    bench.update_when_due(NEUTRAL)
-    bench.bus.remove(ADDRESS)
-    bench.update(LEFT, 1)
-    assert bench.supervisor.ever_ran
 
 
 def test_close_lets_go_of_the_bus_and_leaves_the_chip_as_it_is(running):

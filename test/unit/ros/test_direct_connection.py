@@ -95,49 +95,27 @@ def link():
 
 
 def test_message_is_in_the_socket_when_publishing_returns_and_no_other_thread_has_sent_it(link):
-    link.connection.write_data(message(7))
-    link.subscriber.setblocking(False)
-    assert link.subscriber.recv(1000) == message(7)
-    assert not link.writers
-
-
-def test_messages_arrive_in_order(link):
-    for number in range(1000):
-        link.connection.write_data(message(number))
-    assert link.receive(1000) == list(range(1000))
-
-
-def test_statistics_of_rospy_count_what_was_sent(link):
     for number in range(5):
         link.connection.write_data(message(number, 92))
+        link.subscriber.setblocking(False)
+        assert link.subscriber.recv(1000) == message(number, 92)
+    assert not link.writers
     assert (link.transport.stat_num_msg, link.transport.stat_bytes) == (5, 500)
 
 
-def test_subscriber_that_does_not_read_delays_nobody(link):
+def test_subscriber_that_does_not_read_delays_nobody_and_gets_the_newest_messages_whole_and_in_order_later(link):
     begun = time.monotonic()
     sent = link.fill()
-    assert sent > 3 * QUEUE
-    assert time.monotonic() - begun < 5.0  # nothing waited for the subscriber, which never reads
+    assert time.monotonic() - begun < 5.0  # nothing waited for the subscriber
     assert len(link.connection._queue) <= QUEUE
-
-
-def test_what_such_a_subscriber_reads_later_is_whole_and_in_order_and_the_newest_are_there(link):
-    sent = link.fill()
-    newest = list(range(sent - QUEUE, sent))
     numbers = link.receive(1)
     while numbers[-1] != sent - 1:
         numbers += link.receive(1)
-    assert numbers == sorted(numbers) and numbers[-QUEUE:] == newest
+    assert numbers == sorted(numbers) and numbers[-QUEUE:] == list(range(sent - QUEUE, sent))
     assert len(numbers) < sent  # older ones were dropped
-
-
-def test_once_it_reads_again_messages_are_sent_directly_again(link):
-    sent = link.fill()
-    while link.receive(1) != [sent - 1]:
-        pass
     wait_until(lambda: not link.connection._is_relaying)
     link.writers.clear()
-    link.connection.write_data(message(5))
+    link.connection.write_data(message(5))  # directly again
     assert link.receive(1) == [5] and not link.writers
 
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from car_interface.ros.evdev import EVENT, EVIOCGBIT_KEY, Keyboards, is_keyboard
+from car_interface.ros.evdev import EVENT, EVIOCGBIT_KEY, Keyboards
 
 # What /dev/input/event* of a 64-bit computer gives for W pressed, repeated and released, each with its scan code (type
 # 4) before it and a report (type 0) behind it: as a C program that includes linux/input.h has them in memory. The time
@@ -43,41 +43,31 @@ def opened(pattern, bits=KEYBOARD):
     return Keyboards(pattern, ioctl=lambda fd, request, size: bits)
 
 
+@pytest.fixture(name="keyboards")
+def fixture_keyboards(device):
+    made = opened(device[0])
+    yield made
+    made.close()
+
+
 @needs_64_bits
-def test_presses_and_releases_are_read_and_repeats_are_not(device):
-    pattern, writer = device
-    keyboards = opened(pattern)
+def test_presses_and_releases_are_read_and_repeats_are_not(device, keyboards):
     assert keyboards.read() == []
-    os.write(writer, SCAN + PRESSED + REPORT + REPEATED + REPORT + SCAN + RELEASED + REPORT)
-    assert keyboards.read() == [(CODE_W, True), (CODE_W, False)]
+    os.write(device[1], (SCAN + PRESSED + REPORT + REPEATED + REPORT + SCAN + RELEASED + REPORT) * 100)
+    assert keyboards.read() == [(CODE_W, True), (CODE_W, False)] * 100
     assert keyboards.read() == []
-    keyboards.close()
 
 
 @needs_64_bits
-def test_many_events_are_all_read(device):
-    pattern, writer = device
-    keyboards = opened(pattern)
-    os.write(writer, (PRESSED + REPORT + RELEASED + REPORT) * 100)
-    assert len(keyboards.read()) == 200
-    keyboards.close()
-
-
-@needs_64_bits
-def test_lost_events_are_reported_as_such(device):
+def test_lost_events_are_reported_as_such(device, keyboards):
     """Among them may be a release."""
-    pattern, writer = device
-    keyboards = opened(pattern)
-    os.write(writer, PRESSED + REPORT + DROPPED)
+    os.write(device[1], PRESSED + REPORT + DROPPED)
     assert keyboards.read() is None
     assert keyboards.read() == []
-    keyboards.close()
 
 
-def test_keyboard_that_is_unplugged_is_reported_once(device):
-    pattern, writer = device
-    keyboards = opened(pattern)
-    os.close(writer)
+def test_keyboard_that_is_unplugged_is_reported_once(device, keyboards):
+    os.close(device[1])
     assert keyboards.read() is None
     assert keyboards.read() == [] and len(keyboards) == 0
 
@@ -88,20 +78,12 @@ def test_only_keyboards_are_read(device, bits, found):
     keyboards = opened(device[0], bits)
     assert len(keyboards) == found
     keyboards.close()
-
-
-def test_device_that_is_no_input_device_is_left_out(device):
-    """The real ioctl on a pipe fails."""
-    assert len(Keyboards(device[0])) == 0
+    assert len(Keyboards(device[0])) == 0  # the real ioctl on a pipe fails
 
 
 @pytest.mark.parametrize("pattern", ["", "/nowhere/event*"])
 def test_without_devices_there_are_no_keyboards(pattern):
     assert len(Keyboards(pattern)) == 0 and Keyboards(pattern).read() == []
-
-
-def test_letters_and_a_space_bar_make_a_keyboard():
-    assert is_keyboard(KEYBOARD) and not is_keyboard(MOUSE)
 
 
 @needs_64_bits

@@ -36,20 +36,15 @@ def test_block_is_drawn_over_when_it_has_changed(screen):
     assert shown.getvalue() == "\r\x1b[Ja\nb\n\r\x1b[2A\x1b[Jc\n"
 
 
-def test_line_that_stays_takes_the_block_s_place(screen):
+def test_line_that_stays_takes_the_block_s_place_unless_that_is_kept(screen):
     shown, text = screen(True), LiveText()
     text.show(["a"])
     text.say("stays")
     text.show(["a"])
     assert shown.getvalue() == "\r\x1b[Ja\n\r\x1b[1A\x1b[Jstays\n\r\x1b[Ja\n"
-
-
-def test_block_that_is_kept_is_not_drawn_over(screen):
-    shown, text = screen(True), LiveText()
-    text.show(["a"])
     text.keep()
     text.say("below")
-    assert shown.getvalue() == "\r\x1b[Ja\n\r\x1b[Jbelow\n"
+    assert shown.getvalue().endswith("\x1b[Ja\n\r\x1b[Jbelow\n")
 
 
 def test_block_that_is_taller_than_the_terminal_is_cut(screen, monkeypatch):
@@ -59,28 +54,21 @@ def test_block_that_is_taller_than_the_terminal_is_cut(screen, monkeypatch):
     assert shown.getvalue() == "\r\x1b[Ja\nb\nc\n"
 
 
-@pytest.mark.parametrize("name", ["stdout", "stderr"])
-def test_block_below_which_something_was_printed_is_left_as_it_is(screen, monkeypatch, name):
+@pytest.mark.parametrize("name, is_elsewhere, expected", [
+    ("stdout", False, "\r\x1b[Ja\nb\na warning\n\r\x1b[Jc\n\r\x1b[1A\x1b[Jd\n"),
+    ("stderr", False, "\r\x1b[Ja\nb\na warning\n\r\x1b[Jc\n\r\x1b[1A\x1b[Jd\n"),
+    ("stderr", True, "\r\x1b[Ja\nb\n\r\x1b[2A\x1b[Jc\n\r\x1b[1A\x1b[Jd\n"),
+])
+def test_block_below_which_something_was_printed_is_left_as_it_is(screen, monkeypatch, name, is_elsewhere, expected):
     shown = screen(True)
     monkeypatch.setattr(sys, "stdout", LogStream(shown))
-    monkeypatch.setattr(sys, "stderr", LogStream(shown))
+    monkeypatch.setattr(sys, "stderr", LogStream(Screen(False) if is_elsewhere else shown))
     text = LiveText()
     text.show(["a", "b"])
     getattr(sys, name).write("a warning\n")
     text.show(["c"])
     text.show(["d"])
-    assert shown.getvalue() == "\r\x1b[Ja\nb\na warning\n\r\x1b[Jc\n\r\x1b[1A\x1b[Jd\n"
-
-
-def test_log_that_goes_elsewhere_moves_no_block(screen, monkeypatch):
-    shown = screen(True)
-    monkeypatch.setattr(sys, "stdout", LogStream(shown))
-    monkeypatch.setattr(sys, "stderr", LogStream(Screen(False)))
-    text = LiveText()
-    text.show(["a"])
-    sys.stderr.write("a warning\n")
-    text.show(["b"])
-    assert shown.getvalue() == "\r\x1b[Ja\n\r\x1b[1A\x1b[Jb\n"
+    assert shown.getvalue() == expected
 
 
 def test_elsewhere_only_lines_that_stay_are_printed(screen):

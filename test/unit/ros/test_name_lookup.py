@@ -1,7 +1,6 @@
 """Who has a node's name, asked of servers that answer as the ROS master and as nodes do."""
 from __future__ import annotations
 
-import os
 import re
 import socket
 import threading
@@ -17,7 +16,6 @@ from car_interface.ros import name_lookup, xmlrpc_calls
 from car_interface.ros.name_lookup import NameLookup, own_name
 
 HERE = "127.0.0.1 (this computer)"
-PID = os.getpid()
 
 
 @contextmanager
@@ -66,36 +64,23 @@ def holder(node_uri):
         return NameLookup("/turn_arb", master_uri).holder()
 
 
-def test_name_that_the_master_does_not_know_is_free():
-    assert holder("") == Holder(FREE)
+def test_name_is_free_that_the_master_does_not_know_or_whose_process_was_killed():
+    assert holder("") == holder(refusing()) == Holder(FREE)
+    assert NameLookup("/turn_arb", refusing()).holder() == Holder(NO_MASTER)
 
 
-def test_registration_of_a_killed_process_is_free():
-    assert holder(refusing()) == Holder(FREE)
-
-
-@pytest.mark.parametrize("name", ["/turn_arb", ""], ids=["rospy", "roscpp"])
-def test_node_that_answers_is_running(name):
+@pytest.mark.parametrize("name, expected", [
+    ("/turn_arb", Holder(RUNNING, HERE, 4711)), ("", Holder(RUNNING, HERE, 4711)), ("/teleop_logi", Holder(FREE))],
+    ids=["rospy", "roscpp", "another_node_on_a_dead_one_s_port"])
+def test_node_that_answers_is_running_if_it_has_that_name(name, expected):
     with serving(**node(name)) as uri:
-        assert holder(uri) == Holder(RUNNING, HERE, 4711)
+        assert holder(uri) == expected
 
 
-def test_node_of_another_name_on_a_dead_ones_port_is_not_it():
-    with serving(**node("/teleop_logi")) as uri:
-        assert holder(uri) == Holder(FREE)
-
-
-def test_node_that_accepts_and_does_not_answer_is_silent():
+def test_node_that_accepts_and_does_not_answer_or_is_on_an_unknown_computer_is_silent():
     with socket.create_server(("127.0.0.1", 0)) as frozen:
         assert holder(f"http://127.0.0.1:{frozen.getsockname()[1]}/") == Holder(SILENT, HERE)
-
-
-def test_node_on_an_unknown_computer_is_silent():
     assert holder("http://no-such-computer.invalid:1/") == Holder(SILENT, "no-such-computer.invalid")
-
-
-def test_master_that_is_not_there_yet_knows_no_name():
-    assert NameLookup("/turn_arb", refusing()).holder() == Holder(NO_MASTER)
 
 
 def test_node_is_asked_when_the_master_is_gone():
@@ -115,7 +100,26 @@ def test_own_name_is_that_of_ros(monkeypatch, arguments, namespace, name):
     assert own_name("turn_arb", ["turn_arb", *arguments]) == name
 
 
-def test_wait_ends_when_the_other_node_does(monkeypatch, capsys):
+@pytest.fixture
+def start_waiting():
+    """Start to wait for /turn_arb in a thread that still waits a while later."""
+    threads = []
+
+    def start():
+        threads.append(threading.Thread(target=lambda: name_lookup.wait_for_name("/turn_arb").close()))
+        threads[0].start()
+        threads[0].join(0.2)
+        assert threads[0].is_alive()
+        return threads[0]
+    return start
+
+
+def ends(thread):
+    thread.join(10)
+    return not thread.is_alive()
+
+
+def test_wait_ends_when_the_other_node_does(monkeypatch, capsys, start_waiting):
     registered = [""]
     with serving(**node("/turn_arb")) as uri, serving(
             lookupNode=lambda caller, name: (1, "", uri) if registered[0] else (-1, "unknown node", "")) as master_uri:
@@ -123,29 +127,22 @@ def test_wait_ends_when_the_other_node_does(monkeypatch, capsys):
         name_lookup.wait_for_name("/turn_arb").close()
         assert capsys.readouterr().err == ""
         registered[0] = uri
-        waiting = threading.Thread(target=name_lookup.wait_for_name, args=["/turn_arb"])
-        waiting.start()
-        waiting.join(0.2)
-        assert waiting.is_alive()
+        waiting = start_waiting()
         registered[0] = ""
-        waiting.join(10)
-        assert not waiting.is_alive()
+        assert ends(waiting)
     first, second = capsys.readouterr().err.splitlines()
     assert re.match(r"\[WARN\] \[\d+\.\d+\]: /turn_arb is already running on 127.0.0.1 \(this computer\), process 4711",
                     first)
     assert second.endswith("/turn_arb on 127.0.0.1 (this computer), process 4711 has ended: taking over")
 
 
-def test_of_two_that_look_at_the_same_moment_one_waits_until_the_other_is_registered(monkeypatch, capsys):
+def test_of_two_that_look_at_the_same_moment_one_waits_until_the_other_is_registered(monkeypatch, capsys,
+                                                                                   start_waiting):
     with serving(**master("")) as master_uri:
         monkeypatch.setenv("ROS_MASTER_URI", master_uri)
         claim = name_lookup.wait_for_name("/turn_arb")
         name_lookup.wait_for_name("/other").close()
-        waiting = threading.Thread(target=lambda: name_lookup.wait_for_name("/turn_arb").close())
-        waiting.start()
-        waiting.join(0.2)
-        assert waiting.is_alive()
+        waiting = start_waiting()
         claim.close()
-        waiting.join(10)
-        assert not waiting.is_alive()
+        assert ends(waiting)
     assert capsys.readouterr().err == ""

@@ -31,23 +31,14 @@ def test_path_that_a_living_process_claims_is_refused_with_its_number_and_what_t
     PortClaim(path, 1.0).close()  # a killed process leaves nothing behind
 
 
-def test_path_that_was_given_back_is_free(path):
-    PortClaim(path).close()
-    PortClaim(path, 0.0).close()
-
-
-def test_another_path_is_not_concerned(path):
-    claims = [PortClaim(path, 0.0), PortClaim(path + "_2", 0.0)]
-    for claim in claims:
-        claim.close()
-
-
-def test_path_is_the_same_by_another_way_to_its_folder(path, tmp_path):
+def test_path_is_the_same_by_another_way_to_its_folder_and_free_once_it_was_given_back(path, tmp_path):
     (tmp_path / "link").symlink_to(tmp_path)
     claim = PortClaim(path)
     with pytest.raises(ConfigError, match=f"in use by another car_sim .process {os.getpid()}."):
         PortClaim(str(tmp_path / "link" / "teensy"), 0.0)
+    PortClaim(path + "_2", 0.0).close()
     claim.close()
+    PortClaim(path, 0.0).close()
 
 
 def test_claim_waits_for_a_process_that_is_ending(path):

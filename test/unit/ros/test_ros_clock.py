@@ -32,7 +32,7 @@ class Computer:
 
 
 @pytest.fixture
-def computer(monkeypatch):
+def computer():
     return Computer()
 
 
@@ -54,11 +54,7 @@ def stamp_ns(clock, computer, kind="value"):
     return clock.stamp(kind, computer.monotonic).ns
 
 
-def test_stamp_is_the_computer_s_time(clock, computer):
-    assert abs(stamp_ns(clock, computer) - computer.ros_ns()) < MS
-
-
-@pytest.mark.parametrize("back_ns", [1, MS, 20 * MS, 100 * MS, 499 * MS])
+@pytest.mark.parametrize("back_ns", [1, 20 * MS, 499 * MS])
 def test_stamps_rise_when_the_clock_is_set_back_by_less_than_half_a_second(back_ns, clock, computer):
     stamps = [stamp_ns(clock, computer) for _ in range(3)]
     computer.ahead_ns -= back_ns

@@ -16,17 +16,9 @@ def serialised(message):
     return buffer.getvalue()
 
 
-def test_command_of_one_channel_leaves_the_others_unchanged():
+def test_command_of_one_channel_leaves_the_others_unchanged_and_is_not_built_again_when_it_comes_again():
     assert one_channel_duty(2, 5100).data == [-1, -1, 5100] + [-1] * 13
-
-
-def test_commands_of_two_channels_or_duties_are_two_messages():
-    assert [one_channel_duty(0, 5100).data[0], one_channel_duty(0, 5101).data[0]] == [5100, 5101]
-    assert one_channel_duty(1, 5100).data[1] == 5100
-    assert one_channel_duty(1, 5100).data[0] == -1
-
-
-def test_command_that_comes_again_is_not_built_again():
+    assert one_channel_duty(0, 5101).data == [5101] + [-1] * 15
     assert one_channel_duty(0, 4000) is one_channel_duty(0, 4000)
 
 

@@ -7,19 +7,16 @@ clock that is 25 ppm fast.
 
 What comes out is the captures' frames in the captures' order, all of them, with these tolerances and exceptions:
 
-- A pulse's time is interpolated between positions 20 ms (``drive``, ``drive_reverse``: 50 ms) apart, to some 0.1 ms.
-  So a tick of a wheel (``when``) may be 1 ms off, and with it the speed, by that share. Where both wheels' pulses lie
-  within such a time of each other, or of the 5 ms that a report waits, it is not determined which report a pulse comes
-  in: so many frames may differ as ``undetermined`` says, out of thousands.
-- Echoes begin at times that are known to 1 µs: ±2 µs in an echo, 1 ms in its tick.
+- A pulse's time is interpolated between positions 20 ms (``drive``, ``drive_reverse``: 50 ms) apart, to some 0.1 ms: a
+  tick of a wheel (``when``) may be 1 ms off, and its speed by that share. Where both wheels' pulses lie that close to
+  each other, or to the 5 ms that a report waits, it isn't determined in which report one comes: ``undetermined``.
+- Echoes begin at times that are known to 1 µs: ±2 µs in an echo, 1 ms in its tick. Its filler byte isn't compared.
 - A frame leaves the line within 2 ms of the capture's, beside the 0.5 ms in which this test looks: a pass of the loop
   where two ticks meet, and another report that went first then (1.3 ms).
-- ``line_busy``: of several reports that wait for the line the next one is chosen within a byte's time, which hangs on
-  all the bytes since the line was last idle. The order isn't determined there: numbers and ages are held instead.
-- A sonar report's filler byte isn't compared.
+- ``line_busy``: which of several waiting reports is next hangs on all the bytes since the line was last idle. Numbers
+  and ages are held instead of the order.
 
-In ``wrap`` the offset of the clock is known to 1 µs only, and what it does near the wrap hangs on less: of the offsets
-within that µs one was taken that gives the captured ticks.
+In ``wrap`` the offset of the clock is known to 1 µs only: one was taken that gives the captured ticks near the wrap.
 """
 
 import math
@@ -34,6 +31,18 @@ from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_sonars import SONAR_STUCK
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
+from teensy_bench import (
+    PONG,
+    SONAR,
+    WHEELS,
+    framed_for_the_receiver,
+    message,
+    ones_complement_sum,
+    parse_counter,
+    parse_sonar,
+    parse_wheels,
+    unstuffed,
+)
 
 pytestmark = pytest.mark.once
 MS, US = 1_000_000, 1_000
@@ -189,20 +198,10 @@ def pulses_of(rows):
     return sorted(found)
 
 
-def stuffed(data):
-    return b"".join(bytes([0x7D, byte ^ 0x20]) if byte in (0x7D, 0x7E) else bytes([byte]) for byte in data)
-
-
 def command(kind, *values):
     """A command as the captures' host framed it: with the receiver's own checksum."""
     payload = {"ping": lambda token: struct.pack("<II", token, 0), "sonar_wait": lambda ms: struct.pack("<I", ms)}
-    message = bytes([2, 1, COMMANDS[kind], 0]) + payload.get(kind, lambda: b"")(*values)
-    for reserved in (b"\x00", b"\x7d\x20"):
-        wire = stuffed(message[:3]) + reserved + stuffed(message[4:])
-        checksum = 0xFF - sum(byte for byte in wire if byte != 0x7D) % 256
-        if checksum not in (0x7D, 0x7E):
-            break
-    return b"\x7e" + wire + bytes([checksum]) + b"\x7e"
+    return framed_for_the_receiver(message(COMMANDS[kind], payload.get(kind, lambda: b"")(*values)))
 
 
 # What comes out
@@ -210,15 +209,13 @@ def command(kind, *values):
 
 def parsed(frame):
     """An unescaped frame → (kind, fields), as in the captures."""
-    if frame[2] == 7:
-        wheels = (struct.unpack_from("<HBBIII", frame, offset) for offset in (4, 20))
-        return ("wheel", *([speed, direction, *rest] for speed, direction, _, *rest in wheels))
-    if frame[2] == 6:
-        sensor, _, echo_us, when = struct.unpack_from("<BBHI", frame, 4)
-        return "sonar", sensor, echo_us, when
-    if frame[2] == 2:
-        return ("pong", *struct.unpack_from("<II", frame, 4))
-    return "counter", frame[8:-1].decode(), struct.unpack_from("<I", frame, 4)[0]
+    if frame[2] == WHEELS:
+        return ("wheel", *([wheel.speed, wheel.direction, wheel.when, wheel.dist, wheel.dist_abs]
+                           for wheel in parse_wheels(frame)))
+    if frame[2] == SONAR:
+        sonar = parse_sonar(frame)
+        return "sonar", sonar.sensor, sonar.echo_us, sonar.when
+    return ("pong", *struct.unpack_from("<II", frame, 4)) if frame[2] == PONG else ("counter", *parse_counter(frame))
 
 
 class Replay:
@@ -303,24 +300,6 @@ class Replay:
 
 def rows_of(rows, kind):
     return [row for row in rows if row[0] == kind]
-
-
-def unstuffed(data):
-    plain, escaped = bytearray(), False
-    for byte in data:
-        if byte == 0x7D:
-            escaped = True
-        else:
-            plain.append(byte ^ 0x20 if escaped else byte)
-            escaped = False
-    return bytes(plain)
-
-
-def ones_complement_sum(data):
-    total = sum(data)
-    while total > 0xFF:
-        total = (total & 0xFF) + (total >> 8)
-    return total
 
 
 # Both beside each other

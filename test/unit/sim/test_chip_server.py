@@ -5,7 +5,6 @@ import contextlib
 import errno
 import math
 import os
-import random
 import signal
 import socket
 import subprocess
@@ -17,7 +16,7 @@ import pytest
 from car_interface.common import small_process
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.own_files import UnsafeFile
-from car_interface.sim.chip_link import ANSWER, FAULT, LOG, OBSERVE, READ, REQUEST, WRITE, ChipLink
+from car_interface.sim.chip_link import ANSWER, FAULT, LOG, READ, REQUEST, WRITE, ChipLink
 
 ADDRESS = 0x40
 AWAKE = b"\x20"
@@ -44,17 +43,18 @@ def path():
         yield os.path.join(folder, "chip")
 
 
+def serve(path):
+    return subprocess.Popen(small_process.command("sim.chip_server", path, str(ADDRESS)))
+
+
 class Server:
     """A chip's process and its clients."""
 
     def __init__(self, path):
         self.path = path
         self.links = []
-        self.process = self.start()
+        self.process = serve(path)
         eventually(lambda: listens(path))
-
-    def start(self):
-        return subprocess.Popen(small_process.command("sim.chip_server", self.path, str(ADDRESS)))
 
     def connect(self, address=ADDRESS):
         link = ChipLink(self.path, address)
@@ -62,12 +62,9 @@ class Server:
         self.links.append(link)
         return link
 
-    def connect_fails(self):
-        try:
-            self.connect()
-        except OSError:
-            return True
-        return False
+    def takes_connections(self):
+        with contextlib.suppress(OSError):
+            return self.connect()
 
     def end(self):
         for link in self.links:
@@ -100,10 +97,6 @@ def test_what_one_client_writes_another_one_reads_and_the_chip_keeps_it_when_bot
     link.write(0x06, bytes(range(32)))
     link.close()
     assert server.connect().read(0x06, 32)[:4] == bytes(range(4))
-
-
-def test_another_address_is_not_acknowledged(server, link):
-    assert fails_with(errno.EREMOTEIO, server.connect(0x41).read, 0, 1)
 
 
 def test_lock_of_one_process_is_seen_by_others_as_on_a_bus(server, link):
@@ -152,7 +145,8 @@ def test_chip_without_power_does_not_answer_and_has_forgotten_everything_afterwa
     assert link.read(0x09, 1) == b"\x10"
 
 
-def test_chip_at_another_address_is_not_found_at_the_old_one(server, link):
+def test_only_the_chip_s_address_is_acknowledged(server, link):
+    assert fails_with(errno.EREMOTEIO, server.connect(0x41).read, 0, 1)
     link.inject("address", 0x41)
     assert fails_with(errno.EREMOTEIO, link.read, 0, 1)
     assert server.connect(0x41).read(0, 1) == AWAKE
@@ -188,8 +182,8 @@ def test_observer_notices_that_the_chip_is_gone(server, link):
     with pytest.raises(ConnectionRefusedError) as refused:
         server.connect()
     assert link.is_gone(refused.value)
-    server.process = server.start()  # its socket is replaced
-    eventually(lambda: not server.connect_fails())
+    server.process = serve(server.path)  # its socket is replaced
+    eventually(server.takes_connections)
     assert server.connect().read(0, 1) == b"\x11"
 
 
@@ -208,7 +202,7 @@ def test_log_has_each_write_of_every_client_with_the_time(server, link):
 
 
 def test_second_process_for_one_path_ends_and_disturbs_nobody(server, link):
-    assert server.start().wait(PATIENCE_S) == 0
+    assert serve(server.path).wait(PATIENCE_S) == 0
     assert link.read(0, 1) == AWAKE
     assert server.connect().read(0, 1) == AWAKE
 
@@ -260,26 +254,18 @@ def request(operation, register=0, data=b"", value=0.0, address=ADDRESS):
 
 MALFORMED = {
     "one_byte": (b"\x00", errno.EPROTO),
-    "cut_off": (request(WRITE)[:-1], errno.EPROTO),
     "longer_than_any": (request(WRITE, data=bytes(5000)), errno.EMSGSIZE),
     "unknown_operation": (request(200), errno.EOPNOTSUPP),
-    "read_without_a_length": (request(READ), errno.EINVAL),
     "read_of_nothing": (request(READ, data=b"\0"), errno.EINVAL),
     "read_of_33": (request(READ, data=b"\x21"), errno.EINVAL),
-    "read_with_two_lengths": (request(READ, data=b"\1\1"), errno.EINVAL),
     "write_of_nothing": (request(WRITE), errno.EINVAL),
     "write_of_33": (request(WRITE, data=bytes(33)), errno.EINVAL),
-    "unknown_fault": (request(FAULT, 5), errno.EOPNOTSUPP),
     "fault_of_not_a_number": (request(FAULT, 0, value=math.nan), errno.EINVAL),
-    "fault_of_infinity": (request(FAULT, 0, value=math.inf), errno.EINVAL),
     "fewer_than_no_transfers_fail": (request(FAULT, 0, value=-1.0), errno.EINVAL),
     "address_of_nobody": (request(FAULT, 4, value=128.0), errno.EINVAL),
-    "log_without_a_path": (request(LOG), errno.EINVAL),
     "log_at_a_relative_path": (request(LOG, data=b"log"), errno.EINVAL),
     "log_with_a_zero_byte": (request(LOG, data=b"/tmp/a\0b"), errno.EINVAL),
     "log_into_a_folder": (request(LOG, data=b"/tmp"), errno.EACCES),
-    "log_in_no_folder": (request(LOG, data=b"/nowhere/log"), errno.ENOENT),
-    "log_with_a_name_too_long": (request(LOG, data=b"/" + 1000 * b"x"), errno.ENAMETOOLONG),
     "log_that_is_no_utf_8": (request(LOG, data=b"/nowhere/\xff\xfe"), errno.ENOENT),
     "address_of_eight_bits": (request(READ, data=b"\1", address=255), errno.EREMOTEIO),
 }
@@ -289,34 +275,10 @@ def test_malformed_packet_is_answered_with_an_error_and_the_chip_goes_on(server,
     for name, (packet, number) in MALFORMED.items():
         assert raw.ask(packet) == number, name
         assert raw.ask(request(READ, data=b"\1")) == 0 and link.read(0, 1) == AWAKE, name
-
-
-def test_log_into_a_pipe_or_through_a_link_is_refused(server, link, raw):
     os.mkfifo(f"{server.path}.pipe")
     os.symlink("/dev/null", f"{server.path}.link")
     for name in ("pipe", "link"):
         assert raw.ask(request(LOG, data=f"{server.path}.{name}".encode())) == errno.EACCES
-    assert link.read(0, 1) == AWAKE
-
-
-def test_chip_survives_a_thousand_random_packets(server, link, raw):
-    choose = random.Random(5)
-    values = (0.0, -1.0, 64.0, 1e300, math.nan, -math.inf)
-    for _ in range(1000):
-        packet = choose.choice((
-            lambda: bytes(choose.choices(range(256), k=choose.randint(1, 60))),
-            lambda: request(choose.choice((READ, WRITE, OBSERVE, 7)), choose.randrange(256),
-                            bytes(choose.choices(range(256), k=choose.randint(0, 40)))),
-            lambda: request(FAULT, choose.choice((0, 3, 5, 255)), value=choose.choice(values)),
-            lambda: request(LOG, data=bytes(choose.choices(range(1, 256), k=choose.randint(0, 8)))),
-        ))()
-        if packet[0] == FAULT and packet[2:3] == b"\x01":
-            continue  # a bus that is held lets each transfer wait for a second
-        assert raw.ask(packet) is None or server.process.poll() is None
-    assert server.process.poll() is None
-    link.inject("nack", 0)
-    link.inject("power", 1)
-    assert link.read(0, 1) == b"\x11"
 
 
 def test_client_that_sends_while_the_bus_is_held_and_reads_nothing_is_dropped(server, link, raw):
@@ -338,7 +300,7 @@ def test_one_client_too_many_loses_its_connection_and_the_others_are_served(serv
     for client in clients:
         client.socket.close()
     assert served == 31  # and the link
-    eventually(lambda: not server.connect_fails())
+    eventually(server.takes_connections)
     eventually(lambda: link.read(0, 1) == AWAKE)
 
 
@@ -359,11 +321,10 @@ def test_whoever_is_not_the_chips_user_is_not_taken_for_it(path):
             os._exit(0)
     try:
         os.read(ready[0], 1)
-        with pytest.raises(UnsafeFile, match="chip is another user's: nobody's"):
-            ChipLink(path, ADDRESS).open()
-        os.chown(path, 0, 0)
-        with pytest.raises(UnsafeFile, match="chip is another user's: nobody's"):
-            ChipLink(path, ADDRESS).open()
+        for owner in (65534, 0):
+            os.chown(path, owner, owner)
+            with pytest.raises(UnsafeFile, match="chip is another user's: nobody's"):
+                ChipLink(path, ADDRESS).open()
     finally:
         os.write(wait[1], b"1")
         os.waitpid(pid, 0)
@@ -374,8 +335,7 @@ def test_whoever_is_not_the_chips_user_is_not_taken_for_it(path):
 def test_file_at_the_chips_path_is_not_removed_and_a_linked_lock_makes_no_file(path):
     with open(path, "w", encoding="ascii") as file:
         file.write("precious")
-    server = subprocess.Popen(small_process.command("sim.chip_server", path, str(ADDRESS)))
-    assert server.wait(PATIENCE_S) == 0
+    assert serve(path).wait(PATIENCE_S) == 0
     with open(path, encoding="ascii") as file:
         assert file.read() == "precious"
     with pytest.raises(UnsafeFile, match="chip is no socket"):
@@ -383,8 +343,7 @@ def test_file_at_the_chips_path_is_not_removed_and_a_linked_lock_makes_no_file(p
     os.unlink(path)
     os.unlink(f"{path}.lock")
     os.symlink(f"{path}.made", f"{path}.lock")
-    server = subprocess.Popen(small_process.command("sim.chip_server", path, str(ADDRESS)))
-    assert server.wait(PATIENCE_S) == 0
+    assert serve(path).wait(PATIENCE_S) == 0
     with pytest.raises(UnsafeFile, match="lock is a link"):
         ChipLink(path, ADDRESS).lock_fd()
     assert not os.path.exists(f"{path}.made")

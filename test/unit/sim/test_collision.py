@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.common.errors import ConfigError
 from car_interface.sim.collision import Collisions, Obstacles, Outline
 from car_interface.sim.demo_script import DONE, Drive, DriveConfig
 from car_interface.sim.vehicle import ORIGIN, Pose, Vehicle, VehicleConfig
@@ -39,16 +38,12 @@ def drive(vehicle, seconds, esc_duty, steering_duty=STRAIGHT):
 
 
 @pytest.mark.parametrize(("pose", "free"), [
-    pytest.param((1.49, 0.0, 0.0), True, id="nose_before_the_wall"),
-    pytest.param((1.51, 0.0, 0.0), False, id="nose_in_the_wall"),
-    pytest.param((2.11, 0.0, 0.0), True, id="tail_behind_the_wall"),
-    pytest.param((2.09, 0.0, 0.0), False, id="tail_in_the_wall"),
-    pytest.param((1.89, 0.0, math.pi), True, id="tail_before_the_wall_backward"),
-    pytest.param((1.91, 0.0, math.pi), False, id="tail_in_the_wall_backward"),
-    pytest.param((1.79, 0.0, math.pi / 2), True, id="side_beside_the_wall"),
-    pytest.param((1.81, 0.0, math.pi / 2), False, id="side_in_the_wall"),
-    pytest.param((1.51, 0.0, math.radians(45)), False, id="only_a_corner_in_the_wall"),
-    pytest.param((1.50, 0.0, math.radians(80)), True, id="turned_away"),
+    ((1.49, 0.0, 0.0), True), ((1.51, 0.0, 0.0), False),  # nose
+    ((2.11, 0.0, 0.0), True), ((2.09, 0.0, 0.0), False),  # tail, from behind
+    ((1.89, 0.0, math.pi), True), ((1.91, 0.0, math.pi), False),  # tail, backward
+    ((1.79, 0.0, math.pi / 2), True), ((1.81, 0.0, math.pi / 2), False),  # side
+    ((1.51, 0.0, math.radians(45)), False),  # only a corner
+    ((1.50, 0.0, math.radians(80)), True),  # turned away
 ])
 def test_outline_meets_a_wall_where_it_reaches(pose, free):
     assert wall_ahead().is_free(pose) is free
@@ -64,12 +59,6 @@ def test_outline_meets_a_post_where_it_reaches(post, free):
     assert Obstacles([], [post], OUTLINE).is_free((0.0, 0.0, 0.0)) is free
 
 
-def test_box_that_is_smaller_than_the_car_is_met_too():
-    sides = [(0.2, 0.0, 0.05, 0.0), (0.25, 0.0, 0.0, 0.05), (0.25, 0.05, -0.05, 0.0), (0.2, 0.05, 0.0, -0.05)]
-    assert not Obstacles(sides, [], OUTLINE).is_free((0.0, 0.0, 0.0))
-    assert Obstacles(sides, [], OUTLINE).is_free((0.0, 0.4, 0.0))
-
-
 @given(st.floats(-5.5, 5.5), st.floats(-4.5, 4.5), st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi),
        st.floats(0.0, 0.999))
 def test_car_that_moves_less_than_its_clearance_touches_nothing(x_m, y_m, yaw_rad, direction_rad, ratio):
@@ -79,11 +68,6 @@ def test_car_that_moves_less_than_its_clearance_touches_nothing(x_m, y_m, yaw_ra
         moved_m = ratio * clear_m
         assert obstacles.is_free((x_m + moved_m * math.cos(direction_rad), y_m + moved_m * math.sin(direction_rad),
                                   yaw_rad))
-
-
-def test_outline_that_no_car_has_is_refused():
-    with pytest.raises(ConfigError, match="width_m is 0; accepted: more than 0"):
-        Outline(width_m=0)
 
 
 # The car
@@ -99,7 +83,7 @@ def test_car_that_runs_into_a_wall_stands_before_it_and_its_wheels_stall():
     assert vehicle.travel_m == pytest.approx(math.hypot(vehicle.pose.x_m, vehicle.pose.y_m), rel=1e-3)
 
 
-def test_car_that_keeps_pushing_has_one_collision_and_a_second_one_after_it_drove_away():
+def test_car_that_keeps_pushing_has_one_collision_and_a_second_one_after_it_drove_away_and_backward_a_negative_speed():
     vehicle, collisions = car_before(wall_ahead())
     drive(vehicle, 6, FORWARD)
     assert collisions.count == 1
@@ -107,9 +91,6 @@ def test_car_that_keeps_pushing_has_one_collision_and_a_second_one_after_it_drov
     assert collisions.count == 1
     drive(vehicle, 6, FORWARD)
     assert collisions.count == 2 and vehicle.speed_mps == 0.0
-
-
-def test_car_that_backs_into_a_wall_has_a_negative_speed_at_the_collision():
     vehicle, collisions = car_before(wall_ahead(), Pose(WALL_M - 1.0, 0.0, math.pi))
     drive(vehicle, 4, REVERSE)
     assert vehicle.pose.x_m == pytest.approx(WALL_M - OUTLINE.rear_m, abs=0.005)
@@ -121,12 +102,6 @@ def test_car_that_hit_a_wall_on_a_turn_comes_out_the_way_it_came():
     drive(vehicle, 4, FORWARD, 3830)
     assert collisions.count == 1 and vehicle.speed_mps == 0.0
     assert drive(vehicle, 1, REVERSE, 3830) != [] and vehicle.speed_mps < -0.3
-
-
-def test_car_without_obstacles_drives_on():
-    vehicle = Vehicle(VehicleConfig())
-    drive(vehicle, 10, FORWARD)
-    assert vehicle.pose.x_m > 10
 
 
 def test_car_stays_in_the_default_room_however_it_is_driven():
@@ -153,15 +128,3 @@ def test_scripted_demo_touches_nothing():
             now_ns += 2 * MS
         nearest_m = min(nearest_m, World().obstacles.clearance_m(vehicle.pose))
     assert vehicle.travel_m > 25 and collisions.count == 0 and nearest_m > 0.1
-
-
-def test_collisions_cost_little_far_from_everything():
-    looked = []
-
-    class Watched(Obstacles):
-        def is_free(self, pose):
-            looked.append(pose)
-            return super().is_free(pose)
-    vehicle, _ = car_before(Watched([(100.0, -50.0, 0.0, 100.0)], []))
-    drive(vehicle, 4, FORWARD)
-    assert len(looked) < 10

@@ -28,6 +28,7 @@ def test_gamepad_stays_until_the_human_has_let_go():
     while drive.stage != DONE:
         now_ns += S
         orders = drive.orders(now_ns, 0.0, 0.0)  # never turns: each circle is given up
+        assert (orders.throttle > 0) == (orders.stage == TELEOP)
         seen.setdefault(orders.stage, set()).add((orders.gamepad_on, orders.manual or orders.autonomous))
     assert seen[LET_GO] == {(True, False)}
     assert seen[DONE] == {(False, False)}
@@ -42,11 +43,3 @@ def test_human_drives_by_the_other_stick(speed_mps, throttle):
     drive = Drive(CONFIG, NOW)
     drive.orders(NOW + 5 * S, 0.0, 0.0)
     assert drive.orders(NOW + 6 * S, 0.0, speed_mps).throttle == pytest.approx(throttle)
-
-
-def test_stick_is_at_rest_while_the_planner_drives():
-    drive, now_ns = Drive(CONFIG, NOW), NOW
-    while drive.stage != LET_GO:
-        now_ns += S
-        orders = drive.orders(now_ns, 0.0, 0.0)
-        assert (orders.throttle > 0) == (orders.stage == TELEOP)

@@ -35,10 +35,6 @@ def test_brake_is_stronger_than_coasting_and_reverse_weaker_than_forward():
     assert true_acceleration_mps2(FULL, 0) > -true_acceleration_mps2(REVERSE, 0) > 0
 
 
-def test_thrust_below_the_static_drag_moves_nothing():
-    assert true_acceleration_mps2(5000, 0) == 0.0 < true_acceleration_mps2(5200, 0)
-
-
 @given(st.integers(REVERSE, FULL), st.integers(REVERSE, FULL), st.floats(0, 14))
 def test_more_duty_never_accelerates_less(one, other, speed_mps):
     low, high = sorted((one, other))

@@ -68,10 +68,6 @@ def test_esc_that_forgets_reverses_at_the_first_pull_after_its_time_in_neutral()
     assert play(virtual.xl5(forget_s=1.5), steps)[-1] == BACKWARD
 
 
-def test_drag_brake_brakes_in_neutral():
-    assert play(virtual.crawler(drag_brake=0.6), [(NEUTRAL, 0.1, 1.0)]) == [BRAKE]
-
-
 def test_esc_runs_only_after_neutral():
     config = virtual.xl5(arming_s=0.5)
     assert play(config, [(AHEAD, 2.0, 0.0), (NEUTRAL, 0.3, 0.0), (AHEAD, 0.1, 0.0)], armed=False)[-1] == COAST

@@ -9,8 +9,11 @@ import pytest
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 ADDRESS = 0x40
-AWAKE, ASLEEP = 0x20, 0x30  # MODE1 with auto-increment
-RESTART = 0x80
+AWAKE, ASLEEP, RESTART = 0x20, 0x30, 0x80  # MODE1 with auto-increment; its bit 7
+LED0, LED3, LED15 = 0x06, 0x12, 0x42
+WAKE, SLEEP = (0x00, [AWAKE]), (0x00, [ASLEEP])
+PULSE, FULL_ON, FULL_OFF = (LED0, [0, 0, 0x3F, 0x01]), (LED0, [0, 0x10, 0, 0]), (LED0, [0, 0, 0x3F, 0x11])
+ALL = [0x11, 0x02, 0x33, 0x04]
 
 
 @pytest.fixture
@@ -18,77 +21,53 @@ def chip():
     return VirtualPca9685()
 
 
-@pytest.fixture
-def awake(chip):
-    chip.write(0x00, [AWAKE])
-    return chip
-
-
-def led(channel):
-    return 0x06 + 4 * channel
-
-
-@pytest.mark.parametrize("register, value", [
-    pytest.param(0x00, 0x11, id="MODE1_is_asleep_and_answers_all_call"),
-    pytest.param(0x01, 0x04, id="MODE2_is_totem_pole"),
-    pytest.param(0x02, 0xE2, id="SUBADR1"),
-    pytest.param(0x03, 0xE4, id="SUBADR2"),
-    pytest.param(0x04, 0xE8, id="SUBADR3"),
-    pytest.param(0x05, 0xE0, id="ALLCALLADR"),
-    pytest.param(0xFE, 0x1E, id="PRE_SCALE_makes_200_Hz"),
+@pytest.mark.parametrize("writes, register, held", [
+    pytest.param([], 0x00, [0x11], id="MODE1_at_power_up_is_asleep_and_answers_all_call"),
+    pytest.param([], 0x01, [0x04], id="MODE2_at_power_up_is_totem_pole"),
+    pytest.param([], 0x02, [0xE2], id="SUBADR1_at_power_up"),
+    pytest.param([], 0x03, [0xE4], id="SUBADR2_at_power_up"),
+    pytest.param([], 0x04, [0xE8], id="SUBADR3_at_power_up"),
+    pytest.param([], 0x05, [0xE0], id="ALLCALLADR_at_power_up"),
+    pytest.param([], 0xFE, [0x1E], id="PRE_SCALE_at_power_up_makes_200_Hz"),
+    pytest.param([WAKE], LED15, [0, 0, 0, 0x10], id="channel_at_power_up_is_full_off"),
+    *(pytest.param([(register, [0x12])], register, [0x12], id=f"register_{register}_holds_what_was_written")
+      for register in range(1, 6)),
+    pytest.param([(LED0, [1, 2, 3])], LED0, [3], id="write_without_auto_increment_stays_at_its_register"),
+    pytest.param([WAKE, (LED3, [*ALL, 0x12])], LED3, [*ALL, 0x12], id="with_auto_increment_it_goes_on_to_the_next"),
+    # Figure 21: all registers in one transfer, AI initially clear.
+    pytest.param([(0x00, [ASLEEP, 0x04, 0xE2])], 0x00, [ASLEEP, 0x04, 0xE2], id="also_where_the_transfer_sets_it"),
+    pytest.param([WAKE], 69, [0x10, AWAKE, 0x04], id="past_register_69_comes_MODE1"),
+    pytest.param([WAKE], 254, [0x1E, AWAKE, 0x04], id="past_register_254_comes_MODE1"),
+    pytest.param([WAKE, (0xFE, [121])], 0xFE, [0x1E], id="PRE_SCALE_is_blocked_awake"),
+    *(pytest.param([(0xFE, [written])], 0xFE, [held], id=f"PRE_SCALE_of_{written}_is_{held}")
+      for written, held in ((0, 3), (2, 3), (3, 3), (4, 4), (255, 255))),
+    pytest.param([WAKE, (LED0, [0xFF] * 4)], LED0, [0xFF, 0x1F, 0xFF, 0x1F], id="reserved_bits_are_not_writable"),
+    pytest.param([WAKE, (70, [0x55])], 70, [0], id="reserved_register_70_holds_nothing"),
+    pytest.param([WAKE, (249, [0x55])], 249, [0], id="reserved_register_249_holds_nothing"),
+    pytest.param([WAKE, (0xFA, ALL)], LED0, ALL * 15, id="ALL_LED_loads_every_channel"),
+    pytest.param([WAKE, (0xFA, ALL)], 0xFA, [0] * 4, id="ALL_LED_reads_as_zero"),
+    pytest.param([WAKE, PULSE, SLEEP], 0x00, [RESTART | ASLEEP], id="sleep_with_a_pulse_sets_RESTART"),
+    pytest.param([WAKE, FULL_ON, SLEEP], 0x00, [RESTART | ASLEEP], id="sleep_with_a_pin_full_on_sets_it"),
+    pytest.param([WAKE, FULL_OFF, SLEEP], 0x00, [ASLEEP], id="sleep_with_all_pins_off_does_not"),
+    pytest.param([WAKE, PULSE, SLEEP, WAKE], 0x00, [RESTART | AWAKE], id="a_0_written_to_it_has_no_effect"),
+    pytest.param([WAKE, PULSE, SLEEP, WAKE, (0x00, [RESTART | AWAKE])], 0x00, [AWAKE], id="a_1_clears_it"),
+    pytest.param([WAKE, PULSE, SLEEP, (LED3, [0, 0, 1, 0])], 0x00, [ASLEEP], id="so_does_a_write_to_a_channel"),
+    pytest.param([WAKE, PULSE, SLEEP, (0xFD, [0x00])], 0x00, [ASLEEP], id="and_one_to_all_channels"),
+    pytest.param([(0x00, [0x10]), (0x00, [0x50]), (0x00, [0x00])], 0x00, [0x40], id="EXTCLK_once_set_stays"),
 ])
-def test_register_after_power_up_holds_its_reset_value(chip, register, value):
-    assert chip.read(register, 1) == [value]
-
-
-def test_channels_after_power_up_are_full_off(chip):
-    for channel in range(16):
-        assert [chip.read(led(channel) + offset, 1)[0] for offset in range(4)] == [0, 0, 0, 0x10]
-        assert chip.high_counts(channel) == 0
+def test_register_holds(chip, writes, register, held):
+    for write in writes:
+        chip.write(*write)
+    assert chip.read(register, len(held)) == held
 
 
 def test_power_up_after_use_resets_everything(chip):
     fresh = [chip.read(register, 1) for register in range(256)]
-    chip.write(0x00, [0x70])
-    chip.write(0xFE, [121])
-    chip.write(0xFA, [1, 2, 3, 4])
-    chip.write(0x00, [0x20])
+    for write in ((0x00, [0x70]), (0xFE, [121]), (0xFA, ALL), WAKE):
+        chip.write(*write)
     chip.power_up()
     assert [chip.read(register, 1) for register in range(256)] == fresh
-
-
-def test_write_without_auto_increment_stays_at_its_register(chip):
-    chip.write(led(0), [1, 2, 3])
-    assert [chip.read(led(0) + offset, 1)[0] for offset in range(4)] == [3, 0, 0, 0x10]
-
-
-def test_write_with_auto_increment_goes_on_to_the_next_register(awake):
-    awake.write(led(3), [0x99, 0x01, 0xCC, 0x04, 0x12])
-    assert awake.read(led(3), 5) == [0x99, 0x01, 0xCC, 0x04, 0x12]
-
-
-def test_auto_increment_that_a_transfer_sets_works_within_it(chip):
-    chip.write(0x00, [ASLEEP, 0x04, 0xE2])  # figure 21: all registers in one transfer, AI initially clear
-    assert chip.read(0x00, 3) == [ASLEEP, 0x04, 0xE2]
-
-
-def test_auto_increment_past_register_69_points_to_mode1(awake):
-    assert awake.read(69, 3) == [0x10, AWAKE, 0x04]
-
-
-def test_auto_increment_past_register_254_points_to_mode1(awake):
-    assert awake.read(254, 3) == [0x1E, AWAKE, 0x04]
-
-
-def test_prescale_is_blocked_awake(awake):
-    awake.write(0xFE, [121])
-    assert awake.read(0xFE, 1) == [0x1E]
-
-
-@pytest.mark.parametrize("written, held", [(0, 3), (2, 3), (3, 3), (4, 4), (255, 255)])
-def test_prescale_is_at_least_3(chip, written, held):
-    chip.write(0xFE, [written])
-    assert chip.read(0xFE, 1) == [held]
+    assert [chip.high_counts(channel) for channel in range(16)] == [0] * 16
 
 
 @pytest.mark.parametrize("prescale, frequency_hz", [(3, 1526), (255, 23.84), (121, 50.03)])
@@ -109,102 +88,20 @@ def test_prescale_sets_the_period(chip, prescale, frequency_hz):
     pytest.param("00 00 01 00", 1, id="shortest_pulse"),
     pytest.param("00 00 ff 0f", 4095, id="longest_pulse"),
 ])
-def test_pin_of_a_channel_is_high_for(awake, registers, high):
-    awake.write(led(4), list(bytes.fromhex(registers)))
-    assert awake.high_counts(4) == high
-    assert [awake.high_counts(other) for other in (3, 5)] == [0, 0]
+def test_pin_of_a_channel_is_high_for(chip, registers, high):
+    chip.write(*WAKE)
+    chip.write(LED3, list(bytes.fromhex(registers)))
+    assert [chip.high_counts(channel) for channel in (2, 3, 4)] == [0, high, 0]
 
 
-def test_pins_asleep_are_low(awake):
-    awake.write(led(0), [0, 0, 0x3F, 0x01])
-    awake.write(0x00, [ASLEEP])
-    assert awake.high_counts(0) == 0
-
-
-def test_reserved_bits_of_channel_registers_are_not_writable(awake):
-    awake.write(led(0), [0xFF] * 4)
-    assert awake.read(led(0), 4) == [0xFF, 0x1F, 0xFF, 0x1F]
-
-
-def test_all_led_registers_load_every_channel(awake):
-    awake.write(0xFA, [0x11, 0x02, 0x33, 0x04])
-    for channel in range(16):
-        assert awake.read(led(channel), 4) == [0x11, 0x02, 0x33, 0x04]
-
-
-def test_all_led_off_h_alone_turns_every_channel_off(awake):
-    awake.write(led(0), [0, 0, 0x3F, 0x01])
-    awake.write(led(9), [0, 0x10, 0, 0])
-    awake.write(0xFD, [0x10])
-    assert [awake.high_counts(channel) for channel in range(16)] == [0] * 16
-
-
-def test_all_led_registers_read_as_zero(awake):
-    awake.write(0xFA, [0x11, 0x02, 0x33, 0x04])
-    assert awake.read(0xFA, 4) == [0, 0, 0, 0]
-
-
-@pytest.mark.parametrize("register, value", [(0x01, 0x10), (0x02, 0x12), (0x03, 0x34), (0x04, 0x56), (0x05, 0x78)],
-                         ids=["MODE2", "SUBADR1", "SUBADR2", "SUBADR3", "ALLCALLADR"])
-def test_register_written_holds_what_was_written(chip, register, value):
-    chip.write(register, [value])
-    assert chip.read(register, 1) == [value]
-
-
-@pytest.mark.parametrize("register", [70, 249])
-def test_reserved_registers_hold_nothing(awake, register):
-    awake.write(register, [0x55])
-    assert awake.read(register, 1) == [0]
-
-
-def put_to_sleep_with_a_pulse(chip):
-    chip.write(led(0), [0, 0, 0x3F, 0x01])
-    chip.write(0x00, [ASLEEP])
-
-
-def test_sleep_with_pulses_running_sets_restart(awake):
-    put_to_sleep_with_a_pulse(awake)
-    assert awake.read(0x00, 1) == [RESTART | ASLEEP]
-
-
-def test_sleep_with_a_pin_full_on_sets_restart_too(awake):
-    awake.write(led(0), [0, 0x10, 0, 0])
-    awake.write(0x00, [ASLEEP])
-    assert awake.read(0x00, 1) == [RESTART | ASLEEP]
-
-
-def test_sleep_after_an_orderly_shutdown_does_not_set_restart(awake):
-    awake.write(led(0), [0, 0, 0x3F, 0x01])
-    awake.write(0xFD, [0x10])
-    awake.write(0x00, [ASLEEP])
-    assert awake.read(0x00, 1) == [ASLEEP]
-
-
-def test_waking_with_restart_set_keeps_the_pins_low_until_a_1_is_written_to_it(awake):
-    put_to_sleep_with_a_pulse(awake)
-    awake.write(0x00, [AWAKE])
-    assert awake.read(0x00, 1) == [RESTART | AWAKE]  # a write of 0 has no effect on RESTART
-    assert awake.high_counts(0) == 0
-    awake.write(0x00, [RESTART | AWAKE])
-    assert awake.read(0x00, 1) == [AWAKE]
-    assert awake.high_counts(0) == 0x13F
-
-
-@pytest.mark.parametrize("register, data", [(led(7), [0, 0, 1, 0]), (0xFD, [0x00])],
-                         ids=["of_a_channel", "of_all_channels"])
-def test_write_to_any_pwm_register_clears_restart(awake, register, data):
-    put_to_sleep_with_a_pulse(awake)
-    awake.write(register, data)
-    assert awake.read(0x00, 1) == [ASLEEP]
-
-
-def test_extclk_once_set_is_cleared_by_nothing_but_power(chip):
-    chip.write(0x00, [0x10])
-    chip.write(0x00, [0x50])
-    chip.write(0x00, [0x00])
-    assert chip.read(0x00, 1) == [0x40]
-    chip.power_up()
-    assert chip.read(0x00, 1) == [0x11]
+@pytest.mark.parametrize("writes, high", [
+    ([], 0x13F), ([SLEEP], 0), ([SLEEP, WAKE], 0), ([SLEEP, WAKE, (0x00, [RESTART | AWAKE])], 0x13F),
+    ([(0xFD, [0x10])], 0),
+], ids=["awake", "asleep", "awake_with_RESTART_set", "after_a_1_was_written_to_RESTART", "all_full_off"])
+def test_pulse_comes_while_awake_and_after_sleep_once_restart_is_cleared(chip, writes, high):
+    for write in (WAKE, PULSE, *writes):
+        chip.write(*write)
+    assert [chip.high_counts(channel) for channel in range(16)] == [high] + [0] * 15
 
 
 def test_bus_carries_address_register_and_data_of_each_write():
@@ -219,11 +116,9 @@ def test_bus_carries_address_register_and_data_of_each_write():
 
 
 @pytest.mark.parametrize("transfer", [
-    pytest.param(lambda bus: bus.read_byte_data(0x41, 0), id="read_of_a_byte"),
-    pytest.param(lambda bus: bus.read_i2c_block_data(0x41, 0, 4), id="read_of_a_block"),
-    pytest.param(lambda bus: bus.write_byte_data(0x41, 0, 0), id="write_of_a_byte"),
-    pytest.param(lambda bus: bus.write_i2c_block_data(0x41, 6, [0] * 4), id="write_of_a_block"),
-])
+    lambda bus: bus.read_byte_data(0x41, 0), lambda bus: bus.read_i2c_block_data(0x41, 0, 4),
+    lambda bus: bus.write_byte_data(0x41, 0, 0), lambda bus: bus.write_i2c_block_data(0x41, 6, [0] * 4),
+], ids=["read_of_a_byte", "read_of_a_block", "write_of_a_byte", "write_of_a_block"])
 def test_bus_at_an_empty_address_fails_as_linux_does(transfer):
     writes = []
     with pytest.raises(OSError, match="Remote I/O error") as caught:
@@ -233,9 +128,8 @@ def test_bus_at_an_empty_address_fails_as_linux_does(transfer):
 
 
 @pytest.mark.parametrize("transfer", [
-    pytest.param(lambda bus: bus.write_i2c_block_data(ADDRESS, 6, [0] * 33), id="write"),
-    pytest.param(lambda bus: bus.read_i2c_block_data(ADDRESS, 6, 33), id="read"),
-])
+    lambda bus: bus.write_i2c_block_data(ADDRESS, 6, [0] * 33), lambda bus: bus.read_i2c_block_data(ADDRESS, 6, 33),
+], ids=["write", "read"])
 def test_bus_refuses_a_block_of_more_than_32_bytes_as_smbus_does(transfer):
     with pytest.raises(ValueError, match="Data length cannot exceed 32 bytes, got 33"):
         transfer(VirtualBus({ADDRESS: VirtualPca9685()}))

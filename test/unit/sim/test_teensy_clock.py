@@ -10,7 +10,7 @@ from teensy_bench import MS, WHEELS, Bench, S, parse_wheels
 
 @pytest.mark.parametrize(
     ("drift_ppm", "ramp_ppm_per_h", "after_1h_ms"),
-    [(0, 0, 3_600_000), (40, 0, 3_600_144), (-100, 0, 3_599_640), (0, 20, 3_600_036), (100, -20, 3_600_324)],
+    [(40, 0, 3_600_144), (-100, 0, 3_599_640), (0, 20, 3_600_036), (100, -20, 3_600_324)],
 )
 def test_clock_drifts(drift_ppm, ramp_ppm_per_h, after_1h_ms):
     config = FirmwareConfig(clock_start_ms=0, clock_drift_ppm=drift_ppm, clock_ramp_ppm_per_h=ramp_ppm_per_h)
@@ -19,14 +19,9 @@ def test_clock_drifts(drift_ppm, ramp_ppm_per_h, after_1h_ms):
     assert teensy.millis(3600 * S) in (after_1h_ms - 1, after_1h_ms)
 
 
-def test_clock_truncates():
-    teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=10))
-    assert [teensy.millis(at_ns) for at_ns in (0, MS - 1, MS, 2 * MS - 1)] == [10, 10, 11, 11]
-
-
 def test_power_up_later_starts_the_clock_then():
     teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=5), power_up_ns=1000 * S)
-    assert teensy.millis(1000 * S) == 5
+    assert [teensy.millis(1000 * S + after_ns) for after_ns in (0, MS - 1, MS, 2 * MS - 1)] == [5, 5, 6, 6]
     assert teensy.transmit(1000 * S + MS)[:4] == b"\x7e\xc1\x3e\x7e"
 
 

@@ -1,5 +1,4 @@
 """The simulated Teensy's receiver, with the four faults of the original."""
-import random
 
 import pytest
 from hypothesis import given
@@ -41,24 +40,11 @@ def receiver_after(wire):
     return receiver
 
 
-def test_receiver_has_78_states():
-    found = states_and_how_to_reach_them()
-    assert len(found) == 78
-    assert {phase for phase, _ in found} == {"idle", "waiting", "data", "escaped"}
-
-
 def test_receiver_in_any_state_waits_for_a_flag_after_39_zeros():
-    for state, wire in states_and_how_to_reach_them().items():
+    states = states_and_how_to_reach_them()
+    assert len(states) == 78
+    for state, wire in states.items():
         assert receiver_after(wire + bytes(39)).state == ("waiting", 0), state
-
-
-def test_receiver_in_one_state_does_not_after_38_zeros():
-    stuck = [
-        state
-        for state, wire in states_and_how_to_reach_them().items()
-        if receiver_after(wire + bytes(38)).state != ("waiting", 0)
-    ]
-    assert stuck == [("escaped", 37)]
 
 
 @given(command=st.integers(0, 255), payload=st.binary(max_size=32))
@@ -74,39 +60,19 @@ def test_frame_of_the_textbook_and_any_payload_is_accepted_by_a_corrected_firmwa
     assert len(accepted) == 1 and accepted[0].startswith(message(command, payload))
 
 
-def share_answered(timestamps):
-    answered = sum(len(received(framed_by_the_textbook(ping(timestamp1)))[0]) for timestamp1 in timestamps)
-    return answered / len(timestamps)
-
-
-def test_textbook_pings_with_a_free_running_counter_are_answered_one_time_in_twenty():
-    # Over all 32-bit values it's 3.9 %; how much a counter gets in a few minutes hangs on its upper bytes.
-    draw = random.Random(2)
-    assert 0.035 <= share_answered([draw.getrandbits(32) for _ in range(8000)]) <= 0.06
-
-
-def test_escaped_byte_is_summed_as_it_came_and_the_escape_not_at_all():
-    # 02 01 0c 00 | 7e 00 00 00: summed as 5e the total is 6d; the checksum that makes it ff is 92.
-    assert received(bytes.fromhex("7e02010c007d5e000000927e"))[0]
-    assert not received(bytes.fromhex("7e02010c007d5e000000727e"))[0]
-
-
-@pytest.mark.parametrize(
-    ("wire", "accepted"),
-    [
-        pytest.param(GOOD * 3, 3, id="each_with_its_own_flags"),
-        pytest.param(b"\x00\x55\x7d" + GOOD, 1, id="noise_before"),
-        pytest.param(GOOD[:-1] + GOOD[:-1] + GOOD, 2, id="shared_flags_lose_every_second"),
-        pytest.param(b"\x7e" + GOOD * 20, 0, id="one_odd_flag_before_loses_all"),
-        pytest.param(b"\x7e" + GOOD * 20 + b"\x7e" + GOOD, 1, id="until_another_odd_flag"),
-        pytest.param(GOOD[1:] + GOOD * 20, 0, id="a_missing_opening_flag_loses_all"),
-        pytest.param(GOOD[:-1] + GOOD * 20, 1, id="a_missing_closing_flag_loses_all_later"),
-        pytest.param(b"\x7e" + bytes(37) + b"\x7e" + GOOD, 1, id="36_bytes_and_a_wrong_checksum_lose_one"),
-        pytest.param(b"\x7e" + bytes(38) + b"\x7e" + GOOD * 20, 0, id="37_bytes_before_the_checksum_lose_all"),
-        pytest.param(b"\x7e" + GOOD * 9 + bytes(39) + GOOD, 1, id="39_zeros_bring_it_back"),
-        pytest.param(b"\x7e\x02\x01\x7d" + GOOD, 0, id="an_escaped_flag_is_data"),
-    ],
-)
+@pytest.mark.parametrize(("wire", "accepted"), [
+    pytest.param(GOOD * 3, 3, id="each_with_its_own_flags"),
+    pytest.param(b"\x00\x55\x7d" + GOOD, 1, id="noise_before"),
+    pytest.param(GOOD[:-1] + GOOD[:-1] + GOOD, 2, id="shared_flags_lose_every_second"),
+    pytest.param(b"\x7e" + GOOD * 20, 0, id="one_odd_flag_before_loses_all"),
+    pytest.param(b"\x7e" + GOOD * 20 + b"\x7e" + GOOD, 1, id="until_another_odd_flag"),
+    pytest.param(GOOD[1:] + GOOD * 20, 0, id="a_missing_opening_flag_loses_all"),
+    pytest.param(GOOD[:-1] + GOOD * 20, 1, id="a_missing_closing_flag_loses_all_later"),
+    pytest.param(b"\x7e" + bytes(37) + b"\x7e" + GOOD, 1, id="36_bytes_and_a_wrong_checksum_lose_one"),
+    pytest.param(b"\x7e" + bytes(38) + b"\x7e" + GOOD * 20, 0, id="37_bytes_before_the_checksum_lose_all"),
+    pytest.param(b"\x7e" + GOOD * 9 + bytes(39) + GOOD, 1, id="39_zeros_bring_it_back"),
+    pytest.param(b"\x7e\x02\x01\x7d" + GOOD, 0, id="an_escaped_flag_is_data"),
+])
 def test_receiver_accepts(wire, accepted):
     assert len(received(wire)[0]) == accepted
 
@@ -123,17 +89,14 @@ def test_receiver_fed_in_any_pieces_answers_alike(noise, data):
     assert whole.frames(PONG)
 
 
-@pytest.mark.parametrize(
-    ("wire", "counter", "count"),
-    [
-        pytest.param(b"\x7e\x02\x01\x0a\x00\x01\x7e", "rxErrorChecksum", 1, id="wrong_checksum"),
-        pytest.param(b"\x7e\x7e", "rxErrorChecksum", 1, id="empty_frame"),
-        pytest.param(b"\x7e\x02\x01\x0a\xf2\x7e", "rxErrorTooShort", 1, id="less_than_a_header"),
-        pytest.param(b"\x7e" + bytes(38), "rxErrorTooLong", 1, id="more_than_any_message"),
-        pytest.param(b"\x01\x02\x03", "rxErrorDropped", 3, id="bytes_outside_of_frames"),
-        pytest.param(GOOD, "rxPackets", 1, id="good_frame"),
-        pytest.param(GOOD, "rxBytes", 7, id="bytes_of_a_good_frame"),
-    ],
-)
+@pytest.mark.parametrize(("wire", "counter", "count"), [
+    pytest.param(b"\x7e\x02\x01\x0a\x00\x01\x7e", "rxErrorChecksum", 1, id="wrong_checksum"),
+    pytest.param(b"\x7e\x7e", "rxErrorChecksum", 1, id="empty_frame"),
+    pytest.param(b"\x7e\x02\x01\x0a\xf2\x7e", "rxErrorTooShort", 1, id="less_than_a_header"),
+    pytest.param(b"\x7e" + bytes(38), "rxErrorTooLong", 1, id="more_than_any_message"),
+    pytest.param(b"\x01\x02\x03", "rxErrorDropped", 3, id="bytes_outside_of_frames"),
+    pytest.param(GOOD, "rxPackets", 1, id="good_frame"),
+    pytest.param(GOOD, "rxBytes", 7, id="bytes_of_a_good_frame"),
+])
 def test_receiver_counts(wire, counter, count):
     assert received(wire)[1][counter] == count

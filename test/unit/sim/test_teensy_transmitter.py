@@ -1,12 +1,10 @@
 """The simulated Teensy's transmitter and the line behind it."""
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.sim.teensy_transmitter import OutgoingLine
-from car_interface.sim.teensy_wheels import FORWARD, LEFT
-from teensy_bench import GET_COUNTERS, MS, WHEELS, Bench, S, parse_wheels
+from teensy_bench import GET_COUNTERS, MS, Bench, S
 
 
 @settings(max_examples=25)
@@ -35,18 +33,3 @@ def test_line_cut_loses_only_what_was_not_out():
     line.write(b"xyz", 4 * MS)
     assert line.collect(5 * MS) == b"abcx"
     assert line.collect(10 * MS) == b"yz"
-
-
-def test_saturated_line_drops_old_sonar_reports_and_counts_them():
-    bench = Bench(lambda sensor, at_ns: 100, sonar_wait_ms=0).until(3 * S)
-    counters = bench.teensy.counters
-    assert counters["txInfoSonarDrop"] > 100
-    assert counters["txErrorNoBuf"] == 0
-    assert len(bench.sent) == pytest.approx(3 * 11520, rel=0.01)
-
-
-def test_saturated_line_drops_old_wheel_reports_and_counts_them():
-    bench = Bench(baud=9600).roll(LEFT, FORWARD, 300, every_ns=6 * MS)
-    assert bench.teensy.counters["txInfoWheelDrop"] > 100
-    reports = [parse_wheels(frame)[0].dist_abs for frame in bench.after(500 * MS).frames(WHEELS)]
-    assert reports == sorted(reports) and reports[-1] == 300

@@ -1,10 +1,9 @@
 """Tyres, against circles of a real car and the friction circle."""
-import math
 
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
+from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m
 
 # A 3.5 kg F1TENTH car on a skid pad, by motion capture, steady commands, left: speed (m/s) and radius (m) of three
 # steering angles. From the public recordings of Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline.
@@ -29,22 +28,11 @@ def test_at_a_crawl_the_path_is_where_the_steering_points(steered_per_m):
     assert path_curvature_per_m(steered_per_m, 0.2, 0.0, TyreConfig()) == pytest.approx(steered_per_m, rel=0.001)
 
 
-@pytest.mark.parametrize("speed_mps", [-3.0, 3.0])
-def test_left_and_right_forward_and_backward_are_alike(speed_mps):
-    left = path_curvature_per_m(0.8, speed_mps, 0.0, TyreConfig())
-    assert 0 < left < 0.8 and path_curvature_per_m(-0.8, speed_mps, 0.0, TyreConfig()) == -left
-
-
 def test_the_grip_is_shared_between_along_and_across():
     tyres = TyreConfig(understeer=0.0, grip_mps2=5.0)
     assert path_curvature_per_m(1.0, 5.0, 0.0, tyres) == pytest.approx(5.0 / 25)
     assert path_curvature_per_m(1.0, 5.0, -3.0, tyres) == pytest.approx(4.0 / 25)
     assert path_curvature_per_m(1.0, 5.0, 5.0, tyres) == 0.0
-
-
-@pytest.mark.parametrize(("demanded_mps2", "possible_mps2"), [(2.0, 2.0), (-2.0, -2.0), (9.0, 5.0), (-9.0, -5.0)])
-def test_no_more_than_the_grip_is_possible_along_the_car(demanded_mps2, possible_mps2):
-    assert possible_acceleration_mps2(demanded_mps2, TyreConfig(grip_mps2=5.0)) == possible_mps2
 
 
 def test_a_rollover_counts_once_until_the_car_stands_again():
@@ -61,9 +49,3 @@ def test_a_rollover_counts_once_until_the_car_stands_again():
 def test_impossible_tyres_are_refused(name, value):
     with pytest.raises(ConfigError, match=name):
         TyreConfig(**{name: value})
-
-
-def test_a_car_that_understeers_less_turns_tighter():
-    assert path_curvature_per_m(0.5, 4.0, 0.0, TyreConfig(understeer=0.001)) > path_curvature_per_m(
-        0.5, 4.0, 0.0, TyreConfig(understeer=0.01)) > 0
-    assert math.isclose(path_curvature_per_m(0.5, 3.0, 0.0, TyreConfig(understeer=0.0)), 0.5)

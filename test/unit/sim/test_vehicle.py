@@ -2,7 +2,6 @@
 
 import csv
 import math
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,7 +63,7 @@ def table_duty(radius_m, duties):
 # Steering
 
 
-@pytest.mark.parametrize("radius_m", [1, 1.25, 1.5, 1.75, 2, 2.5, 3, 4, 5, 7, 10, 20, 40, 80, 100])
+@pytest.mark.parametrize("radius_m", [1, 1.5, 2.5, 5, 20, 100])
 @pytest.mark.parametrize(("duties", "sign"), [(LEFT_TABLE, 1), (RIGHT_TABLE, -1)], ids=["left", "right"])
 def test_steering_by_the_calibration_table_is_right_within_a_few_percent_and_never_exactly(radius_m, duties, sign):
     curvature_per_m = Vehicle().true_curvature_per_m(table_duty(radius_m, duties))
@@ -76,54 +75,26 @@ def test_steering_by_the_calibration_table_is_right_within_a_few_percent_and_nev
 def test_steering_with_more_duty_never_turns_more_to_the_left(one, other):
     vehicle = Vehicle()
     low, high = sorted((one, other))
-    assert vehicle.true_curvature_per_m(low) >= vehicle.true_curvature_per_m(high)
+    left_per_m, right_per_m = (vehicle.true_curvature_per_m(duty) for duty in (2000, 8000))
+    assert (1 / left_per_m, 1 / right_per_m) == pytest.approx((0.971, -1.031), abs=0.001)  # at its stops
+    assert left_per_m >= vehicle.true_curvature_per_m(low) >= vehicle.true_curvature_per_m(high) >= right_per_m
 
 
-@pytest.mark.parametrize(("duty", "radius_m"), [(3800, 0.971), (2000, 0.971), (6700, -1.031), (8000, -1.031)])
-def test_steering_at_its_stops_turns_on_a_metre(duty, radius_m):
-    vehicle = Vehicle()
-    drive(vehicle, 0.5, duty, NEUTRAL)
-    assert 1 / vehicle.curvature_per_m == pytest.approx(radius_m, abs=0.001)
-
-
-def test_steering_takes_a_quarter_of_a_second_from_stop_to_stop():
+def test_steering_takes_a_quarter_of_a_second_from_stop_to_stop_and_stays_there_without_pulse():
     vehicle = Vehicle()
     drive(vehicle, 0.5, LEFT_DUTY, NEUTRAL)
     drive(vehicle, 0.1, RIGHT_DUTY, NEUTRAL)
     assert vehicle.servo_duty < 5200
     drive(vehicle, 0.25, RIGHT_DUTY, NEUTRAL)
-    assert vehicle.servo_duty == pytest.approx(RIGHT_DUTY, abs=10)
+    assert RIGHT_DUTY - 10 <= vehicle.servo_duty <= RIGHT_DUTY
     drive(vehicle, 0.5, RIGHT_DUTY, NEUTRAL)
     assert vehicle.servo_duty == RIGHT_DUTY
-
-
-@pytest.mark.parametrize("no_pulse", [NEVER_SET, OFF, 1600, 8200, 65535])
-def test_servo_without_pulse_stays_where_it_is(no_pulse):
-    vehicle = Vehicle()
-    drive(vehicle, 0.5, 4000, NEUTRAL)
-    drive(vehicle, 1.0, no_pulse, NEUTRAL)
-    assert vehicle.servo_duty == 4000
-
-
-@given(st.integers(1, 20 * MS), st.integers(3000, 7500))
-def test_servo_never_overshoots(dt_ns, duty):
-    vehicle = Vehicle()
-    positions = [vehicle.servo_duty]
-    for _ in range(20):
-        vehicle.step(dt_ns, duty, NEUTRAL)
-        positions.append(vehicle.servo_duty)
-    assert positions == sorted(positions, reverse=duty < CENTER)
-    assert min(CENTER, duty) <= positions[-1] <= max(CENTER, duty)
+    for no_pulse in (NEVER_SET, OFF, 65535):
+        drive(vehicle, 1.0, no_pulse, NEUTRAL)
+        assert vehicle.servo_duty == RIGHT_DUTY
 
 
 # Speed
-
-
-@pytest.mark.parametrize("esc_duty", [NEUTRAL, OFF, NEVER_SET])
-def test_car_that_stands_stays_standing(esc_duty):
-    vehicle = Vehicle()
-    assert drive(vehicle, 5, LEFT_DUTY, esc_duty) == []
-    assert (vehicle.pose, vehicle.speed_mps, vehicle.travel_m) == (Pose(0, 0, 0), 0, 0)
 
 
 @pytest.mark.parametrize("esc_duty", [NEUTRAL, OFF, NEVER_SET])
@@ -134,6 +105,9 @@ def test_car_without_thrust_coasts_to_a_standstill(speed_mps, esc_duty):
     assert 2.0 < abs(vehicle.speed_mps) < 3.0
     drive(vehicle, 9, 5000, esc_duty)
     assert vehicle.speed_mps == 0.0 and vehicle.travel_m * speed_mps > 0
+    stands = vehicle.pose, vehicle.travel_m
+    assert drive(vehicle, 2, LEFT_DUTY, esc_duty) == []
+    assert (vehicle.pose, vehicle.travel_m) == stands
 
 
 def test_car_at_full_throttle_ends_at_14_metres_per_second():
@@ -153,29 +127,7 @@ def test_car_braked_stops_and_then_drives_backward():
     assert all(speed < 0 for speed in speeds[standing + 1 :])
 
 
-def test_step_does_what_the_true_acceleration_says():
-    vehicle = rolling(3.0)
-    vehicle.step(MS, 5000, 5600)
-    expected_mps2 = true_acceleration_mps2(5600, 3.0)
-    assert vehicle.acceleration_mps2 == pytest.approx(expected_mps2)
-    assert vehicle.speed_mps == pytest.approx(3.0 + expected_mps2 / 1000)
-
-
 # Pose
-
-
-@pytest.mark.parametrize("dt_ns", [MS, 7 * MS, 20 * MS])
-@pytest.mark.parametrize("duty", [4200, 5800])
-def test_car_on_a_circle_comes_back_to_where_it_was(duty, dt_ns):
-    vehicle = rolling(2.0, frictionless())
-    drive(vehicle, 0.35, duty, NEUTRAL, dt_ns)
-    start, radius_m = vehicle.pose, 1 / vehicle.curvature_per_m
-    turn_ns = int(2 * math.pi * abs(radius_m) / 2.0 * S)
-    whole, rest_ns = divmod(turn_ns, dt_ns)
-    drive(vehicle, whole * dt_ns / S, duty, NEUTRAL, dt_ns)
-    vehicle.step(rest_ns, duty, NEUTRAL)
-    assert vehicle.pose[:2] == pytest.approx(start[:2], abs=1e-6)
-    assert vehicle.pose.yaw_rad - start.yaw_rad == pytest.approx(math.copysign(2 * math.pi, radius_m), abs=1e-6)
 
 
 def test_car_in_one_long_step_moves_on_the_exact_arc():
@@ -183,13 +135,6 @@ def test_car_in_one_long_step_moves_on_the_exact_arc():
     vehicle.servo_duty, vehicle.steered_per_m = 4500.0, 0.5
     vehicle.step(S, 4500, NEUTRAL)  # 2 m on a circle of 2 m: 1 rad
     assert vehicle.pose == pytest.approx((2 * math.sin(1), 2 * (1 - math.cos(1)), 1.0))
-
-
-def test_car_steered_meanwhile_turns_by_the_mean_of_both_curvatures():
-    vehicle = rolling(2.0, frictionless())
-    vehicle.step(10 * MS, 4000, NEUTRAL)
-    assert 0 < vehicle.curvature_per_m < 1
-    assert vehicle.pose.yaw_rad == pytest.approx(0.02 * vehicle.curvature_per_m / 2)
 
 
 @pytest.mark.parametrize("dt_ns", [MS, 20 * MS, 500 * MS])
@@ -201,33 +146,13 @@ def test_car_that_stops_within_a_step_stands_where_it_stopped(dt_ns):
     assert vehicle.speed_mps == 0.0
 
 
-def test_car_steered_left_goes_left_by_rep_103():
-    vehicle = rolling(1.0)
-    drive(vehicle, 1.0, 4500, NEUTRAL)
-    assert vehicle.pose.x_m > 0 and vehicle.pose.y_m > 0 and vehicle.pose.yaw_rad > 0
-    assert vehicle.yaw_rate_radps > 0 and vehicle.steering_angle_rad == pytest.approx(math.atan(0.5 * 0.324))
-
-
 def test_car_started_elsewhere_starts_there():
     config = VehicleConfig(steering=PLAIN.steering, drive=frictionless().drive, start=Pose(1.0, 2.0, math.pi / 2))
-    vehicle = rolling(1.0, config)
-    drive(vehicle, 1, 5000, NEUTRAL)
+    vehicle = Vehicle(config, start_ns=5 * S)
+    vehicle.speed_mps = 1.0
+    pulses = drive(vehicle, 1, 5000, NEUTRAL)
     assert vehicle.pose == pytest.approx((1.0, 3.0, math.pi / 2))
-
-
-def test_car_driven_by_the_shipped_table_goes_a_figure_eight():
-    """1.8 m to the left, then to the right, with the duty in the servo board's steps of 16."""
-    vehicle = Vehicle()
-    extremes_m = []
-    for duties in (LEFT_TABLE, RIGHT_TABLE):
-        duty = round(table_duty(1.8, duties) / 16) * 16
-        start_rad, farthest_m = vehicle.pose.yaw_rad, 0.0
-        while abs(vehicle.pose.yaw_rad - start_rad) < 2 * math.pi:
-            vehicle.step(2 * MS, duty, 5250 if vehicle.speed_mps < 1.5 else 5000)
-            farthest_m = max(farthest_m, abs(vehicle.pose.y_m))
-        extremes_m.append(farthest_m)
-        assert math.hypot(vehicle.pose.x_m, vehicle.pose.y_m) < 0.5
-    assert extremes_m == pytest.approx([3.6, 3.6], rel=0.15)
+    assert 5 * S < pulses[0].at_ns < pulses[-1].at_ns <= 6 * S == vehicle.time_ns
 
 
 # Pulses
@@ -268,14 +193,14 @@ def test_pulses_do_not_depend_on_the_step():
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("duty", [4000, 4500, 5500, 6000])
+@pytest.mark.parametrize("duty", [4000, 5500])
 def test_pulses_on_a_curve_tell_its_curvature(duty):
     vehicle = rolling(2.0, frictionless())
     drive(vehicle, 1, duty, NEUTRAL)
-    pulses = drive(vehicle, 30, duty, NEUTRAL)
+    pulses = drive(vehicle, 15, duty, NEUTRAL)
     left = sum(pulse.side == LEFT for pulse in pulses)
     right = sum(pulse.side == RIGHT for pulse in pulses)
-    assert 2 * (right - left) / (right + left) / 0.296 == pytest.approx(vehicle.curvature_per_m, rel=0.01)
+    assert 2 * (right - left) / (right + left) / 0.296 == pytest.approx(vehicle.curvature_per_m, rel=0.02)
 
 
 def test_pulses_of_the_way_back_are_backward_and_as_many():
@@ -286,12 +211,6 @@ def test_pulses_of_the_way_back_are_backward_and_as_many():
     assert len(forward) == len(backward)
     assert {pulse.direction for pulse in backward} == {BACKWARD}
     assert vehicle.pose == pytest.approx((0, 0, 0), abs=1e-6)
-
-
-def test_pulses_are_on_the_scale_of_the_start():
-    vehicle = Vehicle(start_ns=5 * S)
-    pulses = drive(vehicle, 1, CENTER, 5600)
-    assert 5 * S < pulses[0].at_ns < pulses[-1].at_ns <= 6 * S == vehicle.time_ns
 
 
 # The value map that ships for this car
@@ -320,37 +239,22 @@ def test_value_map_is_near_the_truth_but_not_it():
     assert 0.02 < sum(map(abs, errors)) / len(errors) < 0.25
 
 
-# Configuration and cost
+# Configuration
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "value", "accepted"),
-    [
-        (SteeringConfig, "curve", ((4000, 1.0), (3900, 0.0)), "rising duty, falling 1/m"),
-        (SteeringConfig, "curve", ((4000, 0.0), (5000, 1.0), (6000, 0.5)), "rising duty, falling 1/m"),
-        (SteeringConfig, "rate_duty_per_s", 0, "more than 0"),
-        (SteeringConfig, "lag_s", 0, "more than 0"),
-        (DriveConfig, "neutral_duty", 7000, "between full reverse and full forward"),
-        (DriveConfig, "thrust_halves_mps", 0, "more than 0"),
-        (VehicleConfig, "track_m", 3.0, "inside the tightest turn"),
-        (VehicleConfig, "wheelbase_m", 0, "more than 0"),
-        (VehicleConfig, "wheel_diameter_m", 0, "more than 0"),
-        (VehicleConfig, "pulses_per_revolution", 0, "more than 0"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "name", "value", "accepted"), [
+    (SteeringConfig, "curve", ((4000, 1.0), (3900, 0.0)), "rising duty, falling 1/m"),
+    (SteeringConfig, "curve", ((4000, 0.0), (5000, 1.0), (6000, 0.5)), "rising duty, falling 1/m"),
+    (SteeringConfig, "rate_duty_per_s", 0, "more than 0"), (SteeringConfig, "lag_s", 0, "more than 0"),
+    (SteeringConfig, "backlash_duty", -1.0, ""), (DriveConfig, "sag", 1.0, ""), (DriveConfig, "sag_over_s", 0.0, ""),
+    (DriveConfig, "neutral_duty", 7000, "between full reverse and full forward"),
+    (DriveConfig, "thrust_halves_mps", 0, "more than 0"), (VehicleConfig, "track_m", 3.0, "inside the tightest turn"),
+    (VehicleConfig, "wheelbase_m", 0, "more than 0"), (VehicleConfig, "wheel_diameter_m", 0, "more than 0"),
+    (VehicleConfig, "pulses_per_revolution", 0, "more than 0"),
+])
 def test_config_that_no_car_could_have_is_refused(kind, name, value, accepted):
     with pytest.raises(ConfigError, match=f"{name} is .*; accepted: .*{accepted}"):
         kind(**{name: value})
-
-
-def test_step_costs_less_than_its_share_of_a_millisecond():
-    vehicle = rolling(14.0)
-    best_s = math.inf
-    for _ in range(5):
-        start_s = time.process_time()
-        drive(vehicle, 0.5, 5300, FULL)
-        best_s = min(best_s, (time.process_time() - start_s) / 500)
-    assert best_s < 30e-6
 
 
 # --- what the default car has none of ---
@@ -402,46 +306,22 @@ def test_battery_loses_its_sag_evenly_around_the_stated_thrust_and_brakes_stay()
     assert vehicle.acceleration_mps2 == pytest.approx(1.05 * full, rel=1e-3)
 
 
-@pytest.mark.parametrize("make, name", (
-    (lambda: SteeringConfig(backlash_duty=-1.0), "backlash_duty"), (lambda: DriveConfig(sag=1.0), "sag"),
-    (lambda: DriveConfig(sag_over_s=0.0), "sag_over_s"),
-))
-def test_hardship_that_no_car_has_is_refused_by_name(make, name):
-    with pytest.raises(ConfigError, match=f"^{name} is"):
-        make()
-
-
 # --- an ESC with a memory ---
 
-def drive_by_duties(esc, *steps):
-    """The car after (duty of the ESC, seconds) each."""
+ARM, AHEAD, PULL, LET_GO = (4915, 1.0), (6000, 1.0), (3277, 3.0), (4915, 0.5)
+
+
+@pytest.mark.parametrize(("esc", "steps", "direction"), [
+    (None, [PULL], -1), (VirtualEscConfig(), [AHEAD], 0), (VirtualEscConfig(), [ARM, AHEAD], 1),
+    (VirtualEscConfig(kind="brake_then_reverse"), [ARM, AHEAD, PULL], 0),
+    (VirtualEscConfig(kind="brake_then_reverse"), [ARM, AHEAD, PULL, LET_GO, PULL], -1),
+    (VirtualEscConfig(kind="brake_becomes_reverse"), [ARM, AHEAD, PULL], -1),
+], ids=["none", "not_armed", "armed", "first_pull_brakes", "second_pull_reverses", "crawler_s_brake_becomes_reverse"])
+def test_esc_with_a_memory_drives_once_it_was_armed_and_reverses_as_its_kind_does(esc, steps, direction):
     vehicle = Vehicle(VehicleConfig(esc=esc))
     for duty, seconds in steps:
-        for _ in range(round(seconds * 500)):
-            vehicle.step(2_000_000, 5100, duty)
-    return vehicle
-
-
-ARM = (4915, 1.0)
-
-
-def test_esc_with_a_memory_drives_only_once_it_was_armed():
-    assert drive_by_duties(VirtualEscConfig(), (6554, 1.0)).speed_mps == 0.0
-    assert drive_by_duties(VirtualEscConfig(), ARM, (6554, 1.0)).speed_mps > 3.0
-
-
-def test_esc_that_brakes_before_it_reverses_takes_neutral_and_a_second_pull():
-    esc = VirtualEscConfig(kind="brake_then_reverse")
-    assert drive_by_duties(esc, ARM, (6000, 1.0), (3277, 3.0)).speed_mps == 0.0
-    assert drive_by_duties(esc, ARM, (6000, 1.0), (3277, 3.0), (4915, 0.5), (3277, 1.0)).speed_mps < -1.0
-
-
-def test_crawler_s_brake_becomes_reverse():
-    assert drive_by_duties(VirtualEscConfig(kind="brake_becomes_reverse"), ARM, (6000, 1.0), (3277, 3.0)).speed_mps < -1
-
-
-def test_car_without_an_esc_of_its_own_reverses_at_standstill():
-    assert drive_by_duties(None, (3277, 1.0)).speed_mps < -1.0
+        drive(vehicle, seconds, CENTER, duty, dt_ns=2 * MS)
+    assert direction * vehicle.speed_mps > 1.0 or direction == vehicle.speed_mps == 0
 
 
 # Tyres
@@ -454,28 +334,19 @@ def circling(tyres, speed_mps, steering_duty=4500, seconds=0.3):
     return vehicle
 
 
-def test_the_faster_it_is_the_wider_the_same_steering_turns():
+def test_the_faster_it_is_the_wider_the_same_steering_turns_but_for_a_kinematic_car():
     slow, fast = circling(TyreConfig(), 0.5), circling(TyreConfig(), 3.0)
     assert 1 / slow.curvature_per_m == pytest.approx(2.0, rel=0.001)
     assert 1 / fast.curvature_per_m == pytest.approx(2.51, rel=0.01)
     assert fast.steering_angle_rad == slow.steering_angle_rad
-
-
-def test_a_kinematic_car_turns_as_its_wheels_point_at_any_speed_and_never_tips():
-    vehicle = circling(None, 20.0)
-    assert vehicle.curvature_per_m == 0.5 and vehicle.rollovers.count == 0
+    kinematic = circling(None, 20.0)
+    assert kinematic.curvature_per_m == 0.5 and kinematic.rollovers.count == 0
 
 
 def test_car_that_turns_too_fast_tips_over_and_is_counted_once():
     vehicle = circling(TyreConfig(understeer=0.0, rollover_mps2=6.0), 3.6)
     assert vehicle.rollovers.count == 1 and vehicle.rollovers.lateral_mps2 == pytest.approx(6.48, rel=0.01)
     assert circling(TyreConfig(understeer=0.0, rollover_mps2=6.0), 3.4).rollovers.count == 0
-
-
-def test_car_on_a_slippery_floor_slides_wide_instead():
-    vehicle = circling(TyreConfig(understeer=0.0, grip_mps2=4.0, rollover_mps2=6.0), 4.0)
-    assert vehicle.lateral_mps2 == pytest.approx(4.0) and vehicle.rollovers.count == 0
-    assert 1 / vehicle.curvature_per_m == pytest.approx(4.0)
 
 
 def test_a_brake_beyond_the_grip_locks_the_wheels_it_slides_straight_on_and_makes_no_pulses():
@@ -488,9 +359,3 @@ def test_a_brake_beyond_the_grip_locks_the_wheels_it_slides_straight_on_and_make
     assert vehicle.speed_mps == pytest.approx(4.0 - 0.5 * 3.0, abs=0.01)
     drive(vehicle, 0.3, 4500, NEUTRAL)
     assert not vehicle.slides and vehicle.pose.yaw_rad > turning
-
-
-def test_a_motor_beyond_the_grip_pushes_no_harder_than_the_grip():
-    vehicle = rolling(0.0, replace(frictionless(), tyres=TyreConfig(grip_mps2=3.0)))
-    drive(vehicle, 0.5, 5000, FULL)
-    assert vehicle.speed_mps == pytest.approx(1.5, abs=0.01) and not vehicle.slides

@@ -29,7 +29,6 @@ def sonars(first, count=5):
     pytest.param([*sonars(10_000), 10_000, 10_310, 10_200, 10_370], id="a_pong_that_overtook_sonars"),
     pytest.param([*sonars(WRAP - 200), WRAP - 100, WRAP + 110, WRAP - 5, WRAP + 170], id="overtaking_at_the_wrap"),
     pytest.param([*sonars(10_000), 3, 10_360, 10_420], id="one_tick_of_noise"),
-    pytest.param([*sonars(10_000), 3, 10_360, 7_000, 10_480], id="noise_that_disagrees_with_itself"),
     pytest.param([*sonars(10_000), 3, 10_360, 123, 10_480], id="noise_that_agrees_with_noise_before_a_good_tick"),
     pytest.param([*sonars(10_000), 3, 4_000_000_000, 10_420], id="noise_in_a_row"),
     pytest.param([10_000, *sonars(60_000)], id="ahead_after_this_computer_was_suspended"),
@@ -42,18 +41,14 @@ def test_clock_that_goes_on_is_no_reboot(ticks):
     assert detector.reboots == 0
 
 
-def test_clock_read_late_is_no_reboot():
-    assert run(RebootDetector(), sonars(10_000, 50), step_ms=2000) == []
-
-
-def test_clock_heard_again_after_days_is_no_reboot():
+def test_clock_read_late_or_heard_again_after_days_is_no_reboot():
     detector = RebootDetector()
-    run(detector, sonars(1000))
+    assert run(detector, sonars(10_000, 50), step_ms=2000) == []
     assert run(detector, sonars(1000 + 3 * 86_400_000), NOW + 3 * 86_400 * S) == []
 
 
-@pytest.mark.parametrize("before", [2_000, 123_456, 2 ** 31 + 5, WRAP - 100_000_000],
-                         ids=["soon", "minutes", "weeks", "near_the_wrap"])
+@pytest.mark.parametrize("before", [2_000, 2 ** 31 + 5, WRAP - 100_000_000],
+                         ids=["soon", "weeks", "near_the_wrap"])
 def test_clock_that_begins_anew_is_a_reboot_told_once(before):
     detector = RebootDetector()
     assert run(detector, [*sonars(before), *sonars(12)]) == [
@@ -61,13 +56,20 @@ def test_clock_that_begins_anew_is_a_reboot_told_once(before):
     assert detector.reboots == 1
 
 
-def test_clock_that_begins_anew_twice_is_two_reboots():
+def test_clock_that_begins_anew_again_also_while_the_port_was_away_is_another_reboot():
     detector = RebootDetector()
     assert len(run(detector, [*sonars(50_000), *sonars(12, 60), *sonars(12)])) == 2
-    assert detector.reboots == 2
-
-
-def test_reboot_while_the_port_was_away_is_noticed():
-    detector = RebootDetector()
     run(detector, sonars(1_000_000))
     assert len(run(detector, sonars(2_000), NOW + 30 * S)) == 1
+    assert detector.reboots == 3
+
+
+@pytest.mark.parametrize("ticks, step_ms, reboots", [
+    ([50_000, 49_500, 49_500], 0, 0), ([50_000, 49_499, 49_499], 0, 1),  # back
+    # Of a tick ahead that fits, what goes on from before it is a reboot.
+    ([50_000, 50_501, 50_000, 50_000], 0, 0), ([50_000, 50_500, 49_999, 49_999], 0, 1),
+    ([50_000, 150_601, 150_100, 150_100], 100_000, 0), ([50_000, 150_599, 150_098, 150_098], 100_000, 1),
+    ([WRAP - 10_000, 86_390_000, 86_390_000], 0, 0), ([WRAP - 10_000, 86_390_001, 86_390_001], 0, 1),  # a day ahead
+])
+def test_tick_fits_from_half_a_second_back_to_half_a_second_and_a_thousandth_ahead(ticks, step_ms, reboots):
+    assert len(run(RebootDetector(), ticks, step_ms=step_ms)) == reboots

@@ -97,22 +97,18 @@ def error_ns(clock, teensy, at_s):
     return stamp.time_ns - true_ns
 
 
-# What it says before it has converged
+# Before it has converged
 
 
-def test_before_anything_is_heard_a_tick_was_at_the_latest_when_it_was_received_and_nothing_more_is_known():
+def test_before_anything_is_known_a_tick_was_at_the_latest_when_it_was_received():
     assert Clock().translate(77, NOW) == (NOW, UNKNOWN_NS)
     assert Clock().translate(77, NOW, 14) == (NOW - round(14 * BYTE_NS), UNKNOWN_NS)
+    for question in (lambda: Clock().translate(77), lambda: Clock().tick_at(NOW)):
+        with pytest.raises(ValueError, match="no tick of the Teensy's clock was received yet"):
+            question()
 
 
-@pytest.mark.parametrize("question", [lambda clock: clock.translate(77), lambda clock: clock.tick_at(NOW)],
-                         ids=["translate", "tick_at"])
-def test_before_anything_is_heard_a_time_without_a_receipt_is_an_error_that_says_so(question):
-    with pytest.raises(ValueError, match="no tick of the Teensy's clock was received yet"):
-        question(Clock())
-
-
-def test_before_it_has_converged_a_tick_goes_by_the_one_heard_last_less_its_time_on_the_wire():
+def test_before_it_has_converged_a_tick_goes_by_the_newest_one_less_its_time_on_the_wire():
     clock = Clock()
     clock.update_tick(5000, NOW, 14)
     newest_ns = NOW - round(14 * BYTE_NS)
@@ -120,48 +116,31 @@ def test_before_it_has_converged_a_tick_goes_by_the_one_heard_last_less_its_time
     assert clock.translate(5000, NOW, 14).time_ns == newest_ns
     assert clock.translate(4900).time_ns == newest_ns - 100 * MS
     assert clock.tick_at(newest_ns) == 5000.5
+    fast = Clock(ClockConfig(baud=1_000_000))
+    fast.update_tick(5000, NOW, 100)
+    assert fast.translate(5000, NOW, 100).time_ns == NOW - MS
 
 
-def test_before_it_has_converged_it_admits_that_the_tick_may_have_waited_in_the_teensy_s_buffers():
-    clock = Clock()
-    _, sync = Teensy().answer(clock, NOW, back_ms=200)
+def test_before_it_has_converged_a_tick_is_as_unsure_as_the_teensy_s_buffers_are_deep_and_more_far_off_or_cut_short():
+    _, sync = Teensy().answer(Clock(), NOW, out_ms=1, back_ms=200)
     assert (sync.converged, sync.used, sync.reason, sync.skew_ppm) == (False, True, "", 0.0)
     assert sync.uncertainty_ns >= ONE_WAY_UNCERTAINTY_NS
-
-
-def test_before_it_has_converged_ticks_are_less_sure_the_farther_they_lie_from_the_one_heard_last():
+    assert sync.round_trip_ns == 201 * MS + round(PING_BYTES * BYTE_NS) + round(PONG_BYTES * BYTE_NS)
     clock = Clock()
     clock.update_tick(7_200_000, NOW, 0)
     at_once, an_hour_before = (clock.translate(tick).uncertainty_ns for tick in (7_200_000, 3_600_000))
     assert an_hour_before - at_once == 3600 * 500 * US  # at 500 ppm
-
-
-def test_before_it_has_converged_a_time_that_its_receipt_cuts_is_less_sure_by_as_much():
-    clock = Clock()
-    clock.update_tick(5000, NOW, 0)
-    free, cut = clock.translate(5300), clock.translate(5300, NOW + 100 * MS)
+    free, cut = clock.translate(7_200_300), clock.translate(7_200_300, NOW + 100 * MS)
     assert (free.time_ns - cut.time_ns, cut.uncertainty_ns - free.uncertainty_ns) == (200 * MS, 200 * MS)
 
 
-def test_it_has_converged_after_five_pongs_over_about_a_second():
+@pytest.mark.parametrize("gap_ms, count, converged", [(1000, CONVERGED_PONGS - 1, False), (300, CONVERGED_PONGS, True),
+                                                      (205, 5, False), (205, 6, True), (20, 25, False)])
+def test_it_has_converged_after_five_pongs_over_about_a_second(gap_ms, count, converged):
     clock, teensy = Clock(), Teensy()
-    for number in range(CONVERGED_PONGS - 1):
-        teensy.answer(clock, NOW + number * S)
-        assert not clock.converged
-    assert teensy.answer(clock, NOW + CONVERGED_PONGS * S)[1].converged
-
-
-def test_pongs_within_half_a_second_are_not_enough_however_many():
-    clock = Clock()
-    Teensy().keep_answering(clock, 0, 0.5, period_s=0.02)
-    assert not clock.converged
-
-
-def test_six_quick_pings_are_enough():
-    clock, teensy = Clock(), Teensy()
-    for number in range(6):
-        teensy.answer(clock, NOW + number * 205 * MS)
-    assert clock.converged
+    for number in range(count):
+        teensy.answer(clock, NOW + number * gap_ms * MS)
+    assert clock.converged == converged
 
 
 # Bounds
@@ -175,21 +154,16 @@ def pinged_alike():
     return clock
 
 
-def test_any_time_in_the_tick_is_admitted_on_any_line_that_is():
-    """The tick may have begun a whole ms before its ping came, and ended a whole ms after its pong left."""
-    stamp = pinged_alike().translate(5000)
-    assert stamp.time_ns - stamp.uncertainty_ns <= NOW + 5 * S + 1_302_083 - MS
-    assert stamp.time_ns + stamp.uncertainty_ns >= NOW + 5 * S + 2_784_722 + MS
-
-
 def test_truth_lies_between_what_one_ping_and_its_pong_allow():
-    """Sent at 0, 15 bytes of 87 us there, 14 back, received at 4 ms: the tick was read from 1.3021 to 2.7847 ms."""
+    """Sent at 0, 15 bytes of 87 us there, 14 back, received at 4 ms: the tick was read from 1.3021 to 2.7847 ms.
+
+    The tick may have begun a whole ms before its ping came, and ended a whole ms after its pong left.
+    """
     clock = pinged_alike()
-    stamp = clock.translate(5000, NOW + 5 * S + 4 * MS, 14)
-    earliest_ns, latest_ns = stamp.time_ns - stamp.uncertainty_ns, stamp.time_ns + stamp.uncertainty_ns
-    begin_ns, end_ns = NOW + 5 * S + 1_302_083, NOW + 5 * S + 2_784_722
-    assert earliest_ns <= begin_ns and end_ns <= latest_ns
-    assert stamp.uncertainty_ns < 4 * MS
+    for stamp, tick_ns in ((clock.translate(5000), MS), (clock.translate(5000, NOW + 5 * S + 4 * MS, 14), 0)):
+        assert stamp.time_ns - stamp.uncertainty_ns <= NOW + 5 * S + 1_302_083 - tick_ns
+        assert stamp.time_ns + stamp.uncertainty_ns >= NOW + 5 * S + 2_784_722 + tick_ns
+        assert stamp.uncertainty_ns < 4 * MS
 
 
 @pytest.mark.parametrize("sent_bytes", [15, 15 + 39], ids=["ping", "behind_the_filler"])
@@ -198,12 +172,6 @@ def test_time_on_the_wire_is_accounted_for_whatever_was_written_with_the_ping(se
     for number in range(100):
         teensy.answer(clock, NOW + number * 601_618 * US, 0, 5, sent_bytes=sent_bytes)
     assert abs(error_ns(clock, teensy, 60.1234)) < 0.7 * MS
-
-
-def test_time_on_the_wire_is_that_of_the_baud_rate_given():
-    fast = Clock(ClockConfig(baud=1_000_000))
-    fast.update_tick(5000, NOW, 100)
-    assert fast.translate(5000, NOW, 100).time_ns == NOW - MS
 
 
 def test_sonars_ticks_bound_the_line_from_above_while_pongs_queue():
@@ -250,16 +218,18 @@ def test_truth_lies_within_the_uncertainty_and_that_in_turn_is_no_more_than_the_
 # The line
 
 
-@pytest.mark.parametrize("skew_ppm", [-200, -40, 0, 40, 200])
-@pytest.mark.parametrize("back_ms", [0.3, 10], ids=["idle", "queueing"])
+@pytest.mark.parametrize("skew_ppm", [-200, 0, 40])
+@pytest.mark.parametrize("back_ms", [0.3, 60], ids=["idle", "queueing"])
 def test_skew_is_found_to_a_few_ppm_within_a_minute(skew_ppm, back_ms):
     teensy = Teensy(skew_ppm=skew_ppm)
     _, sync = teensy.keep_answering(clock := Clock(), 0, 60, back_ms=back_ms)
-    assert sync.skew_ppm == pytest.approx(skew_ppm, abs=8)
+    assert sync.skew_ppm == pytest.approx(skew_ppm, abs=8 if back_ms < 1 else 25)
+    assert sync.offset_ns == pytest.approx(NOW - round(50 * S / (1 + skew_ppm * 1e-6)), abs=3 * MS)
     assert [round(error_ns(clock, teensy, 60 + part / 7) / MS, 1) for part in range(7)] == [
-        pytest.approx(0, abs=0.8)] * 7
+        pytest.approx(0, abs=0.8 if back_ms < 1 else 1.0)] * 7
 
 
+@pytest.mark.once
 def test_errors_are_half_a_tick_and_neither_early_nor_late_on_average():
     errors_us = []
     for seed in range(40):
@@ -268,11 +238,6 @@ def test_errors_are_half_a_tick_and_neither_early_nor_late_on_average():
         errors_us += [error_ns(clock, teensy, 40 + part / 997) / US for part in range(100)]
     assert abs(sum(errors_us) / len(errors_us)) < 40
     assert 240 < sum(map(abs, errors_us)) / len(errors_us) < 290
-
-
-def test_offset_is_when_the_teensy_s_clock_was_at_zero():
-    _, sync = Teensy(start_ms=50_000).keep_answering(Clock(), 0, 60)
-    assert sync.offset_ns == pytest.approx(NOW - 50 * S, abs=2 * MS)
 
 
 @pytest.mark.once
@@ -287,18 +252,6 @@ def test_temperature_that_bends_the_line_is_followed():
     assert not clock.counts
 
 
-def test_bursts_before_a_pong_do_not_move_the_line():
-    """Each pong waits up to 60 ms behind other frames; the way out is free."""
-    teensy = Teensy(skew_ppm=-70)
-    clock = converged(teensy, back_ms=60)
-    assert abs(error_ns(clock, teensy, 60.3)) < MS
-
-
-def test_round_trip_is_from_sending_to_reading():
-    _, sync = Teensy().answer(Clock(), NOW, out_ms=1, back_ms=2)
-    assert sync.round_trip_ns == 3 * MS + round(PING_BYTES * BYTE_NS) + round(PONG_BYTES * BYTE_NS)
-
-
 # Translating
 
 
@@ -311,37 +264,18 @@ lateness_ns = st.one_of(st.integers(-3 * MS, 8 * MS), st.integers(-400 * S, 400 
 clocks = st.sampled_from([CONVERGED, UNCONVERGED])
 
 
-@given(clocks, ticks, apart)
-def test_translate_is_monotone(clock, tick, apart_ms):
+@given(clocks, ticks, apart, lateness_ns, st.integers(0, 100))
+def test_later_ticks_are_never_earlier_and_none_is_after_its_receipt_less_the_time_on_the_wire(
+        clock, tick, apart_ms, late_ns, received_bytes):
     assert clock.translate(tick).time_ns < clock.translate(tick + 1 + apart_ms).time_ns
-
-
-@given(clocks, ticks, apart, lateness_ns)
-def test_translate_is_monotone_among_ticks_that_came_together(clock, tick, apart_ms, late_ns):
     received_ns = clock.translate(tick).time_ns + late_ns
-    earlier, later = (clock.translate(one, received_ns).time_ns for one in (tick, tick + apart_ms))
-    assert earlier <= later
-
-
-@given(clocks, ticks, lateness_ns, st.integers(0, 100))
-def test_translate_is_never_after_the_receipt_less_the_time_on_the_wire(clock, tick, late_ns, received_bytes):
-    received_ns = clock.translate(tick).time_ns + late_ns
-    assert clock.translate(tick, received_ns, received_bytes).time_ns <= received_ns - round(received_bytes * BYTE_NS)
+    earlier, later = (clock.translate(one, received_ns, received_bytes).time_ns for one in (tick, tick + apart_ms))
+    assert earlier <= later <= received_ns - round(received_bytes * BYTE_NS)
 
 
 @given(clocks, ticks)
 def test_tick_at_is_the_inverse_of_translate_in_the_middle_of_the_tick(clock, tick):
     assert clock.tick_at(clock.translate(tick).time_ns) == pytest.approx(tick + 0.5, abs=1e-5)
-
-
-def test_a_receipt_soon_after_the_tick_makes_it_surer():
-    teensy = Teensy()
-    clock = converged(teensy, back_ms=10)
-    at_ns = NOW + 60 * S + 123_456
-    alone = clock.translate(teensy.tick(at_ns))
-    received = clock.translate(teensy.tick(at_ns), at_ns + round(14 * BYTE_NS), 14)
-    assert received.uncertainty_ns < alone.uncertainty_ns
-    assert abs(received.time_ns - at_ns) <= received.uncertainty_ns
 
 
 def test_uncertainty_grows_when_pings_stop_and_shrinks_when_they_come_again():
@@ -410,17 +344,10 @@ def test_restart_forgets_what_was_before():
     assert not clock.counts
 
 
-def test_restart_of_a_teensy_that_goes_on_as_before_begins_anew_too():
-    teensy = Teensy()
-    clock = converged(teensy)
-    clock.restart()
-    assert not teensy.answer(clock, NOW + 61 * S)[1].converged
-
-
 # What can't shake it
 
 
-@pytest.mark.parametrize("tick_error", [-128, -64, -4, 4, 16, 128, 1999])
+@pytest.mark.parametrize("tick_error", [-128, -4, 4, 1999])
 def test_wrong_tick_that_noise_made_is_not_used_and_counted(tick_error):
     teensy = Teensy()
     clock = converged(teensy)
@@ -431,8 +358,8 @@ def test_wrong_tick_that_noise_made_is_not_used_and_counted(tick_error):
     assert clock.translate(teensy.tick(NOW + 61 * S)) == before
 
 
-@pytest.mark.parametrize("tick_error", [-128, -8, 8, 128])
-@pytest.mark.parametrize("which", [0, 1, 2, 3])
+@pytest.mark.parametrize("tick_error", [-128, 8])
+@pytest.mark.parametrize("which", [0, 1, 3])
 def test_wrong_tick_among_the_first_pongs_does_not_lock_the_right_ones_out(tick_error, which):
     teensy = Teensy(skew_ppm=40)
     clock = Clock()
@@ -461,7 +388,7 @@ def test_three_wrong_pongs_in_a_row_that_do_not_agree_overrule_nothing():
 
 
 @pytest.mark.parametrize("wrong_ones", [(18,), (14, 18)], ids=["one", "two"])
-@pytest.mark.parametrize("tick_error", [1, 2, -2, -5, -8])
+@pytest.mark.parametrize("tick_error", [1, -2, -8])
 def test_wrong_tick_that_a_queue_can_explain_is_thrown_out_without_the_rest_when_three_pongs_say_so(
         tick_error, wrong_ones):
     """While all pongs queue the bounds leave 9 ms; then the line is free, and what they leave shows what was wrong."""
@@ -477,32 +404,15 @@ def test_wrong_tick_that_a_queue_can_explain_is_thrown_out_without_the_rest_when
     assert clock.counts[CONTRADICTION] <= 3 * len(wrong_ones)
 
 
-@pytest.mark.parametrize("noise", range(5))
-def test_one_wrong_tick_in_five_leaves_the_line_where_it_is(noise):
-    teensy = Teensy(skew_ppm=40, seed=noise)
-    clock = converged(teensy)
-    for number in range(60, 160):
-        tick_error = random.Random(number).choice((-128, -32, 8, 64)) if number % 5 == noise else 0
-        teensy.answer(clock, NOW + number * S + number * 618 * US, tick_error=tick_error)
-    assert clock.counts == {CONTRADICTION: 20}
-    assert abs(error_ns(clock, teensy, 160)) < 0.9 * MS
-
-
-def test_wrong_sonar_tick_from_the_future_is_not_used_and_counted():
+def test_wrong_sonar_tick_from_the_future_and_a_pong_that_comes_too_soon_are_not_used_and_counted():
     teensy = Teensy()
     clock = converged(teensy)
     before = clock.translate(teensy.tick(NOW + 61 * S))
     clock.update_tick(teensy.tick(NOW + 60 * S) + 128, NOW + 60 * S + 2 * MS, 14)
-    assert clock.counts == {FROM_THE_FUTURE: 1}
-    assert clock.translate(teensy.tick(NOW + 61 * S)) == before
-
-
-def test_pong_sooner_than_the_line_allows_is_not_used_and_counted():
-    clock = converged()
-    tick = Teensy().tick(NOW + 60 * S)
-    sync = clock.pong(tick, NOW + 60 * S, PING_BYTES, NOW + 60 * S + 2 * MS, PONG_BYTES)
+    sync = clock.pong(teensy.tick(NOW + 60 * S), NOW + 60 * S, PING_BYTES, NOW + 60 * S + 2 * MS, PONG_BYTES)
     assert (sync.used, sync.reason) == (False, TOO_SOON)
-    assert clock.counts == {TOO_SOON: 1}
+    assert clock.counts == {FROM_THE_FUTURE: 1, TOO_SOON: 1}
+    assert clock.translate(teensy.tick(NOW + 61 * S)) == before
 
 
 def test_teensy_on_usb_which_has_no_baud_rate_is_known_all_the_same():
@@ -517,7 +427,7 @@ def test_teensy_on_usb_which_has_no_baud_rate_is_known_all_the_same():
     assert abs(error_ns(clock, teensy, 21)) < 1.2 * MS
 
 
-@pytest.mark.parametrize("gap_ms", [20, 5_000, 36_000_000], ids=["20_ms", "5_s", "10_h"])
+@pytest.mark.parametrize("gap_ms", [20, 36_000_000], ids=["20_ms", "10_h"])
 @pytest.mark.parametrize("ahead", [True, False], ids=["host_was_suspended", "teensy_stood_still"])
 def test_three_pongs_that_agree_begin_anew_after_a_clock_stood_still(gap_ms, ahead):
     teensy = Teensy(skew_ppm=40)
@@ -543,20 +453,16 @@ def test_until_then_a_tick_that_contradicts_its_receipt_is_as_unsure_as_before_i
 
 @pytest.mark.once
 def test_pings_a_hundred_times_a_second_cost_no_more_memory():
-    teensy = Teensy(skew_ppm=40)
-    clock = converged(teensy, seconds=100, period_s=0.01)
+    clock = converged(seconds=70, period_s=0.01)
     assert len(vars(clock)["_buckets"]) <= 121
-    assert abs(error_ns(clock, teensy, 100)) < 0.7 * MS
 
 
 # On the virtual Teensy
 
 
 SCENARIOS = {
-    "idle": {},
-    "saturated": {"saturated": True, "drift_ppm": -100},
-    "saturated_wrap": {"saturated": True, "drift_ppm": 100, "clock_start_ms": UINT32 - 15_000},
-    "saturated_reboot": {"saturated": True, "drift_ppm": 40, "reboot_s": 8},
+    "saturated_wrap": {"saturated": True, "drift_ppm": 100, "clock_start_ms": UINT32 - 9_000},
+    "saturated_reboot": {"saturated": True, "drift_ppm": 40, "reboot_s": 2},
     "saturated_noise": {"saturated": True, "drift_ppm": 40, "bit_errors": 1e-4},
 }
 
@@ -565,32 +471,21 @@ SCENARIOS = {
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_stamps_on_the_virtual_teensy_are_within_a_millisecond_and_honest(name):
     """A short set of what the script measures at length."""
-    scenario = clock_accuracy.Scenario(name, ramp_ppm_per_h=20, seconds=25, **SCENARIOS[name])
+    scenario = clock_accuracy.Scenario(name, ramp_ppm_per_h=20, seconds=16, **SCENARIOS[name])
     score = clock_accuracy.run(scenario)
-    assert len(score.clock) > 150
+    assert len(score.clock) > 100
     assert score.failures() == []
     assert score.converged_s < 2.5
-    assert score.bytes_per_s > 8000 or not scenario.saturated
-
-
-@pytest.mark.once
-def test_one_way_methods_on_the_same_bytes_are_worse():
-    score = clock_accuracy.run(clock_accuracy.Scenario("saturated", saturated=True, drift_ppm=-100, seconds=40))
-    ours, newest, smallest = (clock_accuracy.percentile(errors, 0.99)
-                              for errors in (score.clock, score.newest, score.smallest))
-    assert ours < 1.0 and newest > 4.0 and smallest > 2.0
+    assert score.bytes_per_s > 8000
 
 
 # Configuration
 
 
 @pytest.mark.parametrize("name", ["baud", "window_s", "max_skew_ppm", "wander_ppm_per_h"])
-@pytest.mark.parametrize("value", [0, -1, math.nan, math.inf])
-def test_config_of_no_line_is_refused_by_name(name, value):
+@pytest.mark.parametrize("value", [0, math.nan, math.inf])
+def test_config_of_no_line_or_crystal_is_refused_by_name(name, value):
     with pytest.raises(ConfigError, match=f"{name} is .*; accepted: a number above 0"):
         ClockConfig(**{name: value})
-
-
-def test_config_of_no_crystal_is_refused():
     with pytest.raises(ConfigError, match="max_skew_ppm is 10001; accepted: at most 10000"):
         ClockConfig(max_skew_ppm=10_001)

@@ -18,14 +18,10 @@ def drive(heading, curvature_per_m, steps, variance=1e-5):
     return yaw_rad
 
 
-def test_heading_is_zero_at_the_start():
-    heading = HeadingFilter()
-    assert (heading.yaw_rad, heading.curvature_per_m, heading.curvature_variance) == (0.0, 0.0, CURVATURE_VARIANCE)
-
-
-@pytest.mark.parametrize("curvature_per_m", [-1.0, 0.0, 0.5, 1.2])
+@pytest.mark.parametrize("curvature_per_m", [-1.0, 0.0, 1.2])
 def test_curvature_of_a_circle_is_learned_and_predicts_the_heading(curvature_per_m):
     heading = HeadingFilter()
+    assert (heading.yaw_rad, heading.curvature_per_m, heading.curvature_variance) == (0.0, 0.0, CURVATURE_VARIANCE)
     yaw_rad = drive(heading, curvature_per_m, 60)
     assert heading.curvature_per_m == pytest.approx(curvature_per_m, abs=0.02)
     heading.predict(0.1, 0.1)
@@ -50,28 +46,19 @@ def test_curvature_gets_uncertain_with_time_while_rolling_up_to_a_bound():
     assert heading.curvature_variance == 2 * CURVATURE_VARIANCE
 
 
-def test_begin_forgets_the_variances_and_keeps_the_curvature():
+def test_begin_forgets_the_variances_and_keeps_the_curvature_and_resume_sets_everything():
     heading = HeadingFilter()
     drive(heading, 0.5, 60)
     heading.begin(1.0, HEADING_VARIANCE)
     assert heading.yaw_rad == 1.0 and heading.curvature_variance == CURVATURE_VARIANCE
+    assert heading.curvature_per_m == pytest.approx(0.5, abs=0.02)
+    heading.resume(2.0, 0.01, 0.3, 0.04)
+    assert (heading.yaw_rad, heading.curvature_per_m, heading.curvature_variance) == (2.0, 0.3, 0.04)
 
 
-def test_resume_sets_everything():
-    heading = HeadingFilter()
-    heading.resume(1.0, 0.01, 0.3, 0.04)
-    assert (heading.yaw_rad, heading.curvature_per_m, heading.curvature_variance) == (1.0, 0.3, 0.04)
-
-
-def test_commanded_curvature_counts_the_more_the_longer_it_lasts():
-    once, long = HeadingFilter(), HeadingFilter()
-    once.update_curvature(1.0, 0.005)
-    long.update_curvature(1.0, 0.5)
-    assert 0 < once.curvature_per_m < long.curvature_per_m < 1.0
+def test_commanded_curvature_counts_the_more_the_longer_it_lasts_and_nothing_for_no_time():
+    none, once, long = HeadingFilter(), HeadingFilter(), HeadingFilter()
+    for heading, lasted_s in ((none, 0.0), (once, 0.005), (long, 0.5)):
+        heading.update_curvature(1.0, lasted_s)
+    assert 0.0 == none.curvature_per_m < once.curvature_per_m < long.curvature_per_m < 1.0
     assert once.curvature_variance > long.curvature_variance
-
-
-def test_commanded_curvature_of_no_time_counts_nothing():
-    heading = HeadingFilter()
-    heading.update_curvature(1.0, 0.0)
-    assert heading.curvature_per_m == 0.0

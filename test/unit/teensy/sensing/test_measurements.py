@@ -6,7 +6,6 @@ import math
 import pytest
 
 from captures import NS_PER_US, load
-from car_interface.common.errors import ConfigError
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_wheels import FORWARD as ROLLS_FORWARD
@@ -83,9 +82,12 @@ def rolling(from_s, to_s, period_s, sides=(LEFT, RIGHT)):
     return [(START_NS + round((from_s + period_s * index) * S), side) for index in range(count) for side in sides]
 
 
-def test_wheels_that_roll_a_metre_move_the_car_by_a_metre_at_the_speed_of_their_pulses(host):
+def test_wheels_that_roll_a_metre_move_the_car_by_a_metre_at_the_speed_of_their_pulses_and_echoes_become_metres(host):
     pace_s = PULSE_M / 0.5
     host.until(START_NS + 12 * S, rolling(10.0, 12.0, pace_s))
+    ranges = host.of(RangeMeasurement)
+    assert {result.sensor for result in ranges} == set(range(6))
+    assert all(result.range_m == pytest.approx(1.0, abs=0.001) for result in ranges)
     motion = host.of(MotionMeasurement)[-1].motion
     assert motion.x_m == pytest.approx(1.0, abs=0.02)
     assert motion.y_m == pytest.approx(0.0, abs=0.005)
@@ -103,20 +105,6 @@ def test_stamp_is_when_the_wheel_was_there_not_when_that_was_read(host):
     assert all(result.stamp.time_ns <= host.now_ns for result in host.results if hasattr(result, "stamp"))
 
 
-def test_echo_becomes_metres_stamped_when_it_was_heard(host):
-    host.until(START_NS + 11 * S)
-    ranges = host.of(RangeMeasurement)
-    assert {result.sensor for result in ranges} == set(range(6))
-    assert all(result.range_m == pytest.approx(1.0, abs=0.001) for result in ranges)
-
-
-def test_temperature_may_change_while_it_runs(host):
-    host.until(START_NS + 1 * S)
-    host.measured.ranging.temperature_c = -10.0
-    host.until(START_NS + 2 * S)
-    assert host.of(RangeMeasurement)[-1].range_m == pytest.approx(1.0 * (331.3 - 6.06) / (331.3 + 12.12), rel=1e-3)
-
-
 @pytest.mark.parametrize("record, reason", (
     (SonarStatus(0, ECHO_US, 2_000), verdicts.TICK_BACK),
     (SonarStatus(0, ECHO_US, 90_000), verdicts.TICK_AHEAD),
@@ -129,26 +117,6 @@ def test_bad_record_is_named_and_changes_nothing(host, record, reason):
     host.update(record)
     assert host.measured.gates.counts[reason] == 1
     assert (len(host.results), host.measured.clock.translate(9_000)) == before
-
-
-def test_duplicated_pong_answers_no_ping_any_more(host):
-    answer = Answer(START_NS, 4 * MS, 11)
-    assert host.measured.pong(Pong(1, 10), answer, START_NS + 4 * MS).used
-    assert host.measured.pong(Pong(1, 10), None, START_NS + 5 * MS) is None
-    assert host.measured.gates.counts[verdicts.NOT_OUR_PING] == 1
-
-
-def test_wheels_in_opposite_directions_turn_the_car_on_the_spot(host):
-    host.until(START_NS + 10 * S)
-    backward = 1
-    for _ in range(30):
-        host.now_ns += 30 * MS
-        host.firmware.wheel_pulse(LEFT, backward, host.now_ns)
-        host.firmware.wheel_pulse(RIGHT, ROLLS_FORWARD, host.now_ns)
-        host.until(host.now_ns + 6 * MS)
-    motion = host.of(MotionMeasurement)[-1].motion
-    assert motion.yaw_rad == pytest.approx(2 * 30 * PULSE_M / 0.296, abs=0.12)
-    assert math.hypot(motion.x_m, motion.y_m) < 0.03
 
 
 def test_reboot_while_rolling_restarts_the_clock_and_leaves_the_pose_where_it_was(host):
@@ -167,49 +135,12 @@ def test_reboot_while_rolling_restarts_the_clock_and_leaves_the_pose_where_it_wa
     assert all(earlier < later for earlier, later in zip(stamps_ns, stamps_ns[1:]))
 
 
-def test_clock_that_wraps_while_rolling_is_noticed_nowhere():
-    host = Host(TeensyFirmware(FirmwareConfig(clock_start_ms=2 ** 32 - 11_000), None, START_NS))
-    host.until(START_NS + 12 * S, rolling(10.0, 12.0, PULSE_M / 1.0))
-    assert host.firmware.millis(host.now_ns) < 2000
-    last = host.of(MotionMeasurement)[-1]
-    assert last.motion.x_m == pytest.approx(2.0, abs=0.02)
-    assert last.motion.speed_mps == pytest.approx(1.0, rel=0.03)
-    assert last.stamp.time_ns == pytest.approx(host.now_ns, abs=20 * MS)
-    assert not host.measured.gates.counts[verdicts.CLOCK_RESTARTED]
-
-
-def test_pulse_counters_that_wrap_while_rolling_move_the_car_on():
-    measured = Measurements()
-    measured.sonar(SonarStatus(0, ECHO_US, 1000), START_NS)
-    for index in range(40):
-        wheel = Wheel(33, ROLLS_FORWARD, 1000 + 30 * index, 2 ** 32 - 20, (2 ** 32 - 20 + index) % 2 ** 32)
-        measurement = measured.wheels(WheelStatus(wheel, wheel), START_NS + 30 * index * MS)
-    assert measurement.motion.x_m == pytest.approx(39 * PULSE_M, abs=PULSE_M)
-
-
-def test_car_of_another_size_is_measured_by_its_own():
-    config = MeasurementConfig(odometry=OdometryConfig(wheel_diameter_m=0.19))
-    host = Host(TeensyFirmware(FirmwareConfig(), None, START_NS), config)
-    host.until(START_NS + 12 * S, rolling(10.0, 12.0, 0.030))
-    assert host.of(MotionMeasurement)[-1].motion.x_m == pytest.approx(2 * PULSE_M * 2 / 0.030, rel=0.03)
-
-
-@pytest.mark.parametrize("name", ("wheel_diameter_m", "track_m", "wheelbase_m"))
-def test_car_too_small_to_reckon_with_is_refused_by_name(name):
-    with pytest.raises(ConfigError, match=f"{name} is 1e-300; accepted: a number of at least 0.001"):
-        OdometryConfig(**{name: 1e-300})
-
-
 def test_pongs_alone_are_heard_however_far_apart_the_gates_let_them_be():
     measured = Measurements(MeasurementConfig(gates=GateConfig(max_gap_ms=20_000)))
     for index in range(9):
         at_ns = START_NS + 10 * S * index
         assert measured.pong(Pong(index, 10_000 * index), Answer(at_ns, 4 * MS, 15), at_ns + 4 * MS).used
     assert not measured.gates.refused
-
-
-def test_direction_names_agree_with_the_wire():
-    assert ROLLS_FORWARD == FORWARD
 
 
 # The queue of the wheels' reports
@@ -271,18 +202,13 @@ def test_queued_reports_are_processed_before_what_comes_after_them(end):
     assert not measured.has_queued and results == [START_NS + 100 * count * MS for count in range(3)]
 
 
-def test_queue_is_bounded():
+def test_queue_is_bounded_and_a_refused_report_in_it_makes_nothing():
     results = []
     measured = Measurements(on_motion=lambda result, received_ns: results.append(received_ns))
     for count in range(MAX_QUEUED):
         assert results == []
         measured.queue_wheels(report_of(count), START_NS + 100 * count * MS)
     assert len(results) == MAX_QUEUED and not measured.has_queued
-
-
-def test_refused_report_in_the_queue_makes_nothing():
-    results = []
-    measured = Measurements(on_motion=lambda result, received_ns: results.append(received_ns))
-    measured.queue_wheels(WheelStatus(*2 * (Wheel(65535, FORWARD, 1000, 1, 1),)), START_NS)
+    measured.queue_wheels(WheelStatus(*2 * (Wheel(65535, FORWARD, 1000, 1, 1),)), START_NS + S)
     measured.process_queue()
-    assert results == [] and not measured.has_queued and measured.gates.refused == 1
+    assert len(results) == MAX_QUEUED and not measured.has_queued and measured.gates.refused == 1

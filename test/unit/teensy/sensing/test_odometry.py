@@ -66,8 +66,7 @@ class Axle:
 
 @pytest.mark.once
 @pytest.mark.parametrize("name, worst_percent, worst_deg, worst_speed_percent", (
-    ("straight 20 m", 1.0, 2.0, 2.0), ("stop and go 60 m", 1.0, 2.0, 2.0), ("reversing 60 m", 1.0, 2.0, 2.0),
-    ("20 m, six resets", 1.0, 2.0, 2.0), ("reversing, resets", 1.0, 2.0, 3.0), ("crawl 0.05 m/s", 1.0, 2.0, 10.0)))
+    ("reversing, resets", 1.0, 2.0, 3.0), ("crawl 0.05 m/s", 1.0, 2.0, 10.0), ("8 m/s", 0.5, 2.0, 2.0)))
 def test_virtual_car_is_where_odometry_says(name, worst_percent, worst_deg, worst_speed_percent):
     drive = next(make for make in odometry_accuracy.drives() if make().name == name)
     score = odometry_accuracy.run(drive, (0.3, 0.9), 1)
@@ -78,29 +77,19 @@ def test_virtual_car_is_where_odometry_says(name, worst_percent, worst_deg, wors
     assert score.inside / score.reports >= 0.99
 
 
-@pytest.mark.once
-@pytest.mark.parametrize("phases", ((0.1, 0.3), (0.4, 0.4), (0.8, 0.7)))
-def test_fast_way_leads_to_no_side_wherever_the_pulses_are_in_their_ticks(phases):
-    drive = next(make for make in odometry_accuracy.drives() if make().name == "8 m/s")
-    score = odometry_accuracy.run(drive, phases, 1)
-    assert 100 * score.position_m / score.distance_m <= 0.5
-
-
-def test_nothing_has_happened_at_the_start():
-    motion = Axle().motion
-    assert (motion.x_m, motion.y_m, motion.yaw_rad, motion.speed_mps, motion.distance_m) == (0, 0, 0, 0, 0)
-
-
-@pytest.mark.parametrize("phases", ((0.5, 0.5), (0.01, 0.99), (0.99, 0.01), (0.25, 0.75)))
+@pytest.mark.parametrize("phases", ((0.5, 0.5), (0.01, 0.99), (0.99, 0.01)))
 def test_straight_way_is_straight_wherever_the_magnets_stood(phases):
-    motion = Axle(phases).roll((1.0, 1.0), 5.0)
+    axle = Axle(phases)
+    motion = axle.motion
+    assert (motion.x_m, motion.y_m, motion.yaw_rad, motion.speed_mps, motion.distance_m) == (0, 0, 0, 0, 0)
+    motion = axle.roll((1.0, 1.0), 5.0)
     assert motion.x_m == pytest.approx(5.0, abs=0.02)
     assert motion.y_m == pytest.approx(0.0, abs=0.05)
     assert motion.yaw_rad == pytest.approx(0.0, abs=math.radians(0.5))
     assert motion.speed_mps == pytest.approx(1.0, rel=0.02)
 
 
-@pytest.mark.parametrize("curvature", (0.2, -0.2, 0.8, -0.8))
+@pytest.mark.parametrize("curvature", (0.2, -0.8))
 def test_circle_closes(curvature):
     axle = Axle((0.3, 0.6))
     half = curvature * TRACK_M / 2
@@ -108,26 +97,6 @@ def test_circle_closes(curvature):
     assert motion.yaw_rad == pytest.approx(math.copysign(2 * math.pi, curvature), abs=math.radians(1.5))
     assert math.hypot(motion.x_m, motion.y_m) < 0.01 * motion.distance_m + 0.03
     assert motion.yaw_rate_radps == pytest.approx(curvature, abs=0.1)
-
-
-def test_forward_and_back_returns():
-    axle = Axle((0.2, 0.7))
-    there = axle.roll((0.8, 1.0), 2.0)
-    assert math.hypot(there.x_m, there.y_m) > 1.5
-    back = axle.roll((-0.8, -1.0), 2.0)
-    assert (back.x_m, back.y_m) == (pytest.approx(0, abs=0.02), pytest.approx(0, abs=0.02))
-    assert back.yaw_rad == pytest.approx(0, abs=math.radians(1))
-    assert back.speed_mps == pytest.approx(-0.9, rel=0.02)
-    assert back.distance_m == pytest.approx(3.6, abs=0.05)
-
-
-def test_turning_round_again_and_again_adds_no_error():
-    axle = Axle((0.2, 0.7))
-    axle.roll((1.0, 1.0), 1.0)
-    for _ in range(50):
-        axle.roll((0.5, 0.5), 0.1)
-        motion = axle.roll((-0.5, -0.5), 0.1)
-    assert motion.x_m == pytest.approx(1.0, abs=PULSE_M)
 
 
 @settings(max_examples=25, deadline=None)
@@ -154,11 +123,6 @@ def test_wheels_in_opposite_directions_turn_the_car_where_it_stands():
     assert motion.yaw_rate_radps == pytest.approx(1.0 / TRACK_M, rel=0.1)
 
 
-def test_crawl_has_the_speed_of_its_pulses():
-    motion = Axle((0.1, 0.6)).roll((0.05, 0.05), 5.0)
-    assert motion.speed_mps == pytest.approx(0.05, rel=0.05)
-
-
 def test_speed_sinks_when_pulses_fail_to_come_and_is_zero_after_a_second():
     axle = Axle()
     axle.roll((1.0, 1.0), 2.0)
@@ -168,17 +132,6 @@ def test_speed_sinks_when_pulses_fail_to_come_and_is_zero_after_a_second():
     standing = axle.roll((0, 0), 1.2)
     assert (standing.speed_mps, standing.yaw_rate_radps, standing.wheel_speeds_radps) == (0, 0, (0, 0))
     assert standing.x_m == pytest.approx(at_m, abs=PULSE_M + 0.0005)  # and half a tick's way
-
-
-@pytest.mark.parametrize("to_mps", (0.6, 3.5))
-def test_braking_and_accelerating_by_5_metres_per_second_each_second_is_followed(to_mps):
-    axle = Axle()
-    axle.roll((2.0, 2.0), 1.0)
-    speed_mps, step_mps = 2.0, math.copysign(0.025, to_mps - 2.0)
-    while abs(to_mps - speed_mps) > 0.01:
-        speed_mps += step_mps
-        assert axle.roll((speed_mps, speed_mps), 0.005).speed_mps == pytest.approx(speed_mps, abs=0.25)
-    assert axle.roll((to_mps, to_mps), 0.3).speed_mps == pytest.approx(to_mps, rel=0.03)
 
 
 def test_wheel_reset_in_mid_drive_moves_nothing():
@@ -192,49 +145,20 @@ def test_wheel_reset_in_mid_drive_moves_nothing():
     assert motion.speed_mps == pytest.approx(1.0, rel=0.03)
 
 
-def test_pulses_that_were_lost_with_a_reboot_are_made_up_for_by_the_speed():
+@pytest.mark.parametrize("pause_ms, pulse_ms, count, pulses, x_m, error_m", [
+    pytest.param(300, 3300, 1, 0, 2.3, 0.05, id="those_lost_with_a_reboot_are_made_up_for_by_the_speed"),
+    pytest.param(60_000, 63_000, 90_000, 0, 2.0, 0.1, id="but_a_jump_after_a_long_silence_does_not_throw_the_car"),
+    pytest.param(500, 3500, None, 33, 2.0 + 33 * PULSE_M, 0.03, id="those_after_lost_reports_count"),
+    pytest.param(30, 12, None, 2, 2.03, 0.03, id="those_from_a_time_that_cannot_be_too"),
+])
+def test_pulses_after_a_gap(pause_ms, pulse_ms, count, pulses, x_m, error_m):
     axle = Axle()
     axle.roll((1.0, 1.0), 2.0)
-    axle.ms += 300
-    axle.way = [way + 0.3 / PULSE_M for way in axle.way]
-    pulse = round(axle.ms)
-    axle.wheels = [Wheel(0, FORWARD, pulse, 1, 1)] * 2
-    before = axle.motion.x_m
-    after = axle.report((0, 0), restarted=True, at_ms=pulse + 0.5)
-    assert after.x_m - before == pytest.approx(0.3, abs=0.05)
-    assert after.pose_covariance[0][0] > 0
-
-
-def test_counter_that_jumps_after_a_long_silence_does_not_throw_the_car():
-    axle = Axle()
-    axle.roll((1.0, 1.0), 2.0)
-    before = axle.motion.x_m
-    axle.ms += 60_000
-    axle.wheels = [Wheel(0, FORWARD, round(axle.ms), 70_000, 90_000)] * 2
-    assert axle.report((0, 0), restarted=True).x_m - before == pytest.approx(0, abs=0.1)
-
-
-def test_pulses_after_lost_reports_are_all_counted():
-    axle = Axle()
-    axle.roll((1.0, 1.0), 2.0)
-    axle.ms += 500
-    axle.wheels = [Wheel(0, FORWARD, round(axle.ms), wheel.dist, wheel.dist_abs + 33) for wheel in axle.wheels]
-    assert axle.report((33, 33), at_ms=axle.ms + 0.5).x_m == pytest.approx(2.0 + 33 * PULSE_M, abs=0.03)
-
-
-def test_pulse_from_a_time_that_cannot_be_counts_all_the_same():
-    axle = Axle()
-    axle.roll((1.0, 1.0), 2.0)
-    axle.ms += 30
-    axle.wheels = [Wheel(0, FORWARD, 12, wheel.dist, wheel.dist_abs + 2) for wheel in axle.wheels]
-    motion = axle.report((2, 2))
-    assert motion.x_m == pytest.approx(2.03, abs=0.03)
-    assert motion.speed_mps == pytest.approx(1.0, rel=0.1)
-
-
-def test_one_wheel_alone_waits_for_the_other_with_the_heading_and_counts():
-    motion = Axle().roll((0.0, 0.5), 3.0)
-    assert motion.yaw_rad == pytest.approx(1.5 / TRACK_M, abs=0.2)
+    axle.ms += pause_ms
+    axle.wheels = [Wheel(0, FORWARD, pulse_ms, 1, count or wheel.dist_abs + pulses) for wheel in axle.wheels]
+    motion = axle.report((pulses, pulses), restarted=count is not None, at_ms=axle.ms + 0.5)
+    assert motion.x_m == pytest.approx(x_m, abs=error_m) and motion.pose_covariance[0][0] > 0
+    assert motion.speed_mps == pytest.approx(0.0 if count == 90_000 else 1.0, rel=0.1)
 
 
 def test_covariance_grows_with_the_way_and_not_with_the_time():
@@ -259,18 +183,14 @@ def test_steering_fills_the_gap_between_pulses_only_when_it_is_used():
         headings.append(axle.roll((0.3 * (1 - half), 0.3 * (1 + half)), 3.0).yaw_rad)
         assert headings[-1] == pytest.approx(0.3 * 3.0 * curvature, abs=math.radians(2.5))
     assert headings[0] != headings[1]
-
-
-def test_steering_that_is_unknown_is_no_steering():
-    axle = Axle(use_steering=True)
-    axle.odometry.steer(math.nan)
-    axle.odometry.steer(math.inf)
-    assert math.isfinite(axle.roll((1.0, 1.0), 1.0).yaw_rad)
+    for unknown in (math.nan, math.inf):
+        axle.odometry.steer(unknown)
+        assert math.isfinite(axle.roll((1.0, 1.0), 0.5).yaw_rad)
 
 
 @pytest.mark.parametrize("changes", (
     {"track_m": 0}, {"wheel_diameter_m": -1}, {"pulses_per_revolution": 0}, {"wheelbase_m": math.nan},
-    {"distance_sigma": -1}, {"heading_sigma": math.inf}))
+    {"distance_sigma": -1}, {"heading_sigma": math.inf}, {"track_m": 1e-300}))
 def test_car_that_cannot_be_is_refused_by_name(changes):
     with pytest.raises(ConfigError, match=next(iter(changes))):
         OdometryConfig(**changes)

@@ -10,27 +10,13 @@ from hypothesis import strategies as st
 from car_interface.common.errors import ConfigError
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.link.framing import FrameDecoder
-from car_interface.teensy.link.protocol import (
-    BACKWARD,
-    FORWARD,
-    UINT32,
-    Malformed,
-    Pong,
-    SonarStatus,
-    Wheel,
-    WheelStatus,
-    decode,
-)
+from car_interface.teensy.link.protocol import UINT32, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
 from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
 from car_interface.teensy.sensing.pulse_counts import signed_pulses
-from wheel_reports import CAPTURE, HARM_M, PULSE_M, counted, crawl, judged, proven, sonar
-
-
-@pytest.mark.parametrize("echo_us", [0, 1, 11_428, 17_458, 37_988, 48_131, 65_535])
-def test_any_echo_time_is_let_through_for_the_ranging_to_judge(echo_us):
-    assert Gates().sonar(sonar(100, echo_us)).accepted
+from wheel_reports import CAPTURE, HARM_M, PULSE_M, counted, crawl, judged, proven
 
 
 @pytest.mark.parametrize("name", ["top_speed_mps", "pulse_m", "max_gap_ms"])
@@ -87,7 +73,6 @@ def drive(speeds_mps, seconds_each=1.0):
     pytest.param([0.0, 0.05, 0.05, 0.0], id="crawl_of_5_cm_per_s"),
     pytest.param([0.0, 8.0, 0.0, 8.0, 0.0], id="stop_and_go"),
     pytest.param([0.0, 2.0, -2.0, 2.0, -2.0, 0.0], id="reversing"),
-    pytest.param([0.0, 14.0, 14.0, 0.0, 0.0], id="50_km_per_h"),
     pytest.param([0.0, 19.0, 19.0, 0.0, 0.0], id="almost_the_top_speed"),
 ])
 def test_nothing_of_a_clean_drive_is_refused_and_each_pulse_counts(speeds_mps):
@@ -131,7 +116,6 @@ def wheel_bodies(data):
 @pytest.mark.once
 @pytest.mark.parametrize("bodies", [
     pytest.param(wheel_bodies(CAPTURE)[60:70], id="capture_at_0.3_m_per_s"),
-    pytest.param(wheel_bodies(drive([8.0, 8.0])[0])[-60:-50], id="8_m_per_s"),
     pytest.param(wheel_bodies(drive([19.0, 19.0])[0])[-60:-50], id="19_m_per_s"),
     pytest.param(wheel_bodies(drive([-2.0, 2.0, 2.0])[0])[-60:-50], id="2_m_per_s_after_a_reversal"),
 ])

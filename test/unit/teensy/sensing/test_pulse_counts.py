@@ -5,13 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.teensy.link.protocol import (
-    BACKWARD,
-    FORWARD,
-    NO_DIRECTION,
-    UINT32,
-    Wheel,
-)
+from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, UINT32, Wheel
 from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed, learning_pulses, signed_pulses
 from wheel_reports import NEW, forward
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 import pytest
 
 from captures import NAMES, NS_PER_US, load
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
-from car_interface.teensy.link.framing import SHIPPED, FrameDecoder, encode
-from car_interface.teensy.link.protocol import Pong, SonarStatus, decode, set_sonar_sequence, sonar_start
+from car_interface.teensy.link.framing import FrameDecoder
+from car_interface.teensy.link.protocol import Pong, SonarStatus, decode
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe
 
 MS, S = 1_000_000, 1_000_000_000
@@ -167,26 +165,23 @@ class Sonars:
         return self.monitor.next_command(self.now_ns)
 
 
-def test_one_that_falls_silent_is_named_within_two_seconds_and_forgiven_with_its_next_report():
+def test_those_that_fall_silent_are_named_within_two_seconds_with_what_to_do_and_forgiven_with_their_next_report():
     sonars = Sonars().run(2)
     assert sonars.words == ""
     sonars.run(1.5, sensors=(0, 1, 2, 3, 5))
     assert sonars.words == "rear_middle does not report: it seems not to be connected"
     sonars.run(0.4)
-    assert sonars.words == ""
+    assert sonars.words == "" and sonars.command is None
+    sonars.run(1, sensors=(0, 1, 2))
+    words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
+    assert words.count("does not report") == 3 and next_step.count("Check its plug and wires") == 1
 
 
-def test_stopped_sonars_are_neither_started_nor_missed():
+def test_stopped_sonars_are_neither_started_nor_missed_until_they_were_started():
     sonars = Sonars().run(1)
     sonars.monitor.stopped()
     sonars.be_silent(100)
     assert sonars.command is None and sonars.words == ""
-
-
-def test_sonars_are_missed_again_once_they_were_started():
-    sonars = Sonars().run(1)
-    sonars.monitor.stopped()
-    sonars.be_silent(10)
     sonars.monitor.started(sonars.now_ns)
     assert sonars.be_silent(2.8).command is None
     assert sonars.be_silent(0.4).command == SEND_START
@@ -200,11 +195,8 @@ def test_nothing_is_started_on_a_line_on_which_nothing_comes():
     assert sonars.be_silent(1.0).command == SEND_START
 
 
-def test_restart_can_be_turned_off():
+def test_restart_can_be_turned_off_and_a_long_wait_between_pings_is_not_taken_for_silence():
     assert Sonars(SonarMonitor(restart_s=0)).be_silent(100).command is None
-
-
-def test_long_wait_between_pings_is_not_taken_for_silence():
     sonars = Sonars().run(1)
     sonars.monitor.wait_set(5000)
     assert sonars.be_silent(9.8).command is None
@@ -235,8 +227,7 @@ def test_zero_around_a_wrap_of_micros_blames_nobody():
 
 
 def test_sonar_that_was_dropped_comes_back_with_a_new_sequence_or_a_reboot():
-    for revive in (lambda monitor, now_ns: monitor.sequence_set(ALL, now_ns),
-                   lambda monitor, now_ns: monitor.rebooted(now_ns)):
+    for revive in (lambda monitor, now_ns: monitor.sequence_set(ALL, now_ns), SonarMonitor.rebooted):
         sonars = Sonars().run(1.5, zeros=(3,))
         assert sonars.command == SEND_SEQUENCE
         revive(sonars.monitor, sonars.now_ns)
@@ -263,92 +254,25 @@ def test_configured_sequence_is_sent_at_start_after_a_reboot_and_when_the_port_i
         assert sonars.command is None
 
 
-def test_without_a_configured_sequence_none_is_sent():
-    assert Sonars().run(1).command is None
-
-
-def test_each_fault_comes_with_what_to_do():
-    sonars = Sonars().run(1, sensors=(0, 1, 2))
-    words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
-    assert words.count("does not report") == 3 and next_step.count("Check its plug and wires") == 1
-
-
-# --- together with the virtual Teensy, which obeys ---
-
-
-class Car:
-    """A virtual Teensy whose sonars the monitor looks after, in virtual time."""
-
-    def __init__(self, **config):
-        self.firmware = TeensyFirmware(FirmwareConfig(seed=1, **config), lambda sensor, at_ns: 4000 + 500 * sensor)
-        self.listener = Listener(SonarMonitor())
-        self.monitor = self.listener.monitor
-        self.monitor.opened(0)
-        self.decoder = FrameDecoder()
-        self.now_ns = 0
-        self.reports = []  # (s, sensor)
-
-    def until(self, at_s):
-        next_ns = self.now_ns
-        while self.now_ns < at_s * S:
-            self.now_ns += 2 * MS
-            for body in self.decoder.feed(self.firmware.transmit(self.now_ns)):
-                record = decode(body)
-                self.listener.take(record, self.now_ns)
-                if isinstance(record, SonarStatus) and record.echo_us:
-                    self.reports.append((self.now_ns / S, record.sensor))
-            if self.now_ns >= next_ns:
-                next_ns += S
-                before = len(self.listener.commands)
-                self.listener.judge(self.now_ns)
-                for _, command in self.listener.commands[before:]:
-                    body = sonar_start() if command == SEND_START else set_sonar_sequence(self.monitor.sequence)
-                    self.firmware.receive(encode(body, SHIPPED), self.now_ns)
-        return self
-
-    def sensors_since(self, at_s):
-        return {sensor for when_s, sensor in self.reports if when_s >= at_s}
-
-
-def test_car_whose_first_sonar_is_missing_has_the_other_five_after_one_start():
-    car = Car(sonars_missing=(0,)).until(12)
-    assert [command for _, command in car.listener.commands] == [SEND_START]
-    assert car.sensors_since(10) == {1, 2, 3, 4, 5}
-    assert car.listener.first("front_right does not report") <= 10
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("uptime_s", [pytest.param(0.3, id="since_power_up"), pytest.param(60, id="after_a_minute"),
-                                      pytest.param(185, id="after_it_silences_all_others")])
-def test_car_with_a_stuck_sonar_gets_the_other_five_back(uptime_s):
-    car = Car(clock_start_ms=round(1000 * uptime_s)).until(5)
-    car.firmware.set_sonar(2, "stuck", car.now_ns)
-    stuck_s = car.now_ns / S
-    car.until(stuck_s + 150)
-    assert car.monitor.dropped == (2,)
-    assert car.listener.first("front_left") <= stuck_s + 10
-    assert car.sensors_since(stuck_s + 149) == {0, 1, 3, 4, 5}
-    assert car.listener.faults[-1][1] == "front_left is stuck high and was taken out of the sequence"
-
-
 # --- mostly ahead while it drives forward ---
 
 AHEAD = (1, 0, 1, 2, 1, 4)
 
 
 def aimed(ahead=AHEAD, sequence=None):
+    """A monitor of a car that drives forward since 0.1 s, and what it sent for that."""
     monitor = SonarMonitor(3.0, sequence, ahead)
     monitor.opened(0)
     monitor.frame(0)
     monitor.next_command(0)
-    return monitor
+    assert monitor.next_command(0) is None and monitor.sequence == tuple(sequence or ALL)
+    monitor.update_speed(1.0, S // 10)
+    return monitor, monitor.next_command(S // 10)
 
 
 def test_while_the_car_drives_forward_the_sonars_ahead_fire_most_and_afterwards_all_do():
-    monitor = aimed()
-    assert monitor.next_command(0) is None and monitor.sequence == ALL
-    monitor.update_speed(1.0, S // 10)
-    assert monitor.next_command(S // 10) == SEND_SEQUENCE and monitor.sequence == AHEAD
+    monitor, command = aimed()
+    assert command == SEND_SEQUENCE and monitor.sequence == AHEAD
     assert monitor.next_command(S // 10) is None
     monitor.update_speed(0.0, S // 2)  # a short stop
     assert monitor.next_command(S // 2) is None
@@ -357,61 +281,43 @@ def test_while_the_car_drives_forward_the_sonars_ahead_fire_most_and_afterwards_
     assert monitor.next_command(2 * S) == SEND_SEQUENCE and monitor.sequence == ALL
 
 
-def test_a_car_that_begins_to_reverse_has_its_usual_sequence_at_once():
-    monitor = aimed(sequence=[1, 4])
-    monitor.update_speed(1.0, S // 10)
-    monitor.next_command(S // 10)
+@pytest.mark.parametrize("requested, usual", [(None, (1, 4)), ([0, 1], (0, 1))])
+def test_a_car_that_begins_to_reverse_has_its_usual_or_newly_requested_sequence_at_once(requested, usual):
+    monitor, _ = aimed(sequence=[1, 4])
+    if requested:
+        monitor.sequence_set(requested, S // 6)
+        assert monitor.sequence == usual
     monitor.update_speed(-0.3, S // 5)
-    assert monitor.next_command(S // 5) == SEND_SEQUENCE and monitor.sequence == (1, 4)
+    assert monitor.next_command(S // 5) == SEND_SEQUENCE and monitor.sequence == usual
 
 
-def test_a_sequence_that_was_requested_meanwhile_is_the_usual_one_from_then_on():
-    monitor = aimed()
-    monitor.update_speed(1.0, S // 10)
-    monitor.next_command(S // 10)
-    monitor.sequence_set([0, 1], S // 5)
-    assert monitor.sequence == (0, 1)
-    monitor.update_speed(-0.3, S // 4)
-    assert monitor.next_command(S // 4) == SEND_SEQUENCE and monitor.sequence == (0, 1)
-
-
-def test_a_teensy_that_reboots_on_the_way_gets_it_again():
-    monitor = aimed()
-    monitor.update_speed(1.0, S // 10)
-    monitor.next_command(S // 10)
-    monitor.rebooted(S // 5)
-    assert monitor.sequence == ALL
+@pytest.mark.parametrize("event", [SonarMonitor.rebooted, SonarMonitor.opened])
+def test_a_teensy_that_reboots_or_a_port_that_is_opened_again_on_the_way_gets_it_again(event):
+    monitor, _ = aimed()
+    event(monitor, S // 5)
+    assert monitor.sequence == (ALL if event == SonarMonitor.rebooted else AHEAD)
     monitor.frame(S // 5)
     assert monitor.next_command(S // 5) == SEND_SEQUENCE and monitor.sequence == AHEAD
 
 
 def test_a_stuck_sonar_stays_out_of_both():
-    monitor = aimed()
+    monitor, _ = aimed()
     monitor.dropped = (1,)
-    monitor.update_speed(1.0, S // 10)
-    assert monitor.next_command(S // 10) == SEND_SEQUENCE
-    assert monitor.sequence == (0, 2, 4) and monitor.dropped == (1,)
+    for speed_mps, at_ns, sequence in ((-0.3, S // 5, (0, 2, 3, 4, 5)), (1.0, S // 4, (0, 2, 4))):
+        monitor.update_speed(speed_mps, at_ns)
+        assert monitor.next_command(at_ns) == SEND_SEQUENCE
+        assert monitor.sequence == sequence and monitor.dropped == (1,)
 
 
 def test_without_such_a_sequence_nothing_changes():
-    monitor = aimed(ahead=None)
-    monitor.update_speed(1.0, S // 10)
-    assert monitor.next_command(S // 10) is None and monitor.sequence == ALL
+    monitor, command = aimed(ahead=None)
+    assert command is None and monitor.sequence == ALL
 
 
 def test_sonars_that_fire_several_times_in_a_sequence_are_not_missed_nor_suspected():
-    monitor = aimed(sequence=AHEAD, ahead=None)
+    monitor, _ = aimed(sequence=AHEAD, ahead=None)
     for step in range(60):
         now_ns = step * ROUND_NS
         monitor.frame(now_ns)
         monitor.report(AHEAD[step % 6], 5000, step * 55, now_ns)
         assert monitor.next_command(now_ns) is None and monitor.faults(now_ns) == []
-
-
-def test_a_port_that_is_opened_again_on_the_way_gets_it_again():
-    monitor = aimed()
-    monitor.update_speed(1.0, S // 10)
-    monitor.next_command(S // 10)
-    monitor.opened(S // 5)
-    monitor.frame(S // 5)
-    assert monitor.next_command(S // 5) == SEND_SEQUENCE and monitor.sequence == AHEAD

@@ -3,9 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.teensy.link.protocol import (
-    Pong,
-)
+from car_interface.teensy.link.protocol import Pong
 from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import Gates
 from wheel_reports import judged, sonar

@@ -1,0 +1,83 @@
+"""Parameters of the pca9685 node: defaults, ranges, and the neutrals of those who command the channels."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
+from car_interface.pca9685.channels import ChannelConfig
+from car_interface.pca9685.config import Pca9685Config, read_config
+
+STEERING = {"steering": {"servo_channel": 3, "servo_center": 5100}}
+ESC = {"esc": {"servo": {"channel": 5, "neutral": 4915}}}
+
+
+def read(**parameters):
+    return read_config(Params(parameters))
+
+
+def test_node_without_parameters_drives_the_first_bus_s_chip_at_50_hz_with_a_guard():
+    assert read() == Pca9685Config(
+        device="/dev/i2c-1", address=0x40, prescale=121, oscillator_hz=25e6,
+        channels=(ChannelConfig(timeout_ms=250, timeout_value=0, pwm_min=0, pwm_max=65535, live_range=0),) * 16,
+        required=False, virtual_chip=None, virtual_log=None, guard=True, guard_off_after_ns=10_000_000_000)
+
+
+@pytest.mark.parametrize("parameters, expected", [
+    ({"device": 7}, {"device": "/dev/i2c-7"}),
+    ({"device": "/dev/i2c-servo"}, {"device": "/dev/i2c-servo", "virtual_chip": None, "virtual_log": None}),
+    ({"device": "virtual", "virtual_chip": "/a", "virtual_log": "/b"},
+     {"device": "virtual", "virtual_chip": "/a", "virtual_log": "/b"}),
+    ({"frequency": 200}, {"prescale": 30}), ({"oscillator_hz": 27e6}, {"prescale": 131, "oscillator_hz": 27e6}),
+    ({"prescale": 122, "frequency": 200}, {"prescale": 122}),
+    ({"required": True, "guard": False, "guard_off_after": 0.5},
+     {"required": True, "guard": False, "guard_off_after_ns": 500_000_000}),
+], ids=str)
+def test_parameter_becomes_what_the_node_uses(parameters, expected):
+    config = vars(read(**parameters))
+    assert {name: config[name] for name in expected} == expected
+
+
+@pytest.mark.parametrize("name, low, high", [
+    ("oscillator_hz", 1e6, 50e6), ("prescale", 3, 255), ("address", 0x40, 0x7F), ("guard_off_after", 0.5, 3600.0),
+    ("timeout", 0, 3_600_000), ("timeout_value", 0, 65535), ("pwm_min", 0, 65535), ("pwm_max", 0, 65535),
+    ("live_range", 0, 65535), ("throttle_live_range", 0, 65535), ("steering/servo_channel", 0, 15),
+    ("steering/servo_center", 0, 65535), ("esc/servo/channel", -1, 15), ("esc/servo/neutral", 0, 65535)])
+def test_parameter_is_taken_up_to_its_limits(name, low, high):
+    for value in (low, high):
+        read(**{"prescale": 121, name: value})
+    step = 1 if isinstance(low, int) else 0.001
+    for value in (low - step, high + step):
+        with pytest.raises(ConfigError, match=f"{name} is .*; accepted: "):
+            read(**{"prescale": 121, name: value})
+
+
+@pytest.mark.parametrize("parameters, message", [
+    ({"frequency": 0.0}, "frequency is 0.0; accepted: a number above 0"),
+    ({"speed": 1}, "unknown parameter speed"), ({"virtual_chip": "/a"}, "unknown parameter virtual_chip"),
+    ({"pwm_min": [0] * 15 + [7600], "pwm_max": 2800}, r"pwm_min\[15\] is 7600; accepted: at most pwm_max\[15\] 2800"),
+    ({"steering": {"servo_channel": 5, "servo_center": 5100}, **ESC},
+     "esc/servo/channel is 5; accepted: a channel other than steering/servo_channel"),
+], ids=["frequency", "unknown", "only_virtual", "limits", "channel"])
+def test_parameter_that_cannot_be_is_refused_by_name(parameters, message):
+    with pytest.raises(ConfigError, match=message):
+        read(**parameters)
+
+
+@pytest.mark.parametrize("parameters, neutrals", [
+    (STEERING, {3: (5100, 500)}), (ESC, {5: (4915, 100)}),
+    ({**STEERING, **ESC, "live_range": 7, "throttle_live_range": 9}, {3: (5100, 7), 5: (4915, 9)}),
+    ({"steering": {"servo_center": 5100}, "esc": {"servo": {"channel": -1, "neutral": 4915}}}, {}),
+    ({"steering": {"servo_channel": 3}, "esc": {"servo": {"channel": 3}}}, {}),
+    ({"steering": {"servo_channel": 3, "servo_center": 5100}, "esc": {"servo": {"channel": 3}}}, {3: (5100, 500)}),
+    ({"steering": {"servo_channel": 0, "servo_center": 0}}, {0: (0, 500)}),
+], ids=["steering", "esc", "both", "no_channel", "no_neutral", "no_neutral_of_the_esc", "first_channel"])
+def test_channels_of_steering_and_esc_rest_and_follow_at_their_neutrals(parameters, neutrals):
+    found = [(config.timeout_value, config.live_range) for config in read(**parameters).channels]
+    assert found == [neutrals.get(channel, (0, 0)) for channel in range(16)]
+
+
+def test_settings_of_each_channel_are_its_own():
+    numbers = list(range(16))
+    configs = read(timeout=numbers, timeout_value=numbers, pwm_min=numbers, pwm_max=[100 + each for each in numbers])
+    assert configs.channels[9] == ChannelConfig(timeout_ms=9, timeout_value=9, pwm_min=9, pwm_max=109)
