@@ -143,10 +143,13 @@ def test_the_radius_is_a_setting():
     assert 3.1 < one.extent_m < 4.0
 
 
-def test_a_car_that_turns_wide_is_told_that_it_has_no_room():
-    one = car(curve=(CURVE[0], (0.35, 0.0, -0.35)))
+@pytest.mark.parametrize("how, said", [
+    ({"curve": (CURVE[0], (0.35, 0.0, -0.35))}, "no room to turn: move it towards the middle"),
+    ({"accelerates_mps2": 0.0}, "it doesn't move")], ids=["turns_wide", "does_not_move"])
+def test_a_car_that_turns_wide_or_does_not_move_is_blocked_and_told_why(how, said):
+    one = car(fits=False, **how)
     step = one.run(40, until=lambda step: step.phase == BLOCKED)
-    assert step.phase == BLOCKED and "no room to turn: move it towards the middle" in step.text
+    assert step.phase == BLOCKED and said in step.text
     assert one.extent_m < 3.3
 
 
@@ -154,9 +157,3 @@ def test_a_servo_that_turns_the_other_way_ends_or_stops_inside():
     one = car(curve=(CURVE[0], (-1.0, 0.0, 0.95)))
     step = one.run(20, until=lambda step: step.phase == DONE)
     assert step.phase in (DONE, BLOCKED) and one.extent_m < 3.0
-
-
-def test_a_car_that_does_not_move_is_blocked():
-    one = car(accelerates_mps2=0.0)
-    step = one.run(5)
-    assert step.phase == BLOCKED and "it doesn't move" in step.text

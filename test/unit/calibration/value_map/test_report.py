@@ -80,13 +80,6 @@ def test_imu_measures_when_it_is_the_source():
     assert any("gravity is in what an accelerometer feels" in line for line in found)
 
 
-def test_duty_that_stands_for_the_value_has_its_throttle_file():
-    curve = SimpleNamespace(axis=(3277.0, 4915.0, 6554.0), values=(-5.0, 0.0, 3.0))
-    found = lines(source=Source(duty_channel=1, throttle=SimpleNamespace(path="t.yaml", value_of_duty=curve)))
-    assert found[1].startswith("value: duty:1; ")
-    assert found[2] == "a duty counts as the value of which t.yaml makes it: 3277 is -5, 6554 is 3"
-
-
 @pytest.mark.parametrize("changes, text", [
     ({}, "80 ± 4 ms (estimated)"),
     ({"delay_sigma_s": 0.0001}, "80 ± 1 ms (estimated)"),
@@ -141,13 +134,6 @@ def test_map_is_described_by_its_axes_and_origins():
     assert found[at + 1:at + 5] == ["  #  3 of 9 driven", "  +  3 of 9 between what was driven",
                                     "  o  2 of 9 the prior's",
                                     "  m  1 of 9 the prior's, moved so that its column rises"]
-
-
-def test_what_was_not_driven_is_listed_by_value():
-    found = lines(fit=fit_of([[0, 0, 0], [1, 0, 0], [0, 1, 0]]))
-    assert [line for line in found if line.startswith("missing")] == [
-        "missing: value 1.0: at 0.5, 2.0 m/s", "missing: value 0.0: at 1.0 to 2.0 m/s",
-        "missing: value -1.0: at any speed"]
 
 
 def test_neutral_band_is_named_when_acceleration_hardly_changes():
