@@ -22,7 +22,7 @@ def a_drive(delay_s, lag_s, curve, noise, seed=1):
     lambda duty: np.sign(5200 - duty) * np.abs((5200 - duty) / 1400) ** 3,
     lambda duty: np.tanh((duty - 5200) / 300),
 ), ids=("straight", "steep at its ends", "saturated, the other way round"))
-@pytest.mark.parametrize("delay_s, lag_s", ((0.0, 0.15), (0.2, 0.05), (0.1, 0.2), (0.05, 0.0)))
+@pytest.mark.parametrize("delay_s, lag_s", ((0.2, 0.05), (0.0, 0.15)))
 def test_delay_and_lag_are_found_without_knowing_the_curve(curve, delay_s, lag_s):
     found = estimate(*a_drive(delay_s, lag_s, curve, noise=0.05))
     assert found.delay_s + found.lag_s == pytest.approx(delay_s + lag_s, abs=0.03)

@@ -34,13 +34,6 @@ def test_option_that_cannot_be_ends_with_one_line_about_it(arguments, words, cap
     assert end.value.code == 2 and words in capsys.readouterr().err
 
 
-def test_help_needs_neither_master_nor_device(monkeypatch, capsys):
-    monkeypatch.delenv("ROS_MASTER_URI", raising=False)
-    with pytest.raises(SystemExit) as end:
-        read_options(["--help"])
-    assert end.value.code == 0 and "--port" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("levels, worst", [([], OK), ([OK, WARN, OK], WARN), ([BAD, WARN], BAD)])
 def test_findings_are_shown_a_line_each_and_the_worst_is_the_exit_code(levels, worst, monkeypatch):
     monkeypatch.setattr(sys, "stdout", io.StringIO())

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from car_interface.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
-from car_interface.recordings.pulses import wheel as wheel_of
 from car_interface.recordings.recording import Recorded
 from car_interface.recordings.signals import PULSES, load
 from car_interface.recordings.timeline import Timeline
@@ -95,17 +94,6 @@ def test_without_a_pong_pulses_count_by_the_arrival_of_their_reports():
     assert len(right.t_s) <= 1
 
 
-def test_reports_before_the_first_pong_are_added_with_it():
-    recording = Recording()
-    for index in range(5):
-        recording.wheels(0.1 * index, 1000 + 100 * index, 10 + index, 10 + index)
-    assert recording.columns.is_empty
-    recording.pong(0.5, 1500)
-    assert not recording.columns.is_empty
-    left, _ = recording.build()
-    assert left.count[-1] - left.count[0] >= 3
-
-
 def test_time_of_a_pulse_is_its_tick_and_not_the_arrival_of_its_report():
     recording = Recording()
     recording.pong(0.0, 1000)
@@ -129,27 +117,3 @@ def test_impossible_report_is_left_out_and_noted():
     assert left.count.tolist() == good
     assert recording.columns.notes() == [
         "teensy_wheel: 1 reports of the wheels that make no sense: left out"]
-
-
-def test_times_rise_though_two_pulses_have_the_same_tick():
-    recording = Recording()
-    recording.pong(0.0, 1000)
-    for index in range(1, 10):
-        recording.wheels(0.1 * index, 1000 + 100 * index, 10 + index, 10)
-    recording.wheels(0.95, 1900, 20, 10)
-    left, _ = recording.build()
-    assert np.all(np.diff(left.t_s) > 0)
-
-
-def test_backward_pulses_reduce_the_count():
-    recording = Recording()
-    recording.pong(0.0, 1000)
-    for index in range(10, 31):
-        recording.wheels(0.1 * index, 1000 + 100 * index, index, index, direction=1)
-    left, right = recording.build()
-    assert left.count[-1] == right.count[-1] == -20
-
-
-def test_wheel_of_a_message_has_its_fields():
-    message = SimpleNamespace(speed=1, direction=2, when=3, dist=4, dist_abs=5)
-    assert wheel_of(message)._asdict() == vars(message)

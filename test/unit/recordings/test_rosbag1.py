@@ -7,17 +7,9 @@ import struct
 import pytest
 from rosbags.rosbag1 import Reader, ReaderError, Writer
 
-from car_interface.recordings.recording import contents, read
+from car_interface.recordings.recording import contents
 from car_interface.recordings.rosbag1 import ChunkReader
-from written_recordings import START_NS, Written, odometry, write_ros1
-
-VALUES = [Written(0.1 * index, "/generic/output/value", "car_interface/Float64Stamped", {"data": float(index)})
-          for index in range(10)]
-ODOMETRY = [odometry(0.1 * index, x_m=float(index)) for index in range(10)]
-
-
-def data_of(recorded):
-    return [message.message.data for message in recorded]
+from written_recordings import START_NS, Written, write_ros1
 
 
 def number(time_s, value, topic="/a"):
@@ -37,17 +29,13 @@ def messages(path, *topics):
                 for connection, time_ns, data in reader.messages(wanted)]
 
 
-def test_messages_have_their_topic_time_and_bytes(tmp_path):
-    path = bag(tmp_path, (0.0, 1), (0.25, -2, "/b"), (1.5, 3))
-    assert messages(path) == [("/a", 0, 1), ("/b", 250_000_000, -2), ("/a", 1_500_000_000, 3)]
-
-
-def test_connections_limit_what_is_read(tmp_path):
-    path = bag(tmp_path, (0.0, 1), (0.25, 2, "/b"), (0.5, 3, "/c"), (1.5, 4))
+def test_messages_have_their_topic_time_and_bytes_and_connections_limit_what_is_read(tmp_path):
+    path = bag(tmp_path, (0.0, 1), (0.25, -2, "/b"), (0.5, 3, "/c"), (1.5, 4))
+    assert messages(path) == [("/a", 0, 1), ("/b", 250_000_000, -2), ("/c", 500_000_000, 3), ("/a", 1_500_000_000, 4)]
     assert [row[0] for row in messages(path, "/a", "/c")] == ["/a", "/c", "/a"]
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_order_and_bytes_are_those_of_rosbags_own_reader(seed, tmp_path):
     source = random.Random(seed)
     rows = sorted((source.randrange(100) / 10, index, source.choice(["/a", "/b", "/c"])) for index in range(200))
@@ -84,14 +72,13 @@ def test_counts_are_those_of_each_connection_over_all_chunks(tmp_path):
 
 
 @pytest.mark.parametrize("times_s, steps, clock_steps", [
-    ((1.0, 2.0, 3.0), 0, 0), ((1.0, 1.0), 0, 0), ((2.0, 1.5, 3.0), 1, 0), ((2.0, 1.0, 3.0), 1, 0),
-    ((2.0, 0.9, 3.0, 1.0), 2, 2), ((5.0, 4.5, 1.0), 2, 1),
-])
+    ((1.0, 1.0, 2.0), 0, 0), ((2.0, 1.0, 3.0), 1, 0), ((2.0, 0.9, 3.0, 1.0), 2, 2), ((5.0, 4.5, 1.0), 2, 1)])
 @pytest.mark.parametrize("chunk_bytes", [None, 1], ids=["one_chunk", "chunk_each"])
 def test_steps_back_of_a_topics_time_are_counted(times_s, steps, clock_steps, chunk_bytes, tmp_path):
     path = bag(tmp_path, *((time_s, 0) for time_s in times_s), chunk_bytes=chunk_bytes)
     with ChunkReader(path) as reader:
         assert (reader.steps_back, reader.clock_steps_back) == (steps, clock_steps)
+    assert contents(str(path)).steps_back == clock_steps
 
 
 def test_topics_that_overlap_are_no_step_back(tmp_path):
@@ -105,13 +92,6 @@ def test_after_a_step_back_messages_come_as_they_were_written(chunk_bytes, tmp_p
     assert [row[2] for row in messages(path)] == [1, 2, 3, 4]
 
 
-def test_bag_without_messages_has_none(tmp_path):
-    path = bag(tmp_path)
-    assert messages(path) == []
-    with ChunkReader(path) as reader:
-        assert reader.counts() == {}
-
-
 def test_record_longer_than_its_chunk_is_refused(tmp_path):
     path = bag(tmp_path, (0.0, 0x01020304))
     data = path.read_bytes()
@@ -122,26 +102,3 @@ def test_record_longer_than_its_chunk_is_refused(tmp_path):
 
 
 # --- by ``recording`` ---
-
-
-def test_messages_of_overlapping_chunks_come_by_time(tmp_path):
-    # Each connection is in order; the file has one after the other, as a bag has that tools put together.
-    path = write_ros1(tmp_path / "a.bag", VALUES + ODOMETRY, chunk_bytes=300)
-    recorded = list(read(str(path), ["odom", "generic/output/value"]))
-    assert [message.time_ns for message in recorded] == sorted(message.time_ns for message in recorded)
-    assert len(recorded) == 20
-
-
-def test_clock_that_was_set_back_leaves_the_order_of_recording(tmp_path):
-    back = [message._replace(time_s=message.time_s - 0.55, fields={"data": message.fields["data"] + 100})
-            for message in VALUES]
-    path = write_ros1(tmp_path / "a.bag", VALUES + [message for message in back if message.time_s >= 0],
-                      chunk_bytes=100)
-    assert data_of(read(str(path), ["generic/output/value"])) == [*range(10), 106, 107, 108, 109]
-
-
-@pytest.mark.parametrize("back_s, steps", [(0.9, 0), (1.1, 1)])
-def test_clock_was_set_where_time_goes_back_by_more_than_a_second(back_s, steps, tmp_path):
-    back = [message._replace(time_s=message.time_s + 5 - back_s) for message in VALUES[:3]]
-    path = write_ros1(tmp_path / "a.bag", [VALUES[0]._replace(time_s=5.0), *back])
-    assert contents(str(path)).steps_back == steps

@@ -55,27 +55,11 @@ def test_clock_that_is_set_back_begins_another_drive(tmp_path):
     assert "set back by 1001.9 s" in found.notes[-1]
 
 
-def test_topics_may_lie_below_a_namespace_or_be_named(tmp_path):
-    path = write_ros1(tmp_path / "a.bag", [message._replace(topic="/car1/odom") for message in ODOMETRY]
-                      + [message._replace(topic="/localization/kinematic_state") for message in ODOMETRY[:5]])
-    assert len(load(str(path), [ODOM], namespace="/car1").odom.t_s) == 20
-    assert len(load(str(path), [ODOM], odom="/localization/kinematic_state").odom.t_s) == 5
-
-
 def test_topic_that_was_recorded_under_another_name_is_guessed_and_said(tmp_path):
     path = write_ros1(tmp_path / "a.bag", [message._replace(topic="/ekf") for message in ODOMETRY])
     found = load(str(path), [ODOM])
     assert len(found.odom.t_s) == 20 and found.topics == {ODOM: "/ekf"}
     assert found.notes == ("odom: /ekf (the only nav_msgs/Odometry)",)
-
-
-def test_two_candidates_are_refused_with_both_names_and_what_to_type(tmp_path):
-    path = write_ros1(tmp_path / "a.bag", [message._replace(topic=topic) for message in ODOMETRY
-                                           for topic in ("/a", "/b")])
-    with pytest.raises(NoRecording, match=r"a\.bag: odom: there are /a and /b, and no odom; say which by --map, as in "
-                                          "--map /a=odom$"):
-        load(str(path), [ODOM])
-    assert len(load(str(path), [ODOM], odom="/b").odom.t_s) == 20
 
 
 def test_what_is_optional_is_not_read_where_its_usual_name_is_another_type(tmp_path):
@@ -99,11 +83,18 @@ def test_duties_may_have_another_name_which_goes_before_the_usual_ones(tmp_path,
     ([OUTPUT, VALUE], {}, "a.bag has no topic generic/output/value"),
     ([OUTPUT], {"imu": "imu/data"}, "a.bag has no topic imu/data"),
     ([OUTPUT, PULSES], {}, "a.bag has no topic teensy_wheel"),
+    ([OUTPUT], {"output": "/board"}, "a.bag has no topic /board; it has /servo/output$"),
 ))
 def test_missing_topic_is_named_with_the_file(tmp_path, wanted, options, message):
     path = write_ros1(tmp_path / "a.bag", OUTPUTS)
     with pytest.raises(NoRecording, match=message):
         load(str(path), wanted, **options)
+
+
+def test_missing_output_is_named_with_what_to_type(tmp_path):
+    path = write_ros1(tmp_path / "a.bag", ODOMETRY)
+    with pytest.raises(NoRecording, match=r"a\.bag has no topic /servo/output, .* name another by --map TOPIC=output;"):
+        load(str(path), [OUTPUT])
 
 
 def test_message_of_another_version_is_told_with_its_type(tmp_path):
@@ -112,14 +103,6 @@ def test_message_of_another_version_is_told_with_its_type(tmp_path):
     path.write_bytes(path.read_bytes().replace(b"old_interface/Float64Stamped", b"car_interface/Float64Stamped"))
     with pytest.raises(NoRecording, match=r"a\.bag: .*value was recorded with another version of car_interface/Float"):
         load(str(path), [VALUE])
-
-
-def test_missing_output_is_named(tmp_path):
-    path = write_ros1(tmp_path / "a.bag", ODOMETRY)
-    with pytest.raises(NoRecording, match=r"a\.bag has no topic /servo/output, .* name another by --map TOPIC=output;"):
-        load(str(path), [OUTPUT])
-    with pytest.raises(NoRecording, match=r"a\.bag has no topic /board; it has /odom$"):
-        load(str(path), [OUTPUT], output="/board")
 
 
 def test_topic_that_the_user_names_is_of_another_type_though_that_is_another_role_s(tmp_path):

@@ -11,9 +11,10 @@ from car_interface.recordings.timeline import BREAK_S, Timeline
 START_NS = 1_700_000_000 * NS_PER_S
 
 
-def test_times_count_from_the_first_message():
+def test_times_count_from_the_first_message_and_a_small_step_back_is_no_set_clock():
     timeline = Timeline()
-    assert [timeline.recorded_s(START_NS + round(t * NS_PER_S)) for t in (0.0, 0.5, 2.0)] == [0.0, 0.5, 2.0]
+    times_s = [0.0, 0.5, 2.0, 1.5]
+    assert [timeline.recorded_s(START_NS + round(t * NS_PER_S)) for t in times_s] == times_s
     assert (timeline.start_ns, timeline.last_s, timeline.notes()) == (START_NS, 2.0, ())
     assert timeline.stamped_s(START_NS + NS_PER_S) == 1.0
 
@@ -27,13 +28,6 @@ def test_clock_that_was_set_back_begins_another_drive_behind_the_first_and_is_no
     assert timeline.stamped_s(START_NS + 40 * NS_PER_S) == pytest.approx(100.0 + BREAK_S)
     (note,) = timeline.notes()
     assert note.startswith("the computer's clock was set back by 60.0 s, 100.0 s after the start: ")
-
-
-def test_small_step_back_is_no_set_clock():
-    timeline = Timeline()
-    timeline.recorded_s(START_NS + NS_PER_S)
-    assert timeline.recorded_s(START_NS + NS_PER_S // 2) == -0.5
-    assert timeline.notes() == ()
 
 
 @given(st.lists(st.integers(0, 10**6), min_size=1, max_size=30))

@@ -26,30 +26,18 @@ def test_an_arc_ends_where_geometry_has_it(curvature, end):
     assert moved(Pose(0.0, 0.0, 0.0), 1.0, curvature) == pytest.approx(end, abs=1e-8)
 
 
-def test_an_arc_backward_leads_back():
-    pose = Pose(1.0, 2.0, 0.7)
-    assert moved(moved(pose, 0.8, 0.5), -0.8, 0.5) == pytest.approx(pose)
-
-
-def test_extent_is_that_of_the_farthest_corner():
-    assert area().extent_m(Pose(0.0, 0.0, 0.0)) == pytest.approx(math.hypot(0.4, 0.15))
+def test_extent_is_that_of_the_farthest_corner_of_a_car_or_of_its_whole_circle():
+    assert area().extent_m(START) == pytest.approx(math.hypot(0.4, 0.15))
     assert area().extent_m(Pose(1.0, 0.0, math.pi)) == pytest.approx(math.hypot(1.1, 0.15))
+    assert area().circle_extent_m(START, 1.0) == pytest.approx(1.0 + math.hypot(1.15, 0.4))
+    around_the_center = Pose(0.0, -1.0, 0.0)  # which never looks inward
+    assert area(1.0).turn_extent_m(around_the_center, 1.0) == pytest.approx(math.hypot(1.15, 0.4))
 
 
-def test_a_whole_circle_reaches_as_far_as_its_center_and_the_outer_front_corner():
-    assert area().circle_extent_m(Pose(0.0, 0.0, 0.0), 1.0) == pytest.approx(1.0 + math.hypot(1.15, 0.4))
-
-
-@pytest.mark.parametrize("yaw_deg, expected_deg", [(0, 180), (180, 0), (90, 90), (-90, 90), (540, 0)])
+@pytest.mark.parametrize("yaw_deg, expected_deg", [(0, 180), (-90, 90), (540, 0)])
 def test_inward_is_the_angle_to_the_center(yaw_deg, expected_deg):
     found = area().inward_rad(Pose(2.0, 0.0, math.radians(yaw_deg)))
     assert math.degrees(found) == pytest.approx(expected_deg, abs=1e-6)
-
-
-def test_a_turn_counts_until_the_car_looks_inward_again():
-    outward, inward = Pose(1.5, 0.0, 0.0), Pose(1.5, 0.0, math.pi)
-    assert area(2.0).turn_extent_m(outward, 1.0) > 2.8
-    assert area(2.0).turn_extent_m(inward, 1.0) == pytest.approx(area().extent_m(inward))
 
 
 def farthest_m(pose, curvature_per_m):
@@ -64,27 +52,13 @@ def farthest_m(pose, curvature_per_m):
     return farthest
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(10))
 def test_a_turn_reaches_as_far_as_its_corners_do_step_by_step(seed):
     rng = random.Random(seed)
     pose = Pose(rng.uniform(-3, 3), rng.uniform(-3, 3), rng.uniform(-7, 7))
     curvature = rng.choice((-1, 1)) * rng.uniform(0.3, 1.5)
     # In an area of next to no size no circle stays inside, and none is taken for the turn.
     assert area(0.1).turn_extent_m(pose, curvature) == pytest.approx(farthest_m(pose, curvature), abs=0.005)
-
-
-def test_a_turn_around_the_center_itself_never_looks_inward():
-    assert area(1.0).turn_extent_m(Pose(0.0, -1.0, 0.0), 1.0) == pytest.approx(math.hypot(1.15, 0.4))
-
-
-def test_the_way_out_is_the_turn_towards_the_center():
-    left_m, right_m = area().ways_out(Pose(0.0, 1.5, 0.0), 0.0, TURNS)
-    assert right_m < left_m
-
-
-def test_a_turn_that_begins_later_gets_farther_out():
-    extents = area().ways_out(Pose(0.8, 0.0, 0.0), 0.0, [Turn(1.0, reaction_m) for reaction_m in (0.1, 0.5, 0.9)])
-    assert extents == sorted(extents) and extents[0] + 0.3 < extents[2]
 
 
 @pytest.mark.parametrize("curvature", [1.0, -0.6])
@@ -111,19 +85,17 @@ def rooms_m(pose, curvature_per_m=0.0, max_m=10.0, stop_m=0.0, min_ahead_m=lambd
     return (one or area()).rooms_m(pose, curvature_per_m, lambda at: TURNS, max_m, stop_m, min_ahead_m)
 
 
-def test_there_is_less_room_for_a_car_that_takes_longer_to_stop():
-    rooms = [max(rooms_m(Pose(-1.0, 1.0, 0.0), stop_m=stop_m)) for stop_m in (0.0, 0.3, 0.9)]
-    assert rooms[0] > rooms[1] > rooms[2] > 0.0
-    wider = Area((0.0, 0.0), 3.0, OUTLINE, 3.5)
-    assert max(rooms_m(Pose(-1.0, 1.0, 0.0), stop_m=0.3, one=wider)) == rooms[0]
-
-
 def test_room_ends_where_the_last_turn_would_leave_the_area():
     free_m = max(rooms_m(START))
     assert 0.8 < free_m < 1.8
     beyond = moved(START, free_m + 0.2, 0.0)
     assert min(area().ways_out(beyond, 0.0, TURNS)) > 3.0
     assert rooms_m(START, max_m=0.4) == [0.4, 0.4]
+    assert rooms_m(START, 1.0, 50.0) == [50.0, 50.0], "a circle that stays inside"
+    pose = Pose(-1.0, 1.0, 0.0)
+    rooms = [max(rooms_m(pose, stop_m=stop_m)) for stop_m in (0.0, 0.3, 0.9)]
+    assert rooms[0] > rooms[1] > rooms[2] > 0.0, "less for a car that takes longer to stop"
+    assert max(rooms_m(pose, stop_m=0.3, one=Area((0.0, 0.0), 3.0, OUTLINE, 3.5))) == rooms[0]
 
 
 def test_the_turn_towards_the_center_can_begin_later_than_the_other_one():
@@ -154,27 +126,15 @@ def test_room_ends_earlier_where_it_must_be_able_to_go_straight_on():
     far_m, near_m = max(rooms_m(pose)), max(rooms_m(pose, min_ahead_m=lambda gone_m: 2.0))
     assert 0.0 < near_m < far_m
     assert area().ahead_m(moved(pose, near_m, 0.0), 3.0) == pytest.approx(2.0, abs=0.2)
-
-
-def test_how_far_it_must_be_able_to_go_straight_on_may_depend_on_the_distance_that_it_has_gone():
     room_m, slower_m = (max(rooms_m(Pose(-2.0, 0.0, 0.0), min_ahead_m=min_ahead_m)) for min_ahead_m in (
         lambda gone_m: 3.0, lambda gone_m: 3.0 - gone_m))
-    assert room_m == pytest.approx(1.6) and slower_m > room_m + 0.3
-
-
-def test_a_circle_inside_has_all_the_room():
-    assert rooms_m(START, 1.0, 50.0) == [50.0, 50.0]
+    assert room_m == pytest.approx(1.6) and slower_m > room_m + 0.3, "by the distance that it has gone"
 
 
 @pytest.mark.parametrize("radius_m, has_circle", [(2.3, True), (2.5, False)])
 def test_a_circle_fits_where_its_outer_corner_stays_inside(radius_m, has_circle):
     one = Area((1.0, -2.0), math.hypot(2.4 + 0.15, 0.4), OUTLINE)
     assert [one.has_circle(sign / radius_m) for sign in (1, -1)] == [has_circle, has_circle]
-
-
-def test_there_is_more_room_in_a_larger_area():
-    rooms = [max(rooms_m(START, 0.1, 20.0, one=area(radius_m))) for radius_m in (3.0, 4.0, 6.0)]
-    assert rooms == sorted(rooms) and rooms[0] < rooms[2]
 
 
 @pytest.mark.parametrize("pose, expected_m", [

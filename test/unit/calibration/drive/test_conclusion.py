@@ -31,8 +31,9 @@ class Recorded(Samples):
         return float(self._whole.t_s[-1]) if len(self._whole.t_s) else 0.0
 
 
-def test_enough_gives_the_file_with_center_and_ends():
-    found = conclude(Recorded(drive(mixed(3900, 6400))), base(), BASE_TEXT, "drive.bag")
+def test_enough_gives_the_file_with_center_and_ends_unless_its_base_cannot_be_edited():
+    whole = Recorded(drive(mixed(3900, 6400)))
+    found = conclude(whole, base(), BASE_TEXT, "drive.bag")
     assert found.refusal == "" and found.center_duty == pytest.approx(5200, abs=10)
     assert found.ends_duty == pytest.approx((3900, 6400), abs=20)
     values = yaml.safe_load(found.yaml_text)
@@ -42,6 +43,8 @@ def test_enough_gives_the_file_with_center_and_ends():
     assert np.allclose([true_curvature(duty) for _, duty in inside], [1 / radius for radius, _ in inside], rtol=0.03)
     assert found.report[0].startswith("steering by drive.bag: 120 s")
     assert len(found.report) < 20 < len([line for line in found.yaml_text.splitlines() if line.startswith("#")])
+    found = conclude(whole, base(), "[]", "drive.bag")
+    assert found.yaml_text == "" and found.refusal
 
 
 def test_too_little_is_refused_in_the_tools_words():
@@ -59,8 +62,3 @@ def test_exchanged_ends_are_refused():
     whole = drive(mixed(3900, 6400), curve=lambda duty: -true_curvature(duty))
     found = conclude(Recorded(whole), base(), BASE_TEXT, "drive.bag")
     assert found.yaml_text == "" and "exchange servo_left and servo_right" in found.refusal and found.missing == ()
-
-
-def test_a_base_that_cannot_be_edited_is_refused_in_words():
-    found = conclude(Recorded(drive(mixed(3900, 6400))), base(), "[]", "drive.bag")
-    assert found.yaml_text == "" and found.refusal

@@ -32,35 +32,21 @@ def all_first(positions):
         positions.add(measured(candidate.duty, from_side=candidate.from_side or 1))
 
 
-def test_ends_and_center_come_first():
-    assert [candidate.duty for candidate in Positions(base()).candidates()[:4]] == [3900, 6400, 5184, 5184]
-
-
-def test_the_center_is_come_to_from_both_sides():
+def test_ends_and_center_from_both_sides_come_first_until_each_was_held_and_again_while_there_is_no_curve():
     positions = Positions(base())
+    positions.update_knowledge(knowledge({4512: 9.0}), 0)  # a fit of few positions knows nothing
+    assert [candidate.duty for candidate in positions.candidates()[:4]] == [3900, 6400, 5184, 5184]
     assert sorted(one.from_side for one in positions.candidates() if one.duty == 5184) == [-1, 1]
+    assert positions.first_left == len(FIRST) + 1
+    positions = Positions(base())
     positions.add(measured(5184, from_side=1))
     assert [one.from_side for one in positions.candidates() if one.duty == 5184] == [-1]
-
-
-def test_each_of_the_first_is_asked_for_until_it_was_held():
-    positions = Positions(base())
-    assert positions.first_left == len(FIRST) + 1
-    all_first(positions)
-    assert (positions.first_left, positions.count) == (0, len(FIRST) + 1)
-
-
-def test_without_a_curve_they_are_asked_for_again():
-    positions = Positions(base())
-    all_first(positions)
-    assert len(positions.candidates()) == len(FIRST) + 1
-
-
-def test_what_was_held_is_not_asked_for_again_while_another_of_the_first_is_left():
-    positions = Positions(base())
     for candidate in positions.candidates(lambda duty: duty > 5200):
         positions.add(measured(candidate.duty))
-    assert positions.candidates(lambda duty: duty > 5200) == []
+    assert positions.candidates(lambda duty: duty > 5200) == [], "while another of the first is left"
+    all_first(positions)
+    assert (positions.first_left, positions.count) == (0, len(FIRST) + 1)
+    assert len(positions.candidates()) == len(FIRST) + 1
 
 
 def test_then_the_greatest_errors_come_first_and_apart_from_each_other():
@@ -72,28 +58,16 @@ def test_then_the_greatest_errors_come_first_and_apart_from_each_other():
     assert all(abs(one - other) >= APART_DUTY for one in duties for other in duties if one != other)
 
 
-@pytest.mark.parametrize("errors", [{4416: 3.0, 5696: 2.0}, {4416: 2.0, 5696: 3.0}])
-def test_of_what_the_tool_refuses_that_of_which_least_is_known_comes_first(errors):
+@pytest.mark.parametrize("by", ["errors", "needs"])
+@pytest.mark.parametrize("known", [{4416: 3.0, 5696: 2.0}, {4416: 2.0, 5696: 3.0}])
+def test_of_what_the_tool_refuses_or_would_write_that_of_which_least_is_known_comes_first(known, by):
     positions = Positions(base())
     all_first(positions)
-    positions.update_knowledge(knowledge(errors), 0)
-    first, second = positions.candidates()[:2]
-    assert first.duty == max(errors, key=errors.get) and first.need == second.need
-
-
-@pytest.mark.parametrize("needs", [{4416: 3.0, 5696: 2.0}, {4416: 2.0, 5696: 3.0}])
-def test_so_it_is_of_what_the_tool_would_write(needs):
-    positions = Positions(base())
-    all_first(positions)
-    positions.update_knowledge(knowledge()._replace(needs=tuple(needs.get(duty, 0.1) for duty in DUTIES)), 0)
-    first, second = positions.candidates()[:2]
-    assert first.duty == max(needs, key=needs.get) and first.need == second.need
-
-
-def test_the_first_come_before_whatever_a_fit_of_few_positions_does_not_know():
-    positions = Positions(base())
-    positions.update_knowledge(knowledge({4512: 9.0}), 0)
-    assert [candidate.duty for candidate in positions.candidates()[:3]] == [3900, 6400, 5184]
+    numbers = tuple(known.get(duty, 0.1) for duty in DUTIES)
+    positions.update_knowledge(knowledge()._replace(**{by: numbers}), 0)
+    first, second = positions.candidates(lambda duty: duty < 6000)[:2]
+    assert first.duty == max(known, key=known.get) and first.need == second.need
+    assert all(one.duty > 6000 for one in positions.candidates(lambda duty: duty > 6000))
 
 
 @pytest.mark.parametrize(("error", "has_gap"), [(0.88, False), (0.92, True), (1.5, True)])
@@ -119,14 +93,6 @@ def test_where_one_count_changes_much_each_is_to_be_held_whatever_the_fit_says()
     for duty in (4992, 5008, 5024):
         positions.add(measured(duty))
     assert all(candidate.need < 0.2 for candidate in positions.candidates()) and not positions.has_gaps
-
-
-def test_what_is_needed_is_more_than_what_the_tool_asks_for():
-    positions = Positions(base())
-    all_first(positions)
-    positions.update_knowledge(knowledge({4512: 0.6})._replace(
-        needs=tuple(0.9 if duty == 5792 else 0.1 for duty in DUTIES)), 0)
-    assert positions.candidates()[0].duty == 5792
 
 
 def test_an_end_that_the_fit_lost_is_asked_for_again():
@@ -158,47 +124,31 @@ def test_a_position_is_come_to_from_the_other_side_the_next_time():
     assert positions.candidates()[0].from_side == 1
 
 
-def test_only_what_is_accepted_is_offered():
-    positions = Positions(base())
-    positions.update_knowledge(knowledge(), 0)
-    assert all(candidate.duty > 6000 for candidate in positions.candidates(lambda duty: duty > 6000))
-
-
 def test_expected_curvature_is_a_guess_then_between_what_was_held_then_the_fits():
     positions = Positions(base())
     assert positions.expected_per_m(3900) > 0.5 and positions.expected_per_m(6400) < -0.5
-    positions.add(measured(3900, 1.0))
-    positions.add(measured(5200, 0.0))
-    assert positions.expected_per_m(4550) == pytest.approx(0.5)
+    positions.add(measured(3900, 0.7))
+    positions.add(measured(6000, -0.2))
+    # The rough center is expected to be straight on until it was held.
+    assert [positions.expected_per_m(duty) for duty in (3900, 4540, 5180, 5590)] == pytest.approx([0.7, 0.35, 0, -0.1])
+    positions.add(measured(5184, 0.1))
+    assert positions.expected_per_m(5180) == pytest.approx(0.1, abs=0.01)
     positions.update_knowledge(knowledge()._replace(curvatures=(0.25,) * len(DUTIES)), 0)
     assert positions.expected_per_m(4550) == 0.25
 
 
-def test_the_rough_center_is_expected_to_be_straight_on_until_it_was_held():
-    positions = Positions(base())
-    positions.add(measured(3900, 0.7))
-    positions.add(measured(6000, -0.2))
-    assert [positions.expected_per_m(duty) for duty in (3900, 4540, 5180, 5590)] == pytest.approx([0.7, 0.35, 0, -0.1])
-    positions.add(measured(5184, 0.1))
-    assert positions.expected_per_m(5180) == pytest.approx(0.1, abs=0.01)
-
-
-def test_the_least_curvature_is_that_of_the_next_one_towards_the_center():
+def test_what_was_held_bounds_the_curvature_shows_half_the_way_and_that_the_ends_are_exchanged():
     positions = Positions(base())
     assert positions.least_per_m(3900) == 0.0
     positions.add(measured(3900, 1.0))
-    positions.add(measured(4200, 0.3))
-    positions.add(measured(6000, -0.4))
-    assert [positions.least_per_m(duty) for duty in (3900, 4000, 4300, 6300)] == [1.0, 0.3, 0.0, -0.4]
-
-
-def test_half_way_is_where_a_linkage_turns_half_as_tightly():
-    positions = Positions(base())
-    positions.add(measured(3900, 1.0))
     assert positions.half_way_duty(3900) == 3900
-    for duty, curvature in ((4200, 0.7), (4600, 0.4)):
+    for duty, curvature in ((4200, 0.7), (4600, 0.4), (6000, -0.4)):
         positions.add(measured(duty, curvature))
-    assert positions.half_way_duty(3900) == 4200
+    # The least is that of the next one towards the center.
+    assert [positions.least_per_m(duty) for duty in (3900, 4000, 4700, 6300)] == [1.0, 0.7, 0.0, -0.4]
+    assert positions.half_way_duty(3900) == 4200 and not positions.is_swapped
+    positions.add(measured(3900, -1.0))
+    assert positions.is_swapped
 
 
 @pytest.mark.parametrize("servo", [(3900, 5180, 6400), (6400, 5180, 3900)], ids=("usual", "the_other_way_round"))
@@ -207,15 +157,6 @@ def test_the_request_is_what_turn_arb_makes_the_duty_of(servo):
     positions = Positions(one)
     for duty in range(3900, 6401, 50):
         assert one.teleop_duty(positions.steering(duty)) == duty
-
-
-def test_an_end_that_turns_to_the_other_side_is_noticed():
-    positions = Positions(base())
-    positions.add(measured(3900, 1.0))
-    positions.add(measured(6400, -1.0))
-    assert not positions.is_swapped
-    positions.add(measured(3900, -1.0))
-    assert positions.is_swapped
 
 
 @pytest.mark.parametrize("duty, count", [(5000, 5008), (5007, 5008), (3000, 3900), (9000, 6400)])

@@ -55,8 +55,3 @@ def test_a_drive_that_was_taken_does_not_change_any_more():
     drive = samples.drive()
     samples.update_odometry(9.0, 9.0, 0.0, 1.0, START_NS + 9 * S)
     assert len(drive.t_s) == 50 and len(samples.drive().t_s) == 51
-
-
-def test_without_samples_the_drive_is_empty():
-    drive = Samples().drive()
-    assert (len(drive.t_s), len(drive.duty), Samples().duration_s) == (0, 0, 0.0)

@@ -33,13 +33,16 @@ def stopped(stops, mps2, yaw_rad=0.0, begin_mps=0.8, held_again_s=math.inf, push
     return rolled_m
 
 
-@pytest.mark.parametrize("mps2", [0.15, 0.3, 0.6, 1.2])
-def test_a_stop_is_measured_by_the_way_that_the_car_rolled(mps2):
+@pytest.mark.parametrize("mps2, held_again_s", [(0.15, math.inf), (0.6, math.inf), (1.2, math.inf), (0.3, 1.2)])
+def test_a_stop_is_measured_by_the_way_that_the_car_rolled_or_by_the_speed_that_was_left(mps2, held_again_s):
     stops = Stops()
-    rolled_m = stopped(stops, mps2, yaw_rad=1.0)
+    rolled_m = stopped(stops, mps2, yaw_rad=1.0, held_again_s=held_again_s)
     # What is seen never promises a shorter way.
     assert rolled_m <= 0.25 * 0.8 + 0.8 ** 2 / (2 * stops.least_mps2)
     assert stops.least_mps2 == pytest.approx(mps2, rel=0.35)
+    assert stops.sure_mps2 == 0.0, "nothing is sure before the second stop"
+    stopped(stops, 0.01, held_again_s=3.0)
+    assert stops.least_mps2 == MIN_MPS2, "downhill"
 
 
 def test_a_car_that_brakes_only_at_first_is_measured_by_its_slowest_second_too():
@@ -58,12 +61,6 @@ def test_a_second_in_which_hands_made_it_faster_does_not_count():
     assert stops.least_mps2 > 0.2
 
 
-def test_a_stop_that_was_cut_short_counts_by_the_speed_that_is_left():
-    stops = Stops()
-    stopped(stops, 0.3, held_again_s=1.2)
-    assert stops.least_mps2 == pytest.approx(0.3, rel=0.35)
-
-
 @pytest.mark.parametrize("how", [{"held_again_s": 0.15}, {"begin_mps": 0.2}], ids=("short", "slow"))
 def test_what_shows_little_does_not_count(how):
     stops = Stops()
@@ -78,32 +75,17 @@ def test_hands_that_move_a_standing_car_change_nothing():
     assert pushed.least_mps2 == alone.least_mps2
 
 
-@pytest.mark.parametrize("shown_mps", [1.2, -0.3], ids=("faster", "backward"))
-def test_a_car_that_is_pushed_shows_nothing(shown_mps):
+@pytest.mark.parametrize("shown_mps, ticks, is_discarded", [(1.2, 200, False), (-0.3, 200, False), (0.8, 2, True)],
+                         ids=("faster", "backward", "driven_by_hand"))
+def test_a_car_that_is_pushed_or_driven_by_hand_shows_nothing(shown_mps, ticks, is_discarded):
     stops = Stops()
     stops.update(0.016, 0.8, 0.0, True, 0)
-    for tick in range(1, 200):
+    for tick in range(1, ticks):
         stops.update(shown_mps * TICK_S, shown_mps, 0.0, False, tick * 20_000_000)
+    if is_discarded:
+        stops.discard()
     stops.update(0.0, 0.0, 0.0, False, 5 * S)
     assert stops.least_mps2 == math.inf
-
-
-def test_a_stop_of_a_car_that_is_driven_by_hand_is_discarded():
-    stops = Stops()
-    stops.update(0.016, 0.8, 0.0, True, 0)
-    stops.update(0.016, 0.8, 0.0, False, S // 50)
-    stops.discard()
-    stops.update(0.0, 0.0, 0.0, False, S)
-    assert stops.least_mps2 == math.inf
-
-
-def test_nothing_is_sure_before_the_second_stop():
-    stops = Stops()
-    assert stops.sure_mps2 == 0.0
-    stopped(stops, 0.8)
-    assert stops.sure_mps2 == 0.0
-    stopped(stops, 0.8)
-    assert stops.sure_mps2 > 0.0
 
 
 def test_in_the_other_direction_a_slope_may_take_much_of_it():
@@ -135,9 +117,3 @@ def test_a_car_that_stops_at_once_is_not_taken_for_one_that_always_does():
     for yaw_rad in (0.0, 1.5, 3.0, 4.5):
         stopped(stops, 6.0, yaw_rad)
     assert 0.4 < stops.sure_mps2 <= MAX_MPS2
-
-
-def test_downhill_it_is_never_less_than_the_least():
-    stops = Stops()
-    stopped(stops, 0.01, held_again_s=3.0)
-    assert stops.least_mps2 == MIN_MPS2

@@ -29,20 +29,17 @@ def knowledge(number, error=0.1, missing=()):
                      Delay(0.02, 0.12, 0.9), 20.0, 1.5, 5200.0, 8.0)
 
 
-def test_the_first_fit_waits_for_some_positions():
+def test_one_fit_at_a_time_after_some_positions_and_only_after_something_new():
     one = survey()
+    assert one.progress(0.0).missing == ("everything; the ends and straight on come first",)
     hold(one, MIN_POSITIONS - 1)
-    assert one.take_task(0) is None
+    assert one.take_task(0) is None, "too few positions"
     hold(one, 1)
     assert one.take_task(0).number == 1
-
-
-def test_one_fit_at_a_time_and_only_after_something_new():
-    one = survey()
-    hold(one, MIN_POSITIONS)
-    one.take_task(0)
     hold(one, 1)
     assert one.take_task(S) is None, "one is under way"
+    one.update_knowledge(knowledge(0))
+    assert one.knowledge is None, "an answer to an older task"
     one.update_knowledge(knowledge(1))
     assert one.take_task(S).number == 2
     one.update_knowledge(knowledge(2))
@@ -61,24 +58,6 @@ def test_delay_and_backlash_are_estimated_now_and_then():
     hold(one, 1)
     full = one.take_task(FULL_FIT_NS)
     assert (full.delay, full.backlash_duty, full.backlash_sigma) == (None, None, 0.0)
-
-
-def test_a_fit_that_failed_changes_nothing_and_the_next_one_may_come():
-    one = survey()
-    hold(one, MIN_POSITIONS)
-    one.take_task(0)
-    one.update_knowledge(Knowledge(1, "too little"))
-    assert one.knowledge is None
-    hold(one, 1)
-    assert one.take_task(S) is not None
-
-
-def test_an_answer_to_an_older_task_is_left_out():
-    one = survey()
-    hold(one, MIN_POSITIONS)
-    one.take_task(0)
-    one.update_knowledge(knowledge(0))
-    assert one.knowledge is None
 
 
 def finished(error, missing=()):
@@ -130,7 +109,3 @@ def test_time_left_is_what_the_errors_take_that_shrink_with_the_root_of_time():
     assert finished(0.9 * ENOUGH, ("drive straight on",)).progress(60.0).left_s == MIN_LEFT_S, "not yet over"
     assert finished(math.inf).progress(60.0).left_s == 240.0, "the rest of the time"
     assert [survey().progress(driven_s).left_s for driven_s in (0.0, 40.0)] == [240.0, 200.0]
-
-
-def test_before_the_first_fit_it_says_what_is_missing():
-    assert survey().progress(0.0).missing == ("everything; the ends and straight on come first",)

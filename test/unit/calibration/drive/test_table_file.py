@@ -23,33 +23,27 @@ def car(tmp_path):
     return tmp_path / "turn_arb.yaml"
 
 
-def test_file_that_turn_arb_was_launched_with_is_the_default(car):
+def test_file_that_turn_arb_was_launched_with_is_the_default(car, monkeypatch):
     table = find_table_file(None, None, str(car), RUNNING)
     assert (table.path, table.folder, table.stem) == (str(car), str(car.parent), "turn_arb")
     assert "input_timeout: 0.4" in table.base_text
     assert table.is_there
+    monkeypatch.chdir(car.parent)
+    monkeypatch.setenv("HOME", str(car.parent))
+    for typed in ("turn_arb.yaml", "~/turn_arb.yaml"):  # from the folder and the home of who types it
+        assert find_table_file(typed, None, None, RUNNING).path == str(car)
 
 
-def test_named_file_that_is_there_keeps_its_other_parameters(car, tmp_path):
-    other = tmp_path / "other.yaml"
+def test_named_file_keeps_its_other_parameters_or_gets_those_of_turn_arb_or_of_the_base(car, tmp_path):
+    base, other, new = tmp_path / "base.yaml", tmp_path / "other.yaml", str(tmp_path / "new.yaml")
+    base.write_text(STOCK_TEXT.replace("input_timeout: 0.5", "input_timeout: 0.2"))
     other.write_text(STOCK_TEXT.replace("input_timeout: 0.5", "input_timeout: 0.3"))
     assert "input_timeout: 0.3" in find_table_file(str(other), None, str(car), RUNNING).base_text
-
-
-def test_named_file_that_is_new_gets_those_of_turn_arb_or_of_the_base(car, tmp_path):
-    base = tmp_path / "base.yaml"
-    base.write_text(STOCK_TEXT.replace("input_timeout: 0.5", "input_timeout: 0.2"))
-    new = str(tmp_path / "new.yaml")
     assert "input_timeout: 0.4" in find_table_file(new, None, str(car), RUNNING).base_text
     assert "input_timeout: 0.2" in find_table_file(new, str(base), str(car), RUNNING).base_text
     assert find_table_file(new, None, None, RUNNING).base_text == STOCK_TEXT
-
-
-def test_path_is_taken_from_the_folder_and_the_home_of_who_types_it(car, monkeypatch):
-    monkeypatch.chdir(car.parent)
-    monkeypatch.setenv("HOME", str(car.parent))
-    for typed in ("turn_arb.yaml", "~/turn_arb.yaml"):
-        assert find_table_file(typed, None, None, RUNNING).path == str(car)
+    with pytest.raises(CarInterfaceError, match="is the package's own: name a file of your car's by -o"):
+        find_table_file(str(STOCK), None, None, RUNNING)
 
 
 @pytest.mark.parametrize("launched_with", [None, str(STOCK)])
@@ -57,11 +51,6 @@ def test_car_on_the_package_s_own_files_needs_a_name(launched_with):
     with pytest.raises(CarInterfaceError, match="the car runs on the package's own files, which are not to be changed: "
                                                 r"copy them \(cp -r .*, launch with config:=.*, or name .* by -o"):
         find_table_file(None, None, launched_with, RUNNING)
-
-
-def test_package_s_own_file_is_never_written():
-    with pytest.raises(CarInterfaceError, match="is the package's own: name a file of your car's by -o"):
-        find_table_file(str(STOCK), None, None, RUNNING)
 
 
 def test_folder_that_is_not_there_is_named_before_the_drive(tmp_path):

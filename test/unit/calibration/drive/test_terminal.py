@@ -46,33 +46,20 @@ def test_picture_of_a_drive():
     ]
 
 
-def test_picture_where_nothing_is_missing_says_that_it_can_be_ended():
-    made = terminal.drive_lines(Step(0.4, 1.0, MEASURING, "it measures"), progress(rows=[row()]))
+def test_picture_says_how_much_is_missing_and_when_it_can_be_ended_and_is_over():
+    step, over = Step(0.4, 1.0, SETTLING, "to 40% left, duty 4020"), "ended by hand after 42 s"
+    made = terminal.drive_lines(step, progress(missing=["a: drive three", "b", "c", "d", "e"])._replace(positions=1))
+    assert made[0] == "it steers to 40% left, duty 4020" and made[1].endswith(" left, 1 position")
+    assert made[-4:] == ["missing: a", "missing: b", "missing: c", "missing: … and 2 more"]
+    assert terminal.missing_lines(["a: drive three", "b", "c", "d"]) == [f"missing: {name}" for name in "abcd"]
+    made = terminal.drive_lines(step, progress(rows=[row()]))
     assert made[-2:] == ["nothing is missing; it goes on to know it better: F finishes now",
                          "# known   + not well enough   . not yet"]
-
-
-def test_last_picture_has_neither_a_headline_nor_an_instruction_any_more():
-    over = "ended by hand after 42 s"
     for made in (terminal.drive_lines(Step(None, 0.0, DONE, over), progress(rows=[row()])),
                  terminal.stick_lines(Guidance(0.0, 0.1, 0.0, DONE, over), progress(rows=[row()]))):
         assert made[0].startswith("[#####") and made[-2] == "nothing is missing"
-
-
-def test_one_position_is_one():
-    one = progress()._replace(positions=1)
-    assert terminal.drive_lines(Step(0.4, 1.0, MEASURING, "it measures"), one)[1].endswith(" left, 1 position")
-
-
-def test_line_of_a_side_fits_a_terminal_of_80_columns_with_all_the_radii_of_a_table():
-    rows = [row("right", 0.96, INF), *(row("right", 10.0, INF) for _ in range(28)), row("right", 300.0, INF)]
-    made = terminal.drive_lines(Step(0.4, 1.0, MEASURING, "it measures"), progress(rows=rows))
-    assert f"right  0.96 m {'.' * 30} 300 m: 0 of 30, 0.96 m isn't known" in made
-
-
-def test_picture_while_it_steers_to_a_position():
-    assert terminal.drive_lines(Step(0.4, 1.0, SETTLING, "to 40% left, duty 4020"), progress())[0] == (
-        "it steers to 40% left, duty 4020")
+    assert terminal.plain_line(PAUSED, "hold the button", progress()) == (
+        " 24%, 0:42 driven, about 2:10 left; paused: hold the button")
 
 
 def test_picture_before_the_first_fit_has_no_legend_and_no_center():
@@ -94,45 +81,18 @@ def test_instruction_that_is_longer_than_the_terminal_is_wrapped_and_whole():
     assert f"blocked: {text}" in " ".join(" ".join(made).split())
 
 
-def test_wrapped_line_goes_on_two_columns_to_the_right_of_where_it_began():
-    made = terminal.wrapped(["  the servo follows after 0.01 s", "a"], 25)
-    assert made == ["  the servo follows", "    after 0.01 s", "a"]
+@pytest.mark.parametrize(("fraction", "bar", "percent"), [
+    (0.0, "[....]", "  0%"), (0.49, "[#...]", " 49%"), (0.5, "[##..]", " 50%"), (0.999, "[###.]", " 99%"),
+    (1.0, "[####]", "100%"), (7.0, "[####]", "100%"), (-1.0, "[....]", "  0%"), (NAN, "[....]", "  ?%")])
+def test_bar_is_full_only_when_all_is_done(fraction, bar, percent):
+    assert (terminal.progress_bar(fraction, 4), terminal.percent(fraction)) == (bar, percent)
 
 
-def test_many_things_that_are_missing_are_cut_to_three_and_a_count():
-    made = terminal.drive_lines(Step(0.0, 1.0, SETTLING, "to 40% left"), progress(missing=["a", "b", "c", "d", "e"]))
-    assert [line for line in made if line.startswith("missing")] == [
-        "missing: a", "missing: b", "missing: c", "missing: … and 2 more"]
-
-
-def test_what_is_missing_at_the_end_is_listed_whole_and_without_advice_for_another_kind_of_drive():
-    assert terminal.missing_lines(["no data for left turns: drive three", "no center"]) == [
-        "missing: no data for left turns", "missing: no center"]
-
-
-@pytest.mark.parametrize(("fraction", "expected"), [
-    (0.0, "[....]"), (0.49, "[#...]"), (0.5, "[##..]"), (0.999, "[###.]"), (1.0, "[####]"), (7.0, "[####]"),
-    (-1.0, "[....]"), (NAN, "[....]")])
-def test_bar_is_full_only_when_all_is_done(fraction, expected):
-    assert terminal.progress_bar(fraction, 4) == expected
-
-
-@pytest.mark.parametrize(("fraction", "expected"), [
-    (0.0, "  0%"), (0.249, " 24%"), (0.997, " 99%"), (1.0, "100%"), (NAN, "  ?%")])
-def test_percent_is_100_only_when_all_is_done(fraction, expected):
-    assert terminal.percent(fraction) == expected
-
-
-@pytest.mark.parametrize(("seconds", "expected"), [
-    (0.0, "0:00"), (59.4, "0:59"), (59.6, "1:00"), (125.0, "2:05"), (-3.0, "0:00"), (INF, "?"), (NAN, "?")])
-def test_clock(seconds, expected):
-    assert terminal.clock_text(seconds) == expected
-
-
-@pytest.mark.parametrize(("steering", "expected"), [
-    (0.4, "40% left"), (-1.0, "100% right"), (0.0, "the middle"), (0.004, "the middle"), (NAN, "?")])
-def test_steering_in_words(steering, expected):
-    assert terminal.steering_text(steering) == expected
+def test_steering_and_seconds_in_words():
+    assert [terminal.steering_text(steering) for steering in (0.4, -1.0, 0.0, 0.004, NAN)] == [
+        "40% left", "100% right", "the middle", "the middle", "?"]
+    assert [terminal.clock_text(seconds) for seconds in (0.0, 59.4, 59.6, 125.0, -3.0, INF, NAN)] == [
+        "0:00", "0:59", "1:00", "2:05", "0:00", "?", "?"]
 
 
 def test_stick_is_shown_beside_the_place_to_hold_it():
@@ -157,11 +117,8 @@ def test_radii_of_a_side_name_the_one_that_is_known_least():
     assert terminal.radius_marks(rows, "left") == "0.9 m #++ 2 m: 1 of 3, 2 m to ±99%"
     assert terminal.radius_marks(rows, "right") == "5 m .. 10 m: 0 of 2, 5 m isn't known"
     assert terminal.radius_marks([], "left") == "nothing known yet"
-
-
-def test_line_for_a_log():
-    assert terminal.plain_line(PAUSED, "hold the button", progress()) == (
-        " 24%, 0:42 driven, about 2:10 left; paused: hold the button")
+    whole_table = [row("right", 0.96, INF), *29 * [row("right", 300.0, INF)]]  # fits a terminal of 80 columns
+    assert terminal.radius_marks(whole_table, "right") == f"0.96 m {'.' * 30} 300 m: 0 of 30, 0.96 m isn't known"
 
 
 def test_introduction_says_how_much_room_it_takes():

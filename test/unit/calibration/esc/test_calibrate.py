@@ -1,6 +1,8 @@
 """From what a drive shows to the parameters in a file."""
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -23,10 +25,13 @@ WHOLE = EscFit("brake_then_reverse", 4890.4, 0.11, 0.12, 0.3, 0.0, 0.5, ("esc/pr
 NOTHING = EscFit(*[None] * 7, (), ("the profile: drive",))
 
 
+@functools.lru_cache(maxsize=None)
+def driven():
+    return Person(virtual.xl5(dwell_s=0.25), seed=3).drive()
+
+
 def recorded(neutral=4912.0, path="a.bag"):
-    person = Person(virtual.xl5(dwell_s=0.25), seed=3)
-    drive = person.drive()._replace(neutral=neutral)
-    return RecordedDrive(path, drive, (), 100.0, Trail(path, *[np.zeros(0)] * 3))
+    return RecordedDrive(path, driven()._replace(neutral=neutral), (), 100.0, Trail(path, *[np.zeros(0)] * 3))
 
 
 def base(**esc):

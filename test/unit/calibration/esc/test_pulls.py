@@ -20,12 +20,15 @@ def pulls_of(make, *actions):
     return pulls(sampled(person.recorded()))
 
 
-@pytest.mark.parametrize("make, outcome", [
-    (virtual.xl5, HELD), (virtual.race, HELD), (virtual.crawler, BACKWARD), (virtual.direct, BACKWARD)])
-def test_brake_that_is_held(make, outcome):
+@pytest.mark.parametrize("make, outcome, pause_s", [
+    (virtual.xl5, HELD, None), (virtual.race, HELD, None), (virtual.direct, BACKWARD, 0.0),
+    (lambda: virtual.crawler(turn_s=0.1), BACKWARD, 0.1), (lambda: virtual.crawler(turn_s=0.3), BACKWARD, 0.3)],
+    ids=["xl5", "race", "direct", "crawler", "slow_crawler"])
+def test_brake_that_is_held_stops_the_car_or_drives_it_backward_after_a_pause(make, outcome, pause_s):
     (pull,) = pulls_of(make, (-0.5, 2.0))
     assert (pull.outcome, pull.follows_pull, pull.since_forward_s) == (outcome, False, 0.0)
     assert pull.strong_s == pytest.approx(2.0, abs=0.05) and pull.speed_mps > 1.4
+    assert pause_s is None or pull.pause_s == pytest.approx(pause_s, abs=0.06)
 
 
 def test_second_pull_follows_the_first_and_knows_its_neutral():
@@ -43,14 +46,6 @@ def test_pull_after_a_push_follows_none(push):
 def test_neutral_since_forward_is_counted():
     (pull,) = pulls_of(virtual.xl5, None, (0, 3.0), (-0.5, 1.5))
     assert pull.since_forward_s > 3.0 and abs(pull.speed_mps) < 0.05
-
-
-@pytest.mark.parametrize("turn_s", [0.1, 0.3])
-def test_pause_between_forward_and_backward_is_the_crawler_s(turn_s):
-    (pull,) = pulls_of(lambda: virtual.crawler(turn_s=turn_s), (-0.5, 2.0))
-    assert pull.pause_s == pytest.approx(turn_s, abs=0.06)
-    (pull,) = pulls_of(virtual.direct, (-0.5, 2.0))
-    assert pull.pause_s == pytest.approx(0.0, abs=0.04)
 
 
 @pytest.mark.parametrize("action", [(-0.5, 0.3), (-0.1, 3.0)], ids=["short", "weak"])

@@ -13,6 +13,7 @@ from written_recordings import Written, odometry, write_ros1
 
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[3277, 4915, 6554], neutral=4915)
 FALLING = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[6554, 4915, 3277], neutral=4915)
+ONE_SIDED = ThrottleCalibration(channel=1, value_axis=[0, 3], duty_table=[4915, 6554], neutral=4915)
 END_S = 10.0
 
 
@@ -87,10 +88,12 @@ def test_where_the_board_s_output_is_missing_nothing_is_known_of_the_esc(tmp_pat
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("duty", [-1, 0, 65535])
-def test_duty_that_is_no_pulse_counts_as_none(tmp_path, duty):
-    drive = driven(tmp_path, [*outputs((0.0, 4912), (3.0, duty)), state(1.0)]).drive
-    assert duty_at(drive, 4.0) == 0
+def test_duty_that_is_no_pulse_counts_as_none_and_without_throttle_arb_s_state_there_is_a_note(tmp_path):
+    changes = ((0.0, 4912), (2.0, -1), (4.0, 0), (6.0, 65535), (8.0, 4912))
+    found = driven(tmp_path, outputs(*changes))
+    assert [duty_at(found.drive, time_s) for time_s in (1.0, 3.0, 5.0, 7.0, 9.0)] == [4912, 0, 0, 0, 4912]
+    assert found.drive.neutral == 4915
+    assert found.notes[0].endswith("has no throttle_arb/state: who drove, and whether by hand, isn't known")
 
 
 def test_pulls_of_two_recordings_do_not_belong_together(tmp_path):
@@ -104,24 +107,14 @@ def test_pulls_of_two_recordings_do_not_belong_together(tmp_path):
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("messages, error, said", [
-    ([state(1.0)], NoRecording, "has no topic /servo/output, which says what the ESC got"),
-    ([*outputs((0.0, -1)), state(1.0)], CarInterfaceError, "channel 1 of the servo board never had a pulse"),
-    ([*outputs((0.0, 4912)), state(1.0, esc_cause="no throttle")], CarInterfaceError,
+@pytest.mark.parametrize("messages, calibration, error, said", [
+    ([state(1.0)], SHIPPED, NoRecording, "has no topic /servo/output, which says what the ESC got"),
+    ([*outputs((0.0, -1)), state(1.0)], SHIPPED, CarInterfaceError, "channel 1 of the servo board never had a pulse"),
+    ([*outputs((0.0, 4912)), state(1.0, esc_cause="no throttle")], SHIPPED, CarInterfaceError,
      "was driven without calibration_drive"),
-])
-def test_recording_that_is_no_such_drive_is_refused(tmp_path, messages, error, said):
+    ([*outputs((0.0, 4912)), state(1.0)], ONE_SIDED, CarInterfaceError,
+     "servo/neutral 4915 is an end of servo/duty_table"),
+], ids=["no_output", "no_pulse", "no_calibration_drive", "neutral_at_an_end"])
+def test_recording_that_is_no_such_drive_is_refused(tmp_path, messages, calibration, error, said):
     with pytest.raises(error, match=said):
-        driven(tmp_path, messages)
-
-
-def test_drive_without_throttle_arb_s_state_is_taken_with_a_note(tmp_path):
-    found = driven(tmp_path, outputs((0.0, 4912)))
-    assert found.drive.neutral == 4915
-    assert found.notes[0].endswith("has no throttle_arb/state: who drove, and whether by hand, isn't known")
-
-
-def test_neutral_at_an_end_of_the_table_is_refused(tmp_path):
-    one_sided = ThrottleCalibration(channel=1, value_axis=[0, 3], duty_table=[4915, 6554], neutral=4915)
-    with pytest.raises(CarInterfaceError, match="servo/neutral 4915 is an end of servo/duty_table"):
-        driven(tmp_path, [*outputs((0.0, 4912)), state(1.0)], calibration=one_sided)
+        driven(tmp_path, messages, calibration=calibration)

@@ -1,9 +1,12 @@
 """Synthetic drives of a car whose steering curve is known."""
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from car_interface.calibration.delay import held, lagged
+from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.drive import Drive
 
 STEP_S = 0.02
@@ -67,3 +70,14 @@ def from_both_sides(places, seed=1):
 
 def steep_drive(backlash=6.0):
     return drive(from_both_sides(STEEP_PLACES), curve=steep_ends, speed_mps=1.2, hold_s=2.0, backlash=backlash)
+
+
+@functools.lru_cache(maxsize=None)
+def fitted_mixed():
+    """The fit of a plain drive all over, at which several tests look."""
+    return fit.fit([drive(mixed())])
+
+
+@functools.lru_cache(maxsize=None)
+def fitted_steep():
+    return fit.fit([steep_drive()])

@@ -41,6 +41,7 @@ def fits(monkeypatch):
     curves = {None: line_curve()}
 
     def fit(drives, config):
+        curves["limits"] = config.limits
         curve = curves.get(drives[0] if len(drives) == 1 else None, curves[None])
         if isinstance(curve, Exception):
             raise curve
@@ -53,31 +54,22 @@ def duties(found, side):
     return [point.duty for point in found.points[side]]
 
 
-def test_duties_are_those_of_the_curve(fits):
+def test_duties_are_those_of_the_curve_within_the_ends_of_the_base(fits):
     found = calibrate([recorded()], BASE, AXIS_M)
     assert duties(found, LEFT) == pytest.approx([4000, 4600, 4900, 5188])
     assert duties(found, RIGHT) == pytest.approx([6400, 5800, 5500, 5212])
     assert [point.source for point in found.points[LEFT]] == [END, DRIVEN, DRIVEN, DRIVEN]
     assert (found.center, found.ends) == (5200.0, {LEFT: 4000.0, RIGHT: 6400.0})
     assert found.problems == [] and found.disagreement == ""
+    assert fits["limits"] == (3600, 6600)
 
 
-def test_fit_may_not_go_beyond_the_ends_of_the_base(fits, monkeypatch):
-    configs = []
-    monkeypatch.setattr(module.fitting, "fit", lambda drives, config: configs.append(config) or fits[None])
-    calibrate([recorded()], BASE, AXIS_M)
-    assert [config.limits for config in configs] == [(3600, 6600)]
-
-
-def test_radii_are_chosen_by_the_drives_when_none_are_asked_for(fits):
+def test_radii_are_chosen_by_the_drives_or_continued_to_almost_straight_on(fits):
     radii_m = [point.radius_m for point in calibrate([recorded()], BASE).points[LEFT]]
     assert radii_m[0] == 1.0 and radii_m[-1] == 300.0
     assert radii_m == sorted(set(radii_m))
-
-
-def test_radii_that_end_early_are_continued_to_almost_straight_on(fits):
-    radii_m = [point.radius_m for point in calibrate([recorded()], BASE, (1.0, 2.0, 20.0)).points[RIGHT]]
-    assert radii_m == [1.0, 2.0, 20.0, 30.0, 50.0, 100.0, 300.0]
+    asked = calibrate([recorded()], BASE, (1.0, 2.0, 20.0)).points[RIGHT]
+    assert [point.radius_m for point in asked] == [1.0, 2.0, 20.0, 30.0, 50.0, 100.0, 300.0]
 
 
 def test_side_that_was_not_driven_keeps_its_old_duties_and_is_a_problem(fits):
@@ -130,21 +122,15 @@ def test_drives_that_show_no_steering_are_refused_by_their_names(fits):
 # --- several recordings ---
 
 
-def test_recordings_of_one_linkage_agree(fits):
+def test_recordings_before_and_after_a_change_of_the_linkage_are_refused_unless_that_is_accepted(fits):
+    both = [recorded("a.bag"), recorded("b.bag")]
     fits["b.bag"] = line_curve(center=5201.0)
-    assert calibrate([recorded("a.bag"), recorded("b.bag")], BASE, AXIS_M).disagreement == ""
-
-
-def test_recordings_before_and_after_a_change_of_the_linkage_are_refused(fits):
+    assert calibrate(both, BASE, AXIS_M).disagreement == "", "of one linkage"
     fits["b.bag"] = line_curve(center=5260.0)
     with pytest.raises(CarInterfaceError, match=r"^no calibration is written: a\.bag and b\.bag disagree by 60 duty "
                                                 r"about .*: was the linkage changed between them\? Give those"):
-        calibrate([recorded("a.bag"), recorded("b.bag")], BASE, AXIS_M)
-
-
-def test_disagreement_that_is_accepted_is_reported(fits):
-    fits["b.bag"] = line_curve(center=5260.0)
-    found = calibrate([recorded("a.bag"), recorded("b.bag")], BASE, AXIS_M, accept_disagreement=True)
+        calibrate(both, BASE, AXIS_M)
+    found = calibrate(both, BASE, AXIS_M, accept_disagreement=True)
     assert found.disagreement.startswith("a.bag and b.bag disagree by 60 duty")
     assert duties(found, LEFT) == pytest.approx([4000, 4600, 4900, 5188])
 
@@ -169,13 +155,11 @@ def test_file_has_the_values_in_whole_duties_and_the_report_as_its_head(fits):
     assert "# straight on" not in text  # it described the old value
 
 
-@pytest.mark.parametrize("base_text", [BASE_TEXT, BASE_TEXT + "understeer: 0.002\n"], ids=["without_one", "with_one"])
-def test_file_has_the_understeer_that_the_drives_show(fits, base_text):
+def test_file_has_the_understeer_that_the_drives_show_and_else_that_of_the_base(fits):
+    with_one = BASE_TEXT + "understeer: 0.002\n"
+
+    def written(base_text):
+        return yaml.safe_load(yaml_text(calibrate([recorded()], BASE, (1.0, 3.0, 100.0)), base_text, []))["understeer"]
+    assert written(with_one) == 0.002
     fits["drives/a.bag"] = line_curve(understeer=Understeer(0.00781234, 0.0005, 40))
-    text = yaml_text(calibrate([recorded()], BASE, (1.0, 3.0, 100.0)), base_text, [])
-    assert yaml.safe_load(text)["understeer"] == 0.00781
-
-
-def test_understeer_that_the_drives_do_not_show_stays(fits):
-    text = yaml_text(calibrate([recorded()], BASE, (1.0, 3.0, 100.0)), BASE_TEXT + "understeer: 0.002\n", [])
-    assert yaml.safe_load(text)["understeer"] == 0.002
+    assert written(BASE_TEXT) == written(with_one) == 0.00781

@@ -13,13 +13,6 @@ from car_interface.calibration.steering.table import END, RIGHT, breakpoints
 pytestmark = pytest.mark.once
 
 
-def test_stop_is_a_count_that_turns_as_tight_as_any():
-    found = fit.fit([drive(mixed())])
-    for side in (found.left, found.right):
-        assert side.is_stop and side.duty % 16 == 0
-        assert abs(found.curvature(side.duty)) >= 0.993 * side.curvature_per_m
-
-
 def test_limit_of_the_stick_is_an_end_too():
     found = fit.fit([drive(mixed(low=3700, high=6000))], FitConfig(limits=(3800, 6000)))
     assert found.right.is_end and not found.right.is_stop

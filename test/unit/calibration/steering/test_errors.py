@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calibration.steering.synthetic import drive, steep_drive, steep_ends, true_curvature
+from calibration.steering.synthetic import drive, fitted_steep, steep_ends, true_curvature
 from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.errors import BAND, UNSEEN_RATIO, bends, unseen
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.once
 
 
 def test_bands_hold_the_truth_where_a_steering_is_steep_and_where_it_is_nearly_level():
-    found = fit.fit([steep_drive()])
+    found = fitted_steep()
     off = np.abs(found.curvatures - steep_ends(found.duties))
     assert np.mean(off <= BAND * found.sigmas) > 0.95
     assert found.backlash_duty == pytest.approx(6.0, abs=0.3)

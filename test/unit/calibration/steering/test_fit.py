@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.steering.synthetic import CENTER, LEFT_STOP, RIGHT_STOP, drive, mixed, steep_drive, true_curvature
+from calibration.steering.synthetic import (
+    CENTER,
+    LEFT_STOP,
+    RIGHT_STOP,
+    drive,
+    fitted_mixed,
+    fitted_steep,
+    mixed,
+    true_curvature,
+)
 from car_interface.calibration.delay import Delay
 from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.drive import FitConfig, NothingToFit
@@ -18,26 +27,27 @@ pytestmark = pytest.mark.once
 
 
 def test_curve_center_and_stops_are_those_of_the_car():  # positions are 75 duty apart
-    found = fit.fit([drive(mixed())])
+    found = fitted_mixed()
     inside = (found.duties > LEFT_STOP + 50) & (found.duties < RIGHT_STOP - 50)
     assert np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.01
     assert found.center == pytest.approx(CENTER, abs=8)
     assert abs(found.center - CENTER) < 3 * found.center_sigma + 2
-    assert found.left.is_stop and found.left.duty == pytest.approx(LEFT_STOP, abs=50)
-    assert found.right.is_stop and found.right.duty == pytest.approx(RIGHT_STOP, abs=50)
-    assert found.left.curvature_per_m == pytest.approx(1.0, abs=0.01)
-    assert found.right.curvature_per_m == pytest.approx(0.9, abs=0.01)
+    for side, stop_duty, curvature_per_m in ((found.left, LEFT_STOP, 1.0), (found.right, RIGHT_STOP, 0.9)):
+        assert side.is_stop and side.duty == pytest.approx(stop_duty, abs=50) and side.duty % 16 == 0
+        assert side.curvature_per_m == pytest.approx(curvature_per_m, abs=0.01)
+        assert abs(found.curvature(side.duty)) >= 0.993 * side.curvature_per_m, "a stop turns as tight as any count"
 
 
-def test_servo_that_is_the_other_way_round_is_found():
-    found = fit.fit([drive(mixed(), curve=lambda duty: -true_curvature(duty))])
+def test_servo_that_is_the_other_way_round_and_a_car_that_drives_backward_give_the_same_curve():
+    found = fit.fit([drive(mixed(), curve=lambda duty: -true_curvature(duty), speed_mps=-1.0)])
     assert found.left.duty > found.center > found.right.duty
     left = breakpoints(found, [2.0], LEFT)[0]
     assert -true_curvature(left.duty) == pytest.approx(0.5, abs=0.01)
+    assert found.curvature(4500) == pytest.approx(-true_curvature(4500), abs=0.01)
 
 
 def test_duty_for_a_turn_is_such_that_the_nearest_count_is_the_best_one():
-    found = fit.fit([steep_drive()])
+    found = fitted_steep()
     counts = np.arange(math.ceil(found.duties[0] / 16), math.floor(found.duties[-1] / 16) + 1) * 16.0
     made = found.curvature(counts)
     for curvature in np.linspace(-0.95, 1.05, 300):
@@ -54,7 +64,7 @@ def test_drives_without_a_curve_are_refused_with_the_reason(drives):
         fit.fit(drives)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.lists(st.tuples(st.integers(3600, 6800), st.floats(-1.5, 1.5)), min_size=6, max_size=20), st.integers(0, 99))
 def test_curve_and_table_are_monotone_whatever_the_data(places, seed):
     duties = [duty for duty, _ in places]

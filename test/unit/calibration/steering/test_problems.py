@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from car_interface.calibration.steering.ends import Side
-from car_interface.calibration.steering.problems import find_problems, radius_text
+from car_interface.calibration.steering.problems import find_problems
 from car_interface.calibration.steering.table import DRIVEN, LEFT, RIGHT, UNKNOWN, Breakpoint
 
 RADII_M = (1.0, 2.0, 5.0, 20.0)
@@ -44,16 +44,13 @@ def test_unknown_radii_are_one_problem_with_what_to_drive(sources, problem):
     assert found.startswith(problem)
 
 
-def test_duties_to_drive_are_named():
+def test_duties_to_drive_are_named_for_each_gap():
     unknown_end, gap = points([UNKNOWN, UNKNOWN, DRIVEN, DRIVEN]), points([DRIVEN, UNKNOWN, DRIVEN, DRIVEN])
     (tight,), (between,) = (list(find_problems(curve(), {LEFT: one, RIGHT: ALL})) for one in (unknown_end, gap))
     assert "with duties beyond 3950, up to the end of the stick" in tight
     assert "with duties from 4000 to 4200, come to from both sides" in between
-
-
-def test_each_gap_is_a_problem_of_its_own():
-    sources = [DRIVEN, UNKNOWN, DRIVEN, UNKNOWN]
-    assert len(list(find_problems(curve(), {LEFT: points(sources), RIGHT: points(sources)}))) == 4
+    gaps = points([DRIVEN, UNKNOWN, DRIVEN, UNKNOWN])
+    assert len(list(find_problems(curve(), {LEFT: gaps, RIGHT: gaps}))) == 4
 
 
 @pytest.mark.parametrize("found, problem", [
@@ -63,7 +60,3 @@ def test_each_gap_is_a_problem_of_its_own():
 def test_center_that_is_not_known_is_a_problem(found, problem):
     (text,) = find_problems(found, {LEFT: ALL, RIGHT: ALL})
     assert text.startswith(problem)
-
-
-def test_radius_of_a_curvature_is_text():
-    assert (radius_text(0.5), radius_text(0.0)) == ("2.00 m", "none")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.steering.synthetic import CENTER, drive, from_both_sides, mixed, true_curvature
+from calibration.steering.synthetic import CENTER, drive, fitted_mixed, from_both_sides, mixed, true_curvature
 from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.errors import BAND
 from car_interface.calibration.steering.table import (
@@ -29,8 +29,7 @@ pytestmark = pytest.mark.once
 
 
 def test_breakpoints_have_the_duty_that_turns_so_tight_with_a_band_that_holds_the_truth():
-    found = fit.fit([drive(mixed(count=60))])
-    points = breakpoints(found, [1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 50.0], LEFT)
+    points = breakpoints(fitted_mixed(), [1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 50.0], LEFT)
     for point in points:
         assert point.source == DRIVEN
         assert true_curvature(point.duty) == pytest.approx(1 / point.radius_m, abs=0.01)
@@ -40,7 +39,7 @@ def test_breakpoints_have_the_duty_that_turns_so_tight_with_a_band_that_holds_th
 
 
 def test_tighter_than_the_stop_has_the_duty_of_the_stop():
-    found = fit.fit([drive(mixed())])
+    found = fitted_mixed()
     points = breakpoints(found, [0.5, 0.8, 1.5], RIGHT)
     assert [point.source for point in points] == [END, END, DRIVEN]
     assert points[0].duty == points[1].duty == found.right.duty
@@ -101,12 +100,10 @@ def test_axis_rises_whatever_the_tightest_turn(tightest_m):
 
 
 def test_axis_begins_at_the_tightest_turn_and_lines_between_its_radii_are_exact():
-    found = fit.fit([drive(mixed())])
+    found = fitted_mixed()
     radii = axis(found)
     assert radii[0] == pytest.approx(1.0, abs=0.03) and radii[-1] == 300
-    assert all(wider > radius for radius, wider in zip(radii, radii[1:]))
     tables = {side: [one.duty for one in breakpoints(found, radii, side)] for side in (LEFT, RIGHT)}
     for radius in np.exp(np.linspace(math.log(1.2), math.log(300), 200)):
         for side, sign in ((LEFT, 1), (RIGHT, -1)):
             assert found.curvature(np.interp(radius, radii, tables[side])) == pytest.approx(sign / radius, abs=0.008)
-

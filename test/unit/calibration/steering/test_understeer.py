@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from calibration.steering.synthetic import drive, mixed, true_curvature
+from car_interface.calibration.delay import Delay
 from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.drive import FitConfig
 
@@ -44,10 +45,9 @@ def test_a_car_that_has_none_gets_none():
 
 
 def test_at_one_speed_it_is_not_known_and_the_calibration_s_own_is_taken():
-    one = drives(0.0078, (1.9,))
-    found = fit.fit(one, FitConfig(understeer=0.0078))
-    assert not found.understeer.is_known
-    inside = (found.duties > 4000) & (found.duties < 6300)
-    assert np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.02
-    uncorrected = fit.fit(one)
-    assert np.abs(uncorrected.curvatures - true_curvature(uncorrected.duties)).max() > 0.05
+    (one,) = drives(0.0078, (1.9,))
+    for given, is_near in ((0.0078, True), (0.0, False)):
+        found = fit.fit([one], FitConfig(understeer=given, delay=Delay(0.0, 0.15, 1.0), backlash_duty=0.0))
+        assert not found.understeer.is_known
+        inside = (found.duties > 4000) & (found.duties < 6300)
+        assert (np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.02) is np.bool_(is_near)

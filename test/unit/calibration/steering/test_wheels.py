@@ -18,11 +18,10 @@ def test_delay_and_lag_of_the_servo_are_found(lag_s, delay_s):
     assert found.delay_s + found.lag_s == pytest.approx(lag_s + delay_s, abs=0.04)
 
 
-@pytest.mark.parametrize("lag_s", (0.1, 0.2))
-def test_lag_is_found_though_the_recording_has_gaps(lag_s):
-    whole = drive(mixed(count=90), lag_s=lag_s, hold_s=2.0)
+def test_lag_is_found_though_the_recording_has_gaps():
+    whole = drive(mixed(count=90), lag_s=0.2, hold_s=2.0)
     found = fit.fit([with_gaps(whole, every_s=7.0, missed_s=2.5)])
-    assert found.delay.delay_s + found.delay.lag_s == pytest.approx(lag_s, abs=0.03)
+    assert found.delay.delay_s + found.delay.lag_s == pytest.approx(0.2, abs=0.03)
 
 
 def test_servo_is_unknown_until_it_had_time_to_arrive_from_anywhere():

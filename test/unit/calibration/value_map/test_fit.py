@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.value_map.synthetic import NOTHING, acceleration, drive, error
+from calibration.value_map.synthetic import DELAY_S, NOTHING, acceleration, drive, error
 from car_interface.calibration.value_map import acceleration as windowing
 from car_interface.calibration.value_map.acceleration import Drive, Series
 from car_interface.calibration.value_map.config import FitConfig
@@ -12,6 +12,7 @@ from car_interface.calibration.value_map.fit import NothingToFit, fit
 from car_interface.calibration.value_map.windows import RULES
 
 pytestmark = pytest.mark.once
+KNOWN_DELAY = FitConfig(delay_s=DELAY_S)
 
 
 def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_mean_battery(mixed):
@@ -19,48 +20,46 @@ def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_me
 
 
 def test_turns_show_the_slope_and_nothing_else_where_straights_all_go_one_way():
-    found = fit([drive(uphill=(0.02, 0.01), circles=True)], None, None)
+    found = fit([drive(uphill=(0.02, 0.01), circles=True)], None, None, KNOWN_DELAY)
     assert found.rejected[RULES[windowing.STEERING]] > 100
     assert found.grounds[0].uphill == pytest.approx((0.02, 0.01), abs=0.003)
     assert error(found) < 0.04
 
 
-def test_slope_is_left_alone_where_headings_do_not_spread():
-    found = fit([drive(uphill=(0.02, 0.0), turns=False)], None, None)
-    assert np.isnan(found.grounds[0].uphill).all()
-    truth = acceleration(found.values[:, None], found.velocities[None, :])
-    assert np.median((found.accelerations - truth)[found.supported]) == pytest.approx(-0.02 * 9.81, abs=0.03)
-
-
-def test_slope_is_found_on_a_road_there_and_back():
-    found = fit([drive(uphill=(0.02, 0.0), there_and_back=True)], None, None)
-    assert found.grounds[0].uphill[0] == pytest.approx(0.02, abs=0.003)
-    assert error(found) < 0.03
+@pytest.mark.parametrize("there_and_back", [True, False])
+def test_slope_is_found_on_a_road_there_and_back_and_left_alone_where_headings_do_not_spread(there_and_back):
+    one = drive(seconds=120.0, uphill=(0.02, 0.0), turns=False, there_and_back=there_and_back)
+    found = fit([one], None, None, KNOWN_DELAY)
+    if there_and_back:
+        assert found.grounds[0].uphill[0] == pytest.approx(0.02, abs=0.003)
+        assert error(found) < 0.03
+    else:
+        assert np.isnan(found.grounds[0].uphill).all()
+        truth = acceleration(found.values[:, None], found.velocities[None, :])
+        assert np.median((found.accelerations - truth)[found.supported]) == pytest.approx(-0.02 * 9.81, abs=0.03)
 
 
 def test_pitch_takes_gravity_off_and_its_mounting_does_not_matter():
-    found = fit([drive(uphill=(0.012, -0.016), with_pitch=True, mounting_rad=0.03)], None, None)
+    one = drive(seconds=120.0, uphill=(0.012, -0.016), with_pitch=True, mounting_rad=0.03)
+    found = fit([one], None, None, KNOWN_DELAY)
     assert found.grounds[0].pitch_offset_rad == pytest.approx(0.03, abs=0.002)
     assert error(found) < 0.03
 
 
 def test_imu_measures_without_gravity_and_its_bias_does_not_matter():
-    found = fit([drive(uphill=(0.012, -0.016), with_imu=True)], None, None, FitConfig(from_imu=True))
-    assert error(found) < 0.05
+    one = drive(seconds=120.0, uphill=(0.012, -0.016), with_imu=True)
+    assert error(fit([one], None, None, FitConfig(from_imu=True, delay_s=DELAY_S))) < 0.05
 
 
-def test_odometry_speed_serves_where_no_pulses_were_recorded():
-    assert error(fit([drive(pulses=False)], None, None)) < 0.05
-
-
-def test_slow_odometry_gets_longer_windows():
-    one = drive(pulses=False)
+def test_odometry_speed_serves_where_no_pulses_were_recorded_and_a_slow_one_gets_longer_windows():
+    one = drive(seconds=120.0, pulses=False)
+    assert error(fit([one], None, None, KNOWN_DELAY)) < 0.05
     slow = Drive("a", one.value, Series(one.speed.t_s[::5], one.speed.y[::5]), one.yaw)  # 10 a second
-    assert error(fit([slow], None, None)) < 0.08
+    assert error(fit([slow], None, None, KNOWN_DELAY)) < 0.08
 
 
 def test_two_drives_with_slopes_of_their_own_make_one_map():
-    found = fit([drive(1, 200.0, (0.02, 0.0)), drive(2, 200.0, (0.0, -0.02))], None, None)
+    found = fit([drive(1, 120.0, (0.02, 0.0)), drive(2, 120.0, (0.0, -0.02))], None, None, KNOWN_DELAY)
     assert found.grounds[0].uphill == pytest.approx((0.02, 0.0), abs=0.003)
     assert found.grounds[1].uphill == pytest.approx((0.0, -0.02), abs=0.003)
     assert error(found) < 0.03

@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.value_map.synthetic import acceleration, drive
+from calibration.value_map.synthetic import DELAY_S, acceleration, drive
 from car_interface.calibration.value_map.acceleration import Drive, Series
 from car_interface.calibration.value_map.config import FitConfig
 from car_interface.calibration.value_map.fit import fit
@@ -24,7 +24,8 @@ def test_held_out_manoeuvres_are_predicted_nearly_as_well_as_the_others(mixed):
 
 
 def test_velocities_never_driven_are_not_supported():
-    found = fit([drive(seconds=120.0)], np.array([-3.0, 0.0, 2.0]), np.array([0.0, 1.0, 3.0, 5.0, 12.0, 14.0]))
+    found = fit([drive(seconds=120.0)], np.array([-3.0, 0.0, 2.0]), np.array([0.0, 1.0, 3.0, 5.0, 12.0, 14.0]),
+                FitConfig(delay_s=DELAY_S))
     assert not found.supported[:, 4:].any() and found.supported[:, 2].all()
 
 

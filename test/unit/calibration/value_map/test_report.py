@@ -47,33 +47,37 @@ def lines(recorded=None, source=None, fit=None, table=None, problems=(), prior_p
 # --- what it rests on ---
 
 
-def test_first_lines_name_the_drives_and_how_they_were_measured():
+def test_report_names_the_drives_how_they_were_measured_what_was_left_out_and_how_well_it_is_known():
     found = lines([drive_of(), drive_of(name="b.bag")], fit=fit_of(grounds=(GROUND, GROUND)))
     assert found[:2] == ["A value map from a.bag, b.bag",
                          "value: throttle; accelerations by pulse times of the wheels"]
+    at = found.index("windows of 0.4 s: 49, of which count 40; the others:")
+    assert found[at + 1:at + 3] == ["       9  a stop", ""]
+    assert "error of single windows: 0.120 m/s² RMS" in found
+    assert "held out (every 5th manoeuvre, from the others): 0.200 m/s² RMS over 8 windows" in found
+    errors, seconds = found.index("standard error in m/s²"), found.index("seconds of driving")
+    assert found[errors + 2] == "      1.0 |  0.050  0.050  0.050"
+    assert found[seconds + 2] == "      1.0 |    1.5    1.5    1.5"
+    for word in ("prior:", "at 0 m/s", "not good enough"):
+        assert not any(line.startswith(word) for line in found)
 
 
-def test_odometry_measures_when_a_drive_has_no_pulses():
-    assert lines([drive_of(wheels=())])[1].endswith("accelerations by odometry's speed")
+def test_report_names_prior_notes_problems_and_what_holds_at_standstill():
+    standing = np.array([0.0, 1.0, 2.0])
+    found = lines([drive_of(notes=("no pulses of the left wheel",), wheels=())], prior_path="old.csv",
+                  fit=fit_of(velocities=standing, held_out_windows=0, held_out_mps2=math.nan),
+                  table=table_of(velocities=standing), problems=["too few values", "poor"])
+    assert found[1].endswith("accelerations by odometry's speed")
+    assert found[2:4] == ["prior: old.csv", "a.bag: no pulses of the left wheel"]
+    assert any(line.startswith("at 0 m/s the map says") for line in found)
+    assert not any("held out" in line for line in found)
+    assert found[-3:] == ["", "not good enough: too few values", "not good enough: poor"]
 
 
 def test_imu_measures_when_it_is_the_source():
     found = lines(source=Source(topics={"value": "throttle"}, measured_by=IMU))
     assert found[1].endswith("accelerations by the IMU, its bias by the wheels")
     assert any("gravity is in what an accelerometer feels" in line for line in found)
-
-
-def test_duty_that_stands_for_the_value_has_its_throttle_file():
-    curve = SimpleNamespace(axis=(3277.0, 4915.0, 6554.0), values=(-5.0, 0.0, 3.0))
-    found = lines(source=Source(duty_channel=1, throttle=SimpleNamespace(path="t.yaml", value_of_duty=curve)))
-    assert found[1].startswith("value: duty:1; ")
-    assert found[2] == "a duty counts as the value of which t.yaml makes it: 3277 is -5, 6554 is 3"
-
-
-def test_prior_and_notes_are_named():
-    found = lines([drive_of(notes=("no pulses of the left wheel",))], prior_path="old.csv")
-    assert found[2:4] == ["prior: old.csv", "a.bag: no pulses of the left wheel"]
-    assert not any(line.startswith("prior:") for line in lines())
 
 
 @pytest.mark.parametrize("changes, text", [
@@ -92,34 +96,16 @@ def ground_line(ground, **changes):
     return found
 
 
-def test_slope_is_given_by_its_size_and_direction():
+def test_slope_is_given_by_its_size_and_direction_or_by_what_takes_its_place():
     # √(0.03² + 0.04²) = 0.05; atan2(0.04, 0.03) = 53.1°
     assert ground_line(GROUND) == ("a.bag: ground rises by 5.00 % towards yaw 53°, taken off; drive fell by 10.0 ± "
                                    "1.0 %, brake by 2.0 ± 0.5 %: the map is that of the middle")
-
-
-def test_slope_that_cannot_be_known_is_said_to_be_in_the_map():
     assert "headings don't spread: a slope, if there is one, is in the map" in ground_line(UNKNOWN_GROUND)
-
-
-def test_pitch_takes_gravity_off():
     assert ("gravity taken off by pitch, less 1.00° of its mounting"
             in ground_line(GROUND._replace(pitch_offset_rad=math.radians(1.0)), pitch=object()))
 
 
 # --- errors ---
-
-
-def test_windows_are_counted_by_the_rule_that_left_them_out():
-    found = lines()
-    at = found.index("windows of 0.4 s: 49, of which count 40; the others:")
-    assert found[at + 1:at + 3] == ["       9  a stop", ""]
-
-
-def test_held_out_error_is_left_out_when_nothing_was_held_out():
-    assert "error of single windows: 0.120 m/s² RMS" in lines()
-    assert "held out (every 5th manoeuvre, from the others): 0.200 m/s² RMS over 8 windows" in lines()
-    assert not any("held out" in line for line in lines(fit=fit_of(held_out_windows=0, held_out_mps2=math.nan)))
 
 
 # --- the map ---
@@ -150,36 +136,9 @@ def test_map_is_described_by_its_axes_and_origins():
                                     "  m  1 of 9 the prior's, moved so that its column rises"]
 
 
-def test_what_was_not_driven_is_listed_by_value():
-    found = lines(fit=fit_of([[0, 0, 0], [1, 0, 0], [0, 1, 0]]))
-    assert [line for line in found if line.startswith("missing")] == [
-        "missing: value 1.0: at 0.5, 2.0 m/s", "missing: value 0.0: at 1.0 to 2.0 m/s",
-        "missing: value -1.0: at any speed"]
-
-
-def test_map_from_standstill_says_what_holds_there():
-    standing = table_of(velocities=np.array([0.0, 1.0, 2.0]))
-    standing_fit = fit_of(velocities=np.array([0.0, 1.0, 2.0]))
-    assert any(line.startswith("at 0 m/s the map says") for line in lines(fit=standing_fit, table=standing))
-    assert not any(line.startswith("at 0 m/s") for line in lines())
-
-
 def test_neutral_band_is_named_when_acceleration_hardly_changes():
     level = ACCELERATIONS.copy()
     level[1] = level[0] + 0.001
     assert any(line.startswith("from value -1.0 to 0.0 acceleration hardly changes")
                for line in lines(table=table_of(accelerations=level)))
     assert not any("hardly changes" in line for line in lines())
-
-
-def test_standard_errors_and_seconds_have_grids():
-    found = lines()
-    errors, seconds = found.index("standard error in m/s²"), found.index("seconds of driving")
-    assert found[errors + 2] == "      1.0 |  0.050  0.050  0.050"
-    assert found[seconds + 2] == "      1.0 |    1.5    1.5    1.5"
-
-
-def test_problems_end_it():
-    assert lines(problems=["too few values", "poor"])[-3:] == ["", "not good enough: too few values",
-                                                               "not good enough: poor"]
-    assert not any("not good enough" in line for line in lines())

@@ -37,17 +37,12 @@ def nodes(namespace="", rest=RUNNING, process="", **states):
             for name in (*NODE_ROLES, "car_sim")]
 
 
-def test_nodes_that_all_answer_are_ok():
-    found, = check_nodes(nodes(), "/")
-    assert found.level == OK and found.what == ("turn_arb, pca9685, teensy_sensor_hub, generic_value_converter, "
-                                                "teleop_logi, car_sim run in /")
-
-
-def test_nodes_in_one_process_are_told_with_its_name():
-    found, = check_nodes(nodes(process="car_nodes", namespace="/car1"), "/car1")
-    assert found.level == OK
-    assert found.what.endswith("run in /car1; turn_arb, pca9685, teensy_sensor_hub, generic_value_converter in one "
-                               "process, /car1/car_nodes")
+def test_nodes_that_all_answer_are_ok_and_told_with_their_process():
+    names = "turn_arb, pca9685, teensy_sensor_hub, generic_value_converter"
+    for found, words in ((check_nodes(nodes(car_sim=ABSENT), "/"), f"{names}, teleop_logi run in /"),
+                         (check_nodes(nodes(process="car_nodes", namespace="/car1"), "/car1"), (
+                             f"{names}, teleop_logi, car_sim run in /car1; {names} in one process, /car1/car_nodes"))):
+        assert [(one.level, one.what) for one in found] == [(OK, words)]
 
 
 @pytest.mark.parametrize("others, words", [
@@ -59,31 +54,20 @@ def test_no_node_at_all_is_how_it_is_before_the_launch(others, words):
     assert (found.level, found.what) == (OK, words)
 
 
-def test_missing_node_is_a_warning_that_says_what_is_missing_with_it():
+def test_missing_node_is_a_warning_that_says_what_is_missing_with_it_and_what_launches_it():
     _, found = check_nodes(nodes(turn_arb=ABSENT, teleop_logi=ABSENT, car_sim=ABSENT), "/")
     assert found.level == WARN
     assert "turn_arb (nobody steers), teleop_logi (no gamepad, no deadman)" in found.what
     assert "roslaunch car_interface car.launch, or" in found.remedy
-
-
-def test_remedy_launches_the_virtual_car_where_there_is_one_and_in_its_namespace():
     _, found = check_nodes(nodes("/car1", turn_arb=ABSENT), "/car1")
-    assert "roslaunch car_interface demo.launch ns:=/car1, or" in found.remedy
+    assert "roslaunch car_interface demo.launch ns:=/car1, or" in found.remedy, "the virtual car's"
 
 
-def test_car_without_simulator_misses_nothing():
-    assert [found.level for found in check_nodes(nodes(car_sim=ABSENT), "/")] == [OK]
-
-
-def test_registered_node_that_does_not_answer_is_bad():
-    _, found = check_nodes(nodes("/car1", pca9685=SILENT), "/car1")
-    assert found.level == BAD and "/car1/pca9685 is registered, but doesn't answer: it hangs, or" in found.what
-
-
-def test_process_that_does_not_answer_is_told_once_for_all_its_nodes():
+def test_registered_process_that_does_not_answer_is_told_once_for_all_its_nodes():
     found = check_nodes(nodes(process="car_nodes", **dict.fromkeys(PARTS, SILENT)), "/")
     assert [finding.level for finding in found] == [OK, BAD]
-    assert found[1].what.startswith("/car_nodes is registered, but doesn't answer")
+    assert found[1].what.startswith("/car_nodes is registered, but doesn't answer: it hangs, or")
+    assert [one.level for one in check_nodes(nodes(rest=SILENT), "/")] == [BAD] * 6
 
 
 def test_killed_nodes_are_one_finding_and_not_said_to_hang():
@@ -93,10 +77,6 @@ def test_killed_nodes_are_one_finding_and_not_said_to_hang():
                           "there")
     assert found.remedy == ("Start the launch file again: roslaunch car_interface demo.launch. To clear the list: "
                             "rosnode cleanup")
-
-
-def test_nodes_of_which_none_answers_are_told_one_by_one():
-    assert [found.level for found in check_nodes(nodes(rest=SILENT), "/")] == [BAD] * 6
 
 
 def test_cars_are_found_by_the_names_of_their_nodes():
@@ -156,12 +136,9 @@ def test_reports(reports, namespace, reporting, told, levels):
     assert [found.level for found in check_diagnostics(reports, namespace, reporting, told)] == levels
 
 
-def test_complaint_is_told_in_the_nodes_own_words():
+def test_complaint_is_told_in_the_nodes_own_words_with_its_remedy():
     found, = check_diagnostics([BOARD], "/", ["/pca9685"])
     assert found.what == "pca9685: servo board: nothing answers. Check power" and "rostopic echo" in found.remedy
-
-
-def test_remedy_of_a_report_is_told_with_it():
     found, = check_diagnostics([BOARD._replace(remedy="Plug it in")], "/", ["/pca9685"])
     assert found.remedy == "Plug it in"
 
@@ -173,49 +150,29 @@ WRONG = Report("turn_arb: command topics", BAD, "/planner on car publishes std_m
 SECOND = Report("turn_arb: command topics", WARN, "2 nodes publish on /human", "End all but one")
 
 
-def test_command_topics_that_are_in_order_are_one_line():
-    found, = check_command_topics([TOPICS, TOPICS._replace(name="pca9685: command topics"), STEERING], "/")
-    assert (found.level, found.subject) == (OK, "topics")
-
-
-def test_no_report_about_command_topics_is_nothing_to_tell():
-    assert check_command_topics([STEERING], "/") == []
-
-
-@pytest.mark.parametrize("report", [WRONG, SECOND], ids=["wrong_type", "second_publisher"])
-def test_fault_of_a_command_topic_is_bad_and_told_with_its_remedy(report):
-    found, = check_command_topics([report], "/")
-    assert found == (BAD, "topics", f"{report.message} (reported by turn_arb)", report.remedy)
-
-
-def test_fault_that_several_nodes_report_is_told_once():
-    found, = check_command_topics([SECOND, SECOND._replace(name="generic_value_converter: command topics")], "/")
-    assert found.what == "2 nodes publish on /human (reported by turn_arb, generic_value_converter)"
-
-
-def test_fault_of_another_car_s_topics_is_left_out():
-    assert check_command_topics([WRONG._replace(name="car1/turn_arb: command topics")], "/") == []
-
-
-def test_reports_about_command_topics_are_not_told_twice():
-    assert [found.level for found in check_diagnostics([STEERING, WRONG], "/", ["/turn_arb"])] == [OK]
-
-
-def test_node_that_reports_on_its_topics_only_does_report():
-    assert check_diagnostics([TOPICS], "/", ["/turn_arb"]) == []
+@pytest.mark.parametrize("reports, findings", [
+    ([TOPICS, TOPICS._replace(name="pca9685: command topics"), STEERING], [(OK, "")]),
+    ([STEERING], []),
+    ([WRONG], [(BAD, f"{WRONG.message} (reported by turn_arb)")]),
+    ([SECOND, SECOND._replace(name="generic_value_converter: command topics")],
+     [(BAD, "2 nodes publish on /human (reported by turn_arb, generic_value_converter)")]),
+    ([WRONG._replace(name="car1/turn_arb: command topics")], []),
+], ids=["in_order", "no_report", "wrong_type", "reported_by_several_nodes", "another_cars"])
+def test_faults_of_command_topics_are_bad_each_told_once_and_not_with_the_other_reports(reports, findings):
+    found = check_command_topics(reports, "/")
+    assert [(one.subject, one.level) for one in found] == [("topics", level) for level, _ in findings]
+    for one, (level, what) in zip(found, findings):
+        assert level == OK or (one.what, one.remedy) == (what, reports[0].remedy)
+    assert [one.level for one in check_diagnostics([STEERING, *reports], "/", ["/turn_arb"])] == [OK]
 
 
 # --- parameters ---
 
 
-def test_good_parameters_are_one_line():
+def test_good_parameters_are_one_line_and_none_is_how_it_is_before_the_launch():
     found, = check_parameters([Reading("/turn_arb", "", True), Reading("/pca9685", "", False)])
     assert (found.level, found.what) == (OK, "those of /turn_arb, /pca9685 are good")
-
-
-def test_no_parameters_is_how_it_is_before_the_launch():
-    found, = check_parameters([])
-    assert found.level == OK
+    assert [one.level for one in check_parameters([])] == [OK]
 
 
 def test_file_with_a_fault_is_a_warning_that_says_what_becomes_of_it():

@@ -6,13 +6,11 @@ import pytest
 from car_interface.common.device_access import Membership
 from car_interface.doctor.checks.computer import (
     ClockReading,
-    Library,
     Need,
     check_clock,
     check_groups,
     check_joy,
     check_tools,
-    check_versions,
 )
 from car_interface.doctor.checks.findings import BAD, OK, WARN
 
@@ -25,41 +23,18 @@ def member(process=(), user=(), existing=("dialout", "i2c", "input"), is_root=Fa
     return Membership("ann", is_root, frozenset(process), frozenset(user), frozenset(existing))
 
 
-def test_user_in_all_groups_is_ok():
-    found, = check_groups(member(["dialout", "i2c"], ["dialout", "i2c"]), [PORT, BUS])
-    assert (found.level, found.what) == (OK, "ann is in dialout, i2c")
-
-
-def test_root_needs_no_group():
-    found, = check_groups(member(is_root=True), [PORT, BUS])
-    assert found.level == OK
-
-
-def test_virtual_devices_need_no_group():
-    found, = check_groups(member(), [])
-    assert found.level == OK
-
-
-def test_group_that_counts_from_the_next_log_in_is_told_apart():
-    fine, late = check_groups(member(["i2c"], ["dialout", "i2c"]), [PORT, BUS])
-    assert (fine.level, late.level) == (OK, BAD)
-    assert "after this log-in" in late.what and "Log in anew" in late.remedy
-
-
-def test_user_outside_a_group_is_sent_to_the_set_up():
-    found, = check_groups(member(), [PORT])
-    assert (found.level, found.what) == (BAD, "ann is not in dialout (the port)")
-    assert "setup_hardware" in found.remedy
-
-
-def test_group_that_does_not_exist_is_told_apart():
-    found, = check_groups(member(existing=["dialout"]), [BUS])
-    assert found.level == BAD and "there is no group i2c" in found.what and "setup_hardware" in found.remedy
-
-
-def test_being_outside_is_as_bad_as_the_need_says():
-    found, = check_groups(member(), [PAD])
-    assert found.level == WARN
+@pytest.mark.parametrize("one, needs, level, what, remedy", [
+    (member(["dialout", "i2c"], ["dialout", "i2c"]), [PORT, BUS], OK, "ann is in dialout, i2c", ""),
+    (member(is_root=True), [PORT, BUS], OK, "", ""),
+    (member(), [], OK, "", ""),
+    (member([], ["i2c"]), [BUS], BAD, "after this log-in", "Log in anew"),
+    (member(), [PORT], BAD, "ann is not in dialout (the port)", "setup_hardware"),
+    (member(existing=["dialout"]), [BUS], BAD, "there is no group i2c", "setup_hardware"),
+    (member(), [PAD], WARN, "ann is not in input", ""),
+], ids=["in_all", "root", "virtual_devices", "from_the_next_log_in", "outside", "no_such_group", "as_bad_as_it_says"])
+def test_user_is_in_the_groups_that_are_needed_or_told_why_not(one, needs, level, what, remedy):
+    found, = check_groups(one, needs)
+    assert found.level == level and what in found.what and remedy in found.remedy
 
 
 # --- clock ---
@@ -94,38 +69,21 @@ def test_each_trouble_of_the_clock_is_told():
 # --- versions ---
 
 
-def test_versions_of_python_and_of_all_libraries_are_one_line():
-    found, = check_versions("3.8.10", [Library("serial", "3.5", "install it"), Library("smbus2", "", "install it")])
-    assert (found.level, found.what) == (OK, "Python 3.8.10, serial 3.5, smbus2")
-
-
-def test_missing_library_is_bad_and_its_remedy_is_what_installs_it():
-    fine, missing = check_versions("3.11.2", [Library("serial", None, "install it")])
-    assert (fine.level, fine.what) == (OK, "Python 3.11.2")
-    assert (missing.level, missing.what, missing.remedy) == (BAD, "serial can't be imported", "install it")
-
-
 # --- packages ---
 
 
-def test_tools_that_have_their_libraries_are_ok():
-    found, = check_tools([], "")
-    assert (found.level, found.subject) == (OK, "packages")
-
-
-@pytest.mark.parametrize("missing, words", [
-    (["rosbags"], "rosbags is missing for bag_report, check_map and the calibration; driving needs none of it"),
-    (["matplotlib", "rosbags"], "matplotlib, rosbags are missing for bag_report"),
-], ids=["one", "two"])
-def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, words):
-    found, = check_tools(missing, "")
-    assert found.level == WARN and found.what.startswith(words)
-    assert found.remedy == "rosdep install, or on Debian a virtual environment: docs/recordings.md, Install the tools"
-
-
-def test_tools_in_a_virtual_environment_lack_nothing():
-    found, = check_tools(["rosbags"], "~/car_tools/bin/car-interface")
-    assert (found.level, found.what) == (OK, "the tools for recordings are in ~/car_tools/bin/car-interface")
+@pytest.mark.parametrize("missing, environment, level, words", [
+    ([], "", OK, ""),
+    (["rosbags"], "~/car_tools/bin/car-interface", OK,
+     "the tools for recordings are in ~/car_tools/bin/car-interface"),
+    (["rosbags"], "", WARN, "rosbags is missing for bag_report, check_map and the calibration; driving needs none"),
+    (["matplotlib", "rosbags"], "", WARN, "matplotlib, rosbags are missing for bag_report"),
+], ids=["none", "in_a_virtual_environment", "one", "two"])
+def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, environment, level, words):
+    found, = check_tools(missing, environment)
+    assert found.level == level and found.what.startswith(words)
+    assert found.remedy == ("" if level == OK else "rosdep install, or on Debian a virtual environment: "
+                            "docs/recordings.md, Install the tools")
 
 
 @pytest.mark.parametrize("is_installed, is_published, distribution, level, remedy", [

@@ -25,14 +25,11 @@ def test_sum_and_exit_code_are_those_of_the_worst(findings, level, words):
     assert summarise(findings) == words
 
 
-def test_in_a_pipe_each_finding_is_one_line_with_its_cure():
+def test_finding_is_one_line_in_a_pipe_and_its_cure_has_lines_of_its_own_in_a_terminal():
     assert render(GOOD) == "ok    bus         /dev/i2c-1"
     assert render(POOR) == ("bad   port        /dev/ttyAMA0: there is no such port | remedy: Plug the Teensy in: "
                             "ls /dev/serial/by-id")
     assert render(Finding(OK, "bus", "two\nlines")).count("\n") == 0
-
-
-def test_in_a_terminal_the_cure_has_lines_of_its_own():
     assert render(POOR, width=80) == ("bad   port        /dev/ttyAMA0: there is no such port\n"
                                       "                  remedy: Plug the Teensy in: ls /dev/serial/by-id")
 

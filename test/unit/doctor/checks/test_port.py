@@ -58,10 +58,6 @@ def test_terminals_are_those_of_the_kernel_s_drivers(number, expected):
     assert not is_terminal(*number, "")
 
 
-def test_port_that_nobody_has_is_nothing_to_tell():
-    assert check_holders("/dev/tty0", []) == []
-
-
 # --- the Teensy ---
 
 
@@ -98,12 +94,6 @@ def without_pongs(data):
     return b"" if b"\x7e\x01\x02\x02" in data else data
 
 
-def test_teensy_that_answers_is_fine_within_a_second():
-    found, took_ms = probed()
-    assert found.level == OK and "frames a second; pong after" in found.what and "shipped checksum" in found.what
-    assert took_ms < 1500
-
-
 @pytest.mark.parametrize(
     ("change", "level", "words", "remedy"),
     [
@@ -126,14 +116,14 @@ def test_what_is_wrong_with_the_line_is_told(change, level, words, remedy):
 @pytest.mark.parametrize("corrected", (False, True), ids=("shipped", "corrected"))
 def test_healthy_teensy_is_never_blamed_for_its_wire_whichever_checksum_its_receiver_wants(corrected):
     rng = random.Random(7)
-    for seed in range(30):
+    for seed in range(10):
         begin_ns = rng.randrange(10 ** 6) * MS + rng.randrange(MS)
         firmware = TeensyFirmware(FirmwareConfig(seed=seed, corrected_checksum=corrected,
                                                  clock_start_ms=rng.randrange(300, 3_600_000)),
                                   lambda sensor, at_ns: 4000, begin_ns)
         found, took_ms = probed(firmware, begin_ns=begin_ns)
-        assert found.level == OK and "pong after" in found.what, found
-        assert took_ms < 4000
+        assert found.level == OK and "frames a second; pong after" in found.what, found
+        assert (corrected or "(shipped checksum)" in found.what) and took_ms < 4000
 
 
 @pytest.mark.parametrize("missing, words", [
@@ -148,7 +138,7 @@ def test_sonars_that_do_not_report_are_named_with_the_remedy(missing, words):
     assert took_ms < 4000
 
 
-def test_teensy_whose_receiver_is_out_of_step_is_brought_back():
+def test_teensy_whose_receiver_is_out_of_step_is_brought_back_within_a_second():
     firmware = TeensyFirmware(FirmwareConfig(seed=1), lambda sensor, at_ns: 0, 50_000 * MS)
     firmware.receive(b"\x7e", 50_000 * MS)
     found, took_ms = probed(firmware)

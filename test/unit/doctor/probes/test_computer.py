@@ -56,14 +56,10 @@ def missing_groups(virtual_port=False, virtual_bus=False):
     return [(finding.level, finding.what) for finding in found]
 
 
-def test_port_and_bus_need_their_groups(member):
-    assert missing_groups() == [(BAD, "ann is not in dialout (the Teensy's port)"),
-                                (BAD, "ann is not in i2c (the servo board's bus)")]
-
-
-def test_virtual_devices_need_no_group(member):
-    assert missing_groups(virtual_bus=True) == [(BAD, "ann is not in dialout (the Teensy's port)")]
-    assert missing_groups(virtual_port=True) == [(BAD, "ann is not in i2c (the servo board's bus)")]
+def test_port_and_bus_need_their_groups_unless_they_are_virtual(member):
+    port, bus = (BAD, "ann is not in dialout (the Teensy's port)"), (BAD, "ann is not in i2c (the servo board's bus)")
+    assert missing_groups() == [port, bus]
+    assert missing_groups(virtual_bus=True) == [port] and missing_groups(virtual_port=True) == [bus]
     assert missing_groups(True, True) == [(OK, "none needed: the devices are virtual")]
 
 
@@ -152,15 +148,12 @@ def test_packages_are_those_of_the_tools_and_joy_for_a_car_with_hardware(is_virt
     assert [finding.level for finding in computer.probe_packages(False, is_virtual)] == levels
 
 
-def test_missing_library_of_a_tool_is_told_by_the_name_under_which_it_is_installed(monkeypatch):
+def test_missing_library_of_a_tool_is_told_unless_the_documentation_s_virtual_environment_is_there(
+        monkeypatch, tmp_path):
     monkeypatch.setattr(computer, "TOOLS", {"json": "json", "no_such_library": "NoSuchLibrary"})
     monkeypatch.setattr(computer, "TOOLS_ENVIRONMENT", "/nowhere")
     found, = computer.probe_packages(False, True)
     assert found.level == WARN and found.what.startswith("NoSuchLibrary is missing for bag_report")
-
-
-def test_virtual_environment_of_the_documentation_is_noticed(monkeypatch, tmp_path):
-    monkeypatch.setattr(computer, "TOOLS", {"no_such_library": "NoSuchLibrary"})
     monkeypatch.setattr(computer, "TOOLS_ENVIRONMENT", str(tmp_path))
     found, = computer.probe_packages(False, True)
     assert (found.level, found.what) == (OK, f"the tools for recordings are in {tmp_path}")
@@ -201,10 +194,12 @@ def no_answer():
     return "Connection refused"
 
 
-def test_master_on_this_computer_that_answers_is_ok(network):
+def test_master_on_this_computer_that_answers_is_ok_and_one_that_does_not_is_not_there(network):
     master, address, is_there = computer.probe_network(MASTER, answers)
     assert is_there and [(one.level, one.what) for one in master] == [(OK, "http://car:11311 answers")]
     assert [(one.level, one.what) for one in address] == [(OK, "this host's name, car")]
+    (found,), _, is_there = computer.probe_network(MASTER, no_answer)
+    assert not is_there and (found.level, found.what.split(";")[0]) == (WARN, "none runs at http://car:11311")
 
 
 def test_listening_address_is_read_from_the_kernels_table(network):
@@ -212,11 +207,6 @@ def test_listening_address_is_read_from_the_kernels_table(network):
     network.tables["/proc/net/tcp"] += "   0: 00000000:2C2F 00000000:0000 0A\n"
     (found,), _, _ = computer.probe_network(MASTER, answers)
     assert found.level == WARN and "listens on every interface" in found.what
-
-
-def test_master_that_does_not_answer_is_not_there(network):
-    (found,), _, is_there = computer.probe_network(MASTER, no_answer)
-    assert not is_there and (found.level, found.what.split(";")[0]) == (WARN, "none runs at http://car:11311")
 
 
 def test_master_on_another_host_is_named_and_needs_an_address_that_is_reached_from_there(network, monkeypatch):
@@ -247,13 +237,8 @@ def test_own_name_that_leads_elsewhere_is_bad(network, monkeypatch, name, what):
     assert found.level == BAD and what in found.what
 
 
-def test_loopback_name_is_fine_while_the_master_is_here(network, monkeypatch):
+@pytest.mark.parametrize("host", ["localhost", "nowhere"])
+def test_loopback_name_is_fine_while_the_master_is_here_or_nobody_knows_where(network, monkeypatch, host):
     monkeypatch.setenv("ROS_IP", "localhost")
-    _, (found,), _ = computer.probe_network("http://localhost:11311", answers)
+    _, (found,), _ = computer.probe_network(f"http://{host}:11311", answers)
     assert (found.level, found.what) == (OK, "ROS_IP, localhost: reached from this computer only")
-
-
-def test_master_whose_host_is_unknown_does_not_make_a_loopback_name_bad(network, monkeypatch):
-    monkeypatch.setenv("ROS_IP", "localhost")
-    _, (found,), _ = computer.probe_network("http://nowhere:11311", answers)
-    assert found.level == OK

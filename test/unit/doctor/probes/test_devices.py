@@ -24,21 +24,14 @@ def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch
     assert "log-in console" in found.remedy and "serial-getty@ttyAMA7" in found.remedy
 
 
-def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open_in_a_chroot_without_sys_too(monkeypatch):
-    def readlink(path):
-        raise FileNotFoundError(path)
-    monkeypatch.setattr(os, "readlink", readlink)
-    monkeypatch.setattr(devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
-    found, = devices.probe_port("/dev/null", 115200)
-    assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
-
-
-def test_dev_null_is_no_port_even_where_the_kernel_s_lists_cannot_be_read(monkeypatch):
-    """Any process may have it open: as its standard input."""
+@pytest.mark.parametrize("has_lists", [True, False], ids=["without_sys", "without_the_kernels_lists_too"])
+def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open(monkeypatch, has_lists):
+    """Any process may have /dev/null open: as its standard input."""
     def unreadable(*arguments, **keywords):
         raise FileNotFoundError(arguments[0])
     monkeypatch.setattr(os, "readlink", unreadable)
-    monkeypatch.setattr(devices, "open", unreadable, raising=False)
+    if not has_lists:
+        monkeypatch.setattr(devices, "open", unreadable, raising=False)
     monkeypatch.setattr(devices, "openers", lambda path: [(7, "teensy_sensor_hub")])
     found, = devices.probe_port("/dev/null", 115200)
     assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
@@ -91,13 +84,10 @@ def levels_and_words(address=0x40, driven=False):
     return [(finding.subject, finding.level) for finding in found], found[-1].what
 
 
-def test_bus_and_chip_are_ok(smbus2):
+def test_bus_and_chip_are_ok_unless_the_chip_lost_its_power_under_the_node(smbus2):
     assert levels_and_words() == ([("bus", OK), ("chip", OK)],
                                   "0x40 on /dev/i2c-1 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
     assert smbus2.opened == []
-
-
-def test_chip_that_lost_its_power_under_the_node_is_bad(smbus2):
     assert levels_and_words(driven=True)[0] == [("bus", OK), ("chip", BAD)]
 
 
