@@ -115,7 +115,8 @@ def attribute(made, path):
 
 def loaded(file, *arguments):
     """What roslaunch makes of a launch file; a Python without it skips the test."""
-    return pytest.importorskip("roslaunch.config").load_config_default([(f"{PACKAGE}/launch/{file}", [*arguments])], None, verbose=False)
+    load = pytest.importorskip("roslaunch.config").load_config_default
+    return load([(f"{PACKAGE}/launch/{file}", [*arguments])], None, verbose=False)
 
 
 def below(launch, namespace):
