@@ -1,7 +1,7 @@
 """Random drives of virtual ESCs through the ESC's state machine, with all that goes wrong between them.
 
 ``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each
-has a seed, and the seed is all that it depends on: ``python3 test/esc_sequences.py --seed 17`` shows one.
+has a seed, and the seed is all that it depends on: ``run(17)`` is one.
 
 A drive is a script of a person and a planner (forward, coast, pulls, stops with the stick kept where it is, a planner's
 hold of a stopped car, gears, a reverse button) through a world with delays, lost speed, a guard that puts the chip to
@@ -16,7 +16,7 @@ import multiprocessing
 import os
 import random
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
@@ -60,7 +60,6 @@ class Result:
     wanted: int = 0
     got: int = 0
     states: collections.Counter = field(default_factory=collections.Counter)
-    causes: collections.Counter = field(default_factory=collections.Counter)
 
 
 class Chip:
@@ -117,9 +116,9 @@ class Chip:
 class Drive:
     """One drive: a world, a driver, the state machine, and what came of it."""
 
-    def __init__(self, seed, make_esc=Esc, log=None):
+    def __init__(self, seed, make_esc=Esc):
         self.rng = rng = random.Random(seed)
-        self._make_esc, self._log = make_esc, log
+        self._make_esc = make_esc
         self.speed = SPEEDS[seed % 3]
         self.kind = (MATCHING, MATCHING, WRONG, UNVERIFIED)[seed // 3 % 4]
         esc = DRIVERS[seed // 12 % 5](
@@ -195,9 +194,6 @@ class Drive:
             decision = self.esc.step(self.request, now_ns)
             self.chip.command(decision.fraction, now_ns)
             self.result.states[decision.state_name] += 1
-            self.result.causes[decision.cause] += 1
-            if self._log:
-                self._log(now_ns, self, decision, motor)
         self._judge(motor, now_ns)
 
     def _fail(self, now_ns):
@@ -407,10 +403,10 @@ def run_all(seeds):
     return found, totals
 
 
-def run_many(number, first=0):
+def run_many(number):
     """Runs so many drives on all cores: (what failed, totals)."""
     found, totals = [], collections.Counter()
-    chunks = [range(begin, min(begin + 250, first + number)) for begin in range(first, first + number, 250)]
+    chunks = [range(begin, min(begin + 250, number)) for begin in range(0, number, 250)]
     with multiprocessing.Pool(os.cpu_count()) as pool:
         for texts, counts in pool.imap_unordered(run_all, chunks):
             found += texts
@@ -418,29 +414,9 @@ def run_many(number, first=0):
     return sorted(found), totals
 
 
-def _show(seed):
-    def log(now_ns, drive, decision, motor):
-        car = drive.car
-        request = drive.request
-        print(f"{now_ns / 1e9:6.2f} {'STOP' if request.is_stop else request.gear:7} {request.value:+.2f} "
-              f"{'means reverse' if drive._meant else '':13} → {decision.fraction:+.2f} {decision.state_name:8} "
-              f"{decision.cause:16} chip {drive.chip.duty} {motor.mode:8} {motor.level:.2f} v {car.speed_mps:+.2f} "
-              f"{car.wheel_mps:+.2f}")
-    drive = Drive(seed, log=log)
-    print(drive.virtual.config, drive.config, drive.car.config, sep="\n")
-    result = drive.drive()
-    print(replace(result, states=None, causes=None))
-    print(failures(result) or "nothing is wrong")
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("number", nargs="?", type=int, default=2000)
-    parser.add_argument("--seed", type=int)
-    options = parser.parse_args()
-    if options.seed is not None:
-        _show(options.seed)
-    else:
-        found, totals = run_many(options.number)
-        print(*found[:30], sep="\n")
-        print(len(found), "failed;", dict(totals))
+    found, totals = run_many(parser.parse_args().number)
+    print(*found[:30], sep="\n")
+    print(len(found), "failed;", dict(totals))

@@ -2,7 +2,7 @@
 """How well a car calibrates its own steering while a person holds a button: random virtual cars.
 
     PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N] [--releases EVERY_S] [--rolls]
-        [--braking M/S^2] [--radius M]
+        [--braking M/S^2]
 
 The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
 6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
@@ -27,7 +27,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections import Counter, deque
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -38,7 +38,7 @@ from room_drives import ALL_ALIKE, Sonars
 
 from accuracy.releases import ROLLS_S, STANDS_MPS, PausedDrive, Release, Releases, ignore
 from accuracy.steering_calibration import MEDIAN_SHARE, P95_PER_M, P95_SHARE, WIDEST_M, Errors, ask, floor
-from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, _Magnets, count_duty, random_car
+from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.conclusion import Conclusion, conclude
 from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
@@ -49,8 +49,6 @@ from car_interface.common.drive_modes import AUTONOMOUS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
 from car_interface.sim.collision import Collisions
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import Pose, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
@@ -58,12 +56,7 @@ from car_interface.steering.arbiter import ArbiterConfig as SteeringConfig
 from car_interface.steering.arbiter import SteeringArbiter
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.params import load_steering
-from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
-from car_interface.teensy.link.pinging import Pinger
-from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
-from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
-from car_interface.teensy.sensing.odometry import OdometryConfig
-from car_interface.teensy.sensing.plausibility import GateConfig
+from car_interface.teensy.link.protocol import WheelStatus
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
@@ -100,7 +93,6 @@ class Result(NamedTuple):
 
     seed: int
     conclusion: Conclusion
-    end: str
     held_s: float
     total_s: float
     max_m: float  # the farthest that any corner was from the middle of the area, along x or y
@@ -109,17 +101,12 @@ class Result(NamedTuple):
     distance_m: float
     positions: int
     pauses: int
-    blocked: tuple  # texts
-    phases: Counter  # steps by phase
-    step_ms: float
-    fits_s: tuple
 
 
-def driving_car(seed: int, rolls: bool = False, half_m: float = HALF_M) -> Car:
+def driving_car(seed: int, rolls: bool = False) -> Car:
     """The car of that seed, with its ESC, its tyres and its room; its owner found ends and center roughly.
 
     rolls: its ESC drags nothing in neutral, and nobody calibrated it: let go it only has its own drag.
-    half_m: from the middle of its room to its walls.
     """
     rng = random.Random(f"calibration drive {seed}")
     car = random_car(seed)
@@ -138,7 +125,7 @@ def driving_car(seed: int, rolls: bool = False, half_m: float = HALF_M) -> Car:
     steering = replace(car.steering, lag_s=rng.uniform(0.04, 0.18))
     vehicle = replace(car, esc=virtual_esc, tyres=tyres, steering=steering, start=Pose(
         rng.uniform(-0.1, 0.1) - 0.14, rng.uniform(-0.1, 0.1), rng.uniform(-0.3, 0.3)))
-    walls = (-half_m, half_m, -half_m, half_m)
+    walls = (-HALF_M, HALF_M, -HALF_M, HALF_M)
     world = WorldConfig(walls=walls, boxes=(), posts=(), cone_rad=math.radians(30), rays=13) if seed % 2 else None
     return Car(vehicle, base, esc, world)
 
@@ -197,9 +184,8 @@ class Person:
 class Bench:
     """The car, its chain and the drive."""
 
-    def __init__(self, seed: int, trace=None, rolls: bool = False, braking_mps2: float = DEFAULTS.braking_mps2,
-                 radius_m: float = HALF_M):
-        self.car = car = driving_car(seed, rolls, radius_m)
+    def __init__(self, seed: int, trace=None, rolls: bool = False, braking_mps2: float = DEFAULTS.braking_mps2):
+        self.car = car = driving_car(seed, rolls)
         self._rng = rng = random.Random(f"drive {seed}")
         self._trace = trace
         self._world = None if car.world is None else World(car.world)
@@ -208,7 +194,7 @@ class Bench:
         self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
         mounts = {name: Mount(*mount_fields(mount)) for name, mount in zip(NAMES, WorldConfig().mounts)}
         config = DriveConfig(
-            braking_mps2=braking_mps2, radius_m=radius_m,
+            braking_mps2=braking_mps2, radius_m=HALF_M,
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
@@ -220,14 +206,7 @@ class Bench:
         self._converter = Converter(ConversionConfig(), load_value_map(str(MAP)))
         self._person = Person(rng, car.base)
         noise = np.random.default_rng(rng.randrange(1 << 30))
-        self._teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=300 + rng.randrange(3_600_000),
-                                                     clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS)
-        self._magnets = _Magnets(car.vehicle, noise)
-        self._decoder, self._pinger = FrameDecoder(), Pinger(NS_PER_S, SHIPPED, START_NS)
-        v = car.vehicle
-        self._measurements = Measurements(MeasurementConfig(
-            gates=GateConfig(pulse_m=v.pulse_m),
-            odometry=OdometryConfig(v.pulses_per_revolution, v.wheel_diameter_m, v.track_m, v.wheelbase_m)))
+        self._hub = Hub(car.vehicle, rng, noise)
         self._odom, self._odom_ns = None, START_NS
         self._held = None
         self._chip = deque([(START_NS, car.base.servo_center, 4915)])
@@ -238,7 +217,6 @@ class Bench:
         self._max_m = self._extent_m = 0.0
         x_m, y_m, yaw_rad = car.vehicle.start
         self._start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
-        self._blocked, self._phases, self._fits_s, self._spent_s = [], Counter(), [], 0.0
 
     def run(self) -> Result:
         """Until it is over."""
@@ -247,12 +225,9 @@ class Bench:
             self._advance()
         base_text = STOCK.read_text(encoding="utf-8")
         conclusion = conclude(self.drive.samples, self.car.base, base_text, "calibration drive")
-        steps = sum(self._phases.values())
-        return Result(0, conclusion, "" if self._step is None else self._step.text, self.drive.driven_s,
-                      (self.vehicle.time_ns - START_NS) / NS_PER_S, self._max_m, self._extent_m,
-                      self._collisions.count if self._collisions else 0, self.vehicle.travel_m,
-                      self.drive.progress(self.vehicle.time_ns).positions, self._person.pauses, tuple(self._blocked),
-                      self._phases, 1e3 * self._spent_s / max(1, steps), tuple(self._fits_s))
+        return Result(0, conclusion, self.drive.driven_s, (self.vehicle.time_ns - START_NS) / NS_PER_S, self._max_m,
+                      self._extent_m, self._collisions.count if self._collisions else 0, self.vehicle.travel_m,
+                      self.drive.progress(self.vehicle.time_ns).positions, self._person.pauses)
 
     def _advance(self):
         """By one step of the car."""
@@ -265,8 +240,7 @@ class Bench:
             self._chip.popleft()
         pulses = self._push() if self._person.pushes else self.vehicle.step(STEP_NS, *self._chip[0][1:])
         now_ns = self.vehicle.time_ns
-        for at_ns, side, direction in self._magnets.pass_by(pulses, self.vehicle.speed_mps, now_ns):
-            self._teensy.wheel_pulse(side, direction, at_ns)
+        self._hub.roll(pulses, self.vehicle.speed_mps, now_ns)
 
     def let_go(self) -> Release:
         """What happens if the button is let go now, for good; this bench goes on as if it had not been."""
@@ -314,17 +288,9 @@ class Bench:
 
     def _hear(self, now_ns):
         """What the Teensy and the sonars send."""
-        teensy = self._teensy
-        if now_ns >= self._pinger.due_ns:
-            teensy.receive(self._pinger.ping(now_ns // NS_PER_MS % 2 ** 32, now_ns), now_ns)
-        for body in self._decoder.feed(teensy.transmit(now_ns)):
-            record = decode(body)
+        for record, measured in self._hub.step(now_ns):
             if isinstance(record, WheelStatus):
-                self._odom = self._measurements.wheels(record, now_ns) or self._odom
-            elif isinstance(record, SonarStatus):
-                self._measurements.sonar(record, now_ns)
-            elif isinstance(record, Pong):
-                self._measurements.pong(record, self._pinger.pong(record.timestamp1, now_ns), now_ns)
+                self._odom = measured or self._odom
         if self._odom is not None and now_ns >= self._odom_ns:
             motion, self._odom_ns = self._odom.motion, now_ns + TICK_NS
             self.drive.update_odometry(motion.x_m, motion.y_m, motion.yaw_rad, motion.speed_mps,
@@ -343,13 +309,7 @@ class Bench:
                     self._step.text if self._step else "")
         drive.update_grant(person.holds, "nobody holds it", now_ns)
         self._fit(now_ns)
-        begun = time.perf_counter()
-        before, self._step = self._step, drive.step(now_ns)
-        self._spent_s += time.perf_counter() - begun
-        step = self._step
-        self._phases[step.phase] += 1
-        if step.phase == BLOCKED and (before is None or before.phase != BLOCKED):
-            self._blocked.append(step.text)
+        self._step = step = drive.step(now_ns)
         self._arbitrate(step, now_ns)
         self._judge()
         if self._trace:
@@ -389,10 +349,7 @@ class Bench:
     def _fit(self, now_ns):
         task = self.drive.take_fit_task()
         if task is not None:
-            begun = time.perf_counter()
-            knowledge = assess(task)
-            self._fits_s.append((task.delay is None, time.perf_counter() - begun))
-            self._due.append((now_ns + (FULL_FIT_NS if task.delay is None else QUICK_FIT_NS), knowledge))
+            self._due.append((now_ns + (FULL_FIT_NS if task.delay is None else QUICK_FIT_NS), assess(task)))
         while self._due and self._due[0][0] <= now_ns:
             self.drive.update_knowledge(self._due.popleft()[1], now_ns)
 
@@ -442,7 +399,7 @@ def row(result: Result, pair: tuple[Errors, Errors] | None) -> str:
     text = (f"{result.seed:5d} {kind} {'walls' if car.world else '     '} | "
             f"{result.held_s:4.0f} {result.total_s:4.0f} s {result.distance_m:4.0f} m {result.positions:3d} "
             f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} "
-            f"{result.collisions} {len(result.blocked)} | {result.step_ms:3.1f} ms | ")
+            f"{result.collisions} | ")
     return text + (result.conclusion.refusal[:150] if pair is None else figures(*pair))
 
 
@@ -454,9 +411,9 @@ def figures(made: Errors, best: Errors) -> str:
             f"{np.percentile(made.curvature, 95):7.4f} {np.percentile(made.curvature - best.curvature, 95):7.4f}")
 
 
-def is_good(result: Result, pair: tuple[Errors, Errors] | None, half_m: float = HALF_M) -> bool:
+def is_good(result: Result, pair: tuple[Errors, Errors] | None) -> bool:
     """Whether a drive is what is asked of it, its table by the bounds of steering_calibration."""
-    if pair is None or result.held_s > 300.1 or result.max_m > half_m or result.collisions:
+    if pair is None or result.held_s > 300.1 or result.max_m > HALF_M or result.collisions:
         return False
     beyond = Errors(*(made - best for made, best in zip(*pair)))
     return bool(np.median(beyond.radius) <= MEDIAN_SHARE and np.percentile(beyond.radius, 95) <= P95_SHARE
@@ -478,17 +435,15 @@ def main():
     parser.add_argument("--rolls", action="store_true", help="all ESCs are unverified and drag nothing in neutral")
     parser.add_argument("--braking", type=float, default=DEFAULTS.braking_mps2, metavar="M/S^2",
                         help="what the drive is told, as the program's option of that name")
-    parser.add_argument("--radius", type=float, default=HALF_M, metavar="M",
-                        help="of the area, and from the middle of the room to its walls")
     options = parser.parse_args()
-    print("  car              | held total  way pos pauses | max_x ext col blk | step   | radius %    | beyond floor |"
+    print("  car              | held total  way pos pauses | max_x ext col | radius %    | beyond floor |"
           " curvature, beyond")
     judged, good = [], []
     for seed in range(options.first, options.first + options.cars):
         begun = time.perf_counter()
-        releases = None if options.releases is None else Releases(options.releases, options.radius)
-        judged.append(judge(seed, releases, options.rolls, options.braking, options.radius))
-        good.append(is_good(*judged[-1], half_m=options.radius))
+        releases = None if options.releases is None else Releases(options.releases, HALF_M)
+        judged.append(judge(seed, releases, options.rolls, options.braking))
+        good.append(is_good(*judged[-1]))
         print(row(*judged[-1]), "" if good[-1] else "missed", f"({time.perf_counter() - begun:.0f} s)",
               flush=True)
         if releases is not None:

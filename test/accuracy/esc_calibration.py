@@ -4,7 +4,7 @@ A scripted person drives as docs/calibrate.md asks for, through throttle_arb's r
 command sees the bag only. The person's hand is a person's: it reacts late, moves the stick in some tenths of a second,
 trembles, counts badly, and now and then does something else than it was told.
 
-    PYTHONPATH=src:test python3 test/accuracy/esc_calibration.py [--first SEED] [--escs N] [--bag SEED FILE.bag]
+    PYTHONPATH=src:test python3 -m accuracy.esc_calibration [--first SEED] [--escs N]
 """
 from __future__ import annotations
 
@@ -205,11 +205,9 @@ def script(leaves_out=(), is_calibration_drive=True):
     return commands
 
 
-def record_drive(seed: int, path, leaves_out=(), car: VehicleConfig | None = None, **changes) -> VehicleConfig:
-    """Let a person drive the car of a seed by the page, and write the bag; returns the car."""
-    car = car or random_car(seed)
-    record(car, path, seed, script(leaves_out, **changes), duration_s=240.0)
-    return car
+def record_drive(seed: int, path, leaves_out=(), **changes) -> None:
+    """Let a person drive the car of a seed by the page, and write the bag."""
+    record(random_car(seed), path, seed, script(leaves_out, **changes), duration_s=240.0)
 
 
 class Outcome(NamedTuple):
@@ -227,7 +225,7 @@ def judge(seed: int, folder: Path, bag: str | None = None) -> Outcome:
     import yaml
     output, car = folder / f"{seed}.yaml", random_car(seed)
     if bag is None:
-        bag = str(folder / "drive.bag")
+        bag = str(folder / f"{seed}.bag")
         record_drive(seed, bag)
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text):
@@ -266,13 +264,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--escs", type=int, default=20)
-    parser.add_argument("--bag", nargs=2, metavar=("SEED", "FILE"), help="only write the recording")
-    parser.add_argument("--without", action="append", default=[], choices=ALL, help="leave a step of the page out")
-    parser.add_argument("-v", action="store_true", help="show what the command says")
     arguments = parser.parse_args()
-    if arguments.bag:
-        print(record_drive(int(arguments.bag[0]), arguments.bag[1], arguments.without).esc)
-        return 0
     counts = {"right": 0, "refused": 0, "wrong": 0}
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(arguments.first, arguments.first + arguments.escs):
@@ -281,7 +273,7 @@ def main():
                       "right" if outcome.profile == outcome.kind and not outcome.errors else "wrong")
             counts[result] += 1
             print(f"{seed}: {outcome.kind}: {result} {'; '.join(outcome.errors)}")
-            if outcome.code or arguments.v:
+            if outcome.code:
                 print("  " + outcome.text.strip().replace("\n", "\n  "), flush=True)
     print(", ".join(f"{count} {name}" for name, count in counts.items()))
     return int(counts["wrong"] > 0)

@@ -1,8 +1,7 @@
 #!/usr/bin/env python3
 """How well calibrate_steering learns a steering that it never sees: random virtual cars, five minutes of driving each.
 
-    PYTHONPATH=src:test python3 -m accuracy.steering_calibration [--cars N] [--first SEED] [--minutes M]
-        [--missing third]
+    PYTHONPATH=src:test python3 -m accuracy.steering_calibration [--cars N] [--first SEED] [--missing third]
 
 Each car is recorded (see virtual_drive: play, a lag of 0.15 s, sensors' noise, a slope of 2 %, a sagging battery), the
 command itself calibrates it from the bag alone, turn_arb's own core loads what it wrote, and is asked for turns. What
@@ -73,15 +72,14 @@ def floor(car, radii_m, curvatures_per_m) -> Errors:
                   np.array([np.min(np.abs(possible - curvature)) for curvature in curvatures_per_m]))
 
 
-def judge(seed, folder, minutes=5.0, missing=MIXED, imu=False, arguments=()) -> Verdict:
+def judge(seed, folder, missing=MIXED) -> Verdict:
     """Drive, calibrate, ask."""
     car = random_car(seed)
     bag, table = Path(folder) / f"{seed}.bag", Path(folder) / f"{seed}.yaml"
-    if not bag.exists():
-        record(car, bag, seed, missing=missing, duration_s=60 * minutes, imu=imu)
+    record(car, bag, seed, missing=missing)
     said, begun = io.StringIO(), time.perf_counter()
     with redirect_stdout(said), redirect_stderr(said):
-        code = command("calibrate_steering", [str(bag), "-o", str(table), *arguments])
+        code = command("calibrate_steering", [str(bag), "-o", str(table)])
     seconds = time.perf_counter() - begun
     curvatures = [curvature for _, curvature in car.steering.curve]
     radii = np.concatenate([sign * np.exp(np.linspace(np.log(1 / abs(end)), np.log(WIDEST_M), RADII))
@@ -120,20 +118,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cars", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
-    parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("--missing", default=MIXED, choices=(MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS))
-    parser.add_argument("--imu", action="store_true", help="the car has one")
-    parser.add_argument("--folder", help="keep the recordings there, and use those that are")
     options = parser.parse_args()
     print("       |             radius up to 5 m: error in %, median and p95      |    curvature, all: p95, 1/m   |")
     print("   car | beyond floor  |   calibrated  |  floor: count |  stock table  |  beyond  calibr.  floor   stock |"
           " s")
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = options.folder or temporary
-        Path(folder).mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
         verdicts = []
         for seed in range(options.first, options.first + options.cars):
-            verdict = judge(seed, folder, options.minutes, options.missing, options.imu)
+            verdict = judge(seed, folder, options.missing)
             verdicts.append(verdict)
             if verdict.code:
                 print(f"{seed:6d} | {verdict.said.strip().splitlines()[-1]}", flush=True)

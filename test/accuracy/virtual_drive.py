@@ -5,15 +5,11 @@ measurements, messages) and writes a ROS 1 bag as rosbag would have written it o
 sees only the bag; ``true_curvature_per_m`` and ``true_acceleration_mps2`` are for the judge.
 
 The person sees what odometry says, reacts every quarter of a second, and knows the car only by what it did before.
-
-    PYTHONPATH=src:test python3 test/accuracy/virtual_drive.py SEED FILE.bag [--missing right|fast|third] [--imu]
 """
 from __future__ import annotations
 
-import argparse
 import math
 import random
-import sys
 from collections import deque
 from pathlib import Path
 from typing import Iterator, NamedTuple
@@ -339,15 +335,8 @@ def _straight(see):
 # --- the recording ---
 
 
-class Facts(NamedTuple):
-    """About a recording."""
-
-    distance_m: float
-    duration_s: float
-
-
 def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing: str = MIXED, duration_s: float = 300.0,
-           imu: bool = False, servo_topic: str = "/servo/output", by_hand: bool = False) -> Facts:
+           imu: bool = False, servo_topic: str = "/servo/output", by_hand: bool = False) -> None:
     """Drive a car and write the bag.
 
     Args:
@@ -369,7 +358,6 @@ def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing:
         if by_hand:
             commands = (command._replace(esc_duty=round(duty_of_value(command.value))) for command in commands)
         drive.run(commands, duration_s)
-    return Facts(drive.distance_m, duration_s)
 
 
 class _Bag:
@@ -417,6 +405,46 @@ def ros_time_ns(monotonic_ns: int) -> int:
     return monotonic_ns - START_NS + ROS_START_NS
 
 
+class Hub:
+    """A virtual Teensy on a car, byte by byte, and what teensy_sensor_hub makes of it.
+
+    Args:
+        rng: of the Teensy's clock.
+        noise: of magnets that sit a little off.
+    """
+
+    def __init__(self, car: VehicleConfig, rng, noise):
+        self._teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=300 + rng.randrange(3_600_000),
+                                                     clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS)
+        self._magnets = _Magnets(car, noise)
+        self._decoder, self._pinger = FrameDecoder(), Pinger(NS_PER_S, SHIPPED, START_NS)
+        self._measurements = Measurements(MeasurementConfig(
+            gates=GateConfig(pulse_m=car.pulse_m),
+            odometry=OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m, car.wheelbase_m)))
+
+    def roll(self, pulses, speed_mps: float, now_ns: int) -> None:
+        """The wheels have turned."""
+        for at_ns, side, direction in self._magnets.pass_by(pulses, speed_mps, now_ns):
+            self._teensy.wheel_pulse(side, direction, at_ns)
+
+    def step(self, now_ns: int) -> Iterator[tuple]:
+        """Ping if it is time; yield each record that has come, and what was measured by it, if anything.
+
+        Of a pong also the answer by which it was measured.
+        """
+        if now_ns >= self._pinger.due_ns:
+            self._teensy.receive(self._pinger.ping(now_ns // NS_PER_MS % 2 ** 32, now_ns), now_ns)
+        for body in self._decoder.feed(self._teensy.transmit(now_ns)):
+            record = decode(body)
+            if isinstance(record, WheelStatus):
+                yield record, self._measurements.wheels(record, now_ns)
+            elif isinstance(record, SonarStatus):
+                yield record, self._measurements.sonar(record, now_ns)
+            elif isinstance(record, Pong):
+                answer = self._pinger.pong(record.timestamp1, now_ns)
+                yield record, (answer, self._measurements.pong(record, answer, now_ns))
+
+
 class _Recorder:
     """The car, its Teensy, the hub and the recorder."""
 
@@ -427,24 +455,13 @@ class _Recorder:
         self._bag = bag
         self._imu = _Imu(self._noise) if imu else None
         self._servo_topic = servo_topic
-        self._teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=300 + rng.randrange(3_600_000),
-                                                     clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS)
-        self._magnets = _Magnets(car, self._noise)
-        self._decoder = FrameDecoder()
-        self._pinger = Pinger(NS_PER_S, SHIPPED, START_NS)
-        self._measurements = Measurements(MeasurementConfig(
-            gates=GateConfig(pulse_m=car.pulse_m),
-            odometry=OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m, car.wheelbase_m)))
+        self._hub = Hub(car, rng, self._noise)
         self._motion = None
         self._odom, self._odom_due_ns = None, START_NS  # what waits to be published, and until when
         self._held = None
         self._held_ns = 0
         self._time = bag.type("builtin_interfaces/msg/Time")
         self.see = View(random.Random(rng.randrange(1 << 30)))
-
-    @property
-    def distance_m(self):
-        return self._motion.distance_m if self._motion else 0.0
 
     def run(self, commands, duration_s):
         car, now_ns = self._car, START_NS
@@ -463,12 +480,9 @@ class _Recorder:
                 self._write_command(command, steering, throttle, now_ns)
             pulses = car.step(STEP_NS, steering, throttle)
             now_ns = car.time_ns
-            for at_ns, side, direction in self._magnets.pass_by(pulses, car.speed_mps, now_ns):
-                self._teensy.wheel_pulse(side, direction, at_ns)
-            if now_ns >= self._pinger.due_ns:
-                self._teensy.receive(self._pinger.ping(now_ns // NS_PER_MS % 2 ** 32, now_ns), now_ns)
-            for body in self._decoder.feed(self._teensy.transmit(now_ns)):
-                self._hear(decode(body), now_ns)
+            self._hub.roll(pulses, car.speed_mps, now_ns)
+            for record, measured in self._hub.step(now_ns):
+                self._write_record(record, measured, now_ns)
             self._write_odom(now_ns)
             if self._imu is not None and now_ns >= imu_ns:
                 imu_ns += IMU_NS
@@ -510,35 +524,22 @@ class _Recorder:
             self._write(self._servo_topic, "std_msgs/msg/Int32MultiArray",
                         make("std_msgs/msg/Int32MultiArray", layout, np.array(vector, np.int32)), now_ns)
 
-    def _hear(self, record, now_ns):
+    def _write_record(self, record, measured, now_ns):
         if isinstance(record, WheelStatus):
-            self._hear_wheels(record, now_ns)
+            wheels = [self.make("car_interface/msg/OneWheel", *wheel) for wheel in record]
+            self._write("teensy_wheel", "car_interface/msg/Wheel", self.make("car_interface/msg/Wheel", *wheels),
+                        now_ns)
+            if measured is not None:
+                self._motion, self._odom = measured.motion, measured
         elif isinstance(record, SonarStatus):
-            self._measurements.sonar(record, now_ns)
             self._write("teensy_distance", "car_interface/msg/Distance",
                         self.make("car_interface/msg/Distance", record.sensor, record.echo_us, record.when), now_ns)
-        elif isinstance(record, Pong):
-            self._hear_pong(record, now_ns)
-
-    def _hear_pong(self, record, now_ns):
-        answer = self._pinger.pong(record.timestamp1, now_ns)
-        sync = self._measurements.pong(record, answer, now_ns)
-        if sync is None:
-            return
-        self._write("teensy_clock", "car_interface/msg/TeensyClock", self.make(
-            "car_interface/msg/TeensyClock", self.stamp(now_ns), answer.sent_ns, now_ns, answer.sent_bytes, 115200,
-            record.timestamp2, sync.used, sync.reason, sync.converged, sync.offset_ns / NS_PER_S, sync.skew_ppm,
-            sync.uncertainty_ns / NS_PER_S, sync.round_trip_ns / NS_PER_S), now_ns)
-
-    def _hear_wheels(self, record, now_ns):
-        one = "car_interface/msg/OneWheel"
-        wheels = [self.make(one, wheel.speed, wheel.direction, wheel.when, wheel.dist, wheel.dist_abs)
-                  for wheel in record]
-        self._write("teensy_wheel", "car_interface/msg/Wheel", self.make("car_interface/msg/Wheel", *wheels), now_ns)
-        measured = self._measurements.wheels(record, now_ns)
-        if measured is None:
-            return
-        self._motion, self._odom = measured.motion, measured
+        elif measured[1] is not None:
+            answer, sync = measured
+            self._write("teensy_clock", "car_interface/msg/TeensyClock", self.make(
+                "car_interface/msg/TeensyClock", self.stamp(now_ns), answer.sent_ns, now_ns, answer.sent_bytes, 115200,
+                record.timestamp2, sync.used, sync.reason, sync.converged, sync.offset_ns / NS_PER_S, sync.skew_ppm,
+                sync.uncertainty_ns / NS_PER_S, sync.round_trip_ns / NS_PER_S), now_ns)
 
     def _write_odom(self, now_ns):
         """The newest, at most 50 a second, as the hub does."""
@@ -614,21 +615,3 @@ class _Imu:
         return make("sensor_msgs/msg/Imu", recorder.header(now_ns, "imu_link"),
                     quaternion(make, car.pose.yaw_rad, pitch_rad), covariances[0], vector, covariances[1], force,
                     covariances[2])
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("seed", type=int)
-    parser.add_argument("path")
-    parser.add_argument("--missing", default=MIXED, choices=(MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS))
-    parser.add_argument("--seconds", type=float, default=300.0)
-    parser.add_argument("--imu", action="store_true")
-    arguments = parser.parse_args()
-    facts = record(random_car(arguments.seed), arguments.path, arguments.seed, missing=arguments.missing,
-                   duration_s=arguments.seconds, imu=arguments.imu)
-    print(f"{arguments.path}: {facts.duration_s:.0f} s, {facts.distance_m:.0f} m")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,6 @@ import rospy
 from car_interface.msg import SteeringState
 from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
 from nav_msgs.msg import Odometry
-from roslaunch.config import load_config_default
 from visualization_msgs.msg import Marker, MarkerArray
 
 from car_interface.common.errors import ConfigError
@@ -147,7 +146,8 @@ def test_impossible_size_is_refused_by_name(graph, name):
 @pytest.mark.parametrize("namespace, prefix", [("/", ""), ("car1", "car1/")])
 def test_launch_file_gives_the_frames_of_a_car_with_a_namespace_its_name(graph, namespace, prefix):
     path = f"{rospkg.RosPack().get_path('car_interface')}/launch/display.launch"
-    launched = load_config_default([(path, [f"ns:={namespace}", "rviz:=false"])], None, assign_machines=False)
+    launched = pytest.importorskip("roslaunch.config").load_config_default(
+        [(path, [f"ns:={namespace}", "rviz:=false"])], None, assign_machines=False)
     assert [node.type for node in launched.nodes] == ["car_display"]
     picture = Picture(graph, frame_prefix=launched.params[f"/{prefix}car_display/frame_prefix"].value)
     graph.run(0)

@@ -30,8 +30,9 @@ from teensy import Teensy, sonar
 ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 SEED = int(os.environ.get("CAR_INTERFACE_SEED", random.SystemRandom().randrange(10 ** 6) if ALL else 3))
 READS, STARTS, REQUESTS = (20_000, 1000, 400) if ALL else (400, 40, 30)
-WARM_UP, MESSAGES = (1000, 3000) if ALL else (150, 300)  # to each topic
+WARM_UP, MESSAGES = (1000, 1000) if ALL else (150, 100)  # to each topic, and as many again in each round
 MAX_GROWTH = 30 * MESSAGES  # bytes: less than any object that is kept for each message
+ROUNDS = 6  # what is kept for each message grows in every one; Python's own caches grow in the first ones
 
 SCALARS = (None, True, False, "", " ", "a", "nan", "1e-3", "0x40", "1e999", "virtual", "/dev/null", "shipped", "auto",
            "ä\0", "9" * 400, math.nan, math.inf, -math.inf, 5e-324, -1e308, 1e-310, -0.0, 0.5, -1, 0, 1, 2, 15, 16, 300,
@@ -223,17 +224,21 @@ def feed(car, node, choose, count):
 
 
 def check_growth(act):
-    """The memory that Python holds grows by little."""
-    gc.collect()
+    """In one of some equal rounds the memory that Python holds grows by little."""
     tracemalloc.start()
     try:
-        before, _ = tracemalloc.get_traced_memory()
-        act()
-        gc.collect()
-        growth = tracemalloc.get_traced_memory()[0] - before
+        assert any(growth_of(act) < MAX_GROWTH for _ in range(ROUNDS)), f"CAR_INTERFACE_SEED={SEED}"
     finally:
         tracemalloc.stop()
-    assert growth < MAX_GROWTH, f"CAR_INTERFACE_SEED={SEED}"
+
+
+def growth_of(act):
+    """How many more bytes Python holds after an act."""
+    gc.collect()
+    before, _ = tracemalloc.get_traced_memory()
+    act()
+    gc.collect()
+    return tracemalloc.get_traced_memory()[0] - before
 
 
 @pytest.mark.parametrize("name", NODES)

@@ -100,6 +100,8 @@ def test_center_moved_while_driving_glides_there_and_everything_moves_along(fold
     assert moving_ns[-1] - moving_ns[0] == 39 * NS_PER_S // 100
     state = tuned.graph.newest("/turn_arb/state")
     assert (state.source, state.duty) == (SteeringState.PLANNER, CENTER + 200)
+    tuned.graph.run(1.0)
+    assert tuned.graph.report("turn_arb: steering").values["tuned live"] == "servo_center 5100 → 5300"
     for radius, duty in ((-300.0, CENTER + 200), (1.0, LEFT), (-1.0, RIGHT)):
         tuned.drive(planner=radius)
         assert tuned.steers == duty
@@ -169,6 +171,7 @@ def test_neutral_of_the_esc_glides_and_one_that_is_too_far_or_nonsense_is_not_fo
     assert tuned.tune(neutral=NEUTRAL + 40)["neutral"] == NEUTRAL + 40
     duties = [duty for _, duty in tuned.duties(ESC, at_ns)]
     assert duties[-1] == NEUTRAL + 40 and {b - a for a, b in zip(duties, duties[1:])} <= {0, 1, 2}
+    assert tuned.graph.report("throttle_arb: throttle").values["tuned live"] == "neutral 4915 → 4955"
     for data in ([5100] * 3, [-1] * 5 + [5100] + [-1] * 10, [9000] + [-1] * 15):
         tuned.graph.publish("/servo/neutral", Int32MultiArray(data=data), "/rogue")
     assert tuned.rests() == [CENTER, NEUTRAL + 40]

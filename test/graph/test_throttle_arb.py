@@ -4,18 +4,15 @@ from __future__ import annotations
 import logging
 import math
 import re
-import shutil
 
 import pytest
-import yaml
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 
-from car import CONFIG, Car, config
-from car_interface.common.errors import ConfigError
+from car import Car, config
 from inputs import Inputs
 
 NEUTRAL, FULL_FORWARD, FULL_BRAKE = 4915, 6554, 3277
@@ -226,46 +223,37 @@ def test_negative_value_brakes_a_car_that_rolls_and_does_nothing_to_one_that_sta
 STOPPED = SteeringState(source=SteeringState.NO_HUMAN, reason="why")
 LOCKED = SteeringState(source=SteeringState.LOCKED, reason="why")
 NO_VALUE = ConverterState(value=NAN, cause="command not finite", reason="the commanded acceleration is nan")
-# What is lost, the reason, and after how many ms at most: a timeout and a tick.
-OF_PLANNER = {
-    "values_are_silent": (lambda arb: arb.silence("value"), r"the planner's value silent for 0\.5\d s", 500),
-    "a_value_is_no_number": (lambda arb: arb.plan(NAN), "the planner's value is nan, no number to act on", 0),
-    "the_converter_has_none": (lambda arb: arb.hold(converter=NO_VALUE), "the commanded acceleration is nan", 0),
-    "odometry_is_silent": (lambda arb: arb.silence("speed"), r"odometry silent for 0\.5\d s", 500),
-    "odometry_is_no_number": (lambda arb: arb.hold(speed=NAN), "the velocity in the odometry is nan", 0),
-}
-OF_BOTH = {
-    "the_human_lets_go": (lambda arb: arb.hold(human=False), "human_in_loop is false", 0),
-    "the_human_is_silent": (lambda arb: arb.silence("human"), r"human_in_loop silent for 0\.5\d s", 500),
-    "turn_arb_sees_no_human": (lambda arb: arb.hold(steering=STOPPED), "turn_arb says NO_HUMAN: why", 0),
-    "turn_arb_is_locked": (lambda arb: arb.hold(steering=LOCKED), "turn_arb says LOCKED: why", 0),
-    "turn_arb_is_silent": (lambda arb: arb.silence("steering"), r"turn_arb's state silent for 0\.2\d s", 250),
-    "the_gamepad_is_silent": (lambda arb: arb.silence("teleop"), r"tele_throt_req silent for 0\.5\d s", 500),
-    "the_throttle_is_no_number": (lambda arb: arb.hold(teleop=NAN), "tele_throt_req is nan, no number.*", 0),
-    "the_lock_is_on": (lambda arb: arb.hold(e_stop=True), "e_stop is true", 0),
-    "the_lock_is_silent": (lambda arb: arb.silence("e_stop"), r"e_stop silent for 1\.0\d s", 1000),
-}
+LOSSES = {
+    "the planner's value silent for": lambda arb: arb.silence("value"),
+    "the planner's value is nan, no number to act on": lambda arb: arb.plan(NAN),
+    "the commanded acceleration is nan": lambda arb: arb.hold(converter=NO_VALUE),
+    "odometry silent for": lambda arb: arb.silence("speed"),
+    "the velocity in the odometry is nan": lambda arb: arb.hold(speed=NAN),
+    "human_in_loop is false": lambda arb: arb.hold(human=False),
+    "human_in_loop silent for": lambda arb: arb.silence("human"),
+    "turn_arb says NO_HUMAN: why": lambda arb: arb.hold(steering=STOPPED),
+    "turn_arb says LOCKED: why": lambda arb: arb.hold(steering=LOCKED),
+    "turn_arb's state silent for": lambda arb: arb.silence("steering"),
+    "tele_throt_req silent for": lambda arb: arb.silence("teleop"),
+    "tele_throt_req is nan, no number": lambda arb: arb.hold(teleop=NAN),
+    "e_stop is true": lambda arb: arb.hold(e_stop=True),
+    "e_stop silent for": lambda arb: arb.silence("e_stop")}
 
 
-@pytest.mark.parametrize("driver, name", [*(("planner", name) for name in {**OF_PLANNER, **OF_BOTH}),
-                                          *(("human", name) for name in OF_BOTH)])
-def test_whatever_is_lost_means_neutral_within_its_timeout_and_a_tick(driver, name):
-    break_it, reason, timeout_ms = {**OF_PLANNER, **OF_BOTH}[name]
+def test_whatever_is_lost_means_neutral_with_its_reason():
+    """Within which time is in test_chain."""
     arb = Arb()
-    for phase_ms in (0, 7, 13):
-        arb.present(teleop=0.0 if driver == "planner" else 1.0)
-        if driver == "planner":
-            arb.plan(3.0)
-        arb.run(0.1 + phase_ms / 1000)
-        assert arb.duty == (FULL_FORWARD if driver == "planner" else BY_HAND)
-        broken_ns = arb.graph.now_ns
-        break_it(arb)
-        neutral_ns = arb.graph.run_until(lambda: arb.duty == NEUTRAL, 2.0) if timeout_ms else broken_ns
-        assert timeout_ms - 50 <= (neutral_ns - broken_ns) / 1e6 <= timeout_ms + 20  # 50: since the last message
+    for reason, lose in LOSSES.items():
+        arb.present()
+        arb.plan(3.0)
+        assert arb.duty == FULL_FORWARD
+        lose(arb)
+        arb.graph.run_until(lambda: arb.duty == NEUTRAL, 1.1)
+        since_ns = arb.graph.now_ns + 1
         arb.run(0.002)
-        assert arb.duty == NEUTRAL and re.fullmatch(reason, arb.state.reason)
+        assert arb.state.reason.startswith(reason)
         arb.run(0.5)
-        assert arb.duties(neutral_ns + 25_000_000) == {NEUTRAL}
+        assert arb.duties(since_ns) == {NEUTRAL}
 
 
 def test_deadman_held_at_the_start_counts_after_it_was_released():
@@ -391,39 +379,6 @@ def test_board_that_gives_no_pulse_takes_arming_again():
     assert "ESC armed, profile brake_then_reverse" in arb.graph.lines("/throttle_arb")
 
 
-def test_servo_that_does_not_follow_stops_the_car_until_it_follows_again():
-    """After half a second each: the tolerance of the board watch."""
-    arb = Arb(board=True, **BRAKES).present(teleop=1.0, speed=4.0)
-    arb.run(1.0)
-    assert arb.state.esc == "FORWARD"
-    began_ns = arb.graph.now_ns
-    arb.hold(steering=SteeringState(source=SteeringState.TELEOP, duty=3818))
-    stopped_ns = arb.graph.run_until(lambda: arb.duty < BY_HAND, 1.0)
-    assert 500_000_000 <= stopped_ns - began_ns <= 540_000_000
-    arb.run(0.06)
-    reason = "the servo board holds 0 on channel 0, where turn_arb commands 3818"
-    assert arb.now[:2] == (ThrottleState.NEUTRAL, reason)
-    assert (arb.state.cause, arb.state.asked, arb.state.granted) == ("steering not held", 0.0, -0.5)  # it brakes
-    assert f"NEUTRAL: {reason}" in arb.warnings()
-    level, message, _ = arb.report()
-    assert level == WARN and reason in message
-    arb.steering = 3824  # the nearest count
-    began_ns = arb.graph.now_ns
-    driven_ns = arb.graph.run_until(lambda: arb.duty == BY_HAND, 1.0)
-    assert 500_000_000 <= driven_ns - began_ns <= 560_000_000
-
-
-def test_board_that_falls_silent_stops_the_car():
-    arb = Arb(board=True, **BRAKES).present(teleop=1.0)
-    arb.run(1.0)
-    assert arb.state.esc == "FORWARD"
-    arb.graph.silence("/servo/output")
-    silent_ns = arb.graph.now_ns
-    stopped_ns = arb.graph.run_until(lambda: arb.state.cause == "board silent", 1.0)
-    assert 480_000_000 <= stopped_ns - silent_ns <= 522_000_000
-    assert re.fullmatch(r"/servo/output silent for 0\.5\d s", arb.state.reason)
-
-
 def test_board_that_never_reported_is_not_driven_which_is_told():
     arb = Arb(output_required=True).present(teleop=1.0)
     assert (arb.state.cause, arb.state.granted, arb.duties()) == ("board never heard", 0.0, {NEUTRAL})
@@ -525,33 +480,7 @@ def test_what_a_sonar_ahead_sees_stops_the_car_and_a_silent_one_too():
                         arb.state.limit_reason)
 
 
-# --- parameters, tuning, end ---
-
-def test_neutral_is_tuned_live_published_and_saved(tmp_path):
-    path = tmp_path / "throttle.yaml"
-    shutil.copy(f"{CONFIG}/throttle.yaml", path)
-    arb = Arb(save_to=str(path))
-    arb.run(0.1)
-    assert arb.graph.reconfigure("/throttle_arb/servo", neutral=4935)["neutral"] == 4935
-    arb.run(1.0)
-    assert (arb.duty, arb.graph.newest("/servo/neutral").data[1]) == (4935, 4935)
-    assert arb.graph.call("/throttle_arb/save", None).success
-    saved = yaml.safe_load(path.read_text())["servo"]
-    assert (saved["neutral"], saved["duty_table"]) == (4935, [3297, 4935, 6574])
-    assert arb.graph.parameter("/throttle_arb/servo/duty_table") == [3297, 4935, 6574]
-    assert arb.report().values["tuned live"] == "neutral 4915 → 4935"
-
-
-@pytest.mark.parametrize("changes, text", [
-    ({"servo": {**config("throttle.yaml")["servo"], "channel": 16}},
-     "servo/channel is 16; accepted: an integer from 0 to 15"),
-    ({"esc": {"profile": "hobby"}}, "esc/profile is 'hobby'; accepted: one of brake_then_reverse, "),
-    ({"human_scal": 0.3}, "unknown parameter human_scal is 0.3; accepted: only "),
-])
-def test_bad_parameter_is_refused_by_name(changes, text):
-    with pytest.raises(ConfigError, match=f"^{text}"):
-        Arb(**changes)
-
+# --- the end ---
 
 def test_esc_that_is_driven_gets_neutral_when_the_node_ends():
     arb = Arb().present(teleop=1.0)
