@@ -293,6 +293,10 @@ class Tools(unittest.TestCase):
         for folder in folders:
             os.mkdir(folder)
         killed, hung_up = (self.begin(folder, f"__name:={os.path.basename(folder)}") for folder in folders)
+        master = rosgraph.Master("/tools_test")
+        eventually(lambda: sum("record" in name for name in dict(master.getSystemState()[1])["/turn_arb/state"]) >= 2,
+                   "both recorders")
+        self.steering.wait_for_count(20, self.steering.mark())
         help_text = start(self, "env", f"ROS_MASTER_URI={NOWHERE}", executable("calibration_drive"), "--help")
         os.kill(killed.pid, signal.SIGKILL)
         hung_up.hang_up()
