@@ -100,25 +100,15 @@ POWERED_UP = [
     Capture("drive_reverse", 196.4, undetermined=60),
 ]
 STREAMS = [
-    Capture(
-        "far", 0, 2, first_us=-96476.174, lead_us=75834.1,
-        config=(("clock_start_ms", 206407), ("sonar_sequence", (3, 4, 5, 0, 1, 2))),
-    ),
-    Capture(
-        "far_young", 0, first_us=-97349.174, lead_us=75834.1,
-        config=(("clock_start_ms", 4907), ("sonar_sequence", (3, 4, 5, 0, 1, 2))),
-    ),
-    Capture(
-        "stuck_old", 0, first_us=-199839.099, lead_us=173831.6,
-        config=(("clock_start_ms", 184804), ("sonar_sequence", (5, 0, 1, 2, 3, 4))),
-    ),
-    Capture(
-        "wrap", 0, first_us=-97670.549, lead_us=83833.9,
-        config=(
-            ("clock_start_ms", 4294956502), ("sonar_sequence", (4, 5, 0, 1, 2, 3)), ("odometer_start", 2**32 - 300),
-        ),
-    ),
-]  # fmt: skip
+    Capture("far", 0, 2, first_us=-96476.174, lead_us=75834.1,
+            config=(("clock_start_ms", 206407), ("sonar_sequence", (3, 4, 5, 0, 1, 2)))),
+    Capture("far_young", 0, first_us=-97349.174, lead_us=75834.1,
+            config=(("clock_start_ms", 4907), ("sonar_sequence", (3, 4, 5, 0, 1, 2)))),
+    Capture("stuck_old", 0, first_us=-199839.099, lead_us=173831.6,
+            config=(("clock_start_ms", 184804), ("sonar_sequence", (5, 0, 1, 2, 3, 4)))),
+    Capture("wrap", 0, first_us=-97670.549, lead_us=83833.9, config=(
+        ("clock_start_ms", 4294956502), ("sonar_sequence", (4, 5, 0, 1, 2, 3)), ("odometer_start", 2**32 - 300))),
+]
 BUSY = Capture("line_busy", 114)
 
 
@@ -179,10 +169,8 @@ def pulses_of(rows):
 
             def position(u, start=start, step=step, slopes=slopes):
                 cubed, squared = u**3, u**2
-                return (
-                    start + step * (3 * squared - 2 * cubed)
-                    + slopes[0] * (cubed - 2 * squared + u) + slopes[1] * (cubed - squared)
-                )  # fmt: skip
+                return (start + step * (3 * squared - 2 * cubed) + slopes[0] * (cubed - 2 * squared + u)
+                        + slopes[1] * (cubed - squared))
 
             first, last = math.floor(start), math.floor(after[side])
             crossed = range(first + 1, last + 1) if last > first else range(first, last, -1)
@@ -231,8 +219,7 @@ class Replay:
         self.capture, rows = capture, capture.rows
         config = FirmwareConfig(
             clock_drift_ppm=25, loop_us=250, sonar_pulse_end_us=1_000_000, **dict(capture.config),
-            wheel_positions=tuple(math.floor(position) for position in rows_of(rows, "motion")[0][2:4]),
-        )  # fmt: skip
+            wheel_positions=tuple(math.floor(position) for position in rows_of(rows, "motion")[0][2:4]))
         self._echoes = deque((row[2], row[3]) for row in rows_of(rows, "echo") if row[3] is not None)
         if capture.lead_us:
             self._echoes.appendleft((config.sonar_sequence[0], capture.lead_us))
@@ -402,16 +389,13 @@ def test_frame_that_a_restart_cuts_leaves_the_captured_part_of_it(replays):
 def test_busiest_line_carries_as_many_reports_of_each_kind_and_as_old_ones():
     replay = Replay(BUSY)
     expected = captured_frames(BUSY)
-    counts, sent_counts = (Counter(frame[0] for frame in frames) for frames in (
-        [frame for _, frame in expected], [frame for _, _, frame in replay.frames],
-    ))  # fmt: skip
+    frames, sent_frames = [frame for _, frame in expected], [frame for _, _, frame in replay.frames]
+    counts, sent_counts = (Counter(frame[0] for frame in each) for each in (frames, sent_frames))
     assert set(sent_counts) == set(counts) == set(FRAMES)
     for kind, count in counts.items():
         assert sent_counts[kind] == pytest.approx(count, rel=0.01), kind
-    counters, sent_counters = (
-        {fields[0]: fields[1] for kind, *fields in frames if kind == "counter"}
-        for frames in ([frame for _, frame in expected], [frame for _, _, frame in replay.frames])
-    )
+    counters, sent_counters = ({fields[0]: fields[1] for kind, *fields in each if kind == "counter"}
+                               for each in (frames, sent_frames))
     assert list(sent_counters) == list(counters)
     for name, count in counters.items():
         assert sent_counters[name] == pytest.approx(count, rel=0.33 if name == "txInfoSonarDrop" else 0.05), name
@@ -421,10 +405,8 @@ def test_busiest_line_carries_as_many_reports_of_each_kind_and_as_old_ones():
     for kind in ("wheel", "sonar"):
         age_ms = lambda at_ns, fields: replay.teensy.device_ns(round(at_ns)) / MS - newest_tick(fields)  # noqa: E731
         ages = sorted(age_ms(BUSY.at_ns(at_us), row) for at_us, row in expected if row[0] == kind and at_us > 2e6)
-        sent_ages = sorted(
-            age_ms(at_ns - (62 + size) * BYTE_NS, row)
-            for at_ns, size, row in replay.frames if row[0] == kind and at_ns > begun_ns
-        )  # fmt: skip
+        sent_ages = sorted(age_ms(at_ns - (62 + size) * BYTE_NS, row)
+                           for at_ns, size, row in replay.frames if row[0] == kind and at_ns > begun_ns)
         for share in (0.5, 0.9, 0.99):
             old_ms, sent_old_ms = ages[int(share * len(ages))], sent_ages[int(share * len(sent_ages))]
             assert sent_old_ms == pytest.approx(old_ms, abs=1.5), (kind, share)

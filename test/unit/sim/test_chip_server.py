@@ -218,34 +218,23 @@ def test_process_ignores_the_signals_of_its_group_and_ends_after_its_last_client
     assert os.listdir(os.path.dirname(server.path)) == []
 
 
-class RawClient:
-    """Sends packets of any content; each is answered by an errno, or ends the connection."""
-
-    def __init__(self, path):
-        self._path = path
-        self._connect()
-
-    def _connect(self):
-        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.socket.connect(self._path)  # waits while the chip's backlog is full
-        self.socket.settimeout(PATIENCE_S)
-
-    def ask(self, packet):
-        """The errno of the answer; None: the connection was closed, and there is another one now."""
-        self.socket.send(packet)
-        answer = self.socket.recv(2048)
-        if not answer:
-            self.socket.close()
-            self._connect()
-            return None
-        return ANSWER.unpack_from(answer)[0]
+def raw_client(path):
+    """A socket for packets of any content; each is answered by an errno."""
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    client.connect(path)  # waits while the chip's backlog is full
+    client.settimeout(PATIENCE_S)
+    return client
 
 
 @pytest.fixture
 def raw(server):
-    client = RawClient(server.path)
-    yield client
-    client.socket.close()
+    with raw_client(server.path) as client:
+        yield client
+
+
+def ask(client, packet):
+    client.send(packet)
+    return ANSWER.unpack_from(client.recv(2048))[0]
 
 
 def request(operation, register=0, data=b"", value=0.0, address=ADDRESS):
@@ -273,32 +262,32 @@ MALFORMED = {
 
 def test_malformed_packet_is_answered_with_an_error_and_the_chip_goes_on(server, link, raw):
     for name, (packet, number) in MALFORMED.items():
-        assert raw.ask(packet) == number, name
-        assert raw.ask(request(READ, data=b"\1")) == 0 and link.read(0, 1) == AWAKE, name
+        assert ask(raw, packet) == number, name
+        assert ask(raw, request(READ, data=b"\1")) == 0 and link.read(0, 1) == AWAKE, name
     os.mkfifo(f"{server.path}.pipe")
     os.symlink("/dev/null", f"{server.path}.link")
     for name in ("pipe", "link"):
-        assert raw.ask(request(LOG, data=f"{server.path}.{name}".encode())) == errno.EACCES
+        assert ask(raw, request(LOG, data=f"{server.path}.{name}".encode())) == errno.EACCES
 
 
 def test_client_that_sends_while_the_bus_is_held_and_reads_nothing_is_dropped(server, link, raw):
     link.inject("hold", 1)
     with pytest.raises(ConnectionError):
         for _ in range(10_000):
-            raw.socket.send(request(READ, data=b"\1"))
+            raw.send(request(READ, data=b"\1"))
     link.inject("hold", 0)
     assert link.read(0, 1) == AWAKE
 
 
 def test_one_client_too_many_loses_its_connection_and_the_others_are_served(server, link):
-    clients = [RawClient(server.path) for _ in range(60)]
+    clients = [raw_client(server.path) for _ in range(60)]
     served = 0
     for client in clients:  # all of them stay connected meanwhile
         with contextlib.suppress(OSError):
-            client.socket.send(request(READ, data=b"\1"))
-            served += bool(client.socket.recv(2048))
+            client.send(request(READ, data=b"\1"))
+            served += bool(client.recv(2048))
     for client in clients:
-        client.socket.close()
+        client.close()
     assert served == 31  # and the link
     eventually(server.takes_connections)
     eventually(lambda: link.read(0, 1) == AWAKE)

@@ -216,27 +216,16 @@ def test_pulses_of_the_way_back_are_backward_and_as_many():
 # The value map that ships for this car
 
 
-def value_map():
-    rows = list(csv.reader(VALUE_MAP.open()))
-    assert rows[0][0] == "default"
-    velocities_mps = [float(cell) for cell in rows[0][1:]]
-    return velocities_mps, {float(row[0]): [float(cell) for cell in row[1:]] for row in rows[1:]}
-
-
-def value_duty(value):
-    """The converter's servo channel: -5, 0, 3 → 3277, 4915, 6554."""
-    return round(NEUTRAL + (value / 5 * (NEUTRAL - REVERSE) if value < 0 else value / 3 * (FULL - NEUTRAL)))
-
-
 def test_value_map_is_near_the_truth_but_not_it():
-    velocities_mps, rows = value_map()
-    errors = [
-        cell - true_acceleration_mps2(value_duty(value), velocity_mps)
-        for value, row in rows.items()
-        for velocity_mps, cell in zip(velocities_mps, row)
-    ]
-    assert max(map(abs, errors)) < 0.6
-    assert 0.02 < sum(map(abs, errors)) / len(errors) < 0.25
+    (_, *velocities), *rows = csv.reader(VALUE_MAP.open())
+    errors = []
+    for value, *cells in ([float(cell) for cell in row] for row in rows):
+        # The converter's servo channel: -5, 0, 3 → 3277, 4915, 6554.
+        duty = round(NEUTRAL + (value / 5 * (NEUTRAL - REVERSE) if value < 0 else value / 3 * (FULL - NEUTRAL)))
+        errors += [abs(cell - true_acceleration_mps2(duty, float(velocity_mps)))
+                   for velocity_mps, cell in zip(velocities, cells)]
+    assert max(errors) < 0.6
+    assert 0.02 < sum(errors) / len(errors) < 0.25
 
 
 # Configuration
@@ -260,13 +249,8 @@ def test_config_that_no_car_could_have_is_refused(kind, name, value, accepted):
 # --- what the default car has none of ---
 
 
-def with_play(backlash_duty):
-    return VehicleConfig(steering=SteeringConfig(curve=((4000, 1.0), (6000, -1.0)), center_duty=5000,
-                                                 backlash_duty=backlash_duty))
-
-
 def test_play_in_the_steering_leaves_the_wheels_half_of_it_behind_on_either_way():
-    vehicle = Vehicle(with_play(40.0))
+    vehicle = Vehicle(VehicleConfig(steering=replace(PLAIN.steering, backlash_duty=40.0)))
     drive(vehicle, 1.0, 5400, NEUTRAL)
     assert vehicle.curvature_per_m == pytest.approx(-0.380, abs=1e-4)
     drive(vehicle, 1.0, 5370, NEUTRAL)  # within the play: they don't follow at all

@@ -39,6 +39,11 @@ BYTE_NS = S * 10 / 115200
 PING_BYTES, PONG_BYTES = 15, 14
 
 
+def at(number):
+    """When the pings of one a second are sent, at other phases of the tick each time."""
+    return NOW + number * S + number * 618 * US
+
+
 class Teensy:
     """A crystal of its own, and the way to it and back.
 
@@ -65,11 +70,11 @@ class Teensy:
         return math.floor(self.device_ms(host_ns)) % UINT32
 
     def answer(self, clock, sent_ns, out_ms=0.05, back_ms=0.3, tick_error=0, sent_bytes=PING_BYTES):
-        """One ping there and its pong back; when the tick was read, and what the clock makes of it."""
+        """One ping there and its pong back; what the clock makes of it."""
         read_ns = sent_ns + round(sent_bytes * BYTE_NS + out_ms * MS)
         received_ns = read_ns + round(PONG_BYTES * BYTE_NS + back_ms * MS)
         tick = (self.tick(read_ns) + tick_error) % UINT32
-        return read_ns, clock.pong(tick, sent_ns, sent_bytes, received_ns, PONG_BYTES)
+        return clock.pong(tick, sent_ns, sent_bytes, received_ns, PONG_BYTES)
 
     def keep_answering(self, clock, from_s, to_s, period_s=1.0, back_ms=0.3):
         """Pings with a dithered phase; the last one's outcome."""
@@ -122,7 +127,7 @@ def test_before_it_has_converged_a_tick_goes_by_the_newest_one_less_its_time_on_
 
 
 def test_before_it_has_converged_a_tick_is_as_unsure_as_the_teensy_s_buffers_are_deep_and_more_far_off_or_cut_short():
-    _, sync = Teensy().answer(Clock(), NOW, out_ms=1, back_ms=200)
+    sync = Teensy().answer(Clock(), NOW, out_ms=1, back_ms=200)
     assert (sync.converged, sync.used, sync.reason, sync.skew_ppm) == (False, True, "", 0.0)
     assert sync.uncertainty_ns >= ONE_WAY_UNCERTAINTY_NS
     assert sync.round_trip_ns == 201 * MS + round(PING_BYTES * BYTE_NS) + round(PONG_BYTES * BYTE_NS)
@@ -179,7 +184,7 @@ def test_sonars_ticks_bound_the_line_from_above_while_pongs_queue():
     clock = converged(teensy, back_ms=0)
     congested = Clock()
     for number in range(60):
-        teensy.answer(congested, NOW + number * S + number * 618 * US, 0.1, 8)
+        teensy.answer(congested, at(number), 0.1, 8)
     before_ns = congested.translate(teensy.tick(NOW + 60 * S)).uncertainty_ns
     for number in range(300):
         at_ns = NOW + 55 * S + number * 20_034 * US
@@ -188,7 +193,7 @@ def test_sonars_ticks_bound_the_line_from_above_while_pongs_queue():
     assert clock.translate(teensy.tick(NOW + 60 * S)).uncertainty_ns < after_ns + MS // 2
     assert before_ns > 6 * MS and after_ns < 1.2 * MS
     for number in range(62, 67):
-        teensy.answer(congested, NOW + number * S + number * 618 * US, 0.1, 8)
+        teensy.answer(congested, at(number), 0.1, 8)
     assert congested.translate(teensy.tick(NOW + 67 * S)).uncertainty_ns < 1.2 * MS
 
 
@@ -222,7 +227,7 @@ def test_truth_lies_within_the_uncertainty_and_that_in_turn_is_no_more_than_the_
 @pytest.mark.parametrize("back_ms", [0.3, 60], ids=["idle", "queueing"])
 def test_skew_is_found_to_a_few_ppm_within_a_minute(skew_ppm, back_ms):
     teensy = Teensy(skew_ppm=skew_ppm)
-    _, sync = teensy.keep_answering(clock := Clock(), 0, 60, back_ms=back_ms)
+    sync = teensy.keep_answering(clock := Clock(), 0, 60, back_ms=back_ms)
     assert sync.skew_ppm == pytest.approx(skew_ppm, abs=8 if back_ms < 1 else 25)
     assert sync.offset_ns == pytest.approx(NOW - round(50 * S / (1 + skew_ppm * 1e-6)), abs=3 * MS)
     assert [round(error_ns(clock, teensy, 60 + part / 7) / MS, 1) for part in range(7)] == [
@@ -245,7 +250,7 @@ def test_temperature_that_bends_the_line_is_followed():
     teensy = Teensy(ramp_ppm_per_h=20)
     clock = Clock()
     for minute in range(60):
-        _, sync = teensy.keep_answering(clock, 60 * minute, 60 * minute + 60)
+        sync = teensy.keep_answering(clock, 60 * minute, 60 * minute + 60)
         assert abs(error_ns(clock, teensy, 60 * minute + 60)) < 0.9 * MS
         assert sync.used
     assert sync.skew_ppm == pytest.approx(20, abs=8)
@@ -352,7 +357,7 @@ def test_wrong_tick_that_noise_made_is_not_used_and_counted(tick_error):
     teensy = Teensy()
     clock = converged(teensy)
     before = clock.translate(teensy.tick(NOW + 61 * S))
-    _, sync = teensy.answer(clock, NOW + 60 * S, tick_error=tick_error)
+    sync = teensy.answer(clock, NOW + 60 * S, tick_error=tick_error)
     assert (sync.used, sync.reason, sync.converged) == (False, CONTRADICTION, True)
     assert clock.counts == {CONTRADICTION: 1}
     assert clock.translate(teensy.tick(NOW + 61 * S)) == before
@@ -372,7 +377,7 @@ def test_wrong_tick_among_the_first_pongs_does_not_lock_the_right_ones_out(tick_
 
 def test_wrong_first_pong_is_overruled_by_the_next_two_even_in_the_same_half_second():
     clock, teensy = Clock(), Teensy()
-    syncs = [teensy.answer(clock, NOW + number * 240 * MS, tick_error=-64 if number == 0 else 0)[1]
+    syncs = [teensy.answer(clock, NOW + number * 240 * MS, tick_error=-64 if number == 0 else 0)
              for number in range(6)]
     assert [sync.reason for sync in syncs] == ["", CONTRADICTION, ONE_WAS_WRONG, "", "", ""]
     assert [sync.converged for sync in syncs] == [False] * 5 + [True]
@@ -396,8 +401,8 @@ def test_wrong_tick_that_a_queue_can_explain_is_thrown_out_without_the_rest_when
     clock = Clock()
     for number in range(20):
         wrong = tick_error if number in wrong_ones else 0
-        teensy.answer(clock, NOW + number * S + number * 618 * US, 0.1, 9, tick_error=wrong)
-    used = [teensy.answer(clock, NOW + number * S + number * 618 * US, 0.1, 0.1)[1] for number in range(20, 40)]
+        teensy.answer(clock, at(number), 0.1, 9, tick_error=wrong)
+    used = [teensy.answer(clock, at(number), 0.1, 0.1) for number in range(20, 40)]
     assert abs(error_ns(clock, teensy, 40)) < MS
     assert all(sync.converged for sync in used)
     assert set(clock.counts) <= {CONTRADICTION, ONE_WAS_WRONG}
@@ -419,7 +424,7 @@ def test_teensy_on_usb_which_has_no_baud_rate_is_known_all_the_same():
     clock, teensy = Clock(), Teensy()
     reasons = []
     for number in range(20):
-        at_ns = NOW + number * S + number * 618 * US
+        at_ns = at(number)
         tick = teensy.tick(at_ns + 100 * US)
         reasons.append(clock.pong(tick, at_ns, PING_BYTES, at_ns + 300 * US, PONG_BYTES).reason)
     assert reasons == [TOO_SOON, TOO_SOON, FASTER_LINE] + 17 * [""]
@@ -433,7 +438,7 @@ def test_three_pongs_that_agree_begin_anew_after_a_clock_stood_still(gap_ms, ahe
     teensy = Teensy(skew_ppm=40)
     clock = converged(teensy)
     teensy.start_ms += gap_ms if ahead else -gap_ms
-    reasons = [teensy.answer(clock, NOW + (60 + number) * S + number * 618 * US)[1].reason for number in range(10)]
+    reasons = [teensy.answer(clock, at(60 + number)).reason for number in range(10)]
     assert reasons == [CONTRADICTION, CONTRADICTION, BEGUN_ANEW] + 7 * [""]
     assert clock.converged
     assert abs(error_ns(clock, teensy, 70)) < 1.2 * MS
