@@ -46,23 +46,18 @@ def test_holder_is_another_process_that_has_locked_just_that_byte(fd, holder):
     assert lock_holder(fd, 65) == NOBODY  # its own doesn't count
 
 
-def test_lock_of_a_process_that_died_is_gone(fd, holder):
+def test_lock_of_a_process_that_died_is_gone_and_its_own_doesn_t_count(fd, holder):
+    lock_generation(fd, 64, 5001)
     holder.kill()
     holder.wait()
-    assert lock_holder(fd, 64) == NOBODY
+    assert lock_holder(fd, 64) == newer_generation(fd, 64, 0) == NOBODY
     lock_byte(fd, 64)
 
 
-def test_older_generation_finds_the_newer_one_of_its_address(fd, holder):
+def test_older_generation_finds_the_newer_one_of_its_address_but_not_itself(fd, holder):
     assert newer_generation(fd, 64, 4999) == newer_generation(fd, 64, 0) == holder.pid
     assert newer_generation(fd, 64, 5000) == newer_generation(fd, 64, 5001) == NOBODY
     assert newer_generation(fd, 63, 0) == newer_generation(fd, 65, 0) == NOBODY
-
-
-def test_own_generation_does_not_count_and_may_be_locked_again(fd, holder):
     lock_generation(fd, 64, 5001)
     lock_generation(fd, 64, 5001)
     assert newer_generation(fd, 64, 4000) == holder.pid
-    holder.kill()
-    holder.wait()
-    assert newer_generation(fd, 64, 4000) == NOBODY

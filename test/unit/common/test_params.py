@@ -105,6 +105,8 @@ WHOLE, LISTED = "accepted: an integer from -2147483648 to 2147483647$", "accepte
     ("text", None, {}, "^x is missing; accepted: a text$"),
     ("text", "  ", {}, "^x is '  '; accepted: a text$"),
     ("text", 1, {}, "^x is 1; accepted: a text$"),
+    ("path", "my_car/map.csv", {}, "^x is 'my_car/map.csv'; accepted: a whole path, from / on"),
+    ("path", 1, {}, "^x is 1; accepted: a whole path"),
     ("text_or_integer", "", EITHER, "^x is ''; accepted: a text, or an integer of at least 0$"),
     ("text_or_integer", -1, EITHER, "^x is -1; accepted: a text, or an integer of at least 0$"),
     ("text_or_integer", 2 ** 31, EITHER, "^x is 2147483648; accepted: a text"),

@@ -23,15 +23,12 @@ def proc(tmp_path):
     return tmp_path
 
 
-def test_openers_are_found_through_links(proc):
+def test_openers_are_found_through_links_and_processes_that_hide_or_have_ended_are_passed_over(proc):
     assert openers(str(proc / "by-id"), str(proc / "proc")) == [(7, "pca9685")]
     assert openers(str(proc / "ttyACM1"), str(proc / "proc")) == []
-
-
-def test_processes_that_hide_or_have_ended_are_passed_over(proc):
+    assert openers(str(proc / "by-id"), str(proc / "nowhere")) == []
     assert process_name(8, str(proc / "proc")) == "agetty"
     assert process_name(9, str(proc / "proc")) == "unknown"
-    assert openers(str(proc / "by-id"), str(proc / "nowhere")) == []
 
 
 def test_this_process_is_not_among_the_openers(tmp_path):
@@ -44,8 +41,5 @@ def test_arguments_of_a_script_are_those_behind_it(proc):
     words = ["/usr/bin/python3", "-u", "/opt/pca9685", "--port", "", "__name:=a"]
     (proc / "proc" / "7" / "cmdline").write_bytes(b"\0".join(word.encode() for word in words) + b"\0")
     assert script_arguments(7, "pca9685", str(proc / "proc")) == ["--port", "", "__name:=a"]
-
-
-def test_other_script_and_process_that_has_ended_have_no_arguments(proc):
     assert script_arguments(7, "car_nodes", str(proc / "proc")) == []
     assert script_arguments(9, "pca9685", str(proc / "proc")) == []
