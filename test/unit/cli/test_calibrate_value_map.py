@@ -11,11 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from car_interface.calibration.value_map.calibrate import MapAxes
-from car_interface.calibration.value_map.recorded import Source
-from car_interface.cli.calibrate_value_map import Config, add_arguments, config_of
+from car_interface.cli.calibrate_value_map import add_arguments, config_of
 from car_interface.cli.main import main
-from car_interface.common.errors import ConfigError
 from car_interface.throttle.value_map import load_value_map
 from recorded_drives import recorded
 from written_recordings import Written, rename_topics, write_ros1
@@ -24,11 +21,18 @@ ROOT = Path(__file__).resolve().parents[3]
 sys.path.append(str(ROOT / "test"))
 virtual_drive = importlib.import_module("accuracy.virtual_drive")
 SEED, SECONDS = 3, 150.0
+KNOWN_DELAY = ("--delay", "0")  # the virtual car's: estimating it takes most of a fit's time
 
 
 @pytest.fixture(scope="module")
 def bag():
     return record(imu=True)
+
+
+@pytest.fixture(scope="module")
+def short_bag():
+    """Too little for a map."""
+    return record(12.0)
 
 
 def record(duration_s=SECONDS, seed=SEED, **options):
@@ -69,20 +73,13 @@ def test_map_loads_and_is_near_the_truth_and_the_report_lies_beside_it(bag, tmp_
 
 
 @pytest.mark.once
-def test_duty_of_the_escs_channel_serves_as_the_value_that_makes_it(bag, tmp_path, capsys):
-    assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1") == 0
-    table = load_value_map(str(tmp_path / "map.csv"))
-    assert -5.0 <= table.values[0] < 0.0 < table.values[-1] <= 3.0
-    assert error_mps2(table) < 0.1
-    out = capsys.readouterr().out
-    assert "throttle.yaml makes it: 3277 is -5, 6554 is 3" in out and "missing: value 3277" not in out
-
-
-@pytest.mark.once
 def test_drive_by_hand_is_known_by_itself(tmp_path, capsys):
-    assert run(record(100.0, by_hand=True), "-o", tmp_path / "map.csv") == 0
-    assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.1
-    assert "value: duty:1; accelerations by" in capsys.readouterr().out
+    assert run(record(100.0, by_hand=True), "-o", tmp_path / "map.csv", *KNOWN_DELAY) == 0
+    table = load_value_map(str(tmp_path / "map.csv"))
+    assert error_mps2(table) < 0.1 and -5.0 <= table.values[0] < table.values[-1] <= 3.0
+    out = capsys.readouterr().out
+    assert "value: duty:1; accelerations by" in out
+    assert "throttle.yaml makes it: 3277 is -5, 6554 is 3" in out and "missing: value 3277" not in out
 
 
 @pytest.mark.once
@@ -91,9 +88,10 @@ def test_recording_with_topics_of_other_names_comes_to_the_map_too(bag, tmp_path
         "/odom": "/ekf/odometry", "/servo/output": "/board/duties", "/generic/output/value": "/esc/value"})
     assert run(other, "-o", tmp_path / "map.csv") == 1
     assert "; name another by --map TOPIC=value; it has /esc/value\n" in capsys.readouterr().err
-    assert run(other, "-o", tmp_path / "map.csv", "--map", "/esc/value=value", "--map", "/board/duties=output") == 0
+    assert run(other, "-o", tmp_path / "map.csv", "--map", "/esc/value=value", "--map", "/board/duties=output",
+               "--acceleration", "odom", *KNOWN_DELAY) == 0
     assert "other.bag: odom: /ekf/odometry (the only nav_msgs/Odometry)" in capsys.readouterr().out
-    assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.08
+    assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.12
 
 
 def throttle_state(time_s, source, asked=0.5):
@@ -133,15 +131,12 @@ def throttle_file(tmp_path, text):
 @pytest.mark.parametrize("text, said", [
     ("servo: {value_axis: [-5, 0, 3], duty_table: [3277, 4915, 4915], neutral: 4915}", "that only rise, or only"),
     ("servo: {value_axis: [-5, 0, 3], duty_table: [3277, 4915, 4000], neutral: 4000}", "that only rise, or only"),
-    ("servo: {value_axis: [-5, 3], duty_table: [3277, 4915, 6554], neutral: 4915}", "servo/duty_table"),
     ("servo: {value_axis: [-5, 3], duty_table: [3277, 6554], neutral: 7000}", "servo/neutral is 7000"),
-    ("servo: {value_axis: [-5, 3], duty_table: [3277, 6554]}", "servo/neutral is missing"),
-    ("command_timeout: 1", "servo/duty_table is missing"),
     ("- 1", "YAML lines"),
-], ids=["level", "back", "length", "neutral", "no_neutral", "no_table", "list"])
-def test_throttle_that_can_not_be_turned_round_is_refused_by_name(bag, tmp_path, capsys, text, said):
+], ids=["level", "back", "neutral", "list"])
+def test_throttle_that_can_not_be_turned_round_is_refused_by_name(short_bag, tmp_path, capsys, text, said):
     path = throttle_file(tmp_path, text)
-    assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1", "--throttle", path) == 1
+    assert run(short_bag, "-o", tmp_path / "map.csv", "--value", "duty:1", "--throttle", path) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert str(path) in line and said in line and not (tmp_path / "map.csv").exists()
 
@@ -149,17 +144,15 @@ def test_throttle_that_can_not_be_turned_round_is_refused_by_name(bag, tmp_path,
 @pytest.mark.once
 def test_duties_that_no_value_makes_are_told(bag, tmp_path, capsys):
     path = throttle_file(tmp_path, "servo: {value_axis: [-3, 0, 2], duty_table: [3932, 4915, 6008], neutral: 4915}")
-    assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1", "--throttle", path) == 0
+    assert run(bag, "-o", tmp_path / "map.csv", "--value", "duty:1", "--throttle", path, *KNOWN_DELAY) == 0
     assert re.search(r"[1-9]\d* of \d+ duties lie beyond 3932 to 6008, where .* has no value", capsys.readouterr().out)
     table = load_value_map(str(tmp_path / "map.csv"))
     assert table.values[0] >= -3.0 and table.values[-1] <= 2.0
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("options", [("--acceleration", "odom"), ("--imu", "imu/data"),
-                                     ("--imu", "imu/data", "--acceleration", "imu")], ids=" ".join)
-def test_other_ways_to_measure_find_the_map_too(bag, tmp_path, options):
-    assert run(bag, "-o", tmp_path / "map.csv", *options) == 0
+def test_imu_finds_the_map_too(bag, tmp_path):
+    assert run(bag, "-o", tmp_path / "map.csv", "--imu", "imu/data", "--acceleration", "imu", *KNOWN_DELAY) == 0
     assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.12
 
 
@@ -169,7 +162,7 @@ def test_prior_gives_the_axes_stays_where_nothing_was_driven_and_is_kept_beside_
     path, before = tmp_path / "map.csv", load_value_map(str(ROOT / "config" / "value_map.csv"))
     shutil.copy(str(ROOT / "config" / "value_map.csv"), str(path))
     (tmp_path / "map.report.txt").write_text("old", encoding="utf-8")
-    assert run(bag, "-o", path, "--prior", path) == 0
+    assert run(bag, record(30.0, SEED + 1), "-o", path, "--prior", path, "--jobs", 2, *KNOWN_DELAY) == 0
     after, out = load_value_map(str(path)), capsys.readouterr().out
     assert (after.values, after.velocities) == (before.values, before.velocities)
     assert after.acceleration_at(3.0, 10.0) == before.acceleration_at(3.0, 10.0)
@@ -180,53 +173,49 @@ def test_prior_gives_the_axes_stays_where_nothing_was_driven_and_is_kept_beside_
     assert all(f"; the old one is {tmp_path / name}\n" in out for name in kept)
 
 
-@pytest.mark.once
-def test_two_bags_read_by_two_processes_make_one_map(bag, tmp_path):
-    assert run(bag, record(30.0, SEED + 1), "-o", tmp_path / "map.csv", "--jobs", 2) == 0
-
-
-@pytest.mark.once
-def test_copy_of_a_recording_does_not_count_twice(bag, tmp_path, capsys):
-    shutil.copy(bag, str(tmp_path / "copy.bag"))
-    for again, words in ((bag, "are the same recording"), (tmp_path / "copy.bag", "have the same driving in them")):
-        assert run(bag, again, "-o", tmp_path / "map.csv") == 1
-        assert f"{bag} and {again} {words}" in capsys.readouterr().err
+def test_copy_of_a_recording_does_not_count_twice(short_bag, tmp_path, capsys):
+    shutil.copy(short_bag, str(tmp_path / "copy.bag"))
+    for again, words in ((short_bag, "are the same recording"), (tmp_path / "copy.bag", "have the same driving in")):
+        assert run(short_bag, again, "-o", tmp_path / "map.csv") == 1
+        assert f"{short_bag} and {again} {words}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["drive.bag", "map.csv"])
-def test_output_that_would_overwrite_a_recording_is_refused(bag, tmp_path, capsys, name):
-    mine, before = tmp_path / name, Path(bag).read_bytes()
+def test_output_that_would_overwrite_a_recording_is_refused(short_bag, tmp_path, capsys, name):
+    mine, before = tmp_path / name, Path(short_bag).read_bytes()
     mine.write_bytes(before)
     assert run(mine, "-o", mine) == 1
     assert f"{mine} is one of the recordings" in capsys.readouterr().err
-    assert run(bag, "-o", mine) == 1
+    assert run(short_bag, "-o", mine) == 1
     assert f"{mine} is a recording, and would be lost" in capsys.readouterr().err
     assert mine.read_bytes() == before
 
 
-def test_too_little_driving_is_refused_with_what_is_missing_and_no_file_is_left(tmp_path, capsys):
-    assert run(record(12.0), "-o", tmp_path / "map.csv") == 1
-    error = capsys.readouterr().err
-    assert "no map is written" in error and "--force" in error and "at least" in error or "support" in error
+def test_too_little_driving_is_refused_with_what_is_missing_and_no_file_is_left(short_bag, tmp_path, capsys):
+    assert run(short_bag, "-o", tmp_path / "map.csv") == 1
+    assert "support no two values at the same two velocities; drive longer" in capsys.readouterr().err
     assert not list(tmp_path.glob("map*"))
+
+
+@pytest.mark.once
+def test_map_that_is_not_good_enough_is_refused_and_if_forced_marked(bag, tmp_path, capsys):
+    # Two values only: no map that anybody should drive with.
+    given = (bag, "-o", tmp_path / "map.csv", "--values", "0.2", "2.5", "--velocities", 1, 2, 3, *KNOWN_DELAY)
+    assert run(*given) == 1 and not list(tmp_path.glob("map*"))
+    error = capsys.readouterr().err
+    assert "no map is written" in error and "--force" in error
+    assert run(*given, "--force") == 0
+    assert "not good enough: " in (tmp_path / "map.report.txt").read_text(encoding="utf-8")
 
 
 @pytest.mark.once
 def test_what_was_left_out_of_the_drive_is_missing_and_not_made_up(tmp_path, capsys):
     given = ("--values", -4, -1, 0, 0.5, 1, 2, "--velocities", 1, 2, 3, 4, 6)
-    assert run(record(100.0, missing=virtual_drive.NO_FAST), "-o", tmp_path / "map.csv", *given) == 0
+    assert run(record(100.0, missing=virtual_drive.NO_FAST), "-o", tmp_path / "map.csv", *given, *KNOWN_DELAY) == 0
     table = load_value_map(str(tmp_path / "map.csv"))
     assert table.velocities[-1] <= 4.0 and table.values[0] >= -1.0  # nobody drove faster than 3.5 m/s, or braked harder
     out = capsys.readouterr().out
     assert "missing: value -4.0: at any speed" in out and "6.0 m/s" in out
-
-
-@pytest.mark.once
-def test_force_writes_what_is_refused_and_marks_it(bag, tmp_path):
-    # Two values only: no map that anybody should drive with.
-    given = ("--values", "0.2", "2.5", "--velocities", "1", "2", "3")
-    assert run(bag, "-o", tmp_path / "map.csv", *given, "--force") == 0
-    assert "not good enough: " in (tmp_path / "map.report.txt").read_text(encoding="utf-8")
 
 
 # --- what can't be calibrated with ---
@@ -253,33 +242,18 @@ def test_recording_that_tells_nothing_is_refused_in_one_line(tmp_path, capsys, m
     (("--acceleration", "imu"), "--imu is missing"),
     (("--values", "1", "0"), "--values"),
     (("--prior", "nowhere.csv"), "nowhere.csv"),
-    (("--imu", "imu/none"), "imu/none"),
-    (("--value", "none"), "none"),
-    (("--odom", "none"), "none"),
-    (("--namespace", "/other"), "/other"),
-    (("--ns", "/other"), "/other"),
-    (("--esc-channel", "16"), "--esc-channel is 16; accepted: a channel of the servo board, 0 to 15"),
-    (("--esc-channel", "-2"), "--esc-channel is -2"),
+    *((option, option[1]) for option in (
+        ("--imu", "imu/none"), ("--value", "none"), ("--odom", "none"), ("--ns", "/other"))),
+    (("--esc-channel", "-2"), "--esc-channel is -2; accepted: a channel of the servo board, 0 to 15"),
 ], ids=lambda part: " ".join(part) if isinstance(part, tuple) else "")
-def test_option_that_is_no_good_is_named(bag, tmp_path, capsys, options, said):
-    assert run(bag, "-o", tmp_path / "map.csv", *options) == 1
+def test_option_that_is_no_good_is_named(short_bag, tmp_path, capsys, options, said):
+    assert run(short_bag, "-o", tmp_path / "map.csv", *options) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
 
 
 @pytest.mark.parametrize("option", ["--neutral", "--delay", "--min-speed", "--values", "--esc-neutral"])
-@pytest.mark.parametrize("text", ["nan", "inf"])
-def test_number_that_is_none_is_a_matter_of_usage(tmp_path, capsys, option, text):
+def test_number_that_is_none_is_a_matter_of_usage(capsys, option):
     with pytest.raises(SystemExit, match="2"):
-        run("a.bag", "-o", tmp_path / "map.csv", option, text)
-    assert f"'{text}' is no finite number" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("given, message", [
-    ({"source": Source(esc_channel=16)}, "--esc-channel is 16; accepted: a channel of the servo board"),
-    ({"source": Source(measured_by="imu")}, "--imu is missing; accepted: the IMU's topic"),
-    ({"axes": MapAxes(velocities_mps=(1.0, 1.0))}, r"--velocities\[1\] is 1.0"),
-], ids=["esc_channel", "no_imu", "level_axis"])
-def test_configuration_is_checked_when_it_is_made(given, message):
-    with pytest.raises(ConfigError, match=message):
-        Config(("a.bag",), "map.csv", **given)
+        run("a.bag", "-o", "map.csv", option, "nan")
+    assert "'nan' is no finite number" in capsys.readouterr().err

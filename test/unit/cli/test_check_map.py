@@ -20,6 +20,7 @@ from car_interface.throttle.value_map import ValueMap
 ROOT = Path(__file__).resolve().parents[3]
 STOCK = ROOT / "config" / "turn_arb.yaml"
 STOCK_MAP = ROOT / "config" / "value_map.csv"
+STOCK_TEXT = STOCK.read_text(encoding="utf-8")
 LIMITED_CHECK_MAP = """
 import resource
 from car_interface.cli.main import main
@@ -42,50 +43,33 @@ def map_file(tmp_path, text):
     return path
 
 
-@pytest.mark.parametrize("path, node", [(STOCK, "turn_arb"), (STOCK_MAP, "generic_value_converter")])
-def test_stock_tables_are_taken(path, node, capsys):
-    assert main("check_map", [str(path)]) == 0
-    shown = capsys.readouterr()
-    assert shown.out.startswith(f"{path}: {node} takes it\n") and shown.err == ""
-
-
-@pytest.mark.parametrize("changes, words", [
-    pytest.param({"servo_left": None}, "servo_left is missing", id="missing"),
-    pytest.param({"servo_center": 9000}, "servo_center is 9000; accepted: a duty between", id="center_outside"),
-    pytest.param({"servo_channel": 20}, "servo_channel is 20", id="channel"),
-    pytest.param({"k_pwmcmd_left_table_servo": [3800, 5100]}, "k_pwmcmd_left_table_servo is", id="short_table"),
-    pytest.param({"m_turnrad_axis_servo": [1, 1] + [3] * 13}, r"m_turnrad_axis_servo\[1\] is 1", id="axis_not_rising"),
-    pytest.param({"servo_lfet": 1}, "unknown parameter servo_lfet", id="typing_error"),
-])
-def test_bad_steering_is_refused_in_turn_arbs_words(changes, words, tmp_path, capsys):
-    path = steering_file(tmp_path, **changes)
+@pytest.mark.parametrize("name, text, words", [
+    ("a.yaml", STOCK_TEXT.replace("servo_left:", "servo_lfet:"), "servo_left is missing|unknown parameter servo_lfet"),
+    ("a.yaml", STOCK_TEXT.replace("servo_center: 5100", "servo_center: 9000"), "servo_center is 9000; accepted: a"),
+    ("a.yaml", "- 1\n- 2\n", "YAML lines of a parameter's name"),
+    ("a.yaml", "a: [1\n", "is no YAML"),
+    ("a.yaml", None, "can't be read"),
+    ("a.csv", "default,0,1\n0,0,0\n1,1,0\n", "from value 0.0 to 1.0 stays level"),
+    ("a.csv", "default,0,1\n0,0,0\n1,1,x\n", "line 3, column 3"),
+    ("a.csv", "", "has 0 line"),
+], ids=lambda part: (part or "").split("\n")[0][:20])
+def test_bad_table_is_refused_in_its_nodes_words(name, text, words, tmp_path, capsys):
+    path = tmp_path / name
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
     assert main("check_map", [str(path)]) == 1
     shown = capsys.readouterr()
-    assert shown.out == "" and shown.err.count("\n") == 1
-    assert re.search(f"check_map: {path}, {words}", shown.err)
+    assert shown.out == "" and shown.err.count("\n") == 1 and str(path) in shown.err and re.search(words, shown.err)
 
 
-@pytest.mark.parametrize("text, words", [
-    pytest.param("default,0,1\n0,0,0\n1,1,0\n", "from value 0.0 to 1.0 stays level", id="level"),
-    pytest.param("default,0,1\n0,0,0\n1,1,x\n", "line 3, column 3", id="no_number"),
-    pytest.param("", "has 0 line", id="empty"),
-])
-def test_bad_map_is_refused_in_the_converters_words(text, words, tmp_path, capsys):
-    path = map_file(tmp_path, text)
-    assert main("check_map", [str(path)]) == 1
-    shown = capsys.readouterr()
-    assert shown.out == "" and shown.err.count("\n") == 1 and str(path) in shown.err and words in shown.err
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".yaml"])
-@pytest.mark.parametrize("make, reason", [
-    pytest.param(lambda path: os.mkfifo(str(path)), "it is a pipe", id="pipe"),
-    pytest.param(lambda path: path.symlink_to("/dev/zero"), "it is a device", id="device"),
-    pytest.param(lambda path: (path.touch(), os.truncate(str(path), 1_000_000_000)), "it has 1,000.0 MB, more than 1",
-                 id="sparse_file_of_1_gb"),
-])
-def test_what_is_no_table_by_kind_or_size_is_refused_at_once(suffix, make, reason, tmp_path):
-    path = tmp_path / f"a{suffix}"
+@pytest.mark.parametrize("name, make, reason", [
+    ("pipe.csv", lambda path: os.mkfifo(str(path)), "it is a pipe"),
+    ("device.yaml", lambda path: path.symlink_to("/dev/zero"), "it is a device"),
+    ("sparse.csv", lambda path: (path.touch(), os.truncate(str(path), 1_000_000_000)),
+     "it has 1,000.0 MB, more than 1"),
+], ids=lambda part: part if isinstance(part, str) and "." in part else "")
+def test_what_is_no_table_by_kind_or_size_is_refused_at_once(name, make, reason, tmp_path):
+    path = tmp_path / name
     make(path)
     # Alone, in 1 GB of memory: what waits for a pipe's writer, or reads all of it, fails here and not the test run.
     done = subprocess.run(
@@ -95,25 +79,10 @@ def test_what_is_no_table_by_kind_or_size_is_refused_at_once(suffix, make, reaso
     assert reason in done.stderr and str(path) in done.stderr
 
 
-@pytest.mark.parametrize("text, words", [
-    pytest.param("- 1\n- 2\n", "YAML lines of a parameter's name", id="list"),
-    pytest.param("a: [1\n", "is no YAML", id="broken"),
-    pytest.param("", "YAML lines", id="empty"),
-    pytest.param(None, "can't be read", id="missing"),
-])
-def test_file_that_is_no_calibration_is_told(text, words, tmp_path, capsys):
-    path = tmp_path / "mine.yaml"
-    if text is not None:
-        path.write_text(text)
-    assert main("check_map", [str(path)]) == 1
-    shown = capsys.readouterr().err
-    assert words in shown and str(path) in shown and shown.count("\n") == 1
-
-
 # --- pictures in the terminal ---
 
 
-def test_steering_picture_has_a_line_for_each_radius_with_bars_as_long_as_the_way_of_the_servo():
+def test_steering_picture_has_a_line_for_each_radius_with_bars_as_long_as_the_way_of_the_servo(tmp_path):
     lines = steering_picture(load_steering(str(STOCK)))[3:]
     assert len(lines) == 15
     left, right = (lines[0].split("│")[side].count("█") for side in (0, 1))
@@ -121,28 +90,22 @@ def test_steering_picture_has_a_line_for_each_radius_with_bars_as_long_as_the_wa
     assert [line.split("│")[0].count("█") for line in lines] == sorted(
         (line.split("│")[0].count("█") for line in lines), reverse=True)
     assert lines[-1].count("█") == 0 and "300 m" in lines[-1]
-
-
-def test_picture_of_a_servo_the_other_way_round_is_drawn_too(tmp_path):
-    path = steering_file(tmp_path, servo_left=6700, servo_right=3800, k_pwmcmd_left_table_servo=[6700] * 14 + [5100],
-                         k_pwmcmd_right_table_servo=[3800] * 14 + [5100])
-    lines = steering_picture(load_steering(str(path)))[3:]
-    assert lines[0].split("│")[0].count("█") == 24
+    reversed_servo = steering_file(
+        tmp_path, servo_left=6700, servo_right=3800, k_pwmcmd_left_table_servo=[6700] * 14 + [5100],
+        k_pwmcmd_right_table_servo=[3800] * 14 + [5100])
+    assert steering_picture(load_steering(str(reversed_servo)))[3].split("│")[0].count("█") == 24
 
 
 def test_map_picture_shows_small_maps_whole_and_large_ones_thinned_with_their_ends():
-    small = map_picture(ValueMap([0, 1], [0, 2], [[-1, -2], [3, 2.5]]))
+    table = ValueMap([0, 1], [0, 2], [[-1, -2], [3, 2.5]])
+    small = map_picture(table)
     assert "       1 │  3.00   2.50 " in small and "       0 │ -1.00  -2.00 " in small
+    assert "\033" not in "".join(small) and "\033[48;5;" in "".join(map_picture(table, colour=True))
     axis = list(range(100))
     large = map_picture(ValueMap(axis, axis, [[value - 50 for _ in axis] for value in axis]))
     assert len([line for line in large if "│" in line]) == check_map.MAX_ROWS
     assert all(len(line) < 100 for line in large)
     assert " 49.00" in large[2] and "-50.00" in large[-3]
-
-
-def test_colours_are_for_terminals_only():
-    table = ValueMap([0, 1], [0, 2], [[-1, -2], [3, 2.5]])
-    assert "\033" not in "".join(map_picture(table)) and "\033[48;5;" in "".join(map_picture(table, colour=True))
 
 
 def test_terminal_without_blocks_gets_plain_characters(monkeypatch, tmp_path):
@@ -172,32 +135,25 @@ def test_notes_tell_what_turn_arb_takes_and_an_owner_may_want_to_know(changes, w
 
 
 @pytest.mark.parametrize("values, velocities, accelerations, words", [
-    pytest.param([0, 1, 2], [0, 5], [[0, -1], [1, 0.5], [2, 1]],
-                 ["0 m/s² takes the value 0 at 0 m/s and 0.667 at 5 m/s"], id="at_the_first_value"),
-    pytest.param([-1, 0, 2], [0, 5, 10], [[-2, -3, -4], [-0.1, -1, -2], [3, 1, -0.5]],
-                 ["at 10 m/s it has no value for 0 m/s², only for -4 to -0.5",
-                  "0 m/s² takes the value 0.0645 at 0 m/s"], id="not_at_the_last_velocity"),
-    pytest.param([0, 1], [0, 2], [[-1, -2], [3, 2.5]], ["0 m/s² takes the value 0.25 at 0 m/s and 0.444 at 2 m/s"],
-                 id="at_both_velocities"),
-    pytest.param([0, 1], [0, 2], [[1, 2], [3, 2.5]],
-                 ["at 0 m/s it has no value for 0 m/s², only for 1 to 3",
-                  "at 2 m/s it has no value for 0 m/s², only for 2 to 2.5"], id="at_neither"),
-])
+    ([-1, 0, 2], [0, 5, 10], [[-2, -3, -4], [-0.1, -1, -2], [3, 1, -0.5]],
+     ["at 10 m/s it has no value for 0 m/s², only for -4 to -0.5", "0 m/s² takes the value 0.0645 at 0 m/s"]),
+    ([0, 1, 2], [0, 5], [[0, -1], [1, 0.5], [2, 1]], ["0 m/s² takes the value 0 at 0 m/s and 0.667 at 5 m/s"]),
+    ([0, 1], [0, 2], [[1, 2], [3, 2.5]], ["at 0 m/s it has no value for 0 m/s², only for 1 to 3",
+                                         "at 2 m/s it has no value for 0 m/s², only for 2 to 2.5"]),
+], ids=["not_at_the_last_velocity", "at_both_velocities", "at_neither"])
 def test_value_for_0_is_told_where_the_map_has_it_and_only_there(values, velocities, accelerations, words):
     assert [note for note in map_notes(ValueMap(values, velocities, accelerations)) if "0 m/s²" in note] == words
 
 
 @pytest.mark.parametrize("values, limits, words", [
-    ((-5, 3), (-5, 3), None),
-    ((-6, 1), (-5, 3), "-6 to 1, lie partly outside: generic_value_converter clamps to min_value -5 … max_value 3"),
-    ((2, 8), (-5, 3), "2 to 8, lie partly outside"),
-    ((3300, 6500), (3277, 6554), None),
-    ((3300, 6500), (3277, 6000), "clamps to min_value 3277 … max_value 6000"),
+    ((-5, 3), (-5, 3), []),
+    ((-6, 1), (-5, 3), ["-6 to 1, lie partly outside: generic_value_converter clamps to min_value -5 … max_value 3"]),
+    ((2, 8), (-5, 3), ["2 to 8, lie partly outside"]),
 ])
 def test_values_that_the_converter_would_clamp_are_told(values, limits, words):
     notes = [note for note in map_notes(ValueMap(values, [0, 2], [[-1, -2], [3, 2.5]]), ConversionConfig(*limits))
              if "clamps" in note]
-    assert notes == [] if words is None else words in notes[0]
+    assert len(notes) == len(words) and all(word in note for word, note in zip(words, notes))
 
 
 def test_plateaus_and_limits_of_the_converter_may_be_allowed(tmp_path, capsys):
@@ -205,32 +161,24 @@ def test_plateaus_and_limits_of_the_converter_may_be_allowed(tmp_path, capsys):
     path = map_file(tmp_path, "default,0,1\n-1,-1,-1\n6,1,1\n")
     assert main("check_map", [str(path)]) == 0 and "partly outside" in capsys.readouterr().out
     assert main("check_map", [str(path), "--max-value", "6"]) == 0 and "outside" not in capsys.readouterr().out
-
-
-def test_map_wholly_beyond_the_limits_is_refused_as_the_converter_refuses_it(tmp_path, capsys):
     path = map_file(tmp_path, "default,0,1\n3300,-1,-1\n6500,1,1\n")
     assert main("check_map", [str(path)]) == 1
     shown = capsys.readouterr()
-    assert shown.out == "" and str(path) in shown.err and "max_value 3.0" in shown.err
+    assert shown.out == "" and str(path) in shown.err and "max_value 3.0" in shown.err, "wholly beyond the limits"
 
 
 # --- pictures in files ---
 
 
-@pytest.mark.parametrize("table, ending, begin", [(STOCK, "svg", b"<?xml"), (STOCK_MAP, "png", b"\x89PNG")])
-def test_picture_is_of_the_kind_that_its_name_says(table, ending, begin, tmp_path, capsys):
+@pytest.mark.parametrize("table, node, ending, begin", [
+    (STOCK, "turn_arb", "svg", b"<?xml"), (STOCK_MAP, "generic_value_converter", "png", b"\x89PNG")])
+def test_stock_tables_are_taken_and_their_picture_is_of_the_kind_that_its_name_says(
+        table, node, ending, begin, tmp_path, capsys):
     path = tmp_path / f"picture.{ending}"
     assert main("check_map", [str(table), "-o", str(path)]) == 0
     assert path.read_bytes().startswith(begin) and path.stat().st_size > 5000
-    assert f"drawn in {path}" in capsys.readouterr().out
-
-
-def test_picture_of_an_unknown_kind_is_refused_before_anything_is_shown(capsys):
-    assert main("check_map", [str(STOCK), "-o", "picture.jpg"]) == 1
+    shown = capsys.readouterr()
+    assert shown.out.startswith(f"{table}: {node} takes it\n") and f"drawn in {path}" in shown.out and shown.err == ""
+    assert main("check_map", [str(table), "-o", "picture.jpg"]) == 1
     shown = capsys.readouterr()
     assert shown.out == "" and "accepted: a name that ends in .svg, .png, .pdf" in shown.err
-
-
-def test_picture_that_can_not_be_written_is_told_in_one_line(capsys, tmp_path):
-    assert main("check_map", [str(STOCK), "-o", str(tmp_path / "none" / "a.png")]) == 1
-    assert "a.png can't be written: there is no folder" in capsys.readouterr().err

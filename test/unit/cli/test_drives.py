@@ -14,7 +14,6 @@ from browser import Browser, find_browser
 from car_interface.cli import drives
 from car_interface.cli.drives_cache import NAME
 from car_interface.cli.main import main
-from car_interface.common.errors import CarInterfaceError
 from written_recordings import Written, drive, odometry, write_ros1, write_ros2
 
 
@@ -122,8 +121,6 @@ def test_damaged_row_of_the_cache_is_said_and_only_its_recording_is_read_again(f
     assert run(folder) == 0
     assert sorted(read) == ["broken.bag", "drive.bag"] and lines(folder) == first
     assert f"drives: {path} has damaged rows (1): their recordings are read again\n" in capsys.readouterr().err
-    read.clear()
-    assert run(folder) == 0 and read == ["broken.bag"]
 
 
 @pytest.mark.once
@@ -172,32 +169,6 @@ def test_folder_in_which_nothing_can_be_read_fails_and_the_terminal_says_why(tmp
     assert "7 can't be read" in shown.out
 
 
-def test_guess_is_a_note_of_the_row_and_a_name_can_be_given(tmp_path):
-    folder = tmp_path / "drives"
-    folder.mkdir()
-    write_ros1(folder / "a.bag", [odometry(0.1 * step, 0.1 * step, speed_mps=1.0, topic="/ekf") for step in range(50)])
-    assert run(str(folder)) == 0
-    assert lines(str(folder))[0]["notes"] == "odom: /ekf (the only nav_msgs/Odometry)"
-    assert run(str(folder), "--odom", "/ekf") == 0
-    assert lines(str(folder))[0]["notes"] == "odom: /ekf (as you say)"
-
-
-def test_csv_is_no_name_for_the_page_which_would_replace_it(folder, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert run(folder, "-o", "all.csv") == 1
-    assert capsys.readouterr().err == ("drives: --output is 'all.csv'; accepted: the page's name, as in drives.html: "
-                                       "the CSV lies beside it\n")
-    assert not os.path.exists("all.csv")
-
-
-def test_folder_is_called_by_its_name_where_it_is_named_by_a_dot(folder, capsys, monkeypatch):
-    monkeypatch.chdir(folder)
-    assert run(".") == 0
-    assert capsys.readouterr().out.endswith("written: ./drives.html, ./drives.csv\n")
-    with open("drives.html", encoding="utf-8") as file:
-        assert f"<h1>Drives in {folder}</h1>" in file.read()
-
-
 def test_place_where_nothing_can_be_written_is_said_before_the_work_with_the_option_for_another(folder, read, capsys):
     os.mkdir(os.path.join(folder, "drives.html"))
     assert run(folder) == 1
@@ -218,65 +189,38 @@ def test_folder_without_recordings_is_refused_in_one_line(make, words, tmp_path,
     assert shown.startswith(f"drives: {tmp_path / 'x'} {words}") and shown.count("\n") == 1
 
 
-def test_page_goes_where_it_is_wanted_with_the_csv_beside_it_and_never_over_a_recording(folder, tmp_path, capsys):
-    assert run(folder, "-o", str(tmp_path / "all.html")) == 0
-    assert len(lines(str(tmp_path), "all.csv")) == 3 and not os.path.exists(os.path.join(folder, "drives.html"))
-    capsys.readouterr()
-    assert run(folder, "-o", os.path.join(folder, "drive.bag")) == 1
-    assert "is one of the recordings" in capsys.readouterr().err
-
-
-def test_file_name_that_is_no_utf_8_is_shown_all_the_same(folder):
+def test_page_goes_where_it_is_wanted_with_the_csv_beside_it_and_never_over_a_recording(
+        folder, read, tmp_path, capsys, monkeypatch):
     shutil.copy(os.path.join(folder, "drive.bag"), os.fsencode(folder) + b"/\xff.bag")
-    assert run(folder) == 0 and "?.bag" in [row["recording"] for row in lines(folder)]
-
-
-@pytest.mark.once
-def test_process_that_is_killed_loses_no_row_that_was_read(folder, read, monkeypatch):
-    def for_each(function, items, jobs):
-        yield function(items[0])
-        yield function(items[1])
-        raise CarInterfaceError("a process that read a recording was killed")
-    with monkeypatch.context() as patch:
-        patch.setattr(drives, "for_each", for_each)
-        assert run(folder) == 1
-    read.clear()
-    assert run(folder) == 0 and sorted(read) == ["broken.bag", "drive.bag"]
-
-
-@pytest.mark.once
-def test_several_processes_find_the_same(folder, made, tmp_path):
-    assert run(folder) == 0
-    other = shutil.copytree(str(made), str(tmp_path / "other"))
-    assert main("drives", [other, "--jobs", "2"]) == 0
-    assert lines(other) == lines(folder)
+    assert run(folder, "-o", str(tmp_path / "all.html")) == 0
+    assert "?.bag" in [row["recording"] for row in lines(str(tmp_path), "all.csv")], "a name that is no UTF-8"
+    assert not os.path.exists(os.path.join(folder, "drives.html"))
+    monkeypatch.chdir(folder)
+    assert run(".") == 0
+    assert capsys.readouterr().out.endswith("written: ./drives.html, ./drives.csv\n")
+    assert f"<h1>Drives in {folder}</h1>" in Path("drives.html").read_text(encoding="utf-8")
+    for output, words in (("drive.bag", "is one of the recordings"), (
+            "all.csv", "'all.csv'; accepted: the page's name, as in drives.html: the CSV lies beside it")):
+        assert run(folder, "-o", output) == 1
+        assert words in capsys.readouterr().err
 
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium on this computer")
-def test_page_in_chromium_has_no_errors_and_loads_nothing(folder):
-    assert run(folder) == 0
-    page = os.path.join(folder, "drives.html")
-    with Browser(find_browser(), width=1500) as browser:
-        browser.open(Path(page))
-        rows = browser.evaluate("document.querySelectorAll('#drives tr').length")
-        wide = browser.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
-        height = browser.evaluate("document.querySelector('svg[data-plot=trends]').getBoundingClientRect().height")
-    assert browser.complaints == [] and browser.requests == [Path(page).resolve().as_uri()]
-    assert rows == 3 and wide == 0 and height > 300
-
-
-@pytest.mark.browser
-@pytest.mark.skipif(find_browser() is None, reason="no Chromium on this computer")
-def test_table_fits_a_wide_window_and_plots_can_be_read_on_a_phone(folder):
+def test_page_in_chromium_has_no_errors_loads_nothing_fits_a_wide_window_and_can_be_read_on_a_phone(folder):
     assert run(folder) == 0
     page = Path(folder) / "drives.html"
+    too_wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
     with Browser(find_browser(), width=1500) as browser:
         browser.open(page)
+        rows = browser.evaluate("document.querySelectorAll('#drives tr').length")
         hidden = browser.evaluate("(scroll => scroll.scrollWidth - scroll.clientWidth)"
                                   "(document.querySelector('#drives .scroll'))")
+        height = browser.evaluate("document.querySelector('svg[data-plot=trends]').getBoundingClientRect().height")
+        assert browser.evaluate(too_wide) == 0
+    assert browser.complaints == [] and browser.requests == [page.resolve().as_uri()]
+    assert rows == 3 and hidden == 0 and height > 300
     with Browser(find_browser(), width=500) as browser:
         browser.open(page)
         plot = browser.evaluate("document.querySelector('svg[data-plot=trends]').getBoundingClientRect().width")
-        wide = browser.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
-    assert hidden == 0 and plot >= 640 and wide == 0
+        assert plot >= 640 and browser.evaluate(too_wide) == 0

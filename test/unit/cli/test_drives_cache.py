@@ -134,24 +134,21 @@ def _is_good(field, value):
     return field in FIGURES and value == -1.5 or field == "losses" and value == {}
 
 
-WRONG_ENTRIES = list(wrong_entries())
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("spoil", [spoil for _, spoil in WRONG_ENTRIES], ids=[name for name, _ in WRONG_ENTRIES])
-def test_entry_of_another_structure_is_not_used_and_the_others_are(folder, spoil):
-    cache = Cache(folder, "1")
-    cache.add(STATE, ROW._replace(path="b.bag"))
-    assert cache.save(["a.bag", "b.bag"]) == ""
+def test_entries_of_another_structure_are_not_used_and_the_others_are(folder):
     stored = content(folder)
-    stored["rows"]["a.bag"] = spoil(stored["rows"]["a.bag"])
-    rewrite(folder, json.dumps(stored))
+    good = stored["rows"]["a.bag"]
+    wrong = {name: spoil(json.loads(json.dumps(good))) for name, spoil in wrong_entries()}
+    for name, entry in wrong.items():
+        if isinstance(entry, list) and len(entry) > 1 and isinstance(entry[1], list) and entry[1][:1] == ["a.bag"]:
+            entry[1][0] = name  # else it is refused for its path alone
+    rewrite(folder, json.dumps({**stored, "rows": {**stored["rows"], **wrong}}))
     cache = Cache(folder, "1")
-    assert (cache.row("a.bag", STATE), cache.damaged, cache.problem) == (None, 1, "")
-    assert cache.row("b.bag", STATE)._asdict() == ROW._replace(path="b.bag")._asdict()
+    assert [name for name in wrong if cache.row(name, STATE) is not None] == []
+    assert (cache.damaged, cache.problem) == (len(wrong), "")
+    assert cache.row("a.bag", STATE)._asdict() == ROW._asdict()
 
 
-def test_pipe_or_a_file_that_is_too_large_is_not_read(folder):
+def test_what_is_no_file_or_a_file_that_is_too_large_is_not_read_and_said(folder):
     path = os.path.join(folder, NAME)
     with open(path, "r+b") as file:
         file.truncate(1 << 40)
@@ -159,12 +156,9 @@ def test_pipe_or_a_file_that_is_too_large_is_not_read(folder):
     os.unlink(path)
     os.mkfifo(path)
     assert Cache(folder, "1").problem == f"{path} can't be read (it is no regular file)"
-
-
-def test_file_that_can_not_be_read_is_said(folder):
-    os.unlink(os.path.join(folder, NAME))
-    os.mkdir(os.path.join(folder, NAME))
-    assert Cache(folder, "1").problem == f"{os.path.join(folder, NAME)} can't be read (Is a directory)"
+    os.unlink(path)
+    os.mkdir(path)
+    assert Cache(folder, "1").problem == f"{path} can't be read (Is a directory)"
 
 
 def test_folder_that_can_not_be_written_has_its_file_in_the_users_cache_folder(tmp_path, elsewhere, monkeypatch):

@@ -59,16 +59,13 @@ def test_what_goes_wrong_ends_as_one_line_and_1(command, error, words, capsys):
     assert shown.out == "" and shown.err.startswith("try: ") and words in shown.err and shown.err.count("\n") == 1
 
 
-def test_fault_of_our_own_is_not_hidden(command):
-    command.run = raising(ModuleNotFoundError("no", name="car_interface.typo"))
-    with pytest.raises(ModuleNotFoundError):
-        main("try", [])
-
-
-def test_ctrl_c_ends_without_a_word(command, capsys):
+def test_ctrl_c_ends_without_a_word_and_a_fault_of_our_own_is_not_hidden(command, capsys):
     command.run = raising(KeyboardInterrupt())
     assert main("try", []) == 130
     assert capsys.readouterr().err == ""
+    command.run = raising(ModuleNotFoundError("no", name="car_interface.typo"))
+    with pytest.raises(ModuleNotFoundError):
+        main("try", [])
 
 
 @pytest.mark.parametrize("arguments", [[], ["unknown"], ["try", "--unknown"], ["try", "--number", "x"]])
@@ -92,6 +89,7 @@ def test_each_command_keeps_the_contract(name):
     module.add_arguments(parser)
     assert callable(module.run) and module.__doc__.strip().split("\n")[0].endswith((".", "?"))
     assert all(action.help for action in parser._actions), "an option without a help"
+    assert (ROOT / "scripts" / name).exists(), "what rosrun starts"
 
 
 def test_output_that_nobody_reads_any_more_is_no_fault():
@@ -108,11 +106,6 @@ def test_output_that_nobody_reads_any_more_is_no_fault():
 
 def path_for_children():
     return os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])
-
-
-@pytest.mark.parametrize("name", sorted(MODULES))
-def test_rosrun_finds_a_script(name):
-    assert name in {path.name for path in (ROOT / "scripts").iterdir()}
 
 
 # --- what is installed ---
@@ -157,28 +150,23 @@ def test_setup_ships_every_message_definition_and_the_stock_configuration():
 def test_setup_makes_the_command_and_names_what_it_needs():
     found = setup_arguments()
     assert found["entry_points"] == {"console_scripts": ["car-interface = car_interface.cli.main:main"]}
-    libraries = {"matplotlib", "numpy", "PyYAML", "rosbags", "scipy", "tqdm"}
-    assert {need.split(">")[0] for need in found["extras_require"]["tools"]} == libraries
-
-
-def test_rosbags_has_the_same_range_of_versions_for_pip_and_for_ros():
-    (needed,) = [need for need in setup_arguments()["extras_require"]["tools"] if need.startswith("rosbags")]
+    tools = {need.split(">")[0]: need for need in found["extras_require"]["tools"]}
+    assert set(tools) == {"matplotlib", "numpy", "PyYAML", "rosbags", "scipy", "tqdm"}
     package = ElementTree.parse(str(ROOT / "package.xml")).getroot()
     (depend,) = [item for item in package.iter("exec_depend") if item.text == "python3-rosbags-pip"]
-    assert needed == f"rosbags>={depend.get('version_gte')},<={depend.get('version_lte')}"
+    assert tools["rosbags"] == f"rosbags>={depend.get('version_gte')},<={depend.get('version_lte')}", "as for ROS"
 
 
 # --- help and version ---
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
-@pytest.mark.parametrize("is_script", [False, True], ids=["car-interface", "rosrun"])
-def test_every_command_answers_help(name, is_script, capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(*((name, ["--help"]) if is_script else (None, [name, "--help"])))
-    shown = capsys.readouterr()
-    usage = f"usage: {name}" if is_script else f"usage: car-interface {name}"
-    assert caught.value.code == 0 and shown.err == "" and shown.out.startswith(usage)
+def test_every_command_answers_help(name, capsys):
+    for arguments, usage in (((name, ["--help"]), name), ((None, [name, "--help"]), f"car-interface {name}")):
+        with pytest.raises(SystemExit) as caught:
+            main(*arguments)
+        shown = capsys.readouterr()
+        assert caught.value.code == 0 and shown.err == "" and shown.out.startswith(f"usage: {usage}")
 
 
 @pytest.mark.parametrize("command_name, arguments", [

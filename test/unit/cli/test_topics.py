@@ -20,30 +20,15 @@ def test_nothing_is_named_by_default_nor_by_the_usual_name():
     assert topics_of(parsed()) == topics_of(parsed("--odom", "odom"), imu=None) == {}
 
 
-def test_help_names_the_usual_topics_in_the_order_in_which_they_count():
-    parser = argparse.ArgumentParser()
-    add_topic_arguments(parser, (COMMAND, ACCELERATION))
-    text = " ".join(parser.format_help().split())
-    assert "default: /servo/cmdVector or command)" in text
-    assert ("default: planner_interface/output/control_cmd or control/command/control_cmd, else the only topic of its "
-            "type)") in text
-
-
-def test_map_names_a_topic_for_each_role_and_odom_is_a_short_form():
-    options = parsed("--map", "/a/imu=imu", "--map", "/b=ackermann", "--odom", "/ekf")
-    assert topics_of(options) == {"odom": "/ekf", "imu": "/a/imu", "ackermann": "/b"}
-
-
-def test_option_of_a_command_counts_as_well():
+@pytest.mark.parametrize("arguments, topics", [
+    (["--map", "/a/imu=imu", "--map", "/b=ackermann", "--odom", "/ekf"],
+     {"odom": "/ekf", "imu": "/a/imu", "ackermann": "/b"}),
+    (["--map", "/ekf=odom", "--odom", "/ekf"], {"odom": "/ekf"}),
+    (["--map", "/a=b=odom"], {"odom": "/a=b"}),
+], ids=["each_role", "the_same_twice", "equals_sign_in_a_name"])
+def test_map_names_a_topic_for_each_role_and_odom_is_a_short_form(arguments, topics):
+    assert topics_of(parsed(*arguments)) == topics
     assert topics_of(parsed("--map", "/ekf=odom"), imu="/a") == {"odom": "/ekf", "imu": "/a"}
-
-
-def test_same_topic_said_twice_is_no_contradiction():
-    assert topics_of(parsed("--map", "/ekf=odom", "--odom", "/ekf")) == {"odom": "/ekf"}
-
-
-def test_topic_may_contain_an_equals_sign():
-    assert topics_of(parsed("--map", "/a=b=odom")) == {"odom": "/a=b"}
 
 
 @pytest.mark.parametrize("arguments, words", [
@@ -60,10 +45,12 @@ def test_what_makes_no_sense_is_refused_by_its_text(arguments, words):
     assert words in str(caught.value)
 
 
-def test_help_has_every_role_with_what_it_is_and_whether_it_is_guessed(capsys):
-    with pytest.raises(SystemExit):
-        parsed("--help")
-    shown = " ".join(capsys.readouterr().out.split())
+def test_help_has_every_role_with_what_it_is_its_usual_topics_in_order_and_whether_it_is_guessed():
+    parser = argparse.ArgumentParser()
+    add_topic_arguments(parser, (ODOM, OUTPUT, COMMAND, ACCELERATION))
+    shown = " ".join(parser.format_help().split())
     assert "odom (pose and speed; default: odom, else the only topic of its type)" in shown
     assert "output (the 16 duties that the servo board outputs; default: /servo/output)" in shown
-    assert "ackermann (steering angle and speed that a planner asks for; default: drive or ackermann_cmd, else" in shown
+    assert "default: /servo/cmdVector or command)" in shown
+    assert ("default: planner_interface/output/control_cmd or control/command/control_cmd, else the only topic of its "
+            "type)") in shown

@@ -1,7 +1,6 @@
 """The version of this package: where it comes from, and the option --version."""
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,16 +16,9 @@ def missing_file(name):
     raise CarInterfaceError(name)
 
 
-def test_version_is_the_one_in_package_xml():
-    assert versions.version() == ElementTree.parse(str(ROOT / "package.xml")).findtext("version")
-
-
-def test_package_xml_has_precedence_over_the_metadata(monkeypatch, tmp_path):
-    path = tmp_path / "package.xml"
-    path.write_text("<package><name>car_interface</name><version>4.5.6</version></package>", encoding="utf-8")
-    monkeypatch.setattr(versions, "package_file", {"package.xml": path}.__getitem__)
+def test_version_is_the_one_in_package_xml_which_goes_before_the_metadata(monkeypatch):
     monkeypatch.setattr(versions.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
-    assert versions.version() == "4.5.6"
+    assert versions.version() == ElementTree.parse(str(ROOT / "package.xml")).findtext("version")
 
 
 def test_version_comes_from_the_metadata_where_there_is_no_package_xml(monkeypatch):
@@ -42,18 +34,3 @@ def test_version_of_a_package_without_either_is_refused(monkeypatch):
     monkeypatch.setattr(versions.metadata, "version", unknown)
     with pytest.raises(CarInterfaceError, match=r"has neither package\.xml nor metadata"):
         versions.version()
-
-
-@pytest.fixture
-def parser():
-    made = argparse.ArgumentParser()
-    made.add_argument("--version", action=versions.VersionAction)
-    return made
-
-
-def test_option_prints_name_and_version_and_ends_with_0(parser, monkeypatch, capsys):
-    monkeypatch.setattr(versions, "version", lambda: "7.8.9")
-    with pytest.raises(SystemExit) as caught:
-        parser.parse_args(["--version"])
-    assert caught.value.code == 0
-    assert capsys.readouterr().out == "car_interface 7.8.9\n"

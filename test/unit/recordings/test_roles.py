@@ -8,6 +8,7 @@ from car_interface.recordings.roles import (
     ACCELERATION,
     ACKERMANN,
     COMMAND,
+    IMU,
     ODOM,
     VALUE,
     Found,
@@ -36,6 +37,7 @@ def test_only_topic_of_the_type_is_guessed_and_said():
         "odom: /husky_velocity_controller/odom (the only nav_msgs/Odometry)")
     assert find(recorded(vesc__drive=DRIVE), ACKERMANN) == Found(
         "/vesc/drive", "ackermann: /vesc/drive (the only ackermann_msgs/AckermannDriveStamped)")
+    assert find({"/a": Topic("sensor_msgs/Imu", 1)}, IMU).note == "imu: /a (the only sensor_msgs/Imu)"  # as in ROS 1
 
 
 def test_of_two_topics_of_the_type_none_is_guessed_and_both_are_named():

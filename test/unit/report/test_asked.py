@@ -9,7 +9,7 @@ import pytest
 from car_interface.report.page import page
 from car_interface.report.plots import plots
 from car_interface.report.summary import summarize
-from written_recordings import Written, odometry, stamp, write_ros1, write_ros2
+from written_recordings import Written, odometry, stamp, write_ros1
 
 STAMPED, PLAIN = "ackermann_msgs/AckermannDriveStamped", "ackermann_msgs/AckermannDrive"
 PLAIN_TEXT = "\n".join(f"float32 {name}" for name in (
@@ -67,11 +67,6 @@ def test_message_without_a_stamp_and_with_another_name_is_guessed(tmp_path):
     drive = summarize(str(path))
     assert drive.traces["requested speed"].count == 60
     assert "ackermann: /planner/out (the only ackermann_msgs/AckermannDrive)" in drive.notes
-
-
-def test_ros_2_without_definitions_is_read_by_the_known_one(tmp_path):
-    path = write_ros2(tmp_path / "drive", circle(3.0), with_definitions=False, extra_types=TYPES)
-    assert summarize(str(path)).traces["requested speed"].count == 60
 
 
 def test_topic_called_drive_of_another_type_is_not_read(tmp_path):

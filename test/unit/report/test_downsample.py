@@ -47,14 +47,6 @@ def test_path_that_is_interrupted_stays_so_however_often_it_is_thinned():
     assert [math.isnan(x_m) for x_m in path.x_m].count(True) == 1 and len(path.x_m) <= 100
 
 
-def test_path_of_nothing_but_interruptions_is_bounded_too():
-    path = Path(step_m=0.01, max_points=100)
-    for step in range(1000):
-        path.add(step, 0.0, 3)
-        path.interrupt()
-    assert len(path.x_m) <= 101
-
-
 def test_path_keeps_each_change_of_driver():
     path = Path()
     for step, kind in enumerate((1, 1, 3, 3, 4)):

@@ -45,17 +45,12 @@ def test_every_trend_has_a_panel(figure):
     assert link.lines[0].get_ydata()[3] == pytest.approx(100 * 3 / 903) and link.lines[1].get_xdata().tolist() == [2]
 
 
-def test_plot_and_table_have_the_same_percentage(figure):
-    rows = [row._replace(left_ratio=1.25) for row in ROWS[:2]]
+def test_plot_and_table_have_the_same_percentage_and_a_car_that_does_not_turn_hides_no_other(figure):
+    rows = [ROWS[0]._replace(left_ratio=0.002), ROWS[1]._replace(left_ratio=1.25)]
     trends(rows)
-    assert figure[0].axes[3].lines[1].get_ydata().tolist() == pytest.approx([20, 20])
+    sides = figure[0].axes[3]
+    assert sides.lines[1].get_ydata().tolist() == pytest.approx([-100, 20]) and sides.get_ylim()[1] < 120
     assert "left: 20% tighter<" in page("drives", rows, "")
-
-
-def test_car_that_does_not_turn_hides_no_other_drive(figure):
-    trends([ROWS[0]._replace(left_ratio=0.002), *ROWS[1:]])
-    assert figure[0].axes[3].lines[1].get_ydata()[0] == -100
-    assert figure[0].axes[3].get_ylim()[1] < 120
 
 
 def test_what_no_drive_tells_has_no_panel_and_what_one_lacks_is_a_gap(figure):
@@ -75,7 +70,7 @@ def test_axis_is_labelled_with_dates(figure):
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("count", [2, 3, 5, 6, 7, 8, 11, 12, 13, 14, 19, 31, 47, 59])
+@pytest.mark.parametrize("count", [2, 7, 8, 13, 14, 47])
 def test_labels_stand_evenly_so_that_none_covers_its_neighbour(figure, count):
     trends(ROWS[:1] * count)
     at = figure[0].axes[-1].get_xticks()
@@ -90,12 +85,6 @@ def test_zero_has_a_point_so_that_it_does_not_look_like_what_is_not_known(figure
         assert [line.get_xdata().tolist() for line in axes.lines] == [[1]]
 
 
-def test_layout_holds_with_what_is_not_known(recwarn):
-    trends([BLIND, *ROWS])
-    trends([BLIND, ROWS[1], ROWS[3]])  # nothing is 0
-    assert [str(warning.message) for warning in recwarn] == []
-
-
 def test_rare_causes_are_drawn_together(figure):
     many = [ROWS[0]._replace(losses={f"cause {number}": 9 - number for number in range(9)}), ROWS[1]]
     trends(many)
@@ -105,8 +94,3 @@ def test_rare_causes_are_drawn_together(figure):
 
 def test_single_drive_has_no_trend(figure):
     assert trends(ROWS[:1]) == trends([]) == "" and figure == []
-
-
-def test_trends_are_an_svg():
-    text = trends(ROWS)
-    assert text.startswith("<svg ") and 'data-plot="trends"' in text

@@ -3,12 +3,10 @@ from __future__ import annotations
 
 import math
 import re
-from types import SimpleNamespace
 
 import pytest
 
-from car_interface.common import causes
-from car_interface.report.faults import ERROR, OK, WARN, Fault, FaultLog, NodeReports, without_numbers
+from car_interface.report.faults import ERROR, OK, WARN, Fault, FaultLog
 from car_interface.report.page import page
 from car_interface.report.summary import summarize
 from written_recordings import HOSTILE, Written, odometry, stamp, write_ros1
@@ -31,11 +29,8 @@ def test_fault_has_its_time(where, start_s, end_s, level, what, seen):
     assert math.isnan(fault.end_s) if end_s is None else fault.end_s == pytest.approx(end_s, abs=0.01)
 
 
-def test_error_in_a_nodes_log_is_a_fault_and_its_other_lines_are_not(seen):
+def test_error_in_a_nodes_log_is_a_fault_its_other_lines_are_not_and_turn_arb_s_diagnostics_are_listed_once(seen):
     assert [fault.what for fault in faults_of(seen, "pca9685")] == ["nothing answers, 25 times", HOSTILE]
-
-
-def test_turn_arbs_diagnostics_are_listed_once_by_its_state(seen):
     assert all("told by turn_arb/state" not in fault.what for fault in seen.faults.entries)
 
 
@@ -50,22 +45,15 @@ def test_flood_of_faults_is_kept_to_a_bound_and_counted(tmp_path):
     assert "1000 more are not kept" in page(seen, {})
 
 
-def test_condition_lasts_until_it_is_ok_with_its_worst_level():
+def test_condition_lasts_until_it_is_ok_another_one_or_the_end_with_its_worst_level():
     log = FaultLog()
     for time_s, level, what in ((1.0, WARN, "late by 1 s"), (2.0, ERROR, "late by 2 s"), (3.0, WARN, "late by 3 s"),
-                                (4.0, OK, "on time")):
+                                (4.0, OK, "on time"), (5.0, WARN, "late by -1.5e-3 s"), (6.0, WARN, "gone")):
         log.update_condition(time_s, "key", level, "node", what)
     log.finish()
-    assert log.entries == [Fault(1.0, 4.0, ERROR, "node", "late by 1 s")]
-
-
-def test_condition_with_another_text_is_another_one_and_may_last_until_the_end():
-    log = FaultLog()
-    log.update_condition(1.0, "key", WARN, "node", "late")
-    log.update_condition(2.0, "key", WARN, "node", "gone")
-    log.finish()
-    assert log.entries[0] == Fault(1.0, 2.0, WARN, "node", "late")
-    assert log.entries[1].what == "gone" and math.isnan(log.entries[1].end_s)
+    assert log.entries[:2] == [Fault(1.0, 4.0, ERROR, "node", "late by 1 s"),
+                               Fault(5.0, 6.0, WARN, "node", "late by -1.5e-3 s")]
+    assert log.entries[2].what == "gone" and math.isnan(log.entries[2].end_s)
 
 
 def test_repeated_moment_is_one_fault_with_a_count():
@@ -73,22 +61,3 @@ def test_repeated_moment_is_one_fault_with_a_count():
     for index in range(3):
         log.add_repeated(float(index), WARN, "node", f"retry {index}")
     assert [(fault.start_s, fault.what, fault.times) for fault in log.entries] == [(0.0, "retry 0", 3)]
-
-
-def test_texts_are_compared_without_numbers():
-    assert without_numbers("off by -1.5e-3 m, inf s") == "off by # m, # s"
-
-
-def test_channel_that_timed_out_is_a_fault_of_the_board_from_then_until_it_is_commanded_again():
-    faults = FaultLog()
-    reason = f"{causes.CHANNEL_TIMED_OUT}: channel 0, for {{}} s; /turn_arb, which commanded it last, is gone"
-    reports = NodeReports(faults, (), "rosgraph_msgs/msg/Log")
-    for time_s, level, message in (
-            (1.0, OK, "running at 50.03 Hz"),
-            (2.0, ERROR, reason.format(0.3)), (3.0, ERROR, reason.format(1.3)), (4.0, OK, "running at 50.03 Hz")):
-        status = SimpleNamespace(name="pca9685: servo board", level=level, message=message)
-        reports.on_diagnostics(time_s, SimpleNamespace(status=[status]))
-    faults.finish()
-    fault, = faults.entries
-    assert (fault.start_s, fault.end_s, fault.level, fault.where) == (2.0, 4.0, ERROR, "pca9685")
-    assert fault.what.startswith("channel timed out: channel 0")

@@ -28,12 +28,6 @@ def test_document_is_a_page_with_an_escaped_title_and_the_body_as_it_is():
     assert "<main>\n<p>body</p>\n</main>" in text
 
 
-def test_document_loads_nothing_and_runs_no_script():
-    head = document("", "").split("<body>")[0]
-    assert "content=\"default-src 'none'; style-src 'unsafe-inline'\"" in head
-    assert "url(" not in head and "@import" not in head and "<script" not in head and "<link" not in head
-
-
 @pytest.mark.parametrize("ratio, words", [(1.0, "as asked"), (1.014, "as asked"), (0.986, "as asked"),
                                           (1.1, "10% faster than asked"), (0.5, "50% slower than asked"),
                                           (500.0, "more than 10 times faster than asked")])
@@ -44,10 +38,6 @@ def test_ratio_is_in_words(ratio, words):
 def test_date_of_a_clock_that_began_at_0_is_none():
     assert date_text(1_700_000_000_000_000_000) == "2023-11-14 22:13:20 UTC"
     assert date_text(47_600_000_000) == "no date: its clock began at 0, 47.6 s before"
-
-
-def test_range_has_no_negative_zero():
-    assert range_text(-0.001, 1.0, "m/s") == "0.00 to 1.00 m/s"
 
 
 def test_section_escapes_its_title_only_and_a_plot_can_be_scrolled():
@@ -95,13 +85,13 @@ def test_texts_are_counted_and_the_six_most_frequent_are_named(texts, line):
     assert counted(iter(texts)) == line
 
 
-def test_range_has_two_decimals_and_its_unit():
+def test_range_has_two_decimals_and_its_unit_and_no_negative_zero():
     assert range_text(-0.5, 12.346, "m/s²") == "-0.50 to 12.35 m/s²"
+    assert range_text(-0.001, 1.0, "m/s") == "0.00 to 1.00 m/s"
 
 
-@pytest.mark.parametrize("count, text", [(0, "never"), (1, "once"), (2, "twice"), (3, "3 times"), (100, "100 times")])
-def test_small_counts_are_words(count, text):
-    assert times_text(count) == text
+def test_small_counts_are_words():
+    assert [times_text(count) for count in (0, 1, 2, 3)] == ["never", "once", "twice", "3 times"]
 
 
 @pytest.mark.parametrize("time_s, duration_s, text", [

@@ -34,10 +34,6 @@ def test_odometry_that_turns_more_than_the_imu_is_said(tmp_path):
     assert "by the IMU" not in drive.notes and "speed" in plots(drive)
 
 
-def test_odometry_that_turns_as_the_imu_is_said(tmp_path):
-    assert "<td>as the IMU says</td>" in page(spinning(tmp_path, rate_radps=0.75), {})
-
-
 def test_imu_on_its_side_is_not_compared_and_the_page_says_why(tmp_path):
     drive = spinning(tmp_path, (0.0, 9.8, 0.0))
     assert drive.imu.odometry_ratio().samples == 0

@@ -38,11 +38,6 @@ def test_what_stopped_the_planner_is_a_fault_with_its_duration(cause, is_told):
         [(5.0, 6.0, WARN, "planner_interface", "why")] if is_told else [])
 
 
-def test_fault_that_lasts_ends_with_the_recording():
-    _, faults, _ = watched((0.0, {}), (5.0, {"cause": "planner silent", "reason": "drive silent for 0.50 s"}))
-    assert faults.entries[0].end_s == 10.0
-
-
 def test_speeds_are_those_of_the_times_in_which_it_was_obeyed():
     _, _, traces = watched((0.0, {}), (5.0, {"cause": "planner silent", "speed": 0.0}))
     assert (traces["planner's speed"].count, traces["planner's speed"].minimum) == (1, 1.0)

@@ -10,7 +10,6 @@ import pytest
 
 from car_interface.report import plots as report_plots
 from car_interface.report.downsample import Trace
-from car_interface.report.page import page
 from car_interface.report.plots import plots
 from car_interface.report.summary import summarize
 from written_recordings import Written, odometry, write_ros1
@@ -44,14 +43,6 @@ def test_each_trace_shows_in_its_plot(seen):
         assert [name for name in PLOTS if before[name] != after[name]] == ["steering", "speed", "link"], changed
 
 
-def test_plot_of_a_recording_that_lacks_its_topics_is_left_out(tmp_path):
-    path = str(write_ros1(tmp_path / "a.bag", [odometry(0.1 * step, 0.1 * step, speed_mps=1.0) for step in range(50)]))
-    seen = summarize(path)
-    assert list(plots(seen)) == ["steering", "path", "speed"]
-    text = page(seen, plots(seen))
-    assert "Not recorded: turn_arb/state" in text and "Not recorded: teensy_sensor_hub/link, teensy_clock" in text
-
-
 def test_steering_shows_what_was_driven_where_that_is_tighter_than_what_was_sent(tmp_path):
     messages = [odometry(0.02 * step, math.sin(0.02 * step), 1 - math.cos(0.02 * step), 0.02 * step, 1.0)
                 for step in range(500)]
@@ -76,7 +67,7 @@ def test_servos_channel_is_not_drawn_as_the_escs_though_its_channel_is_unknown(t
 def test_plots_of_a_long_drive_are_no_larger_than_those_of_a_short_one(tmp_path):
     random = np.random.default_rng(2)
     sizes = []
-    for count in (5_000, 20_000):
+    for count in (4_000, 12_000):
         messages = [odometry(600 * step / count, speed_mps=random.normal()) for step in range(count)]
         seen = summarize(str(write_ros1(tmp_path / f"{count}.bag", messages)))
         sizes.append(len(plots(seen)["speed"].svg))

@@ -83,8 +83,3 @@ def test_page_shows_what_was_asked_granted_the_esc_s_state_and_why(seen):
     assert "<td>BRAKING</td>" in section and "BRAKING: it rolls forward" in section
     assert 'data-plot="throttle"' in section
     assert text.index('<section id="steering">') < text.index('<section id="throttle">')
-
-
-def test_page_of_a_recording_without_it_says_so(tmp_path):
-    text = page(summarize(str(write_ros1(tmp_path / "a.bag", drive(10.0)))), {})
-    assert "Not recorded: throttle_arb/state." in text

