@@ -20,6 +20,7 @@ from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import Callable
 
+from accuracy.clock import percentile
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import Vehicle, VehicleConfig, true_acceleration_mps2
@@ -272,11 +273,6 @@ class Bench:
             score.speed.append(error / abs(speed_mps))
         elif 0.8 * CRAWL_MPS < abs(speed_mps) < 1.25 * CRAWL_MPS:
             score.crawl.append(error / abs(speed_mps))
-
-
-def percentile(values, share):
-    """The value below which that share of them lies; NaN when there are none."""
-    return sorted(values)[min(len(values) - 1, int(share * len(values)))] if values else math.nan
 
 
 def run(make_drive, phase, seed) -> Score:

@@ -11,7 +11,6 @@ from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
-from car_interface.common.errors import ConfigError
 from car_interface.nodes import rviz_window
 from car_interface.nodes.car_display import CarDisplay
 from graph import NS_PER_S, START_NS
@@ -135,12 +134,6 @@ def test_trail_has_the_newest_two_thousand_points(picture):
     picture.go_to(*((0.1 * index, 0.0) for index in range(2100)))
     trail = picture.trail()
     assert (len(trail), trail[0], trail[-1]) == (2000, (10.0, 0.0), (209.9, 0.0))
-
-
-@pytest.mark.parametrize("name", ["wheelbase", "track", "wheel_diameter"])
-def test_impossible_size_is_refused_by_name(graph, name):
-    with pytest.raises(ConfigError, match=f"{name} is 0; accepted: a number above 0"):
-        Picture(graph, **{name: 0})
 
 
 @pytest.mark.parametrize("namespace, prefix", [("/", ""), ("car1", "car1/")])

@@ -7,8 +7,6 @@ from car_interface.srv import InjectFaultRequest, SetSonarSequenceRequest, SetSo
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
 
-from car_interface.common.errors import ConfigError
-
 LINK, PONGS, WHEELS, SONARS, ERRORS = (
     "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_wheel", "/teensy_distance", "/teensy_error")
 CENTER, LEFT, GENTLE, FAST, NEUTRAL = 5100, 3835, 5700, 6500, 4915
@@ -48,16 +46,6 @@ class Simulated:
     def wheels(self):
         wheel = self.graph.newest(WHEELS)
         return wheel.left, wheel.right
-
-
-def test_each_ping_gets_its_pong_however_fast_they_come(car):
-    simulated = Simulated(car, {"ping_period": 0.02})
-    car.graph.run(3.5)
-    link, stamps = simulated.link, [pong.timestamp1 for pong in car.graph.messages(PONGS)]
-    assert link.pings > 100 and link.pings - link.pongs <= 1  # the newest may be on its way
-    assert (link.bad_frames, link.malformed_frames, link.firmware_checksum) == (0, 0, "shipped")
-    assert 0 < link.round_trip < 0.02
-    assert len(set(stamps)) == len(stamps)
 
 
 def test_sonars_fire_as_they_are_commanded(car):
@@ -131,14 +119,6 @@ def test_wheel_reset_zeroes_both_odometers(car):
         (0, 0, WheelDirection.NONE)}
 
 
-def test_counters_come_on_their_topic(car):
-    simulated = Simulated(car)
-    car.graph.run(1.0)
-    simulated.call("get_counters")
-    car.graph.run(1.0)
-    assert {error.name: error.count for error in car.graph.messages(ERRORS)}["rxPackets"] > 0
-
-
 def test_hub_finds_out_that_the_receiver_was_repaired_and_the_clock_may_wrap(car):
     simulated = Simulated(car, corrected_checksum=True, clock_start_ms=4294965000)
     car.graph.run_until(lambda: car.graph.recorded[LINK] and simulated.link.pongs > 2, 5.0)
@@ -174,19 +154,6 @@ def test_car_follows_the_channels_that_it_is_given(car):
     assert car.speed_mps > 0.3 and car.truth().twist.twist.angular.z == pytest.approx(0.0, abs=0.01)
 
 
-def test_car_that_runs_into_something_stands_and_counts_it(car):
-    simulated = Simulated(car)
-    assert [count.data for count in car.graph.messages("/car_sim/collisions")] == [0]
-    simulated.drive(GENTLE)
-    car.graph.run_until(lambda: car.graph.newest("/car_sim/collisions").data == 1, 30.0)
-    car.graph.run(0.1)
-    place = car.truth().pose.pose.position
-    car.graph.run(1.0)
-    assert car.truth().pose.pose.position.x == pytest.approx(place.x, abs=0.01)
-    lines = car.graph.lines("/car_sim", level=30)
-    assert len(lines) == 1 and lines[0].startswith("the car ran into something at ") and "(collision 1)" in lines[0]
-
-
 def test_car_that_would_have_tipped_over_counts_it(car):
     simulated = Simulated(car, collisions=False, rollover=2.0, grip=9.0)
     simulated.drive(FAST)
@@ -205,23 +172,3 @@ def test_simulator_that_stood_still_goes_on_from_now(car):
     simulated.sim.stall(5.0)
     car.graph.run(5.1)
     assert car.truth().pose.pose.position.x - before < 0.2 * car.speed_mps + 0.05
-
-
-def test_simulator_that_ends_takes_its_port_away(car):
-    simulated = Simulated(car)
-    car.graph.run(1.0)
-    simulated.sim.end()
-    car.graph.run(0.1)
-    assert not simulated.link.open
-
-
-@pytest.mark.parametrize("parameters, message", [
-    ({"steering_duties": [3800, 6700]}, "steering_curvatures is .*; accepted: 2 numbers"),
-    ({"start": [0, 0]}, "start is .*; accepted: three numbers: x, y in m, and yaw in rad"),
-    ({"start": [5.9, 0, 0]}, "start is .*; accepted: a place where the car touches no wall, box or post"),
-    ({"wheel_pulses": [1]}, "wheel_pulses is .*; accepted: two numbers: left, right"),
-    ({"esc_kind": "odd"}, "esc_kind is 'odd'; accepted: one of none, "),
-    ({"throttle_channel": 16}, "throttle_channel is 16"), ({"seeds": 1}, "unknown parameter seeds")])
-def test_parameter_that_cannot_be_is_refused_by_name(car, parameters, message):
-    with pytest.raises(ConfigError, match=message):
-        car.sim(**parameters)

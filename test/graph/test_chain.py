@@ -5,7 +5,6 @@ The bounds are those of the table in docs/safety.md. Each fault is made twice: w
 """
 from __future__ import annotations
 
-import logging
 import math
 import re
 from pathlib import Path
@@ -351,18 +350,6 @@ def test_clock_that_is_set_by_an_hour_moves_nothing_and_changes_no_timeout(step_
     assert chain.neutral_ms(at_ns, (0, 1)) == {0: 510.0, 1: 511.0}
 
 
-def test_master_that_is_gone_is_warned_about_and_the_drive_goes_on_with_all_its_stops():
-    chain = Chain(STEERED)
-    at_ns, chain.graph.master_fault = chain.go_to(0), "the ROS master is gone"
-    chain.run(1.5)
-    assert "the ROS master is gone" in chain.graph.lines("/turn_arb", at_ns, logging.WARNING)
-    assert chain.drives and not chain.board.since(at_ns, 0) and not chain.board.since(at_ns, 1)
-    chain.send("steering", -1.0)
-    assert chain.board_after(0.0)[0] == RIGHT
-    at_ns = chain.send("human", False)
-    assert chain.neutral_ms(at_ns, (0, 1)) == {0: 0.0, 1: 0.0}
-
-
 def test_network_that_is_cut_stops_the_car_and_it_stands_when_the_network_is_back():
     """The gamepad is on another computer than the car."""
     chain = Chain(STEERED)
@@ -406,32 +393,6 @@ class TestBoardWithAGuard:
         assert 0 < steered_ns - thawed_ns <= 10 * MS  # turn_arb's next command
         assert 500 * MS <= driven_ns - thawed_ns <= 520 * MS  # after it has followed the steering for 0.5 s
         assert [counts for _, counts in chain.board.since(at_ns, 0)] == [CENTER, LEFT]
-
-    def test_node_that_ends_brings_timeout_values_for_two_periods_and_then_full_off(self):
-        chain = Chain(STEERED)
-        at_ns = chain.go_to(3 * MS)
-        chain.node("pca9685").end()
-        off_ns = at_ns + round(2e9 / 50.03)
-        for channel, neutral in enumerate(NEUTRALS):
-            (neutral_at_ns, first), (off_at_ns, second) = chain.board.since(at_ns, channel)
-            assert (neutral_at_ns, first, second) == (at_ns, neutral, 0)
-            assert off_at_ns == pytest.approx(off_ns, abs=2000)
-        chain.run(2.0)
-        assert not chain.board.guards[-1].is_alive and chain.board.counts == (0,) * 16
-        chain.node("pca9685").start()
-        chain.run(1.0)
-        assert chain.board.counts[:2] == (LEFT, ESC_NEUTRAL)  # the ESC had no pulse: it is armed again by releasing
-        chain.drive()
-
-    @pytest.mark.parametrize(("do", "ends_ms"), [(kill, 0), (lambda node: node.stall(100.0), 250)])
-    def test_guard_that_nobody_relieves_switches_off_after_its_time(self, do, ends_ms):
-        chain = Chain(STEERED, guard_off_after=1.0)
-        at_ns = pca9685_lost(do)(chain, 0)
-        chain.run(3.0)
-        for channel, neutral in enumerate(NEUTRALS):
-            assert chain.board.since(at_ns, channel) == [(at_ns + ends_ms * MS, neutral),
-                                                         (at_ns + (1000 + ends_ms) * MS, 0)]
-        assert chain.board.guards[-1].is_alive == (ends_ms > 0)
 
     @pytest.mark.parametrize(("do", "fault", "noticed_ms"), [
         (lambda guard: guard.kill(), "it has ended (killed by signal 9)", 50),

@@ -133,10 +133,3 @@ def test_wall_stops_the_car_which_is_counted_and_logged_once_and_it_backs_out():
     duties[1] = REVERSE
     car.graph.run_until(lambda: x_m() < 5.0)
     assert [message.data for message in car.graph.messages("/car_sim/collisions")] == [0, 1]
-
-
-def test_a_turn_too_fast_tips_the_car_over_which_is_counted_and_logged():
-    car, _ = rolling(FORWARD, FULL_LEFT, collisions=False, rollover=3.0)
-    car.graph.run_until(lambda: car.graph.newest("/car_sim/rollovers").data == 1)
-    (line,) = [line for line in car.graph.lines("/car_sim", level=30) if "tipped over" in line]
-    assert line.startswith("the car would have tipped over: 3.") and line.endswith(" m/s (rollover 1)")

@@ -167,18 +167,6 @@ def test_push_drives_and_a_pull_stops_a_planner_that_reverses(drive):
     drive.until(lambda: drive.speed > 0.3)
 
 
-def test_push_that_is_centered_and_trembles_at_the_edge_keeps_the_throttle(drive):
-    drive.drive()
-    drive.hold(autonomous=True, throttle=0.4)
-    assert drive.throttle.cause == "override"
-    since_ns = drive.graph.now_ns
-    drive.play(*[0.09, 0.11] * 50, *([0.09] * 10 + [0.11] * 10) * 5, autonomous=True)
-    assert drive.sources("throttle_arb", since_ns) == {TELEOP}
-    assert {state.throttle_stick for state in drive.states("teleop_logi", since_ns)} == {"override"}
-    drive.hold(0.7, autonomous=True)
-    assert drive.throttle.source == PLANNER
-
-
 # --- the steering ---
 
 def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive):
@@ -197,15 +185,6 @@ def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive
     assert drive.sources("throttle_arb", since_ns) == {PLANNER}
 
 
-def test_sticks_that_drift_override_nothing(drive):
-    drive.drive()
-    since_ns = drive.graph.now_ns
-    for drift in (0.03, -0.05, 0.07, 0.09, -0.09):
-        drive.hold(0.5, autonomous=True, steering=drift, throttle=drift)
-    assert drive.sources("turn_arb", since_ns) == {SteeringState.PLANNER}
-    assert drive.sources("throttle_arb", since_ns) == {PLANNER}
-
-
 # --- two deadmen, and sticks that were held before ---
 
 def test_with_both_buttons_the_human_has_both_and_letting_one_go_hands_over_at_once(drive):
@@ -220,22 +199,6 @@ def test_with_both_buttons_the_human_has_both_and_letting_one_go_hands_over_at_o
     for held, cause in (({}, "override"), ({"manual": True}, "teleop")):
         drive.hold(autonomous=True, throttle=-0.7, **held)  # straight to a pull
         assert (drive.throttle.cause, drive.throttle.asked < -0.5) == (cause, True)
-
-
-def test_sticks_that_were_held_at_the_press_override_nothing_but_by_a_pull_until_centered(drive):
-    drive.ask(SPEED_MPS)
-    since_ns = drive.graph.now_ns
-    drive.press(autonomous=True, steering=0.7, throttle=0.9)
-    drive.until(lambda: drive.speed > 0.9 * SPEED_MPS)
-    assert (drive.throttle.source, drive.steering.source) == (PLANNER, SteeringState.PLANNER)
-    assert drive.logged("teleop_logi", "the throttle stick, at 0.90, was off its center when the deadman was", since_ns)
-    drive.hold(autonomous=True)
-    assert (drive.teleop.steering_stick, drive.teleop.throttle_stick) == ("", "")
-    drive.hold(autonomous=True, throttle=0.9)
-    assert (drive.throttle.cause, drive.throttle.asked > 0.5) == ("override", True)
-    drive.press(autonomous=True, throttle=-0.9)
-    assert (drive.throttle.cause, drive.throttle.asked < -0.5) == ("override", True)
-    drive.until(drive.stands)
 
 
 # --- what is no stick ---
@@ -261,32 +224,6 @@ def test_trigger_in_the_place_of_the_throttle_s_stick_never_drives(drive):
     drive.press(autonomous=True, throttle=1.0)
     drive.until(lambda: drive.speed > 0.9 * SPEED_MPS)
     assert drive.throttle.source == PLANNER
-
-
-def test_trigger_that_rests_at_the_brake_s_end_brakes_and_never_reverses(drive):
-    drive.ask(SPEED_MPS)
-    drive.comes_back(throttle=-1.0)
-    since_ns = drive.graph.now_ns
-    drive.press(autonomous=True, throttle=-1.0)
-    assert drive.throttle.cause == "override"
-    for _ in range(3):
-        drive.play(*[-0.5, 0.0, 0.5, 1.0, 0.5, 0.0, -0.5, -1.0], autonomous=True)
-    drive.run(1.0)
-    assert drive.teleop.throttle_stick == "not at rest"
-    assert min(drive.speeds(since_ns)) > -NOISE_MPS
-
-
-def test_cross_of_a_gamepad_in_d_mode_drives_nothing_by_hand(drive):
-    d_mode = {"axes": 6, "buttons": 12}
-    drive.comes_back(**d_mode)
-    drive.press(manual=True, **d_mode)
-    since_ns = drive.graph.now_ns
-    for cross in (1.0, 0.0, -1.0, 0.0, -1.0):
-        drive.hold(0.5, manual=True, throttle=cross, **d_mode)
-    assert set(drive.speeds(since_ns)) == {0.0}
-    assert "throttle_axis 4 is where a gamepad with 6 axes and 12 buttons has its cross" in drive.teleop.reason
-    drive.hold()
-    assert drive.teleop.throttle_stick == ""
 
 
 # --- stop and go ---

@@ -121,7 +121,8 @@ def test_car_is_driven_and_let_go_of(capsys):
 
 def test_joy_comes_at_50_hz_with_the_axes_and_buttons_of_teleop_logi():
     hand = Hand(parameters={"teleop_logi": {"steer_axis": 2, "throttle_axis": 9, "manual_button": 12,
-                                            "autonomous_button": 1, "steer_scale": -1.0}})
+                                            "autonomous_button": 1, "steer_scale": -1.0, "faster_button": 3,
+                                            "slower_button": 0}})
     at_ns = hand.graph.now_ns + 1
     hand.graph.run(1.0)
     assert len(hand.graph.messages("/joy", at_ns)) == 50
@@ -132,6 +133,9 @@ def test_joy_comes_at_50_hz_with_the_axes_and_buttons_of_teleop_logi():
     assert not any(hand.joy.buttons)
     forward = hand.type("pw", 0.3)
     assert (forward.axes[9], [index for index, held in enumerate(forward.buttons) if held]) == (1.0, [1])
+    for key, button in (("+", 3), ("-", 0)):
+        hand.graph.run(1.0)
+        assert [index for index, held in enumerate(hand.type("m" + key).buttons) if held] == [button, 12]
 
 
 def test_key_counts_for_0_7_s_and_space_and_the_end_let_go_at_once():

@@ -227,12 +227,7 @@ def test_file_that_cannot_be_saved_is_named_and_the_drive_goes_on(folder):
     tuned.tune(servo_center=5150)
     path = folder / "turn_arb.yaml"
     shipped_text = path.read_text(encoding="utf-8")
-    laughs = "a0: &a0 [1]\n" + "".join(f"a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 9)}]\n"
-                                       for level in range(1, 10))
     for text, fault in (("a: [1\n", ", line 2 is no YAML: "),
-                        (shipped_text + laughs, r", line \d+ makes more than 100,000 values by its aliases"),
-                        (shipped_text + "x: &x [*x]\n", r", line \d+ has \*x inside of what it stands for"),
-                        (shipped_text + "x: " + "[" * 3000, r", line \d+ is nested more than 100 levels deep"),
                         (shipped_text + "servo_center: 5100\n", r", lines \d+ and \d+ both give servo_center"),
                         (shipped_text + "#" * 1_000_000, r" can't be saved \(it has 1.0 MB, more than 1 MB\)")):
         path.write_text(text, encoding="utf-8")

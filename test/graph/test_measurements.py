@@ -13,12 +13,6 @@ from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
 
 from car import config
-from car_interface.common.errors import ConfigError
-from car_interface.common.params import Params
-from car_interface.ros.measurement_publisher import read_settings
-from car_interface.teensy.link.pinging import Answer
-from car_interface.teensy.link.protocol import Pong
-from car_interface.teensy.sensing.measurements import Measurements
 from graph import NS_PER_S, NodeClocks
 
 SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
@@ -258,38 +252,3 @@ def test_records_that_make_no_sense_are_told(car):
 
 
 # --- parameters ---
-
-@pytest.mark.parametrize("period_s", [0.01, 1.0, 1.5, 3.0, 60, 3600])
-def test_every_pong_counts_whatever_the_period_where_the_sonars_are_stopped(period_s):
-    """Then pongs are all that tells the Teensy's ticks. Every third is lost."""
-    measurements = Measurements(read_settings(Params({"ping_period": period_s}), 115200).config)
-    syncs = []
-    for index in range(30):
-        received_ns = round(index * period_s * 1e9) + 4_000_000
-        if index % 3 != 2:
-            syncs.append(measurements.pong(Pong(index, 5000 + received_ns // 1_000_000),
-                                           Answer(received_ns - 4_000_000, 4_000_000, 15), received_ns))
-    assert sum(sync is not None and sync.used for sync in syncs) == 20
-
-
-@pytest.mark.parametrize("name, value, accepted", [
-    ("odom_rate", "1e-310", "0, or a number from 0.1 to 1000"), ("odom_rate", 0.05, "0, or a number"),
-    ("odom_rate", -1, "a number from 0.0 to 1000"), ("track", "1e-300", "a number from 0.001 to 10"), ("track", 0, "a"),
-    ("wheelbase", 1e-9, "a number from 0.001"), ("wheel_diameter", 0.0009, "a number from 0.001"),
-    ("no_echo", "nan", ""),
-    ("sonars/front_left", [1, 2], "three numbers: x, y in m, and yaw in rad"), ("temperature", 99, "a number"),
-    ("pulses_per_revolution", 0, "an integer")])
-def test_bad_parameter_ends_the_hub_with_one_line_that_names_it(car, name, value, accepted):
-    with pytest.raises(ConfigError, match=f"^{name} is .*; accepted: {accepted}"):
-        car.hub(**{name: value})
-
-
-def test_largest_range_below_the_smallest_is_refused(car):
-    with pytest.raises(ConfigError, match=r"^max_range is "):
-        car.hub(min_range=3)
-
-
-def test_slowest_rate_and_smallest_car_are_taken():
-    least = {"odom_rate": 0.1, "track": 0.001, "wheelbase": 0.001, "wheel_diameter": 0.001}
-    settings = read_settings(Params(least), 115200)
-    assert (settings.odom_rate_hz, settings.config.odometry.track_m) == (0.1, 0.001)

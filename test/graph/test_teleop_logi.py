@@ -10,9 +10,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Joy
 
 from car import config
-from car_interface.common.errors import ConfigError
 from car_interface.nodes.teleop_logi import TeleopLogi
-from graph import NS_PER_S, Graph
+from graph import Graph
 
 STEER, THROTTLE, MANUAL, AUTONOMOUS, FASTER, SLOWER = 0, 4, 4, 5, 3, 0  # as config/teleop_logi.yaml has them
 HUMAN, STEERING, THROTTLES, MODE, BUTTON, STATE = (f"/teleop_logi/{name}" for name in (
@@ -90,15 +89,9 @@ def test_requests_come_at_50_hz_and_mode_button_and_state_at_10_also_without_a_g
         times = [record.at_ns for record in teleop.graph.recorded[topic] if record.at_ns > teleop.start_ns]
         assert {after - before for before, after in zip(times, times[1:])} == {period_ms * 1_000_000}, topic
         assert len(times) == 2000 / period_ms
+        assert times[0] - teleop.start_ns == (period_ms - 20 or 20) * 1_000_000  # the first tick is at once
     assert teleop.graph.publishers[STATE][0].latch
     assert teleop.state.stamp.to_nsec() == teleop.graph.recorded[STATE][-1].at_ns + teleop.graph.ros_ahead_ns
-
-
-def test_gamepad_at_rest_is_ok():
-    teleop = Teleop()
-    teleop.hold()
-    assert (teleop.state.cause, teleop.state.reason) == ("no deadman", "no deadman is held")
-    assert teleop.report()[:2] == (OK, "no deadman is held")
 
 
 @pytest.mark.parametrize("held, published, mode", [
@@ -174,37 +167,8 @@ def test_letting_go_is_told_with_the_message_that_says_so_however_short_it_is():
 
 # --- silence ---
 
-def test_gamepad_that_falls_silent_releases_at_the_first_tick_after_a_quarter_of_a_second():
-    for phase_ms in range(0, 100, 7):
-        teleop = Teleop()
-        teleop.press(steering=1.0, manual=1)
-        teleop.run(0.1 + phase_ms / 1000)
-        teleop.silence()
-        teleop.graph.publish("/joy", joy(steering=1.0, manual=1))
-        last_ns = teleop.graph.now_ns
-        released_ns = teleop.graph.run_until(lambda: not teleop.published()[0], 1.0)
-        ticks = (last_ns + NS_PER_S // 4 - teleop.start_ns) // 20_000_000 + 1
-        assert released_ns == teleop.start_ns + ticks * 20_000_000
-        assert teleop.published() == (False, 0.0, 0.0)
-        assert teleop.causes(released_ns) == ["joy silent"]
-
-
-def test_gamepad_that_was_silent_has_to_be_let_go_and_held_again():
-    teleop = Teleop()
-    teleop.press(manual=1)
-    teleop.silence()
-    teleop.run(0.4)
-    since_ns = teleop.graph.now_ns + 1
-    teleop.hold(manual=1)
-    teleop.run(1.0)
-    assert set(teleop.since(HUMAN, since_ns)) == {False}
-    teleop.press(manual=1)
-    assert teleop.published()[0] is True
-
-
-@pytest.mark.parametrize("silent_ms", [251, 270])
 @pytest.mark.parametrize("phase_ms", [0, 5, 10, 15])
-def test_silence_with_the_button_held_on_is_named_once_whether_the_timer_saw_it_or_not(phase_ms, silent_ms):
+def test_silence_of_0_27_s_with_the_button_held_on_is_named_once_whatever_the_timer_saw(phase_ms):
     teleop = Teleop()
     teleop.press(manual=1)
     teleop.run(0.1 + phase_ms / 1000)
@@ -212,7 +176,7 @@ def test_silence_with_the_button_held_on_is_named_once_whether_the_timer_saw_it_
     teleop.graph.publish("/joy", joy(manual=1))
     teleop.run(0.03)
     since_ns = teleop.graph.now_ns
-    teleop.run(silent_ms / 1000 - 0.03)
+    teleop.run(0.24)
     teleop.hold(manual=1)
     report = teleop.report()
     states = teleop.graph.messages(STATE, since_ns)
@@ -303,18 +267,6 @@ def test_gamepad_without_a_throttle_axis_leaves_it_to_the_planner_and_steers_bef
 
 
 # --- parameters, end ---
-
-@pytest.mark.parametrize("missing", GIVEN)
-def test_each_index_is_required_and_named(graph, missing):
-    lowest = -1 if missing == "throttle_axis" else 0  # a gamepad may have none
-    with pytest.raises(ConfigError, match=f"^{missing} is missing; accepted: an integer from {lowest} to 63"):
-        graph.add(TeleopLogi, "teleop_logi", {name: value for name, value in GIVEN.items() if name != missing})
-
-
-def test_unknown_parameter_is_refused_by_name(graph):
-    with pytest.raises(ConfigError, match=r"^unknown parameter joy_timeuot is 1; accepted: only "):
-        graph.add(TeleopLogi, "teleop_logi", {**GIVEN, "joy_timeuot": 1})
-
 
 def test_deadman_that_is_held_is_let_go_when_the_node_ends():
     teleop = Teleop()

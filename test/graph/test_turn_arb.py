@@ -78,14 +78,19 @@ class Arb(Inputs):
 # --- what it sends, and when ---
 
 def test_commands_come_at_100_hz_with_the_original_layout_and_minus_one_elsewhere():
-    arb = Arb()
+    """One in each tick, also in that in which silence centers the steering."""
+    arb = Arb().drive(teleop=1.0)
+    arb.silence("human")
+    since_ns = arb.graph.now_ns
     arb.run(1.0)
-    records = arb.graph.recorded["/servo/cmdVector"]
-    assert [record.at_ns - arb.start_ns for record in records] == [tick * 10_000_000 for tick in range(101)]
-    for vector in (record.message for record in records):
-        assert vector.data == (CENTER,) + (-1,) * 15
-        assert vector.layout.data_offset == 0
-        assert [(dim.label, dim.size, dim.stride) for dim in vector.layout.dim] == [("pwm_channel", 16, 1)]
+    records = [record for record in arb.graph.recorded["/servo/cmdVector"] if record.at_ns > since_ns]
+    first = (since_ns - arb.start_ns) // 10_000_000 + 1
+    assert [record.at_ns - arb.start_ns for record in records] == [
+        tick * 10_000_000 for tick in range(first, first + 100)]
+    assert {record.message.data for record in records} == {(duty,) + (-1,) * 15 for duty in (LEFT, CENTER)}
+    for layout in (record.message.layout for record in records):
+        assert layout.data_offset == 0
+        assert [(dim.label, dim.size, dim.stride) for dim in layout.dim] == [("pwm_channel", 16, 1)]
 
 
 def test_state_comes_20_times_a_second_and_is_latched_and_the_center_once():
@@ -109,6 +114,9 @@ def test_each_request_has_its_exact_duty_in_the_instant_in_which_it_arrives(name
         arb.run(0.0013)
         assert arb.duty == duty
         assert set(arb.duties(sent_ns)) <= {before, duty}
+        arb.run(0.001)
+        if duty != before:  # its state follows, after what else arrives at once
+            assert arb.graph.recorded["/turn_arb/state"][-1].at_ns - sent_ns == 2_300_000
         arb.drive()
 
 
