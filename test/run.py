@@ -2,7 +2,7 @@
 
 A *step* is one command with results of its own: the unit tests on one Python (test/unit), the tests of nodes in one
 process on one Python (test/graph), or one .test file with its own ROS master (test/process). Those of pytest use every
-CPU, one after the other; of the .test files, which mostly wait, two are at work at a time.
+CPU, one after the other; of the .test files, which mostly wait, three are at work at a time.
 """
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tally import Tally, tally
 
 TEST = Path(__file__).resolve().parent
 ROOT = TEST.parent
-AT_WORK = 2  # .test files at a time; one with --all, whose bounds are those of a machine that does nothing else
+AT_WORK = 3  # .test files at a time; one with --all, whose bounds are those of a machine that does nothing else
 # Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 900 s.
 PROCESS_LIMIT_S, PYTEST_LIMIT_S = 900.0, 1800.0
 LONG_PYTEST_LIMIT_S = 3600.0  # with --all
