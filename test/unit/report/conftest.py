@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import pytest
 
+from car_interface.report.plots import plots
 from car_interface.report.summary import summarize
 from written_recordings import drive, write_ros1
 
@@ -16,3 +17,9 @@ def bag(tmp_path_factory):
 @pytest.fixture(scope="session")
 def seen(bag):
     return summarize(bag)
+
+
+@pytest.fixture(scope="session")
+def drawn(seen):
+    """The plots of that drive."""
+    return plots(seen)

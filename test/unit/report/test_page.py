@@ -41,8 +41,8 @@ class Checker(HTMLParser):
             assert self.open.pop() == tag
 
 
-def test_page_is_well_formed_loads_nothing_and_lets_no_text_of_the_recording_in(seen):
-    text = page(seen, plots(seen))
+def test_page_is_well_formed_loads_nothing_and_lets_no_text_of_the_recording_in(seen, drawn):
+    text = page(seen, drawn)
     checker = Checker()
     checker.feed(text)
     assert checker.open == [] and checker.loads == []

@@ -17,20 +17,18 @@ from written_recordings import Written, odometry, write_ros1
 PLOTS = ["who", "steering", "path", "speed", "link"]
 
 
-def test_each_plot_is_one_svg_with_ids_of_its_own(seen):
-    made = plots(seen)
-    assert list(made) == PLOTS
-    ids = [name for plot in made.values() for name in re.findall(r'\bid="([^"]+)"', plot.svg)]
+def test_each_plot_is_one_svg_with_ids_of_its_own(drawn):
+    assert list(drawn) == PLOTS
+    ids = [name for plot in drawn.values() for name in re.findall(r'\bid="([^"]+)"', plot.svg)]
     assert len(ids) == len(set(ids))
-    for plot in made.values():
+    for plot in drawn.values():
         assert plot.svg.startswith('<svg role="img" aria-label="') and plot.svg.count("</svg>") == 1
         used = set(re.findall(r'(?:href="#|url\(#)([\w.-]+)', plot.svg))
         assert used <= set(re.findall(r'\bid="([^"]+)"', plot.svg))
 
 
 @pytest.mark.once
-def test_each_trace_shows_in_its_plot(seen):
-    before = plots(seen)
+def test_each_trace_shows_in_its_plot(seen, drawn):
     for changed in (("requested curvature", "speed", "frames"), ("sent curvature", "acceleration", "bad frames"),
                     ("driven curvature", "requested acceleration", "round trip"), ("gamepad", "value", "skew")):
         other = copy.copy(seen)
@@ -40,7 +38,7 @@ def test_each_trace_shows_in_its_plot(seen):
             for step in range(200):
                 other.traces[name].add(seen.duration_s * step / 200, 0.3 * math.sin(step / 7))
         after = plots(other)
-        assert [name for name in PLOTS if before[name] != after[name]] == ["steering", "speed", "link"], changed
+        assert [name for name in PLOTS if drawn[name] != after[name]] == ["steering", "speed", "link"], changed
 
 
 def test_steering_shows_what_was_driven_where_that_is_tighter_than_what_was_sent(tmp_path):
