@@ -10,15 +10,18 @@ import sys
 import time
 import unittest
 
+import rosgraph
 import rosnode
 import rospy
 import rostest
 import yaml
 from car_interface.msg import SteeringState, ThrottleState
 from car_interface.srv import InjectFault
+from rospy.impl import registration
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, Float32, Int32MultiArray
 
+from car_interface.ros.publisher_lookup import PublisherLookup
 from car_interface.teleop.gamepad import REARM_TEXT
 from closing import LAUNCH_S, PARTS, Closing, graph_of, joy, output_of, pid_of
 from virtual_car import CENTER, ESC_NEUTRAL, HERE, LEFT, PACKAGE, RIGHT, Car, Chip
@@ -126,6 +129,35 @@ class Parts(Closing):
             line, = (line for line in process.stderr.since() if "FATAL" in line)
             self.assertRegex(line, pattern)
             self.assertNotIn("Traceback", "".join(output_of(process)))
+
+
+class MissedPublisher(Closing):
+    def test_publisher_that_rospy_has_missed_is_connected_when_it_is_looked_up(self):
+        """As when both register at the same time, and rospy takes the older list of publishers for the newer one."""
+        lists = next(each for each in registration.get_registration_listeners().listeners
+                     if hasattr(each, "publisher_update"))
+        take, missed = lists.publisher_update, []
+
+        def miss_first(topic, uris):
+            if topic == "/missed" and uris and not missed:
+                missed.append(uris)
+            else:
+                take(topic, uris)
+        lists.publisher_update = miss_first
+        self.addCleanup(delattr, lists, "publisher_update")
+        heard = self.topic("/missed", Float32)
+        start(self, "rostopic", "pub", "-r", "10", "/missed", "std_msgs/Float32", "2.0")
+        eventually(lambda: missed, "a list of publishers")
+        master = rosgraph.Master("/ros_test")
+        lookup = PublisherLookup(master.lookupNode)
+
+        def look():
+            lookup.begin()
+            names = dict(master.getSystemState()[0])["/missed"]
+            self.wait_s(0.1)
+            return lookup.publishers(heard._subscriber.impl, names) and heard.mark()
+        eventually(look, "a message")
+        self.assertEqual(heard.since()[0].data, 2.0)
 
 
 class Names(Closing):

@@ -94,6 +94,8 @@ class PublisherLookup:
             header = ask_type(uri, subscription.resolved_name)
             # Another name for the same fields is received.
             is_same = header["md5sum"] == subscription.data_class._md5sum
+            if is_same:
+                connect(uri, subscription.resolved_name)
             publisher = Publisher(node, _machine(uri), subscription.type if is_same else header["type"])
             return _Answer(publisher, now_ns + ASK_AGAIN_NS)
         except ConnectionRefusedError:
@@ -126,6 +128,19 @@ def ask_type(uri: str, topic: str) -> dict[str, str]:
     if "error" in header:
         raise LookupError(header["error"])
     return header
+
+
+def connect(uri: str, topic: str) -> None:
+    """Have rospy connect to a publisher that it has missed, as the master does when one registers.
+
+    rospy takes the newest of the lists of publishers that wait for its thread. When a publisher registers while this
+    node does, the master's answer to this node, which has none yet, may come to wait after the list that has it.
+
+    Raises:
+        OSError: this node itself can't be reached.
+    """
+    with xmlrpc.client.ServerProxy(rospy.get_node_uri(), transport=TimeoutTransport()) as node:
+        node.publisherUpdate("/master", topic, [uri])
 
 
 def _is_connected(connection):
