@@ -22,12 +22,9 @@ def chip():
 
 
 @pytest.mark.parametrize("writes, register, held", [
-    pytest.param([], 0x00, [0x11], id="MODE1_at_power_up_is_asleep_and_answers_all_call"),
-    pytest.param([], 0x01, [0x04], id="MODE2_at_power_up_is_totem_pole"),
-    pytest.param([], 0x02, [0xE2], id="SUBADR1_at_power_up"),
-    pytest.param([], 0x03, [0xE4], id="SUBADR2_at_power_up"),
-    pytest.param([], 0x04, [0xE8], id="SUBADR3_at_power_up"),
-    pytest.param([], 0x05, [0xE0], id="ALLCALLADR_at_power_up"),
+    *(pytest.param([], register, [value], id=f"{name}_at_power_up") for register, (name, value) in enumerate((
+        ("MODE1", 0x11), ("MODE2", 0x04), ("SUBADR1", 0xE2), ("SUBADR2", 0xE4), ("SUBADR3", 0xE8),
+        ("ALLCALLADR", 0xE0)))),
     pytest.param([], 0xFE, [0x1E], id="PRE_SCALE_at_power_up_makes_200_Hz"),
     pytest.param([WAKE], LED15, [0, 0, 0, 0x10], id="channel_at_power_up_is_full_off"),
     *(pytest.param([(register, [0x12])], register, [0x12], id=f"register_{register}_holds_what_was_written")
