@@ -1,10 +1,9 @@
-"""A real Chromium without a window, for tests of pages: opens one, listens to its complaints, takes a picture.
+"""A real Chromium without a window, for tests of pages: opens one and listens to its complaints.
 
 It is talked to through a pair of pipes, with the DevTools protocol; no port is opened, and no network is used.
 """
 from __future__ import annotations
 
-import base64
 import json
 import os
 import select
@@ -43,21 +42,19 @@ class Browser:
 
     Args:
         path: of the browser.
-        width: of the window, pixels.
 
     Attributes:
         complaints: what came on the page's console, exceptions, and what it wasn't allowed to do.
-        requests: everything that it wanted to load, by URL.
     """
 
-    def __init__(self, path: str, width: int = 1100):
+    def __init__(self, path: str):
         self._folder = tempfile.TemporaryDirectory()
         to_browser, self._out = os.pipe()
         self._in, from_browser = os.pipe()
         self._process = subprocess.Popen(
             [sys.executable, "-c", HAND_OVER, str(to_browser), str(from_browser), path, "--headless",
              "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-pipe",
-             f"--user-data-dir={self._folder.name}", f"--window-size={width},1000", *QUIET, "about:blank"],
+             f"--user-data-dir={self._folder.name}", "--window-size=1100,1000", *QUIET, "about:blank"],
             pass_fds=(to_browser, from_browser), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL, start_new_session=True)
         os.close(to_browser)
@@ -68,7 +65,6 @@ class Browser:
         self._is_loaded = False
         self._session = None
         self.complaints: list = []
-        self.requests: list = []
 
     def __enter__(self) -> Browser:
         return self
@@ -87,7 +83,7 @@ class Browser:
         """Open a file and wait until all of it is there."""
         target = self._ask("Target.createTarget", url="about:blank")["targetId"]
         self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for room in ("Page", "Runtime", "Log", "Network"):
+        for room in ("Page", "Runtime", "Log"):
             self._ask(room + ".enable")
         self._ask("Page.navigate", url=page.resolve().as_uri())
         self._until(lambda: self._is_loaded)
@@ -97,14 +93,6 @@ class Browser:
         answer = self._ask("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
-
-    def picture(self) -> bytes:
-        """All of the page, as PNG."""
-        answer = self._ask("Page.captureScreenshot", format="png", captureBeyondViewport=True,
-                           clip={"x": 0, "y": 0, "scale": 1,
-                                 "width": self.evaluate("document.documentElement.clientWidth"),
-                                 "height": self.evaluate("document.documentElement.scrollHeight")})
-        return base64.b64decode(answer["data"])
 
     def _ask(self, method, **parameters):
         self._number += 1
@@ -139,5 +127,3 @@ class Browser:
             self._is_loaded = True
         elif event in ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded"):
             self.complaints.append(message["params"])
-        elif event == "Network.requestWillBeSent":
-            self.requests.append(message["params"]["request"]["url"])

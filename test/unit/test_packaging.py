@@ -130,13 +130,6 @@ def test_package_declares_what_is_imported(paths, kind):
     assert keys_of_imports(paths) - {key for key, _ in dependencies("exec_depend", kind)} == set()
 
 
-def test_package_takes_smbus2_from_apt_or_pip_but_never_from_both():
-    assert {item for item in dependencies("exec_depend") if item[0].startswith("python3-smbus2")} == {
-        ("python3-smbus2", "$ROS_DISTRO != noetic"),
-        ("python3-smbus2-pip", "$ROS_DISTRO == noetic"),
-    }
-
-
 # --- launch files, node tests ---
 
 

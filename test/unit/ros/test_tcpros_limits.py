@@ -301,11 +301,6 @@ def test_publisher_without_a_header_is_tried_again_after_one_line(listener, subs
     assert line.startswith("/steering: 127.0.0.1:") and line.endswith("; trying again") and text in line
 
 
-def test_subscription_that_ends_while_it_waits_for_a_header_ends_its_thread(listener, subscription):
-    with accept(listener):
-        subscription.close()
-
-
 @pytest.mark.parametrize("data, before, length", [
     (FOUR_GIB + b"x" * 9, [], 0xffffffff), (string("right") + FOUR_GIB + b"x" * 9, ["right"], 0xffffffff),
     (string("x" * (MAX_MESSAGE_SIZE - 3))[:100_000], [], MAX_MESSAGE_SIZE + 1), (b"\2\0\0\0ab", [], None),
@@ -401,12 +396,6 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, size):
 
 
 # Another rospy.
-
-
-def test_limits_are_set_once():
-    before = functions_of_rospy()
-    assert limit_connections() == ""
-    assert functions_of_rospy() == before
 
 
 @pytest.mark.parametrize("owner, name, value, reason", [
