@@ -130,7 +130,3 @@ def test_decoding_anything_gives_a_record_and_never_raises(header, payload):
         assert 1 <= len(record.name) <= 23
     else:
         assert isinstance(record, (Pong, Malformed))
-
-
-def test_directions_are_numbered_as_on_the_wire():
-    assert (protocol.FORWARD, protocol.BACKWARD, protocol.NO_DIRECTION, protocol.DIRECTION_ERROR) == (0, 1, 2, 3)

@@ -82,14 +82,6 @@ def test_pong_comes_with_the_answer_about_its_ping(session):
     assert session.round_trip_ns == 4 * MS and session.answered_checksum == SHIPPED
 
 
-def test_ping_without_pong_expires_once(session):
-    session.ping(7, NOW)
-    assert session.expire(NOW + GIVE_UP - 1) == []
-    assert session.next_event_ns() == NOW + GIVE_UP
-    assert session.expire(NOW + GIVE_UP) == [PingExpired(7)]
-    assert session.expire(NOW + GIVE_UP) == []
-
-
 def let_pings_expire(session, count, data=b""):
     events, now_ns = [], NOW
     for number in range(count):

@@ -28,12 +28,8 @@ def ranges(ranging, *echoes_us, sensor=SENSOR):
 
 
 @pytest.mark.parametrize("echo, temperature_c, range_m", [
-    pytest.param(10_000, 0.0, 1.6565, id="freezing"),
-    pytest.param(10_000, -50.0, 1.505, id="the_coldest_that_is_taken"),
-    pytest.param(10_000, 60.0, 1.8383, id="the_hottest_that_is_taken"),
-    pytest.param(ONE_METRE_US, 20.0, 1.0, id="one_metre"),
-    pytest.param(117, 20.0, 0.02009, id="just_far_enough"),
-    pytest.param(11_647, 20.0, 1.99991, id="just_near_enough"),
+    (10_000, -50.0, 1.505), (10_000, 0.0, 1.6565), (10_000, 60.0, 1.8383),
+    (117, 20.0, 0.02009), (ONE_METRE_US, 20.0, 1.0), (11_647, 20.0, 1.99991),
 ])
 def test_echo_is_half_its_time_at_the_speed_of_sound(echo, temperature_c, range_m):
     ranging = Ranging(RangingConfig(temperature_c=temperature_c))
@@ -44,14 +40,10 @@ def test_echo_is_half_its_time_at_the_speed_of_sound(echo, temperature_c, range_
 
 
 @pytest.mark.parametrize("no_echo, echo, range_m", [
-    pytest.param(INF, NONE_US, INFINITE, id="no_echo_is_infinite"),
-    pytest.param(INF, 11_648, INFINITE, id="an_echo_from_beyond_counts_as_none"),
-    pytest.param(INF, 116, -INFINITE, id="an_echo_from_too_near_is_minus_infinite"),
-    pytest.param(INF, 14, -INFINITE, id="the_shortest_echo_is_too_near"),
-    pytest.param(MAX_RANGE, NONE_US, 2.0, id="or_no_echo_is_the_maximum"),
-    pytest.param(MAX_RANGE, 14, 0.02, id="and_one_from_too_near_is_the_minimum"),
+    (INF, NONE_US, INFINITE), (INF, 11_648, INFINITE), (INF, 116, -INFINITE), (INF, 14, -INFINITE),
+    (MAX_RANGE, NONE_US, 2.0), (MAX_RANGE, 14, 0.02),
 ])
-def test_echo_without_a_distance_is_said_as_asked_for(no_echo, echo, range_m):
+def test_no_echo_or_one_from_beyond_or_from_too_near_is_said_as_asked_for(no_echo, echo, range_m):
     assert ranges(Ranging(RangingConfig(no_echo=no_echo)), echo) == [range_m]
 
 

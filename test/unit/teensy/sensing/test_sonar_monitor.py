@@ -309,11 +309,6 @@ def test_a_stuck_sonar_stays_out_of_both():
         assert monitor.sequence == sequence and monitor.dropped == (1,)
 
 
-def test_without_such_a_sequence_nothing_changes():
-    monitor, command = aimed(ahead=None)
-    assert command is None and monitor.sequence == ALL
-
-
 def test_sonars_that_fire_several_times_in_a_sequence_are_not_missed_nor_suspected():
     monitor, _ = aimed(sequence=AHEAD, ahead=None)
     for step in range(60):
