@@ -33,10 +33,6 @@ def test_channels_before_any_command_hold_their_timeout_values_whatever_the_limi
     assert board.expire(NOW) == []
 
 
-def test_channel_config_by_default_is_250_ms_off_unlimited_and_follows_no_neutral():
-    assert ChannelConfig() == ChannelConfig(250, 0, 0, 65535, 0)
-
-
 @pytest.mark.parametrize("length", [0, 15, 17])
 def test_vector_of_another_length_than_16_is_refused_whole(length):
     board = channels(live_range=500)

@@ -141,17 +141,6 @@ def test_bus_that_cannot_be_opened_is_tried_again(bench):
     assert bench.supervisor.running
 
 
-def test_bus_that_is_held_down_is_left_and_comes_back(running):
-    running.bus.held = True
-    running.update(LEFT, 1)
-    assert running.events == [RETRIED, DISCONNECTED]
-    running.update_when_due(LEFT)
-    assert not running.supervisor.running
-    running.bus.held = False
-    running.update_when_due(LEFT)
-    assert running.pulses() == LEFT
-
-
 @pytest.mark.parametrize("driven", [False, True])
 def test_chip_that_lost_its_power_is_noticed_within_half_a_second(running, driven):
     running.chip.power_up()

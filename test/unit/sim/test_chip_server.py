@@ -239,15 +239,6 @@ def test_malformed_packet_is_answered_with_an_error_and_the_chip_goes_on(server,
         assert ask(raw, request(LOG, data=f"{server.path}.{name}".encode())) == errno.EACCES
 
 
-def test_client_that_sends_while_the_bus_is_held_and_reads_nothing_is_dropped(server, link, raw):
-    link.inject("hold", 1)
-    with pytest.raises(ConnectionError):
-        for _ in range(10_000):
-            raw.send(request(READ, data=b"\1"))
-    link.inject("hold", 0)
-    assert link.read(0, 1) == AWAKE
-
-
 def test_file_at_the_chips_path_is_not_removed_and_a_linked_lock_makes_no_file(path):
     with open(path, "w", encoding="ascii") as file:
         file.write("precious")

@@ -97,13 +97,6 @@ def test_car_that_keeps_pushing_has_one_collision_and_a_second_one_after_it_drov
     assert collisions.count == 1 and collisions.speed_mps < -0.5
 
 
-def test_car_that_hit_a_wall_on_a_turn_comes_out_the_way_it_came():
-    vehicle, collisions = car_before(wall_ahead())
-    drive(vehicle, 4, FORWARD, 3830)
-    assert collisions.count == 1 and vehicle.speed_mps == 0.0
-    assert drive(vehicle, 1, REVERSE, 3830) != [] and vehicle.speed_mps < -0.3
-
-
 def test_car_stays_in_the_default_room_however_it_is_driven():
     vehicle, collisions = car_before(World().obstacles)
     duties = [3800, 5070, 6700, 5500, 4500]

@@ -9,9 +9,7 @@ import struct
 import pytest
 
 from car_interface.sim.teensy_packets import COUNTER_NAMES
-from car_interface.sim.teensy_sonars import SONAR_MISSING
 from car_interface.sim.teensy_transmitter import frame_body
-from car_interface.sim.teensy_wheels import FORWARD, LEFT
 from teensy_bench import (
     CAPTURE,
     CAPTURED,
@@ -27,7 +25,6 @@ from teensy_bench import (
     S,
     framed_for_the_receiver,
     message,
-    near,
     parse_counter,
     ping,
 )
@@ -104,17 +101,6 @@ def test_counters_asked_for_too_often_starve_sonars_and_wheels():
     assert len(bench.command(START).after(S).frames(SONAR)) > sonars + 15
 
 
-def test_counters_asked_for_too_often_between_pings_bring_the_receiver_out_of_step():
-    bench = Bench(lambda sensor, at_ns: 3000).until(500 * MS)
-    for _ in range(40):
-        bench.command(GET_COUNTERS).write(framed_for_the_receiver(ping(1))).after(MS)
-    assert bench.after(S).teensy.counters["rxErrorBuffer"] > 0
-    answered = len(bench.frames(PONG))
-    assert answered < 40
-    assert len(bench.write(framed_for_the_receiver(ping(2))).after(S).frames(PONG)) == answered
-    assert len(bench.write(bytes(39) + framed_for_the_receiver(ping(3))).after(S).frames(PONG)) == answered + 1
-
-
 # Restarts, the wrap of millis(), the loop
 
 
@@ -124,19 +110,3 @@ def test_bytes_that_come_while_it_boots_are_lost():
     bench.write(framed_for_the_receiver(ping(1))).after(400 * MS)
     assert not bench.frames(PONG)
     assert bench.write(framed_for_the_receiver(ping(2))).after(10 * MS).frames(PONG)
-
-
-def test_two_failed_pings_without_a_packet_hang_it_until_a_reboot():
-    bench = Bench(near, pool_size=2).until(20 * MS)
-    bench.teensy.set_sonar(1, SONAR_MISSING, bench.now_ns)
-    bench.teensy.set_sonar(2, SONAR_MISSING, bench.now_ns)
-    bench.write(b"\x7e")  # the receiver holds a packet now
-    bench.teensy._pool.acquire()
-    bench.after(S)
-    assert bench.teensy.hung
-    size = len(bench.sent)
-    bench.teensy.wheel_pulse(LEFT, FORWARD, bench.now_ns)
-    assert len(bench.after(S).sent) == size
-    bench.teensy.reboot(bench.now_ns)
-    bench.after(S)
-    assert not bench.teensy.hung and len(bench.sent) > size + 100

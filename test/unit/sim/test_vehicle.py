@@ -95,17 +95,6 @@ def test_car_at_full_throttle_ends_at_14_metres_per_second():
     assert vehicle.speed_mps == pytest.approx(14.0, abs=0.1)
 
 
-def test_car_braked_stops_and_then_drives_backward():
-    vehicle = rolling(2.0)
-    speeds = []
-    for _ in range(1000):
-        vehicle.step(MS, 5000, 4200)
-        speeds.append(vehicle.speed_mps)
-    standing = speeds.index(0.0)
-    assert speeds[:standing] == sorted(speeds[:standing], reverse=True)
-    assert all(speed < 0 for speed in speeds[standing + 1 :])
-
-
 # Pose
 
 
