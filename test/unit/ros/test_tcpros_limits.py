@@ -17,16 +17,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from car_interface.ros import tcpros_limits
-from car_interface.ros.tcpros_limits import (
-    HANDSHAKE_S,
-    MAX_HANDSHAKES,
-    MAX_HEADER_SIZE,
-    MAX_MESSAGE_SIZE,
-    MIN_HANDSHAKE_S,
-    MessageTooLong,
-    limit_connections,
-    read_header,
-)
+from car_interface.ros.tcpros_limits import MAX_MESSAGE_SIZE, MessageTooLong, limit_connections, read_header
 
 PATIENCE_S = 20.0
 FOUR_GIB = struct.pack("<I", 0xffffffff)
@@ -152,7 +143,7 @@ def test_silent_and_slow_peers_hold_up_nobody_and_are_dropped_after_a_second_wit
         for byte in header_of("/slow"):
             slow.sendall(bytes([byte]))
             time.sleep(0.1)
-    assert time.monotonic() - began_s > HANDSHAKE_S - 0.1
+    assert time.monotonic() - began_s > tcpros_limits.HANDSHAKE_S - 0.1
     wait_until(lambda: all(map(is_closed, waiting)))
     line = only_line(caplog)
     assert "Inbound TCP/IP connection failed: 127.0.0.1:" in line and "sent no whole header within 1 s" in line
@@ -175,11 +166,11 @@ def test_of_more_than_the_maximum_the_oldest_are_dropped_but_not_before_they_had
     shut_down = tcpros_limits._shut_down
     monkeypatch.setattr(tcpros_limits, "_shut_down",
                         lambda connection: (dropped_s.append(time.monotonic()), shut_down(connection)))
-    silent = [server.connect() for _ in range(MAX_HANDSHAKES + 10)]
+    silent = [server.connect() for _ in range(tcpros_limits.MAX_HANDSHAKES + 10)]
     wait_until(lambda: all(map(is_closed, silent[:10])))
-    wait_until(lambda: len(tcpros_limits._handshakes._waiting) == MAX_HANDSHAKES)
+    wait_until(lambda: len(tcpros_limits._handshakes._waiting) == tcpros_limits.MAX_HANDSHAKES)
     assert not any(map(is_closed, silent[10:]))
-    assert min(dropped_s) - began_s >= MIN_HANDSHAKE_S
+    assert min(dropped_s) - began_s >= tcpros_limits.MIN_HANDSHAKE_S
     assert "was dropped, since 64 newer ones wait for a header, too" in only_line(caplog)
 
 
@@ -195,7 +186,7 @@ def test_newer_connection_of_a_subscriber_is_handed_on_and_not_replaced_by_an_ol
 
 
 @pytest.mark.parametrize("data, text", [
-    (FOUR_GIB + b"topic", f"announces a header of 4294967295 bytes, more than {MAX_HEADER_SIZE}"),
+    (FOUR_GIB + b"topic", f"announces a header of 4294967295 bytes, more than {tcpros_limits.MAX_HEADER_SIZE}"),
     (b"\x08\0\0\0\x04\0\0\0abcd", "sends no TCPROS header"),
     (b"\x08\0\0\0\x04\0\0\0\xff=\xff\xff", "sends no TCPROS header"),
     (b"GET / HTTP/1.1\r\nHost: car\r\n\r\n", "announces a header"),
@@ -371,8 +362,7 @@ def test_service_answers_and_a_request_of_4_gib_closes_the_connection_with_one_l
     peer.close()
 
 
-@pytest.mark.parametrize("ok", [b"\1", b"\0"], ids=["response", "error"])
-@pytest.mark.parametrize("size", [5, 1], ids=["at once", "byte by byte"])
+@pytest.mark.parametrize("ok, size", [(b"\1", 5), (b"\0", 1)], ids=["response", "error byte by byte"])
 def test_answer_of_4_gib_fails_the_call(listener, ok, size):
     connections = []
 

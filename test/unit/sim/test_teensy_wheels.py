@@ -24,9 +24,6 @@ def test_pulse_within_5_ms_of_a_reported_one_waits_for_the_next_report(gap_ms, r
 @pytest.mark.parametrize(("direction", "position", "seen"), [
     pytest.param(FORWARD, 0, [(0, 1, 1), (0, 1, 2), (0, 1, 3)], id="forward_from_00_is_right"),
     pytest.param(FORWARD, 1, [(1, 1, 1), (1, 1, 2), (0, 3, 3)], id="forward_from_01_seems_backward_twice"),
-    pytest.param(FORWARD, 2, [(2, 0, 1), (2, 0, 2), (0, 3, 3)], id="forward_from_11_has_no_direction_twice"),
-    pytest.param(FORWARD, 3, [(2, 0, 1), (0, 2, 2), (0, 2, 3)], id="forward_from_10_has_no_direction_once"),
-    pytest.param(BACKWARD, 0, [(1, 1, 1), (1, 1, 2), (1, 1, 3)], id="backward_from_00_is_right"),
     pytest.param(BACKWARD, 3, [(0, 1, 1), (0, 1, 2), (1, 3, 3)], id="backward_from_10_seems_forward_twice"),
     pytest.param(BACKWARD, 2, [(2, 0, 1), (2, 0, 2), (1, 3, 3)], id="backward_from_11_has_no_direction_twice"),
     pytest.param(BACKWARD, 1, [(2, 0, 1), (1, 2, 2), (1, 2, 3)], id="backward_from_01_has_no_direction_once"),

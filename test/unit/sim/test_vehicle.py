@@ -1,9 +1,7 @@
 """The simulated car against geometry, and against the calibration that ships for the real one."""
 
-import csv
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -21,7 +19,6 @@ LEFT_DUTY, CENTER, RIGHT_DUTY = 3800, 5100, 6700
 REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
 OFF, NEVER_SET = 0, -1
 
-VALUE_MAP = Path(__file__).resolve().parents[3] / "config" / "value_map.csv"
 
 # A car without surprises: what it's told is what it does.
 PLAIN = VehicleConfig(steering=SteeringConfig(curve=((4000, 1.0), (6000, -1.0)), center_duty=5000), tyres=None)
@@ -158,32 +155,6 @@ def test_pulses_do_not_depend_on_the_step():
     assert len(fine) == len(coarse) > 400
     assert [pulse[1:] for pulse in sorted(fine)] == [pulse[1:] for pulse in sorted(coarse)]
     assert all(abs(one.at_ns - other.at_ns) < 100 for one, other in zip(fine, coarse))
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("duty", [4000, 5500])
-def test_pulses_on_a_curve_tell_its_curvature(duty):
-    vehicle = rolling(2.0, frictionless())
-    drive(vehicle, 1, duty, NEUTRAL)
-    pulses = drive(vehicle, 15, duty, NEUTRAL)
-    left = sum(pulse.side == LEFT for pulse in pulses)
-    right = sum(pulse.side == RIGHT for pulse in pulses)
-    assert 2 * (right - left) / (right + left) / 0.296 == pytest.approx(vehicle.curvature_per_m, rel=0.02)
-
-
-# The value map that ships for this car
-
-
-def test_value_map_is_near_the_truth_but_not_it():
-    (_, *velocities), *rows = csv.reader(VALUE_MAP.open())
-    errors = []
-    for value, *cells in ([float(cell) for cell in row] for row in rows):
-        # The converter's servo channel: -5, 0, 3 → 3277, 4915, 6554.
-        duty = round(NEUTRAL + (value / 5 * (NEUTRAL - REVERSE) if value < 0 else value / 3 * (FULL - NEUTRAL)))
-        errors += [abs(cell - true_acceleration_mps2(duty, float(velocity_mps)))
-                   for velocity_mps, cell in zip(velocities, cells)]
-    assert max(errors) < 0.6
-    assert 0.02 < sum(errors) / len(errors) < 0.25
 
 
 # Configuration
