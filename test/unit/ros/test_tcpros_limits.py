@@ -160,20 +160,6 @@ def test_header_in_pieces_is_taken_and_what_follows_it_is_left_on_a_connection_w
     assert connection.recv(11, socket.MSG_WAITALL) == b"the request"
 
 
-def test_of_more_than_the_maximum_the_oldest_are_dropped_but_not_before_they_had_a_chance(server, caplog, monkeypatch):
-    monkeypatch.setattr(tcpros_limits, "HANDSHAKE_S", PATIENCE_S)
-    began_s, dropped_s = time.monotonic(), []
-    shut_down = tcpros_limits._shut_down
-    monkeypatch.setattr(tcpros_limits, "_shut_down",
-                        lambda connection: (dropped_s.append(time.monotonic()), shut_down(connection)))
-    silent = [server.connect() for _ in range(tcpros_limits.MAX_HANDSHAKES + 10)]
-    wait_until(lambda: all(map(is_closed, silent[:10])))
-    wait_until(lambda: len(tcpros_limits._handshakes._waiting) == tcpros_limits.MAX_HANDSHAKES)
-    assert not any(map(is_closed, silent[10:]))
-    assert min(dropped_s) - began_s >= tcpros_limits.MIN_HANDSHAKE_S
-    assert "was dropped, since 64 newer ones wait for a header, too" in only_line(caplog)
-
-
 def test_newer_connection_of_a_subscriber_is_handed_on_and_not_replaced_by_an_older_whose_header_comes_later(server):
     older = server.connect()
     wait_until(lambda: tcpros_limits._handshakes._waiting)

@@ -5,8 +5,6 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.sim.line import BadLine, BitErrors, SlowReceiver
@@ -59,16 +57,6 @@ def test_scramble_leaves_nothing_of_what_was_sent_in_either_direction_until_it_e
 ])
 def test_receiver_at_half_the_rate_takes_two_bits_for_one(sent, received):
     assert SlowReceiver().receive(sent) == received
-
-
-@given(st.binary(max_size=200), st.lists(st.integers(0, 200), max_size=5))
-def test_receiver_makes_the_same_of_bytes_in_any_pieces(data, cuts):
-    pieces, start = SlowReceiver(), 0
-    received = b""
-    for cut in [*sorted(cuts), len(data)]:
-        received += pieces.receive(data[start:cut])
-        start = max(start, cut)
-    assert received == SlowReceiver().receive(data)
 
 
 def test_flood_is_a_megabyte_a_second_behind_the_teensy_s_bytes(line):

@@ -7,12 +7,10 @@ from teensy_bench import (
     MS,
     SET_SEQ,
     SONAR,
-    START,
     WAIT,
     Bench,
     S,
     framed_for_the_receiver,
-    near,
     parse_sonar,
     ping,
     sensors_of,
@@ -38,16 +36,6 @@ def test_sonar_wait_shortens_the_rest_and_one_of_2_to_the_31_is_none(wait_ms, ec
     bench = Bench(lambda sensor, at_ns: echo_us).command(WAIT, struct.pack("<I", wait_ms)).until(200 * MS)
     bench.fresh(SONAR)
     assert len(bench.after(S).fresh(SONAR)) == pytest.approx(1000 / period_ms, rel=0.05)
-
-
-def test_new_sonar_wait_counts_only_when_the_one_under_way_is_over_or_was_ended_by_sonar_start():
-    bench = Bench(near).until(100 * MS).command(WAIT, struct.pack("<I", 10_000)).after(200 * MS)
-    bench.command(WAIT, struct.pack("<I", 50)).fresh(SONAR)
-    assert not bench.after(8 * S).fresh(SONAR)
-    assert len(bench.after(4 * S).fresh(SONAR)) > 15
-    bench.command(WAIT, struct.pack("<I", 3_600_000)).after(200 * MS)
-    bench.command(WAIT, struct.pack("<I", 50)).fresh(SONAR)
-    assert len(bench.command(START).after(2 * S).fresh(SONAR)) > 25
 
 
 def test_sonar_filler_is_what_the_packet_held_before():

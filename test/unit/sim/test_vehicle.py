@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.sim.drive_train import DriveConfig, true_acceleration_mps2
+from car_interface.sim.drive_train import DriveConfig
 from car_interface.sim.esc import VirtualEscConfig
 from car_interface.sim.teensy_wheels import FORWARD, LEFT, RIGHT
 from car_interface.sim.tyres import TyreConfig
@@ -38,9 +38,9 @@ def rolling(speed_mps, config=PLAIN):
     return vehicle
 
 
-def frictionless(**drive_config):
+def frictionless():
     """A car that keeps its speed when it's neutral."""
-    drive = DriveConfig(drag_mps2=0.0, drag_per_s=0.0, drag_per_m=0.0, **drive_config)
+    drive = DriveConfig(drag_mps2=0.0, drag_per_s=0.0, drag_per_m=0.0)
     return VehicleConfig(steering=PLAIN.steering, drive=drive, tyres=None)
 
 
@@ -192,19 +192,6 @@ def test_car_stands_on_a_slope_that_its_drag_holds_and_rolls_on_a_steeper_one():
     for vehicle in (held, rolls, turned):
         drive(vehicle, 1.0, CENTER, NEUTRAL)
     assert held.travel_m == 0.0 and rolls.travel_m < -0.1 and turned.travel_m == pytest.approx(-rolls.travel_m)
-
-
-def test_battery_loses_its_sag_evenly_around_the_stated_thrust_and_brakes_stay():
-    config = frictionless(sag=0.10, sag_over_s=100.0)
-    assert [config.drive.thrust(at_s) for at_s in (0, 50, 100, 500)] == pytest.approx([1.05, 1.0, 0.95, 0.95])
-    full = true_acceleration_mps2(FULL, 1.0, config.drive)
-    assert true_acceleration_mps2(FULL, 1.0, config.drive, 0.95) == pytest.approx(0.95 * full)
-    assert true_acceleration_mps2(REVERSE, 1.0, config.drive, 0.95) == true_acceleration_mps2(
-        REVERSE, 1.0, config.drive)
-    vehicle = Vehicle(config)
-    vehicle.speed_mps = 1.0
-    vehicle.step(MS, CENTER, FULL)
-    assert vehicle.acceleration_mps2 == pytest.approx(1.05 * full, rel=1e-3)
 
 
 # --- an ESC with a memory ---

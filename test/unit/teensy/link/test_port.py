@@ -79,20 +79,6 @@ def test_every_byte_value_goes_through_unchanged_both_ways_and_one_alone_is_told
         assert (link.read(), link.read()) == (data, b"")
 
 
-def test_second_opener_is_refused_while_the_first_has_it_and_not_after(link, terminal):
-    other = SerialLink(terminal.path, 115200)
-    with pytest.raises(DeviceError, match=r"another program has it open.*fuser -v " + terminal.path):
-        other.open()
-    assert not other.is_open
-    os.write(terminal.far_end, b"still mine")
-    wait_for(link.fileno())
-    assert link.read() == b"still mine"
-    link.close()
-    other.open()
-    assert other.is_open
-    other.close()
-
-
 def refusal(path, baud=115200):
     link = SerialLink(path, baud)
     with pytest.raises(DeviceError, match=r"^Teensy on ") as caught:
