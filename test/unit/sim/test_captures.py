@@ -46,7 +46,6 @@ from teensy_bench import (
 pytestmark = pytest.mark.once
 MS, US = 1_000_000, 1_000
 BYTE_NS = 10 * 1_000_000_000 / 115200
-LOOK_NS = MS // 2
 UINT32 = 0xFFFFFFFF
 PULSE_M = math.pi * 0.095 / 20
 COMMANDS = {"ping": 1, "sonar_start": 5, "ask_counters": 10, "sonar_wait": 12}
@@ -209,7 +208,7 @@ class Replay:
 
     Attributes:
         sent: every byte since the capture's start.
-        frames: (when its last byte had left, size on the wire, (kind, fields)) of each whole frame.
+        frames: (kind, fields) of each whole frame.
         wrong_sensors: pings with another sensor than in the capture.
     """
 
@@ -224,13 +223,14 @@ class Replay:
         self.wrong_sensors = []
         self.teensy = TeensyFirmware(config, self._echo_us, capture.at_ns(capture.first_us))
         self.teensy.transmit(capture.at_ns(0))
-        self.sent, self.frames = b"", []
-        self._frame, self._frame_size = bytearray(), 0
+        self.sent = b""
         for at_ns, act in self._acts(rows):
-            self._look_until(at_ns)
+            self.sent += self.teensy.transmit(at_ns)
             act(at_ns)
         end_us = max(row[1] for row in rows if row[0] in FRAMES)
-        self._look_until(capture.at_ns(end_us) + 4 * MS)
+        self.sent += self.teensy.transmit(capture.at_ns(end_us) + 4 * MS)
+        self.frames = [parsed(frame[:-1]) for frame in map(unstuffed, self.sent.split(b"\x7e"))
+                       if len(frame) >= 5 and ones_complement_sum(frame) == 0xFF]
 
     def _echo_us(self, sensor, at_ns):
         if not self._echoes:
@@ -262,25 +262,6 @@ class Replay:
         for _, at_us, sensor, _ in [row for row in rows_of(rows, "echo") if row[3] is None][:1]:
             acts.append((at(at_us) - MS, lambda at_ns, sensor=sensor: teensy.set_sonar(sensor, SONAR_STUCK, at_ns)))
         return sorted(acts, key=lambda act: act[0])
-
-    def _look_until(self, end_ns):
-        now_ns = getattr(self, "_looked_ns", self.capture.at_ns(0))
-        while now_ns < end_ns:
-            now_ns = min(now_ns + LOOK_NS, end_ns)
-            self._take(self.teensy.transmit(now_ns), now_ns)
-        self._looked_ns = now_ns
-
-    def _take(self, data, now_ns):
-        self.sent += data
-        for byte in data:
-            self._frame_size += 1
-            if byte != 0x7E:
-                self._frame.append(byte)
-                continue
-            plain = unstuffed(self._frame)
-            if len(plain) >= 5 and ones_complement_sum(plain) == 0xFF:
-                self.frames.append((now_ns, self._frame_size, parsed(plain[:-1])))
-            self._frame, self._frame_size = bytearray(), 0
 
 
 def rows_of(rows, kind):
@@ -334,7 +315,7 @@ def assert_alike(expected, sent):
 
 
 def captured_frames(capture):
-    return [(row[1], (row[0], *row[2:])) for row in capture.rows if row[0] in FRAMES]
+    return [(row[0], *row[2:]) for row in capture.rows if row[0] in FRAMES]
 
 
 @lru_cache(maxsize=None)
@@ -347,15 +328,13 @@ every_capture = pytest.mark.parametrize("capture", POWERED_UP + STREAMS, ids=lam
 
 @every_capture
 def test_same_inputs_give_the_captured_frames_in_their_order(capture):
-    replay = replayed(capture)
-    expected = [frame for _, frame in captured_frames(capture)]
-    sent = [frame for _, _, frame in replay.frames]
-    pairs, alone = aligned(expected, sent)
+    expected, replay = captured_frames(capture), replayed(capture)
+    pairs, alone = aligned(expected, replay.frames)
     assert replay.wrong_sensors == []
     assert alone <= capture.undetermined
     assert len(pairs) >= 90
     for i, j in pairs:
-        assert_alike(expected[i], sent[j])
+        assert_alike(expected[i], replay.frames[j])
 
 
 def test_frame_that_a_restart_cuts_leaves_the_captured_part_of_it():
@@ -368,9 +347,7 @@ def test_frame_that_a_restart_cuts_leaves_the_captured_part_of_it():
 
 
 def test_busiest_line_carries_as_many_reports_of_each_kind_and_drops_as_many():
-    replay = Replay(BUSY)
-    expected = captured_frames(BUSY)
-    frames, sent_frames = [frame for _, frame in expected], [frame for _, _, frame in replay.frames]
+    frames, sent_frames = captured_frames(BUSY), Replay(BUSY).frames
     counts, sent_counts = (Counter(frame[0] for frame in each) for each in (frames, sent_frames))
     assert set(sent_counts) == set(counts) == set(FRAMES)
     for kind, count in counts.items():
