@@ -103,19 +103,14 @@ def test_pong_answers_its_ping_once_with_the_time_it_was_sent_and_the_round_trip
     assert (pings.sent, pings.answered) == (3, 2)
 
 
-def test_ping_unanswered_is_given_up_after_half_a_second():
+def test_ping_unanswered_for_half_a_second_is_given_up_and_the_next_go_at_once_behind_filler_until_one_is_answered():
     pings = pinger()
     pings.ping(7, NOW)
     assert pings.next_event_ns() == NOW + GIVE_UP
     assert pings.expire(NOW + GIVE_UP - 1) == []
     assert pings.expire(NOW + GIVE_UP) == [7]
-    assert pings.unanswered_in_a_row == 1
-    assert pings.pong(7, NOW + GIVE_UP + 1) is None
-
-
-def test_ping_after_an_unanswered_one_is_due_at_once_and_goes_behind_filler_until_one_is_answered():
-    pings = pinger()
-    after = go_unanswered(pings, 3)
+    assert (pings.unanswered_in_a_row, pings.pong(7, NOW + GIVE_UP + 1)) == (1, None)
+    after = go_unanswered(pings, 2, NOW + GIVE_UP)
     assert (pings.due_ns, pings.resyncs) == (after, 2)
     assert pings.ping(CARRIES, after) == FILLER + SHIPPED_FRAME
     assert pings.pong(CARRIES, after + MS).sent_bytes == 39 + 15

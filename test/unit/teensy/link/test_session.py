@@ -167,10 +167,10 @@ def test_malformed_frames_are_counted_and_those_of_an_unknown_command_once_more(
 # The verdict
 
 
-def judge_seconds(session, data, seconds=2, change=lambda data: data):
+def judge_seconds(session, data, seconds=2):
     """Feed the same bytes for each second; the state at the end."""
     for second in range(1, seconds + 1):
-        session.receive(change(data), NOW + second * S)
+        session.receive(data, NOW + second * S)
         session.judge(NOW + second * S)
     return session.verdict.state
 
