@@ -106,16 +106,12 @@ def test_cmake_installs_everything_that_a_user_needs():
     assert [name for name in installed if not (ROOT / name).exists()] == []
 
 
-def test_setup_lists_every_package():
+def test_setup_lists_every_folder_of_modules_and_none_hides_the_generated_messages():
     tree = ast.parse((ROOT / "setup.py").read_text(encoding="utf-8"))
     (listed,) = [node.value for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "packages"]
-    folders = (path.parent.relative_to(ROOT / "src") for path in (ROOT / "src").rglob("__init__.py"))
-    assert ast.literal_eval(listed) == sorted(".".join(folder.parts) for folder in folders)
-
-
-def test_every_folder_of_modules_is_a_package_and_none_hides_the_generated_messages():
     folders = {path.parent for path in (ROOT / "src").rglob("*.py")}
     assert [folder for folder in folders if not (folder / "__init__.py").exists()] == []
+    assert ast.literal_eval(listed) == sorted(".".join(folder.relative_to(ROOT / "src").parts) for folder in folders)
     assert not (ROOT / "src/car_interface/msg").exists() and not (ROOT / "src/car_interface/srv").exists()
 
 
@@ -150,9 +146,7 @@ def test_launch_file_starts_and_names_only_what_exists(path):
 
 
 def test_every_node_has_a_launch_file():
-    started = {
-        node.get("type") for path in LAUNCH_FILES for node in ElementTree.parse(str(path)).iter("node")
-    }
+    started = {node.get("type") for path in LAUNCH_FILES for node in ElementTree.parse(str(path)).iter("node")}
     assert [script.name for script in SCRIPTS if script.name not in started | TOOLS] == []
 
 

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.sim.collision import Collisions, Obstacles, Outline
-from car_interface.sim.demo_script import DONE, Drive, DriveConfig
 from car_interface.sim.vehicle import ORIGIN, Pose, Vehicle, VehicleConfig
 from car_interface.sim.world import World
 
@@ -104,20 +103,3 @@ def test_car_stays_in_the_default_room_however_it_is_driven():
         drive(vehicle, 1.0, 6554 if turn % 4 else 3277, duties[turn % 5])
         assert World().obstacles.is_free(vehicle.pose)
     assert collisions.count > 3
-
-
-def test_scripted_demo_touches_nothing():
-    """With the human's and the planner's circles as the shipped tables steer them."""
-    vehicle, collisions = car_before(World().obstacles)
-    script, now_ns = Drive(DriveConfig(), 0), 0
-    nearest_m = math.inf
-    while script.stage != DONE:
-        orders = script.orders(now_ns, vehicle.pose.yaw_rad, vehicle.speed_mps)
-        steering = 3824 if orders.manual else (3824 if orders.radius_m > 0 else 6670) if orders.autonomous else 5100
-        driving = orders.manual or orders.autonomous
-        esc = NEUTRAL + (25 + round(150 * (orders.acceleration_mps2 + 0.5)) if driving else 0)
-        for _ in range(10):
-            vehicle.step(2 * MS, steering, esc)
-            now_ns += 2 * MS
-        nearest_m = min(nearest_m, World().obstacles.clearance_m(vehicle.pose))
-    assert vehicle.travel_m > 25 and collisions.count == 0 and nearest_m > 0.1
