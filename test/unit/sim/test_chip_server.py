@@ -29,13 +29,6 @@ def eventually(condition):
         time.sleep(0.005)
 
 
-def listens(path):
-    """Whether a process takes connections there: a socket's file exists a moment before that, proc(5)."""
-    with open("/proc/net/unix", encoding="ascii") as file:
-        sockets = [line.split() for line in file]
-    return any(fields[-1] == path and int(fields[3], 16) & 0x10000 for fields in sockets)
-
-
 @pytest.fixture
 def path():
     with tempfile.TemporaryDirectory() as folder:  # tmp_path may be too long for a socket
@@ -53,7 +46,8 @@ class Server:
         self.path = path
         self.links = []
         self.process = serve(path)
-        eventually(lambda: listens(path))
+        eventually(self.takes_connections)
+        self.links.pop().close()
 
     def connect(self, address=ADDRESS):
         link = ChipLink(self.path, address)
