@@ -160,17 +160,6 @@ def test_header_in_pieces_is_taken_and_what_follows_it_is_left_on_a_connection_w
     assert connection.recv(11, socket.MSG_WAITALL) == b"the request"
 
 
-def test_newer_connection_of_a_subscriber_is_handed_on_and_not_replaced_by_an_older_whose_header_comes_later(server):
-    older = server.connect()
-    wait_until(lambda: tcpros_limits._handshakes._waiting)
-    for count in (1, 2):
-        server.connect(header_of())
-        wait_until(lambda: len(server.taken) == count)
-    older.sendall(header_of())
-    wait_until(lambda: is_closed(older))
-    assert len(server.taken) == 2
-
-
 @pytest.mark.parametrize("data, text", [
     (FOUR_GIB + b"topic", f"announces a header of 4294967295 bytes, more than {tcpros_limits.MAX_HEADER_SIZE}"),
     (b"\x08\0\0\0\x04\0\0\0abcd", "sends no TCPROS header"),

@@ -7,7 +7,6 @@ import os
 import pwd
 import select
 import subprocess
-import sys
 import termios
 import time
 import tty
@@ -151,33 +150,29 @@ def test_port_that_a_log_in_console_has_is_told_as_such_and_its_group_is_not_to_
 
 
 @pytest.fixture
-def start_program(tmp_path, terminal):
-    """Start a process that has locked the port, and ends with its input; its script is called ``terminal_program``."""
-    started, script = [], tmp_path / "terminal_program"
-    script.write_text("import fcntl, os, sys\n"
-                      "fcntl.flock(os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY), fcntl.LOCK_EX)\n"
-                      "print('open', flush=True)\n"
-                      "sys.stdin.read()\n")
+def lock_port(terminal):
+    """Have another program lock the port; it ends with its input."""
+    started = []
 
-    def start():
-        started.append(subprocess.Popen([sys.executable, str(script), terminal.path],
+    def lock():
+        started.append(subprocess.Popen(["flock", "-o", terminal.path, "sh", "-c", "echo locked; cat"],
                                         stdin=subprocess.PIPE, stdout=subprocess.PIPE))
-        assert started[-1].stdout.readline() == b"open\n"
+        assert started[-1].stdout.readline() == b"locked\n"
         return started[-1]
-    yield start
+    yield lock
     for process in started:
         if process.poll() is None:
             process.communicate()
 
 
-def test_port_busy_names_the_process_that_has_locked_it_or_has_it_open(terminal, start_program, monkeypatch):
-    process = start_program()
+def test_port_busy_names_the_process_that_has_locked_it_or_has_it_open(terminal, lock_port, monkeypatch):
+    process = lock_port()
     with monkeypatch.context() as patch:
         patch.setattr("car_interface.teensy.link.port._lock_owners", lambda status: [])  # not every lock is in /proc
-        assert refusal(terminal.path).cause.endswith(f": terminal_program (process {process.pid})")
+        assert refusal(terminal.path).cause.endswith(f": flock (process {process.pid})")
     error = refusal(terminal.path)
     assert error.state == BUSY
-    assert error.cause == f"another program has it open: terminal_program (process {process.pid})"
+    assert error.cause == f"another program has it open: flock (process {process.pid})"
     assert error.remedy == f"See which one, and end it: fuser -v {terminal.path}"
     process.communicate()
     os.write(terminal.far_end, b"old")
@@ -188,8 +183,8 @@ def test_port_busy_names_the_process_that_has_locked_it_or_has_it_open(terminal,
 
 
 def test_port_busy_by_what_proc_does_not_tell_is_still_explained_and_for_modem_manager_with_the_cure(
-        terminal, start_program, monkeypatch):
-    start_program()
+        terminal, lock_port, monkeypatch):
+    lock_port()
     with monkeypatch.context() as patch:
         patch.setattr("car_interface.teensy.link.port.process_name", lambda pid: "ModemManager")
         assert "rosrun car_interface setup_hardware" in refusal(terminal.path).remedy
@@ -201,7 +196,7 @@ def test_port_busy_by_what_proc_does_not_tell_is_still_explained_and_for_modem_m
     assert (error.state, error.cause) == (BUSY, "another program has it open")
 
 
-def test_who_has_a_port_that_stays_busy_is_searched_for_at_each_fifth_attempt(terminal, start_program, monkeypatch):
+def test_who_has_a_port_that_stays_busy_is_searched_for_at_each_fifth_attempt(terminal, lock_port, monkeypatch):
     link = SerialLink(terminal.path, 115200)
     searched = []
     monkeypatch.setattr("car_interface.teensy.link.port._holders", lambda path: searched.append(path) or [(1, "other")])
@@ -210,12 +205,12 @@ def test_who_has_a_port_that_stays_busy_is_searched_for_at_each_fifth_attempt(te
         with pytest.raises(DeviceError, match=r"another program has it open: other \(process 1\)"):
             link.open()
         return len(searched)
-    process = start_program()
+    process = lock_port()
     assert [refused() for _ in range(11)] == [1] * 5 + [2] * 5 + [3]
     process.communicate()
     link.open()
     link.close()
-    start_program()
+    lock_port()
     assert refused() == 4
 
 
