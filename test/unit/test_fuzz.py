@@ -6,23 +6,18 @@ Parameters and the nodes' callbacks are fuzzed in test/graph/test_fuzz.py, where
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import math
 import os
-import sys
 import tempfile
-from pathlib import Path
 
+import fuzz
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.teensy.link import protocol
 from car_interface.throttle.value_map import ValueMap, load_value_map
-
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-fuzz = importlib.import_module("fuzz")
 
 CASES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 2000
 RECORDS = (protocol.Pong, protocol.SonarStatus, protocol.WheelStatus, protocol.ErrorCount, protocol.Malformed)

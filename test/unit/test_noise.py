@@ -1,15 +1,10 @@
 """A short run of the noise measurement (accuracy/noise.py has the long one), and the calculation that it is held to."""
 from __future__ import annotations
 
-import importlib
 import os
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-noise = importlib.import_module("accuracy.noise")
+from accuracy import noise
 
 FRAMES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 20_000
 

@@ -4,13 +4,11 @@ The truth is made here, in ns and by hand: a crystal that is off by so many ppm,
 """
 from __future__ import annotations
 
-import importlib
 import math
 import random
-import sys
-from pathlib import Path
 
 import pytest
+from accuracy import clock as clock_accuracy
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,9 +26,6 @@ from car_interface.teensy.sensing.clock import (
     Clock,
     ClockConfig,
 )
-
-sys.path.append(str(Path(__file__).resolve().parents[3]))
-clock_accuracy = importlib.import_module("accuracy.clock")
 
 S, MS, US = 1_000_000_000, 1_000_000, 1_000
 UINT32 = 2 ** 32

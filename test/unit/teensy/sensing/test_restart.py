@@ -4,17 +4,12 @@ test/accuracy/reboot.py measures it over many drives on the virtual Teensy; a fe
 """
 from __future__ import annotations
 
-import importlib
 import os
-import sys
-from pathlib import Path
 
 import pytest
+from accuracy import reboot as reboot_accuracy
 
 from car_interface.teensy.sensing.restart import LEFT, RIGHT, CarState, RestartBridge, WheelState
-
-sys.path.append(str(Path(__file__).resolve().parents[3]))
-reboot_accuracy = importlib.import_module("accuracy.reboot")
 
 TRACK_M = 0.296
 BEFORE_MS = 10_000.0
