@@ -56,11 +56,8 @@ ONLY_IN = {
 # Imported alone, a module outside of these pulls in none of the heavy ones.
 NOT_PURE = (*ROS, "doctor/cli.py", "host_setup/cli.py", "recordings/", "report/", "cli/", "calibration/",
             "teensy/link/port.py")
+MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
-
-
-def modules() -> list[Path]:
-    return sorted(PACKAGE.rglob("*.py"))
 
 
 def inside(path: Path) -> str:
@@ -72,7 +69,7 @@ def dotted(path: Path) -> str:
 
 
 def pure_modules() -> list[str]:
-    return [dotted(path) for path in modules() if not inside(path).startswith(NOT_PURE)]
+    return [dotted(path) for path in MODULES if not inside(path).startswith(NOT_PURE)]
 
 
 def imports(path: Path) -> set[str]:
@@ -119,7 +116,7 @@ def test_pure_module_imported_alone_pulls_in_no_device_no_ros_and_no_numpy():
     assert (done.returncode, done.stderr, done.stdout) == (0, "", "") and len(pure_modules()) > 100
 
 
-@pytest.mark.parametrize("path", modules(), ids=inside)
+@pytest.mark.parametrize("path", MODULES, ids=inside)
 def test_module_imports_downwards_only_and_ros_and_devices_only_where_they_belong(path):
     names = imports(path)
     ours = {name for name in names if name.startswith("car_interface.")}
@@ -132,7 +129,7 @@ def test_module_imports_downwards_only_and_ros_and_devices_only_where_they_belon
 
 
 def test_every_folder_is_in_the_table_and_the_package_has_no_loose_modules():
-    folders = {inside(path.parent) for path in modules()} - {"."}
+    folders = {inside(path.parent) for path in MODULES} - {"."}
     assert folders - {"teensy"} <= set(MAY_IMPORT)
     (only,) = PACKAGE.glob("*.py")
     assert only.name == "__init__.py" and imports(only) == set()
