@@ -55,10 +55,9 @@ def test_parameter_is_taken_up_to_its_limits(name, low, high):
 @pytest.mark.parametrize("parameters, message", [
     ({"frequency": 0.0}, "frequency is 0.0; accepted: a number above 0"),
     ({"speed": 1}, "unknown parameter speed"), ({"virtual_chip": "/a"}, "unknown parameter virtual_chip"),
-    ({"pwm_min": [0] * 15 + [7600], "pwm_max": 2800}, r"pwm_min\[15\] is 7600; accepted: at most pwm_max\[15\] 2800"),
     ({"steering": {"servo_channel": 5, "servo_center": 5100}, **ESC},
      "esc/servo/channel is 5; accepted: a channel other than steering/servo_channel"),
-], ids=["frequency", "unknown", "only_virtual", "limits", "channel"])
+], ids=["frequency", "unknown", "only_virtual", "channel"])
 def test_parameter_that_cannot_be_is_refused_by_name(parameters, message):
     with pytest.raises(ConfigError, match=message):
         read(**parameters)

@@ -29,11 +29,9 @@ class Error(NamedTuple):
 
     received_us: int
     stamp_ns: int
-    uncertainty_ns: int
     position_m: float
     yaw_deg: float
     sigmas: float  # the worst of x, y and yaw
-    speed_mps: float
 
 
 def motions(moments):
@@ -53,8 +51,7 @@ def errors(capture, moments):
         off = (motion.x_m - (cos * dx + sin * dy), motion.y_m - (cos * dy - sin * dx),
                motion.yaw_rad - (truth.yaw_rad - start.yaw_rad))
         sigmas = max(abs(value) / math.sqrt(motion.pose_covariance[axis][axis]) for axis, value in enumerate(off))
-        result.append(Error(moment.received_us, stamp.time_ns, stamp.uncertainty_ns, math.hypot(*off[:2]),
-                            math.degrees(off[2]), sigmas, motion.speed_mps))
+        result.append(Error(moment.received_us, stamp.time_ns, math.hypot(*off[:2]), math.degrees(off[2]), sigmas))
     return result
 
 
@@ -78,9 +75,6 @@ def test_no_record_of_a_healthy_firmware_is_refused(replayed, name):
     assert measurements.gates.refused == 0
     assert set(measurements.gates.counts) <= WORTH_A_WORD
     assert not measurements.clock.counts
-
-
-# --- odometry ---
 
 
 def test_heading_at_the_end_is_mostly_right_to_half_a_pulse(replayed):
