@@ -11,7 +11,7 @@ from car_interface.sim.vehicle import ORIGIN, Pose, Vehicle, VehicleConfig
 from car_interface.sim.world import World
 
 MS, S = 1_000_000, 1_000_000_000
-STRAIGHT, NEUTRAL, FORWARD, REVERSE = 5070, 4915, 5400, 4400
+STRAIGHT, FORWARD, REVERSE = 5070, 5400, 4400
 OUTLINE = Outline(rear_m=0.1, front_m=0.5, width_m=0.4)
 WALL_M = 2.0  # an endless one across x
 

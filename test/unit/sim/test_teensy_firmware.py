@@ -1,7 +1,6 @@
 """The simulated Teensy against the protocol's text and against what the original firmware really sent.
 
-Frames, pings, counters and restarts are specified here, one test each; test_captures.py holds them and the rest against
-long captures of the original. Parser and encoders (teensy_bench) are shared with nothing.
+test_captures.py holds the rest against long captures of it. Parser and encoders (teensy_bench) are shared with nothing.
 """
 
 from car_interface.sim.teensy_transmitter import frame_body
@@ -21,8 +20,6 @@ from teensy_bench import (
     ping,
 )
 
-# What the original sent
-
 
 def test_captured_frames_built_anew_are_the_captured_bytes():
     frames = CAPTURED[1:]
@@ -35,9 +32,6 @@ def test_captured_frames_built_anew_are_the_captured_bytes():
 def test_boot_with_an_old_clock_sends_the_capture_s_first_42_bytes():
     # The first wheel report waits already while the boot frame is closed, so they share a flag.
     assert Bench(clock_start_ms=31400).until(10 * MS).sent == CAPTURE[:42]
-
-
-# Pings
 
 
 def test_pong_is_the_ping_s_own_packet_with_a_new_address_and_a_frame_for_somebody_else_is_dropped_silently():
@@ -54,9 +48,6 @@ def test_bytes_from_the_host_arrive_at_the_line_s_pace():
     assert bench.teensy.counters["rxBytes"] == 576
 
 
-# Counters
-
-
 def test_counters_asked_for_too_often_starve_sonars_and_wheels():
     bench = Bench(lambda sensor, at_ns: 3000).until(500 * MS)
     bench.write(GOOD * 500).after(3 * S)
@@ -65,9 +56,6 @@ def test_counters_asked_for_too_often_starve_sonars_and_wheels():
     sonars = len(bench.frames(SONAR))
     assert len(bench.after(S).frames(SONAR)) == sonars
     assert len(bench.command(START).after(S).frames(SONAR)) > sonars + 15
-
-
-# Restarts, the wrap of millis(), the loop
 
 
 def test_bytes_that_come_while_it_boots_are_lost():
