@@ -73,9 +73,6 @@ def module_of(script: Path) -> str:
             "wait_for_name": "ros.wait_for_name"}.get(script.name, f"nodes.{script.name}")
 
 
-# --- scripts ---
-
-
 @pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
 def test_script_is_executable_shadows_no_library_and_only_calls_its_command_or_node(script):
     assert os.access(str(script), os.X_OK)
@@ -86,9 +83,6 @@ def test_script_is_executable_shadows_no_library_and_only_calls_its_command_or_n
     if script in NODES:
         path = ROOT / "src/car_interface" / (module_of(script).replace(".", "/") + ".py")
         assert "\ndef main(" in path.read_text(encoding="utf-8")
-
-
-# --- CMakeLists.txt, setup.py ---
 
 
 def test_cmake_lists_every_script_message_service_and_cfg_file_which_can_be_run():
@@ -115,18 +109,12 @@ def test_setup_lists_every_folder_of_modules_and_none_hides_the_generated_messag
     assert not (ROOT / "src/car_interface/msg").exists() and not (ROOT / "src/car_interface/srv").exists()
 
 
-# --- package.xml ---
-
-
 @pytest.mark.parametrize("paths, kind", [
     ([*(ROOT / "src").rglob("*.py"), *SCRIPTS, ROOT / "setup.py"], "buildtool_depend"),
     (list((ROOT / "test").rglob("*.py")), "test_depend"),
 ], ids=["code", "tests"])
 def test_package_declares_what_is_imported(paths, kind):
     assert keys_of_imports(paths) - {key for key, _ in dependencies("exec_depend", kind)} == set()
-
-
-# --- launch files, node tests ---
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES + NODE_TESTS, ids=name_of)

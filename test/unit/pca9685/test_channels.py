@@ -118,9 +118,6 @@ def test_limits_the_wrong_way_round_are_refused_naming_the_channel_and_limits_th
     assert board.targets == [CENTER_COUNTS] * 16
 
 
-# Which channels have timed out.
-
-
 def test_channel_has_timed_out_since_its_deadline_and_until_its_next_command():
     board = channels()
     board.command(vector({0: 3800, 1: 4000}), NOW)
@@ -154,9 +151,6 @@ def test_channel_without_a_timeout_has_timed_out_only_when_it_was_made_safe():
     assert board.timed_out(NOW + 10_000 * MS) == {0: TimedOut(NOW + 10_000 * MS, True)}
 
 
-# What is written.
-
-
 @given(st.sets(st.integers(0, 15)), st.integers(1, 16))
 def test_blocks_of_any_changes_hold_each_once_in_order_and_none_too_long(changed, max_length):
     runs = blocks(dict.fromkeys(changed, 0), max_length)
@@ -170,9 +164,6 @@ def test_differences_are_the_channels_that_hold_something_else_or_nobody_knows_w
     targets = [0, 0, 319, 319] + [0] * 12
     assert differences(held, targets) == {0: 0, 3: 319}
     assert differences(targets, targets) == {}
-
-
-# Neutrals of those who command the channels.
 
 
 def test_timeout_value_follows_a_neutral_at_once_or_for_a_commanded_channel_at_its_next_timeout():

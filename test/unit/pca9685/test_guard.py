@@ -255,9 +255,6 @@ def test_guard_ends_when_there_is_nothing_left_to_guard(watching):
     assert watching.action() == END
 
 
-# Who tells what the chip holds.
-
-
 def lasting_ms(bench, silent_ms=20_000):
     """How long after it acted the guard of a node that is silent for so long tells what the chip holds."""
     bench.tell(acknowledged=bench.guard.interventions)

@@ -33,9 +33,6 @@ def drive(vehicle, seconds, esc_duty, steering_duty=STRAIGHT):
     return pulses
 
 
-# Geometry
-
-
 @pytest.mark.parametrize(("pose", "free"), [
     ((1.49, 0.0, 0.0), True), ((1.51, 0.0, 0.0), False),  # nose
     ((2.11, 0.0, 0.0), True), ((2.09, 0.0, 0.0), False),  # tail, from behind
@@ -67,9 +64,6 @@ def test_car_that_moves_less_than_its_clearance_touches_nothing(x_m, y_m, yaw_ra
         moved_m = ratio * clear_m
         assert obstacles.is_free((x_m + moved_m * math.cos(direction_rad), y_m + moved_m * math.sin(direction_rad),
                                   yaw_rad))
-
-
-# The car
 
 
 def test_car_that_runs_into_a_wall_stands_before_it_and_its_wheels_stall():

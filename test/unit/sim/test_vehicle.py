@@ -44,9 +44,6 @@ def frictionless():
     return VehicleConfig(steering=PLAIN.steering, drive=drive, tyres=None)
 
 
-# Steering
-
-
 @given(st.floats(1638, 8192), st.floats(1638, 8192))
 def test_steering_with_more_duty_never_turns_more_to_the_left(one, other):
     vehicle = Vehicle()
@@ -70,9 +67,6 @@ def test_steering_takes_a_quarter_of_a_second_from_stop_to_stop_and_stays_there_
         assert vehicle.servo_duty == RIGHT_DUTY
 
 
-# Speed
-
-
 @pytest.mark.parametrize("esc_duty", [NEUTRAL, OFF, NEVER_SET])
 @pytest.mark.parametrize("speed_mps", [3.0, -3.0])
 def test_car_without_thrust_coasts_to_a_standstill(speed_mps, esc_duty):
@@ -90,9 +84,6 @@ def test_car_at_full_throttle_ends_at_14_metres_per_second():
     vehicle = rolling(0)
     drive(vehicle, 40, 5000, FULL, dt_ns=5 * MS)
     assert vehicle.speed_mps == pytest.approx(14.0, abs=0.1)
-
-
-# Pose
 
 
 def test_car_in_one_long_step_moves_on_the_exact_arc():
@@ -118,9 +109,6 @@ def test_car_started_elsewhere_starts_there():
     pulses = drive(vehicle, 1, 5000, NEUTRAL)
     assert vehicle.pose == pytest.approx((1.0, 3.0, math.pi / 2))
     assert 5 * S < pulses[0].at_ns < pulses[-1].at_ns <= 6 * S == vehicle.time_ns
-
-
-# Pulses
 
 
 def test_pulses_of_a_straight_come_every_15_millimetres_of_each_wheel():
@@ -157,9 +145,6 @@ def test_pulses_do_not_depend_on_the_step():
     assert all(abs(one.at_ns - other.at_ns) < 100 for one, other in zip(fine, coarse))
 
 
-# Configuration
-
-
 @pytest.mark.parametrize(("kind", "name", "value", "accepted"), [
     (SteeringConfig, "curve", ((4000, 1.0), (3900, 0.0)), "rising duty, falling 1/m"),
     (SteeringConfig, "rate_duty_per_s", 0, "more than 0"), (SteeringConfig, "backlash_duty", -1.0, ""),
@@ -169,9 +154,6 @@ def test_pulses_do_not_depend_on_the_step():
 def test_config_that_no_car_could_have_is_refused(kind, name, value, accepted):
     with pytest.raises(ConfigError, match=f"{name} is .*; accepted: .*{accepted}"):
         kind(**{name: value})
-
-
-# --- what the default car has none of ---
 
 
 def test_play_in_the_steering_leaves_the_wheels_half_of_it_behind_on_either_way():
@@ -194,8 +176,6 @@ def test_car_stands_on_a_slope_that_its_drag_holds_and_rolls_on_a_steeper_one():
     assert held.travel_m == 0.0 and rolls.travel_m < -0.1 and turned.travel_m == pytest.approx(-rolls.travel_m)
 
 
-# --- an ESC with a memory ---
-
 ARM, AHEAD, PULL, LET_GO = (4915, 1.0), (6000, 1.0), (3277, 3.0), (4915, 0.5)
 
 
@@ -208,9 +188,6 @@ def test_esc_with_a_memory_drives_once_it_was_armed_and_brakes_before_it_reverse
     for duty, seconds in steps:
         drive(vehicle, seconds, CENTER, duty, dt_ns=2 * MS)
     assert direction * vehicle.speed_mps > 1.0 or direction == vehicle.speed_mps == 0
-
-
-# Tyres
 
 
 def circling(tyres, speed_mps, steering_duty=4500, seconds=0.3):

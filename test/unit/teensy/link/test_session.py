@@ -57,9 +57,6 @@ def types(events):
     return [type(event) for event in events]
 
 
-# Pings and pongs
-
-
 def test_first_ping_is_due_as_the_port_opens_and_goes_behind_the_filler(session):
     for openings in (1, 2):
         assert session.next_event_ns() == session.ping_due_ns == NOW
@@ -126,9 +123,6 @@ def test_command_is_sent_with_the_checksum_of_the_pings():
     assert Session(115200, S, CORRECTED, NOW).ping(CARRIES, NOW) == CORRECTED_PING
 
 
-# Reboots, counters, frames that make no sense
-
-
 def test_reboot_is_an_event_before_the_record_that_shows_it(session):
     for index in range(3):
         assert types(session.receive(sonar(90_000 + 60 * index), NOW + 60 * index * MS)) == [SonarStatus]
@@ -162,9 +156,6 @@ def test_malformed_frames_are_counted_and_those_of_an_unknown_command_once_more(
     assert types(events) == [Malformed, Malformed]
     assert (session.malformed, session.unknown_commands) == (2, 1)
     assert session.counts().records == 0 and session.tally.frames == 2
-
-
-# The verdict
 
 
 def judge_seconds(session, data, seconds=2):

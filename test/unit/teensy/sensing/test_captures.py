@@ -130,9 +130,6 @@ def test_reboots_in_mid_drive_leave_heading_and_place(replayed):
     assert all(abs(error.yaw_deg) < 4.0 for error in found)
 
 
-# --- sonars ---
-
-
 def ranges(capture, moments):
     """(measured, truth) of each report; ``None`` as measured: no range was made of it. Truth inf: nothing in range."""
     result = []

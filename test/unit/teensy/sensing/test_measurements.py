@@ -141,9 +141,6 @@ def test_pongs_alone_are_heard_however_far_apart_the_gates_let_them_be():
     assert not measured.gates.refused
 
 
-# The queue of the wheels' reports
-
-
 def report_of(count):
     return WheelStatus(*2 * (Wheel(10, FORWARD, 1000 + 100 * count, 1, 1 + count),))
 

@@ -24,9 +24,6 @@ def ranges(ranging, *echoes_us, sensor=SENSOR):
     return [ranging.range(sensor, echo - 13, TICK) for echo in echoes_us]
 
 
-# --- one echo ---
-
-
 @pytest.mark.parametrize("echo, temperature_c, range_m", [
     (10_000, -50.0, 1.505), (10_000, 0.0, 1.6565), (10_000, 60.0, 1.8383),
     (117, 20.0, 0.02009), (ONE_METRE_US, 20.0, 1.0), (11_647, 20.0, 1.99991),
@@ -34,9 +31,6 @@ def ranges(ranging, *echoes_us, sensor=SENSOR):
 def test_echo_is_half_its_time_at_the_speed_of_sound(echo, temperature_c, range_m):
     ranging = Ranging(RangingConfig(temperature_c=temperature_c))
     assert ranges(ranging, echo) == [pytest.approx(range_m, rel=1e-4)]
-
-
-# --- what is no distance ---
 
 
 @pytest.mark.parametrize("no_echo, echo, range_m", [
@@ -58,9 +52,6 @@ def test_range_of_any_echoes_is_within_the_limits_or_infinite_and_never_nan(echo
 
 def test_minimum_of_zero_takes_every_echo():
     assert Ranging(RangingConfig(min_range_m=0.0)).range(SENSOR, 1, TICK) == pytest.approx(14 * 0.00017171)
-
-
-# --- what is no echo ---
 
 
 def test_echo_of_0_is_a_stuck_pin_and_like_one_that_is_not_trusted_makes_no_range_and_does_not_count_for_the_median():
@@ -99,9 +90,6 @@ def test_time_out_is_none_also_where_the_maximum_lies_beyond_it():
     assert ranges(ranging, 23_294, NONE_US) == [pytest.approx(4.0, abs=1e-3), INFINITE]
 
 
-# --- the temperature ---
-
-
 def test_temperature_set_while_it_runs_counts_from_then_on_also_for_the_median_unless_no_air_has_it():
     ranging = Ranging(RangingConfig(median=True))
     ranges(ranging, *[10_000] * 5)
@@ -111,9 +99,6 @@ def test_temperature_set_while_it_runs_counts_from_then_on_also_for_the_median_u
             ranging.temperature_c = wrong_c
     assert ranging.temperature_c == 0.0
     assert ranges(ranging, NONE_US) == [pytest.approx(1.6565)]
-
-
-# --- the median ---
 
 
 def test_median_hides_one_or_two_wrong_echoes_in_a_row():
@@ -145,9 +130,6 @@ def test_median_of_each_sonar_is_its_own():
         ranges(ranging, *[1000 * (sensor + 1)] * 5, sensor=sensor)
     for sensor in range(len(SONARS)):
         assert ranges(ranging, NONE_US, sensor=sensor) == [pytest.approx(1000 * (sensor + 1) * 343.42 / 2e6)]
-
-
-# --- what the parameters may be ---
 
 
 @pytest.mark.parametrize("wrong, message", [

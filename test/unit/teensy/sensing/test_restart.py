@@ -25,9 +25,6 @@ def test_heading_stays_right_whatever_the_car_does_meanwhile_and_odometry_is_sil
     assert sum(abs(outcome.heading_deg) > 6 for outcome in steady) <= 0.01 * len(steady), "two pulses"
 
 
-# --- the rules ---
-
-
 def bridge(speed=0.066, curvature=0.0, counts=(100, 100)):
     """A car that rolled at so many pulses a ms, 0.066 is 1 m/s, each wheel half-way between two magnets."""
     speeds = [speed * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
