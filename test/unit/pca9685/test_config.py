@@ -21,6 +21,7 @@ def test_node_without_parameters_drives_the_first_bus_s_chip_at_50_hz_with_a_gua
         device="/dev/i2c-1", address=0x40, prescale=121, oscillator_hz=25e6,
         channels=(ChannelConfig(timeout_ms=250, timeout_value=0, pwm_min=0, pwm_max=65535, live_range=0),) * 16,
         required=False, virtual_chip=None, virtual_log=None, guard=True, guard_off_after_ns=10_000_000_000)
+    assert read().channels[0] == ChannelConfig()
 
 
 @pytest.mark.parametrize("parameters, expected", [
