@@ -129,9 +129,6 @@ def only_line(caplog):
     return line
 
 
-# Handshakes of a server.
-
-
 def test_silent_and_slow_peers_hold_up_nobody_and_are_dropped_after_a_second_with_one_line(server, caplog):
     began_s = time.monotonic()
     waiting = [server.connect() for _ in range(5)]
@@ -164,8 +161,7 @@ def test_header_in_pieces_is_taken_and_what_follows_it_is_left_on_a_connection_w
     (FOUR_GIB + b"topic", f"announces a header of 4294967295 bytes, more than {tcpros_limits.MAX_HEADER_SIZE}"),
     (b"\x08\0\0\0\x04\0\0\0abcd", "sends no TCPROS header"),
     (b"\x08\0\0\0\x04\0\0\0\xff=\xff\xff", "sends no TCPROS header"),
-    (b"GET / HTTP/1.1\r\nHost: car\r\n\r\n", "announces a header"),
-], ids=["4 GiB", "no equals sign", "not UTF-8", "a browser"])
+], ids=["4 GiB", "no equals sign", "not UTF-8"])
 def test_what_is_no_header_ends_its_connection_with_one_line(server, caplog, data, text):
     peer = server.connect(data)
     wait_until(lambda: is_closed(peer))
@@ -205,9 +201,6 @@ def test_error_of_a_handler_or_of_accepting_costs_one_connection_at_most(server,
     server.connect(header_of("/second"))
     wait_until(lambda: server.names() == ["/second"])
     assert any("Too many open files" in record.getMessage() for record in caplog.records)
-
-
-# What a subscriber waits for.
 
 
 class Subscription:
@@ -294,9 +287,6 @@ def test_publisher_that_does_not_answer_still_counts_as_one_and_one_that_has_end
     assert not tcpros_limits._is_still_publisher("/steering", uri)
 
 
-# Services.
-
-
 @pytest.fixture
 def service(server):
     """A service of rospy without a master."""
@@ -358,9 +348,6 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, size):
     thread.join()
     wait_until(lambda: is_closed(connections[0]))
     assert isinstance(MessageTooLong(), rospy.ServiceException)  # what a caller expects
-
-
-# Another rospy.
 
 
 @pytest.mark.parametrize("owner, name, value, reason", [

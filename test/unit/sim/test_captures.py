@@ -122,9 +122,6 @@ def fields_of(line):
     return "counter", line["name"], line["count"]
 
 
-# What goes in
-
-
 def pulses_of(truth):
     """The wheels' positions and speeds → (µs, side, direction) of each pulse: a whole number crossed.
 
@@ -167,9 +164,6 @@ def command(line):
     payload = (struct.pack("<II", line["timestamp1"], 0) if "timestamp1" in line else
                struct.pack("<I", line["ms"]) if "ms" in line else b"")
     return framed_for_the_receiver(message(COMMANDS[line["host"]], payload))
-
-
-# What comes out
 
 
 def parsed(frame):
@@ -243,9 +237,6 @@ class Replay:
 
 def times_of(captured, event):
     return [line["t_us"] for line in captured.events if line["event"] == event]
-
-
-# Both beside each other
 
 
 def key(frame):

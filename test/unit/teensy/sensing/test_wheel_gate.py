@@ -159,8 +159,6 @@ def test_counters_that_wrap_are_no_jump():
     assert [some.sonar(sonar((UINT32 - 100 + 50 * n) % UINT32)).accepted for n in range(6)] == [True] * 6
 
 
-# --- what only the firmware knows of its wheels ---
-
 REST = 201
 
 
