@@ -53,7 +53,6 @@ class Capture:
 
     Attributes:
         data: all bytes that left the UART.
-        lines: of the truth, in order, as test/data/firmware/README.md has them.
         times: (offset, t_us): the bytes before ``offset`` had left by then.
         pings: what the host sent.
         frames: as the firmware's own structures had them.
@@ -69,7 +68,7 @@ class Capture:
         self.times = [(int(row["offset"]), int(row["t_us"])) for row in _rows(files[f"{name}.times.csv"])]
         self.pings = [Ping(int(row["sent_us"]), int(row["timestamp1"]), int(row["received_us"] or 0) or None)
                       for row in _rows(files[f"{name}.host.csv"])]
-        self.lines = lines = [json.loads(line) for line in files[f"{name}.truth.jsonl"].splitlines()]
+        lines = [json.loads(line) for line in files[f"{name}.truth.jsonl"].splitlines()]
         self.frames = [line for line in lines if "frame" in line]
         self.commands = [line for line in lines if "host" in line]
         self.events = [line for line in lines if "event" in line and line["event"] != "echo"]

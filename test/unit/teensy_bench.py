@@ -14,7 +14,7 @@ from car_interface.sim.teensy_receiver import Receiver
 from car_interface.sim.teensy_wheels import LEFT
 
 MS, S = 1_000_000, 1_000_000_000
-PING, PONG, SET_SEQ, START, SONAR, WHEELS, COUNTER, GET_COUNTERS, WAIT = 1, 2, 3, 5, 6, 7, 9, 10, 12
+PING, PONG, SET_SEQ, START, SONAR, WHEELS, GET_COUNTERS, WAIT = 1, 2, 3, 5, 6, 7, 10, 12
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 CAPTURE = (DATA / "capture_mixed.bin").read_bytes()
@@ -118,7 +118,6 @@ class Bench:
         self.teensy = TeensyFirmware(FirmwareConfig(**config), echo_us)
         self.now_ns = 0
         self.sent = b""
-        self.read = 0
 
     def until(self, at_ns):
         self.now_ns = max(at_ns, self.now_ns)
@@ -144,31 +143,6 @@ class Bench:
     def frames(self, command):
         return [frame for frame in split_frames(self.sent) if frame[2] == command]
 
-    def fresh(self, command):
-        """Frames since the last call, whichever command it was for."""
-        start, self.read = self.read, self.sent.rindex(b"\x7e") if b"\x7e" in self.sent else 0
-        frames = split_frames(b"\x7e" + self.sent[start:].lstrip(b"\x7e"))
-        return [frame for frame in frames if frame[2] == command]
-
-    def counters(self):
-        self.command(GET_COUNTERS).after(200 * MS)
-        return dict(parse_counter(frame) for frame in self.fresh(COUNTER))
-
 
 def wheel_reports(bench, side=LEFT):
     return [parse_wheels(frame)[side] for frame in bench.frames(WHEELS)]
-
-
-def sensors_of(frames):
-    return [frame[4] for frame in frames]
-
-
-def sonar_reports(bench):
-    return [parse_sonar(frame) for frame in bench.frames(SONAR)]
-
-
-ECHOES_US = (1456, 4659, 6406, 8153, 9900, 11356)
-
-
-def near(sensor, at_ns):
-    return ECHOES_US[sensor]

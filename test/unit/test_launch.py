@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import NamedTuple
 from xml.etree import ElementTree
 
 import pytest
@@ -15,42 +14,26 @@ LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
 MAX_DOC = 100  # characters: a line of `roslaunch --ros-args`
 
 
-class Argument(NamedTuple):
-    """An <arg> as it is declared at the top of a launch file."""
-
-    file: str
-    name: str
-    default: str | None
-    doc: str
+def root_of(path: Path):
+    return ElementTree.parse(str(path)).getroot()
 
 
-def arguments(path: Path) -> list[Argument]:
-    """Returns the arguments that a launch file declares."""
-    root = ElementTree.parse(str(path)).getroot()
-    return [Argument(path.name, arg.get("name"), arg.get("default"), arg.get("doc", "")) for arg in root.findall("arg")]
+ARGUMENTS = [(path.name, arg) for path in LAUNCH_FILES for arg in root_of(path).findall("arg")]
 
 
-ARGUMENTS = [argument for path in LAUNCH_FILES for argument in arguments(path)]
-
-
-def name_of(argument: Argument) -> str:
-    return f"{argument.file}:{argument.name}"
-
-
-@pytest.mark.parametrize("argument", ARGUMENTS, ids=name_of)
-def test_argument_has_a_short_doc_and_a_default(argument):
-    assert 0 < len(argument.doc) <= MAX_DOC
-    assert argument.doc == argument.doc.strip() and not argument.doc.endswith(".")
+@pytest.mark.parametrize("file, arg", ARGUMENTS, ids=[f"{file}:{arg.get('name')}" for file, arg in ARGUMENTS])
+def test_argument_has_a_short_doc_and_a_default(file, arg):
+    doc, default = arg.get("doc", ""), arg.get("default")
+    assert 0 < len(doc) <= MAX_DOC and doc == doc.strip() and not doc.endswith(".")
     # `roslaunch --ros-args` lists an argument as required whose default is empty, or becomes so when evaluated.
-    assert argument.default and not argument.default.startswith("$(eval")
+    assert default and not default.startswith("$(eval")
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
 def test_included_file_declares_the_arguments_that_it_is_given(path):
-    root = ElementTree.parse(str(path)).getroot()
-    for include in root.iter("include"):
+    for include in root_of(path).iter("include"):
         (name,) = re.findall(r"\$\(find car_interface\)/launch/([\w.]+)$", include.get("file"))
-        declared = {argument.name for argument in ARGUMENTS if argument.file == name}
+        declared = {arg.get("name") for file, arg in ARGUMENTS if file == name}
         assert {arg.get("name") for arg in include.findall("arg")} <= declared
 
 
@@ -58,13 +41,13 @@ def test_an_argument_of_one_name_has_the_same_default_in_every_file():
     # `config` is another file, the demo's port is the virtual Teensy's, car.launch expects a gamepad.
     differ = {"config", "port", "gamepad"}
     defaults = {}
-    for argument in ARGUMENTS:
-        if argument.name not in differ:
-            defaults.setdefault(argument.name, set()).add(argument.default)
+    for _, arg in ARGUMENTS:
+        if arg.get("name") not in differ:
+            defaults.setdefault(arg.get("name"), set()).add(arg.get("default"))
     assert {name: found for name, found in defaults.items() if len(found) > 1} == {}
 
 
-NODES = [(path.name, node) for path in LAUNCH_FILES for node in ElementTree.parse(str(path)).getroot().iter("node")
+NODES = [(path.name, node) for path in LAUNCH_FILES for node in root_of(path).iter("node")
          if node.get("type") in FIXED]
 
 
@@ -75,8 +58,7 @@ def test_node_gets_its_devices_as_arguments_as_well_as_by_parameters(file, node)
     assert " ".join(text.split()) == " ".join(f"--{name} '{value}'" for name, value in given)
     names = {name for each in PARTS.get(kind, (kind,)) for name in FIXED[each]}
     assert {name.replace("-", "_") for name, _ in given} == names
-    root = ElementTree.parse(str(ROOT / "launch" / file)).getroot()
-    values = {param.get("name"): param.get("value") for param in root.iter("param")}
+    values = {param.get("name"): param.get("value") for param in root_of(ROOT / "launch" / file).iter("param")}
     assert {name.replace("-", "_"): value for name, value in given} == {name: values[name] for name in names}
 
 

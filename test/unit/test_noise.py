@@ -1,15 +1,10 @@
 """A short run of the noise measurement (accuracy/noise.py has the long one), and the calculation that it is held to."""
 from __future__ import annotations
 
-import importlib
 import os
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-noise = importlib.import_module("accuracy.noise")
+from accuracy import noise
 
 FRAMES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 20_000
 
@@ -19,15 +14,11 @@ def result(request):
     return noise.measure(FRAMES, request.param)
 
 
-def test_no_more_wrong_frames_get_past_than_an_8_bit_sum_must_let_past(result):
+def test_no_more_wrong_frames_get_past_than_an_8_bit_sum_must_let_past_and_none_moves_a_wheel_by_10_cm(result):
     assert result.failures() == []
     assert result.frames >= FRAMES
     assert result.made_sense <= result.summed_up <= result.lost
-
-
-def test_no_wrong_frame_moves_a_wheel_by_10_cm_and_nothing_is_left_of_it(result):
-    assert result.harm_m <= noise.MOST_HARM_M
-    assert result.error_m <= noise.MOST_HARM_M
+    assert max(result.harm_m, result.error_m) <= noise.MOST_HARM_M  # of a wheel, and what is left of it
 
 
 def test_without_noise_nothing_is_lost_and_the_way_is_the_firmware_s():

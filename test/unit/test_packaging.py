@@ -73,9 +73,6 @@ def module_of(script: Path) -> str:
             "wait_for_name": "ros.wait_for_name"}.get(script.name, f"nodes.{script.name}")
 
 
-# --- scripts ---
-
-
 @pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
 def test_script_is_executable_shadows_no_library_and_only_calls_its_command_or_node(script):
     assert os.access(str(script), os.X_OK)
@@ -86,9 +83,6 @@ def test_script_is_executable_shadows_no_library_and_only_calls_its_command_or_n
     if script in NODES:
         path = ROOT / "src/car_interface" / (module_of(script).replace(".", "/") + ".py")
         assert "\ndef main(" in path.read_text(encoding="utf-8")
-
-
-# --- CMakeLists.txt, setup.py ---
 
 
 def test_cmake_lists_every_script_message_service_and_cfg_file_which_can_be_run():
@@ -106,20 +100,13 @@ def test_cmake_installs_everything_that_a_user_needs():
     assert [name for name in installed if not (ROOT / name).exists()] == []
 
 
-def test_setup_lists_every_package():
+def test_setup_lists_every_folder_of_modules_and_none_hides_the_generated_messages():
     tree = ast.parse((ROOT / "setup.py").read_text(encoding="utf-8"))
     (listed,) = [node.value for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "packages"]
-    folders = (path.parent.relative_to(ROOT / "src") for path in (ROOT / "src").rglob("__init__.py"))
-    assert ast.literal_eval(listed) == sorted(".".join(folder.parts) for folder in folders)
-
-
-def test_every_folder_of_modules_is_a_package_and_none_hides_the_generated_messages():
     folders = {path.parent for path in (ROOT / "src").rglob("*.py")}
     assert [folder for folder in folders if not (folder / "__init__.py").exists()] == []
+    assert ast.literal_eval(listed) == sorted(".".join(folder.relative_to(ROOT / "src").parts) for folder in folders)
     assert not (ROOT / "src/car_interface/msg").exists() and not (ROOT / "src/car_interface/srv").exists()
-
-
-# --- package.xml ---
 
 
 @pytest.mark.parametrize("paths, kind", [
@@ -128,16 +115,6 @@ def test_every_folder_of_modules_is_a_package_and_none_hides_the_generated_messa
 ], ids=["code", "tests"])
 def test_package_declares_what_is_imported(paths, kind):
     assert keys_of_imports(paths) - {key for key, _ in dependencies("exec_depend", kind)} == set()
-
-
-def test_package_takes_smbus2_from_apt_or_pip_but_never_from_both():
-    assert {item for item in dependencies("exec_depend") if item[0].startswith("python3-smbus2")} == {
-        ("python3-smbus2", "$ROS_DISTRO != noetic"),
-        ("python3-smbus2-pip", "$ROS_DISTRO == noetic"),
-    }
-
-
-# --- launch files, node tests ---
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES + NODE_TESTS, ids=name_of)
@@ -157,9 +134,7 @@ def test_launch_file_starts_and_names_only_what_exists(path):
 
 
 def test_every_node_has_a_launch_file():
-    started = {
-        node.get("type") for path in LAUNCH_FILES for node in ElementTree.parse(str(path)).iter("node")
-    }
+    started = {node.get("type") for path in LAUNCH_FILES for node in ElementTree.parse(str(path)).iter("node")}
     assert [script.name for script in SCRIPTS if script.name not in started | TOOLS] == []
 
 

@@ -1,14 +1,8 @@
 """test/tally.py: what the results in a step's folder count as."""
 from __future__ import annotations
 
-import importlib
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-Tally, tally = (getattr(importlib.import_module("tally"), name) for name in ("Tally", "tally"))
+from tally import Tally, tally
 
 PASSED = '<testcase classname="a.B" name="passes"/>'
 FAILED = '<testcase classname="a.B" name="fails"><failure message="1 is not 2&#10;more">text</failure></testcase>'

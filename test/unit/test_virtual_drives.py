@@ -5,16 +5,12 @@ test/graph/test_calibration_drive.py has one.
 """
 from __future__ import annotations
 
-import importlib
 import os
-import sys
-from pathlib import Path
 
+import planner_drives as planners
 import pytest
-
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-rooms, planners, calibration = map(importlib.import_module, (
-    "room_drives", "planner_drives", "accuracy.calibration_drive"))
+import room_drives as rooms
+from accuracy import calibration_drive as calibration
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 ROOMS, PLANNERS = (1000, 1000) if IS_ALL else (25, 30)

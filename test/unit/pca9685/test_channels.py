@@ -33,10 +33,6 @@ def test_channels_before_any_command_hold_their_timeout_values_whatever_the_limi
     assert board.expire(NOW) == []
 
 
-def test_channel_config_by_default_is_250_ms_off_unlimited_and_follows_no_neutral():
-    assert ChannelConfig() == ChannelConfig(250, 0, 0, 65535, 0)
-
-
 @pytest.mark.parametrize("length", [0, 15, 17])
 def test_vector_of_another_length_than_16_is_refused_whole(length):
     board = channels(live_range=500)
@@ -113,14 +109,6 @@ def test_channels_after_any_commands_hold_the_newest_that_is_young_enough(comman
         assert board.targets == [young.get(channel, CENTER_COUNTS) for channel in range(16)]
 
 
-def test_made_safe_every_channel_holds_its_timeout_value_and_no_deadline():
-    board = channels()
-    board.command([3800] * 16, NOW)
-    board.make_safe(NOW)
-    assert board.targets == [CENTER_COUNTS] * 16
-    assert board.next_deadline_ns() == math.inf
-
-
 def test_limits_the_wrong_way_round_are_refused_naming_the_channel_and_limits_that_meet_leave_one_duty():
     configs = [ChannelConfig()] * 15 + [ChannelConfig(pwm_min=7600, pwm_max=2800)]
     with pytest.raises(ConfigError, match=r"pwm_min\[15\] is 7600; accepted: at most pwm_max\[15\] 2800"):
@@ -130,14 +118,12 @@ def test_limits_the_wrong_way_round_are_refused_naming_the_channel_and_limits_th
     assert board.targets == [CENTER_COUNTS] * 16
 
 
-# Which channels have timed out.
-
-
 def test_channel_has_timed_out_since_its_deadline_and_until_its_next_command():
     board = channels()
     board.command(vector({0: 3800, 1: 4000}), NOW)
     assert board.timed_out(NOW + 249 * MS) == {}
     board.expire(NOW + 300 * MS)
+    board.make_safe(NOW + 500 * MS)  # afterwards
     assert board.timed_out(NOW + 9000 * MS) == {channel: TimedOut(NOW + 250 * MS, False) for channel in (0, 1)}
     board.command(vector({1: 4000}), NOW + 9000 * MS)
     assert list(board.timed_out(NOW + 9000 * MS)) == [0]
@@ -150,17 +136,10 @@ def test_channel_that_was_made_safe_has_timed_out_once_no_command_came_in_its_ti
     board.command(vector({0: 3800, 1: 4000}), NOW)
     board.make_safe(NOW + 100 * MS)
     board.make_safe(NOW + 200 * MS)
+    assert board.targets == [CENTER_COUNTS] * 16 and board.next_deadline_ns() == math.inf
     board.command(vector({1: 4000}), NOW + 200 * MS)
     assert board.timed_out(NOW + 349 * MS) == {}
     assert board.timed_out(NOW + 350 * MS) == {0: TimedOut(NOW + 100 * MS, True)}
-
-
-def test_channel_that_had_timed_out_before_it_was_made_safe_has_since_then():
-    board = channels()
-    board.command(vector({0: 3800}), NOW)
-    board.expire(NOW + 250 * MS)
-    board.make_safe(NOW + 500 * MS)
-    assert board.timed_out(NOW + 500 * MS) == {0: TimedOut(NOW + 250 * MS, False)}
 
 
 def test_channel_without_a_timeout_has_timed_out_only_when_it_was_made_safe():
@@ -170,9 +149,6 @@ def test_channel_without_a_timeout_has_timed_out_only_when_it_was_made_safe():
     assert board.timed_out(NOW + 10_000 * MS) == {}
     board.make_safe(NOW + 10_000 * MS)
     assert board.timed_out(NOW + 10_000 * MS) == {0: TimedOut(NOW + 10_000 * MS, True)}
-
-
-# What is written.
 
 
 @given(st.sets(st.integers(0, 15)), st.integers(1, 16))
@@ -190,9 +166,6 @@ def test_differences_are_the_channels_that_hold_something_else_or_nobody_knows_w
     assert differences(targets, targets) == {}
 
 
-# Neutrals of those who command the channels.
-
-
 def test_timeout_value_follows_a_neutral_at_once_or_for_a_commanded_channel_at_its_next_timeout():
     board = channels(live_range=500)
     board.command(vector({0: 4000, 1: 4000}), NOW)
@@ -208,15 +181,12 @@ def test_timeout_value_follows_a_neutral_at_once_or_for_a_commanded_channel_at_i
 
 
 @pytest.mark.parametrize("duty, live_range, timeout_value, followed", [
-    pytest.param(5600, 500, 5100, ({0: 5600}, []), id="as_far_as_it_may"),
-    pytest.param(65535, 65535, 5100, ({0: 65535}, []), id="full_on"),
-    pytest.param(5601, 500, 5100, ({}, [0]), id="too_far"),
-    pytest.param(4599, 500, 5100, ({}, [0]), id="too_far_down"),
-    pytest.param(0, 6000, 5100, ({}, [0]), id="off_is_no_neutral"),
-    pytest.param(65536, 65535, 5100, ({}, [0]), id="above_every_duty"),
-    pytest.param(5150, 0, 5100, ({}, []), id="channel_that_does_not_follow"),
-    pytest.param(100, 500, 0, ({}, []), id="channel_that_is_off_at_rest_stays_off"),
-    pytest.param(5100, 500, 5100, ({}, []), id="same_as_ever"),
+    (5600, 500, 5100, ({0: 5600}, [])), (65535, 65535, 5100, ({0: 65535}, [])),
+    (5601, 500, 5100, ({}, [0])), (4599, 500, 5100, ({}, [0])), (65536, 65535, 5100, ({}, [0])),
+    (0, 6000, 5100, ({}, [0])),  # off is no neutral
+    (5150, 0, 5100, ({}, [])),  # a channel that doesn't follow
+    (100, 500, 0, ({}, [])),  # one that is off at rest stays off
+    (5100, 500, 5100, ({}, [])),  # the same as ever
 ])
 def test_neutral_is_followed_only_so_far(duty, live_range, timeout_value, followed):
     assert channels(timeout_value=timeout_value, live_range=live_range).follow(vector({0: duty})) == followed

@@ -5,24 +5,13 @@ import select
 
 import pytest
 
-from car_interface.pca9685.guard_protocol import (
-    ALIVE,
-    ENDED,
-    HELD,
-    LEFT_TO_NODE,
-    SAFE,
-    GuardMessage,
-    NodeMessage,
-    OutputMessage,
-    guard_reader,
-    node_reader,
-    output_reader,
-)
+from car_interface.pca9685 import guard_protocol as protocol
+from car_interface.pca9685.guard_protocol import GuardMessage, NodeMessage, OutputMessage
 
 COUNTS = (*range(0, 4095, 273), 4096)
-NODE = [(ALIVE, True, 1, 0, COUNTS), (ENDED, False, 2 ** 32 - 1, 7, (0,) * 16)]
-GUARD = [(SAFE, 1, 2, 0), (0, 0, 0, -1), (4, 2 ** 32 - 1, 2 ** 32 - 1, 121)]
-OUTPUT = [(HELD, COUNTS), (LEFT_TO_NODE, (0,) * 16)]
+NODE = [(protocol.ALIVE, True, 1, 0, COUNTS), (protocol.ENDED, False, 2 ** 32 - 1, 7, (0,) * 16)]
+GUARD = [(protocol.SAFE, 1, 2, 0), (0, 0, 0, -1), (4, 2 ** 32 - 1, 2 ** 32 - 1, 121)]
+OUTPUT = [(protocol.HELD, COUNTS), (protocol.LEFT_TO_NODE, (0,) * 16)]
 
 
 def fields(message):
@@ -30,9 +19,9 @@ def fields(message):
 
 
 @pytest.mark.parametrize("size", [1, 7, 1000], ids="in_pieces_of_{}".format)
-@pytest.mark.parametrize("reader, kind, cases", [(node_reader, NodeMessage, NODE), (guard_reader, GuardMessage, GUARD),
-                                                  (output_reader, OutputMessage, OUTPUT)],
-                         ids=["node", "guard", "relay"])
+@pytest.mark.parametrize("reader, kind, cases", [
+    (protocol.node_reader, NodeMessage, NODE), (protocol.guard_reader, GuardMessage, GUARD),
+    (protocol.output_reader, OutputMessage, OUTPUT)], ids=["node", "guard", "relay"])
 def test_messages_come_out_as_they_went_in(reader, kind, cases, size):
     data = b"".join(kind(*case).encode() for case in cases)
     messages = reader()

@@ -14,15 +14,11 @@ TURN_ARB = Publisher("/turn_arb", "127.0.0.1", "std_msgs/Int32MultiArray")
 NOW = 1000 * NS_PER_S
 
 
-def duties(*channels):
-    return [5000 if channel in channels else UNCHANGED for channel in range(CHANNELS)]
-
-
 def senders_of(*commands):
-    """A bookkeeping that was given these: node, channels, and when."""
+    """A bookkeeping that was given these: node, channels, and when. 0 is a command, too."""
     senders = ChannelSenders()
     for node, channels, at_ns in commands:
-        senders.update(node, duties(*channels), at_ns)
+        senders.update(node, [0 if channel in channels else UNCHANGED for channel in range(CHANNELS)], at_ns)
     return senders
 
 
@@ -35,13 +31,6 @@ def senders_of(*commands):
 ], ids=["channels_of_their_own", "one_node", "two_on_one_channel", "same_nodes_on_two_channels"])
 def test_nodes_on_one_channel_conflict_there(commands, conflicts):
     assert senders_of(*commands).conflicts(2) == conflicts
-
-
-def test_duty_of_zero_commands_and_minus_one_does_not():
-    senders = ChannelSenders()
-    for node in ("/a", "/b"):
-        senders.update(node, [0] + [UNCHANGED] * 15, 0)
-    assert senders.conflicts(0) == {("/a", "/b"): [0]}
 
 
 def test_node_that_stopped_commanding_is_forgotten_after_a_second_but_not_as_the_last_commander():

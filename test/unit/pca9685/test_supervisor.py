@@ -76,17 +76,11 @@ def bench():
 @pytest.fixture
 def running(bench):
     bench.update(NEUTRAL)
-    assert bench.events == [FOUND, RUNNING]
+    assert bench.events == [FOUND, RUNNING] and bench.supervisor.running
+    assert bench.pulses() == bench.supervisor.held == NEUTRAL
     bench.events.clear()
     bench.writes.clear()
     return bench
-
-
-def test_first_call_opens_and_brings_every_channel_to_its_target(bench):
-    bench.update(NEUTRAL)
-    assert bench.supervisor.running
-    assert bench.events == [FOUND, RUNNING]
-    assert bench.pulses() == bench.supervisor.held == NEUTRAL
 
 
 def test_what_did_not_change_is_not_written_and_the_chip_is_read_twice_a_second(running):
@@ -141,17 +135,6 @@ def test_bus_that_cannot_be_opened_is_tried_again(bench):
     assert bench.supervisor.running
 
 
-def test_bus_that_is_held_down_is_left_and_comes_back(running):
-    running.bus.held = True
-    running.update(LEFT, 1)
-    assert running.events == [RETRIED, DISCONNECTED]
-    running.update_when_due(LEFT)
-    assert not running.supervisor.running
-    running.bus.held = False
-    running.update_when_due(LEFT)
-    assert running.pulses() == LEFT
-
-
 @pytest.mark.parametrize("driven", [False, True])
 def test_chip_that_lost_its_power_is_noticed_within_half_a_second(running, driven):
     running.chip.power_up()
@@ -177,15 +160,12 @@ def test_what_the_chip_holds_is_known_before_it_is_written_anew(running):
     assert found == [(FOUND, LEFT), (RUNNING, NEUTRAL)]
 
 
-def test_channel_that_another_program_wrote_is_reported_and_written_anew(running):
+def test_channel_that_another_program_wrote_is_reported_and_written_anew_or_known_after_reading_back(running):
     running.chip.write(0x06, [0, 0, 0, 0x08])
     running.update_when_due(NEUTRAL)
     assert running.events == [FOREIGN]
     assert running.pulses() == NEUTRAL
     assert running.supervisor.tally.foreign_writes == 1
-
-
-def test_what_another_program_wrote_is_known_after_reading_back(running):
     running.chip.write(0x06, [0, 0, 0, 0x08])
     running.supervisor.read_back(running.now_ns)
     assert running.supervisor.held == [2048] + [0] * 15

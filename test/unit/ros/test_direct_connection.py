@@ -21,7 +21,7 @@ QUEUE = 10
 class Link:
     """A connection of rospy to a subscriber, of which the test reads the other end."""
 
-    def __init__(self, queue_size=QUEUE):
+    def __init__(self):
         with socket.create_server(("127.0.0.1", 0)) as server:
             self.subscriber = socket.create_connection(server.getsockname())
             publisher, _ = server.accept()
@@ -38,7 +38,7 @@ class Link:
                 self.go_on.wait(5.0)
             return relayed(data)
         self.transport.write_data = write_data
-        self.connection = DirectConnection(self.transport, queue_size)
+        self.connection = DirectConnection(self.transport, QUEUE)
 
     def receive(self, count):
         """The numbers of the next messages, each checked to be whole."""
@@ -119,14 +119,11 @@ def test_subscriber_that_does_not_read_delays_nobody_and_gets_the_newest_message
     assert link.receive(1) == [5] and not link.writers
 
 
-def test_queue_of_any_length_drops_nothing():
-    link = Link(queue_size=0)
-    try:
-        sent = link.fill()
-        assert link.receive(sent) == list(range(sent))
-        assert link.transport.stat_num_msg == sent
-    finally:
-        link.close()
+def test_queue_of_any_length_drops_nothing(link):
+    link.connection._queue_size = 0
+    sent = link.fill()
+    assert link.receive(sent) == list(range(sent))
+    assert link.transport.stat_num_msg == sent
 
 
 def test_message_that_is_sent_while_the_subscriber_catches_up_comes_after_those_that_wait(link):
@@ -159,11 +156,8 @@ def test_subscriber_that_has_gone_is_reported_by_a_later_message_as_rospy_does(l
         while time.monotonic() < until:
             link.connection.write_data(message(1))
             time.sleep(0.01)
-
-
-def test_connection_that_rospy_has_closed_raises_nothing_from_the_socket(link):
     link.transport.close()
-    link.connection.write_data(message(1))
+    link.connection.write_data(message(1))  # raises nothing once rospy has closed it
 
 
 def test_publishers_of_the_process_use_it(monkeypatch):

@@ -47,13 +47,6 @@ def test_line_that_stays_takes_the_block_s_place_unless_that_is_kept(screen):
     assert shown.getvalue().endswith("\x1b[Ja\n\r\x1b[Jbelow\n")
 
 
-def test_block_that_is_taller_than_the_terminal_is_cut(screen, monkeypatch):
-    monkeypatch.setenv("LINES", "4")
-    shown, text = screen(True), LiveText()
-    text.show(["a", "b", "c", "d"])
-    assert shown.getvalue() == "\r\x1b[Ja\nb\nc\n"
-
-
 @pytest.mark.parametrize("name, is_elsewhere, expected", [
     ("stdout", False, "\r\x1b[Ja\nb\na warning\n\r\x1b[Jc\n\r\x1b[1A\x1b[Jd\n"),
     ("stderr", False, "\r\x1b[Ja\nb\na warning\n\r\x1b[Jc\n\r\x1b[1A\x1b[Jd\n"),

@@ -1,7 +1,6 @@
 """Who has a node's name, asked of servers that answer as the ROS master and as nodes do."""
 from __future__ import annotations
 
-import re
 import socket
 import threading
 from contextlib import contextmanager
@@ -98,51 +97,3 @@ def test_node_is_asked_when_the_master_is_gone():
 def test_own_name_is_that_of_ros(monkeypatch, arguments, namespace, name):
     monkeypatch.setenv("ROS_NAMESPACE", namespace)
     assert own_name("turn_arb", ["turn_arb", *arguments]) == name
-
-
-@pytest.fixture
-def start_waiting():
-    """Start to wait for /turn_arb in a thread that still waits a while later."""
-    threads = []
-
-    def start():
-        threads.append(threading.Thread(target=lambda: name_lookup.wait_for_name("/turn_arb").close()))
-        threads[0].start()
-        threads[0].join(0.2)
-        assert threads[0].is_alive()
-        return threads[0]
-    return start
-
-
-def ends(thread):
-    thread.join(10)
-    return not thread.is_alive()
-
-
-def test_wait_ends_when_the_other_node_does(monkeypatch, capsys, start_waiting):
-    registered = [""]
-    with serving(**node("/turn_arb")) as uri, serving(
-            lookupNode=lambda caller, name: (1, "", uri) if registered[0] else (-1, "unknown node", "")) as master_uri:
-        monkeypatch.setenv("ROS_MASTER_URI", master_uri)
-        name_lookup.wait_for_name("/turn_arb").close()
-        assert capsys.readouterr().err == ""
-        registered[0] = uri
-        waiting = start_waiting()
-        registered[0] = ""
-        assert ends(waiting)
-    first, second = capsys.readouterr().err.splitlines()
-    assert re.match(r"\[WARN\] \[\d+\.\d+\]: /turn_arb is already running on 127.0.0.1 \(this computer\), process 4711",
-                    first)
-    assert second.endswith("/turn_arb on 127.0.0.1 (this computer), process 4711 has ended: taking over")
-
-
-def test_of_two_that_look_at_the_same_moment_one_waits_until_the_other_is_registered(monkeypatch, capsys,
-                                                                                   start_waiting):
-    with serving(**master("")) as master_uri:
-        monkeypatch.setenv("ROS_MASTER_URI", master_uri)
-        claim = name_lookup.wait_for_name("/turn_arb")
-        name_lookup.wait_for_name("/other").close()
-        waiting = start_waiting()
-        claim.close()
-        assert ends(waiting)
-    assert capsys.readouterr().err == ""

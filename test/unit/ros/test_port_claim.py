@@ -39,10 +39,3 @@ def test_path_is_the_same_by_another_way_to_its_folder_and_free_once_it_was_give
     PortClaim(path + "_2", 0.0).close()
     claim.close()
     PortClaim(path, 0.0).close()
-
-
-def test_claim_waits_for_a_process_that_is_ending(path):
-    with subprocess.Popen([sys.executable, "-c", HOLDER.replace("60", "0.5"), path], stdout=subprocess.PIPE,
-                          text=True) as other:
-        assert other.stdout.readline() == "held\n"
-        PortClaim(path, 30.0).close()

@@ -30,11 +30,6 @@ def test_throttle_without_pulse_is_none(duty):
     assert throttle(duty, DriveConfig()) is None
 
 
-def test_brake_is_stronger_than_coasting_and_reverse_weaker_than_forward():
-    assert true_acceleration_mps2(REVERSE, 5) < true_acceleration_mps2(NEUTRAL, 5) < 0
-    assert true_acceleration_mps2(FULL, 0) > -true_acceleration_mps2(REVERSE, 0) > 0
-
-
 @given(st.integers(REVERSE, FULL), st.integers(REVERSE, FULL), st.floats(0, 14))
 def test_more_duty_never_accelerates_less(one, other, speed_mps):
     low, high = sorted((one, other))
@@ -48,17 +43,14 @@ def test_pulse_is_between_half_a_millisecond_and_two_and_a_half(duty, expected):
 
 
 @pytest.mark.parametrize("motor, speed_mps, expected_mps2", [
-    pytest.param(MotorState(COAST, 0.0), 0.0, 0.0, id="coasting_stands"),
-    pytest.param(MotorState(COAST, 0.0), 2.0, -0.526, id="coasting_slows_down"),  # 0.35 + 2 · (0.08 + 2 · 0.004)
-    pytest.param(MotorState(BRAKE, 0.5), 2.0, -4.026, id="brake"),  # 0.5 · 7 more
-    pytest.param(MotorState(BRAKE, 0.5), -2.0, 4.026, id="brake_rolling_backward"),
-    pytest.param(MotorState(BRAKE, 1.0), 0.0, 0.0, id="brake_holds"),
-    pytest.param(MotorState(FORWARD, 1.0), 0.0, 5.25, id="full_throttle"),  # 5.6 − 0.35
-    pytest.param(MotorState(BACKWARD, 1.0), 0.0, -3.25, id="full_reverse"),  # 3.6 − 0.35
-    # 3.6 · (1 + 2 / 9.4) + 0.526: its own voltage helps.
-    pytest.param(MotorState(BACKWARD, 1.0), 2.0, -4.892, id="reverse_against_the_way_it_rolls"),
-    pytest.param(MotorState(FORWARD, 0.05), 0.0, 0.0, id="push_below_the_drag"),
-])
+    (MotorState(COAST, 0.0), 0.0, 0.0),
+    (MotorState(COAST, 0.0), 2.0, -0.526),  # 0.35 + 2 · (0.08 + 2 · 0.004)
+    (MotorState(BRAKE, 0.5), 2.0, -4.026), (MotorState(BRAKE, 0.5), -2.0, 4.026),  # 0.5 · 7 more
+    (MotorState(BRAKE, 1.0), 0.0, 0.0),
+    (MotorState(FORWARD, 1.0), 0.0, 5.25), (MotorState(BACKWARD, 1.0), 0.0, -3.25),  # 5.6 and 3.6 − 0.35
+    (MotorState(BACKWARD, 1.0), 2.0, -4.892),  # 3.6 · (1 + 2 / 9.4) + 0.526: its own voltage helps
+    (MotorState(FORWARD, 0.05), 0.0, 0.0),  # less than the drag
+], ids=str)
 def test_motor_moves_the_car(motor, speed_mps, expected_mps2):
     assert motor_acceleration_mps2(motor, speed_mps, DriveConfig()) == pytest.approx(expected_mps2, abs=0.001)
 

@@ -5,8 +5,6 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.sim.line import BadLine, BitErrors, SlowReceiver
@@ -61,16 +59,6 @@ def test_receiver_at_half_the_rate_takes_two_bits_for_one(sent, received):
     assert SlowReceiver().receive(sent) == received
 
 
-@given(st.binary(max_size=200), st.lists(st.integers(0, 200), max_size=5))
-def test_receiver_makes_the_same_of_bytes_in_any_pieces(data, cuts):
-    pieces, start = SlowReceiver(), 0
-    received = b""
-    for cut in [*sorted(cuts), len(data)]:
-        received += pieces.receive(data[start:cut])
-        start = max(start, cut)
-    assert received == SlowReceiver().receive(data)
-
-
 def test_flood_is_a_megabyte_a_second_behind_the_teensy_s_bytes(line):
     line.flood(1.0, NOW)
     total = 0
@@ -79,11 +67,6 @@ def test_flood_is_a_megabyte_a_second_behind_the_teensy_s_bytes(line):
         assert data.startswith(b"teensy")
         total += len(data) - len(b"teensy")
     assert total == 1_000_000
-
-
-def test_flood_after_a_pause_of_the_simulator_s_is_no_torrent(line):
-    line.flood(60, NOW)
-    assert len(line.to_host(b"", NOW + 30 * S)) == 8192
 
 
 def test_bit_errors_come_at_their_rate_and_anywhere():
@@ -96,14 +79,6 @@ def test_bit_errors_come_at_their_rate_and_anywhere():
     assert abs(count - expected) < 4 * deviation
     for bit in range(8):
         assert abs(sum(byte >> bit & 1 for byte in wrong) - expected / 8) < 4 * deviation / math.sqrt(8)
-
-
-@given(st.integers(0, 2 ** 32), st.sampled_from([1e-4, 1e-2, 0.3, 0.5]), st.lists(st.binary(max_size=50), max_size=10))
-def test_bit_errors_of_one_seed_are_the_same_however_the_bytes_come(seed, rate, pieces):
-    one, other = BitErrors(seed), BitErrors(seed)
-    one.set_rate(rate)
-    other.set_rate(rate)
-    assert b"".join(one.flip(piece) for piece in pieces) == other.flip(b"".join(pieces))
 
 
 def test_bit_errors_reach_both_directions_and_end(line):

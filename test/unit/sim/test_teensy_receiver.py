@@ -87,16 +87,3 @@ def test_receiver_fed_in_any_pieces_answers_alike(noise, data):
         pieces.write(wire[start:end])
     assert whole.until(150 * MS).sent == pieces.until(150 * MS).sent
     assert whole.frames(PONG)
-
-
-@pytest.mark.parametrize(("wire", "counter", "count"), [
-    pytest.param(b"\x7e\x02\x01\x0a\x00\x01\x7e", "rxErrorChecksum", 1, id="wrong_checksum"),
-    pytest.param(b"\x7e\x7e", "rxErrorChecksum", 1, id="empty_frame"),
-    pytest.param(b"\x7e\x02\x01\x0a\xf2\x7e", "rxErrorTooShort", 1, id="less_than_a_header"),
-    pytest.param(b"\x7e" + bytes(38), "rxErrorTooLong", 1, id="more_than_any_message"),
-    pytest.param(b"\x01\x02\x03", "rxErrorDropped", 3, id="bytes_outside_of_frames"),
-    pytest.param(GOOD, "rxPackets", 1, id="good_frame"),
-    pytest.param(GOOD, "rxBytes", 7, id="bytes_of_a_good_frame"),
-])
-def test_receiver_counts(wire, counter, count):
-    assert received(wire)[1][counter] == count

@@ -6,27 +6,11 @@ from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from teensy_bench import MS, Bench, wheel_reports
 
 
-@pytest.mark.parametrize(("gap_ms", "reported"), [(4, False), (5, True)])
-def test_pulse_within_5_ms_of_a_reported_one_waits_for_the_next_report(gap_ms, reported):
-    bench = Bench().until(300 * MS)
-    bench.teensy.wheel_pulse(LEFT, FORWARD, 300 * MS)
-    bench.teensy.wheel_pulse(RIGHT, FORWARD, (300 + gap_ms) * MS)
-    bench.until(390 * MS)
-    assert wheel_reports(bench, RIGHT)[-1].dist_abs == int(reported)
-    assert bench.teensy.counters["rotUpdSkip"] == int(not reported)
-    bench.teensy.wheel_pulse(LEFT, FORWARD, 391 * MS)
-    right = wheel_reports(bench.until(400 * MS), RIGHT)[-1]
-    assert (right.dist_abs, right.when) == (1, 600 + gap_ms)
-
-
 # Each pair is a hall state (pulses modulo 4 of a Gray code 0 1 3 2) and what the first pulses seem to be:
 # (direction, dist, dist_abs). The levels are never read at power-up, and an interrupt reads its own pin only.
 @pytest.mark.parametrize(("direction", "position", "seen"), [
     pytest.param(FORWARD, 0, [(0, 1, 1), (0, 1, 2), (0, 1, 3)], id="forward_from_00_is_right"),
     pytest.param(FORWARD, 1, [(1, 1, 1), (1, 1, 2), (0, 3, 3)], id="forward_from_01_seems_backward_twice"),
-    pytest.param(FORWARD, 2, [(2, 0, 1), (2, 0, 2), (0, 3, 3)], id="forward_from_11_has_no_direction_twice"),
-    pytest.param(FORWARD, 3, [(2, 0, 1), (0, 2, 2), (0, 2, 3)], id="forward_from_10_has_no_direction_once"),
-    pytest.param(BACKWARD, 0, [(1, 1, 1), (1, 1, 2), (1, 1, 3)], id="backward_from_00_is_right"),
     pytest.param(BACKWARD, 3, [(0, 1, 1), (0, 1, 2), (1, 3, 3)], id="backward_from_10_seems_forward_twice"),
     pytest.param(BACKWARD, 2, [(2, 0, 1), (2, 0, 2), (1, 3, 3)], id="backward_from_11_has_no_direction_twice"),
     pytest.param(BACKWARD, 1, [(2, 0, 1), (1, 2, 2), (1, 2, 3)], id="backward_from_01_has_no_direction_once"),

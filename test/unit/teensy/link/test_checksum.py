@@ -51,23 +51,16 @@ def test_frame_spelled_out_by_hand(timestamp, shipped, corrected):
     assert encode(ping_body(timestamp), CORRECTED) == bytes.fromhex(corrected)
 
 
-# The receiver is only worth what it predicts: these shares were measured on the real firmware.
+# The receiver is only worth what it predicts: this share was measured on the real firmware.
 
 
-@pytest.mark.parametrize("timestamps, ratio, error", [
-    pytest.param(range(0, 60_000, 3), 0.51, 0.01, id="a_minute_in_ms"),
-    pytest.param([n * 2654435761 % 2 ** 32 for n in range(20_000)], 0.05, 0.015, id="spread_over_all_32_bits"),
-])
-def test_textbook_pings_are_answered_as_rarely_as_measured(timestamps, ratio, error):
-    answered = sum(bool(received(encode(ping_body(timestamp), CORRECTED))[0]) for timestamp in timestamps)
-    assert answered / len(timestamps) == pytest.approx(ratio, abs=error)
+def test_half_of_the_textbook_pings_are_answered_as_measured():
+    answered = [bool(received(encode(ping_body(ms), CORRECTED))[0]) for ms in range(0, 60_000, 7)]
+    assert sum(answered) / len(answered) == pytest.approx(0.51, abs=0.01)
 
 
-@pytest.mark.parametrize("before", [
-    pytest.param("7e", id="an_odd_flag"),
-    pytest.param("7e 02010100", id="a_frame_that_lost_its_end"),
-    pytest.param("7e" + "55" * 50 + "7e", id="an_overlong_frame"),
-])
+@pytest.mark.parametrize("before", ["7e", "7e 02010100", "7e" + "55" * 50 + "7e"],
+                         ids=["an_odd_flag", "a_frame_that_lost_its_end", "an_overlong_frame"])
 def test_receiver_out_of_step_loses_every_later_frame_until_the_filler_which_changes_nothing_in_step(before):
     ping = encode(ping_body(1))
     lost = bytes.fromhex(before) + ping * 10

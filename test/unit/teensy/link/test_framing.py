@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from car_interface.teensy.link.framing import FrameDecoder
-from teensy_bench import CAPTURE, CAPTURED, framed_by_the_textbook
+from teensy_bench import framed_by_the_textbook
 
 
 def line(text):
@@ -165,33 +165,3 @@ def test_decoder_fed_anything_finds_the_same_in_any_pieces_and_its_tally_adds_up
     assert in_pieces == at_once == singly
     assert decoder.tally == other.tally == third.tally
     assert adds_up(decoder) and adds_up(other) and adds_up(third)
-
-
-def spoilt(place, kind):
-    """The byte at ``place`` of the capture after one fault."""
-    byte = CAPTURE[place]
-    if kind == "deleted":
-        return b""
-    return bytes((kind, byte)) if isinstance(kind, int) else bytes((byte ^ int(kind, 16),))
-
-
-# Numbers are inserted before it, texts flip bits.
-FAULTS = ["deleted", 0x00, 0xff, 0x7d, 0x7e, 0x01, "0x01", "0x20", "0xff", "0x03"]
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("fault", FAULTS, ids="{0!r}".format)
-def test_decoder_after_any_byte_of_the_capture_spoilt_has_recovered_by_the_end_of_the_next_frame(fault):
-    """Exhaustive: each byte, flags included, in each frame. What is sent after the next frame comes out whole."""
-    frames = [(frame["start"] + 1, frame["end"]) for frame in CAPTURED[1:]]
-    clean = [FrameDecoder().feed(b"\x7e" + CAPTURE[start:end + 1])[0] for start, end in frames]
-    for index in range(1, len(frames) - 3):
-        start, end = frames[index]
-        first, last = frames[index - 1][0] - 1, frames[index + 3][1] + 1
-        for place in range(start, end + 1):  # the closing flag is the last
-            data = CAPTURE[first:place] + spoilt(place, fault) + CAPTURE[place + 1:last]
-            decoder = FrameDecoder()
-            found = decoder.feed(data)
-            assert found[0] == clean[index - 1], (index, place)
-            assert found[-2:] == clean[index + 2:index + 4], (index, place)
-            assert adds_up(decoder) and decoder.pending == 0

@@ -2,8 +2,6 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from car_interface.teensy.link.health import (
     ABSENT,
@@ -172,16 +170,3 @@ def test_reboot_does_not_hide_how_the_link_does(link, before, after, states):
     link.live(*before)
     link.health.rebooted("its clock went back", link.now_ns)
     assert link.live(*after) == states
-
-
-SECONDS = st.builds(a_second_of, st.integers(0, 10 ** 6), st.integers(0, 500), st.integers(0, 500),
-                    st.integers(0, 500), st.integers(0, 50))
-
-
-@given(st.lists(SECONDS, max_size=30))
-def test_verdict_on_any_counters_has_words_and_a_next_step_unless_it_is_fine(seconds):
-    link = Link()
-    for second in seconds:
-        verdict = link.second(second)
-        assert verdict.description
-        assert bool(verdict.next_step) == (verdict.state not in (FINE, WAITING))

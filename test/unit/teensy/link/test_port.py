@@ -7,7 +7,6 @@ import os
 import pwd
 import select
 import subprocess
-import sys
 import termios
 import time
 import tty
@@ -77,20 +76,6 @@ def test_every_byte_value_goes_through_unchanged_both_ways_and_one_alone_is_told
         os.write(terminal.far_end, data)
         wait_for(link.fileno())
         assert (link.read(), link.read()) == (data, b"")
-
-
-def test_second_opener_is_refused_while_the_first_has_it_and_not_after(link, terminal):
-    other = SerialLink(terminal.path, 115200)
-    with pytest.raises(DeviceError, match=r"another program has it open.*fuser -v " + terminal.path):
-        other.open()
-    assert not other.is_open
-    os.write(terminal.far_end, b"still mine")
-    wait_for(link.fileno())
-    assert link.read() == b"still mine"
-    link.close()
-    other.open()
-    assert other.is_open
-    other.close()
 
 
 def refusal(path, baud=115200):
@@ -164,44 +149,32 @@ def test_port_that_a_log_in_console_has_is_told_as_such_and_its_group_is_not_to_
     assert "console= out of the kernel's command line, and reboot" in error.remedy and "usermod" not in error.remedy
 
 
-class OtherProgram:
-    """A process that has a port open, locked or not; its script is called ``terminal_program``."""
-
-    def __init__(self, tmp_path, port, locks):
-        script = tmp_path / "terminal_program"
-        script.write_text("import fcntl, os, sys\n"
-                          "port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)\n"
-                          "if sys.argv[2] == 'True': fcntl.flock(port, fcntl.LOCK_EX)\n"
-                          "print('open', flush=True)\n"
-                          "sys.stdin.read()\n")
-        self.process = subprocess.Popen([sys.executable, str(script), port, str(locks)],
-                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        assert self.process.stdout.readline() == b"open\n"
-
-    def end(self):
-        if self.process.poll() is None:
-            self.process.communicate()
-
-
 @pytest.fixture
-def other_program(tmp_path, terminal):
+def lock_port(terminal):
+    """Have another program lock the port; it ends with its input."""
     started = []
 
-    def start(locks):
-        started.append(OtherProgram(tmp_path, terminal.path, locks))
+    def lock():
+        started.append(subprocess.Popen(["flock", "-o", terminal.path, "sh", "-c", "echo locked; cat"],
+                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE))
+        assert started[-1].stdout.readline() == b"locked\n"
         return started[-1]
-    yield start
-    for program in started:
-        program.end()
+    yield lock
+    for process in started:
+        if process.poll() is None:
+            process.communicate()
 
 
-def test_port_busy_names_the_process_that_has_locked_it(terminal, other_program):
-    program = other_program(locks=True)
+def test_port_busy_names_the_process_that_has_locked_it_or_has_it_open(terminal, lock_port, monkeypatch):
+    process = lock_port()
+    with monkeypatch.context() as patch:
+        patch.setattr("car_interface.teensy.link.port._lock_owners", lambda status: [])  # not every lock is in /proc
+        assert refusal(terminal.path).cause.endswith(f": flock (process {process.pid})")
     error = refusal(terminal.path)
     assert error.state == BUSY
-    assert error.cause == f"another program has it open: terminal_program (process {program.process.pid})"
+    assert error.cause == f"another program has it open: flock (process {process.pid})"
     assert error.remedy == f"See which one, and end it: fuser -v {terminal.path}"
-    program.end()
+    process.communicate()
     os.write(terminal.far_end, b"old")
     link = SerialLink(terminal.path, 115200)
     link.open()
@@ -209,18 +182,9 @@ def test_port_busy_names_the_process_that_has_locked_it(terminal, other_program)
     link.close()
 
 
-def test_port_busy_without_a_lock_names_whoever_has_it_open(tmp_path, terminal, other_program, monkeypatch):
-    program = other_program(locks=False)
-    path = tmp_path / "by-id"
-    path.symlink_to(terminal.path)
-    refuse_with(errno.EBUSY, monkeypatch)
-    assert refusal(str(path)).cause == (
-        f"another program has it open: terminal_program (process {program.process.pid})")
-
-
 def test_port_busy_by_what_proc_does_not_tell_is_still_explained_and_for_modem_manager_with_the_cure(
-        terminal, other_program, monkeypatch):
-    other_program(locks=True)
+        terminal, lock_port, monkeypatch):
+    lock_port()
     with monkeypatch.context() as patch:
         patch.setattr("car_interface.teensy.link.port.process_name", lambda pid: "ModemManager")
         assert "rosrun car_interface setup_hardware" in refusal(terminal.path).remedy
@@ -232,7 +196,7 @@ def test_port_busy_by_what_proc_does_not_tell_is_still_explained_and_for_modem_m
     assert (error.state, error.cause) == (BUSY, "another program has it open")
 
 
-def test_who_has_a_port_that_stays_busy_is_searched_for_at_each_fifth_attempt(terminal, other_program, monkeypatch):
+def test_who_has_a_port_that_stays_busy_is_searched_for_at_each_fifth_attempt(terminal, lock_port, monkeypatch):
     link = SerialLink(terminal.path, 115200)
     searched = []
     monkeypatch.setattr("car_interface.teensy.link.port._holders", lambda path: searched.append(path) or [(1, "other")])
@@ -241,13 +205,13 @@ def test_who_has_a_port_that_stays_busy_is_searched_for_at_each_fifth_attempt(te
         with pytest.raises(DeviceError, match=r"another program has it open: other \(process 1\)"):
             link.open()
         return len(searched)
-    program = other_program(locks=True)
+    process = lock_port()
     assert [refused() for _ in range(11)] == [1] * 5 + [2] * 5 + [3]
-    program.end()
+    process.communicate()
     link.open()
     link.close()
-    other_program(locks=True)
-    assert [refused() for _ in range(6)] == [4] * 5 + [5]
+    lock_port()
+    assert refused() == 4
 
 
 def test_port_that_fails_while_it_is_set_up_is_left_to_others(terminal, monkeypatch):

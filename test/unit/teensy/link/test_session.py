@@ -57,9 +57,6 @@ def types(events):
     return [type(event) for event in events]
 
 
-# Pings and pongs
-
-
 def test_first_ping_is_due_as_the_port_opens_and_goes_behind_the_filler(session):
     for openings in (1, 2):
         assert session.next_event_ns() == session.ping_due_ns == NOW
@@ -80,14 +77,6 @@ def test_pong_comes_with_the_answer_about_its_ping(session):
     assert session.receive(pong(7, 5000), NOW + 4 * MS) == [PongReceived(Pong(7, 5000), Answer(NOW, 4 * MS, 15))]
     assert (session.pings, session.pongs) == (1, 1)
     assert session.round_trip_ns == 4 * MS and session.answered_checksum == SHIPPED
-
-
-def test_ping_without_pong_expires_once(session):
-    session.ping(7, NOW)
-    assert session.expire(NOW + GIVE_UP - 1) == []
-    assert session.next_event_ns() == NOW + GIVE_UP
-    assert session.expire(NOW + GIVE_UP) == [PingExpired(7)]
-    assert session.expire(NOW + GIVE_UP) == []
 
 
 def let_pings_expire(session, count, data=b""):
@@ -134,9 +123,6 @@ def test_command_is_sent_with_the_checksum_of_the_pings():
     assert Session(115200, S, CORRECTED, NOW).ping(CARRIES, NOW) == CORRECTED_PING
 
 
-# Reboots, counters, frames that make no sense
-
-
 def test_reboot_is_an_event_before_the_record_that_shows_it(session):
     for index in range(3):
         assert types(session.receive(sonar(90_000 + 60 * index), NOW + 60 * index * MS)) == [SonarStatus]
@@ -172,13 +158,10 @@ def test_malformed_frames_are_counted_and_those_of_an_unknown_command_once_more(
     assert session.counts().records == 0 and session.tally.frames == 2
 
 
-# The verdict
-
-
-def judge_seconds(session, data, seconds=2, change=lambda data: data):
+def judge_seconds(session, data, seconds=2):
     """Feed the same bytes for each second; the state at the end."""
     for second in range(1, seconds + 1):
-        session.receive(change(data), NOW + second * S)
+        session.receive(data, NOW + second * S)
         session.judge(NOW + second * S)
     return session.verdict.state
 

@@ -5,7 +5,6 @@ import math
 
 import pytest
 
-from captures import NS_PER_US, load
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_wheels import FORWARD as ROLLS_FORWARD
@@ -21,7 +20,6 @@ from car_interface.teensy.sensing.measurements import (
     MotionMeasurement,
     RangeMeasurement,
 )
-from car_interface.teensy.sensing.odometry import OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig
 
 MS, S = 1_000_000, 1_000_000_000
@@ -143,42 +141,11 @@ def test_pongs_alone_are_heard_however_far_apart_the_gates_let_them_be():
     assert not measured.gates.refused
 
 
-# The queue of the wheels' reports
-
-def measure_drive(queued):
-    """Everything that a capture makes, in order, with a steering command now and then; and the measurements."""
-    results = []
-    measured = Measurements(MeasurementConfig(odometry=OdometryConfig(use_steering=True)),
-                            lambda result, received_ns: results.append((received_ns, result)))
-    capture = load("stop_go")
-    pings = {ping.timestamp1: ping for ping in capture.pings}
-    decoder = FrameDecoder()
-    for number, (t_us, data) in enumerate(capture.chunks()):
-        received_ns = t_us * NS_PER_US
-        for record in map(decode, decoder.feed(data)):
-            result = None
-            if isinstance(record, Pong):
-                sent_us = pings[record.timestamp1].sent_us
-                measured.pong(record, Answer(sent_us * NS_PER_US, (t_us - sent_us) * NS_PER_US, 15), received_ns)
-            elif isinstance(record, SonarStatus):
-                result = measured.sonar(record, received_ns)
-            elif isinstance(record, WheelStatus) and queued:
-                measured.queue_wheels(record, received_ns)
-            elif isinstance(record, WheelStatus):
-                result = measured.wheels(record, received_ns)
-            if result is not None:
-                results.append((received_ns, result))
-        if number % 50 == 0:
-            measured.steer(0.1 * (number // 50 % 9 - 4))
-    measured.process_queue()
-    return results, measured
-
-
-def test_queued_reports_make_what_they_make_one_by_one_in_the_same_order():
-    one_by_one, _ = measure_drive(queued=False)
-    queued, measured = measure_drive(queued=True)
-    assert queued == one_by_one and len(queued) > 1000
-    assert not measured.has_queued
+def test_commanded_curvature_is_the_odometry_s(monkeypatch):
+    measured, commanded = Measurements(), []
+    monkeypatch.setattr(measured._odometry, "steer", commanded.append)
+    measured.steer(0.3)
+    assert commanded == [0.3]
 
 
 def report_of(count):

@@ -1,21 +1,16 @@
 """Wheel pulses → where the car is: what magnets, directions, resets and gaps do to pose, speed and covariance."""
 from __future__ import annotations
 
-import importlib
 import math
-import sys
-from pathlib import Path
 
 import pytest
+from accuracy import odometry as odometry_accuracy
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, WheelStatus
 from car_interface.teensy.sensing.odometry import Odometry, OdometryConfig
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
-odometry_accuracy = importlib.import_module("accuracy.odometry")
 
 PULSE_M = math.pi * 0.095 / 20
 TRACK_M = 0.296

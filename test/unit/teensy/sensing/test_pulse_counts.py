@@ -11,15 +11,12 @@ from wheel_reports import NEW, forward
 
 
 @pytest.mark.parametrize("before, now, pulses", [
-    pytest.param(forward(5, 0), forward(9, 0), 4, id="forward"),
-    pytest.param(Wheel(0, BACKWARD, 0, 3, 5), Wheel(0, BACKWARD, 0, 3, 9), -4, id="backward"),
-    pytest.param(forward(5, 0), Wheel(0, BACKWARD, 0, 8, 9), 0, id="two_forward_then_two_back"),
-    pytest.param(Wheel(0, BACKWARD, 0, 3, 5), forward(9, 0, 6), 4, id="turns_with_the_next_pulse"),
-    pytest.param(forward(5, 0), forward(9, 0, 8), 2, id="turned_round_twice_the_unknown_counts_as_none"),
-    pytest.param(NEW, forward(3, 0), 3, id="from_rest"),
-    pytest.param(NEW, forward(3, 0, 3), -1, id="from_rest_back_and_then_forward"),
-    pytest.param(forward(5, 0), forward(5, 0), 0, id="no_pulse"),
-    pytest.param(forward(UINT32 - 2, 0, 7), forward(3, 0, 7), 5, id="wrap"),
+    (forward(5, 0), forward(9, 0), 4), (Wheel(0, BACKWARD, 0, 3, 5), Wheel(0, BACKWARD, 0, 3, 9), -4),
+    (forward(5, 0), forward(5, 0), 0), (forward(UINT32 - 2, 0, 7), forward(3, 0, 7), 5),
+    (forward(5, 0), Wheel(0, BACKWARD, 0, 8, 9), 0),  # two forward, then two back
+    (Wheel(0, BACKWARD, 0, 3, 5), forward(9, 0, 6), 4),  # turns round with the next pulse
+    (forward(5, 0), forward(9, 0, 8), 2),  # turned round twice: the unknown counts as none
+    (NEW, forward(3, 0), 3), (NEW, forward(3, 0, 3), -1),  # from rest
 ])
 def test_signed_pulses_between_two_reports(before, now, pulses):
     assert signed_pulses(before, now) == pulses

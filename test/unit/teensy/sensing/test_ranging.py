@@ -24,34 +24,20 @@ def ranges(ranging, *echoes_us, sensor=SENSOR):
     return [ranging.range(sensor, echo - 13, TICK) for echo in echoes_us]
 
 
-# --- one echo ---
-
-
 @pytest.mark.parametrize("echo, temperature_c, range_m", [
-    pytest.param(10_000, 0.0, 1.6565, id="freezing"),
-    pytest.param(10_000, -50.0, 1.505, id="the_coldest_that_is_taken"),
-    pytest.param(10_000, 60.0, 1.8383, id="the_hottest_that_is_taken"),
-    pytest.param(ONE_METRE_US, 20.0, 1.0, id="one_metre"),
-    pytest.param(117, 20.0, 0.02009, id="just_far_enough"),
-    pytest.param(11_647, 20.0, 1.99991, id="just_near_enough"),
+    (10_000, -50.0, 1.505), (10_000, 0.0, 1.6565), (10_000, 60.0, 1.8383),
+    (117, 20.0, 0.02009), (ONE_METRE_US, 20.0, 1.0), (11_647, 20.0, 1.99991),
 ])
 def test_echo_is_half_its_time_at_the_speed_of_sound(echo, temperature_c, range_m):
     ranging = Ranging(RangingConfig(temperature_c=temperature_c))
     assert ranges(ranging, echo) == [pytest.approx(range_m, rel=1e-4)]
 
 
-# --- what is no distance ---
-
-
 @pytest.mark.parametrize("no_echo, echo, range_m", [
-    pytest.param(INF, NONE_US, INFINITE, id="no_echo_is_infinite"),
-    pytest.param(INF, 11_648, INFINITE, id="an_echo_from_beyond_counts_as_none"),
-    pytest.param(INF, 116, -INFINITE, id="an_echo_from_too_near_is_minus_infinite"),
-    pytest.param(INF, 14, -INFINITE, id="the_shortest_echo_is_too_near"),
-    pytest.param(MAX_RANGE, NONE_US, 2.0, id="or_no_echo_is_the_maximum"),
-    pytest.param(MAX_RANGE, 14, 0.02, id="and_one_from_too_near_is_the_minimum"),
+    (INF, NONE_US, INFINITE), (INF, 11_648, INFINITE), (INF, 116, -INFINITE), (INF, 14, -INFINITE),
+    (MAX_RANGE, NONE_US, 2.0), (MAX_RANGE, 14, 0.02),
 ])
-def test_echo_without_a_distance_is_said_as_asked_for(no_echo, echo, range_m):
+def test_no_echo_or_one_from_beyond_or_from_too_near_is_said_as_asked_for(no_echo, echo, range_m):
     assert ranges(Ranging(RangingConfig(no_echo=no_echo)), echo) == [range_m]
 
 
@@ -66,9 +52,6 @@ def test_range_of_any_echoes_is_within_the_limits_or_infinite_and_never_nan(echo
 
 def test_minimum_of_zero_takes_every_echo():
     assert Ranging(RangingConfig(min_range_m=0.0)).range(SENSOR, 1, TICK) == pytest.approx(14 * 0.00017171)
-
-
-# --- what is no echo ---
 
 
 def test_echo_of_0_is_a_stuck_pin_and_like_one_that_is_not_trusted_makes_no_range_and_does_not_count_for_the_median():
@@ -107,19 +90,15 @@ def test_time_out_is_none_also_where_the_maximum_lies_beyond_it():
     assert ranges(ranging, 23_294, NONE_US) == [pytest.approx(4.0, abs=1e-3), INFINITE]
 
 
-# --- the temperature ---
-
-
-@pytest.mark.parametrize("temperature_c", [math.nan, -50.1, 60.1])
-def test_temperature_that_no_air_has_is_refused_and_the_one_before_stays(temperature_c):
-    ranging = Ranging(RangingConfig(temperature_c=5.0))
-    with pytest.raises(ConfigError, match=r"temperature is .*; accepted: -50 to 60 °C"):
-        ranging.temperature_c = temperature_c
-    assert ranging.temperature_c == 5.0
-    assert not math.isnan(ranges(ranging, 10_000)[0])
-
-
-# --- the median ---
+def test_temperature_set_while_it_runs_counts_from_then_on_also_for_the_median_unless_no_air_has_it():
+    ranging = Ranging(RangingConfig(median=True))
+    ranges(ranging, *[10_000] * 5)
+    ranging.temperature_c = 0.0
+    for wrong_c in (math.nan, -50.1, 60.1):
+        with pytest.raises(ConfigError, match=r"temperature is .*; accepted: -50 to 60 °C"):
+            ranging.temperature_c = wrong_c
+    assert ranging.temperature_c == 0.0
+    assert ranges(ranging, NONE_US) == [pytest.approx(1.6565)]
 
 
 def test_median_hides_one_or_two_wrong_echoes_in_a_row():
@@ -151,18 +130,6 @@ def test_median_of_each_sonar_is_its_own():
         ranges(ranging, *[1000 * (sensor + 1)] * 5, sensor=sensor)
     for sensor in range(len(SONARS)):
         assert ranges(ranging, NONE_US, sensor=sensor) == [pytest.approx(1000 * (sensor + 1) * 343.42 / 2e6)]
-
-
-def test_temperature_set_while_it_runs_counts_from_then_on_also_for_the_median():
-    ranging = Ranging(RangingConfig(median=True))
-    ranges(ranging, *[10_000] * 5)
-    assert ranging.temperature_c == 20.0
-    ranging.temperature_c = 0.0
-    assert ranging.temperature_c == 0.0
-    assert ranges(ranging, NONE_US) == [pytest.approx(1.6565)]
-
-
-# --- what the parameters may be ---
 
 
 @pytest.mark.parametrize("wrong, message", [

@@ -4,17 +4,12 @@ test/accuracy/reboot.py measures it over many drives on the virtual Teensy; a fe
 """
 from __future__ import annotations
 
-import importlib
 import os
-import sys
-from pathlib import Path
 
 import pytest
+from accuracy import reboot as reboot_accuracy
 
 from car_interface.teensy.sensing.restart import LEFT, RIGHT, CarState, RestartBridge, WheelState
-
-sys.path.append(str(Path(__file__).resolve().parents[3]))
-reboot_accuracy = importlib.import_module("accuracy.reboot")
 
 TRACK_M = 0.296
 BEFORE_MS = 10_000.0
@@ -28,9 +23,6 @@ def test_heading_stays_right_whatever_the_car_does_meanwhile_and_odometry_is_sil
     steady = [outcome for outcome in outcomes if outcome.plan.kind in reboot_accuracy.STEADY]
     assert len(steady) > REBOOTS / 4
     assert sum(abs(outcome.heading_deg) > 6 for outcome in steady) <= 0.01 * len(steady), "two pulses"
-
-
-# --- the rules ---
 
 
 def bridge(speed=0.066, curvature=0.0, counts=(100, 100)):
