@@ -1,7 +1,7 @@
 """Random drives of virtual ESCs through the ESC's state machine, with all that goes wrong between them.
 
 ``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each
-has a seed, and the seed is all that it depends on: ``run(17)`` is one.
+depends on its seed alone.
 
 A drive is a script of a person and a planner (forward, coast, pulls, stops with the stick kept where it is, a planner's
 hold of a stopped car, gears, a reverse button) through a world with delays, lost speed, a guard that puts the chip to
@@ -10,16 +10,11 @@ what the car did by the virtual ESC: neither asks the state machine.
 """
 from __future__ import annotations
 
-import argparse
 import collections
-import multiprocessing
-import os
 import random
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
+from many_drives import MS, asked_for, count_duty, run_on_all_cores
 
 from car_interface.sim import esc as virtual
 from car_interface.sim.esc_car import EscCar, EscCarConfig
@@ -27,7 +22,6 @@ from car_interface.throttle.esc import Esc
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Request
 
-MS = 1_000_000
 TICK_NS = 10 * MS
 STEP_NS = 20 * MS  # the arbiter's timer
 # From a request to the last pulse of the one before: the timer, the way to the chip, and a PWM period.
@@ -67,7 +61,7 @@ class Chip:
 
     def __init__(self, rng, esc):
         self._rng, self._esc = rng, esc
-        self.neutral = 16 * round(esc.neutral_duty / 16)
+        self.neutral = count_duty(esc.neutral_duty)
         self.duty = self.neutral
         self._command_ns = 0
         self._commands = collections.deque()
@@ -81,7 +75,7 @@ class Chip:
         esc = self._esc
         full = esc.full_forward_duty if fraction > 0 else esc.full_reverse_duty
         duty = esc.neutral_duty + abs(fraction) * (full - esc.neutral_duty)
-        self._commands.append((now_ns + self._rng.randrange(1, 10) * MS, 16 * round(duty / 16)))
+        self._commands.append((now_ns + self._rng.randrange(1, 10) * MS, count_duty(duty)))
 
     def fraction(self, duty):
         if duty is None:
@@ -387,36 +381,17 @@ def failures(result):
     return ""
 
 
-def run_all(seeds):
-    """Runs the drives of some seeds: (what failed, totals)."""
+def summed_up(results):
+    """What failed, and totals."""
     found, totals = [], collections.Counter()
-    for seed in seeds:
-        result = run(seed)
-        totals["drives"] += 1
-        totals["wanted"] += result.wanted
-        totals["got"] += result.got
-        totals["backward"] += bool(result.unintended)
+    for result in results:
+        totals.update({"drives": 1, "wanted": result.wanted, "got": result.got, "backward": bool(result.unintended)})
         totals.update({f"state {name}": number for name, number in result.states.items()})
-        text = failures(result)
-        if text:
-            found.append(text)
-    return found, totals
-
-
-def run_many(number):
-    """Runs so many drives on all cores: (what failed, totals)."""
-    found, totals = [], collections.Counter()
-    chunks = [range(begin, min(begin + 250, number)) for begin in range(0, number, 250)]
-    with multiprocessing.Pool(os.cpu_count()) as pool:
-        for texts, counts in pool.imap_unordered(run_all, chunks):
-            found += texts
-            totals.update(counts)
-    return sorted(found), totals
+        found.append(failures(result))
+    return list(filter(None, found)), totals
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("number", nargs="?", type=int, default=2000)
-    found, totals = run_many(parser.parse_args().number)
+    found, totals = summed_up(run_on_all_cores(run, asked_for(__doc__)))
     print(*found[:30], sep="\n")
     print(len(found), "failed;", dict(totals))
