@@ -16,8 +16,8 @@ from car_interface.throttle.calibration import ThrottleCalibration
 MS, S = 1_000_000, 1_000_000_000
 COUNT = 16  # duty of one count of the servo board
 NEUTRAL = 4915
-# config/throttle.yaml
-SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, NEUTRAL, 6554], neutral=NEUTRAL)
+THROTTLE = ThrottleCalibration(  # config/throttle.yaml
+    channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, NEUTRAL, 6554], neutral=NEUTRAL)
 
 
 def count_duty(duty: float) -> int:

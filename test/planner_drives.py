@@ -16,7 +16,7 @@ import sys
 from collections import deque
 from typing import NamedTuple
 
-from many_drives import MS, NEUTRAL, SHIPPED, Chip, S, asked_for, count_duty, run_on_all_cores
+from many_drives import MS, NEUTRAL, THROTTLE, Chip, S, asked_for, count_duty, run_on_all_cores
 
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim.drive_train import DriveConfig
@@ -138,7 +138,7 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
     steer = steering.SteeringArbiter(car.calibration, steering.ArbiterConfig(
         interlock=open_interlock, limits=SteeringLimits() if limited else off))
     throttle = ThrottleControl(
-        SHIPPED, ArbiterConfig(interlock=open_interlock), EscConfig(profile="brake_then_reverse"), ThrottleLimits())
+        THROTTLE, ArbiterConfig(interlock=open_interlock), EscConfig(profile="brake_then_reverse"), ThrottleLimits())
     vehicle = Vehicle(car.vehicle, 0)
     chip, reports = Chip(rng, 5000), deque()
     lost = sorted(rng.uniform(2, DRIVE_S * 1.5) * S for _ in range(2))  # odometry is away between them

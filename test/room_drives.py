@@ -17,7 +17,7 @@ import sys
 from collections import deque
 from typing import NamedTuple
 
-from many_drives import MS, NEUTRAL, SHIPPED, Chip, S, asked_for, run_on_all_cores
+from many_drives import MS, NEUTRAL, THROTTLE, Chip, S, asked_for, run_on_all_cores
 
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim.collision import Collisions, Outline
@@ -112,7 +112,7 @@ def run(seed: int, stops: bool = True) -> Result:
     vehicle = Vehicle(config, 0, collisions)
     mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(NAMES, world.config.mounts)}
     throttle = ThrottleControl(
-        SHIPPED, ArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
+        THROTTLE, ArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
         EscConfig(profile=profile, profile_measured=profile != "unverified", drag_deceleration_mps2=DRAG_MPS2),
         obstacles=ObstacleConfig(mounts, CONE_RAD, MAX_RANGE_M) if stops else None)
     sonars, history = Sonars(rng, world, sequence), []

@@ -2,7 +2,7 @@
 
 ``random_car`` makes a car, ``record`` lets a scripted person drive it in virtual time (car, Teensy byte by byte,
 measurements, messages) and writes a ROS 1 bag as rosbag would have written it of the real nodes. Whoever calibrates
-sees only the bag; ``true_curvature_per_m`` and ``true_acceleration_mps2`` are for the judge.
+sees only the bag; ``true_curvature_per_m`` is for the judge.
 
 The person sees what odometry says, reacts every quarter of a second, and knows the car only by what it did before.
 """
@@ -15,19 +15,13 @@ from pathlib import Path
 from typing import Iterator, NamedTuple
 
 import numpy as np
+from many_drives import COUNT, THROTTLE, count_duty
 from unit.written_recordings import Written, stamp, write_ros1
 
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_wheels import BACKWARD
-from car_interface.sim.vehicle import (
-    GRAVITY_MPS2,
-    DriveConfig,
-    SteeringConfig,
-    Vehicle,
-    VehicleConfig,
-)
-from car_interface.sim.vehicle import true_acceleration_mps2 as acceleration_of_duty_mps2
+from car_interface.sim.vehicle import GRAVITY_MPS2, DriveConfig, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
@@ -44,10 +38,7 @@ IMU_NS = 10 * NS_PER_MS
 REACTION_S, MISSED_S, BEYOND_S = 0.25, 0.5, 0.4
 HELD_S = 1.8  # a position of the stick, from either side
 START_NS = 5_000 * NS_PER_S  # monotonic
-COUNT = 16  # duty of one count of the servo board
-STEERING_CHANNEL, THROTTLE_CHANNEL, CHANNELS = 0, 1, 16
-# config/throttle.yaml: value → duty of the ESC's channel.
-VALUE_AXIS, DUTY_TABLE = (-5.0, 0.0, 3.0), (3277.0, 4915.0, 6554.0)
+CHANNELS = 16
 LEAST_DUTY, MOST_DUTY = 3350, 7050  # as far as the person turns the stick
 SIDEWAYS_MPS2 = 3.0  # nobody drives faster than that round a bend
 MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS = "mixed", "right", "fast", "third"
@@ -105,19 +96,9 @@ def true_curvature_per_m(car: VehicleConfig, duty) -> np.ndarray:
     return np.interp(duty, duties, curvatures)
 
 
-def true_acceleration_mps2(car: VehicleConfig, value: float, speed_mps: float) -> float:
-    """On level ground at mean battery, by the value as the board's nearest count has it."""
-    return acceleration_of_duty_mps2(count_duty(duty_of_value(value)), speed_mps, car.drive)
-
-
 def duty_of_value(value: float) -> float:
     """The ESC's, by config/throttle.yaml."""
-    return float(np.interp(value, VALUE_AXIS, DUTY_TABLE))
-
-
-def count_duty(duty: float) -> int:
-    """What the servo board holds for a duty."""
-    return int((duty + COUNT / 2) // COUNT) * COUNT
+    return float(np.interp(value, THROTTLE.value_axis, THROTTLE.duty_table))
 
 
 # --- the person ---
