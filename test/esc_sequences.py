@@ -362,7 +362,6 @@ class Drive:
 
 
 def run(seed, make_esc=Esc):
-    """One drive."""
     return Drive(seed, make_esc).drive()
 
 

@@ -21,7 +21,6 @@ THROTTLE = ThrottleCalibration(  # config/throttle.yaml
 
 
 def count_duty(duty: float) -> int:
-    """What the servo board holds for a duty."""
     return int((duty + COUNT / 2) // COUNT) * COUNT
 
 

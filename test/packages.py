@@ -60,7 +60,6 @@ def holds(condition: str | None, distribution: str) -> bool:
 
 
 def is_from_pip(key: str) -> bool:
-    """Return whether a key names a package of pip (REP 111)."""
     return key.endswith("-pip")
 
 
@@ -84,7 +83,6 @@ def pip_name(key: str) -> str:
 
 
 def packages(distribution: str, kind: str) -> list[str]:
-    """Return the names of the packages, sorted."""
     wanted = keys(distribution)
     if kind == "apt":
         named = [key for key in (*wanted, *ROS_TOOLS, *TOOLS) if not is_from_pip(key)]

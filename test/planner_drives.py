@@ -49,8 +49,6 @@ class Car(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What one drive showed."""
-
     seed: int
     car: int
     rollovers: int
@@ -130,7 +128,6 @@ class Planner:
 
 
 def run(seed: int, number: int, limited: bool = True) -> Result:
-    """One planner on one car."""
     rng = random.Random(f"planner {seed} on {number}")
     car, planner = random_car(number), Planner(rng)
     off = SteeringLimits(planner=SourceLimits())
@@ -182,7 +179,6 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
 
 
 def run_planner(seed: int) -> Result:
-    """One planner on its car."""
     return run(seed, seed % CARS)
 
 

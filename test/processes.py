@@ -77,7 +77,6 @@ def start(*command: str, **options) -> subprocess.Popen:
 
 
 def wait_until(condition: Callable[[], object], within_s: float) -> bool:
-    """Return whether the condition came true in time."""
     deadline_s = time.monotonic() + within_s
     while not condition():
         if time.monotonic() > deadline_s:
@@ -94,7 +93,6 @@ def interrupt(process: subprocess.Popen, within_s: float) -> None:
 
 
 def end_descendants() -> None:
-    """End all processes below this one."""
     for number, within_s in ((signal.SIGINT, 3), (signal.SIGTERM, 2), (signal.SIGKILL, 2)):
         for pid in descendants():
             try:

@@ -43,8 +43,6 @@ REACTION_S = 0.65  # the range's age, a cycle and the actuation
 
 
 class Result(NamedTuple):
-    """What one drive showed."""
-
     seed: int
     speed_mps: float  # of the collision; 0 = none
     was_seen: bool
@@ -55,7 +53,6 @@ class Result(NamedTuple):
 
 
 def random_room(rng) -> WorldConfig:
-    """A room with boxes and posts."""
     half_x, half_y = rng.uniform(2.5, 6.0), rng.uniform(2.5, 6.0)
     boxes = tuple(Box(rng.uniform(-half_x, half_x), rng.uniform(-half_y, half_y), rng.uniform(0.3, 1.2),
                       rng.uniform(0.3, 1.2), rng.uniform(-3, 3)) for _ in range(rng.randrange(5)))
@@ -100,7 +97,6 @@ class Sonars:
 
 
 def run(seed: int, stops: bool = True) -> Result:
-    """One room."""
     rng = random.Random(f"room {seed}")
     world = World(random_room(rng))
     profile = rng.choice(("brake_then_reverse", "unverified"))

@@ -232,8 +232,6 @@ class Soak:
 
 
 class Footprint:
-    """Memory, threads and open files of a node's process."""
-
     def __init__(self, node):
         self._node = node
         self.pid = pid_of(node)

@@ -86,8 +86,6 @@ class Car(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What one drive showed."""
-
     seed: int
     conclusion: Conclusion
     held_s: float
@@ -215,7 +213,6 @@ class Bench:
         self._start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
 
     def run(self) -> Result:
-        """Until it is over."""
         end_ns = START_NS + round(MAX_S * NS_PER_S)
         while self.vehicle.time_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
             self._advance()
@@ -226,7 +223,6 @@ class Bench:
                       self.vehicle.travel_m, self.drive.progress(self.vehicle.time_ns).positions, self._person.pauses)
 
     def _advance(self):
-        """By one step of the car."""
         now_ns = self.vehicle.time_ns
         self._hear(now_ns)
         if now_ns >= self._tick_ns:
@@ -255,7 +251,6 @@ class Bench:
         return release
 
     def _roll(self):
-        """Let the button go until the car stands."""
         self.drive, self._trace = PausedDrive(), None
         self._person = SimpleNamespace(holds=False, pushes=False, step=ignore)
         self._max_m = self._extent_m = 0.0
@@ -282,7 +277,6 @@ class Bench:
         return vehicle._roll(vehicle.speed_mps * dt_s, dt_s, vehicle.speed_mps, curvature)
 
     def _hear(self, now_ns):
-        """What the Teensy and the sonars send."""
         for record, measured in self._hub.step(now_ns):
             if isinstance(record, WheelStatus):
                 self._odom = measured or self._odom

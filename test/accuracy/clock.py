@@ -57,8 +57,6 @@ GOAL_MS, GOAL_SHARE = 1.0, 0.999
 
 @dataclass(frozen=True)
 class Scenario:
-    """One row of the table."""
-
     name: str
     saturated: bool = False
     drift_ppm: float = 0.0
@@ -86,7 +84,6 @@ class Score:
         return self.inside / max(1, len(self.clock))
 
     def failures(self) -> list[str]:
-        """What misses the goal."""
         found = []
         if percentile(self.clock, 0.99) > GOAL_MS:
             found.append(f"p99 {percentile(self.clock, 0.99):.3f} ms > {GOAL_MS} ms")
@@ -131,7 +128,6 @@ class Bench:
         self._score = Score()
 
     def run(self) -> Score:
-        """Live through the scenario."""
         now_ns = START_NS
         end_ns = START_NS + round(self._scenario.seconds * NS_PER_S)
         self._write(RESYNC_FILLER, now_ns)
@@ -266,12 +262,10 @@ def middle_ns(tick: int) -> int:
 
 
 def run(scenario: Scenario, config: ClockConfig | None = None) -> Score:
-    """The score of one scenario."""
     return Bench(scenario, config or ClockConfig()).run()
 
 
 def scenarios(seconds: float) -> list[Scenario]:
-    """All rows."""
     found = []
     for saturated in (False, True):
         load = "saturated" if saturated else "idle"
@@ -290,7 +284,6 @@ HEADING = (f"{'':26}|{'line':>6} |{'the clock: error in ms':>24} {'truth':>8} |{
 
 
 def row(name: str, score: Score) -> str:
-    """One line of the table."""
     def three(values, width, digits):
         shown = (percentile(values, 0.5), percentile(values, 0.99), max(values, default=math.nan))
         return "".join(f"{value:{width}.{digits}f}" for value in shown)

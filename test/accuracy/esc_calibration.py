@@ -200,8 +200,6 @@ def record_drive(seed: int, path, leaves_out=(), **changes) -> None:
 
 
 class Outcome(NamedTuple):
-    """What the command made of one recording."""
-
     kind: str  # the true one
     code: int
     profile: str | None  # that was written

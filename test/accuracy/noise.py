@@ -49,8 +49,6 @@ ROUNDS_AT_ONCE = 50
 
 
 class Sent(NamedTuple):
-    """A frame of the capture."""
-
     chunk: tuple  # start and end of its bytes on the line, its closing flag included
     body: bytes
     record: object
@@ -60,8 +58,6 @@ class Sent(NamedTuple):
 
 @dataclass
 class Result:
-    """What came of one rate."""
-
     rate: float
     frames: int = 0
     lost: int = 0  # didn't come out as they were sent
@@ -201,7 +197,6 @@ class Listener:
         return self._gates.pong(record, record.timestamp1 in self._pings) if isinstance(record, Pong) else None
 
     def _compare(self, sent, right):
-        """Take the error of the worse wheel."""
         off = tuple(have - true for have, true in zip(self._pulses, sent.way))
         if self._drive != (self._round, sent.drive):
             if not right:

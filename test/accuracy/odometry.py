@@ -126,7 +126,6 @@ def wandering(distance_m, speed_mps, sharpest_per_m):
 
 
 def drives() -> list[Drive]:
-    """All of them, anew."""
     return [
         Drive("straight 20 m", straight(20.0, 2.0)),
         Drive("figure eight x 5", figure_eight(5, 1.6, 1.5)),
@@ -253,7 +252,6 @@ class Bench:
 
 
 def run(name: str, phase, seed: int) -> Score:
-    """One drive."""
     return Bench(next(drive for drive in drives() if drive.name == name), phase, seed).run()
 
 
@@ -269,7 +267,6 @@ def main():
 
 
 def row(name, scores):
-    """A line of the table."""
     position = [100 * score.position_m / score.distance_m for score in scores]
     heading = [score.yaw_deg for score in scores]
     speed = [100 * percentile(score.crawl if "crawl" in name else score.speed, 0.95) for score in scores]

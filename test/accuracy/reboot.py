@@ -107,7 +107,6 @@ class Drive:
 
 
 def run(seed: int) -> Outcome:
-    """One drive with one reboot."""
     rng = random.Random(seed)
     drive = Drive(make_plan(rng), rng)
     link = Link(drive.teensy)

@@ -40,8 +40,6 @@ class Errors(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Of one car."""
-
     refusal: str
     table: Errors | None
     floor: Errors
@@ -69,7 +67,6 @@ def floor(car, radii_m, curvatures_per_m) -> Errors:
 
 
 def judge(seed, folder, missing=MIXED) -> Verdict:
-    """Drive, calibrate, ask."""
     car = random_car(seed)
     bag, table = Path(folder) / f"{seed}.bag", Path(folder) / f"{seed}.yaml"
     record(car, bag, seed, missing=missing)

@@ -90,7 +90,6 @@ def favoured(drive, table, start, delay_s):
 
 
 def value_at(drive, t_s):
-    """The newest value at moments."""
     return drive.value.y[np.maximum(0, np.searchsorted(drive.value.t_s, t_s, side="right") - 1)]
 
 

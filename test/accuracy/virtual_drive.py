@@ -155,7 +155,6 @@ def mixed_drive(see: View, missing: str = MIXED) -> Iterator[Command]:
 
 
 def rest(see, seconds):
-    """Stand."""
     until_s = see.now_s + seconds
     while see.now_s < until_s:
         yield Command(see.straight_duty, 0.0)
@@ -224,7 +223,6 @@ def steps(see, seconds, missing):
 
 
 def back_off(see):
-    """Stop, and a short way backward."""
     yield from _hold(see, -1.0, lambda: see.speed_mps < 0.4, 6.0)
     yield from rest(see, 1.0)
     yield from _hold(see, -1.2, lambda: see.speed_mps < -0.8, 3.0)
@@ -471,12 +469,10 @@ class _Recorder:
 
 
 def stamp_of(monotonic_ns: int) -> dict:
-    """A time of a message."""
     return stamp((monotonic_ns - START_NS) / NS_PER_S)
 
 
 def odometry_fields(measured) -> dict:
-    """A measurement as nav_msgs/Odometry."""
     motion = measured.motion
     pose_covariance, twist_covariance = np.zeros((6, 6)), np.zeros(36)
     pose_covariance[np.ix_((0, 1, 5), (0, 1, 5))] = motion.pose_covariance

@@ -77,8 +77,6 @@ def busy(stage: Stage, loops: int) -> Iterator[None]:
 
 
 class Watch:
-    """Counts what the nodes of a driving car report."""
-
     def __init__(self):
         self.lines: dict[str, str] = {}  # by link: the first log line about it
         self._causes = TimedSubscriber(f"{CAR}/turn_arb/state", SteeringState, lambda state: state.cause).connected()
@@ -156,11 +154,9 @@ class Watch:
 
 
 def rises(values: list[bool]) -> int:
-    """Return how often a value became true."""
     return sum(now and not before for before, now in zip([False, *values], values))
 
 
 def apart_ms(commands: list, channel: int) -> list[float]:
-    """Return the ms between two commands of a channel."""
     times_ns = [at_ns for at_ns, duties in commands if duties[channel] != -1]
     return [(after - before) / 1e6 for before, after in zip(times_ns, times_ns[1:])]

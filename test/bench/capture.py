@@ -41,7 +41,6 @@ class Line:
             self.lost_bytes += len(data)
 
     def drain(self) -> None:
-        """Discard what the reader wrote."""
         try:
             os.read(self._near, 4096)
         except BlockingIOError:

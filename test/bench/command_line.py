@@ -36,8 +36,6 @@ DISTURBED_PERCENT = 10  # of a core, used by other programs: above it they lengt
 
 
 class Conditions(NamedTuple):
-    """The machine while a group was measured."""
-
     group: str
     took_s: float
     others_percent: float  # of a core, used by other programs
@@ -45,7 +43,6 @@ class Conditions(NamedTuple):
 
 
 def read_arguments() -> argparse.Namespace:
-    """Return the command line's arguments."""
     parser = argparse.ArgumentParser(
         prog="./dev bench", description="Measure latency, CPU and memory of this package on this machine. Exit code 0 "
         "= everything was measured, whether or not each target was met.")
@@ -60,7 +57,6 @@ def read_arguments() -> argparse.Namespace:
 
 
 def machine() -> dict:
-    """Return what the figures depend on."""
     with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
         lines = [line.partition(":") for line in file]
     models = [value.strip() for key, _, value in lines if key.strip() in ("model name", "Model")]
@@ -101,7 +97,6 @@ def loop_hz() -> float:
 
 
 def main() -> int:
-    """Measure, print, write."""
     arguments = read_arguments()
     begun_s = time.monotonic()
     about = machine()
@@ -141,7 +136,6 @@ def main() -> int:
 
 
 def write(path: str, about: dict, rows: list[Row], conditions: list[Conditions], quick: bool) -> None:
-    """Write the figures as JSON."""
     record = {"machine": about, "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "quick": quick,
               "groups": [each._asdict() for each in conditions], "rows": [row.as_json() for row in rows]}
     with open(path, "w", encoding="utf-8") as file:

@@ -19,7 +19,6 @@ PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")
 
 
 def samples(python: str, *arguments) -> dict:
-    """Return what speed.py prints."""
     run = subprocess.run([python, str(ROOT / "test/bench/speed.py"), *map(str, arguments)], check=True,
                          stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
     return json.loads(run.stdout)
@@ -47,14 +46,12 @@ def decode_rows(result: dict, rate_targets, cost_targets) -> Iterator[Row]:
 
 
 def measure_encode(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure a ping for the Teensy."""
     result = samples(sys.executable, "encode", effort.calls)
     yield Row("encode", "encode: a ping's frame", "µs", Summary.of(result["us"]), (Target(high=4), Target(P99)),
               note="a sample is the mean of 500 calls")
 
 
 def measure_lookup(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure the lookup of the value for an acceleration and a velocity."""
     for size, (bound_us, original) in LOOKUPS.items():
         result = samples(sys.executable, "lookup", effort.calls, size)
         yield Row("lookup", f"lookup: {size}×{size}", "µs", Summary.of(result["us"]),

@@ -41,7 +41,6 @@ TURN_ARBS = Heartbeat(TURN_ARB, 100, CENTER, ("human", "steering", "radius"), "t
 
 
 def measure_heartbeat(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure turn_arb with three constant inputs at 50 Hz."""
     yield from heartbeat("heartbeat", TURN_ARBS, effort, stage)
 
 

@@ -38,12 +38,10 @@ class Input(NamedTuple):
 
 
 def control(acceleration: float = 0.5) -> Control:
-    """Return an acceleration command."""
     return Control(stamp=rospy.Time.now(), longitudinal=Longitudinal(acceleration=acceleration))
 
 
 def odometry() -> Odometry:
-    """Return a measurement of the speed."""
     message = Odometry()
     message.header.stamp = rospy.Time.now()
     message.twist.twist.linear.x = SPEED_MPS
@@ -56,7 +54,6 @@ def joy(autonomous: int = 1, manual: int = 0) -> Joy:
 
 
 def twist(speed_mps: float = SPEED_MPS, radius_m: float = RADIUS_M) -> Twist:
-    """Return a planner's request for a circle."""
     return Twist(linear=Vector3(x=speed_mps), angular=Vector3(z=speed_mps / radius_m))
 
 
@@ -68,7 +65,6 @@ def steering_state() -> SteeringState:
 
 
 def teleop_state(held: bool) -> TeleopState:
-    """Return teleop_logi's state."""
     return TeleopState(stamp=rospy.Time.now(), human_in_loop=held, cause=AUTONOMOUS, reason="the autonomous deadman")
 
 
@@ -98,7 +94,6 @@ ARBITERS = {
 
 
 def publisher(topic: str, message_type: Any) -> rospy.Publisher:
-    """Return a publisher for the path of a command."""
     return rospy.Publisher(topic, message_type, queue_size=10, tcp_nodelay=True)
 
 
@@ -110,11 +105,9 @@ class Deadman:
 
     @property
     def is_held(self) -> bool:
-        """Whether it is held."""
         return all(count >= RELEASED_STATES for count in self._states.values())
 
     def wait(self) -> None:
-        """Return once it is held."""
         subscribers = [rospy.Subscriber(f"/{name}/state", ARBITERS[name][0], self._on_state, name)
                        for name in self._states]
         while not self.is_held and not rospy.is_shutdown():

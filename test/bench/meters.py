@@ -11,8 +11,6 @@ TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 class CpuMeter:
-    """The CPU time of processes since this was made."""
-
     def __init__(self, *pids: int):
         self._pids = pids
         self._begun_s, self._used_s = time.monotonic(), sum(map(cpu_s, pids))
@@ -43,7 +41,6 @@ def cpu_s(pid: int, with_children: bool = False) -> float:
 
 
 def rss_mb(pid: int) -> float:
-    """Return the resident memory of a process, MB."""
     return _kb(f"/proc/{pid}/status", "VmRSS:") / 1000
 
 
@@ -58,8 +55,6 @@ def _kb(path, key):
 
 
 class IdleMeter:
-    """The idle time of the machine since this was made."""
-
     def __init__(self):
         self._before = machine_ticks()
 
@@ -87,7 +82,6 @@ class OthersMeter:
         return (total - idle) / TICKS_PER_S - ours_s
 
     def percent(self) -> float:
-        """Return the CPU time in percent of one core."""
         return max(0.0, 100 * (self._others_s() - self._before_s) / (time.monotonic() - self._begun_s))
 
 

@@ -87,7 +87,6 @@ def measure_start(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def measure_memory(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure each node's memory while all of them run with all their inputs."""
     with stage.running(*start_inputs(stage)):
         processes = {subject: stage.node(subject.name, *subject.arguments(stage)) for subject in (FLOOR, *SUBJECTS)}
         with stage.running(*processes.values()):

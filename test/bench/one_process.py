@@ -44,7 +44,6 @@ def measure_one_process(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def drive(effort: Effort, stage: Stage, namespace: str, nodes: tuple, used: dict) -> None:
-    """Measure one car that drives circles, at the full rate of its wheels' reports."""
     one_process = {"one_process": str(nodes is ONE).lower()}
     processes = launch_cars(stage, [namespace], (*nodes, "teleop_logi", "car_sim"), one_process)
     try:

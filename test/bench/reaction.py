@@ -76,8 +76,6 @@ TURN_ARB = Arbiter(
 
 
 class ArbiterInputs:
-    """Publishes what an arbiter subscribes to."""
-
     def __init__(self, arbiter: Arbiter, random):
         self._random = random
         self._nothing = arbiter.nothing
@@ -90,12 +88,10 @@ class ArbiterInputs:
         return at_ns
 
     def prepare(self, step: Step) -> None:
-        """Publish the inputs before the trigger."""
         for name, value in step.before.items():
             self.publish(name, value)
 
     def release(self) -> None:
-        """Publish that nobody asks for anything."""
         for name, value in self._nothing.items():
             self.publish(name, value)
 
@@ -104,7 +100,6 @@ class ArbiterInputs:
         time.sleep(self._random.uniform(*PAUSE_S))
 
     def close(self) -> None:
-        """Unregister the publishers."""
         for publisher in self._publishers.values():
             publisher.unregister()
 

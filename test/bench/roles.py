@@ -54,7 +54,6 @@ def ready() -> None:
 
 
 def ignore(topic, message_type) -> None:
-    """Subscribe, and do nothing with what comes."""
     rospy.Subscriber(topic, message_type, lambda message: None, queue_size=10, tcp_nodelay=True)
 
 
@@ -113,8 +112,6 @@ def inputs(arbiters, *names):
 
 
 class Board:
-    """Holds the duties that were commanded last."""
-
     def __init__(self):
         self._duties = [-1] * 16
         self._duties[0], self._duties[ESC] = DUTIES.data[0], NEUTRAL  # what turn_arb's state says, see inputs
@@ -254,7 +251,6 @@ ROLES = {role.__name__: role for role in (relay, sink, timer, inputs, board, pip
 
 
 def main() -> None:
-    """Play the role that the command line names."""
     arguments = rospy.myargv()[1:]
     # rospy's own handler swallows an interrupt while standard input is read.
     rospy.init_node(f"bench_{arguments[0]}", anonymous=True, disable_signals=True)

@@ -32,7 +32,6 @@ class Summary:
         return cls(len(ordered), percentile(ordered, 50), percentile(ordered, 99), ordered[-1])
 
     def as_json(self) -> dict:
-        """Return it with six digits."""
         return {"samples": self.samples, "median": _rounded(self.median), "p99": _rounded(self.p99),
                 "max": _rounded(self.max)}
 
@@ -57,7 +56,6 @@ class Target(NamedTuple):
 
     @property
     def is_bound(self) -> bool:
-        """Whether there is a bound."""
         return any(bound is not None for bound in (self.low, self.high, self.max_ratio))
 
     def met_by(self, value: float, floor: float | None = None) -> bool:
@@ -133,7 +131,6 @@ class Row:
         return getattr(self.summary, target.statistic), self.floor and getattr(self.floor, target.statistic)
 
     def _statistic(self, target):
-        """Return the statistic's name; empty where the row is one figure."""
         is_single = self.summary is None or self.summary.samples == 1
         return "" if is_single and len(self.targets) == 1 else target.statistic
 
@@ -152,7 +149,6 @@ class Row:
                 target.original)
 
     def as_json(self) -> dict:
-        """Return everything, for a file."""
         return {"group": self.group, "what": self.what, "unit": self.unit, "note": self.note, "void": self.void,
                 "figure": self.summary and self.summary.as_json(), "bare_rospy": self.floor and self.floor.as_json(),
                 "targets": [{**target._asdict(), "met": self.meets(target)} for target in self.targets]}
@@ -176,7 +172,6 @@ def table(lines: Sequence[Sequence[str]]) -> str:
 
 
 def head() -> str:
-    """Return the table's first two lines."""
     return table([COLUMNS, ["-" * width for width in WIDTHS]])
 
 

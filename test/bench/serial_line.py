@@ -102,7 +102,6 @@ class Load(NamedTuple):
 
     @staticmethod
     def of(parts: list[Load]) -> Load:
-        """Return several of the same duration as one."""
         def mean(name):
             return sum(getattr(part, name) for part in parts) / len(parts)
         return Load(mean("cpu_percent"), sum(part.lost for part in parts), sum(part.lost_on_line for part in parts),
@@ -114,8 +113,6 @@ class Load(NamedTuple):
 
 
 class Reader(NamedTuple):
-    """A node, the line that it reads, and its subscriber."""
-
     node: NodeProcess
     line: NodeProcess
     count: NodeProcess
@@ -137,7 +134,6 @@ def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
-    """Yield the rows of one speed of the line."""
     rate = "full line" if factor == 1 else f"{factor} × the line rate"
     for kind, what in ((RAW, "raw topics only"), (ALL, "everything on")):
         measured, floor = loads[kind], loads[FLOORS[kind]]
@@ -169,7 +165,6 @@ def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
 
 
 def load(lasts_s: float, reader: Reader, factor: int) -> Load:
-    """Measure a node on a line of one speed."""
     node, line, count = reader
     sent_mark, counted_mark = line.stdout.mark(), count.stdout.mark()
     begun_s = time.monotonic()

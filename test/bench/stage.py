@@ -59,7 +59,6 @@ class Stage:
         self._has_master = True
 
     def start(self, *command: str) -> NodeProcess:
-        """Start a program."""
         process = NodeProcess(*command)
         self._stack.callback(process.clean_up)
         return process
@@ -76,7 +75,6 @@ class Stage:
         return processes
 
     def actor(self, *role: str) -> NodeProcess:
-        """Start one role."""
         return self.actors(role)[0]
 
     @staticmethod
@@ -88,7 +86,6 @@ class Stage:
                     rospy.set_param(f"{namespace}/{key}", value)
 
     def path(self, name: str) -> str:
-        """Return the path of a file of this run."""
         return os.path.join(self.folder, name)
 
     @staticmethod
@@ -105,7 +102,6 @@ class Stage:
 
     @contextmanager
     def running(self, *processes: NodeProcess) -> Iterator[tuple[NodeProcess, ...]]:
-        """End the processes afterwards, and delete their parameters."""
         try:
             yield processes
         finally:
@@ -117,7 +113,6 @@ class Stage:
 
 
 def delete_params() -> None:
-    """Delete all parameters but the master's own."""
     for name in rospy.get_param_names():
         if not name.startswith(("/run_id", "/ros")):
             try:
@@ -167,12 +162,10 @@ class TimedSubscriber:
         return drained
 
     def close(self) -> None:
-        """Unsubscribe."""
         self._subscriber.unregister()
 
 
 def connected_publisher(topic: str, message_type) -> rospy.Publisher:
-    """Return a publisher that has a subscriber."""
     publisher = rospy.Publisher(topic, message_type, queue_size=10, tcp_nodelay=True)
     eventually(lambda: publisher.get_num_connections() >= 1, f"a subscriber of {topic}", PATIENCE_S)
     return publisher

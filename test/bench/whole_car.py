@@ -37,8 +37,6 @@ CAR = '''<include file="$(find car_interface)/launch/demo.launch">
 
 
 class Drive(NamedTuple):
-    """The CPU time of several cars."""
-
     percents: list[float]  # of a core, for each car all of its nodes, and the guard
     four_percents: list[float]  # the four without throttle and gamepad
     by_node: str  # for the note
