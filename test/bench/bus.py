@@ -54,8 +54,6 @@ def measure_bus(effort: Effort, stage: Stage) -> Iterator[Row]:
             sizes = written([4800 + 16 * (index % 2)] * CHANNELS)
             all_channels.append(sum(sizes))
             blocks.append(len(sizes))
-        outputs.close()
-        commands.unregister()
     for what, unit, figures, wanted in (("bus: a steering change", "bytes", steering, 6),
                                         ("bus: a command that changes nothing", "bytes", unchanged, 0),
                                         ("bus: 16 changed channels", "bytes", all_channels, 68),

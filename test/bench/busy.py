@@ -44,16 +44,13 @@ def measure_busy(effort: Effort, stage: Stage) -> Iterator[Row]:
         for what, times_ms, floors_ms in reactions(effort.busy_reactions, stage, TURN_ARB, kinds=1):
             yield Row("busy", f"{loops} busy loops: {what} → /servo/cmdVector", "ms", Summary.of(times_ms),
                       (Target(MEDIAN), Target(P99), Target(WORST)), Summary.of(floors_ms))
-    processes = [*launch_cars(stage, [CAR], (*ALL, SIMULATOR), drive=("both",)), stage.actor("timer", "100")]
-    try:
-        with busy(stage, loops):
-            time.sleep(SETTLED_S)
-            watch = Watch()
-            time.sleep(effort.busy_s)
-            counts, gaps_ms = watch.end()
-            floor = Summary.of(gaps_ms.pop("bare"))
-    finally:
-        stage.end(*processes)
+    with stage.running(*launch_cars(stage, [CAR], (*ALL, SIMULATOR), drive=("both",)),
+                       stage.actor("timer", "100")), busy(stage, loops):
+        time.sleep(SETTLED_S)
+        watch = Watch()
+        time.sleep(effort.busy_s)
+        counts, gaps_ms = watch.end()
+        floor = Summary.of(gaps_ms.pop("bare"))
     for link, count in counts.items():
         yield Row("busy", f"{loops} busy loops, {effort.busy_s:.0f} s: {link}", "times", Summary.of([count]),
                   (Target(high=0),), note=watch.lines.get(link, ""))
@@ -89,11 +86,8 @@ class Watch:
         self._log = TimedSubscriber("/rosout", Log, lambda line: (line.name, line.level, line.msg)).connected()
         time.sleep(1.1)  # a report of each node
         self._begin = self._numbers()
-        for subscriber in self._subscribers():
+        for subscriber in (self._causes, self._human, self._outputs, self._commands, self._bare, self._log):
             subscriber.drain()
-
-    def _subscribers(self):
-        return (self._causes, self._human, self._outputs, self._commands, self._bare, self._log)
 
     def _numbers(self):
         """The counts that nodes publish: pings without a pong, timeouts of channels."""
@@ -132,8 +126,6 @@ class Watch:
             "the chip's steering at its center": rises(at_center),
             "pings unanswered": max(0, numbers["pings unanswered"] - 1),  # one may be on its way
             "the link reopened": numbers["the link reopened"], "warnings": found["warnings"]})
-        for subscriber in (*self._subscribers(), self._links, self._reports):
-            subscriber.close()
         gaps_ms = {name: apart_ms(commands, channel) for name, channel in CHANNELS.items()}
         return counts, {**gaps_ms, "bare": apart_ms(bare, 0)}
 

@@ -116,11 +116,7 @@ def main() -> int:
     for row in rows:
         if row.void:
             print(f"  {row.what}: meets no target, since {row.void}")
-    if any(row.summary and 1 < row.summary.samples < 100 for row in rows):
-        print("  p99 of fewer than 100 samples is their maximum")
     print(f"\n{verdict(rows)}; took {time.monotonic() - begun_s:.0f} s")
-    if arguments.quick:
-        print("That was a quick run: too few trials to judge a p99, too short to judge CPU time")
     disturbed = [f"{each.group} {each.others_percent:.0f}" for each in conditions
                  if each.others_percent > DISTURBED_PERCENT]
     if disturbed:
@@ -128,16 +124,11 @@ def main() -> int:
     print("The machine's own speed, in million steps a second of a fixed loop: "
           + ", ".join(f"{each.group} {each.loop_hz / 1e6:.1f}" for each in conditions))
     if arguments.json:
-        write(arguments.json, about, rows, conditions, arguments.quick)
+        record = {"machine": about, "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "quick": arguments.quick,
+                  "groups": [each._asdict() for each in conditions], "rows": [row.as_json() for row in rows]}
+        with open(arguments.json, "w", encoding="utf-8") as file:
+            json.dump(record, file, ensure_ascii=False, indent=1)
         print(f"JSON: {arguments.json}")
     for error in errors:
         print(f"not measured: {error}", file=sys.stderr)
     return 1 if errors else 0
-
-
-def write(path: str, about: dict, rows: list[Row], conditions: list[Conditions], quick: bool) -> None:
-    record = {"machine": about, "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "quick": quick,
-              "groups": [each._asdict() for each in conditions], "rows": [row.as_json() for row in rows]}
-    with open(path, "w", encoding="utf-8") as file:
-        json.dump(record, file, ensure_ascii=False, indent=1)
-        file.write("\n")

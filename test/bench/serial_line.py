@@ -1,9 +1,7 @@
 """Latency from a frame's last byte on the serial line to a subscriber, and the CPU that a full line needs."""
 from __future__ import annotations
 
-import os
 import time
-import tty
 from contextlib import contextmanager
 from typing import Iterator, NamedTuple
 
@@ -11,7 +9,7 @@ from car_interface.msg import Wheel
 
 from waiting import NodeProcess
 
-from .capture import WHEELS, captured
+from .capture import WHEELS, Line, captured
 from .driver import SONARS
 from .effort import Effort
 from .meters import CpuMeter, IdleMeter
@@ -42,53 +40,24 @@ def hub(stage: Stage, port: str, namespace: str = "", *arguments: str) -> NodePr
 
 def measure_serial(effort: Effort, stage: Stage) -> Iterator[Row]:
     """Measure captured wheel reports one by one, in turns with a node that publishes a ready message for each."""
-    with Terminals(2) as ports, stage.running(
-            hub(stage, ports.names[0]), stage.actor("pipe", ports.names[1], "__ns:=bench")):
-        subscribers = [TimedSubscriber(topic, Wheel).connected() for topic in (
-            "/teensy_wheel", "/bench/teensy_wheel")]
+    ports = stage.path("serial_hub"), stage.path("serial_pipe")
+    lines = [Line(port) for port in ports]
+    with stage.running(hub(stage, ports[0]), stage.actor("pipe", ports[1], "__ns:=bench")):
+        subscribers = [TimedSubscriber(topic, Wheel).connected() for topic in ("/teensy_wheel", "/bench/teensy_wheel")]
         frames = list(captured(WHEELS))
         delays_ms: tuple[list[float], list[float]] = ([], [])
         for index in range(effort.frames + UNCOUNTED):
-            for near, subscriber, delays in zip(ports.near, subscribers, delays_ms):
+            for line, subscriber, delays in zip(lines, subscribers, delays_ms):
                 time.sleep(stage.random.uniform(*PAUSE_S))
                 sent_ns = time.monotonic_ns()
-                os.write(near, frames[index % len(frames)])
+                line.send(frames[index % len(frames)])
                 delays.append((subscriber.first(since_ns=sent_ns) - sent_ns) / 1e6)
-                ports.drain()
-        for subscriber in subscribers:
-            subscriber.close()
+                line.drain()
     yield Row("serial", "serial: last byte on the pty → subscriber's callback", "ms",
               Summary.of(delays_ms[0][UNCOUNTED:]),
               (Target(MEDIAN, original="0.22", max_ratio=1.3), Target(P99, original="0.48", max_ratio=1.5),
                Target(WORST)),
               Summary.of(delays_ms[1][UNCOUNTED:]), note="bare rospy: reads a pty, publishes a ready-made message")
-
-
-class Terminals:
-    """Pseudo-terminals: what is written to the near end of one can be read from the port of its name."""
-
-    def __init__(self, count: int):
-        self._pairs = [os.openpty() for _ in range(count)]
-        self.near = [near for near, _ in self._pairs]
-        self.names = [os.ttyname(far) for _, far in self._pairs]
-        for near, far in self._pairs:
-            tty.setraw(far)
-            os.set_blocking(near, False)
-
-    def __enter__(self) -> Terminals:
-        return self
-
-    def __exit__(self, *_) -> None:
-        for fd in (fd for pair in self._pairs for fd in pair):
-            os.close(fd)
-
-    def drain(self) -> None:
-        """Discard what was written to the ports: pings."""
-        for fd in self.near:
-            try:
-                os.read(fd, 4096)
-            except BlockingIOError:
-                pass
 
 
 class Load(NamedTuple):

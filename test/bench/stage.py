@@ -24,6 +24,7 @@ PACKAGE = rospkg.RosPack().get_path("car_interface")
 ACTOR = os.path.join(PACKAGE, "test", "bench", "actor.py")
 SWITCH_INTERVAL_S = 0.0005  # as the package's nodes: it is their time that is measured
 PATIENCE_S = 20.0
+CLOSING: list[Callable] = []  # unregisters what is subscribed and published
 
 
 class Stage:
@@ -78,12 +79,13 @@ class Stage:
         return self.actors(role)[0]
 
     @staticmethod
-    def load(namespace: str, *names: str) -> None:
-        """Set a node's parameters from files in config/."""
-        for name in names:
+    def load(namespace: str, *paths: str) -> None:
+        """Set a node's parameters from files in config/; a folder before a name is a namespace below the node's."""
+        for path in paths:
+            folder, _, name = path.rpartition("/")
             with open(os.path.join(PACKAGE, "config", name), encoding="utf-8") as file:
                 for key, value in yaml.safe_load(file).items():
-                    rospy.set_param(f"{namespace}/{key}", value)
+                    rospy.set_param("/".join(filter(None, (namespace, folder, key))), value)
 
     def path(self, name: str) -> str:
         return os.path.join(self.folder, name)
@@ -101,11 +103,14 @@ class Stage:
                 process.clean_up()
 
     @contextmanager
-    def running(self, *processes: NodeProcess) -> Iterator[tuple[NodeProcess, ...]]:
+    def running(self, *processes: NodeProcess) -> Iterator[None]:
+        """End the processes afterwards, unregister what subscribed and published, and delete the parameters."""
         try:
-            yield processes
+            yield
         finally:
             self.end(*processes)
+            while CLOSING:
+                CLOSING.pop()()
             try:
                 delete_params()
             except OSError:
@@ -122,17 +127,15 @@ def delete_params() -> None:
 
 
 class TimedSubscriber:
-    """Receives a topic: its messages with their times of arrival, ns.
-
-    Args:
-        convert: applied to each message; what it returns is stored.
-    """
+    """Receives a topic: what ``convert`` makes of its messages, with their times of arrival, ns."""
 
     def __init__(self, topic: str, message_type, convert: Callable = lambda message: message):
         self._received: SimpleQueue = SimpleQueue()
         self._convert = convert
         self._topic = topic
         self._subscriber = rospy.Subscriber(topic, message_type, self._store, tcp_nodelay=True)
+        self.close = self._subscriber.unregister
+        CLOSING.append(self.close)
 
     def _store(self, message):
         now_ns = time.monotonic_ns()
@@ -161,12 +164,10 @@ class TimedSubscriber:
             drained.append(self._received.get())
         return drained
 
-    def close(self) -> None:
-        self._subscriber.unregister()
-
 
 def connected_publisher(topic: str, message_type) -> rospy.Publisher:
     publisher = rospy.Publisher(topic, message_type, queue_size=10, tcp_nodelay=True)
+    CLOSING.append(publisher.unregister)
     eventually(lambda: publisher.get_num_connections() >= 1, f"a subscriber of {topic}", PATIENCE_S)
     return publisher
 

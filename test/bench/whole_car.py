@@ -83,11 +83,8 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
 def measure_planners_car(effort: Effort, stage: Stage) -> Iterator[Row]:
     """Measure a car whose planner sends cmd_vel at 50 Hz."""
     nodes, namespace = (*ALL, PLANNER), "/bench_planner"
-    processes = launch_cars(stage, [namespace], (*nodes, SIMULATOR), {"planner": "cmd_vel"}, ("cmd_vel",))
-    try:
+    with stage.running(*launch_cars(stage, [namespace], (*nodes, SIMULATOR), {"planner": "cmd_vel"}, ("cmd_vel",))):
         drive = measure_drive(effort.drive_s, [namespace], nodes)
-    finally:
-        stage.end(*processes)
     yield _row(f"1 car, {PLANNER} too: CPU of all its nodes", drive.percents, MAX_PERCENT, str(drive))
 
 
