@@ -128,8 +128,8 @@ def driving_car(seed: int, rolls: bool = False) -> Car:
 class Person:
     """Who holds the button, lets it go now and then, and pushes the car back."""
 
-    def __init__(self, rng, base):
-        self._rng, self._base = rng, base
+    def __init__(self, rng):
+        self._rng = rng
         self.holds = False
         self.pauses = 0
         self._until_s = 1.6  # the ESC is armed meanwhile
@@ -198,7 +198,7 @@ class Bench:
         self._throttle = ThrottleControl(THROTTLE, ArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
         self._speed = SpeedControl()
         self._converter = Converter(ConversionConfig(), load_value_map(str(MAP)))
-        self._person = Person(rng, car.base)
+        self._person = Person(rng)
         noise = np.random.default_rng(rng.randrange(1 << 30))
         self._hub = Hub(car.vehicle, rng, noise)
         self._odom, self._odom_ns = None, START_NS
