@@ -28,14 +28,14 @@ import traceback
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 from many_drives import THROTTLE, Chip
 from room_drives import ALL_ALIKE, Sonars
 
-from accuracy.releases import ROLLS_S, STANDS_MPS, PausedDrive, Release, Releases, ignore
+from accuracy.releases import ROLLS_S, STANDS_MPS, Release, Releases
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
@@ -43,7 +43,7 @@ from car_interface.calibration.drive.conclusion import Conclusion, conclude
 from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
 from car_interface.calibration.drive.grant import SLOWS
 from car_interface.calibration.drive.knowledge import assess
-from car_interface.calibration.drive.step import BLOCKED, DONE
+from car_interface.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
 from car_interface.common.drive_modes import AUTONOMOUS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
@@ -251,8 +251,8 @@ class Bench:
         return release
 
     def _roll(self):
-        self.drive, self._trace = PausedDrive(), None
-        self._person = SimpleNamespace(holds=False, pushes=False, step=ignore)
+        self.drive = Mock(**{"step.return_value": Step(None, 0.0, PAUSED, ""), "take_fit_task.return_value": None})
+        self._person, self._trace = Mock(holds=False, pushes=False), None
         self._max_m = self._extent_m = 0.0
         vehicle, collisions = self.vehicle, self._collisions
         begin_ns, speed_mps, travel_m = vehicle.time_ns, vehicle.speed_mps, vehicle.travel_m
