@@ -54,8 +54,8 @@ def measure_busy(effort: Effort, stage: Stage) -> Iterator[Row]:
     for link, count in counts.items():
         yield Row("busy", f"{loops} busy loops, {effort.busy_s:.0f} s: {link}", "times", Summary.of([count]),
                   (Target(high=0),), note=watch.lines.get(link, ""))
-    for channel, values in gaps_ms.items():
-        yield Row("busy", f"{loops} busy loops: commands of the {channel}, apart", "ms", Summary.of(values),
+    for channel, gaps in gaps_ms.items():
+        yield Row("busy", f"{loops} busy loops: commands of the {channel}, apart", "ms", Summary.of(gaps),
                   (Target(MEDIAN), Target(P99), Target(WORST)), floor if channel == "steering" else None,
                   note="with the delays of this measurement itself")
 
@@ -104,23 +104,22 @@ class Watch:
     def end(self) -> tuple[dict[str, int], dict[str, list[float]]]:
         """Return how often each link timed out, and the ms between two commands of each channel."""
         found, commands, bare = Counter(), self._commands.drain(), self._bare.drain()
-        changes = [cause for _, cause in self._causes.drain()]
+        changes = values(self._causes)
         for link, cause in LINKS.items():
             found[link] = rises([change == cause for change in changes])
         other_causes = set(changes) - set(LINKS.values()) - {causes.TELEOP, causes.PLANNER}
         if other_causes:
             self.lines["other stops of the steering"] = ", ".join(sorted(other_causes))
-        for name, level, text in (line for _, line in self._log.drain()):
-            self._count_line(found, name, level, text)
-        released = [human for _, human in self._human.drain()]
-        at_center = [output[0] == CENTER for _, output in self._outputs.drain()]
+        for line in values(self._log):
+            self._count_line(found, *line)
+        at_center = [output[0] == CENTER for output in values(self._outputs)]
         numbers = self._numbers()
         numbers.subtract(self._begin)
         counts = {f"false timeouts of {link}": found[link] for link in LINKS}
         counts.update({f"false timeouts of the ESC's {link}": found[f"ESC {link}"] for link in ESC_LINKS})
         counts.update({
             "nodes that stood still": found["standstills"],
-            "false timeouts of joy": rises([not human for human in released]),
+            "false timeouts of joy": rises([not human for human in values(self._human)]),
             "other stops of the steering": len(other_causes),
             "false timeouts of the board's channels": numbers["timeouts"],
             "the chip's steering at its center": rises(at_center),
@@ -145,8 +144,13 @@ class Watch:
             self.lines.setdefault(f"false timeouts of the ESC's {link}", text)
 
 
-def rises(values: list[bool]) -> int:
-    return sum(now and not before for before, now in zip([False, *values], values))
+def values(subscriber: TimedSubscriber) -> list:
+    return [value for _, value in subscriber.drain()]
+
+
+def rises(flags: list[bool]) -> int:
+    """Return how often a value became true."""
+    return sum(now and not before for before, now in zip([False, *flags], flags))
 
 
 def apart_ms(commands: list, channel: int) -> list[float]:

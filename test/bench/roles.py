@@ -46,15 +46,20 @@ from .inputs import DUTIES, INPUTS, Deadman, publisher
 
 PERIOD_S = 0.02
 BYTES_PER_S = 11_520  # 115200 baud, 8N1
-ESC, NEUTRAL = 1, 4915  # config/throttle.yaml: the board holds it from the start
+NEUTRAL = 4915  # of the ESC, config/throttle.yaml: the board holds it from the start
 
 
 def ready() -> None:
     print("ready", flush=True)
 
 
-def ignore(topic, message_type) -> None:
+def ignore(topic, message_type=rospy.AnyMsg) -> None:
     rospy.Subscriber(topic, message_type, lambda message: None, queue_size=10, tcp_nodelay=True)
+
+
+def ignore_inputs(names) -> None:
+    for name in names:
+        ignore(*INPUTS[name][:2])
 
 
 def at_50_hz(act) -> None:
@@ -68,8 +73,7 @@ def at_50_hz(act) -> None:
 
 def relay(source, target, *names):
     duties = publisher(target, Int32MultiArray)
-    for name in names:
-        ignore(*INPUTS[name][:2])
+    ignore_inputs(names)
     rospy.Subscriber(source, Bool, lambda message: duties.publish(DUTIES), queue_size=10, tcp_nodelay=True)
     ready()
     signal.pause()
@@ -84,8 +88,7 @@ def sink(topic, path):
 
 
 def timer(rate_hz, *names):
-    for name in names:
-        ignore(*INPUTS[name][:2])
+    ignore_inputs(names)
     duties = publisher("/bench/timer", Int32MultiArray)
     ready()
     period_ns, due_ns = round(1e9 / float(rate_hz)), time.monotonic_ns()
@@ -111,30 +114,21 @@ def inputs(arbiters, *names):
     at_50_hz(publish)
 
 
-class Board:
-    def __init__(self):
-        self._duties = [-1] * 16
-        self._duties[0], self._duties[ESC] = DUTIES.data[0], NEUTRAL  # what turn_arb's state says, see inputs
-        self._outputs = publisher("/servo/output", Int32MultiArray)
-
-    def on_command(self, message):
-        held = [old if new == -1 else new for old, new in zip(self._duties, message.data)]
-        if held != self._duties:
-            self._duties = held
-            self.publish()
-
-    def publish(self):
-        self._outputs.publish(Int32MultiArray(DUTIES.layout, self._duties))
-
-
 def board(*others):
-    held = Board()
-    rospy.Subscriber("/servo/cmdVector", Int32MultiArray, held.on_command, queue_size=10, tcp_nodelay=True)
+    held = Int32MultiArray(DUTIES.layout, [DUTIES.data[0], NEUTRAL, *[-1] * 14])  # as turn_arb's state, see inputs
+    outputs = publisher("/servo/output", Int32MultiArray)
+
+    def on_command(message):
+        duties = [old if new == -1 else new for old, new in zip(held.data, message.data)]
+        if duties != held.data:
+            held.data = duties
+            outputs.publish(held)
+    rospy.Subscriber("/servo/cmdVector", Int32MultiArray, on_command, queue_size=10, tcp_nodelay=True)
     for topic in others:
         ignore(topic, Int32MultiArray)
     ready()
     while not rospy.is_shutdown():
-        held.publish()
+        outputs.publish(held)
         time.sleep(0.1)
 
 
@@ -227,7 +221,7 @@ def count(*topics):
     subscribers = [rospy.Subscriber(topic, message_type, count_one, tcp_nodelay=True)
                    for topic, message_type in (("teensy_wheel", Wheel), ("teensy_distance", Distance))]
     for topic in topics:
-        rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None, tcp_nodelay=True)
+        ignore(topic)
     ready()
     for text in sys.stdin:
         if text.strip() == "connected":
