@@ -110,6 +110,12 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
+def answers(port: int) -> bool:
+    """Return whether anybody listens on a port of this machine."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
 def end_of_log(path: Path, count: int) -> str:
     """Return the last lines of a log, indented and without colours, and where all of it is."""
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []

@@ -30,18 +30,9 @@ from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_sonars import ECHO_RISE_US
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
+from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import RESYNC_FILLER, SHIPPED, FrameDecoder, encode
 from car_interface.teensy.link.pinging import Pinger
-from car_interface.teensy.link.protocol import (
-    NO_DIRECTION,
-    UINT32,
-    Pong,
-    SonarStatus,
-    WheelStatus,
-    decode,
-    get_counters,
-    sonar_wait,
-)
 from car_interface.teensy.sensing.clock import Clock, ClockConfig
 from car_interface.teensy.sensing.plausibility import Gates
 
@@ -132,7 +123,7 @@ class Bench:
         end_ns = START_NS + round(self._scenario.seconds * NS_PER_S)
         self._write(RESYNC_FILLER, now_ns)
         if self._scenario.saturated:
-            self._write(encode(sonar_wait(0), SHIPPED), now_ns)
+            self._write(encode(protocol.sonar_wait(0), SHIPPED), now_ns)
         look_ns = now_ns
         while now_ns < end_ns:
             now_ns = min(look_ns, self._pulses[0][0], self._pinger.next_event_ns(), self._read_ns, self._counters_ns,
@@ -168,7 +159,7 @@ class Bench:
             self._teensy.reboot(now_ns)
             self._score_from_ns = now_ns + SCORED_AFTER_NS
             if self._scenario.saturated:
-                self._write(encode(sonar_wait(0), SHIPPED), now_ns + 400 * NS_PER_MS)  # it has booted
+                self._write(encode(protocol.sonar_wait(0), SHIPPED), now_ns + 400 * NS_PER_MS)  # it has booted
 
     def _write(self, data, now_ns, timestamp1=None):
         late_ns = self._random.uniform(0.2, 2.0) if self._random.random() < 0.02 else self._random.uniform(0, 0.2)
@@ -187,11 +178,11 @@ class Bench:
         if now_ns >= self._pinger.next_event_ns():
             self._pinger.expire(now_ns)
         if now_ns >= self._pinger.due_ns:
-            timestamp1 = now_ns // NS_PER_MS % UINT32
+            timestamp1 = now_ns // NS_PER_MS % protocol.UINT32
             self._write(self._pinger.ping(timestamp1, now_ns), now_ns, timestamp1)
         if now_ns >= self._counters_ns:
             self._counters_ns += NS_PER_S
-            self._write(encode(get_counters(), SHIPPED), now_ns)
+            self._write(encode(protocol.get_counters(), SHIPPED), now_ns)
 
     def _look(self, now_ns):
         arrived = self._teensy.transmit(now_ns)
@@ -207,14 +198,14 @@ class Bench:
         self._arrived += self._teensy.transmit(now_ns) if not self._scenario.bit_errors else b""
         data, self._arrived, self._read_ns = self._arrived, b"", math.inf
         for body in self._decoder.feed(data):
-            record = decode(body)
-            if isinstance(record, Pong):
+            record = protocol.decode(body)
+            if isinstance(record, protocol.Pong):
                 self._on_pong(record, now_ns)
-            elif isinstance(record, SonarStatus):
+            elif isinstance(record, protocol.SonarStatus):
                 self._on_sonar(record, now_ns)
-            elif isinstance(record, WheelStatus) and self._gates.wheels(record).accepted:
+            elif isinstance(record, protocol.WheelStatus) and self._gates.wheels(record).accepted:
                 for side, wheel in enumerate(record):
-                    if wheel.direction != NO_DIRECTION:
+                    if wheel.direction != protocol.NO_DIRECTION:
                         truth_ns = self._truth.get(("wheel", side, wheel.when))
                         self._judge(wheel.when, truth_ns, now_ns, WHEEL_BYTES)
 
@@ -272,7 +263,7 @@ def scenarios(seconds: float) -> list[Scenario]:
         for name, changes in (
                 *((f"{drift_ppm:+d} ppm", {"drift_ppm": drift_ppm}) for drift_ppm in (0, 40, -40, 100, -100)),
                 ("+20 ppm/h", {"ramp_ppm_per_h": 20, "seconds": 5 * seconds}),
-                ("wrap", {"drift_ppm": 40, "clock_start_ms": UINT32 - round(500 * seconds)}),
+                ("wrap", {"drift_ppm": 40, "clock_start_ms": protocol.UINT32 - round(500 * seconds)}),
                 ("reboot", {"drift_ppm": 40, "reboot_s": seconds / 2}),
                 ("1e-4 bits wrong", {"drift_ppm": 40, "bit_errors": 1e-4})):
             found.append(Scenario(f"{name}, {load}", saturated, **{"seconds": seconds, **changes}))

@@ -15,8 +15,8 @@ import math
 import random
 from typing import NamedTuple
 
-from accuracy.virtual_drive import NS_PER_MS as MS
-from accuracy.virtual_drive import NS_PER_S as S
+from many_drives import MS, S
+
 from accuracy.virtual_drive import Link
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware

@@ -5,7 +5,6 @@ import os
 import random
 import shutil
 import signal
-import socket
 import sys
 import tempfile
 import time
@@ -16,7 +15,7 @@ from typing import Callable, Iterator
 import rospkg
 import rospy
 import yaml
-from processes import end_descendants, free_port
+from processes import answers, end_descendants, free_port
 
 from waiting import NodeProcess, eventually
 
@@ -54,7 +53,7 @@ class Stage:
         port = free_port()
         os.environ.update(ROS_MASTER_URI=f"http://127.0.0.1:{port}", ROS_IP="127.0.0.1", ROS_LOG_DIR=self.folder)
         self._stack.callback(self.end, self.start(shutil.which("roscore"), "-p", str(port)))
-        eventually(lambda: _answers(port), "a master", PATIENCE_S)
+        eventually(lambda: answers(port), "a master", PATIENCE_S)
         rospy.init_node("bench", disable_signals=True)
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         self._has_master = True
@@ -170,8 +169,3 @@ def connected_publisher(topic: str, message_type) -> rospy.Publisher:
     CLOSING.append(publisher.unregister)
     eventually(lambda: publisher.get_num_connections() >= 1, f"a subscriber of {topic}", PATIENCE_S)
     return publisher
-
-
-def _answers(port):
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
