@@ -189,9 +189,8 @@ def line(link):
             if text.strip() == "stop":
                 going.clear()
                 time.sleep(0.1)
-                print("sent", order["frames"], terminal.lost_bytes, flush=True)
+                print("sent", order["frames"], flush=True)
             else:
-                terminal.lost_bytes = 0
                 order.update(bytes_per_s=float(text.split()[1]) * BYTES_PER_S, frames=0)
                 going.set()
     threading.Thread(target=read_commands, daemon=True).start()

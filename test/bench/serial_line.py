@@ -12,7 +12,7 @@ from waiting import NodeProcess
 from .capture import WHEELS, Line, captured
 from .driver import SONARS
 from .effort import Effort
-from .meters import CpuMeter, IdleMeter
+from .meters import CpuMeter
 from .rows import MEDIAN, P99, WORST, Row, Summary, Target
 from .stage import Stage, TimedSubscriber
 
@@ -65,20 +65,7 @@ class Load(NamedTuple):
 
     cpu_percent: float
     lost: int  # frames that did not arrive at their subscriber
-    lost_on_line: int  # bytes for which the port's buffer was full
     sent_per_s: float  # frames
-    idle_percent: float  # of the machine
-
-    @staticmethod
-    def of(parts: list[Load]) -> Load:
-        def mean(name):
-            return sum(getattr(part, name) for part in parts) / len(parts)
-        return Load(mean("cpu_percent"), sum(part.lost for part in parts), sum(part.lost_on_line for part in parts),
-                    mean("sent_per_s"), mean("idle_percent"))
-
-    def __str__(self) -> str:
-        return (f"{self.sent_per_s:.0f} frames a second were sent, {self.lost_on_line} bytes found the port full; "
-                f"{self.idle_percent:.0f} % of the machine were idle")
 
 
 class Reader(NamedTuple):
@@ -98,7 +85,7 @@ def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
         for factor in FACTORS:
             rounds = [{kind: load(effort.line_s / effort.line_rounds, reader, factor)
                        for kind, reader in by_kind.items()} for _ in range(effort.line_rounds)]
-            loads = {kind: Load.of([loads[kind] for loads in rounds]) for kind in by_kind}
+            loads = {kind: mean([loads[kind] for loads in rounds]) for kind in by_kind}
             yield from line_rows(factor, loads)
 
 
@@ -109,7 +96,8 @@ def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
         void = f"{measured.lost} frames were lost" if measured.lost else ""
         target = Target(original=ORIGINALS.get((factor, kind), ""), max_ratio=CPU_RATIOS[kind])
         yield Row("line", f"{rate}: CPU of the hub, {what}", "% of core", Summary.of([measured.cpu_percent]),
-                  (target,), Summary.of([floor.cpu_percent]), str(measured), void=void)
+                  (target,), Summary.of([floor.cpu_percent]),
+                  f"{measured.sent_per_s:.0f} frames a second were sent", void=void)
         yield Row("line", f"{rate}: frames lost, {what}", "frames", Summary.of([measured.lost]),
                   (Target(high=0, original="it loses" if factor > 1 else ""),), Summary.of([floor.lost]))
 
@@ -133,22 +121,28 @@ def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
         yield {kind: Reader(*reader) for kind, *reader in zip(ports, nodes, lines, counts)}
 
 
+def mean(loads: list[Load]) -> Load:
+    """Return several of the same duration as one, with all that was lost."""
+    cpu_percents, lost, rates = zip(*loads)
+    return Load(sum(cpu_percents) / len(loads), sum(lost), sum(rates) / len(loads))
+
+
 def load(lasts_s: float, reader: Reader, factor: int) -> Load:
     node, line, count = reader
     sent_mark, counted_mark = line.stdout.mark(), count.stdout.mark()
     begun_s = time.monotonic()
     line.tell(f"go {factor}")
     time.sleep(WARM_UP_S)
-    meter, idle = CpuMeter(node.pid), IdleMeter()
+    meter = CpuMeter(node.pid)
     time.sleep(lasts_s)
-    used, idled = meter.percent(), idle.percent()
+    used = meter.percent()
     line.tell("stop")
     lasted_s = time.monotonic() - begun_s
-    frames, lost_bytes = _numbers(line.stdout.wait_for(lambda text: text.startswith("sent"), sent_mark).what)
+    frames = _number(line.stdout.wait_for(lambda text: text.startswith("sent"), sent_mark).what)
     count.tell("report")
-    counted, = _numbers(count.stdout.wait_for(lambda text: text.startswith("counted"), counted_mark).what)
-    return Load(used, frames - counted, lost_bytes, frames / lasted_s, idled)
+    counted = _number(count.stdout.wait_for(lambda text: text.startswith("counted"), counted_mark).what)
+    return Load(used, frames - counted, frames / lasted_s)
 
 
-def _numbers(text):
-    return [int(field) for field in text.split()[1:]]
+def _number(text):
+    return int(text.split()[1])
