@@ -1,7 +1,7 @@
 """Random drives of virtual ESCs through the ESC's state machine, with all that goes wrong between them.
 
 ``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each
-has a seed, and the seed is all that it depends on: ``run(17)`` is one.
+depends on its seed alone.
 
 A drive is a script of a person and a planner (forward, coast, pulls, stops with the stick kept where it is, a planner's
 hold of a stopped car, gears, a reverse button) through a world with delays, lost speed, a guard that puts the chip to
@@ -10,16 +10,11 @@ what the car did by the virtual ESC: neither asks the state machine.
 """
 from __future__ import annotations
 
-import argparse
 import collections
-import multiprocessing
-import os
 import random
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
+from many_drives import MS, asked_for, count_duty, run_on_all_cores
 
 from car_interface.sim import esc as virtual
 from car_interface.sim.esc_car import EscCar, EscCarConfig
@@ -27,7 +22,6 @@ from car_interface.throttle.esc import Esc
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Request
 
-MS = 1_000_000
 TICK_NS = 10 * MS
 STEP_NS = 20 * MS  # the arbiter's timer
 # From a request to the last pulse of the one before: the timer, the way to the chip, and a PWM period.
@@ -43,21 +37,14 @@ MAX_WRONG_NS = 500 * MS
 
 @dataclass
 class Result:
-    """What one drive showed.
-
-    Attributes:
-        unintended: descriptions of pushes backward that nobody meant.
-        by_stop: those during a stop.
-        longest_ns: the longest push backward that nobody meant, while the car moved backward.
-        wanted, got: reversals that had to come about, and did.
-    """
+    """What one drive showed."""
 
     seed: int
     case: str
-    unintended: list = field(default_factory=list)
-    by_stop: list = field(default_factory=list)
-    longest_ns: int = 0
-    wanted: int = 0
+    unintended: list = field(default_factory=list)  # pushes backward that nobody meant
+    by_stop: list = field(default_factory=list)  # those during a stop
+    longest_ns: int = 0  # the longest of them, while the car moved backward
+    wanted: int = 0  # reversals that had to come about
     got: int = 0
     states: collections.Counter = field(default_factory=collections.Counter)
 
@@ -67,28 +54,26 @@ class Chip:
 
     def __init__(self, rng, esc):
         self._rng, self._esc = rng, esc
-        self.neutral = 16 * round(esc.neutral_duty / 16)
+        self.neutral = count_duty(esc.neutral_duty)
         self.duty = self.neutral
-        self._command_ns = 0
-        self._commands = collections.deque()
-        self._messages = collections.deque()
-        self._newest = self.neutral
-        self._published = None
-        self._published_ns = 0
+        self._commands, self._messages = collections.deque(), collections.deque()
+        self._newest, self._command_ns = self.neutral, 0
+        self._published, self._published_ns = None, 0
         self.guard_until_ns = self.dead_until_ns = 0
 
     def command(self, fraction, now_ns):
-        esc = self._esc
-        full = esc.full_forward_duty if fraction > 0 else esc.full_reverse_duty
-        duty = esc.neutral_duty + abs(fraction) * (full - esc.neutral_duty)
-        self._commands.append((now_ns + self._rng.randrange(1, 10) * MS, 16 * round(duty / 16)))
+        duty = self._esc.neutral_duty + abs(fraction) * self._full(fraction > 0)
+        self._commands.append((now_ns + self._rng.randrange(1, 10) * MS, count_duty(duty)))
 
     def fraction(self, duty):
         if duty is None:
             return None
+        forward = duty > self._esc.neutral_duty
+        return (duty - self._esc.neutral_duty) / self._full(forward) * (1 if forward else -1)
+
+    def _full(self, forward):
         esc = self._esc
-        full = esc.full_forward_duty if duty > esc.neutral_duty else esc.full_reverse_duty
-        return (duty - esc.neutral_duty) / (full - esc.neutral_duty) * (1 if duty > esc.neutral_duty else -1)
+        return (esc.full_forward_duty if forward else esc.full_reverse_duty) - esc.neutral_duty
 
     def tick(self, now_ns):
         """Returns what arrives at the node now."""
@@ -105,12 +90,21 @@ class Chip:
             delay_ns = self._rng.randrange(1, 60) * MS
             if self.duty is None:
                 delay_ns = self._rng.randrange(1, 500) * MS  # the board is polled twice a second
-            last_ns = self._messages[-1][0] if self._messages else 0
-            self._messages.append((max(last_ns, now_ns + delay_ns), self.fraction(self.duty)))
-        arrived = []
-        while self._messages and self._messages[0][0] <= now_ns:
-            arrived.append(self._messages.popleft()[1])
-        return arrived
+            send(self._messages, now_ns + delay_ns, self.fraction(self.duty))
+        return arrived(self._messages, now_ns)
+
+
+def send(messages, at_ns, message):
+    """Have a message arrive, and none before another that was sent before it."""
+    messages.append((max(messages[-1][0] if messages else 0, at_ns), message))
+
+
+def arrived(messages, now_ns):
+    """Return those that have arrived by now."""
+    found = []
+    while messages and messages[0][0] <= now_ns:
+        found.append(messages.popleft()[1])
+    return found
 
 
 class Drive:
@@ -146,18 +140,12 @@ class Drive:
         self.esc = make_esc(self.config)
         self.now_ns = 0
         self.request = Request(is_stop=True)
-        self._intended_ns = -10**12
-        self._stopped_ns = None
-        self._mute_until_ns = 0
+        self._intended_ns, self._stopped_ns, self._push_began_ns = -10**12, None, None
+        self._mute_until_ns = self._moved_ns = self._node_back_ns = 0
         self._speeds = collections.deque()
         self._next_step_ns = rng.randrange(20) * MS
-        self._push_began_ns = None
-        self._moved_ns = 0
         self._faults = True
-        self._node_back_ns = 0
-        # What the driver meant.
-        self._pulled = False
-        self._meant = False
+        self._pulled = self._meant = False  # what the driver meant
         self.result = Result(seed, f"{esc.kind} as {profile} ({self.kind}), speed {self.speed}")
 
     # --- the world ---
@@ -174,20 +162,17 @@ class Drive:
         now_ns, rng = self.now_ns, self.rng
         if self._faults:
             self._fail(now_ns)
-        arrived = self.chip.tick(now_ns)
+        fractions = self.chip.tick(now_ns)
         motor = self.virtual.step(self.chip.duty, now_ns, self.car.wheel_mps)
         self.car.step(TICK_NS / 1e9, motor)
         if self.speed != UNKNOWN and now_ns >= self._mute_until_ns and now_ns % (20 * MS) == 0:
             noise = rng.gauss(0, 0.01) if self.car.wheel_mps else 0.0
-            last_ns = self._speeds[-1][0] if self._speeds else 0
-            self._speeds.append((max(last_ns, now_ns + rng.randrange(1, 40) * MS), self.car.wheel_mps + noise))
-        alive = now_ns >= self._node_back_ns
-        for fraction in arrived:
-            if alive:
+            send(self._speeds, now_ns + rng.randrange(1, 40) * MS, self.car.wheel_mps + noise)
+        alive, speeds_mps = now_ns >= self._node_back_ns, arrived(self._speeds, now_ns)
+        if alive:
+            for fraction in fractions:
                 self.esc.update_held(fraction, now_ns)
-        while self._speeds and self._speeds[0][0] <= now_ns:
-            _, speed_mps = self._speeds.popleft()
-            if alive:
+            for speed_mps in speeds_mps:
                 self.esc.update_speed(speed_mps, now_ns)
         if alive and now_ns >= self._next_step_ns:
             self._next_step_ns = now_ns + STEP_NS
@@ -368,7 +353,6 @@ class Drive:
 
 
 def run(seed, make_esc=Esc):
-    """One drive."""
     return Drive(seed, make_esc).drive()
 
 
@@ -387,36 +371,17 @@ def failures(result):
     return ""
 
 
-def run_all(seeds):
-    """Runs the drives of some seeds: (what failed, totals)."""
+def summed_up(results):
+    """What failed, and totals."""
     found, totals = [], collections.Counter()
-    for seed in seeds:
-        result = run(seed)
-        totals["drives"] += 1
-        totals["wanted"] += result.wanted
-        totals["got"] += result.got
-        totals["backward"] += bool(result.unintended)
+    for result in results:
+        totals.update({"drives": 1, "wanted": result.wanted, "got": result.got, "backward": bool(result.unintended)})
         totals.update({f"state {name}": number for name, number in result.states.items()})
-        text = failures(result)
-        if text:
-            found.append(text)
-    return found, totals
-
-
-def run_many(number):
-    """Runs so many drives on all cores: (what failed, totals)."""
-    found, totals = [], collections.Counter()
-    chunks = [range(begin, min(begin + 250, number)) for begin in range(0, number, 250)]
-    with multiprocessing.Pool(os.cpu_count()) as pool:
-        for texts, counts in pool.imap_unordered(run_all, chunks):
-            found += texts
-            totals.update(counts)
-    return sorted(found), totals
+        found.append(failures(result))
+    return list(filter(None, found)), totals
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("number", nargs="?", type=int, default=2000)
-    found, totals = run_many(parser.parse_args().number)
+    found, totals = summed_up(run_on_all_cores(run, asked_for(__doc__)))
     print(*found[:30], sep="\n")
     print(len(found), "failed;", dict(totals))

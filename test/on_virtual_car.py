@@ -7,22 +7,15 @@ The arguments are demo.launch's. The exit code is the command's, or 1 when the c
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
-from processes import adopt_descendants, end_descendants, end_of_log, free_port, interrupt, start, wait_until
+from processes import adopt_descendants, answers, end_descendants, end_of_log, free_port, interrupt, start, wait_until
 
 START_S = 30.0
 # An interrupted roslaunch ends its nodes in order, then the master. While it starts it may swallow the signal.
 LAUNCH = ("roslaunch", "--sigint-timeout=4", "--sigterm-timeout=2", "car_interface", "demo.launch", "drive:=false")
-
-
-def answers(port: int) -> bool:
-    """Return whether anybody listens on a port of this machine."""
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def run(log: Path, arguments: list[str], command: list[str]) -> int:

@@ -59,11 +59,6 @@ def holds(condition: str | None, distribution: str) -> bool:
     return (name == distribution) == (operator == "==")
 
 
-def is_from_pip(key: str) -> bool:
-    """Return whether a key names a package of pip (REP 111)."""
-    return key.endswith("-pip")
-
-
 def apt_names(key: str, distribution: str) -> tuple[str, ...]:
     """Return the distribution's packages of a key that is not from pip."""
     if "-" in key or key in TOOLS:
@@ -78,22 +73,16 @@ def apt_names(key: str, distribution: str) -> tuple[str, ...]:
     return (f"python3-{name}",)
 
 
-def pip_name(key: str) -> str:
-    """Return what pip calls a python3-… key."""
-    return PIP.get(key) or key[len("python3-"):].replace("-pip", "")
-
-
 def packages(distribution: str, kind: str) -> list[str]:
-    """Return the names of the packages, sorted."""
     wanted = keys(distribution)
     if kind == "apt":
-        named = [key for key in (*wanted, *ROS_TOOLS, *TOOLS) if not is_from_pip(key)]
-        found = [name for key in named for name in apt_names(key, distribution)]
+        found = [name for key in (*wanted, *ROS_TOOLS, *TOOLS) if not key.endswith("-pip")  # REP 111
+                 for name in apt_names(key, distribution)]
         found += DEBIAN_TOOLS if distribution == "debian" else ()
     else:
-        named = wanted if kind == "pip" else [*wanted, *TOOLS]
-        found = [pip_name(key) + wanted.get(key, "") for key in named
-                 if (is_from_pip(key) if kind == "pip" else key.startswith("python3-") and key != "python3-venv")]
+        named = [key for key in wanted if key.endswith("-pip")] if kind == "pip" else [
+            key for key in (*wanted, *TOOLS) if key.startswith("python3-") and key != "python3-venv"]
+        found = [PIP.get(key, key[len("python3-"):].replace("-pip", "")) + wanted.get(key, "") for key in named]
     return sorted(set(found))
 
 

@@ -1,8 +1,7 @@
 """Random planners on random cars, through the arbiters and their limits: does the car tip over?
 
 ``python3 test/planner_drives.py 1000`` runs so many planners, each on one of 20 cars, on all cores;
-test_virtual_drives.py runs a sample. Each drive has a seed, and the seed is all that it depends on:
-``python3 test/planner_drives.py --seed 17`` shows one.
+test_virtual_drives.py runs a sample. Each depends on its seed alone.
 
 A planner asks for turns and throttle that no sane one would: full lock at full throttle, slaloms, steps, noise, at 5 to
 200 Hz, and it may fall silent. A car's tables are off by some percent, its tyres, its balance and its battery are its
@@ -11,17 +10,13 @@ vehicle alone. Without limits most of these drives end on the roof.
 """
 from __future__ import annotations
 
-import argparse
 import math
-import multiprocessing
-import os
 import random
 import sys
 from collections import deque
-from pathlib import Path
 from typing import NamedTuple
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
+from many_drives import MS, NEUTRAL, THROTTLE, Chip, S, asked_for, count_duty, run_on_all_cores
 
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim.drive_train import DriveConfig
@@ -32,15 +27,12 @@ from car_interface.steering import arbiter as steering
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.limits import SourceLimits, SteeringLimits
 from car_interface.throttle.arbiter import ArbiterConfig
-from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.limits import ThrottleLimits
 
-MS, S = 1_000_000, 1_000_000_000
 STEP_NS = 5 * MS
 STEER_NS, DRIVE_NS, ODOMETRY_NS = 10 * MS, 20 * MS, 20 * MS  # the timers
-COUNT = 16
 CARS = 20
 DRIVE_S = 10
 RADII_M = (0.8, 0.9, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 300.0)
@@ -57,8 +49,6 @@ class Car(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What one drive showed."""
-
     seed: int
     car: int
     rollovers: int
@@ -138,7 +128,6 @@ class Planner:
 
 
 def run(seed: int, number: int, limited: bool = True) -> Result:
-    """One planner on one car."""
     rng = random.Random(f"planner {seed} on {number}")
     car, planner = random_car(number), Planner(rng)
     off = SteeringLimits(planner=SourceLimits())
@@ -146,13 +135,11 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
     steer = steering.SteeringArbiter(car.calibration, steering.ArbiterConfig(
         interlock=open_interlock, limits=SteeringLimits() if limited else off))
     throttle = ThrottleControl(
-        ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915),
-        ArbiterConfig(interlock=open_interlock), EscConfig(profile="brake_then_reverse"), ThrottleLimits())
+        THROTTLE, ArbiterConfig(interlock=open_interlock), EscConfig(profile="brake_then_reverse"), ThrottleLimits())
     vehicle = Vehicle(car.vehicle, 0)
-    chip = deque([(0, 5000, 4915)])
-    reports = deque()
+    chip, reports = Chip(rng, 5000), deque()
     lost = sorted(rng.uniform(2, DRIVE_S * 1.5) * S for _ in range(2))  # odometry is away between them
-    duties, fastest = [round(car.calibration.servo_center), 4915], 0.0
+    duties, fastest = [round(car.calibration.servo_center), NEUTRAL], 0.0
     for now_ns in range(STEP_NS, DRIVE_S * S, STEP_NS):
         if now_ns % ODOMETRY_NS == 0:
             measured = 0.0 if vehicle.slides else vehicle.speed_mps * (1 + rng.gauss(0, car.odometry_noise))
@@ -183,11 +170,8 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
             duties[1] = duty
             throttle.update_output([-1, duty, *[-1] * 14], now_ns)
         if changed:
-            counts = [COUNT * math.floor(duty / COUNT + 0.5) for duty in duties]
-            chip.append((now_ns + round(rng.uniform(1, 22)) * MS, *counts))
-        while len(chip) > 1 and chip[1][0] <= now_ns:
-            chip.popleft()
-        vehicle.step(STEP_NS, chip[0][1], chip[0][2])
+            chip.command(*map(count_duty, duties), now_ns)
+        vehicle.step(STEP_NS, *chip.duties(now_ns))
         fastest = max(fastest, abs(vehicle.speed_mps))
     rollovers = vehicle.rollovers
     return Result(seed, number, rollovers.count, rollovers.max_lateral_mps2, car.vehicle.tyres.rollover_mps2, fastest,
@@ -195,27 +179,14 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
 
 
 def run_planner(seed: int) -> Result:
-    """One planner on its car."""
     return run(seed, seed % CARS)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("planners", nargs="?", type=int, default=1000)
-    parser.add_argument("--seed", type=int, help="show one")
-    options = parser.parse_args()
-    if options.seed is not None:
-        print(run_planner(options.seed))
-        return
-    with multiprocessing.Pool(os.cpu_count()) as pool:
-        results = pool.map(run_planner, range(options.planners), chunksize=10)
+if __name__ == "__main__":
+    results = run_on_all_cores(run_planner, asked_for(__doc__))
     tipped = [result for result in results if result.rollovers]
     print(*tipped[:20], sep="\n")
     worst = max(results, key=lambda result: result.max_lateral_mps2 / result.rollover_mps2)
     print(f"{len(results)} drives, {sum(result.rollovers for result in results)} rollovers in {len(tipped)} of them; "
           f"{sum(result.turn_cuts + result.throttle_cuts for result in results)} cuts; the worst: {worst}")
     sys.exit(bool(tipped))
-
-
-if __name__ == "__main__":
-    main()

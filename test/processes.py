@@ -77,7 +77,6 @@ def start(*command: str, **options) -> subprocess.Popen:
 
 
 def wait_until(condition: Callable[[], object], within_s: float) -> bool:
-    """Return whether the condition came true in time."""
     deadline_s = time.monotonic() + within_s
     while not condition():
         if time.monotonic() > deadline_s:
@@ -94,7 +93,6 @@ def interrupt(process: subprocess.Popen, within_s: float) -> None:
 
 
 def end_descendants() -> None:
-    """End all processes below this one."""
     for number, within_s in ((signal.SIGINT, 3), (signal.SIGTERM, 2), (signal.SIGKILL, 2)):
         for pid in descendants():
             try:
@@ -110,6 +108,12 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
+
+
+def answers(port: int) -> bool:
+    """Return whether anybody listens on a port of this machine."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def end_of_log(path: Path, count: int) -> str:

@@ -1,7 +1,7 @@
 """Cars that drive blindly in random rooms, with obstacle_stop: how fast do they run into something?
 
-``python3 test/room_drives.py 1000`` runs so many on all cores; test_virtual_drives.py runs a sample. Each has a seed,
-and the seed is all that it depends on: ``python3 test/room_drives.py --seed 17`` shows one.
+``python3 test/room_drives.py 1000`` runs so many on all cores; test_virtual_drives.py runs a sample. Each depends on
+its seed alone.
 
 A planner pushes with no idea of the room, on arcs that it changes now and then. The sonars fire as the Teensy fires
 them, one after another; ranges are late and noisy. Judged by the vehicle and the room alone: a collision counts as one
@@ -11,17 +11,13 @@ turned.
 """
 from __future__ import annotations
 
-import argparse
 import math
-import multiprocessing
-import os
 import random
 import sys
 from collections import deque
-from pathlib import Path
 from typing import NamedTuple
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
+from many_drives import MS, NEUTRAL, THROTTLE, Chip, S, asked_for, run_on_all_cores
 
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim.collision import Collisions, Outline
@@ -30,12 +26,10 @@ from car_interface.sim.vehicle import Pose, SteeringConfig, Vehicle, VehicleConf
 from car_interface.sim.world import Box, Post, World, WorldConfig
 from car_interface.steering.arbiter import PLANNER
 from car_interface.throttle.arbiter import ArbiterConfig
-from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
 
-MS, S = 1_000_000, 1_000_000_000
 STEP_NS = 5 * MS
 DRIVE_S = 12
 MAX_RANGE_M = 2.0
@@ -49,8 +43,6 @@ REACTION_S = 0.65  # the range's age, a cycle and the actuation
 
 
 class Result(NamedTuple):
-    """What one drive showed."""
-
     seed: int
     speed_mps: float  # of the collision; 0 = none
     was_seen: bool
@@ -61,7 +53,6 @@ class Result(NamedTuple):
 
 
 def random_room(rng) -> WorldConfig:
-    """A room with boxes and posts."""
     half_x, half_y = rng.uniform(2.5, 6.0), rng.uniform(2.5, 6.0)
     boxes = tuple(Box(rng.uniform(-half_x, half_x), rng.uniform(-half_y, half_y), rng.uniform(0.3, 1.2),
                       rng.uniform(0.3, 1.2), rng.uniform(-3, 3)) for _ in range(rng.randrange(5)))
@@ -106,7 +97,6 @@ class Sonars:
 
 
 def run(seed: int, stops: bool = True) -> Result:
-    """One room."""
     rng = random.Random(f"room {seed}")
     world = World(random_room(rng))
     profile = rng.choice(("brake_then_reverse", "unverified"))
@@ -118,12 +108,11 @@ def run(seed: int, stops: bool = True) -> Result:
     vehicle = Vehicle(config, 0, collisions)
     mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(NAMES, world.config.mounts)}
     throttle = ThrottleControl(
-        ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915),
-        ArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
+        THROTTLE, ArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
         EscConfig(profile=profile, profile_measured=profile != "unverified", drag_deceleration_mps2=DRAG_MPS2),
         obstacles=ObstacleConfig(mounts, CONE_RAD, MAX_RANGE_M) if stops else None)
     sonars, history = Sonars(rng, world, sequence), []
-    duty, steering_duty, value, change_ns, chip, odometry = 4915, 5000, 0.0, 0, deque([(0, 5000, 4915)]), deque()
+    duty, steering_duty, value, change_ns, chip, odometry = NEUTRAL, 5000, 0.0, 0, Chip(rng, 5000), deque()
     fastest = 0.0
     for now_ns in range(STEP_NS, DRIVE_S * S, STEP_NS):
         for name, range_m in sonars.step(vehicle.pose, now_ns):
@@ -142,12 +131,10 @@ def run(seed: int, stops: bool = True) -> Result:
             throttle.update_planner(value, now_ns)
             duty = throttle.decide(now_ns).duty
             throttle.update_output([-1, duty, *[-1] * 14], now_ns)
-            chip.append((now_ns + round(rng.uniform(1, 22)) * MS, steering_duty, duty))
-        while len(chip) > 1 and chip[1][0] <= now_ns:
-            chip.popleft()
+            chip.command(steering_duty, duty, now_ns)
         history.append((now_ns, vehicle.pose, vehicle.curvature_per_m, vehicle.speed_mps))
         before_mps = vehicle.speed_mps
-        vehicle.step(STEP_NS, *chip[0][1:])
+        vehicle.step(STEP_NS, *chip.duties(now_ns))
         fastest = max(fastest, vehicle.speed_mps)
         if collisions.count:
             was_seen = _was_seen(world, history, profile)
@@ -156,7 +143,7 @@ def run(seed: int, stops: bool = True) -> Result:
 
 
 def _was_seen(world, history, profile):
-    """Whether what the car touches was on its arc and in a cone for as long as it takes to stop from its speed then."""
+    """Whether what the car touches was on its arc and in a cone for as long as it took to stop."""
     hit_ns, pose = history[-1][:2]
     touched = [point for point in _surface(world, pose) if _inside(pose, point, 0.03)]
     stop_mps2 = DRAG_MPS2 if profile == "unverified" else BRAKE_MPS2
@@ -215,16 +202,8 @@ def _on_arc(pose, curvature, point):
     return False
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("rooms", nargs="?", type=int, default=1000)
-    parser.add_argument("--seed", type=int, help="show one")
-    options = parser.parse_args()
-    if options.seed is not None:
-        print(run(options.seed))
-        return
-    with multiprocessing.Pool(os.cpu_count()) as pool:
-        results = pool.map(run, range(options.rooms), chunksize=10)
+if __name__ == "__main__":
+    results = run_on_all_cores(run, asked_for(__doc__))
     hits = [result for result in results if result.speed_mps]
     fast = [result for result in hits if result.speed_mps > FAST_MPS]
     seen = [result for result in fast if result.was_seen]
@@ -233,7 +212,3 @@ def main() -> None:
           f"{len(fast)} of them faster than {FAST_MPS} m/s, {len(seen)} of these with something that was seen; "
           f"fastest: {max((result.speed_mps for result in fast), default=0):.2f} m/s")
     sys.exit(bool(seen))
-
-
-if __name__ == "__main__":
-    main()

@@ -41,6 +41,7 @@ ROSTEST_LIMIT_S = 60.0  # of a test without a time-limit: wiki.ros.org/roslaunch
 START_AND_END_S = 60.0  # for rostest to start its master and nodes, and to end them: 5 s on an idle machine
 END_S = 15.0  # for an interrupted step to end its processes
 POLL_S = 0.2
+PYTEST_RAN_NOTHING = 5  # its exit code
 # On a second Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
 # pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of
@@ -65,6 +66,7 @@ class Step(NamedTuple):
     environment: dict[str, str]
     limit_s: float
     is_pytest: bool = False
+    may_be_empty: bool = False  # on a second Python each of the selected tests may run once only
 
 
 class Python(NamedTuple):
@@ -116,7 +118,7 @@ def pytest_step(results: Path, title: str, python: Python, files: list[Path], py
                "-o", f"faulthandler_timeout={PYTEST_TRACEBACK_S}", f"--junitxml={results / name / 'junit.xml'}",
                "-n", str(len(os.sched_getaffinity(0))), "--dist", "loadfile", *marks, *map(str, files))
     return Step(name, title, command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": python_path},
-                LONG_PYTEST_LIMIT_S if is_all else PYTEST_LIMIT_S, is_pytest=True)
+                LONG_PYTEST_LIMIT_S if is_all else PYTEST_LIMIT_S, is_pytest=True, may_be_empty=python.is_second)
 
 
 def process_step(results: Path, path: Path, is_all: bool) -> Step:
@@ -191,6 +193,8 @@ class Runner:
 
     def _report(self, step, code, took_s, why_ended=""):
         folder, logs = self._results / step.name, self._logs / step.name
+        if step.may_be_empty and code == PYTEST_RAN_NOTHING:
+            code = 0
         (folder / "exit_code").write_text(str(code), encoding="ascii")
         if code == TIMEOUT_EXIT_CODE:
             why_ended = f"hung: ended after {step.limit_s:.0f} s"

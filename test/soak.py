@@ -21,12 +21,13 @@ import sys
 import time
 import xmlrpc.client
 from collections import defaultdict
+from functools import partial
 
 import rosgraph
 import rosnode
 import rospy
 from car_interface.srv import InjectFault
-from soak_car import CENTER, ESC, ESC_NEUTRAL, RADIUS_M, STEERING, STOPPED_WITHIN_S, Inputs, Observer
+from soak_car import ESC, RADIUS_M, STEERING, STOPPED_WITHIN_S, Inputs, Observer
 from std_srvs.srv import Trigger
 
 NODES = ("/turn_arb", "/throttle_arb", "/pca9685", "/generic_value_converter", "/teensy_sensor_hub", "/teleop_logi")
@@ -36,6 +37,19 @@ WARM_UP_RATIO = 0.4  # of the time: nodes are killed only until then, and what g
 MAX_GROWTH_MB = 1.0
 STOPS_AFTER_RESTART = ("/turn_arb", "/teleop_logi")
 STAYS_STOPPED_S = 2.0  # a second in which it waits for e_stop, and one in which it might drive off
+INPUT_FAULTS = {  # an attribute of Inputs, its value, the channels that must be at neutral then, and how much later
+    "human lets go": ("deadman", False, ()), "gamepad silent": ("deadman", None, ()),
+    "gamepad axis NaN": ("joy_axis", math.nan, ()), "e_stop on": ("e_stop", True, ()),
+    "e_stop silent": ("e_stop", None, (), 1.0),
+    "planner silent": ("radius_m", None, (STEERING,)), "planner NaN": ("radius_m", math.nan, (STEERING,)),
+    "commands silent": ("acceleration", None, (ESC,)), "command NaN": ("acceleration", math.nan, (ESC,))}
+INJECTED = {
+    "chip: one transfer not acknowledged": ("/pca9685", "nack", 1),
+    "chip: five not acknowledged": ("/pca9685", "nack", 5), "chip: registers reset": ("/pca9685", "brownout", 0),
+    "Teensy unplugged": ("/car_sim", "unplug", 1.0), "Teensy silent": ("/car_sim", "silence", 2.0),
+    "Teensy reboots": ("/car_sim", "reboot", 0), "line at another baud rate": ("/car_sim", "scramble", 1.0),
+    "line cut in mid-frame": ("/car_sim", "cut", 50), "line flooded": ("/car_sim", "flood", 1.0),
+    "Teensy's receiver out of step": ("/car_sim", "out_of_step", 0)}
 
 
 class Soak:
@@ -55,56 +69,29 @@ class Soak:
     # --- faults: each is injected, waits for its effect, and is undone ---
 
     def _all_faults(self):
-        inputs = self._inputs
-        faults = {
-            "human lets go": lambda: self._stopped(lambda: setattr(inputs, "deadman", False)),
-            "gamepad silent": lambda: self._stopped(lambda: setattr(inputs, "deadman", None)),
-            "gamepad axis NaN": lambda: self._stopped(lambda: setattr(inputs, "joy_axis", math.nan)),
-            "e_stop on": lambda: self._stopped(lambda: setattr(inputs, "e_stop", True)),
-            "e_stop silent": lambda: self._stopped(lambda: setattr(inputs, "e_stop", None), allow_s=1.0),
-            "planner silent": lambda: self._centered(lambda: setattr(inputs, "radius_m", None)),
-            "planner NaN": lambda: self._centered(lambda: setattr(inputs, "radius_m", math.nan)),
-            "commands silent": lambda: self._esc_neutral(lambda: setattr(inputs, "acceleration", None)),
-            "command NaN": lambda: self._esc_neutral(lambda: setattr(inputs, "acceleration", math.nan)),
-            "counters asked for all the time": self._request_counters,
-        }
-        for name, fault, value in (
-                ("chip: one transfer not acknowledged", "nack", 1), ("chip: five not acknowledged", "nack", 5),
-                ("chip: registers reset", "brownout", 0)):
-            faults[name] = lambda fault=fault, value=value: self._inject("/pca9685", fault, value)
-        for name, fault, on, off in (("chip: without power", "power", 0, 1), ("bus held down", "hold", 1, 0)):
-            faults[name] = lambda fault=fault, on=on, off=off: self._disconnect_board(fault, on, off)
-        for name, fault, value in (
-                ("Teensy unplugged", "unplug", 1.0), ("Teensy silent", "silence", 2.0), ("Teensy reboots", "reboot", 0),
-                ("line at another baud rate", "scramble", 1.0), ("line cut in mid-frame", "cut", 50),
-                ("line flooded", "flood", 1.0), ("Teensy's receiver out of step", "out_of_step", 0)):
-            faults[name] = lambda fault=fault, value=value: self._inject("/car_sim", fault, value)
-        for name, fault in (("sonar not connected", "sonar_missing"), ("sonar's echo stuck high", "sonar_stuck")):
-            faults[name] = lambda fault=fault: self._sonar(fault)
-        faults["bit errors"] = self._bit_errors
+        faults = {name: partial(self._change_input, *fault) for name, fault in INPUT_FAULTS.items()}
+        faults.update({name: partial(self._inject, *fault) for name, fault in INJECTED.items()})
+        faults.update({
+            "chip: without power": lambda: self._disconnect_board("power", 0, 1),
+            "bus held down": lambda: self._disconnect_board("hold", 1, 0),
+            "sonar not connected": lambda: self._sonar("sonar_missing"),
+            "sonar's echo stuck high": lambda: self._sonar("sonar_stuck"),
+            "bit errors": self._bit_errors, "counters asked for all the time": self._request_counters})
         for node in NODES:
-            faults[f"{node[1:]} frozen for a second"] = lambda node=node: self._freeze(node)
-            faults[f"{node[1:]} killed"] = lambda node=node: self._kill(node)
+            faults[f"{node[1:]} frozen for a second"] = partial(self._freeze, node)
+            faults[f"{node[1:]} killed"] = partial(self._kill, node)
         return faults
+
+    def _change_input(self, name, value, channels, allow_s=0.0):
+        setattr(self._inputs, name, value)
+        self._await(lambda: self._observer.is_neutral(*channels), STOPPED_WITHIN_S + allow_s, f"{channels} at neutral")
+        if allow_s:
+            self._inputs.may_move_until_s = time.monotonic()
 
     def _inject(self, node, fault, value):
         answer = rospy.ServiceProxy(f"{node}/inject_fault", InjectFault)(fault, value)
         if not answer.success:
             raise RuntimeError(f"{node} refuses {fault} {value}: {answer.message}")
-
-    def _stopped(self, fault, allow_s=0.0):
-        fault()
-        self._await(self._observer.is_neutral, STOPPED_WITHIN_S + allow_s, "neutral")
-        if allow_s:
-            self._inputs.may_move_until_s = time.monotonic()
-
-    def _centered(self, fault):
-        fault()
-        self._await(lambda: self._observer.output[STEERING] == CENTER, STOPPED_WITHIN_S, "the steering at its center")
-
-    def _esc_neutral(self, fault):
-        fault()
-        self._await(lambda: self._observer.output[ESC] == ESC_NEUTRAL, STOPPED_WITHIN_S, "the ESC at neutral")
 
     def _disconnect_board(self, fault, on, off):
         self._observer.board_unreachable = True
@@ -232,8 +219,6 @@ class Soak:
 
 
 class Footprint:
-    """Memory, threads and open files of a node's process."""
-
     def __init__(self, node):
         self._node = node
         self.pid = pid_of(node)
@@ -249,14 +234,9 @@ class Footprint:
     def leaks_until(self, later):
         if later.pid != self.pid:
             return [f"{self._node} is not the process that it was"]
-        found = []
-        if later.memory_mb - self.memory_mb > MAX_GROWTH_MB:
-            found.append(f"{self._node} grew by {later.memory_mb - self.memory_mb:.1f} MB")
-        if later.threads > self.threads + 1:
-            found.append(f"{self._node} has {later.threads} threads, and had {self.threads}")
-        if later.fds > self.fds + 2:
-            found.append(f"{self._node} has {later.fds} files open, and had {self.fds}")
-        return found
+        has_grown = (later.memory_mb - self.memory_mb > MAX_GROWTH_MB or later.threads > self.threads + 1
+                     or later.fds > self.fds + 2)
+        return [f"{self._node} has {later}, and had {self}"] if has_grown else []
 
 
 def pid_of(node):
@@ -271,12 +251,12 @@ def pid_of(node):
 def main():
     parser = argparse.ArgumentParser(description="Random faults on the running virtual car.")
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--seed", type=int, default=None, help="the same faults in the same order")
+    parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(10 ** 6),
+                        help="the same faults in the same order")
     arguments = parser.parse_args(rospy.myargv()[1:])
     rospy.init_node("soak")
-    seed = arguments.seed if arguments.seed is not None else random.SystemRandom().randrange(10 ** 6)
-    print(f"seed {seed}", flush=True)
-    sys.exit(0 if Soak(arguments.minutes, seed).run() else 1)
+    print(f"seed {arguments.seed}", flush=True)
+    sys.exit(0 if Soak(arguments.minutes, arguments.seed).run() else 1)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 STEERING, ESC = 0, 1  # channels
-CENTER, ESC_NEUTRAL = 5104, 4912  # on the chip: 319 and 307 counts
+NEUTRAL = {STEERING: 5104, ESC: 4912}  # on the chip: 319 and 307 counts
 LEFT = 3824  # for the radius below
 RADIUS_M, SPEED_MPS = 1.6, 1.0
 PERIOD_S = 0.02
@@ -74,19 +74,10 @@ class Observer:
         self.board_unreachable = False
         self.pose = None
         self.distance_m = 0.0
-        rospy.Subscriber("/servo/output", Int32MultiArray, self._on_output)
-        rospy.Subscriber("turn_arb/state", SteeringState, self._on_state)
-        rospy.Subscriber("teensy_sensor_hub/link", LinkStatus, self._on_link)
+        rospy.Subscriber("/servo/output", Int32MultiArray, lambda message: setattr(self, "output", message.data))
+        rospy.Subscriber("turn_arb/state", SteeringState, lambda message: setattr(self, "state", message))
+        rospy.Subscriber("teensy_sensor_hub/link", LinkStatus, lambda message: setattr(self, "link", message))
         rospy.Subscriber("car_sim/truth", Odometry, self._on_truth)
-
-    def _on_output(self, message):
-        self.output = message.data
-
-    def _on_state(self, message):
-        self.state = message
-
-    def _on_link(self, message):
-        self.link = message
 
     def _on_truth(self, message):
         position = message.pose.pose.position
@@ -94,17 +85,16 @@ class Observer:
             self.distance_m += math.hypot(position.x - self.pose[0], position.y - self.pose[1])
         self.pose = (position.x, position.y)
         self._inputs.speed_mps = message.twist.twist.linear.x
-        self._judge()
-
-    def _judge(self):
         passed_s = time.monotonic() - self._inputs.may_move_until_s
-        if self.output is None or self.board_unreachable or passed_s < STOPPED_WITHIN_S:
-            return
-        if not self.is_neutral():
+        is_judged = self.output is not None and not self.board_unreachable and passed_s >= STOPPED_WITHIN_S
+        if is_judged and not self.is_neutral():
             self.unsafe.append((passed_s, self.output[STEERING], self.output[ESC]))
 
-    def is_neutral(self):
-        return (self.output[STEERING] in (CENTER, 0, -1)) and self.output[ESC] in (ESC_NEUTRAL, 0, -1)
+    def is_neutral(self, *channels):
+        """Whether these are at neutral; without an argument, whether nothing moves: each at neutral or off."""
+        if channels:
+            return all(self.output[channel] == NEUTRAL[channel] for channel in channels)
+        return all(self.output[channel] in (neutral, 0, -1) for channel, neutral in NEUTRAL.items())
 
     def drives(self):
         return (self.state is not None and self.state.source == SteeringState.PLANNER

@@ -23,12 +23,10 @@ class Tally(NamedTuple):
 
     @staticmethod
     def sum(tallies: Iterable[Tally]) -> Tally:
-        """Return the sum of several."""
         passed, failures, skipped = zip(Tally(), *tallies)
         return Tally(sum(passed), sum(failures, ()), sum(skipped))
 
     def lines(self) -> list[str]:
-        """Return a line for each failure."""
         return [f"FAILED {failure}" for failure in self.failures]
 
     def __str__(self) -> str:

@@ -1,8 +1,7 @@
 #!/usr/bin/env python3
 """How well a car calibrates its own steering while a person holds a button: random virtual cars.
 
-    PYTHONPATH=src:test python3 -m accuracy.calibration_drive [--first SEED] [--cars N] [--releases EVERY_S] [--rolls]
-        [--braking M/S^2]
+    PYTHONPATH=src:test python3 -m accuracy.calibration_drive
 
 The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
 6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
@@ -25,26 +24,26 @@ import pickle
 import random
 import sys
 import tempfile
-import time
 import traceback
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
+from many_drives import THROTTLE, Chip
 from room_drives import ALL_ALIKE, Sonars
 
-from accuracy.releases import ROLLS_S, STANDS_MPS, PausedDrive, Release, Releases, ignore
-from accuracy.steering_calibration import MEDIAN_SHARE, P95_PER_M, P95_SHARE, WIDEST_M, Errors, ask, floor
+from accuracy.releases import ROLLS_S, STANDS_MPS, Release, Releases
+from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.calibration.drive.conclusion import Conclusion, conclude
 from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
 from car_interface.calibration.drive.grant import SLOWS
 from car_interface.calibration.drive.knowledge import assess
-from car_interface.calibration.drive.step import BLOCKED, DONE
+from car_interface.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
 from car_interface.common.drive_modes import AUTONOMOUS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
@@ -58,7 +57,6 @@ from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.params import load_steering
 from car_interface.teensy.link.protocol import WheelStatus
 from car_interface.throttle.arbiter import ArbiterConfig
-from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
@@ -74,7 +72,6 @@ HALF_M = 3.0  # of the area
 MAX_S = 900.0  # of the whole, with all its pauses
 QUICK_FIT_NS, FULL_FIT_NS = 400 * NS_PER_MS, 3000 * NS_PER_MS
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
-RADII, CURVATURES = 60, 400
 PUSHED_MPS = 0.7
 PLACES_PER_M = 1.25  # half a circle to the left leaves the middle 1.6 m to the left
 
@@ -89,8 +86,6 @@ class Car(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What one drive showed."""
-
     seed: int
     conclusion: Conclusion
     held_s: float
@@ -133,8 +128,8 @@ def driving_car(seed: int, rolls: bool = False) -> Car:
 class Person:
     """Who holds the button, lets it go now and then, and pushes the car back."""
 
-    def __init__(self, rng, base):
-        self._rng, self._base = rng, base
+    def __init__(self, rng):
+        self._rng = rng
         self.holds = False
         self.pauses = 0
         self._until_s = 1.6  # the ESC is armed meanwhile
@@ -185,32 +180,31 @@ class Bench:
     """The car, its chain and the drive."""
 
     def __init__(self, seed: int, trace=None, rolls: bool = False, braking_mps2: float = DEFAULTS.braking_mps2):
-        self.car = car = driving_car(seed, rolls)
+        self._seed, self.car = seed, driving_car(seed, rolls)
+        car = self.car
         self._rng = rng = random.Random(f"drive {seed}")
         self._trace = trace
         self._world = None if car.world is None else World(car.world)
         self._collisions = None if self._world is None else Collisions(self._world.obstacles)
         self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
         self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
-        mounts = {name: Mount(*mount_fields(mount)) for name, mount in zip(NAMES, WorldConfig().mounts)}
+        mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(NAMES, WorldConfig().mounts)}
         config = DriveConfig(
             braking_mps2=braking_mps2, radius_m=HALF_M,
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
         self._steering = SteeringArbiter(car.base, SteeringConfig(interlock=interlock))
-        self._throttle = ThrottleControl(
-            ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915),
-            ArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
+        self._throttle = ThrottleControl(THROTTLE, ArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
         self._speed = SpeedControl()
         self._converter = Converter(ConversionConfig(), load_value_map(str(MAP)))
-        self._person = Person(rng, car.base)
+        self._person = Person(rng)
         noise = np.random.default_rng(rng.randrange(1 << 30))
         self._hub = Hub(car.vehicle, rng, noise)
         self._odom, self._odom_ns = None, START_NS
         self._held = None
-        self._chip = deque([(START_NS, car.base.servo_center, 4915)])
-        self._duties = [car.base.servo_center, 4915]
+        self._chip = Chip(rng, car.base.servo_center, START_NS)
+        self._duties = [car.base.servo_center, THROTTLE.neutral]
         self._due = deque()  # (time, knowledge)
         self._step = None
         self._tick_ns = START_NS
@@ -219,26 +213,23 @@ class Bench:
         self._start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
 
     def run(self) -> Result:
-        """Until it is over."""
         end_ns = START_NS + round(MAX_S * NS_PER_S)
         while self.vehicle.time_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
             self._advance()
         base_text = STOCK.read_text(encoding="utf-8")
         conclusion = conclude(self.drive.samples, self.car.base, base_text, "calibration drive")
-        return Result(0, conclusion, self.drive.driven_s, (self.vehicle.time_ns - START_NS) / NS_PER_S, self._max_m,
-                      self._extent_m, self._collisions.count if self._collisions else 0, self.vehicle.travel_m,
-                      self.drive.progress(self.vehicle.time_ns).positions, self._person.pauses)
+        return Result(self._seed, conclusion, self.drive.driven_s, (self.vehicle.time_ns - START_NS) / NS_PER_S,
+                      self._max_m, self._extent_m, self._collisions.count if self._collisions else 0,
+                      self.vehicle.travel_m, self.drive.progress(self.vehicle.time_ns).positions, self._person.pauses)
 
     def _advance(self):
-        """By one step of the car."""
         now_ns = self.vehicle.time_ns
         self._hear(now_ns)
         if now_ns >= self._tick_ns:
             self._tick_ns += TICK_NS
             self._tick(now_ns)
-        while len(self._chip) > 1 and self._chip[1][0] <= now_ns:
-            self._chip.popleft()
-        pulses = self._push() if self._person.pushes else self.vehicle.step(STEP_NS, *self._chip[0][1:])
+        duties = self._chip.duties(now_ns)
+        pulses = self._push() if self._person.pushes else self.vehicle.step(STEP_NS, *duties)
         now_ns = self.vehicle.time_ns
         self._hub.roll(pulses, self.vehicle.speed_mps, now_ns)
 
@@ -260,9 +251,8 @@ class Bench:
         return release
 
     def _roll(self):
-        """Let the button go until the car stands."""
-        self.drive, self._trace = PausedDrive(), None
-        self._person = SimpleNamespace(holds=False, pushes=False, step=ignore)
+        self.drive = Mock(**{"step.return_value": Step(None, 0.0, PAUSED, ""), "take_fit_task.return_value": None})
+        self._person, self._trace = Mock(holds=False, pushes=False), None
         self._max_m = self._extent_m = 0.0
         vehicle, collisions = self.vehicle, self._collisions
         begin_ns, speed_mps, travel_m = vehicle.time_ns, vehicle.speed_mps, vehicle.travel_m
@@ -287,7 +277,6 @@ class Bench:
         return vehicle._roll(vehicle.speed_mps * dt_s, dt_s, vehicle.speed_mps, curvature)
 
     def _hear(self, now_ns):
-        """What the Teensy and the sonars send."""
         for record, measured in self._hub.step(now_ns):
             if isinstance(record, WheelStatus):
                 self._odom = measured or self._odom
@@ -341,7 +330,7 @@ class Bench:
         duties = [count_duty(decision.duty), count_duty(made.duty)]
         if duties != self._duties:
             self._duties = duties
-            self._chip.append((now_ns + round(self._rng.uniform(1, 22)) * NS_PER_MS, *duties))
+            self._chip.command(*duties, now_ns)
         if duties[0] != self._held or now_ns % (100 * NS_PER_MS) < TICK_NS:
             self._held = duties[0]
             self.drive.update_duty(duties[0], now_ns + 2 * NS_PER_MS)
@@ -365,64 +354,36 @@ class Bench:
             self._extent_m = max(self._extent_m, math.hypot(at[0] - start[0], at[1] - start[1]))
 
 
-def mount_fields(mount):
-    """A sonar's pose."""
-    return mount.x_m, mount.y_m, mount.yaw_rad
-
-
-def run(seed: int, *how) -> Result:
-    """One car; the arguments of Bench."""
-    return Bench(seed, *how).run()._replace(seed=seed)
-
-
 def errors(car: Car, yaml_text: str) -> tuple[Errors, Errors]:
     """(of the table, of the board's nearest count alone), for what the car can turn between its ends."""
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
         file.write(yaml_text)
         file.flush()
         table = load_steering(file.name)
-    curve = [(duty, k) for duty, k in car.vehicle.steering.curve]
-    duties, curvatures = zip(*curve)
-    tightest = [float(np.interp(count_duty(end), duties, curvatures)) for end in
-                (car.base.servo_left, car.base.servo_right)]
-    radii = np.concatenate([np.sign(end) * np.exp(np.linspace(np.log(1 / abs(end)), np.log(WIDEST_M), RADII))
-                            for end in tightest])
-    asked = np.linspace(tightest[1], tightest[0], CURVATURES)
-    asked = asked[np.abs(asked) > 1e-4]
-    return ask(car.vehicle, radii, asked, table.planner_duty), floor(car.vehicle, radii, asked)
+    duties, curvatures = zip(*car.vehicle.steering.curve)
+    turns = asked_for(*(float(np.interp(count_duty(end), duties, curvatures)) for end in
+                        (car.base.servo_left, car.base.servo_right)))
+    return ask(car.vehicle, *turns, table.planner_duty), floor(car.vehicle, *turns)
 
 
 def row(result: Result, pair: tuple[Errors, Errors] | None) -> str:
     """A line of the table; the errors are those of ``errors``, ``None`` = nothing was written."""
-    car = driving_car(result.seed)
-    kind = "slash " if result.seed % 4 == 3 else "smooth"
-    text = (f"{result.seed:5d} {kind} {'walls' if car.world else '     '} | "
+    kind = "slash" if result.seed % 4 == 3 else "smooth"
+    figures = result.conclusion.refusal[:150] if pair is None else line("", beyond(*pair), *pair)
+    return (f"{result.seed:5d} {kind:6} {'walls' if driving_car(result.seed).world else '     '} | "
             f"{result.held_s:4.0f} {result.total_s:4.0f} s {result.distance_m:4.0f} m {result.positions:3d} "
-            f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} "
-            f"{result.collisions} | ")
-    return text + (result.conclusion.refusal[:150] if pair is None else figures(*pair))
-
-
-def figures(made: Errors, best: Errors) -> str:
-    """The radius and what of it the board's counts don't explain, in %, median and 95 of 100; the curvature, 1/m."""
-    beyond = made.radius - best.radius
-    return (f"{100 * np.median(made.radius):5.1f} {100 * np.percentile(made.radius, 95):5.1f} | "
-            f"{100 * np.median(beyond):5.2f} {100 * np.percentile(beyond, 95):5.2f} | "
-            f"{np.percentile(made.curvature, 95):7.4f} {np.percentile(made.curvature - best.curvature, 95):7.4f}")
+            f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} {result.collisions}{figures}")
 
 
 def is_good(result: Result, pair: tuple[Errors, Errors] | None) -> bool:
     """Whether a drive is what is asked of it, its table by the bounds of steering_calibration."""
-    if pair is None or result.held_s > 300.1 or result.max_m > HALF_M or result.collisions:
-        return False
-    beyond = Errors(*(made - best for made, best in zip(*pair)))
-    return bool(np.median(beyond.radius) <= MEDIAN_SHARE and np.percentile(beyond.radius, 95) <= P95_SHARE
-                and np.percentile(beyond.curvature, 95) <= P95_PER_M)
+    return (pair is not None and result.held_s <= 300.1 and result.max_m <= HALF_M and not result.collisions
+            and meets(*pair))
 
 
 def judge(seed: int, *how) -> tuple[Result, tuple[Errors, Errors] | None]:
     """Let one car drive: the result, and the errors of its table. The arguments are those of Bench."""
-    result = run(seed, *how)
+    result = Bench(seed, *how).run()
     text = result.conclusion.yaml_text
     return result, errors(driving_car(seed), text) if text else None
 
@@ -436,29 +397,24 @@ def main():
     parser.add_argument("--braking", type=float, default=DEFAULTS.braking_mps2, metavar="M/S^2",
                         help="what the drive is told, as the program's option of that name")
     options = parser.parse_args()
-    print("  car              | held total  way pos pauses | max_x ext col | radius %    | beyond floor |"
-          " curvature, beyond")
-    judged, good = [], []
+    print("  car              | held total  way pos pauses | max_x ext col      "
+          " | radius, %: beyond | calibrated    | floor: count  | curvature, 1/m: the same")
+    judged = []
     for seed in range(options.first, options.first + options.cars):
-        begun = time.perf_counter()
         releases = None if options.releases is None else Releases(options.releases, HALF_M)
         judged.append(judge(seed, releases, options.rolls, options.braking))
-        good.append(is_good(*judged[-1]))
-        print(row(*judged[-1]), "" if good[-1] else "missed", f"({time.perf_counter() - begun:.0f} s)",
-              flush=True)
+        print(row(*judged[-1]), "" if is_good(*judged[-1]) else " missed", flush=True)
         if releases is not None:
             print("     ", releases.text(), flush=True)
     pairs = [pair for _, pair in judged if pair is not None]
     if pairs:
-        made, best = (Errors(*(np.concatenate([pair[which][part] for pair in pairs]) for part in range(2)))
-                      for which in range(2))
-        print("all written: ", figures(made, best))
-        print("counts alone:", figures(best, best))
-    results = [result for result, _ in judged]
-    print(f"{len(pairs)} of {len(judged)} written, {sum(good)} as is asked for; "
+        made, best = map(together, zip(*pairs))
+        print(line("all written", beyond(made, best), made, best))
+    results, good = [result for result, _ in judged], sum(is_good(*one) for one in judged)
+    print(f"{len(pairs)} of {len(judged)} written, {good} as is asked for; "
           f"{sum(result.collisions for result in results)} collisions, {max(result.max_m for result in results):.2f} m "
           f"from the middle at most, {max(result.held_s for result in results):.0f} s of held button at most")
-    return 0 if all(good) else 1
+    return int(good < len(judged))
 
 
 if __name__ == "__main__":

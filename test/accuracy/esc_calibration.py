@@ -17,6 +17,9 @@ import tempfile
 from pathlib import Path
 from typing import Iterator, NamedTuple
 
+import yaml
+from many_drives import THROTTLE
+
 from accuracy.virtual_drive import NS_PER_S, START_NS, Command, View, record
 from car_interface.cli.main import main as command_line
 from car_interface.interlock.motion_interlock import InterlockConfig
@@ -25,7 +28,6 @@ from car_interface.sim.drive_train import DriveConfig
 from car_interface.sim.vehicle import VehicleConfig
 from car_interface.steering.arbiter import TELEOP
 from car_interface.throttle.arbiter import ArbiterConfig
-from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 from car_interface.throttle.stick import StickConfig
@@ -33,8 +35,6 @@ from car_interface.throttle.stick import StickConfig
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
 TICK_S = 0.02
 STEERING_DUTY = 5100.0
-# config/throttle.yaml's, whose neutral is not the ESC's.
-SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 MAX_LATE_DUTY = 100  # what the stick moves from where the car sets off until that is seen
 ALL = ("creep forward", "brake", "pull twice", "creep backward", "wait and pull")
 
@@ -55,12 +55,7 @@ def random_car(seed: int) -> VehicleConfig:
 
 
 class Person:
-    """One who follows the page.
-
-    Args:
-        see: what the person sees.
-        leaves_out: headings of the page that the person skips.
-    """
+    """One who follows the page, but for the headings that are left out."""
 
     def __init__(self, see: View, leaves_out=()):
         self._see, self._leaves_out = see, leaves_out
@@ -84,22 +79,13 @@ class Person:
         self.holds_deadman = False
         yield from self._hold(0.0, 1.0)
 
-    def _creep_forward(self):
-        for _ in range(3):
-            yield from self._creep(1)
-
-    def _creep_backward(self):
-        for _ in range(3):
-            yield from self._creep(-1)
-
     def _brake(self):
         for _ in range(3):
             yield from self._forward_and_pull()
             yield from self._stand(0.7)
 
     def _pull_twice(self):
-        quicker = (0.45, 0.36, 0.28, 0.2, 0.14)
-        for count_s in (0.9, 0.9, 0.9, 0.9, *quicker):
+        for count_s in (0.9, 0.9, 0.9, 0.9, 0.45, 0.36, 0.28, 0.2, 0.14):
             yield from self._forward_and_pull()
             if self._see.speed_mps < -0.1:
                 yield from self._stand(0.5)
@@ -132,14 +118,17 @@ class Person:
         strength = -1.0 if self.rng.random() < 0.8 else -self.rng.uniform(0.75, 1.0)
         yield from self._hold(strength, seconds, lambda: self._see.speed_mps < -0.5)
 
-    def _creep(self, sign):
-        per_s = self.rng.uniform(0.06, 0.13)
-        position = self.rng.uniform(0.0, 0.06)
-        while abs(self._see.speed_mps) < 0.08 and position < 0.9:
-            yield from self._hold(sign * position, TICK_S)
-            position += per_s * TICK_S
-        yield from self._hold(sign * position, self._reaction_s)
-        yield from self._stand(1.0)
+    def _creep_forward(self, sign=1):
+        for _ in range(3):
+            per_s, position = self.rng.uniform(0.06, 0.13), self.rng.uniform(0.0, 0.06)
+            while abs(self._see.speed_mps) < 0.08 and position < 0.9:
+                yield from self._hold(sign * position, TICK_S)
+                position += per_s * TICK_S
+            yield from self._hold(sign * position, self._reaction_s)
+            yield from self._stand(1.0)
+
+    def _creep_backward(self):
+        return self._creep_forward(-1)
 
     def _stand(self, seconds):
         """Let the stick go until the car stands, and for so long."""
@@ -166,7 +155,7 @@ class Node:
 
     def __init__(self, is_calibration_drive=True):
         self._control = ThrottleControl(
-            SHIPPED, ArbiterConfig(stick=StickConfig(), interlock=InterlockConfig(grant_at_start=False)),
+            THROTTLE, ArbiterConfig(stick=StickConfig(), interlock=InterlockConfig(grant_at_start=False)),
             EscConfig(profile=UNVERIFIED, calibration_drive=is_calibration_drive))
         self._ticks, self._kind, self._duty = 0, None, None
 
@@ -211,8 +200,6 @@ def record_drive(seed: int, path, leaves_out=(), **changes) -> None:
 
 
 class Outcome(NamedTuple):
-    """What the command made of one recording."""
-
     kind: str  # the true one
     code: int
     profile: str | None  # that was written
@@ -222,7 +209,6 @@ class Outcome(NamedTuple):
 
 def judge(seed: int, folder: Path, bag: str | None = None) -> Outcome:
     """Calibrate by a drive with the ESC of a seed, recorded anew or before."""
-    import yaml
     output, car = folder / f"{seed}.yaml", random_car(seed)
     if bag is None:
         bag = str(folder / f"{seed}.bag")

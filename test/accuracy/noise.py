@@ -1,31 +1,27 @@
 #!/usr/bin/env python3
 """Line noise, measured: what gets past the checksum, the protocol's checks and the gates, and what it does to the way.
 
+    PYTHONPATH=src:test python3 -m accuracy.noise
+
 The golden capture is sent over and over with bits flipped at random. Each frame that comes out is compared with what
-the firmware meant. Each round begins with a rebooted Teensy, for the gates too, which live on from round to round.
-
-    PYTHONPATH=src:test python3 -m accuracy.noise --frames 1000000
-
-prints a table and ends with exit code 1 when more gets past than must, or when a wrong frame moves a wheel by more
-than 10 cm.
+the firmware meant. Each round begins with a rebooted Teensy, for the gates too, which live on from round to round. Exit
+code 1 when more gets past than must, or when a wrong frame moves a wheel by more than 10 cm.
 
 What must get past. A body of bytes sums up when the number that they spell is a multiple of 255 (256 ≡ 1), so a flip
 of bit k of any byte changes the sum by +2**k or −2**k modulo 255, and noise is seen unless the changes add up to a
-multiple of 255. One flip never does (2**k < 255). Two do exactly when they hit the same bit position of two bytes in
-opposite directions, a 1 that becomes a 0 and a 0 that becomes a 1:
+multiple of 255. One flip never does. Two do exactly when they hit the same bit position of two bytes in opposite
+directions, a 1 that becomes a 0 and a 0 that becomes a 1:
 
     p² × Σ over k of (ones in column k) × (zeros in column k)
 
-A report of the wheels has 37 bytes and thus 296 bits, 43,660 pairs of them; in some 1,200 pairs both are of one column
-and differ. At p = 1e-4 this is 1.2e-5; averaged over the shorter frames of the capture too, 0.8e-5: about 1 frame in
-10**5. At 1e-3 three and more flips matter as well. ``passing`` has them all: the number of ways to a multiple of 255
-comes out of the characteristic function of the sum,
+which at p = 1e-4 is 1.2e-5 for a report of the wheels (37 bytes), and 0.8e-5 averaged over the capture. At 1e-3 three
+and more flips matter as well. ``passing`` has them all, by the characteristic function of the sum, less the frame
+without a flip:
 
     P(change ≡ 0) = 1/255 × Σ over t = 0..254 of Π over bits of (1 − p + p × exp(±2πi × t × 2**k / 255))
 
-of which the frame without a flip is taken off. It needs no model of the noise but independent bits. Flips that make or
-break a flag or an escape cut frames up and join them; of such pieces 1 in 255 sums up. Hardly one has a header and the
-length that goes with it, so that these count for the checksum and not for what makes sense.
+Flips that make or break a flag or an escape cut frames up and join them; of such pieces 1 in 255 sums up. Hardly one
+has a header and the length that goes with it, so that these count for the checksum and not for what makes sense.
 """
 from __future__ import annotations
 
@@ -40,10 +36,10 @@ from typing import NamedTuple
 import numpy as np
 
 from car_interface.teensy.link.framing import ESCAPE, FLAG, FrameDecoder
-from car_interface.teensy.link.protocol import FORWARD, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
+from car_interface.teensy.link.protocol import FORWARD, Malformed, Pong, SonarStatus, WheelStatus, decode
 from car_interface.teensy.sensing.plausibility import Gates
 
-DATA = Path(__file__).resolve().parents[1] / "data"
+CAPTURE = Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin"
 RATES = (1e-5, 1e-4, 1e-3)
 PULSE_M = math.pi * 0.095 / 20
 MOST_HARM_M = 0.10
@@ -53,8 +49,6 @@ ROUNDS_AT_ONCE = 50
 
 
 class Sent(NamedTuple):
-    """A frame of the capture."""
-
     chunk: tuple  # start and end of its bytes on the line, its closing flag included
     body: bytes
     record: object
@@ -64,38 +58,25 @@ class Sent(NamedTuple):
 
 @dataclass
 class Result:
-    """What came of one rate."""
-
     rate: float
     frames: int = 0
-    whole: int = 0
+    lost: int = 0  # didn't come out as they were sent
     summed_up: int = 0  # wrong, but the checksum is right
     made_sense: int = 0  # of these, those that the protocol's checks let past
     got_past: int = 0  # of these, those that the gates let past
     refused: int = 0  # right ones, by the gates
     harm_m: float = 0.0  # the most by which a wrong frame moved a wheel
     error_m: float = 0.0  # the largest error of a wheel's way at any right report
-    ungated_m: float = 0.0  # the same without gates
-    adds_up: bool = True
     must_sum_up: float = 0.0
     must_make_sense: float = 0.0
 
-    @property
-    def lost(self) -> int:
-        """Frames that didn't come out as they were sent."""
-        return self.frames - self.whole
-
     def failures(self) -> list[str]:
         """What is worse than it must be."""
-        found = []
-        for name, count, must in (("summed up", self.summed_up, self.must_sum_up),
-                                  ("made sense", self.made_sense, self.must_make_sense)):
-            if count > most(must):
-                found.append(f"{count} wrong frames {name} where {must:.1f} must")
+        found = [f"{count} wrong frames {name} where {must:.1f} must" for name, count, must in (
+            ("summed up", self.summed_up, self.must_sum_up), ("made sense", self.made_sense, self.must_make_sense))
+            if count > most(must)]
         if self.harm_m > MOST_HARM_M:
             found.append(f"a wrong frame moved a wheel by {100 * self.harm_m:.1f} cm")
-        if not self.adds_up:
-            found.append("the tally doesn't add up")
         return found
 
 
@@ -106,25 +87,25 @@ def most(expected: float) -> float:
 
 def load() -> tuple[bytes, list[Sent]]:
     """The capture, and what its frames are; the way is summed up here from the firmware's own structures."""
-    capture = (DATA / "capture_mixed.bin").read_bytes()
-    lines = [json.loads(text) for text in (DATA / "capture_mixed.jsonl").read_text(encoding="utf-8").splitlines()]
-    frames, end, last, way, drive = [], lines[0]["end"] + 1, None, [0, 0], 0
+    lines = list(map(json.loads, CAPTURE.with_suffix(".jsonl").read_text(encoding="utf-8").splitlines()))
+    frames, end, last, way, drive = [], lines[0]["end"] + 1, None, (0, 0), 0
     for line in lines[1:]:
         body = bytes.fromhex(line["raw"])
-        report = None
-        if line["cmd"] == 7:
+        is_report = line["cmd"] == 7
+        if is_report:
             if last is not None and any(line[side]["dist_abs"] < last[side]["dist_abs"] for side in ("left", "right")):
-                way, drive, last = [0, 0], drive + 1, None
-            for index, side in enumerate(("left", "right")):
-                wheel = line[side]
-                before = last[side]["dist_abs"] if last else 0
-                # Nothing was lost on the firmware's side: a report holds pulses of one direction only.
-                sign = 1 if wheel["direction"] == FORWARD else -1
-                way[index] += sign * (wheel["dist_abs"] - before)
-            last, report = line, tuple(way)
-        frames.append(Sent((end, line["end"] + 1), body, decode(body), report, drive))
+                way, drive, last = (0, 0), drive + 1, None
+            # Nothing was lost on the firmware's side: a report holds pulses of one direction only.
+            way = tuple(sum_ + signed(line[side]["dist_abs"] - (last[side]["dist_abs"] if last else 0),
+                                      line[side]["direction"]) for sum_, side in zip(way, ("left", "right")))
+            last = line
+        frames.append(Sent((end, line["end"] + 1), body, decode(body), way if is_report else None, drive))
         end = line["end"] + 1
-    return capture, frames
+    return CAPTURE.read_bytes(), frames
+
+
+def signed(pulses: int, direction: int) -> int:
+    return pulses if direction == FORWARD else -pulses
 
 
 def passing(wire: bytes, rate: float) -> float:
@@ -162,37 +143,15 @@ def flipped(capture: bytes, rounds: int, rate: float, random: np.random.Generato
     return data.tobytes()
 
 
-class Way:
-    """The way of both wheels as a listener adds it up, against the truth."""
-
-    def __init__(self):
-        self.pulses = [0, 0]
-        self._offset = None
-        self.drive = None
-
-    def add(self, pulses) -> None:
-        """Count pulses."""
-        self.pulses = [have + more for have, more in zip(self.pulses, pulses)]
-
-    def error_m(self, truth: tuple, drive: tuple) -> float:
-        """The error of the worse wheel, since the first report after the last true reset that was heard."""
-        if drive != self.drive:
-            self.drive, self._offset = drive, [have - true for have, true in zip(self.pulses, truth)]
-        return PULSE_M * max(abs(have - true - off) for have, true, off in zip(self.pulses, truth, self._offset))
-
-
 class Listener:
-    """The end of the line: decoder, checks, gates; and beside them somebody who believes whatever makes sense."""
+    """The end of the line: decoder, checks, gates, and the way of both wheels by what they let past."""
 
     def __init__(self, capture: bytes, frames: list[Sent], result: Result):
-        self._capture = capture
-        self._frames = frames
-        self._result = result
-        self._decoder = FrameDecoder()
-        self._gates = Gates()
+        self._capture, self._frames, self._result = capture, frames, result
+        self._decoder, self._gates = FrameDecoder(), Gates()
         self._pings = {sent.record.timestamp1 for sent in frames if isinstance(sent.record, Pong)}
-        self._way, self._ungated = Way(), Way()
-        self._believed = None
+        self._pulses, self._offset = (0, 0), (0, 0)
+        self._drive = None  # since the first right report after the last true reset the way is compared
         self._round = 0
 
     def hear(self, data: bytes) -> None:
@@ -203,18 +162,15 @@ class Listener:
             for sent in self._frames:
                 first, end = sent.chunk
                 self._result.frames += 1
+                self._result.lost += 1
                 for body in feed(data[start + first:start + end]):
                     self._take(body, sent)
             self._round += 1
-        tally = self._decoder.tally
-        self._result.adds_up &= (
-            tally.bytes_in == tally.frame_bytes + tally.flags + tally.noise_bytes + self._decoder.pending)
 
     def _take(self, body, sent):
-        result = self._result
-        record = decode(body)
+        result, record = self._result, decode(body)
         right = body == sent.body
-        result.whole += right
+        result.lost -= right
         if not right:
             result.summed_up += 1
             if isinstance(record, Malformed):
@@ -222,50 +178,35 @@ class Listener:
             right = record == sent.record  # the filler alone is wrong, which nobody reads
             result.made_sense += not right
         verdict = self._judge(record)
-        if verdict is None:
-            result.got_past += not right
-            return
-        result.got_past += verdict.accepted and not right
-        result.refused += right and not verdict.accepted
+        accepted = verdict is None or verdict.accepted
+        result.got_past += accepted and not right
+        result.refused += right and not accepted
         if isinstance(record, WheelStatus):
-            self._roll(record, sent, right, verdict)
+            # In this capture the firmware knew the directions of the first pulses, too.
+            self._pulses = tuple(
+                sum_ + proven + signed(unproven, wheel.direction)
+                for sum_, proven, unproven, wheel in zip(self._pulses, verdict.pulses, verdict.unproven, record))
+            if sent.way is not None and accepted:
+                self._compare(sent, right)
 
     def _judge(self, record):
         if isinstance(record, WheelStatus):
             return self._gates.wheels(record)
         if isinstance(record, SonarStatus):
             return self._gates.sonar(record)
-        if isinstance(record, Pong):
-            return self._gates.pong(record, record.timestamp1 in self._pings)
-        return None
+        return self._gates.pong(record, record.timestamp1 in self._pings) if isinstance(record, Pong) else None
 
-    def _roll(self, record, sent, right, verdict):
-        result = self._result
-        drive = (self._round, sent.drive)
-        # In this capture the firmware knew the directions of the first pulses, too.
-        self._way.add(proven + (unproven if wheel.direction == FORWARD else -unproven)
-                      for proven, unproven, wheel in zip(verdict.pulses, verdict.unproven, record))
-        if sent.way is not None and verdict.accepted:
-            error_m = self._way.error_m(sent.way, drive) if right else self._harm_m(sent, drive)
-            if right:
-                result.error_m = max(result.error_m, error_m)
-            else:
-                result.harm_m = max(result.harm_m, error_m)
-        if self._believed is not None:
-            self._ungated.add(map(believed_pulses, self._believed, record))
-        self._believed = record
-        if sent.way is not None and right:
-            result.ungated_m = max(result.ungated_m, self._ungated.error_m(sent.way, drive))
-
-    def _harm_m(self, sent, drive):
-        way = self._way
-        return way.error_m(sent.way, drive) if way.drive == drive else 0.0
-
-
-def believed_pulses(before: Wheel, now: Wheel) -> int:
-    """What a listener without gates makes of two reports; a smaller count is a reset to it."""
-    pulses = now.dist_abs - before.dist_abs
-    return (1 if now.direction == FORWARD else -1) * (pulses if pulses >= 0 else 0)
+    def _compare(self, sent, right):
+        off = tuple(have - true for have, true in zip(self._pulses, sent.way))
+        if self._drive != (self._round, sent.drive):
+            if not right:
+                return
+            self._drive, self._offset = (self._round, sent.drive), off
+        error_m = PULSE_M * max(abs(now - before) for now, before in zip(off, self._offset))
+        if right:
+            self._result.error_m = max(self._result.error_m, error_m)
+        else:
+            self._result.harm_m = max(self._result.harm_m, error_m)
 
 
 def measure(frames: int, rate: float) -> Result:
@@ -281,27 +222,16 @@ def measure(frames: int, rate: float) -> Result:
     return result
 
 
-COLUMNS = ("bit errors", "frames", "whole", "lost", "wrong, sum right", "must at most", "wrong, sense", "must at most",
-           "wrong, past gates", "right, refused", "harm of one", "error of way", "without gates")
-
-
-def row(result: Result) -> tuple:
-    """A line of the table."""
-    return (f"{result.rate:.0e}", f"{result.frames:,}", f"{result.whole:,}", f"{result.lost:,}",
-            f"{result.summed_up:,}", f"{result.must_sum_up:,.1f}", f"{result.made_sense:,}",
-            f"{result.must_make_sense:,.1f}", f"{result.got_past:,}", f"{result.refused:,}",
-            f"{100 * result.harm_m:.1f} cm", f"{100 * result.error_m:.1f} cm", f"{result.ungated_m:,.1f} m")
-
-
 def main() -> int:
-    """Measure all rates and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--frames", type=int, default=1_000_000, help="at least so many at each rate")
-    arguments = parser.parse_args()
-    results = [measure(arguments.frames, rate) for rate in RATES]
-    table = [COLUMNS, *map(row, results)]
-    for cells in zip(*table):
-        print(f"{cells[0]:<20}" + "".join(f"{cell:>14}" for cell in cells[1:]))
+    results = [measure(parser.parse_args().frames, rate) for rate in RATES]
+    for name, cell in (
+            ("bit errors", "{0.rate:.0e}"), ("frames", "{0.frames:,}"), ("lost", "{0.lost:,}"),
+            ("wrong, sum right", "{0.summed_up:,}"), ("must at most", "{0.must_sum_up:,.1f}"),
+            ("wrong, sense", "{0.made_sense:,}"), ("must at most", "{0.must_make_sense:,.1f}"),
+            ("wrong, past gates", "{0.got_past:,}"), ("harm of one, m", "{0.harm_m:.3f}")):
+        print(f"{name:<20}" + "".join(f"{cell.format(result):>14}" for result in results))
     failures = [f"{result.rate:.0e}: {failure}" for result in results for failure in result.failures()]
     print("\n" + ("\n".join(failures) or "no more than must"))
     return 1 if failures else 0

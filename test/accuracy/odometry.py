@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How well the wheels' reports become a pose, measured on the virtual car, whose true pose is known.
 
-    PYTHONPATH=src:test python3 -m accuracy.odometry [--runs N] [--only NAME]
+    PYTHONPATH=src:test python3 -m accuracy.odometry [--runs N]
 
 Virtual time: the car drives, its Teensy reports byte by byte, gates and odometry follow. Where the wheels stand
 between magnets at the start differs from run to run, as do the Teensy's clock and the driver's hand. Scored are: the
@@ -15,10 +15,11 @@ import argparse
 import math
 import random
 import statistics
-import sys
 from bisect import bisect_left
 from dataclasses import dataclass, field
-from typing import Callable
+from typing import Callable, NamedTuple
+
+import numpy as np
 
 from accuracy.clock import percentile
 from car_interface.sim.teensy_config import FirmwareConfig
@@ -34,20 +35,13 @@ STEP_NS = 2 * NS_PER_MS
 CONTROL_NS = 20 * NS_PER_MS
 SPEED_FROM_MPS = 0.5
 CRAWL_MPS = 0.05
+STARTS_S = 0.7
+NEUTRAL = 4915
 
 
-@dataclass(frozen=True)
-class Order:
-    """What the driver wants now."""
-
-    speed_mps: float
-    curvature_per_m: float = 0.0
-
-
-@dataclass(frozen=True)
-class Drive:
+class Drive(NamedTuple):
     name: str
-    order: Callable  # Vehicle, seconds → Order or None when done
+    order: Callable  # (Vehicle, seconds) → speed in m/s and curvature in 1/m, or None when done
     gain_per_s: float = 4.0
     max_mps2: float = 2.0
     resets_s: tuple = ()  # when somebody sets the odometers to zero
@@ -64,104 +58,130 @@ class Score:
     reports: int = 0
 
 
+def approach(speed_mps, left_m, braking_mps2):
+    """The speed at which a car may still be, that is to stop after this way."""
+    return min(speed_mps, math.sqrt(2 * braking_mps2 * max(0.0, left_m)))
+
+
 def straight(distance_m, speed_mps, curvature_per_m=0.0):
     def order(car, now_s):
         left = distance_m - car.travel_m
-        if now_s < 0.7:
-            return Order(0.0, curvature_per_m)
-        if left <= 0.03 and car.speed_mps < 0.02:
+        if now_s >= STARTS_S and left <= 0.03 and car.speed_mps < 0.02:
             return None
-        return Order(min(speed_mps, math.sqrt(2 * 1.5 * max(0.0, left - 0.02))), curvature_per_m)
+        return approach(speed_mps, left - 0.02, 1.5) if now_s >= STARTS_S else 0.0, curvature_per_m
     return order
 
 
 def figure_eight(rounds, radius_m, speed_mps):
     def order(car, now_s):
-        if now_s < 0.7:
-            return Order(0.0, 1 / radius_m)
         part = int(car.travel_m / (2 * math.pi * radius_m))
         if part >= 2 * rounds:
-            return Order(0.0, 0.0) if car.speed_mps > 0.02 else None
-        return Order(speed_mps, (-1 if part % 2 else 1) / radius_m)
+            return (0.0, 0.0) if car.speed_mps > 0.02 else None
+        return speed_mps if now_s >= STARTS_S else 0.0, (-1 if part % 2 else 1) / radius_m
     return order
 
 
-def stop_and_go(times, leg_m, speed_mps, curvatures=(0.0,)):
-    state = {"leg": 0, "rest": 0.7}
-    def order(car, now_s):
-        curvature = curvatures[state["leg"] % len(curvatures)]
-        target = (state["leg"] + 1) * leg_m
-        if now_s < state["rest"]:
-            return Order(0.0, curvature)
-        left = target - car.travel_m
-        if left <= 0.03 and abs(car.speed_mps) < 0.02:
-            state["leg"] += 1
-            state["rest"] = now_s + 0.4 + 0.35 * (state["leg"] % 5)
-            return Order(0.0, curvature) if state["leg"] < times else None
-        return Order(min(speed_mps, math.sqrt(2 * 2.0 * max(0.0, left))), curvature)
-    return order
+def stop_and_go(times, leg_m, speed_mps, curvatures):
+    leg, rests_until_s = 0, STARTS_S
 
-
-def reversing(times, leg_m, speed_mps, curvatures=(0.0,)):
-    state = {"leg": 0, "rest": 0.7, "from": 0.0}
     def order(car, now_s):
-        leg = state["leg"]
-        sign = -1 if leg % 2 else 1
+        nonlocal leg, rests_until_s
         curvature = curvatures[leg % len(curvatures)]
-        if now_s < state["rest"]:
-            return Order(0.0, curvature)
-        left = leg_m - sign * (car.travel_m - state["from"])
+        if now_s < rests_until_s:
+            return 0.0, curvature
+        left = (leg + 1) * leg_m - car.travel_m
+        if left <= 0.03 and abs(car.speed_mps) < 0.02:
+            leg += 1
+            rests_until_s = now_s + 0.4 + 0.35 * (leg % 5)
+            return (0.0, curvature) if leg < times else None
+        return approach(speed_mps, left, 2.0), curvature
+    return order
+
+
+def reversing(times, leg_m, speed_mps, curvatures):
+    leg, rests_until_s, from_m = 0, STARTS_S, 0.0
+
+    def order(car, now_s):
+        nonlocal leg, rests_until_s, from_m
+        sign, curvature = -1 if leg % 2 else 1, curvatures[leg % len(curvatures)]
+        if now_s < rests_until_s:
+            return 0.0, curvature
+        left = leg_m - sign * (car.travel_m - from_m)
         if left <= 0.03 and abs(car.speed_mps) < 0.03:
-            state.update(leg=leg + 1, rest=now_s + (0.0 if leg % 3 else 0.8))
-            state["from"] = car.travel_m
-            return Order(0.0, curvature) if leg + 1 < times else None
-        return Order(sign * min(speed_mps, math.sqrt(2 * 2.0 * max(0.0, left))), curvature)
+            rests_until_s, from_m, leg = now_s + (0.0 if leg % 3 else 0.8), car.travel_m, leg + 1
+            return (0.0, curvature) if leg < times else None
+        return sign * approach(speed_mps, left, 2.0), curvature
     return order
 
 
 def wandering(distance_m, speed_mps, sharpest_per_m):
     def order(car, now_s):
-        if now_s < 0.7:
-            return Order(0.0)
+        if now_s < STARTS_S:
+            return 0.0, 0.0
         left = distance_m - car.travel_m
         if left <= 0.03 and car.speed_mps < 0.05:
             return None
-        bend = sharpest_per_m * math.sin(car.travel_m / 5.0)
-        return Order(min(speed_mps, math.sqrt(2 * 3.0 * max(0.0, left))), bend)
+        return approach(speed_mps, left, 3.0), sharpest_per_m * math.sin(car.travel_m / 5.0)
     return order
 
 
-def drives():
+def drives() -> list[Drive]:
     return [
-        lambda: Drive("straight 20 m", straight(20.0, 2.0)),
-        lambda: Drive("figure eight x 5", figure_eight(5, 1.6, 1.5)),
-        lambda: Drive("stop and go 60 m", stop_and_go(30, 2.0, 1.5, (0.0, 0.3, -0.5))),
-        lambda: Drive("reversing 60 m", reversing(20, 3.0, 1.2, (0.0, 0.4, 0.4, -0.3))),
-        lambda: Drive("crawl 0.05 m/s", straight(3.0, CRAWL_MPS), 8.0),
-        lambda: Drive("crawl in a circle", straight(3.0, CRAWL_MPS, 0.5), 8.0),
-        lambda: Drive("8 m/s", straight(100.0, 8.0), 4.0, 5.0),
-        lambda: Drive("8 m/s, bends", wandering(100.0, 8.0, 0.05), 4.0, 5.0),
-        lambda: Drive("20 m, six resets", straight(20.0, 2.0), resets_s=(3, 4.1, 5.2, 6.3, 7.4, 8.5)),
-        lambda: Drive("reversing, resets", reversing(8, 3.0, 1.2, (0.0, 0.4)), resets_s=(3, 5.3, 7.6, 9.9, 12.2, 14.5)),
-        lambda: Drive("wandering 60 m", wandering(60.0, 1.5, 0.6), 4.0, 5.0),
+        Drive("straight 20 m", straight(20.0, 2.0)),
+        Drive("figure eight x 5", figure_eight(5, 1.6, 1.5)),
+        Drive("stop and go 60 m", stop_and_go(30, 2.0, 1.5, (0.0, 0.3, -0.5))),
+        Drive("reversing 60 m", reversing(20, 3.0, 1.2, (0.0, 0.4, 0.4, -0.3))),
+        Drive("crawl 0.05 m/s", straight(3.0, CRAWL_MPS), 8.0),
+        Drive("crawl in a circle", straight(3.0, CRAWL_MPS, 0.5), 8.0),
+        Drive("8 m/s", straight(100.0, 8.0), 4.0, 5.0),
+        Drive("8 m/s, bends", wandering(100.0, 8.0, 0.05), 4.0, 5.0),
+        Drive("20 m, six resets", straight(20.0, 2.0), resets_s=(3, 4.1, 5.2, 6.3, 7.4, 8.5)),
+        Drive("reversing, resets", reversing(8, 3.0, 1.2, (0.0, 0.4)), resets_s=(3, 5.3, 7.6, 9.9, 12.2, 14.5)),
+        Drive("wandering 60 m", wandering(60.0, 1.5, 0.6), 4.0, 5.0),
     ]
 
 
-class Driver:
-    """Turns orders into duties, knowing the truth."""
+class Bench:
+    def __init__(self, drive: Drive, phase, seed):
+        self._random = random.Random(seed)
+        self.car = Vehicle(VehicleConfig(pulse_phase=phase, tyres=None))
+        self.drive = drive
+        self.teensy = TeensyFirmware(
+            FirmwareConfig(clock_start_ms=300 + self._random.randrange(3_600_000),
+                           clock_drift_ppm=self._random.uniform(-50, 50),
+                           wheel_positions=tuple(math.floor(position) for position in phase)),
+            lambda sensor, at_ns: self._random.choice((1500, 5832, 14_000, 0)))
+        self._resets_s = list(drive.resets_s)
+        self._decoder = FrameDecoder()
+        self.gates = Gates()
+        self.odometry = Odometry(OdometryConfig())
+        self.score = Score()
+        self._truth = []  # (device ms, x, y, yaw, speed)
 
-    def __init__(self, drive, car, rng):
-        self._drive = drive
-        self._curve = car.config.steering.curve
-        self._car = car
-        self._random = rng
+    def run(self):
+        car, control_ns, duties = self.car, 0, (5070, NEUTRAL)
+        self._note(0)
+        while True:
+            if car.time_ns >= control_ns:
+                control_ns += CONTROL_NS
+                order = self.drive.order(car, car.time_ns / NS_PER_S)
+                if order is None:
+                    break
+                duties = self._duties(*order)
+            self._step(duties)
+        for _ in range(350):
+            self._step((duties[0], NEUTRAL))
+        return self.score
 
-    def duties(self, order):
-        car = self._car
-        wanted = self._drive.gain_per_s * (order.speed_mps - car.speed_mps)
-        wanted = max(-self._drive.max_mps2, min(self._drive.max_mps2, wanted))
-        if order.speed_mps == 0.0 and abs(car.speed_mps) < 1e-6:
-            return self._steering(order.curvature_per_m), 4915
+    def _duties(self, speed_mps, curvature):
+        """The duties for a speed and a curvature, by the truth."""
+        car = self.car
+        curve = [(-curvature_per_m, duty) for duty, curvature_per_m in car.config.steering.curve]
+        steering = round(float(np.interp(-curvature, *zip(*curve))))
+        if speed_mps == 0.0 and abs(car.speed_mps) < 1e-6:
+            return steering, NEUTRAL
+        wanted = self.drive.gain_per_s * (speed_mps - car.speed_mps)
+        wanted = max(-self.drive.max_mps2, min(self.drive.max_mps2, wanted))
         low, high = 3277, 6554
         while high - low > 1:
             middle = (low + high) // 2
@@ -169,51 +189,7 @@ class Driver:
                 low = middle
             else:
                 high = middle
-        return self._steering(order.curvature_per_m), high if self._random.random() < 0.5 else low
-
-    def _steering(self, curvature):
-        curve = self._curve
-        for (d0, k0), (d1, k1) in zip(curve, curve[1:]):
-            if k1 <= curvature <= k0:
-                return round(d0 + (k0 - curvature) / (k0 - k1) * (d1 - d0))
-        return curve[0][0] if curvature > 0 else curve[-1][0]
-
-
-class Bench:
-    def __init__(self, make_drive, phase, seed, config):
-        self._random = random.Random(seed)
-        self.car = Vehicle(VehicleConfig(pulse_phase=phase, tyres=None))
-        self.drive = make_drive()
-        self._driver = Driver(self.drive, self.car, self._random)
-        self.teensy = TeensyFirmware(
-            FirmwareConfig(clock_start_ms=300 + self._random.randrange(3_600_000),
-                           clock_drift_ppm=self._random.uniform(-50, 50),
-                           wheel_positions=tuple(math.floor(position) for position in phase)),
-            lambda sensor, at_ns: self._random.choice((1500, 5832, 14_000, 0)))
-        self._resets_s = list(self.drive.resets_s)
-        self._decoder = FrameDecoder()
-        self.gates = Gates()
-        self.odometry = Odometry(config)
-        self.score = Score()
-        self._truth = []  # (device ns, x, y, yaw, speed, yaw rate)
-
-    def run(self):
-        car = self.car
-        now_ns = control_ns = 0
-        duties = (5070, 4915)
-        self._note(now_ns)
-        while True:
-            if now_ns >= control_ns:
-                control_ns += CONTROL_NS
-                order = self.drive.order(car, now_ns / NS_PER_S)
-                if order is None:
-                    break
-                duties = self._driver.duties(order)
-            self._step(duties)
-            now_ns = car.time_ns
-        for _ in range(350):
-            self._step((duties[0], 4915))
-        return self.score
+        return steering, high if self._random.random() < 0.5 else low
 
     def _step(self, duties):
         car, teensy = self.car, self.teensy
@@ -275,29 +251,22 @@ class Bench:
             score.crawl.append(error / abs(speed_mps))
 
 
-def run(make_drive, phase, seed) -> Score:
-    """One drive."""
-    return Bench(make_drive, phase, seed, OdometryConfig()).run()
+def run(name: str, phase, seed: int) -> Score:
+    return Bench(next(drive for drive in drives() if drive.name == name), phase, seed).run()
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--only", default="", help="drives with this in their name")
-    arguments = parser.parse_args()
     rng = random.Random(1)
-    phases = [(rng.random(), rng.random()) for _ in range(arguments.runs)]
+    phases = [(rng.random(), rng.random()) for _ in range(parser.parse_args().runs)]
     print(20 * " " + " |   way | position, %  | heading, deg | speed p95, % | within")
     print(20 * " " + " |     m | median worst | median worst | median worst | 3 sigma")
-    for make in drives():
-        name = make().name
-        if arguments.only in name:
-            print(row(name, [run(make, phase, seed) for seed, phase in enumerate(phases)]), flush=True)
-    return 0
+    for drive in drives():
+        print(row(drive.name, [run(drive.name, phase, seed) for seed, phase in enumerate(phases)]), flush=True)
 
 
 def row(name, scores):
-    """A line of the table."""
     position = [100 * score.position_m / score.distance_m for score in scores]
     heading = [score.yaw_deg for score in scores]
     speed = [100 * percentile(score.crawl if "crawl" in name else score.speed, 0.95) for score in scores]
@@ -307,4 +276,4 @@ def row(name, scores):
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

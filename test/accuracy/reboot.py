@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What a reboot of the Teensy in mid-drive costs of the heading, measured on the virtual Teensy.
 
-    PYTHONPATH=src:test python3 -m accuracy.reboot [--reboots N] [--seed N]
+    PYTHONPATH=src:test python3 -m accuracy.reboot
 
 Virtual time: wheels roll by a plan of speed and curvature, their hall pins stand anywhere, and power is cut in the
 middle; frames are cut on the line, no pulse counts while the Teensy boots, and its first pulses have wrong directions.
@@ -13,18 +13,16 @@ from __future__ import annotations
 import argparse
 import math
 import random
-import sys
 from typing import NamedTuple
 
+from many_drives import MS, S
+
+from accuracy.virtual_drive import Link
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
-from car_interface.teensy.link.framing import FrameDecoder
-from car_interface.teensy.link.pinging import Pinger
-from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
-from car_interface.teensy.sensing.measurements import Measurements, MotionMeasurement
+from car_interface.teensy.sensing.measurements import MotionMeasurement
 
-MS, S = 1_000_000, 1_000_000_000
 PULSE_M, TRACK_M = math.pi * 0.095 / 20, 0.296
 STEP_NS = MS
 REBOOT_S, END_S = 6.0, 9.0
@@ -109,39 +107,27 @@ class Drive:
 
 
 def run(seed: int) -> Outcome:
-    """One drive with one reboot."""
     rng = random.Random(seed)
     drive = Drive(make_plan(rng), rng)
-    measured, decoder, pinger = Measurements(), FrameDecoder(), Pinger(S, "shipped", 0)
+    link = Link(drive.teensy)
     reboot_ns = round((REBOOT_S + rng.uniform(0, 0.2)) * S)
     off_ns = rng.choice((0, 0, rng.randrange(200 * MS)))
-    before, found, truth, last_ns, gap_ns = None, [], {}, 0, 0
+    before_rad, found, truth, last_ns, gap_ns = 0.0, [], {}, 0, 0
     while drive.now_ns < END_S * S:
         now_ns = drive.now_ns
         truth[now_ns // STEP_NS] = drive.yaw
         if reboot_ns is not None and now_ns >= reboot_ns:
             drive.teensy.reboot(now_ns, off_ns)
-            before, reboot_ns = (found[-1] if found else None), None
-            pinger.retry_now()
-        if now_ns >= pinger.next_event_ns():
-            pinger.expire(now_ns)
-            if now_ns >= pinger.due_ns:
-                drive.teensy.receive(pinger.ping(now_ns // MS, now_ns), now_ns)
-        for body in decoder.feed(drive.teensy.transmit(now_ns)):
-            record = decode(body)
-            if isinstance(record, Pong):
-                measured.pong(record, pinger.pong(record.timestamp1, now_ns), now_ns)
-            elif isinstance(record, SonarStatus):
-                measured.sonar(record, now_ns)
-            elif isinstance(record, WheelStatus):
-                result = measured.wheels(record, now_ns)
-                if isinstance(result, MotionMeasurement):
-                    gap_ns = max(gap_ns, now_ns - last_ns) if last_ns else 0
-                    last_ns = now_ns
-                    found.append(error(result, truth))
+            before_rad, reboot_ns = found[-1][0], None
+            link.pinger.retry_now()
+        for _, result in link.step(now_ns):
+            if isinstance(result, MotionMeasurement):
+                gap_ns = max(gap_ns, now_ns - last_ns) if last_ns else 0
+                last_ns = now_ns
+                found.append(error(result, truth))
         drive.step()
     off_rad, sigmas = found[-1]
-    return Outcome(drive.plan, math.degrees(off_rad - before[0]), sigmas, gap_ns / S)
+    return Outcome(drive.plan, math.degrees(off_rad - before_rad), sigmas, gap_ns / S)
 
 
 def error(result, truth):
@@ -154,9 +140,7 @@ def error(result, truth):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--reboots", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
-    outcomes = [run(1000 * arguments.seed + index) for index in range(arguments.reboots)]
+    outcomes = [run(1000 + index) for index in range(parser.parse_args().reboots)]
     print("drive     |   n | heading off, deg | within 3 sigma | no odometry, s")
     for name, kinds in [*((kind, (kind,)) for kind in KINDS), ("all", KINDS)]:
         some = [outcome for outcome in outcomes if outcome.plan.kind in kinds]
@@ -165,8 +149,7 @@ def main():
             inside = sum(outcome.heading_sigmas <= 3 for outcome in some)
             print(f"{name:9} | {len(some):3} | {heading[len(some) // 2]:7.2f} {heading[-1]:8.2f} | "
                   f"{inside:7}/{len(some):<6} | {max(outcome.gap_s for outcome in some):5.2f}")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

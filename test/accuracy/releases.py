@@ -4,7 +4,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from accuracy.virtual_drive import NS_PER_S
-from car_interface.calibration.drive.step import PAUSED, Step
 
 ROLLS_S, STANDS_MPS = 20.0, 0.02
 
@@ -46,20 +45,3 @@ class Releases:
                 f"by {max(out_m, default=0.0):.2f} m at most ({max(one.max_m for one in found):.2f} m along x or y); "
                 f"{len(hits_mps)} hit a wall, at {max(hits_mps, default=0.0):.2f} m/s at most; "
                 f"rolls {max(one.distance_m for one in found):.2f} m, {max(one.took_s for one in found):.1f} s at most")
-
-
-def ignore(*_):
-    """Take a call that changes nothing."""
-
-
-class PausedDrive:
-    """What the drive is once nobody holds the button: it asks for nothing."""
-
-    def step(self, now_ns):
-        """Nothing."""
-        return Step(None, 0.0, PAUSED, "")
-
-    def take_fit_task(self):
-        """None is due."""
-
-    update_odometry = update_range = update_duty = update_grant = update_stopping = update_knowledge = ignore

@@ -2,7 +2,7 @@
 
 ``random_car`` makes a car, ``record`` lets a scripted person drive it in virtual time (car, Teensy byte by byte,
 measurements, messages) and writes a ROS 1 bag as rosbag would have written it of the real nodes. Whoever calibrates
-sees only the bag; ``true_curvature_per_m`` and ``true_acceleration_mps2`` are for the judge.
+sees only the bag; ``true_curvature_per_m`` is for the judge.
 
 The person sees what odometry says, reacts every quarter of a second, and knows the car only by what it did before.
 """
@@ -15,20 +15,13 @@ from pathlib import Path
 from typing import Iterator, NamedTuple
 
 import numpy as np
-from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from many_drives import COUNT, THROTTLE, count_duty
+from unit.written_recordings import Written, stamp, write_ros1
 
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_wheels import BACKWARD
-from car_interface.sim.vehicle import (
-    GRAVITY_MPS2,
-    DriveConfig,
-    SteeringConfig,
-    Vehicle,
-    VehicleConfig,
-)
-from car_interface.sim.vehicle import true_acceleration_mps2 as acceleration_of_duty_mps2
+from car_interface.sim.vehicle import GRAVITY_MPS2, DriveConfig, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
@@ -45,15 +38,10 @@ IMU_NS = 10 * NS_PER_MS
 REACTION_S, MISSED_S, BEYOND_S = 0.25, 0.5, 0.4
 HELD_S = 1.8  # a position of the stick, from either side
 START_NS = 5_000 * NS_PER_S  # monotonic
-ROS_START_NS = 1_700_000_000 * NS_PER_S
-COUNT = 16  # duty of one count of the servo board
-STEERING_CHANNEL, THROTTLE_CHANNEL, CHANNELS = 0, 1, 16
-# config/throttle.yaml: value → duty of the ESC's channel.
-VALUE_AXIS, DUTY_TABLE = (-5.0, 0.0, 3.0), (3277.0, 4915.0, 6554.0)
+CHANNELS = 16
 LEAST_DUTY, MOST_DUTY = 3350, 7050  # as far as the person turns the stick
 SIDEWAYS_MPS2 = 3.0  # nobody drives faster than that round a bend
 MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS = "mixed", "right", "fast", "third"
-MESSAGES = Path(__file__).resolve().parents[2] / "msg"
 
 
 # --- the car ---
@@ -108,19 +96,9 @@ def true_curvature_per_m(car: VehicleConfig, duty) -> np.ndarray:
     return np.interp(duty, duties, curvatures)
 
 
-def true_acceleration_mps2(car: VehicleConfig, value: float, speed_mps: float) -> float:
-    """On level ground at mean battery, by the value as the board's nearest count has it."""
-    return acceleration_of_duty_mps2(count_duty(duty_of_value(value)), speed_mps, car.drive)
-
-
 def duty_of_value(value: float) -> float:
     """The ESC's, by config/throttle.yaml."""
-    return float(np.interp(value, VALUE_AXIS, DUTY_TABLE))
-
-
-def count_duty(duty: float) -> int:
-    """What the servo board holds for a duty."""
-    return int((duty + COUNT / 2) // COUNT) * COUNT
+    return float(np.interp(value, THROTTLE.value_axis, THROTTLE.duty_table))
 
 
 # --- the person ---
@@ -177,7 +155,6 @@ def mixed_drive(see: View, missing: str = MIXED) -> Iterator[Command]:
 
 
 def rest(see, seconds):
-    """Stand."""
     until_s = see.now_s + seconds
     while see.now_s < until_s:
         yield Command(see.straight_duty, 0.0)
@@ -246,7 +223,6 @@ def steps(see, seconds, missing):
 
 
 def back_off(see):
-    """Stop, and a short way backward."""
     yield from _hold(see, -1.0, lambda: see.speed_mps < 0.4, 6.0)
     yield from rest(see, 1.0)
     yield from _hold(see, -1.2, lambda: see.speed_mps < -0.8, 3.0)
@@ -340,73 +316,54 @@ def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing:
     """Drive a car and write the bag.
 
     Args:
-        car: what is driven.
-        path: of the bag; must not exist.
+        path: must not exist.
         seed: of the person, the Teensy's clock, magnets that sit a little off, the IMU's noise.
         script: ``(View, missing) -> Command``s, 50 a second; its end is the drive's.
         missing: what the person leaves away; ``TWO_THIRDS``: the recorder ran only 7 s of each 10.
-        duration_s: of the drive.
         imu: with imu/data, 100 a second.
-        by_hand: the person drives the ESC, and there are no values.
         servo_topic: ``/servo/output``, or ``/servo/cmdVector`` with its −1 for channels that are left alone.
+        by_hand: the person drives the ESC, and there are no values.
     """
-    rng = random.Random(seed)
-    bag = _Bag(path, missing == TWO_THIRDS)
-    with bag:
-        drive = _Recorder(car, bag, rng, imu, servo_topic)
-        commands = script(drive.see, missing)
-        if by_hand:
-            commands = (command._replace(esc_duty=round(duty_of_value(command.value))) for command in commands)
-        drive.run(commands, duration_s)
+    recorder = _Recorder(car, random.Random(seed), imu, servo_topic)
+    commands = script(recorder.see, missing)
+    if by_hand:
+        commands = (command._replace(esc_duty=round(duty_of_value(command.value))) for command in commands)
+    messages = recorder.drive(commands, duration_s)
+    if missing == TWO_THIRDS:
+        messages = (message for message in messages if message.time_s % 10 < 7)
+    write_ros1(Path(path), messages)
 
 
-class _Bag:
-    """Writes messages; knows the types."""
+class Link:
+    """What teensy_sensor_hub makes of a virtual Teensy, byte by byte."""
 
-    def __init__(self, path, gaps):
-        self._store = get_typestore(Stores.ROS1_NOETIC)
-        types = {}
-        for definition in MESSAGES.glob("*.msg"):
-            text = definition.read_text(encoding="utf-8")
-            types.update(get_types_from_msg(text, f"car_interface/msg/{definition.stem}"))
-        self._store.register(types)
-        self._writer = Writer(Path(path))
-        self._connections = {}
-        self._gaps = gaps
+    def __init__(self, teensy: TeensyFirmware, begin_ns: int = 0, config: MeasurementConfig | None = None):
+        self.teensy = teensy
+        self.pinger = Pinger(NS_PER_S, SHIPPED, begin_ns)
+        self._decoder, self._measurements = FrameDecoder(), Measurements(config or MeasurementConfig())
 
-    def __enter__(self):
-        self._writer.open()
-        return self
+    def step(self, now_ns: int) -> Iterator[tuple]:
+        """Ping if it is time; yield each record that has come, and what was measured by it, if anything.
 
-    def __exit__(self, *_):
-        self._writer.close()
-
-    def type(self, name):
-        return self._store.types[name]
-
-    def write(self, topic, type_name, message, received_ns):
-        ros_ns = ros_time_ns(received_ns)
-        if self._gaps and (received_ns - START_NS) / NS_PER_S % 10 >= 7:
-            return
-        if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(topic, type_name, typestore=self._store)
-        self._writer.write(self._connections[topic], ros_ns, bytes(self._store.serialize_ros1(message, type_name)))
+        Of a pong also the answer by which it was measured.
+        """
+        if now_ns >= self.pinger.next_event_ns():
+            self.pinger.expire(now_ns)
+        if now_ns >= self.pinger.due_ns:
+            self.teensy.receive(self.pinger.ping(now_ns // NS_PER_MS % 2 ** 32, now_ns), now_ns)
+        for body in self._decoder.feed(self.teensy.transmit(now_ns)):
+            record = decode(body)
+            if isinstance(record, WheelStatus):
+                yield record, self._measurements.wheels(record, now_ns)
+            elif isinstance(record, SonarStatus):
+                yield record, self._measurements.sonar(record, now_ns)
+            elif isinstance(record, Pong):
+                answer = self.pinger.pong(record.timestamp1, now_ns)
+                yield record, (answer, self._measurements.pong(record, answer, now_ns))
 
 
-_EMPTY_STATE = {
-    "cause": "", "reason": "", "mode": "manual", "human_scale": 0.5, "esc_cause": "", "esc_reason": "", "limit": "",
-    "limit_reason": "", "cuts": 0,
-    **dict.fromkeys(("e_stop_age", "human_age", "steering_age", "mode_age", "teleop_age", "planner_age", "odometry_age",
-                     "output_age", "speed", "max_speed"), 0.0)}
-
-
-def ros_time_ns(monotonic_ns: int) -> int:
-    """The one clock as the other."""
-    return monotonic_ns - START_NS + ROS_START_NS
-
-
-class Hub:
-    """A virtual Teensy on a car, byte by byte, and what teensy_sensor_hub makes of it.
+class Hub(Link):
+    """The link to the Teensy of a car.
 
     Args:
         rng: of the Teensy's clock.
@@ -414,59 +371,39 @@ class Hub:
     """
 
     def __init__(self, car: VehicleConfig, rng, noise):
-        self._teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=300 + rng.randrange(3_600_000),
-                                                     clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS)
+        super().__init__(
+            TeensyFirmware(FirmwareConfig(clock_start_ms=300 + rng.randrange(3_600_000),
+                                          clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS),
+            START_NS, MeasurementConfig(
+                gates=GateConfig(pulse_m=car.pulse_m),
+                odometry=OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m, car.wheelbase_m)))
         self._magnets = _Magnets(car, noise)
-        self._decoder, self._pinger = FrameDecoder(), Pinger(NS_PER_S, SHIPPED, START_NS)
-        self._measurements = Measurements(MeasurementConfig(
-            gates=GateConfig(pulse_m=car.pulse_m),
-            odometry=OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m, car.wheelbase_m)))
 
     def roll(self, pulses, speed_mps: float, now_ns: int) -> None:
         """The wheels have turned."""
         for at_ns, side, direction in self._magnets.pass_by(pulses, speed_mps, now_ns):
-            self._teensy.wheel_pulse(side, direction, at_ns)
-
-    def step(self, now_ns: int) -> Iterator[tuple]:
-        """Ping if it is time; yield each record that has come, and what was measured by it, if anything.
-
-        Of a pong also the answer by which it was measured.
-        """
-        if now_ns >= self._pinger.due_ns:
-            self._teensy.receive(self._pinger.ping(now_ns // NS_PER_MS % 2 ** 32, now_ns), now_ns)
-        for body in self._decoder.feed(self._teensy.transmit(now_ns)):
-            record = decode(body)
-            if isinstance(record, WheelStatus):
-                yield record, self._measurements.wheels(record, now_ns)
-            elif isinstance(record, SonarStatus):
-                yield record, self._measurements.sonar(record, now_ns)
-            elif isinstance(record, Pong):
-                answer = self._pinger.pong(record.timestamp1, now_ns)
-                yield record, (answer, self._measurements.pong(record, answer, now_ns))
+            self.teensy.wheel_pulse(side, direction, at_ns)
 
 
 class _Recorder:
-    """The car, its Teensy, the hub and the recorder."""
+    """The car, its hub, and the messages as they are recorded."""
 
-    def __init__(self, car, bag, rng, imu, servo_topic):
+    def __init__(self, car, rng, imu, servo_topic):
         self._random = rng
-        self._noise = np.random.default_rng(rng.randrange(1 << 30))
+        noise = np.random.default_rng(rng.randrange(1 << 30))
         self._car = Vehicle(car, START_NS)
-        self._bag = bag
-        self._imu = _Imu(self._noise) if imu else None
+        self._imu = _Imu(noise) if imu else None
         self._servo_topic = servo_topic
-        self._hub = Hub(car, rng, self._noise)
+        self._hub = Hub(car, rng, noise)
         self._motion = None
         self._odom, self._odom_due_ns = None, START_NS  # what waits to be published, and until when
-        self._held = None
-        self._held_ns = 0
-        self._time = bag.type("builtin_interfaces/msg/Time")
+        self._held, self._held_ns = None, 0
         self.see = View(random.Random(rng.randrange(1 << 30)))
 
-    def run(self, commands, duration_s):
+    def drive(self, commands, duration_s) -> Iterator[Written]:
         car, now_ns = self._car, START_NS
         end_ns, control_ns, imu_ns = START_NS + round(duration_s * NS_PER_S), START_NS, START_NS
-        steering = throttle = -1
+        duties = (-1, -1)
         while now_ns < end_ns:
             if now_ns >= control_ns:
                 control_ns += CONTROL_NS
@@ -476,99 +413,81 @@ class _Recorder:
                     return
                 self.see.stick_duty = command.duty
                 esc_duty = duty_of_value(command.value) if command.esc_duty is None else command.esc_duty
-                steering, throttle = count_duty(command.duty), count_duty(esc_duty)
-                self._write_command(command, steering, throttle, now_ns)
-            pulses = car.step(STEP_NS, steering, throttle)
+                duties = count_duty(command.duty), count_duty(esc_duty)
+                yield from self._command(command, duties, now_ns)
+            pulses = car.step(STEP_NS, *duties)
             now_ns = car.time_ns
             self._hub.roll(pulses, car.speed_mps, now_ns)
             for record, measured in self._hub.step(now_ns):
-                self._write_record(record, measured, now_ns)
-            self._write_odom(now_ns)
+                yield from self._record(record, measured, now_ns)
+            if self._odom is not None and now_ns >= self._odom_due_ns:  # the newest, at most 50 a second
+                yield self._message(now_ns, "odom", "nav_msgs/Odometry", odometry_fields(self._odom))
+                self._odom, self._odom_due_ns = None, now_ns + ODOM_NS
             if self._imu is not None and now_ns >= imu_ns:
                 imu_ns += IMU_NS
-                self._write("imu/data", "sensor_msgs/msg/Imu", self._imu.message(self, car, now_ns), now_ns)
+                yield self._message(now_ns, "imu/data", "sensor_msgs/Imu", self._imu.fields(car, now_ns))
 
-    def stamp(self, monotonic_ns):
-        ros_ns = ros_time_ns(monotonic_ns)
-        return self._time(ros_ns // NS_PER_S, ros_ns % NS_PER_S)
+    def _message(self, now_ns, topic, type_name, fields):
+        received_ns = now_ns + int(self._random.expovariate(2e-6))  # the way from node to recorder takes a while
+        return Written((received_ns - START_NS) / NS_PER_S, "/" + topic.lstrip("/"), type_name, fields)
 
-    def header(self, monotonic_ns, frame):
-        return self._bag.type("std_msgs/msg/Header")(0, self.stamp(monotonic_ns), frame)
-
-    def make(self, name, *fields):
-        return self._bag.type(name)(*fields)
-
-    def _write(self, topic, type_name, message, now_ns):
-        # The way from node to recorder takes a while.
-        self._bag.write("/" + topic.lstrip("/"), type_name, message, now_ns + int(self._random.expovariate(2e-6)))
-
-    def _write_command(self, command, steering, throttle, now_ns):
-        make = self.make
+    def _command(self, command, duties, now_ns):
         if command.esc_duty is None:
-            self._write("generic/output/value", "car_interface/msg/Float64Stamped",
-                        make("car_interface/msg/Float64Stamped", self.stamp(now_ns), float(command.value)), now_ns)
+            yield self._message(now_ns, "generic/output/value", "car_interface/Float64Stamped",
+                                {"stamp": stamp_of(now_ns), "data": float(command.value)})
         if command.state is not None:
-            fields = {**_EMPTY_STATE, **command.state, "stamp": self.stamp(now_ns)}
-            self._write("throttle_arb/state", "car_interface/msg/ThrottleState",
-                        self._bag.type("car_interface/msg/ThrottleState")(**fields), now_ns)
-        held = (steering, throttle)
-        if held == self._held and now_ns < self._held_ns + OUTPUT_NS:
+            yield self._message(now_ns, "throttle_arb/state", "car_interface/ThrottleState",
+                                {"mode": "manual", "human_scale": 0.5, **command.state, "stamp": stamp_of(now_ns)})
+        if duties == self._held and now_ns < self._held_ns + OUTPUT_NS:
             return
-        vectors = [[steering, throttle] + [-1] * (CHANNELS - 2)]
+        self._held, self._held_ns = duties, now_ns
+        steering, throttle = duties
+        vectors = [[steering, throttle]]
         if self._servo_topic != "/servo/output":
-            vectors = [[steering] + [-1] * (CHANNELS - 1), [-1, throttle] + [-1] * (CHANNELS - 2)]
-        self._held, self._held_ns = held, now_ns
+            vectors = [[steering, -1], [-1, throttle]]
+        layout = {"dim": [{"label": "pwm_channel", "size": CHANNELS, "stride": 1}]}
         for vector in vectors:
-            dimension = make("std_msgs/msg/MultiArrayDimension", "pwm_channel", CHANNELS, 1)
-            layout = make("std_msgs/msg/MultiArrayLayout", [dimension], 0)
-            self._write(self._servo_topic, "std_msgs/msg/Int32MultiArray",
-                        make("std_msgs/msg/Int32MultiArray", layout, np.array(vector, np.int32)), now_ns)
+            yield self._message(now_ns, self._servo_topic, "std_msgs/Int32MultiArray",
+                                {"layout": layout, "data": vector + [-1] * (CHANNELS - 2)})
 
-    def _write_record(self, record, measured, now_ns):
+    def _record(self, record, measured, now_ns):
         if isinstance(record, WheelStatus):
-            wheels = [self.make("car_interface/msg/OneWheel", *wheel) for wheel in record]
-            self._write("teensy_wheel", "car_interface/msg/Wheel", self.make("car_interface/msg/Wheel", *wheels),
-                        now_ns)
+            yield self._message(now_ns, "teensy_wheel", "car_interface/Wheel",
+                                {side: wheel._asdict() for side, wheel in record._asdict().items()})
             if measured is not None:
                 self._motion, self._odom = measured.motion, measured
         elif isinstance(record, SonarStatus):
-            self._write("teensy_distance", "car_interface/msg/Distance",
-                        self.make("car_interface/msg/Distance", record.sensor, record.echo_us, record.when), now_ns)
+            yield self._message(now_ns, "teensy_distance", "car_interface/Distance",
+                                {"sensor": record.sensor, "distance": record.echo_us, "when": record.when})
         elif measured[1] is not None:
             answer, sync = measured
-            self._write("teensy_clock", "car_interface/msg/TeensyClock", self.make(
-                "car_interface/msg/TeensyClock", self.stamp(now_ns), answer.sent_ns, now_ns, answer.sent_bytes, 115200,
-                record.timestamp2, sync.used, sync.reason, sync.converged, sync.offset_ns / NS_PER_S, sync.skew_ppm,
-                sync.uncertainty_ns / NS_PER_S, sync.round_trip_ns / NS_PER_S), now_ns)
-
-    def _write_odom(self, now_ns):
-        """The newest, at most 50 a second, as the hub does."""
-        if self._odom is None or now_ns < self._odom_due_ns:
-            return
-        self._write("odom", "nav_msgs/msg/Odometry", self._odometry(self._odom), now_ns)
-        self._odom, self._odom_due_ns = None, now_ns + ODOM_NS
-
-    def _odometry(self, measured):
-        make, motion = self.make, measured.motion
-        pose_covariance, twist_covariance = np.zeros(36), np.zeros(36)
-        for row, row_values in zip((0, 1, 5), motion.pose_covariance):
-            for column, value in zip((0, 1, 5), row_values):
-                pose_covariance[6 * row + column] = value
-        twist_covariance[0], twist_covariance[35] = motion.speed_variance, motion.yaw_rate_variance
-        vector = self._bag.type("geometry_msgs/msg/Vector3")
-        pose = make("geometry_msgs/msg/Pose", make("geometry_msgs/msg/Point", motion.x_m, motion.y_m, 0.0),
-                    quaternion(make, motion.yaw_rad, 0.0))
-        twist = make("geometry_msgs/msg/Twist", vector(motion.speed_mps, 0.0, 0.0),
-                     vector(0.0, 0.0, motion.yaw_rate_radps))
-        return make("nav_msgs/msg/Odometry", self.header(measured.stamp.time_ns, "odom"), "base_link",
-                    make("geometry_msgs/msg/PoseWithCovariance", pose, pose_covariance),
-                    make("geometry_msgs/msg/TwistWithCovariance", twist, twist_covariance))
+            yield self._message(now_ns, "teensy_clock", "car_interface/TeensyClock", {
+                "stamp": stamp_of(now_ns), "sent": answer.sent_ns, "received": now_ns, "sent_bytes": answer.sent_bytes,
+                "baud": 115200, "tick": record.timestamp2, "used": sync.used, "reason": sync.reason,
+                "converged": sync.converged, "offset": sync.offset_ns / NS_PER_S, "skew": sync.skew_ppm,
+                "uncertainty": sync.uncertainty_ns / NS_PER_S, "round_trip": sync.round_trip_ns / NS_PER_S})
 
 
-def quaternion(make, yaw_rad, pitch_rad):
+def stamp_of(monotonic_ns: int) -> dict:
+    return stamp((monotonic_ns - START_NS) / NS_PER_S)
+
+
+def odometry_fields(measured) -> dict:
+    motion = measured.motion
+    pose_covariance, twist_covariance = np.zeros((6, 6)), np.zeros(36)
+    pose_covariance[np.ix_((0, 1, 5), (0, 1, 5))] = motion.pose_covariance
+    twist_covariance[0], twist_covariance[35] = motion.speed_variance, motion.yaw_rate_variance
+    return {"header": {"stamp": stamp_of(measured.stamp.time_ns), "frame_id": "odom"}, "child_frame_id": "base_link",
+            "pose": {"pose": {"position": {"x": motion.x_m, "y": motion.y_m},
+                              "orientation": quaternion(motion.yaw_rad, 0.0)}, "covariance": pose_covariance.ravel()},
+            "twist": {"twist": {"linear": {"x": motion.speed_mps}, "angular": {"z": motion.yaw_rate_radps}},
+                      "covariance": twist_covariance}}
+
+
+def quaternion(yaw_rad, pitch_rad) -> dict:
     """Of a heading and a pitch (nose down positive)."""
     cy, sy, cp, sp = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2), math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
-    return make("geometry_msgs/msg/Quaternion", -sp * sy, sp * cy, cp * sy, cp * cy)
+    return {"x": -sp * sy, "y": sp * cy, "z": cp * sy, "w": cp * cy}
 
 
 class _Magnets:
@@ -602,16 +521,15 @@ class _Imu:
         self._yaw_rate_offset, self._acceleration_offset = noise.normal(0, 0.005), noise.normal(0, 0.04)
         self._pitch_offset = noise.normal(0, 0.003)
 
-    def message(self, recorder, car, now_ns):
-        make, noise = recorder.make, self._noise
+    def fields(self, car, now_ns) -> dict:
+        noise = self._noise
         up_rad = math.atan(car.config.slope) * math.cos(car.pose.yaw_rad - car.config.uphill_rad)
         yaw_rate_radps = car.yaw_rate_radps + self._yaw_rate_offset + noise.normal(0, 0.02)
         forward_mps2 = car.acceleration_mps2 + GRAVITY_MPS2 * math.sin(up_rad) + self._acceleration_offset
-        vector = make("geometry_msgs/msg/Vector3", 0.0, 0.0, yaw_rate_radps)
-        force = make("geometry_msgs/msg/Vector3", forward_mps2 + noise.normal(0, 0.15),
-                     car.speed_mps * car.yaw_rate_radps + noise.normal(0, 0.15), GRAVITY_MPS2 + noise.normal(0, 0.15))
+        force = {"x": forward_mps2 + noise.normal(0, 0.15),
+                 "y": car.speed_mps * car.yaw_rate_radps + noise.normal(0, 0.15),
+                 "z": GRAVITY_MPS2 + noise.normal(0, 0.15)}
         pitch_rad = -up_rad + self._pitch_offset + noise.normal(0, 0.004)
-        covariances = [np.full(9, 0.0) for _ in range(3)]
-        return make("sensor_msgs/msg/Imu", recorder.header(now_ns, "imu_link"),
-                    quaternion(make, car.pose.yaw_rad, pitch_rad), covariances[0], vector, covariances[1], force,
-                    covariances[2])
+        return {"header": {"stamp": stamp_of(now_ns), "frame_id": "imu_link"},
+                "orientation": quaternion(car.pose.yaw_rad, pitch_rad), "angular_velocity": {"z": yaw_rate_radps},
+                "linear_acceleration": force}

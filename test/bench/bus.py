@@ -17,16 +17,10 @@ SETTLING_S = 0.05  # of a command that writes nothing
 ADDRESS_AND_REGISTER = 2  # bytes
 
 
-class Log:
-    """The chip's log of writes. Checks of the chip only read, and are not in it."""
-
-    def __init__(self, path):
-        self._path = path
-
-    def sizes(self) -> list[int]:
-        """Return the size of each write so far, bytes: address, register, data."""
-        with open(self._path, encoding="ascii") as file:
-            return [ADDRESS_AND_REGISTER + len(line.split()[3]) // 2 for line in file if line.endswith("\n")]
+def sizes(log: str) -> list[int]:
+    """Return the size of each write in the chip's log, bytes: address, register, data. Checks of the chip only read."""
+    with open(log, encoding="ascii") as file:
+        return [ADDRESS_AND_REGISTER + len(line.split()[3]) // 2 for line in file if line.endswith("\n")]
 
 
 def measure_bus(effort: Effort, stage: Stage) -> Iterator[Row]:
@@ -34,28 +28,26 @@ def measure_bus(effort: Effort, stage: Stage) -> Iterator[Row]:
     path = stage.path("bus")
     with stage.running(stage.node("pca9685", "_device:=virtual", f"_virtual_log:={path}", "_timeout:=0")):
         outputs = TimedSubscriber("/servo/output", Int32MultiArray, lambda message: tuple(message.data)).connected()
-        commands, log = connected_publisher("/command", Int32MultiArray), Log(path)
+        commands = connected_publisher("/command", Int32MultiArray)
 
         def written(duties, changes=True):
-            before = len(log.sizes())
+            before = len(sizes(path))
             commands.publish(Int32MultiArray(data=duties))
             if changes:
                 outputs.first(lambda held: all(duty in (-1, output) for duty, output in zip(duties, held)))
-                eventually(lambda: len(log.sizes()) > before, "a write")
+                eventually(lambda: len(sizes(path)) > before, "a write")
             else:
                 time.sleep(SETTLING_S)
-            return log.sizes()[before:]
+            return sizes(path)[before:]
         written([1600] * CHANNELS)
         steering, unchanged, all_channels, blocks = [], [], [], []
         for index in range(effort.bus_commands):
             steer = [3200 + 16 * (index % 2)] + [-1] * (CHANNELS - 1)
             steering.append(sum(written(steer)))
             unchanged.append(sum(written(steer, changes=False)))
-            sizes = written([4800 + 16 * (index % 2)] * CHANNELS)
-            all_channels.append(sum(sizes))
-            blocks.append(len(sizes))
-        outputs.close()
-        commands.unregister()
+            writes = written([4800 + 16 * (index % 2)] * CHANNELS)
+            all_channels.append(sum(writes))
+            blocks.append(len(writes))
     for what, unit, figures, wanted in (("bus: a steering change", "bytes", steering, 6),
                                         ("bus: a command that changes nothing", "bytes", unchanged, 0),
                                         ("bus: 16 changed channels", "bytes", all_channels, 68),

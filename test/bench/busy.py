@@ -44,21 +44,18 @@ def measure_busy(effort: Effort, stage: Stage) -> Iterator[Row]:
         for what, times_ms, floors_ms in reactions(effort.busy_reactions, stage, TURN_ARB, kinds=1):
             yield Row("busy", f"{loops} busy loops: {what} → /servo/cmdVector", "ms", Summary.of(times_ms),
                       (Target(MEDIAN), Target(P99), Target(WORST)), Summary.of(floors_ms))
-    processes = [*launch_cars(stage, [CAR], (*ALL, SIMULATOR), drive=("both",)), stage.actor("timer", "100")]
-    try:
-        with busy(stage, loops):
-            time.sleep(SETTLED_S)
-            watch = Watch()
-            time.sleep(effort.busy_s)
-            counts, gaps_ms = watch.end()
-            floor = Summary.of(gaps_ms.pop("bare"))
-    finally:
-        stage.end(*processes)
+    with stage.running(*launch_cars(stage, [CAR], (*ALL, SIMULATOR), drive=("both",)),
+                       stage.actor("timer", "100")), busy(stage, loops):
+        time.sleep(SETTLED_S)
+        watch = Watch()
+        time.sleep(effort.busy_s)
+        counts, gaps_ms = watch.end()
+        floor = Summary.of(gaps_ms.pop("bare"))
     for link, count in counts.items():
         yield Row("busy", f"{loops} busy loops, {effort.busy_s:.0f} s: {link}", "times", Summary.of([count]),
                   (Target(high=0),), note=watch.lines.get(link, ""))
-    for channel, values in gaps_ms.items():
-        yield Row("busy", f"{loops} busy loops: commands of the {channel}, apart", "ms", Summary.of(values),
+    for channel, gaps in gaps_ms.items():
+        yield Row("busy", f"{loops} busy loops: commands of the {channel}, apart", "ms", Summary.of(gaps),
                   (Target(MEDIAN), Target(P99), Target(WORST)), floor if channel == "steering" else None,
                   note="with the delays of this measurement itself")
 
@@ -77,8 +74,6 @@ def busy(stage: Stage, loops: int) -> Iterator[None]:
 
 
 class Watch:
-    """Counts what the nodes of a driving car report."""
-
     def __init__(self):
         self.lines: dict[str, str] = {}  # by link: the first log line about it
         self._causes = TimedSubscriber(f"{CAR}/turn_arb/state", SteeringState, lambda state: state.cause).connected()
@@ -91,11 +86,8 @@ class Watch:
         self._log = TimedSubscriber("/rosout", Log, lambda line: (line.name, line.level, line.msg)).connected()
         time.sleep(1.1)  # a report of each node
         self._begin = self._numbers()
-        for subscriber in self._subscribers():
+        for subscriber in (self._causes, self._human, self._outputs, self._commands, self._bare, self._log):
             subscriber.drain()
-
-    def _subscribers(self):
-        return (self._causes, self._human, self._outputs, self._commands, self._bare, self._log)
 
     def _numbers(self):
         """The counts that nodes publish: pings without a pong, timeouts of channels."""
@@ -112,30 +104,27 @@ class Watch:
     def end(self) -> tuple[dict[str, int], dict[str, list[float]]]:
         """Return how often each link timed out, and the ms between two commands of each channel."""
         found, commands, bare = Counter(), self._commands.drain(), self._bare.drain()
-        changes = [cause for _, cause in self._causes.drain()]
+        changes = values(self._causes)
         for link, cause in LINKS.items():
             found[link] = rises([change == cause for change in changes])
         other_causes = set(changes) - set(LINKS.values()) - {causes.TELEOP, causes.PLANNER}
         if other_causes:
             self.lines["other stops of the steering"] = ", ".join(sorted(other_causes))
-        for name, level, text in (line for _, line in self._log.drain()):
-            self._count_line(found, name, level, text)
-        released = [human for _, human in self._human.drain()]
-        at_center = [output[0] == CENTER for _, output in self._outputs.drain()]
+        for line in values(self._log):
+            self._count_line(found, *line)
+        at_center = [output[0] == CENTER for output in values(self._outputs)]
         numbers = self._numbers()
         numbers.subtract(self._begin)
         counts = {f"false timeouts of {link}": found[link] for link in LINKS}
         counts.update({f"false timeouts of the ESC's {link}": found[f"ESC {link}"] for link in ESC_LINKS})
         counts.update({
             "nodes that stood still": found["standstills"],
-            "false timeouts of joy": rises([not human for human in released]),
+            "false timeouts of joy": rises([not human for human in values(self._human)]),
             "other stops of the steering": len(other_causes),
             "false timeouts of the board's channels": numbers["timeouts"],
             "the chip's steering at its center": rises(at_center),
             "pings unanswered": max(0, numbers["pings unanswered"] - 1),  # one may be on its way
             "the link reopened": numbers["the link reopened"], "warnings": found["warnings"]})
-        for subscriber in (*self._subscribers(), self._links, self._reports):
-            subscriber.close()
         gaps_ms = {name: apart_ms(commands, channel) for name, channel in CHANNELS.items()}
         return counts, {**gaps_ms, "bare": apart_ms(bare, 0)}
 
@@ -155,12 +144,15 @@ class Watch:
             self.lines.setdefault(f"false timeouts of the ESC's {link}", text)
 
 
-def rises(values: list[bool]) -> int:
+def values(subscriber: TimedSubscriber) -> list:
+    return [value for _, value in subscriber.drain()]
+
+
+def rises(flags: list[bool]) -> int:
     """Return how often a value became true."""
-    return sum(now and not before for before, now in zip([False, *values], values))
+    return sum(now and not before for before, now in zip([False, *flags], flags))
 
 
 def apart_ms(commands: list, channel: int) -> list[float]:
-    """Return the ms between two commands of a channel."""
     times_ns = [at_ns for at_ns, duties in commands if duties[channel] != -1]
     return [(after - before) / 1e6 for before, after in zip(times_ns, times_ns[1:])]

@@ -36,8 +36,6 @@ DISTURBED_PERCENT = 10  # of a core, used by other programs: above it they lengt
 
 
 class Conditions(NamedTuple):
-    """The machine while a group was measured."""
-
     group: str
     took_s: float
     others_percent: float  # of a core, used by other programs
@@ -45,7 +43,6 @@ class Conditions(NamedTuple):
 
 
 def read_arguments() -> argparse.Namespace:
-    """Return the command line's arguments."""
     parser = argparse.ArgumentParser(
         prog="./dev bench", description="Measure latency, CPU and memory of this package on this machine. Exit code 0 "
         "= everything was measured, whether or not each target was met.")
@@ -60,7 +57,6 @@ def read_arguments() -> argparse.Namespace:
 
 
 def machine() -> dict:
-    """Return what the figures depend on."""
     with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
         lines = [line.partition(":") for line in file]
     models = [value.strip() for key, _, value in lines if key.strip() in ("model name", "Model")]
@@ -101,7 +97,6 @@ def loop_hz() -> float:
 
 
 def main() -> int:
-    """Measure, print, write."""
     arguments = read_arguments()
     begun_s = time.monotonic()
     about = machine()
@@ -121,11 +116,7 @@ def main() -> int:
     for row in rows:
         if row.void:
             print(f"  {row.what}: meets no target, since {row.void}")
-    if any(row.summary and 1 < row.summary.samples < 100 for row in rows):
-        print("  p99 of fewer than 100 samples is their maximum")
     print(f"\n{verdict(rows)}; took {time.monotonic() - begun_s:.0f} s")
-    if arguments.quick:
-        print("That was a quick run: too few trials to judge a p99, too short to judge CPU time")
     disturbed = [f"{each.group} {each.others_percent:.0f}" for each in conditions
                  if each.others_percent > DISTURBED_PERCENT]
     if disturbed:
@@ -133,17 +124,11 @@ def main() -> int:
     print("The machine's own speed, in million steps a second of a fixed loop: "
           + ", ".join(f"{each.group} {each.loop_hz / 1e6:.1f}" for each in conditions))
     if arguments.json:
-        write(arguments.json, about, rows, conditions, arguments.quick)
+        record = {"machine": about, "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "quick": arguments.quick,
+                  "groups": [each._asdict() for each in conditions], "rows": [row.as_json() for row in rows]}
+        with open(arguments.json, "w", encoding="utf-8") as file:
+            json.dump(record, file, ensure_ascii=False, indent=1)
         print(f"JSON: {arguments.json}")
     for error in errors:
         print(f"not measured: {error}", file=sys.stderr)
     return 1 if errors else 0
-
-
-def write(path: str, about: dict, rows: list[Row], conditions: list[Conditions], quick: bool) -> None:
-    """Write the figures as JSON."""
-    record = {"machine": about, "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "quick": quick,
-              "groups": [each._asdict() for each in conditions], "rows": [row.as_json() for row in rows]}
-    with open(path, "w", encoding="utf-8") as file:
-        json.dump(record, file, ensure_ascii=False, indent=1)
-        file.write("\n")

@@ -19,42 +19,29 @@ PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")
 
 
 def samples(python: str, *arguments) -> dict:
-    """Return what speed.py prints."""
     run = subprocess.run([python, str(ROOT / "test/bench/speed.py"), *map(str, arguments)], check=True,
                          stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
     return json.loads(run.stdout)
 
 
 def measure_decode(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure on this Python, and on 3.8 beside it, if there is one."""
-    result = samples(sys.executable, "decode", effort.decode_passes)
-    yield from decode_rows(result, (Target(MEDIAN, low=25, original="3.1"),),
-                           (Target(MEDIAN, high=1.15, original="9.3"), Target(P99)))
-    if sys.version_info[:2] == (3, 8):
-        return
-    if PYTHON38:
-        yield from decode_rows(samples(PYTHON38, "decode", effort.decode_passes), (Target(),), (Target(),))
-    else:
-        yield Row("decode", "decode, Python 3.8: not found", "MB/s", None, (Target(),),
-                  note="CAR_INTERFACE_PYTHON38 names one")
-
-
-def decode_rows(result: dict, rate_targets, cost_targets) -> Iterator[Row]:
-    """Yield the rows of one Python; each read of 4 KB is a sample."""
-    name = f"decode, Python {result['python']}"
-    yield Row("decode", f"{name}: 20 MB in 4 KB reads", "MB/s", Summary.of(result["mb_per_s"], True), rate_targets)
-    yield Row("decode", f"{name}: a frame", "µs", Summary.of(result["us_per_frame"]), cost_targets)
+    """Measure on this Python, and on 3.8 beside it, if there is one; each read of 4 KB is a sample."""
+    for python in (sys.executable, *([PYTHON38] if PYTHON38 and sys.version_info[:2] != (3, 8) else [])):
+        result = samples(python, "decode", effort.decode_passes)
+        name, is_judged = f"decode, Python {result['python']}", python == sys.executable
+        yield Row("decode", f"{name}: 20 MB in 4 KB reads", "MB/s", Summary.of(result["mb_per_s"], True),
+                  (Target(MEDIAN, low=25, original="3.1"),) if is_judged else (Target(),))
+        yield Row("decode", f"{name}: a frame", "µs", Summary.of(result["us_per_frame"]),
+                  (Target(MEDIAN, high=1.15, original="9.3"), Target(P99)) if is_judged else (Target(),))
 
 
 def measure_encode(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure a ping for the Teensy."""
     result = samples(sys.executable, "encode", effort.calls)
     yield Row("encode", "encode: a ping's frame", "µs", Summary.of(result["us"]), (Target(high=4), Target(P99)),
               note="a sample is the mean of 500 calls")
 
 
 def measure_lookup(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure the lookup of the value for an acceleration and a velocity."""
     for size, (bound_us, original) in LOOKUPS.items():
         result = samples(sys.executable, "lookup", effort.calls, size)
         yield Row("lookup", f"lookup: {size}×{size}", "µs", Summary.of(result["us"]),

@@ -5,8 +5,6 @@ from typing import NamedTuple
 
 
 class Effort(NamedTuple):
-    """Numbers of trials, and seconds."""
-
     reactions: int
     chip_reactions: int
     heartbeat_s: float

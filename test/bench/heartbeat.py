@@ -19,21 +19,14 @@ RATE_TOLERANCE, PERIOD_TOLERANCE_MS = 0.0005, 0.5
 
 
 class Heartbeat(NamedTuple):
-    """An arbiter and what it gets meanwhile.
-
-    Attributes:
-        rate_hz: of its timer.
-        rest: the duty of its channel while nobody asks for anything.
-        names: its inputs, of inputs.INPUTS.
-        original: the original's CPU time.
-    """
+    """An arbiter and what it gets meanwhile."""
 
     arbiter: Arbiter
-    rate_hz: int
-    rest: int
-    names: tuple[str, ...]
+    rate_hz: int  # of its timer
+    rest: int  # the duty of its channel while nobody asks for anything
+    names: tuple[str, ...]  # its inputs, of inputs.INPUTS
     note: str
-    original: str = ""
+    original: str = ""  # the original's CPU time
 
 
 TURN_ARBS = Heartbeat(TURN_ARB, 100, CENTER, ("human", "steering", "radius"), "three inputs at 50 Hz each",
@@ -41,7 +34,6 @@ TURN_ARBS = Heartbeat(TURN_ARB, 100, CENTER, ("human", "steering", "radius"), "t
 
 
 def measure_heartbeat(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure turn_arb with three constant inputs at 50 Hz."""
     yield from heartbeat("heartbeat", TURN_ARBS, effort, stage)
 
 
@@ -65,8 +57,6 @@ def heartbeat(group: str, what: Heartbeat, effort: Effort, stage: Stage) -> Iter
         time.sleep(effort.heartbeat_s)
         used = [meter.percent() for meter in meters]
         times_ns = [[at_ns for at_ns, _ in subscriber.drain()] for subscriber in subscribers]
-        for subscriber in subscribers:
-            subscriber.close()
     rates_hz = [1e9 * (len(times) - 1) / (times[-1] - times[0]) for times in times_ns]
     periods_ms = [[(now - before) / 1e6 for before, now in zip(times, times[1:])] for times in times_ns]
     tolerance_hz = RATE_TOLERANCE * what.rate_hz

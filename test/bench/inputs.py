@@ -5,20 +5,12 @@ import time
 from typing import Any, Callable, NamedTuple
 
 import rospy
-from car_interface.msg import (
-    Control,
-    ConverterState,
-    Float64Stamped,
-    Longitudinal,
-    SteeringState,
-    TeleopState,
-    ThrottleState,
-)
 from geometry_msgs.msg import Twist, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, MultiArrayDimension, MultiArrayLayout, String
 
+from car_interface import msg
 from car_interface.common import causes
 from car_interface.common.drive_modes import AUTONOMOUS
 
@@ -37,13 +29,11 @@ class Input(NamedTuple):
     rate_hz: int = 50  # a divisor of it
 
 
-def control(acceleration: float = 0.5) -> Control:
-    """Return an acceleration command."""
-    return Control(stamp=rospy.Time.now(), longitudinal=Longitudinal(acceleration=acceleration))
+def control(acceleration: float = 0.5) -> msg.Control:
+    return msg.Control(stamp=rospy.Time.now(), longitudinal=msg.Longitudinal(acceleration=acceleration))
 
 
 def odometry() -> Odometry:
-    """Return a measurement of the speed."""
     message = Odometry()
     message.header.stamp = rospy.Time.now()
     message.twist.twist.linear.x = SPEED_MPS
@@ -56,20 +46,19 @@ def joy(autonomous: int = 1, manual: int = 0) -> Joy:
 
 
 def twist(speed_mps: float = SPEED_MPS, radius_m: float = RADIUS_M) -> Twist:
-    """Return a planner's request for a circle."""
     return Twist(linear=Vector3(x=speed_mps), angular=Vector3(z=speed_mps / radius_m))
 
 
-def steering_state() -> SteeringState:
+def steering_state() -> msg.SteeringState:
     """Return turn_arb's state while the planner steers."""
-    return SteeringState(stamp=rospy.Time.now(), source=SteeringState.PLANNER, cause=causes.PLANNER,
-                         reason="av_turnrad_req is 2.000 m", duty=DUTIES.data[0], turn_radius=RADIUS_M, speed=SPEED_MPS,
-                         asked_radius=RADIUS_M, max_speed=MAX_SPEED_MPS)
+    return msg.SteeringState(
+        stamp=rospy.Time.now(), source=msg.SteeringState.PLANNER, cause=causes.PLANNER,
+        reason="av_turnrad_req is 2.000 m", duty=DUTIES.data[0], turn_radius=RADIUS_M, speed=SPEED_MPS,
+        asked_radius=RADIUS_M, max_speed=MAX_SPEED_MPS)
 
 
-def teleop_state(held: bool) -> TeleopState:
-    """Return teleop_logi's state."""
-    return TeleopState(stamp=rospy.Time.now(), human_in_loop=held, cause=AUTONOMOUS, reason="the autonomous deadman")
+def teleop_state(held: bool) -> msg.TeleopState:
+    return msg.TeleopState(stamp=rospy.Time.now(), human_in_loop=held, cause=AUTONOMOUS, reason="autonomous deadman")
 
 
 INPUTS = {
@@ -78,27 +67,26 @@ INPUTS = {
     "throttle": Input("/teleop_logi/tele_throt_req", Float32, lambda held: 0.0),
     "mode": Input("/teleop_logi/mode", String, lambda held: AUTONOMOUS, 10),
     "scale_button": Input("/teleop_logi/scale_button", Int8, lambda held: 0, 10),
-    "teleop_state": Input("/teleop_logi/state", TeleopState, teleop_state, 10),
+    "teleop_state": Input("/teleop_logi/state", msg.TeleopState, teleop_state, 10),
     "radius": Input("/av_turnrad_req", Float32, lambda held: RADIUS_M),
-    "acceleration": Input("/control/command/control_cmd", Control, lambda held: control()),
+    "acceleration": Input("/control/command/control_cmd", msg.Control, lambda held: control()),
     "twist": Input("/cmd_vel", Twist, lambda held: twist()),
-    "value": Input("/generic/output/value", Float64Stamped, lambda held: Float64Stamped(rospy.Time.now(), 1.5)),
-    "converter_state": Input("/generic_value_converter/state", ConverterState,
-                             lambda held: ConverterState(rospy.Time.now(), 1.5, causes.CONVERTING, ""), 1),
+    "value": Input("/generic/output/value", msg.Float64Stamped, lambda held: msg.Float64Stamped(rospy.Time.now(), 1.5)),
+    "converter_state": Input("/generic_value_converter/state", msg.ConverterState,
+                             lambda held: msg.ConverterState(rospy.Time.now(), 1.5, causes.CONVERTING, ""), 1),
     "odometry": Input("/odom", Odometry, lambda held: odometry()),
-    "steering_state": Input("/turn_arb/state", SteeringState, lambda held: steering_state(), 25),
+    "steering_state": Input("/turn_arb/state", msg.SteeringState, lambda held: steering_state(), 25),
     "joy": Input("/joy", Joy, lambda held: joy(int(held))),
     "output": Input("/servo/output", Int32MultiArray, lambda held: DUTIES, 10),
 }
 # State, and whether by it the node waits for the deadman alone.
 ARBITERS = {
-    "turn_arb": (SteeringState, lambda state: state.cause == causes.HUMAN_ABSENT),
-    "throttle_arb": (ThrottleState, lambda state: state.cause == causes.HUMAN_ABSENT and state.esc != "ARMING"),
+    "turn_arb": (msg.SteeringState, lambda state: state.cause == causes.HUMAN_ABSENT),
+    "throttle_arb": (msg.ThrottleState, lambda state: state.cause == causes.HUMAN_ABSENT and state.esc != "ARMING"),
 }
 
 
 def publisher(topic: str, message_type: Any) -> rospy.Publisher:
-    """Return a publisher for the path of a command."""
     return rospy.Publisher(topic, message_type, queue_size=10, tcp_nodelay=True)
 
 
@@ -110,11 +98,9 @@ class Deadman:
 
     @property
     def is_held(self) -> bool:
-        """Whether it is held."""
         return all(count >= RELEASED_STATES for count in self._states.values())
 
     def wait(self) -> None:
-        """Return once it is held."""
         subscribers = [rospy.Subscriber(f"/{name}/state", ARBITERS[name][0], self._on_state, name)
                        for name in self._states]
         while not self.is_held and not rospy.is_shutdown():

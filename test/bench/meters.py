@@ -11,8 +11,6 @@ TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 class CpuMeter:
-    """The CPU time of processes since this was made."""
-
     def __init__(self, *pids: int):
         self._pids = pids
         self._begun_s, self._used_s = time.monotonic(), sum(map(cpu_s, pids))
@@ -43,7 +41,6 @@ def cpu_s(pid: int, with_children: bool = False) -> float:
 
 
 def rss_mb(pid: int) -> float:
-    """Return the resident memory of a process, MB."""
     return _kb(f"/proc/{pid}/status", "VmRSS:") / 1000
 
 
@@ -57,18 +54,6 @@ def _kb(path, key):
         return next(int(line.split()[1]) for line in file if line.startswith(key))
 
 
-class IdleMeter:
-    """The idle time of the machine since this was made."""
-
-    def __init__(self):
-        self._before = machine_ticks()
-
-    def percent(self) -> float:
-        """Return the idle time in percent of all cores; 0 = saturated."""
-        idle, total = (now - before for now, before in zip(machine_ticks(), self._before))
-        return 100 * idle / max(1, total)
-
-
 class OthersMeter:
     """The CPU time that programs outside this run have used since this was made: they disturb it."""
 
@@ -77,22 +62,15 @@ class OthersMeter:
 
     @staticmethod
     def _others_s():
-        idle, total = machine_ticks()
-        ours_s = 0.0
+        with open("/proc/stat", encoding="ascii") as file:
+            ticks = [int(field) for field in file.readline().split()[1:9]]
+        idle, ours_s = ticks[3] + ticks[4], 0.0
         for pid in (os.getpid(), *descendants()):
             try:
                 ours_s += cpu_s(pid, with_children=True)
             except OSError:
                 pass  # it has just ended
-        return (total - idle) / TICKS_PER_S - ours_s
+        return (sum(ticks) - idle) / TICKS_PER_S - ours_s
 
     def percent(self) -> float:
-        """Return the CPU time in percent of one core."""
         return max(0.0, 100 * (self._others_s() - self._before_s) / (time.monotonic() - self._begun_s))
-
-
-def machine_ticks() -> tuple[int, int]:
-    """Return idle and total time of all cores, in ticks."""
-    with open("/proc/stat", encoding="ascii") as file:
-        times = [int(field) for field in file.readline().split()[1:9]]
-    return times[3] + times[4], sum(times)

@@ -17,8 +17,6 @@ INPUTS = ("human", "steering", "radius", "acceleration", "odometry", "joy", "twi
 
 class Subject(NamedTuple):
     """A node: how it is started, the topic of its first message, and its files in config/, as its launch file has them.
-
-    A file with a folder before it is for a namespace of that name below the node's.
     """
 
     name: str
@@ -53,9 +51,7 @@ def start_inputs(stage: Stage) -> list:
     line, inputs = stage.actors(("line", stage.path("teensy")), ("inputs", "turn_arb,throttle_arb", *INPUTS))
     line.tell("go 1")
     for subject in SUBJECTS:
-        for path in subject.config:
-            folder, _, name = path.rpartition("/")
-            stage.load(f"/{subject.name}/{folder}".rstrip("/"), name)
+        stage.load(f"/{subject.name}", *subject.config)
     return [line, inputs]
 
 
@@ -87,18 +83,14 @@ def measure_start(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def measure_memory(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure each node's memory while all of them run with all their inputs."""
     with stage.running(*start_inputs(stage)):
         processes = {subject: stage.node(subject.name, *subject.arguments(stage)) for subject in (FLOOR, *SUBJECTS)}
         with stage.running(*processes.values()):
-            subscribers = [TimedSubscriber(subject.topic, rospy.AnyMsg, lambda message: None) for subject in processes]
-            for subscriber in subscribers:
-                subscriber.first()
+            for subject in processes:
+                TimedSubscriber(subject.topic, rospy.AnyMsg, lambda message: None).first()
             time.sleep(effort.memory_s)
             used_mb = {subject: rss_mb(process.pid) for subject, process in processes.items()}
             guard_mb = [rss_mb(pid) for process in processes.values() for pid in with_guard(process.pid)[1:]]
-            for subscriber in subscribers:
-                subscriber.close()
     floor_mb = used_mb.pop(FLOOR)
     for subject, mb in used_mb.items():
         yield Row("memory", f"memory: {subject.name} (RSS)", "MB", Summary.of([mb]),

@@ -10,7 +10,8 @@ from virtual_car import Chip
 
 from .effort import Effort
 from .meters import CpuMeter, pss_mb, rss_mb, with_guard
-from .reaction import COUNTS, LEFT, TURN_ARB, ArbiterInputs, hold_deadman
+from .nodes import SUBJECTS
+from .reaction import COUNTS, LEFT, TURN_ARB, ArbiterInputs, hold_deadman, reached, trials
 from .rows import MEDIAN, P99, WORST, Row, Summary, Target
 from .stage import PACKAGE, Stage, TimedSubscriber
 from .whole_car import FOUR, launch_cars, pid_of
@@ -44,29 +45,22 @@ def measure_one_process(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def drive(effort: Effort, stage: Stage, namespace: str, nodes: tuple, used: dict) -> None:
-    """Measure one car that drives circles, at the full rate of its wheels' reports."""
     one_process = {"one_process": str(nodes is ONE).lower()}
-    processes = launch_cars(stage, [namespace], (*nodes, "teleop_logi", "car_sim"), one_process)
-    try:
+    with stage.running(*launch_cars(stage, [namespace], (*nodes, "teleop_logi", "car_sim"), one_process)):
         pids = [pid for node in nodes for pid in with_guard(pid_of(f"{namespace}/{node}"))]
         meter = CpuMeter(*pids)
         time.sleep(effort.drive_s)
         used["CPU"].append(meter.percent())
         used["RSS"].append(sum(map(rss_mb, pids)))
         used["PSS"].append(sum(map(pss_mb, pids)))
-    finally:
-        stage.end(*processes)
 
 
 def react(count: int, stage: Stage, nodes: tuple, times_ms: dict) -> None:
     """Measure the latency of the nodes with a full line, without other subscribers."""
     log, port = stage.path(f"chip{len(nodes)}"), stage.path("teensy")
-    for node, *files in (("turn_arb", "turn_arb.yaml"), ("pca9685", "pca9685.yaml"),
-                         ("pca9685/steering", "turn_arb.yaml"),
-                         ("teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml"),
-                         ("generic_value_converter", "generic_value_converter.yaml"),
-                         ("throttle_arb", "throttle.yaml")):
-        stage.load(f"/{node}", *files)
+    for subject in SUBJECTS:
+        if subject.name in FIVE:
+            stage.load(f"/{subject.name}", *subject.config)
     for name, value in (("pca9685/device", "virtual"), ("pca9685/virtual_log", log), ("teensy_sensor_hub/port", port),
                         ("car_nodes/throttle", True),
                         ("generic_value_converter/csv_path_value_map", f"{PACKAGE}/config/value_map.csv")):
@@ -75,19 +69,7 @@ def react(count: int, stage: Stage, nodes: tuple, times_ms: dict) -> None:
     line.tell("go 1")
     with stage.running(line, *(stage.node(node) for node in nodes)):
         chip, inputs = Chip(log), ArbiterInputs(TURN_ARB, stage.random)
-        wheels = TimedSubscriber("/teensy_wheel", rospy.AnyMsg, lambda message: None).connected()
-        wheels.first()
+        TimedSubscriber("/teensy_wheel", rospy.AnyMsg, lambda message: None).first()
         hold_deadman(inputs, TURN_ARB.kinds[0][1][0], lambda: chip.counts(0) == COUNTS[LEFT])
         for what, kind in TURN_ARB.kinds:
-            for index in range(count + 1):  # the first is not counted
-                step = kind[index % len(kind)]
-                ready_ns = time.monotonic_ns()
-                inputs.prepare(step)
-                chip.wait_for(0, lambda counts, step=step: counts == COUNTS[step.duties[0]], ready_ns)
-                inputs.pause()
-                sent_ns = inputs.publish(*step.trigger)
-                at_ns = chip.wait_for(0, lambda counts, step=step: counts == COUNTS[step.duties[1]], sent_ns)
-                if index:
-                    times_ms.setdefault(what, []).append((at_ns - sent_ns) / 1e6)
-        inputs.close()
-        wheels.close()
+            times_ms.setdefault(what, []).extend(trials(inputs, count, kind, reached(chip))[0])

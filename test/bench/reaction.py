@@ -35,27 +35,16 @@ class Step(NamedTuple):
 
 
 class Arbiter(NamedTuple):
-    """An arbiter, and what makes it react.
-
-    Attributes:
-        node: its name.
-        config: its file in config/.
-        arguments: of its command line.
-        channel: its own in /servo/cmdVector.
-        topics: name and type of the topic of each of its inputs that a step publishes.
-        nothing: those inputs while nobody asks for anything: the deadman released, the sticks centered.
-        kinds: name of each kind of reaction, and its steps, which alternate.
-        others: what else of inputs.INPUTS it gets all the time, and bare rospy with it.
-    """
+    """An arbiter, and what makes it react."""
 
     node: str
-    config: str
-    arguments: tuple[str, ...]
-    channel: int
-    topics: Mapping[str, tuple[str, Any]]
-    nothing: Mapping[str, Any]
-    kinds: tuple[tuple[str, list[Step]], ...]
-    others: tuple[str, ...] = ()
+    config: str  # its file in config/
+    arguments: tuple[str, ...]  # of its command line
+    channel: int  # its own in /servo/cmdVector
+    topics: Mapping[str, tuple[str, Any]]  # of each of its inputs that a step publishes, name and type
+    nothing: Mapping[str, Any]  # those inputs while nobody asks for anything
+    kinds: tuple[tuple[str, list[Step]], ...]  # of reactions: its name, and its steps, which alternate
+    others: tuple[str, ...] = ()  # what else of inputs.INPUTS it gets all the time, and bare rospy with it
 
 
 def both_ways(before: dict, name: str, values: tuple, duties: tuple[int, int]) -> list[Step]:
@@ -76,8 +65,6 @@ TURN_ARB = Arbiter(
 
 
 class ArbiterInputs:
-    """Publishes what an arbiter subscribes to."""
-
     def __init__(self, arbiter: Arbiter, random):
         self._random = random
         self._nothing = arbiter.nothing
@@ -90,12 +77,10 @@ class ArbiterInputs:
         return at_ns
 
     def prepare(self, step: Step) -> None:
-        """Publish the inputs before the trigger."""
         for name, value in step.before.items():
             self.publish(name, value)
 
     def release(self) -> None:
-        """Publish that nobody asks for anything."""
         for name, value in self._nothing.items():
             self.publish(name, value)
 
@@ -103,22 +88,19 @@ class ArbiterInputs:
         """Wait for a random phase of the arbiter's timer."""
         time.sleep(self._random.uniform(*PAUSE_S))
 
-    def close(self) -> None:
-        """Unregister the publishers."""
-        for publisher in self._publishers.values():
-            publisher.unregister()
 
-
-def trials(inputs: ArbiterInputs, count: int, kind: list[Step], wait_for: Callable, floor: Callable
-           ) -> tuple[list[float], list[float]]:
+def trials(inputs: ArbiterInputs, count: int, kind: list[Step], wait_for: Callable,
+           floor: Callable | None = None) -> tuple[list[float], list[float]]:
     """Return the latencies of so many reactions and those of bare rospy, ms.
+
+    The first reaction is not counted: its connections may not be complete yet.
 
     Args:
         wait_for: called with a duty and a time, ns; returns when the duty was reached after that time.
         floor: returns one latency of bare rospy.
     """
     times_ms, floors_ms = [], []
-    for index in range(count):
+    for index in range(count + 1):
         step = kind[index % len(kind)]
         ready_ns = time.monotonic_ns()
         inputs.prepare(step)
@@ -126,9 +108,10 @@ def trials(inputs: ArbiterInputs, count: int, kind: list[Step], wait_for: Callab
         inputs.pause()
         sent_ns = inputs.publish(*step.trigger)
         times_ms.append((wait_for(step.duties[1], sent_ns) - sent_ns) / 1e6)
-        inputs.pause()
-        floors_ms.append(floor())
-    return times_ms, floors_ms
+        if floor:
+            inputs.pause()
+            floors_ms.append(floor())
+    return times_ms[1:], floors_ms[1:]
 
 
 def measure_reaction(effort: Effort, stage: Stage) -> Iterator[Row]:
@@ -142,10 +125,7 @@ def reactions(count: int, stage: Stage, arbiter: Arbiter, kinds: int | None = No
               ) -> Iterator[tuple[str, list[float], list[float]]]:
     """Yield each kind with its latencies to /servo/cmdVector and those of bare rospy, ms; both with TCP_NODELAY.
 
-    The first reaction of each kind is not counted: its connections may not be complete yet.
-
-    Args:
-        kinds: only so many of the first.
+    With ``kinds`` only so many of the first.
     """
     stage.load(f"/{arbiter.node}", arbiter.config)
     with stage.running(stage.node(arbiter.node, *arbiter.arguments),
@@ -156,22 +136,13 @@ def reactions(count: int, stage: Stage, arbiter: Arbiter, kinds: int | None = No
         relayed = TimedSubscriber("/bench/out", Int32MultiArray).connected()
         to_relay, inputs = connected_publisher("/bench/in", Bool), ArbiterInputs(arbiter, stage.random)
 
-        def floor():
-            sent_ns = time.monotonic_ns()
-            to_relay.publish(True)
-            return (relayed.first(since_ns=sent_ns) - sent_ns) / 1e6
-
         def wait_for(duty, since_ns):
             return duties.first(lambda value: value == duty, since_ns)
+        floor = floor_by(to_relay, lambda sent_ns: relayed.first(since_ns=sent_ns))
         first = arbiter.kinds[0][1][0]
         hold_deadman(inputs, first, lambda: any(value == first.duties[0] for _, value in duties.drain()))
         for what, kind in arbiter.kinds[:kinds]:
-            times_ms, floors_ms = trials(inputs, count + 1, kind, wait_for, floor)
-            yield what, times_ms[1:], floors_ms[1:]
-        for subscriber in (duties, relayed):
-            subscriber.close()
-        inputs.close()
-        to_relay.unregister()
+            yield (what, *trials(inputs, count, kind, wait_for, floor))
 
 
 def senders(names: tuple[str, ...], arbiters: str, floor_topic: str) -> list[tuple[str, ...]]:
@@ -200,29 +171,33 @@ def measure_chip(effort: Effort, stage: Stage) -> Iterator[Row]:
     """Measure from the publication of an input until the virtual chip's registers are written, by the chip's log."""
     chip_log, sink_log = stage.path("chip"), stage.path("sink")
     stage.load("/turn_arb", "turn_arb.yaml")
-    stage.load("/pca9685", "pca9685.yaml")
-    stage.load("/pca9685/steering", "turn_arb.yaml")
+    stage.load("/pca9685", "pca9685.yaml", "steering/turn_arb.yaml")
     with stage.running(stage.node("pca9685", "_device:=virtual", f"_virtual_log:={chip_log}"), stage.node("turn_arb"),
                        *stage.actors(("relay", "/bench/in", "/bench/out"), ("sink", "/bench/out", sink_log))):
         chip, to_relay = Chip(chip_log), connected_publisher("/bench/in", Bool)
         inputs = ArbiterInputs(TURN_ARB, stage.random)
         eventually(lambda: chip.counts(0) is not None, "the chip")
-
-        def wait_for(duty, since_ns):
-            return chip.wait_for(0, lambda counts: counts == COUNTS[duty], since_ns)
-
-        def floor():
-            sent_ns = time.monotonic_ns()
-            to_relay.publish(True)
-            return (eventually(lambda: last_line_after(sink_log, sent_ns), "the sink") - sent_ns) / 1e6
+        floor = floor_by(to_relay, lambda sent_ns: eventually(lambda: last_line_after(sink_log, sent_ns), "the sink"))
         hold_deadman(inputs, TURN_ARB.kinds[0][1][0], lambda: chip.counts(0) == COUNTS[LEFT])
         eventually(lambda: to_relay.publish(True) or last_line_after(sink_log, 0), "the relay")
         for what, kind in TURN_ARB.kinds:
-            times_ms, floors_ms = trials(inputs, effort.chip_reactions + 1, kind, wait_for, floor)
-            yield Row("chip", f"reaction: {what} → register write", "ms", Summary.of(times_ms[1:]), TO_CHIP,
-                      Summary.of(floors_ms[1:]))
-        inputs.close()
-        to_relay.unregister()
+            times_ms, floors_ms = trials(inputs, effort.chip_reactions, kind, reached(chip), floor)
+            yield Row("chip", f"reaction: {what} → register write", "ms", Summary.of(times_ms), TO_CHIP,
+                      Summary.of(floors_ms))
+
+
+def reached(chip: Chip) -> Callable:
+    """Return what waits for a duty of the steering on the chip, see ``trials``."""
+    return lambda duty, since_ns: chip.wait_for(0, lambda counts: counts == COUNTS[duty], since_ns)
+
+
+def floor_by(to_relay, arrival: Callable) -> Callable:
+    """Return what measures bare rospy once, ms; ``arrival`` returns when its first message after a time, ns, came."""
+    def floor():
+        sent_ns = time.monotonic_ns()
+        to_relay.publish(True)
+        return (arrival(sent_ns) - sent_ns) / 1e6
+    return floor
 
 
 def last_line_after(path: str, since_ns: int) -> int | None:

@@ -46,16 +46,20 @@ from .inputs import DUTIES, INPUTS, Deadman, publisher
 
 PERIOD_S = 0.02
 BYTES_PER_S = 11_520  # 115200 baud, 8N1
-ESC, NEUTRAL = 1, 4915  # config/throttle.yaml: the board holds it from the start
+NEUTRAL = 4915  # of the ESC, config/throttle.yaml: the board holds it from the start
 
 
 def ready() -> None:
     print("ready", flush=True)
 
 
-def ignore(topic, message_type) -> None:
-    """Subscribe, and do nothing with what comes."""
+def ignore(topic, message_type=rospy.AnyMsg) -> None:
     rospy.Subscriber(topic, message_type, lambda message: None, queue_size=10, tcp_nodelay=True)
+
+
+def ignore_inputs(names) -> None:
+    for name in names:
+        ignore(*INPUTS[name][:2])
 
 
 def at_50_hz(act) -> None:
@@ -69,8 +73,7 @@ def at_50_hz(act) -> None:
 
 def relay(source, target, *names):
     duties = publisher(target, Int32MultiArray)
-    for name in names:
-        ignore(*INPUTS[name][:2])
+    ignore_inputs(names)
     rospy.Subscriber(source, Bool, lambda message: duties.publish(DUTIES), queue_size=10, tcp_nodelay=True)
     ready()
     signal.pause()
@@ -85,8 +88,7 @@ def sink(topic, path):
 
 
 def timer(rate_hz, *names):
-    for name in names:
-        ignore(*INPUTS[name][:2])
+    ignore_inputs(names)
     duties = publisher("/bench/timer", Int32MultiArray)
     ready()
     period_ns, due_ns = round(1e9 / float(rate_hz)), time.monotonic_ns()
@@ -112,32 +114,21 @@ def inputs(arbiters, *names):
     at_50_hz(publish)
 
 
-class Board:
-    """Holds the duties that were commanded last."""
-
-    def __init__(self):
-        self._duties = [-1] * 16
-        self._duties[0], self._duties[ESC] = DUTIES.data[0], NEUTRAL  # what turn_arb's state says, see inputs
-        self._outputs = publisher("/servo/output", Int32MultiArray)
-
-    def on_command(self, message):
-        held = [old if new == -1 else new for old, new in zip(self._duties, message.data)]
-        if held != self._duties:
-            self._duties = held
-            self.publish()
-
-    def publish(self):
-        self._outputs.publish(Int32MultiArray(DUTIES.layout, self._duties))
-
-
 def board(*others):
-    held = Board()
-    rospy.Subscriber("/servo/cmdVector", Int32MultiArray, held.on_command, queue_size=10, tcp_nodelay=True)
+    held = Int32MultiArray(DUTIES.layout, [DUTIES.data[0], NEUTRAL, *[-1] * 14])  # as turn_arb's state, see inputs
+    outputs = publisher("/servo/output", Int32MultiArray)
+
+    def on_command(message):
+        duties = [old if new == -1 else new for old, new in zip(held.data, message.data)]
+        if duties != held.data:
+            held.data = duties
+            outputs.publish(held)
+    rospy.Subscriber("/servo/cmdVector", Int32MultiArray, on_command, queue_size=10, tcp_nodelay=True)
     for topic in others:
         ignore(topic, Int32MultiArray)
     ready()
     while not rospy.is_shutdown():
-        held.publish()
+        outputs.publish(held)
         time.sleep(0.1)
 
 
@@ -198,9 +189,8 @@ def line(link):
             if text.strip() == "stop":
                 going.clear()
                 time.sleep(0.1)
-                print("sent", order["frames"], terminal.lost_bytes, flush=True)
+                print("sent", order["frames"], flush=True)
             else:
-                terminal.lost_bytes = 0
                 order.update(bytes_per_s=float(text.split()[1]) * BYTES_PER_S, frames=0)
                 going.set()
     threading.Thread(target=read_commands, daemon=True).start()
@@ -230,7 +220,7 @@ def count(*topics):
     subscribers = [rospy.Subscriber(topic, message_type, count_one, tcp_nodelay=True)
                    for topic, message_type in (("teensy_wheel", Wheel), ("teensy_distance", Distance))]
     for topic in topics:
-        rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None, tcp_nodelay=True)
+        ignore(topic)
     ready()
     for text in sys.stdin:
         if text.strip() == "connected":
@@ -254,7 +244,6 @@ ROLES = {role.__name__: role for role in (relay, sink, timer, inputs, board, pip
 
 
 def main() -> None:
-    """Play the role that the command line names."""
     arguments = rospy.myargv()[1:]
     # rospy's own handler swallows an interrupt while standard input is read.
     rospy.init_node(f"bench_{arguments[0]}", anonymous=True, disable_signals=True)

@@ -5,7 +5,7 @@ A ``Row`` is one distribution. It has a line in the table for each of its target
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import NamedTuple, Sequence
 
 MEDIAN, P99, WORST = "median", "p99", "max"
@@ -31,11 +31,6 @@ class Summary:
         ordered = sorted(values, reverse=more_is_better)
         return cls(len(ordered), percentile(ordered, 50), percentile(ordered, 99), ordered[-1])
 
-    def as_json(self) -> dict:
-        """Return it with six digits."""
-        return {"samples": self.samples, "median": _rounded(self.median), "p99": _rounded(self.p99),
-                "max": _rounded(self.max)}
-
 
 def percentile(ordered: Sequence[float], percent: float) -> float:
     """Return a percentile by nearest rank."""
@@ -57,15 +52,10 @@ class Target(NamedTuple):
 
     @property
     def is_bound(self) -> bool:
-        """Whether there is a bound."""
         return any(bound is not None for bound in (self.low, self.high, self.max_ratio))
 
     def met_by(self, value: float, floor: float | None = None) -> bool:
-        """Return whether a value is within the bounds.
-
-        Args:
-            floor: bare rospy's; without it no bound of the ratio is met.
-        """
+        """Return whether a value is within the bounds; without bare rospy's no bound of the ratio is met."""
         if self.max_ratio is not None and (floor is None or value > self.max_ratio * floor):
             return False
         return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
@@ -84,24 +74,17 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """One distribution that was measured.
-
-    Attributes:
-        summary: None when it could not be measured; the note says why.
-        floor: the same quantity of bare rospy, in the same run.
-        digits: how many digits of a figure are shown.
-        void: why the figure meets no target, however good it is.
-    """
+    """One distribution that was measured."""
 
     group: str
     what: str
     unit: str
-    summary: Summary | None
+    summary: Summary | None  # None when it could not be measured; the note says why
     targets: tuple[Target, ...] = (Target(),)
-    floor: Summary | None = None
+    floor: Summary | None = None  # the same quantity of bare rospy, in the same run
     note: str = ""
-    digits: int = 3
-    void: str = ""
+    digits: int = 3  # of a figure that is shown
+    void: str = ""  # why the figure meets no target, however good it is
 
     def meets(self, target: Target) -> bool | None:
         """Return whether a target is met; None without a bound. What was not measured, or is void, meets no bound."""
@@ -110,10 +93,8 @@ class Row:
         return self.summary is not None and not self.void and target.met_by(*self._values(target))
 
     def missed(self, by_floor: bool | None = None) -> tuple[str, ...]:
-        """Return the statistics whose target is missed, each with its figure, or its ratio where that is the target.
-
-        Args:
-            by_floor: only those that bare rospy misses too, or does not.
+        """Return the statistics whose target is missed, each with its figure, or its ratio where that is the target;
+        with ``by_floor`` only those that bare rospy misses too, or does not.
         """
         return tuple(self._missed_text(target) for target in self.targets if self.meets(target) is False
                      and by_floor in (None, self._floor_misses(target)))
@@ -133,7 +114,6 @@ class Row:
         return getattr(self.summary, target.statistic), self.floor and getattr(self.floor, target.statistic)
 
     def _statistic(self, target):
-        """Return the statistic's name; empty where the row is one figure."""
         is_single = self.summary is None or self.summary.samples == 1
         return "" if is_single and len(self.targets) == 1 else target.statistic
 
@@ -152,14 +132,7 @@ class Row:
                 target.original)
 
     def as_json(self) -> dict:
-        """Return everything, for a file."""
-        return {"group": self.group, "what": self.what, "unit": self.unit, "note": self.note, "void": self.void,
-                "figure": self.summary and self.summary.as_json(), "bare_rospy": self.floor and self.floor.as_json(),
-                "targets": [{**target._asdict(), "met": self.meets(target)} for target in self.targets]}
-
-
-def _rounded(value):
-    return float(f"{value:.6g}")
+        return {**asdict(self), "targets": [{**target._asdict(), "met": self.meets(target)} for target in self.targets]}
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -176,7 +149,6 @@ def table(lines: Sequence[Sequence[str]]) -> str:
 
 
 def head() -> str:
-    """Return the table's first two lines."""
     return table([COLUMNS, ["-" * width for width in WIDTHS]])
 
 

@@ -1,9 +1,7 @@
 """Latency from a frame's last byte on the serial line to a subscriber, and the CPU that a full line needs."""
 from __future__ import annotations
 
-import os
 import time
-import tty
 from contextlib import contextmanager
 from typing import Iterator, NamedTuple
 
@@ -11,10 +9,10 @@ from car_interface.msg import Wheel
 
 from waiting import NodeProcess
 
-from .capture import WHEELS, captured
+from .capture import WHEELS, Line, captured
 from .driver import SONARS
 from .effort import Effort
-from .meters import CpuMeter, IdleMeter
+from .meters import CpuMeter
 from .rows import MEDIAN, P99, WORST, Row, Summary, Target
 from .stage import Stage, TimedSubscriber
 
@@ -42,21 +40,19 @@ def hub(stage: Stage, port: str, namespace: str = "", *arguments: str) -> NodePr
 
 def measure_serial(effort: Effort, stage: Stage) -> Iterator[Row]:
     """Measure captured wheel reports one by one, in turns with a node that publishes a ready message for each."""
-    with Terminals(2) as ports, stage.running(
-            hub(stage, ports.names[0]), stage.actor("pipe", ports.names[1], "__ns:=bench")):
-        subscribers = [TimedSubscriber(topic, Wheel).connected() for topic in (
-            "/teensy_wheel", "/bench/teensy_wheel")]
+    ports = stage.path("serial_hub"), stage.path("serial_pipe")
+    lines = [Line(port) for port in ports]
+    with stage.running(hub(stage, ports[0]), stage.actor("pipe", ports[1], "__ns:=bench")):
+        subscribers = [TimedSubscriber(topic, Wheel).connected() for topic in ("/teensy_wheel", "/bench/teensy_wheel")]
         frames = list(captured(WHEELS))
         delays_ms: tuple[list[float], list[float]] = ([], [])
         for index in range(effort.frames + UNCOUNTED):
-            for near, subscriber, delays in zip(ports.near, subscribers, delays_ms):
+            for line, subscriber, delays in zip(lines, subscribers, delays_ms):
                 time.sleep(stage.random.uniform(*PAUSE_S))
                 sent_ns = time.monotonic_ns()
-                os.write(near, frames[index % len(frames)])
+                line.send(frames[index % len(frames)])
                 delays.append((subscriber.first(since_ns=sent_ns) - sent_ns) / 1e6)
-                ports.drain()
-        for subscriber in subscribers:
-            subscriber.close()
+                line.drain()
     yield Row("serial", "serial: last byte on the pty → subscriber's callback", "ms",
               Summary.of(delays_ms[0][UNCOUNTED:]),
               (Target(MEDIAN, original="0.22", max_ratio=1.3), Target(P99, original="0.48", max_ratio=1.5),
@@ -64,58 +60,15 @@ def measure_serial(effort: Effort, stage: Stage) -> Iterator[Row]:
               Summary.of(delays_ms[1][UNCOUNTED:]), note="bare rospy: reads a pty, publishes a ready-made message")
 
 
-class Terminals:
-    """Pseudo-terminals: what is written to the near end of one can be read from the port of its name."""
-
-    def __init__(self, count: int):
-        self._pairs = [os.openpty() for _ in range(count)]
-        self.near = [near for near, _ in self._pairs]
-        self.names = [os.ttyname(far) for _, far in self._pairs]
-        for near, far in self._pairs:
-            tty.setraw(far)
-            os.set_blocking(near, False)
-
-    def __enter__(self) -> Terminals:
-        return self
-
-    def __exit__(self, *_) -> None:
-        for fd in (fd for pair in self._pairs for fd in pair):
-            os.close(fd)
-
-    def drain(self) -> None:
-        """Discard what was written to the ports: pings."""
-        for fd in self.near:
-            try:
-                os.read(fd, 4096)
-            except BlockingIOError:
-                pass
-
-
 class Load(NamedTuple):
     """What a node did during some time of a full line."""
 
     cpu_percent: float
     lost: int  # frames that did not arrive at their subscriber
-    lost_on_line: int  # bytes for which the port's buffer was full
     sent_per_s: float  # frames
-    idle_percent: float  # of the machine
-
-    @staticmethod
-    def of(parts: list[Load]) -> Load:
-        """Return several of the same duration as one."""
-        def mean(name):
-            return sum(getattr(part, name) for part in parts) / len(parts)
-        return Load(mean("cpu_percent"), sum(part.lost for part in parts), sum(part.lost_on_line for part in parts),
-                    mean("sent_per_s"), mean("idle_percent"))
-
-    def __str__(self) -> str:
-        return (f"{self.sent_per_s:.0f} frames a second were sent, {self.lost_on_line} bytes found the port full; "
-                f"{self.idle_percent:.0f} % of the machine were idle")
 
 
 class Reader(NamedTuple):
-    """A node, the line that it reads, and its subscriber."""
-
     node: NodeProcess
     line: NodeProcess
     count: NodeProcess
@@ -132,19 +85,19 @@ def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
         for factor in FACTORS:
             rounds = [{kind: load(effort.line_s / effort.line_rounds, reader, factor)
                        for kind, reader in by_kind.items()} for _ in range(effort.line_rounds)]
-            loads = {kind: Load.of([loads[kind] for loads in rounds]) for kind in by_kind}
+            loads = {kind: mean([loads[kind] for loads in rounds]) for kind in by_kind}
             yield from line_rows(factor, loads)
 
 
 def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
-    """Yield the rows of one speed of the line."""
     rate = "full line" if factor == 1 else f"{factor} × the line rate"
     for kind, what in ((RAW, "raw topics only"), (ALL, "everything on")):
         measured, floor = loads[kind], loads[FLOORS[kind]]
         void = f"{measured.lost} frames were lost" if measured.lost else ""
         target = Target(original=ORIGINALS.get((factor, kind), ""), max_ratio=CPU_RATIOS[kind])
         yield Row("line", f"{rate}: CPU of the hub, {what}", "% of core", Summary.of([measured.cpu_percent]),
-                  (target,), Summary.of([floor.cpu_percent]), str(measured), void=void)
+                  (target,), Summary.of([floor.cpu_percent]),
+                  f"{measured.sent_per_s:.0f} frames a second were sent", void=void)
         yield Row("line", f"{rate}: frames lost, {what}", "frames", Summary.of([measured.lost]),
                   (Target(high=0, original="it loses" if factor > 1 else ""),), Summary.of([floor.lost]))
 
@@ -168,23 +121,28 @@ def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
         yield {kind: Reader(*reader) for kind, *reader in zip(ports, nodes, lines, counts)}
 
 
+def mean(loads: list[Load]) -> Load:
+    """Return several of the same duration as one, with all that was lost."""
+    cpu_percents, lost, rates = zip(*loads)
+    return Load(sum(cpu_percents) / len(loads), sum(lost), sum(rates) / len(loads))
+
+
 def load(lasts_s: float, reader: Reader, factor: int) -> Load:
-    """Measure a node on a line of one speed."""
     node, line, count = reader
     sent_mark, counted_mark = line.stdout.mark(), count.stdout.mark()
     begun_s = time.monotonic()
     line.tell(f"go {factor}")
     time.sleep(WARM_UP_S)
-    meter, idle = CpuMeter(node.pid), IdleMeter()
+    meter = CpuMeter(node.pid)
     time.sleep(lasts_s)
-    used, idled = meter.percent(), idle.percent()
+    used = meter.percent()
     line.tell("stop")
     lasted_s = time.monotonic() - begun_s
-    frames, lost_bytes = _numbers(line.stdout.wait_for(lambda text: text.startswith("sent"), sent_mark).what)
+    frames = _number(line.stdout.wait_for(lambda text: text.startswith("sent"), sent_mark).what)
     count.tell("report")
-    counted, = _numbers(count.stdout.wait_for(lambda text: text.startswith("counted"), counted_mark).what)
-    return Load(used, frames - counted, lost_bytes, frames / lasted_s, idled)
+    counted = _number(count.stdout.wait_for(lambda text: text.startswith("counted"), counted_mark).what)
+    return Load(used, frames - counted, frames / lasted_s)
 
 
-def _numbers(text):
-    return [int(field) for field in text.split()[1:]]
+def _number(text):
+    return int(text.split()[1])

@@ -72,7 +72,6 @@ def per_call(call, arguments) -> list[float]:
 
 
 def encode(calls: int) -> dict:
-    """Encode whole ping frames: body, checksum and escapes."""
     numbers = random.Random(1)
     stamps = [(numbers.randrange(protocol.UINT32),) for _ in range(calls)]
     return {"us": per_call(lambda stamp: framing.encode(protocol.ping(stamp)), stamps)}
@@ -94,7 +93,6 @@ def value_map(size: int) -> ValueMap:
 
 
 def lookup(calls: int, size: int) -> dict:
-    """Look up random accelerations and velocities all over the map."""
     numbers = random.Random(1)
     wanted = [(numbers.uniform(-9, 4), numbers.uniform(0, 20)) for _ in range(calls)]
     return {"us": per_call(value_map(size).value_at, wanted)}

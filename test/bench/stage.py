@@ -5,7 +5,6 @@ import os
 import random
 import shutil
 import signal
-import socket
 import sys
 import tempfile
 import time
@@ -16,7 +15,7 @@ from typing import Callable, Iterator
 import rospkg
 import rospy
 import yaml
-from processes import end_descendants, free_port
+from processes import answers, end_descendants, free_port
 
 from waiting import NodeProcess, eventually
 
@@ -24,6 +23,7 @@ PACKAGE = rospkg.RosPack().get_path("car_interface")
 ACTOR = os.path.join(PACKAGE, "test", "bench", "actor.py")
 SWITCH_INTERVAL_S = 0.0005  # as the package's nodes: it is their time that is measured
 PATIENCE_S = 20.0
+CLOSING: list[Callable] = []  # unregisters what is subscribed and published
 
 
 class Stage:
@@ -53,13 +53,12 @@ class Stage:
         port = free_port()
         os.environ.update(ROS_MASTER_URI=f"http://127.0.0.1:{port}", ROS_IP="127.0.0.1", ROS_LOG_DIR=self.folder)
         self._stack.callback(self.end, self.start(shutil.which("roscore"), "-p", str(port)))
-        eventually(lambda: _answers(port), "a master", PATIENCE_S)
+        eventually(lambda: answers(port), "a master", PATIENCE_S)
         rospy.init_node("bench", disable_signals=True)
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         self._has_master = True
 
     def start(self, *command: str) -> NodeProcess:
-        """Start a program."""
         process = NodeProcess(*command)
         self._stack.callback(process.clean_up)
         return process
@@ -76,19 +75,18 @@ class Stage:
         return processes
 
     def actor(self, *role: str) -> NodeProcess:
-        """Start one role."""
         return self.actors(role)[0]
 
     @staticmethod
-    def load(namespace: str, *names: str) -> None:
-        """Set a node's parameters from files in config/."""
-        for name in names:
+    def load(namespace: str, *paths: str) -> None:
+        """Set a node's parameters from files in config/; a folder before a name is a namespace below the node's."""
+        for path in paths:
+            folder, _, name = path.rpartition("/")
             with open(os.path.join(PACKAGE, "config", name), encoding="utf-8") as file:
                 for key, value in yaml.safe_load(file).items():
-                    rospy.set_param(f"{namespace}/{key}", value)
+                    rospy.set_param("/".join(filter(None, (namespace, folder, key))), value)
 
     def path(self, name: str) -> str:
-        """Return the path of a file of this run."""
         return os.path.join(self.folder, name)
 
     @staticmethod
@@ -104,12 +102,14 @@ class Stage:
                 process.clean_up()
 
     @contextmanager
-    def running(self, *processes: NodeProcess) -> Iterator[tuple[NodeProcess, ...]]:
-        """End the processes afterwards, and delete their parameters."""
+    def running(self, *processes: NodeProcess) -> Iterator[None]:
+        """End the processes afterwards, unregister what subscribed and published, and delete the parameters."""
         try:
-            yield processes
+            yield
         finally:
             self.end(*processes)
+            while CLOSING:
+                CLOSING.pop()()
             try:
                 delete_params()
             except OSError:
@@ -117,7 +117,6 @@ class Stage:
 
 
 def delete_params() -> None:
-    """Delete all parameters but the master's own."""
     for name in rospy.get_param_names():
         if not name.startswith(("/run_id", "/ros")):
             try:
@@ -127,17 +126,15 @@ def delete_params() -> None:
 
 
 class TimedSubscriber:
-    """Receives a topic: its messages with their times of arrival, ns.
-
-    Args:
-        convert: applied to each message; what it returns is stored.
-    """
+    """Receives a topic: what ``convert`` makes of its messages, with their times of arrival, ns."""
 
     def __init__(self, topic: str, message_type, convert: Callable = lambda message: message):
         self._received: SimpleQueue = SimpleQueue()
         self._convert = convert
         self._topic = topic
         self._subscriber = rospy.Subscriber(topic, message_type, self._store, tcp_nodelay=True)
+        self.close = self._subscriber.unregister
+        CLOSING.append(self.close)
 
     def _store(self, message):
         now_ns = time.monotonic_ns()
@@ -166,18 +163,9 @@ class TimedSubscriber:
             drained.append(self._received.get())
         return drained
 
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._subscriber.unregister()
-
 
 def connected_publisher(topic: str, message_type) -> rospy.Publisher:
-    """Return a publisher that has a subscriber."""
     publisher = rospy.Publisher(topic, message_type, queue_size=10, tcp_nodelay=True)
+    CLOSING.append(publisher.unregister)
     eventually(lambda: publisher.get_num_connections() >= 1, f"a subscriber of {topic}", PATIENCE_S)
     return publisher
-
-
-def _answers(port):
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0

@@ -36,7 +36,6 @@ THROTTLE_ARBS = Heartbeat(
 
 
 def measure_throttle(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure the reactions, then the output while nothing changes."""
     targets = (Target(MEDIAN, max_ratio=MEDIAN_RATIO), Target(P99, max_ratio=P99_RATIO), Target(WORST))
     for what, times_ms, floors_ms in reactions(effort.reactions, stage, THROTTLE_ARB):
         yield Row("throttle", f"throttle: {what} → /servo/cmdVector", "ms", Summary.of(times_ms), targets,

@@ -15,7 +15,7 @@ from waiting import NodeProcess, eventually
 
 from .driver import RADIUS_M
 from .effort import Effort
-from .meters import CpuMeter, IdleMeter, with_guard
+from .meters import CpuMeter, with_guard
 from .rows import Row, Summary, Target
 from .stage import Stage, TimedSubscriber
 
@@ -29,7 +29,6 @@ SETTLED_S = 1.0
 SPEED_MPS = 3.0  # at which the wheels' pulses cause the highest rate of reports, one in 5 ms
 LINEAR = 1.05  # 4 cars ≤ 4.2 × one
 FULL_RATE_HZ = 180  # above it, it is the full rate
-SATURATED_PERCENT = 10  # idle; below it the machine itself is measured
 CAR = '''<include file="$(find car_interface)/launch/demo.launch">
   <arg name="ns" value="{ns}"/><arg name="port" value="{port}"/><arg name="drive" value="false"/>
   <arg name="collisions" value="false"/>{more}</include>
@@ -37,20 +36,14 @@ CAR = '''<include file="$(find car_interface)/launch/demo.launch">
 
 
 class Drive(NamedTuple):
-    """The CPU time of several cars."""
-
     percents: list[float]  # of a core, for each car all of its nodes, and the guard
     four_percents: list[float]  # the four without throttle and gamepad
     by_node: str  # for the note
     reports_hz: float  # of the wheels, of the car with the fewest
-    idle_percent: float  # of the machine
 
     def __str__(self) -> str:
-        rate = f"{self.reports_hz:.0f} reports of the wheels a second"
         slow = "" if self.reports_hz > FULL_RATE_HZ else ", not the full rate"
-        return (f"a car's processes: {self.by_node}; {rate}{slow}; "
-                f"{self.idle_percent:.0f} % of the machine were idle"
-                f"{'' if self.idle_percent > SATURATED_PERCENT else ': it was saturated'}")
+        return f"a car's processes: {self.by_node}; {self.reports_hz:.0f} reports of the wheels a second{slow}"
 
 
 def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
@@ -85,11 +78,8 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
 def measure_planners_car(effort: Effort, stage: Stage) -> Iterator[Row]:
     """Measure a car whose planner sends cmd_vel at 50 Hz."""
     nodes, namespace = (*ALL, PLANNER), "/bench_planner"
-    processes = launch_cars(stage, [namespace], (*nodes, SIMULATOR), {"planner": "cmd_vel"}, ("cmd_vel",))
-    try:
+    with stage.running(*launch_cars(stage, [namespace], (*nodes, SIMULATOR), {"planner": "cmd_vel"}, ("cmd_vel",))):
         drive = measure_drive(effort.drive_s, [namespace], nodes)
-    finally:
-        stage.end(*processes)
     yield _row(f"1 car, {PLANNER} too: CPU of all its nodes", drive.percents, MAX_PERCENT, str(drive))
 
 
@@ -125,12 +115,11 @@ def measure_drive(drive_s: float, namespaces: list[str], nodes: tuple[str, ...])
     parts = {(ns, name): part for (ns, node), found in pids.items()
              for name, part in ((node, found[:1]), (GUARD, found[1:])) if part}
     meters = {key: CpuMeter(*part) for key, part in parts.items()}
-    idle = IdleMeter()
     for report in reports:
         report.drain()
     time.sleep(drive_s)
     used = {key: meter.percent() for key, meter in meters.items()}
-    idle_percent, reports_hz = idle.percent(), min(len(report.drain()) for report in reports) / drive_s
+    reports_hz = min(len(report.drain()) for report in reports) / drive_s
     for report in reports:
         report.close()
 
@@ -138,7 +127,7 @@ def measure_drive(drive_s: float, namespaces: list[str], nodes: tuple[str, ...])
         return [sum(used.get((ns, name), 0.0) for name in names) for ns in namespaces]
     means = {name: sum(of_each_car([name])) / len(namespaces) for name in (*nodes, GUARD, SIMULATOR)}
     return Drive(of_each_car((*nodes, GUARD)), of_each_car(FOUR),
-                 ", ".join(f"{name} {percent:.1f}" for name, percent in means.items()), reports_hz, idle_percent)
+                 ", ".join(f"{name} {percent:.1f}" for name, percent in means.items()), reports_hz)
 
 
 def pid_of(node: str) -> int | None:

@@ -13,6 +13,7 @@ import pytest
 
 from car_interface.cli.calibrate_value_map import add_arguments, config_of
 from car_interface.cli.main import main
+from car_interface.sim.vehicle import true_acceleration_mps2
 from car_interface.throttle.value_map import load_value_map
 from recorded_drives import recorded
 from written_recordings import Written, rename_topics, write_ros1
@@ -56,7 +57,7 @@ def error_mps2(table):
     car = virtual_drive.random_car(SEED)
     thrust = car.drive.thrust(SECONDS / 2)
     duties = [virtual_drive.duty_of_value(value) for value in table.values]
-    truth = [[virtual_drive.acceleration_of_duty_mps2(duty, max(velocity, 1e-3), car.drive, thrust)
+    truth = [[true_acceleration_mps2(duty, max(velocity, 1e-3), car.drive, thrust)
               for velocity in table.velocities] for duty in duties]
     found = [[table.acceleration_at(value, velocity) for velocity in table.velocities] for value in table.values]
     return float(np.sqrt(np.mean(np.subtract(found, truth) ** 2)))

@@ -26,7 +26,8 @@ DRIVES = 100_000 if IS_LONG else 300
 
 @pytest.mark.once
 def test_random_drives():
-    found, totals = sequences.run_many(DRIVES) if IS_LONG else sequences.run_all(range(DRIVES))
+    run = sequences.run
+    found, totals = sequences.summed_up(sequences.run_on_all_cores(run, DRIVES) if IS_LONG else map(run, range(DRIVES)))
     assert found == []
     assert totals["drives"] == DRIVES
     assert totals["got"] == totals["wanted"] > DRIVES / 10

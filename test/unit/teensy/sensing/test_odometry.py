@@ -63,8 +63,7 @@ class Axle:
 @pytest.mark.parametrize("name, worst_percent, worst_deg, worst_speed_percent", (
     ("reversing, resets", 1.0, 2.0, 3.0), ("crawl 0.05 m/s", 1.0, 2.0, 10.0), ("8 m/s", 0.5, 2.0, 2.0)))
 def test_virtual_car_is_where_odometry_says(name, worst_percent, worst_deg, worst_speed_percent):
-    drive = next(make for make in odometry_accuracy.drives() if make().name == name)
-    score = odometry_accuracy.run(drive, (0.3, 0.9), 1)
+    score = odometry_accuracy.run(name, (0.3, 0.9), 1)
     assert 100 * score.position_m / score.distance_m <= worst_percent
     assert score.yaw_deg <= worst_deg
     speeds = score.crawl if "crawl" in name else score.speed
