@@ -9,13 +9,10 @@ import csv
 import io
 import math
 import os
-<<<<<<< HEAD
-=======
 import random
->>>>>>> 8b6e19a876984293f593877f657e4b02feff2ec6
 import tempfile
+from pathlib import Path
 
-import fuzz
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -25,12 +22,9 @@ from car_interface.teensy.link.framing import MAX_ON_LINE, FrameDecoder
 from car_interface.teensy.sensing.plausibility import Gates
 from car_interface.throttle.value_map import ValueMap, load_value_map
 
-<<<<<<< HEAD
-=======
 CAPTURE = (Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin").read_bytes()
 SPECIAL = (0x7E, 0x7D, 0x5E, 0x5D, 0x00, 0xFF, 0x20)
 MARKER = bytes.fromhex("7e 01020600 006b11057b0000 f9 7e")  # from the capture: a sonar's report
->>>>>>> 8b6e19a876984293f593877f657e4b02feff2ec6
 CASES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 2000
 
 
