@@ -22,9 +22,7 @@ from car_interface.msg import Distance
 from car import Car
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
-from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.nodes.car_display import CarDisplay
-from car_interface.ros.measurement_publisher import read_settings
 from teensy import Teensy, sonar
 
 ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
@@ -108,9 +106,11 @@ def fails(what, error):
     raise AssertionError(f"CAR_INTERFACE_SEED={SEED}: {what}") from error
 
 
-def check_reader(read, good, choose):
+@pytest.mark.parametrize("name", NODES)
+def test_node_reads_parameters_of_any_value_or_refuses_them_with_a_config_error(name):
+    read = importlib.import_module(f"car_interface.nodes.{name}").read_config
+    good, choose, refused = good_parameters(name), random.Random(SEED), 0
     read(Params(good))
-    refused = 0
     for _ in range(READS):
         changes = changed(good, choose)
         try:
@@ -121,20 +121,6 @@ def check_reader(read, good, choose):
         except Exception as error:
             fails(changes, error)
     assert READS / 5 < refused < READS
-
-
-@pytest.mark.parametrize("name", NODES)
-def test_node_reads_parameters_of_any_value_or_refuses_them_with_a_config_error(name):
-    read = importlib.import_module(f"car_interface.nodes.{name}").read_config
-    check_reader(read, good_parameters(name), random.Random(SEED))
-
-
-def test_interlock_and_measurements_read_parameters_of_any_value_or_refuse_them():
-    check_reader(read_interlock, {"human_timeout": 0.5, "e_stop_timeout": 1.0, "e_stop_required": False,
-                                  "grant_at_start": False}, random.Random(SEED))
-    measured = {name: value for name, value in good_parameters("teensy_sensor_hub").items()
-                if name in ("odom_rate", "track", "wheelbase", "max_range") or name.startswith("sonars/")}
-    check_reader(lambda params: read_settings(params, 115200), measured, random.Random(SEED))
 
 
 @pytest.mark.parametrize("name", NODES)

@@ -106,14 +106,6 @@ def test_gamepad_that_works_is_ok_for_the_doctor():
         OK, "/joy: 8 axes, 11 buttons, 20.0 times a second; manual deadman held", "")
 
 
-def test_silence_as_long_as_the_timeout_releases_nothing():
-    driven = Driven()
-    at_ns = driven.graph.now_ns
-    driven.fall_silent(0.2)  # the last message came 0.05 s before that
-    driven.graph.run(0.5)
-    assert {state.source for state in driven.graph.messages("/turn_arb/state", at_ns)} == {SteeringState.TELEOP}
-
-
 def test_turn_arb_quotes_the_gamepad_of_its_namespace(graph):
     remap = {"/teleop_logi/human_in_loop": "/one/teleop_logi/human_in_loop"}
     graph.record("/one/turn_arb/state")
