@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any, Callable, Iterable, NamedTuple
 
 import pytest
-from car_interface.msg import Control
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, String
 
 from car import CENTER, ESC_NEUTRAL, LEFT, MANUAL, RIGHT, Car
 from car_interface.common.drive_modes import MANUAL as BY_HUMAN
+from inputs import control, odometry
 
 SAFETY = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
 MS = 1_000_000
@@ -27,18 +26,6 @@ GOES_ON = "goes on"  # of a channel, in the page's table
 HOUR_NS = 3600 * 1000 * MS
 # Of the moment of a fault, ns: at, just after and just before a tick of turn_arb, and of throttle_arb or teleop_logi.
 PHASES = (0, 1, 7 * MS, 10 * MS - 1, 10 * MS, 20 * MS - 1)
-
-
-def control(acceleration):
-    message = Control()
-    message.longitudinal.acceleration = acceleration
-    return message
-
-
-def odometry(speed_mps):
-    message = Odometry()
-    message.twist.twist.linear.x = speed_mps
-    return message
 
 
 def joy(stick):

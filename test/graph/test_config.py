@@ -12,7 +12,6 @@ import pytest
 from car import CONFIG, config
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.pca9685.channels import ChannelConfig
 
 PACKAGE = os.path.dirname(os.path.realpath(CONFIG))
 WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
@@ -36,9 +35,7 @@ DEFAULTS = {
         "arbiter.steering_timeout_s": 0.25, "arbiter.odometry_timeout_s": 0.5,
         "arbiter.interlock.grant_at_start": True, "esc.profile": "unverified", "esc.arming_time_s": 1.0,
         "tuning.max_offset": 100}),
-    "pca9685": ({}, {
-        "device": "/dev/i2c-1", "address": 0x40, "prescale": 121, "oscillator_hz": 25e6,
-        "channels": (ChannelConfig(live_range=0),) * 16, "required": False, "virtual_log": None}),
+    "pca9685": ({}, {"device": "/dev/i2c-1"}),
     "teensy_sensor_hub": ({}, {
         "port": "/dev/ttyAMA0", "baud": 115200, "firmware_checksum": "auto", "required": False, "raw_only": False,
         "settings.ping_period_s": 1.0, "settings.odom_frame": "odom", "settings.odom_rate_hz": 50.0}),
@@ -70,18 +67,9 @@ REFUSALS = [
     ("generic_value_converter", {"min_value": 8, "max_value": 9}, f"{MAP['csv_path_value_map']}, value map has values"),
     ("throttle_arb", {"esc": {"dwell": 0}}, "esc/dwell is 0; accepted: a number from 0.1 to 0.5"),
     ("throttle_arb", {"human_scale": 3}, "human_scale is 3; accepted: a number from 0 to 1"),
-    ("pca9685", {"address": 0x80}, "address is 128; accepted: an integer from 64 to 127"),
     ("pca9685", {"timeout": [250] * 15}, "timeout is [250, 250, "),
     ("pca9685", {"frequency": 10}, "frequency is 10.0; accepted: 23.8 to 1526 Hz"),
-    ("pca9685", {"throttle_channel": 1}, "unknown parameter throttle_channel is 1; accepted: only address, "),
-    ("pca9685", {"save_to": "/a.yaml"}, "unknown parameter save_to is '/a.yaml'; accepted: only address, "),
     ("pca9685", {"steering": 5}, "unknown parameter steering is 5; accepted: only address, "),
-    ("pca9685", {"steering": {**STEERING, "servo_channel": 16}},
-     "steering/servo_channel is 16; accepted: an integer from 0 to 15"),
-    ("pca9685", {"esc": {"servo": {**ESC["servo"], "neutral": -1}}},
-     "esc/servo/neutral is -1; accepted: an integer from 0 to 65535"),
-    ("pca9685", {"steering": {**STEERING, "servo_channel": 1}, "esc": ESC},
-     "esc/servo/channel is 1; accepted: a channel other than steering/servo_channel"),
     ("pca9685", {"device": "virtual", "virtual_log": "chip.log"}, f"virtual_log is 'chip.log'; {WHOLE_PATH}"),
     ("pca9685", {"virtual_log": "/tmp/chip.log"}, "unknown parameter virtual_log is '/tmp/chip.log'"),
     ("teensy_sensor_hub", {"baud": 0}, "baud is 0; accepted: an integer from 300"),
@@ -146,21 +134,6 @@ def test_missing_and_unknown_parameters_are_named(node):
             read(node, {name: value for name, value in required.items() if name != missing})
     with pytest.raises(ConfigError, match=r"^unknown parameter no_such_thing is 1; accepted: only "):
         read(node, {**required, "no_such_thing": 1})
-
-
-@pytest.mark.parametrize("given, expected", [
-    ({}, {}),
-    ({"steering": config("turn_arb.yaml")}, {0: (5100, 500)}),
-    ({"steering": config("turn_arb.yaml"), "esc": config("throttle.yaml")}, {0: (5100, 500), 1: (4915, 100)}),
-    ({"steering": {**STEERING, "servo_channel": 7}, "live_range": 50}, {7: (5100, 50)}),
-    ({"esc": {"servo": {**ESC["servo"], "channel": 15}}, "throttle_live_range": 9}, {15: (4915, 9)}),
-    ({"esc": {"servo": {**ESC["servo"], "channel": -1}}}, {}),
-    ({"steering": {"servo_channel": 3}}, {}),
-    ({"steering": {"servo_center": 5100}, "esc": {"servo": {"channel": 1}}}, {})])
-def test_center_and_neutral_are_the_timeout_values_of_their_channels(given, expected):
-    made = read("pca9685", {"timeout_value": [100] * 16, **given}).channels
-    assert [(channel.timeout_value, channel.live_range) for channel in made] == [
-        expected.get(channel, (100, 0)) for channel in range(16)]
 
 
 def test_simulated_car_has_what_a_car_s_files_say_and_its_own_parameters_go_before_them():

@@ -8,7 +8,7 @@ import time
 
 import pytest
 import rospy
-from car_interface.msg import Control, Float64Stamped, SteeringState, TeleopState, ThrottleState
+from car_interface.msg import Float64Stamped, SteeringState, TeleopState, ThrottleState
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy, Temperature
@@ -18,6 +18,7 @@ from car import Car
 from car_interface.common.causes import INHIBITS
 from car_interface.ros.inbox import Inbox
 from graph import NodeClocks, TopicPublisher
+from inputs import control, odometry
 
 LIMIT = 20  # of the inboxes in here
 LEFT, CENTER = 3800, 5100
@@ -261,10 +262,8 @@ class FrozenCar:
             getattr(self.car, name)(**arbiters if name.endswith("_arb") else {})
         self.e_stop = TopicPublisher(self.graph, "/lock", "/e_stop", Bool, e_stop_is_latched, NodeClocks(self.graph))
         self.e_stop.publish(Bool(False))
-        command, odometry = Control(), Odometry()
-        command.longitudinal.acceleration = odometry.twist.twist.linear.x = 1.0
-        for topic, message in (("/av_turnrad_req", Float32(2.0)), ("/control/command/control_cmd", command),
-                               ("/odom", odometry), *([] if e_stop_is_latched else [("/e_stop", Bool(False))])):
+        for topic, message in (("/av_turnrad_req", Float32(2.0)), ("/control/command/control_cmd", control(1.0)),
+                               ("/odom", odometry(1.0)), *([] if e_stop_is_latched else [("/e_stop", Bool(False))])):
             self.graph.hold(topic, message, 50)
         self.arm()
 

@@ -138,22 +138,6 @@ def test_each_channel_goes_to_its_timeout_value_after_250_ms_without_a_command_f
     assert int(servos.graph.report("pca9685: servo board").values["timeouts of channel 0"]) > 10
 
 
-def test_scalars_stand_for_all_channels_and_lists_for_each():
-    timeout_values = tuple(16 * channel for channel in range(16))
-    servos = Servos(timeout=60000, timeout_value=[*timeout_values], pwm_min=3200, pwm_max=[65535] * 15 + [4000])
-    assert servos.output == timeout_values
-    servos.send(rest=0)
-    assert servos.output == (3200,) * 16
-    servos.send(rest=65535)
-    assert servos.output == (65535,) * 15 + (4000,)
-    assert servos.warnings()[-1] == ("channels 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15: beyond pwm_min or "
-                                     "pwm_max, clamped")
-    servos.graph.run(59.9)
-    assert servos.output[0] == 65535
-    servos.graph.run(0.2)
-    assert servos.output == timeout_values
-
-
 @pytest.mark.parametrize(("parameters", "text", "prescale"), [
     ({}, "running at 50.03 Hz (prescale 121)", 121), ({"prescale": 122}, "running at 49.62 Hz (prescale 122)", 122)])
 def test_frequency_is_by_the_data_sheets_prescale_or_a_given_one(parameters, text, prescale):

@@ -125,32 +125,6 @@ def test_link_that_is_fine_says_so_and_carries_its_counters(line):
     assert int(report.values["Teensy's rxPackets"]) > 0
 
 
-@pytest.mark.parametrize("phase_s", PHASES_S)
-def test_port_unplugged_for_a_moment_comes_back_by_itself_and_is_told_at_once_both_times(line, phase_s):
-    before = line.settled(phase_s).link
-    line.inject("unplug", 0.5)
-    assert line.seconds_until("port fails") == 0
-    assert not line.link.open
-    assert 0.5 <= line.seconds_until("waiting") <= 0.61  # tried after 0.2 and 0.6 s
-    assert line.link.open
-    assert line.seconds_until("fine") <= 2.0
-    assert (line.link.reconnects, line.link.resyncs) == (before.reconnects + 1, before.resyncs + 1)
-
-
-def test_flood_leaves_pings_services_and_status_going(line):
-    line.settled()
-    line.inject("flood", 60)
-    line.graph.run(5)
-    before = line.link
-    assert line.call("sonar_start")[0]
-    assert line.call("ping")[1] in ("no pong came back", "pong after 4.0 ms", "pong after 6.0 ms")
-    line.graph.run(5)
-    assert line.link.pings - before.pings >= 8
-    assert line.link.firmware_checksum == "shipped"
-    statuses = [record.at_ns for record in line.graph.recorded[LINK]][-5:]
-    assert {after - before for before, after in zip(statuses, statuses[1:])} == {NS_PER_S}
-
-
 def test_port_that_is_missing_at_the_start_is_waited_for(car):
     car.graph.record(LINK)
     car.hub()

@@ -8,12 +8,11 @@ import re
 import pytest
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 
 from car import Car, config
-from inputs import Inputs
+from inputs import Inputs, odometry
 
 NEUTRAL, FULL_FORWARD, FULL_BRAKE = 4915, 6554, 3277
 BY_HAND = 5407  # 0.3 of the way to full forward: 4915 + 0.3 · 1639
@@ -23,12 +22,6 @@ BRAKES = {"esc": {"profile": "brake_then_reverse"}}
 STEERS = SteeringState(source=SteeringState.TELEOP)
 PLANS = SteeringState(source=SteeringState.PLANNER)
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
-
-
-def odometry(velocity):
-    message = Odometry()
-    message.twist.twist.linear.x = velocity
-    return message
 
 
 def value(data):
@@ -328,18 +321,6 @@ def test_output_of_another_length_is_ignored_and_warned_of():
 
 
 # --- an ESC that brakes before it reverses, on a board that says what it holds ---
-
-def test_stop_brakes_a_car_that_rolls_until_it_is_slow():
-    arb = Arb(board=True, **BRAKES).present(teleop=1.0, speed=4.0)
-    arb.run(1.0)
-    assert (arb.state.esc, arb.state.output_age < 0.1) == ("FORWARD", True)
-    arb.hold(human=False)
-    assert (arb.state.esc, arb.state.source, arb.state.cause, arb.state.granted, arb.duty) == (
-        "BRAKING", ThrottleState.NO_HUMAN, "human absent", -0.5, 4096)  # 4915 − 0.5 · 1638
-    arb.hold(speed=0.2)
-    arb.run(0.1)
-    assert arb.duty == NEUTRAL
-
 
 def test_board_that_gives_no_pulse_takes_arming_again():
     arb = Arb(board=True, **BRAKES).present(teleop=1.0)

@@ -8,21 +8,14 @@ import re
 import pytest
 from car_interface.msg import TeleopState
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Float32
 
 from car import Car
-from inputs import Inputs
+from inputs import Inputs, odometry
 
 LEFT, CENTER, RIGHT = 3800, 5100, 6700
 NAN, INF = math.nan, math.inf
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
-
-
-def odometry(speed_mps):
-    message = Odometry()
-    message.twist.twist.linear.x = speed_mps
-    return message
 
 
 TOPICS = {"e_stop": ("/e_stop", Bool), "human": ("/teleop_logi/human_in_loop", Bool),
