@@ -289,6 +289,7 @@ def test_it_drives_while_the_deadman_is_held_and_only_then_and_refuses_what_is_t
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("end", ["end", "kill"])
 def test_program_that_ends_or_is_killed_leaves_a_car_that_stops(tmp_path, end):
     car = Practice(tmp_path, "--no-sonars").begin()
@@ -304,6 +305,7 @@ def test_program_that_ends_or_is_killed_leaves_a_car_that_stops(tmp_path, end):
         assert [marker.action for marker in car.graph.newest(MARKERS).markers] == [Marker.DELETEALL]
 
 
+@pytest.mark.once
 def test_person_with_the_stick_is_told_where_to_hold_it_and_nothing_is_asked_for(tmp_path):
     car = Practice(tmp_path, "--stick").begin()
     assert car.terminal.block[0].startswith("no deadman is held; hold the manual deadman")
@@ -324,6 +326,7 @@ def test_person_with_the_stick_is_told_where_to_hold_it_and_nothing_is_asked_for
     assert ended(car) == "ended before it was over: nothing is written"
 
 
+@pytest.mark.once
 def test_without_a_terminal_there_are_plain_lines_of_what_it_waits_for_and_does(tmp_path):
     car = Practice(tmp_path, "--no-sonars", live=False).begin()
     car.hold()
@@ -341,6 +344,7 @@ def test_without_a_terminal_there_are_plain_lines_of_what_it_waits_for_and_does(
 
 # --- its end ---
 
+@pytest.mark.once
 @pytest.mark.parametrize("arguments, live, key, replaces", [
     ((), True, "y", True), ((), True, "n", False), (("--yes",), True, "", True), ((), False, "", False)],
     ids=["yes", "no", "yes_by_option", "without_a_terminal"])
@@ -374,6 +378,7 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
         assert text in car.terminal.text
 
 
+@pytest.mark.once
 def test_without_a_recorder_it_drives_all_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(Recording, "has_subscribed", lambda *_: False)
     car = Practice(tmp_path, "--no-sonars").begin()

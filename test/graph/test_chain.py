@@ -298,6 +298,7 @@ def page_rows() -> dict[str, list[tuple[float, float] | None]]:
     return found
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.title)
 @pytest.mark.parametrize("hop_s", [0.0, HOP_S], ids=["at_once", "delayed"])
 def test_time_from_fault_to_neutral_is_that_of_the_page(row, hop_s):
@@ -401,6 +402,7 @@ class TestBoardWithAGuard:
         assert chain.neutral_ms(at_ns, (0, 1)) == {0: 0.0, 1: 0.0}
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("radii_m", "after_ms"), [([], (500, 520)), ([1.0], (200, 300))], ids=["center", "in_a_turn"])
 def test_teensy_that_is_unplugged_stops_the_throttle_and_the_steering_goes_on(radii_m, after_ms):
     """Where a planner steers, so that the throttle depends on the speed, the odometry is awaited for less long."""
@@ -422,6 +424,7 @@ def test_teensy_that_is_unplugged_stops_the_throttle_and_the_steering_goes_on(ra
     graph.run_until(lambda: car.board.counts[1] > ESC_NEUTRAL)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("speed_mps", "column"), [(2, 1), (2, 2), (5, 1), (5, 2), (10, 1), (10, 2)])
 def test_stopping_distance_is_that_of_the_page(speed_mps, column):
     """From releasing the deadman to standstill, on a floor without walls."""

@@ -78,6 +78,7 @@ def test_two_nodes_on_two_channels_are_as_they_should_be(car):
     assert found[:2] == (OK, FINE) and "/rostopic_7" in found.values[VECTOR]
 
 
+@pytest.mark.once
 def test_publisher_that_sends_once_and_goes_is_shown_but_not_logged(car):
     since_ns = car.graph.now_ns
     car.graph.publish(HUMAN, Bool(False), "/rostopic_7")
@@ -89,6 +90,7 @@ def test_publisher_that_sends_once_and_goes_is_shown_but_not_logged(car):
     assert not [line for line in car.graph.lines(since_ns=since_ns) if "nodes publish" in line]
 
 
+@pytest.mark.once
 def test_publisher_that_stays_is_an_error_after_five_seconds_and_is_logged_then_and_every_ten(car):
     began_ns = car.graph.now_ns
     car.graph.repeat("/e_stop", Bool(False), 10, sender="/rostopic_7")

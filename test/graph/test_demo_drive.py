@@ -67,6 +67,7 @@ def test_drive_goes_as_planned(capsys):
     assert not [line for line in demo.graph.lines(level=30) if "ran into" in line or "tipped" in line]
 
 
+@pytest.mark.once
 def test_drive_of_a_car_that_differs_in_everything_goes_as_planned(another_car, capsys):
     demo = Demo(sim_has_files=True)
     demo.graph.run_until(lambda: demo.board.counts[6] * 16 > 6000, 30.0)  # the human's circle, to the left
@@ -74,6 +75,7 @@ def test_drive_of_a_car_that_differs_in_everything_goes_as_planned(another_car, 
     assert "as planned: yes" in capsys.readouterr().out
 
 
+@pytest.mark.once
 def test_drive_that_somebody_stops_has_failed_and_says_why(monkeypatch):
     monkeypatch.setattr(demo_drive, "DriveConfig", partial(DriveConfig, nobody_s=3.0, max_turn_s=2.0, let_go_s=1.0))
     demo = Demo()
@@ -86,6 +88,7 @@ def test_drive_that_somebody_stops_has_failed_and_says_why(monkeypatch):
         "the left circle wasn't closed", "the right circle wasn't closed"))
 
 
+@pytest.mark.once
 def test_drive_that_fails_while_the_computer_stood_still_says_so(monkeypatch):
     monkeypatch.setattr(demo_drive, "DriveConfig", partial(DriveConfig, nobody_s=3.0, max_turn_s=2.0, let_go_s=1.0))
     demo = Demo()
@@ -95,6 +98,7 @@ def test_drive_that_fails_while_the_computer_stood_still_says_so(monkeypatch):
                                   "is gone: end other programs, and start the demo again")
 
 
+@pytest.mark.once
 def test_car_that_is_not_ready_is_given_up_after_30_s_and_what_is_missing_is_named():
     demo = Demo(without=("hub",))
     begun_ns = demo.graph.now_ns
@@ -102,6 +106,7 @@ def test_car_that_is_not_ready_is_given_up_after_30_s_and_what_is_missing_is_nam
     assert 30.0 < demo.seconds_since(begun_ns) <= 30.1
 
 
+@pytest.mark.once
 def test_drive_that_is_ended_before_it_is_over_has_failed():
     demo = Demo()
     demo.graph.run(10.0)

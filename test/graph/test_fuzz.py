@@ -227,6 +227,7 @@ def growth_of(act):
     return tracemalloc.get_traced_memory()[0] - before
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name", NODES)
 def test_node_fed_messages_of_any_content_lives_on_and_is_no_larger(car, name):
     choose, node = random.Random(SEED), NODES[name].start(car)
@@ -250,6 +251,7 @@ def test_node_asked_anything_by_its_services_answers_in_words(car, name):
     assert node.is_alive
 
 
+@pytest.mark.once
 def test_hub_whose_port_sends_anything_lives_on_and_is_no_larger(car):
     car.graph.record("/teensy_distance")
     teensy, node, choose = Teensy(car.graph, car.cable), car.hub(), random.Random(SEED)

@@ -132,6 +132,7 @@ def test_pull_brakes_under_each_planner_s_deadman_and_the_planner_gets_it_back(d
     assert min(drive.speeds(pulled_ns)) > -NOISE_MPS
 
 
+@pytest.mark.once
 def test_pull_never_becomes_reverse_however_often_and_by_hand_it_does(drive):
     drive.press(autonomous=True)
     since_ns = drive.graph.now_ns
@@ -217,6 +218,7 @@ def fires(distances, sequence):
     return any(sensors[begin:begin + 2 * len(sequence)] == 2 * sequence for begin in range(len(sequence)))
 
 
+@pytest.mark.once
 def test_car_sets_off_again_after_each_stop_with_odometry_and_all_sonars_while_it_stands():
     """The throttle needs odometry that is not older than half a second. Sonars ahead fire more often as it drives."""
     ahead, everywhere = [1, 0, 1, 2, 1, 4], list(range(6))

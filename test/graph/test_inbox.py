@@ -295,6 +295,7 @@ class FrozenCar:
 ALL = ("turn_arb", "generic_value_converter", "throttle_arb", "pca9685")
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("after_step", [False, True])
 @pytest.mark.parametrize("seconds", [0.55, 3.0])
 @pytest.mark.parametrize("names, duties", [(("turn_arb",), STANDS), (("throttle_arb",), (DRIVES[0], STANDS[1])),

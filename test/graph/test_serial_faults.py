@@ -77,6 +77,7 @@ FAULTS = [
     Fault("unplug", 0, "port absent", ERROR, "there is no such port", "Plug the Teensy in", 0.3, 4.1)]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("phase_s", PHASES_S[:2])
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: f"{fault.fault}_{fault.value}")
 def test_fault_is_told_on_the_link_and_in_the_diagnostics_and_goes_with_it(line, fault, phase_s):
@@ -137,6 +138,7 @@ def test_port_that_is_missing_at_the_start_is_waited_for(car):
     assert car.graph.newest(LINK).reconnects == 0
 
 
+@pytest.mark.once
 def test_flood_into_the_virtual_teensy_is_taken_at_the_line_s_pace_and_does_it_no_harm(car):
     line = Line(car).settled()
     turns, begun_ns = car.graph.nodes["/car_sim"].turns, line.graph.now_ns
