@@ -105,48 +105,34 @@ def test_publisher_that_stays_is_an_error_after_five_seconds_and_is_logged_then_
 
 # --- a channel that nobody commands any more ---
 
-class Channel:
-    """A board whose channel 3 a node commands, and no longer."""
+def test_channel_that_nobody_commands_any_more_is_an_error_until_it_is_commanded_or_the_node_is_started_again():
+    car = Car()
+    car.pca9685(guard=True)
+    graph, sender = car.graph, "/commander"
 
-    def __init__(self, sender: str = "/commander"):
-        self.car, self.sender = Car(), sender
-        self.car.pca9685(guard=True)
-        self.graph = self.car.graph
-        self.command()
+    def reports():
+        return [graph.report(f"pca9685: {kind}") for kind in ("servo board", "command topics")]
 
-    def command(self) -> None:
-        self.graph.hold(VECTOR, vector(3), sender=self.sender)
-        self.graph.run(2.5)
-        assert [each.message for each in self.reports()] == ["running at 50.03 Hz", FINE]
-
-    def reports(self):
-        return [self.graph.report(f"pca9685: {kind}") for kind in ("servo board", "command topics")]
-
-    def assert_error(self, why: str, remedy: str) -> None:
-        """Both reports are errors with the reason, its cause and the remedy; and the log has it."""
-        for found in self.reports():
-            assert found.level == ERROR and found.values["cause"] == causes.CHANNEL_TIMED_OUT
-            assert re.search(r"channel timed out: channel 3, for \d+\.\d s" + re.escape(why), found.message)
-            assert remedy in found.values["remedy"]
-        assert any(line.startswith("channel timed out: channel 3") for line in self.graph.lines("/pca9685"))
-
-
-def test_commander_that_is_gone_is_named_until_the_channel_is_commanded_again():
-    channel = Channel()
-    channel.graph.silence(VECTOR, sender="/commander")
-    channel.graph.unregister(VECTOR, "/commander")
-    channel.graph.run_until(lambda: channel.reports()[0].level == ERROR, 0.3)  # at once, when it times out
-    channel.graph.run(2.0)
-    channel.assert_error("; /commander, which commanded it last, is gone",
-                         "Start /commander again; or, where nobody is to command channel 3 any more, start this node "
-                         "again: rosnode kill /pca9685")
-    channel.command()
-
-
-def test_channel_that_was_never_commanded_is_no_error():
-    channel = Channel()
-    channel.graph.nodes["/pca9685"].kill()
-    channel.graph.silence(VECTOR, sender="/commander")
-    channel.graph.nodes["/pca9685"].start()
-    channel.graph.run(3.0)
-    assert [each.message for each in channel.reports()] == ["running at 50.03 Hz", FINE]
+    def assert_fine():
+        assert [each.message for each in reports()] == ["running at 50.03 Hz", FINE]
+    graph.hold(VECTOR, vector(3), sender=sender)
+    graph.run(2.5)
+    assert_fine()
+    graph.silence(VECTOR, sender=sender)
+    graph.unregister(VECTOR, sender)
+    graph.run_until(lambda: reports()[0].level == ERROR, 0.3)  # at once, when it times out
+    graph.run(2.0)
+    for found in reports():
+        assert found.level == ERROR and found.values["cause"] == causes.CHANNEL_TIMED_OUT
+        assert re.search(r"channel timed out: channel 3, for \d+\.\d s; /commander, which commanded it last, is gone",
+                         found.message)
+        assert found.values["remedy"].startswith("Start /commander again; or, where nobody is to command channel 3 ")
+    assert any(line.startswith("channel timed out: channel 3") for line in graph.lines("/pca9685"))
+    graph.hold(VECTOR, vector(3), sender=sender)
+    graph.run(2.5)
+    assert_fine()
+    graph.nodes["/pca9685"].kill()
+    graph.silence(VECTOR, sender=sender)
+    graph.nodes["/pca9685"].start()
+    graph.run(3.0)
+    assert_fine()

@@ -23,17 +23,13 @@ BUTTONS = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_
 DEFAULTS = {
     "turn_arb": (STEERING, {
         "calibration.servo_left": 3800, "arbiter.tele_steer_deadband": 0.001, "arbiter.slew_limit": 0.0,
-        "arbiter.teleop_timeout_s": 0.5, "arbiter.interlock.human_timeout_s": 0.5,
-        "arbiter.interlock.e_stop_timeout_s": 1.0, "arbiter.interlock.e_stop_required": False,
-        "arbiter.interlock.grant_at_start": True, "tuning.max_offset": 500, "tuning.save_to": None}),
+        "arbiter.teleop_timeout_s": 0.5, "tuning.max_offset": 500, "tuning.save_to": None}),
     "generic_value_converter": (MAP, {
         "conversion.min_value": -5.0, "conversion.max_value": 3.0, "conversion.odometry_timeout_s": 0.5,
         "map_path": MAP["csv_path_value_map"]}),
     "throttle_arb": (ESC, {
-        "calibration.channel": 1, "calibration.neutral": 4915, "arbiter.stick.human_scale": 0.3,
-        "arbiter.stick.brake_scale": 1.0, "arbiter.command_timeout_s": 0.5, "arbiter.teleop_timeout_s": 0.5,
-        "arbiter.steering_timeout_s": 0.25, "arbiter.odometry_timeout_s": 0.5,
-        "arbiter.interlock.grant_at_start": True, "esc.profile": "unverified", "esc.arming_time_s": 1.0,
+        "calibration.neutral": 4915, "arbiter.command_timeout_s": 0.5, "arbiter.teleop_timeout_s": 0.5,
+        "arbiter.steering_timeout_s": 0.25, "arbiter.odometry_timeout_s": 0.5, "esc.arming_time_s": 1.0,
         "tuning.max_offset": 100}),
     "pca9685": ({}, {"device": "/dev/i2c-1"}),
     "teensy_sensor_hub": ({}, {

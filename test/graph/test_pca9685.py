@@ -138,14 +138,6 @@ def test_each_channel_goes_to_its_timeout_value_after_250_ms_without_a_command_f
     assert int(servos.graph.report("pca9685: servo board").values["timeouts of channel 0"]) > 10
 
 
-@pytest.mark.parametrize(("parameters", "text", "prescale"), [
-    ({}, "running at 50.03 Hz (prescale 121)", 121), ({"prescale": 122}, "running at 49.62 Hz (prescale 122)", 122)])
-def test_frequency_is_by_the_data_sheets_prescale_or_a_given_one(parameters, text, prescale):
-    servos = Servos(address=0x40, **parameters)
-    assert servos.graph.lines("/pca9685") == [f"PCA9685 at 0x40 on virtual: {text}"]
-    assert servos.board.chip.read(0xFE, 1) == [prescale]
-
-
 # --- the timeout values follow ---
 
 def test_timeout_values_follow_the_neutrals_of_those_who_command_the_channels_within_a_range(servos):
@@ -363,22 +355,6 @@ class TestGuard:
         assert told[0].at_ns == at_ns + 500 * MS  # its process has started by then
         assert len(told) == 77 and told[-1].at_ns == at_ns + 8000 * MS
         assert not servos.graph.publishers[OUTPUT]
-
-    def test_output_of_a_frozen_node_is_told_after_another_half_a_second_and_by_the_node_again_when_it_goes_on(self):
-        servos = self.driven(guard_off_after=1.5)
-        at_ns = servos.graph.now_ns
-        servos.node.stall(3.0, frozen=True)
-        servos.graph.run(5.0)
-        senders = [(record.at_ns, record.sender) for record in servos.graph.recorded[OUTPUT] if record.at_ns > at_ns]
-        last_ns = max(each_ns for each_ns, sender in senders if sender == "/pca9685_guard")
-        first_ns = min(each_ns for each_ns, sender in senders if sender == "/pca9685_guard")
-        assert 1200 * MS < first_ns - at_ns <= 1300 * MS  # 250 and 500 of silence, 500 to start its process
-        assert last_ns <= at_ns + 3100 * MS
-        assert [data[:2] for _, data in servos.outputs(at_ns + 1)] == [
-            (5104, 4912), (0, 0), (5104, 4912), (3808, 6000)]
-        assert [publisher.node for publisher in servos.graph.publishers[OUTPUT]] == ["/pca9685"]
-        assert any("node stood still for 2.9" in text or "node stood still for 3.0" in text
-                   for text in servos.warnings(at_ns))
 
     def test_node_without_a_guard_says_what_that_means(self, servos):
         servos.graph.run(1.0)

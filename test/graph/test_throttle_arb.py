@@ -197,17 +197,6 @@ def test_buttons_change_the_scale_once_for_each_press_while_it_drives():
     assert arb.duty == BY_HAND
 
 
-def test_negative_value_brakes_a_car_that_rolls_and_does_nothing_to_one_that_stands():
-    arb = Arb().present(speed=4.0)
-    arb.plan(-5.0)
-    assert (arb.duty, arb.state.esc, arb.state.asked) == (FULL_BRAKE, "BRAKING", -1.0)
-    since_ns = arb.graph.now_ns
-    arb.hold(speed=0.0)
-    arb.graph.run_until(lambda: arb.state.esc_cause == "at standstill", 3.0)
-    assert (arb.duties(since_ns + 1), arb.state.source, arb.state.esc_reason) == (
-        {NEUTRAL}, ThrottleState.PLANNER, "it stands: a brake doesn't become reverse")
-
-
 STOPPED = SteeringState(source=SteeringState.NO_HUMAN, reason="why")
 LOCKED = SteeringState(source=SteeringState.LOCKED, reason="why")
 NO_VALUE = ConverterState(value=NAN, cause="command not finite", reason="the commanded acceleration is nan")
@@ -242,19 +231,6 @@ def test_whatever_is_lost_means_neutral_with_its_reason():
         assert arb.state.reason.startswith(reason)
         arb.run(0.5)
         assert arb.duties(since_ns) == {NEUTRAL}
-
-
-def test_deadman_held_at_the_start_counts_after_it_was_released():
-    arb = Arb()
-    arb.hold(human=True)
-    arb.run(0.1)
-    assert (arb.state.cause, arb.state.reason) == (
-        "starting", "this node has just started: it waits up to 1 s for e_stop")
-    arb.run(2.0)
-    assert (arb.state.cause, arb.state.reason) == (
-        "not re-armed", "this node has just started; let go once: publish false, then true")
-    assert (arb.state.esc, arb.state.esc_reason, arb.duties()) == (
-        "ARMING", "this node has just started; let go of the deadman", {NEUTRAL})
 
 
 # --- modes ---

@@ -8,9 +8,12 @@ import re
 import pytest
 from car_interface.msg import TeleopState
 from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
-from car import Car
+from car import Car, config
+from car_interface.nodes.teleop_logi import TeleopLogi
+from car_interface.nodes.turn_arb import TurnArb
 from inputs import Inputs, odometry
 
 LEFT, CENTER, RIGHT = 3800, 5100, 6700
@@ -230,6 +233,18 @@ def test_gamepad_s_reason_is_quoted_while_the_deadman_is_false():
     arb.graph.silence("/teleop_logi/state")
     arb.run(1.0)
     assert arb.now == (NO_HUMAN, "human_in_loop is false", CENTER)
+
+
+def test_gamepad_that_is_quoted_is_that_of_its_namespace(graph):
+    remap = {"/teleop_logi/human_in_loop": "/one/teleop_logi/human_in_loop"}
+    graph.record("/one/turn_arb/state")
+    for node_class, name in ((TurnArb, "turn_arb"), (TeleopLogi, "teleop_logi")):
+        graph.add(node_class, f"/one/{name}", config(f"{name}.yaml"), remap)
+    for topic, axes in (("/joy", 8), ("/one/joy", 4)):
+        graph.repeat(topic, Joy(axes=[0.0] * axes, buttons=[0] * 11), 20)
+    graph.run(2.0)
+    assert graph.newest("/one/turn_arb/state").reason == (
+        "human_in_loop is false: the gamepad has 4 axes (0 to 3), but throttle_axis is 4")
 
 
 def test_gamepad_s_state_grants_nothing_and_tells_an_override():
