@@ -142,10 +142,6 @@ class Chain:
             found[channel] = (at_ns - since_ns) / MS
         return found
 
-    def board_after(self, duration_s: float) -> tuple[int, ...]:
-        self.run(duration_s)
-        return self.board.counts[:2]
-
 
 Fault = Callable[[Chain, int], int]  # makes it in a phase, and returns from when the time counts
 

@@ -17,13 +17,11 @@ from typing import NamedTuple
 import genpy
 import pytest
 import rospy
-from car_interface.msg import Distance
 
 from car import Car
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
 from car_interface.nodes.car_display import CarDisplay
-from teensy import Teensy, sonar
 
 ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 SEED = int(os.environ.get("CAR_INTERFACE_SEED", random.SystemRandom().randrange(10 ** 6) if ALL else 3))
@@ -249,22 +247,3 @@ def test_node_asked_anything_by_its_services_answers_in_words(car, name):
             except Exception as error:
                 fails((service, request), error)
     assert node.is_alive
-
-
-@pytest.mark.once
-def test_hub_whose_port_sends_anything_lives_on_and_is_no_larger(car):
-    car.graph.record("/teensy_distance")
-    teensy, node, choose = Teensy(car.graph, car.cable), car.hub(), random.Random(SEED)
-
-    def flood(count):
-        for index in range(count):
-            noise = bytes(choose.choices((0x7E, 0x7D, 0x00, 0xFF, choose.randrange(256)), k=choose.randrange(200)))
-            teensy.write(noise if index % 3 else b"\x7e")
-            teensy.write(sonar(2, 10_000, index))
-            car.graph.run(choose.choice((0, 0.001, 0.02)))
-            del teensy.pings[:], teensy.written[:]
-        car.graph.run(1.0)
-        assert node.is_alive and car.graph.newest("/teensy_distance") == Distance(2, 10_000, count - 1)
-        forget(car)
-    flood(WARM_UP)
-    check_growth(lambda: flood(MESSAGES))

@@ -175,20 +175,6 @@ def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive
 
 # --- two deadmen, and sticks that were held before ---
 
-def test_with_both_buttons_the_human_has_both_and_letting_one_go_hands_over_at_once(drive):
-    drive.drive()
-    drive.hold(autonomous=True, manual=True, steering=0.6, throttle=0.5)
-    assert (drive.throttle.source, drive.throttle.cause, drive.steering.source) == (
-        TELEOP, "teleop", SteeringState.TELEOP)
-    drive.hold(autonomous=True, steering=0.6, throttle=0.5)
-    assert (drive.teleop.cause, drive.teleop.steering_stick, drive.teleop.throttle_stick) == (
-        "autonomous", "off center", "off center")
-    assert (drive.throttle.source, drive.steering.source) == (PLANNER, SteeringState.PLANNER)
-    for held, cause in (({}, "override"), ({"manual": True}, "teleop")):
-        drive.hold(autonomous=True, throttle=-0.7, **held)  # straight to a pull
-        assert (drive.throttle.cause, drive.throttle.asked < -0.5) == (cause, True)
-
-
 # --- what is no stick ---
 
 def test_trigger_in_the_place_of_the_throttle_s_stick_never_drives(drive):

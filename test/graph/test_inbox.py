@@ -23,7 +23,6 @@ from inputs import control, odometry
 LIMIT = 20  # of the inboxes in here
 LEFT, CENTER = 3800, 5100
 ESC_NEUTRAL, ESC_FULL = 4915, 6554
-LET_GO = "messages were dropped; let go once: publish false, then true"
 
 
 class Queue:

@@ -10,7 +10,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.nodes.keyboard_drive import KeyboardDrive
 from graph import Graph
 
-STEER, THROTTLE, MANUAL, AUTONOMOUS = 0, 4, 4, 5  # as config/teleop_logi.yaml has them
+MANUAL = 4  # as config/teleop_logi.yaml has them
 CODE_M = 50
 REAL = {"pca9685": {"device": "/dev/i2c-1"}}
 

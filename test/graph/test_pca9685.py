@@ -21,7 +21,6 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 COMMAND, VECTOR, OUTPUT = "/command", "/servo/cmdVector", "/servo/output"
 FAILSAFE = (5104,) + (0,) * 15  # the shipped center, 319 counts
 OFF, UNKNOWN = (0,) * 16, (-1,) * 16
-NO_BUS = "PCA9685 at 0x40 on {}: {}. "
 
 
 def vector(*first: int, length: int = 16, rest: int = -1) -> Int32MultiArray:
@@ -68,11 +67,6 @@ class Servos:
     def warnings(self, since_ns: int = 0) -> list[str]:
         return self.graph.lines("/pca9685", since_ns, level=30)
 
-    def run_to_change(self, within_s: float = 3.0) -> float:
-        """Let time go on until the pins change; return how many ms that took."""
-        count, began_ns = len(self.board.changes), self.graph.now_ns
-        return (self.graph.run_until(lambda: len(self.board.changes) > count, within_s) - began_ns) / MS
-
 
 @pytest.fixture
 def servos():
@@ -102,14 +96,13 @@ def test_both_topics_set_channels_at_once_and_minus_one_leaves_them_alone(servos
     assert servos.board.counts[:4] == (238, 1, 63, 4096)
 
 
-@pytest.mark.parametrize("length", [0, 15, 17, 1000])
-def test_command_of_another_length_is_refused_as_a_whole(servos, length):
-    servos.send(4000, length=length, rest=3000)
+def test_command_of_another_length_is_refused_as_a_whole(servos):
+    servos.send(4000, length=15, rest=3000)
     assert servos.output == FAILSAFE
-    assert servos.warnings() == [f"a command needs 16 values and has {length}: refused"]
+    assert servos.warnings() == ["a command needs 16 values and has 15: refused"]
 
 
-@pytest.mark.parametrize("wrong", [65536, 2**31 - 1, -2, -2**31])
+@pytest.mark.parametrize("wrong", [65536, -2])
 def test_what_is_no_duty_is_refused_and_its_neighbours_are_taken(servos, wrong):
     servos.send(wrong, 1600, wrong, 3200)
     assert servos.output == (5104, 1600, 0, 3200) + (0,) * 12
