@@ -101,8 +101,6 @@ def test_publisher_that_stays_is_an_error_after_five_seconds_and_is_logged_then_
     assert report(car, "turn_arb").level == ERROR
 
 
-# --- what a second publisher does, as docs/safety.md has it ---
-
 # --- a channel that nobody commands any more ---
 
 def test_channel_that_nobody_commands_any_more_is_an_error_until_it_is_commanded_or_the_node_is_started_again():

@@ -36,10 +36,6 @@ class Drive:
         self.graph.hold("/av_turnrad_req", Float32(RADIUS_M), 20)
         self.graph.hold("/av_speed_req", Float32(speed_mps), 20)
 
-    def run(self, duration_s=0.1):
-        self.graph.run(duration_s)
-        return self
-
     def until(self, condition, within_s=8.0):
         """When that is so."""
         return self.graph.run_until(condition, within_s)
@@ -66,14 +62,6 @@ class Drive:
         self.until(lambda: self.speed > 0.9 * SPEED_MPS)
         assert self.throttle.source == PLANNER
 
-    def comes_back(self, **what):
-        """A gamepad that was away: nothing is known of its axes."""
-        self.joy(False)
-        self.until(lambda: self.teleop.cause == "joy silent")
-        self.pad(**what)
-        self.joy()
-        self.until(lambda: self.teleop.cause == "no deadman")
-
     @property
     def speed(self):
         return self.car.speed_mps
@@ -98,9 +86,6 @@ class Drive:
 
     def states(self, node, since_ns):
         return self.graph.messages(f"/{node}/state", since_ns)
-
-    def sources(self, node, since_ns):
-        return {state.source for state in self.states(node, since_ns)}
 
     def logged(self, node, pattern, since_ns):
         return any(re.search(pattern, line) for line in self.graph.lines(f"/{node}", since_ns))
@@ -170,16 +155,18 @@ def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive
     drive.pad(autonomous=True)
     back_ns = drive.until(lambda: drive.steering.source == SteeringState.PLANNER)
     assert HOLD_S <= (back_ns - centered_ns) / 1e9 <= HOLD_S + 0.08
-    assert drive.sources("throttle_arb", since_ns) == {PLANNER}
+    assert {state.source for state in drive.states("throttle_arb", since_ns)} == {PLANNER}
 
-
-# --- two deadmen, and sticks that were held before ---
 
 # --- what is no stick ---
 
 def test_trigger_in_the_place_of_the_throttle_s_stick_never_drives(drive):
     drive.ask(SPEED_MPS)
-    drive.comes_back(throttle=1.0)
+    drive.joy(False)
+    drive.until(lambda: drive.teleop.cause == "joy silent")  # nothing is known of its axes any more
+    drive.pad(throttle=1.0)
+    drive.joy()
+    drive.until(lambda: drive.teleop.cause == "no deadman")
     since_ns = drive.graph.now_ns
     drive.press(manual=True, throttle=1.0)
     assert drive.throttle.cause == "teleop not finite"
@@ -187,7 +174,7 @@ def test_trigger_in_the_place_of_the_throttle_s_stick_never_drives(drive):
         "tele_throt_req is nan, no number to act on: manual deadman held; the gamepad's throttle_axis 4 is 1.00 and "
         "was not seen at its rest: it doesn't count")
     drive.play(0.5, 0.0, -0.5, -1.0, -0.5, 0.0, 0.5, 1.0, manual=True)  # pressed, and let go
-    drive.run(1.0)
+    drive.graph.run(1.0)
     assert set(drive.speeds(since_ns)) == {0.0}
     assert any(re.search("throttle_axis 4 is 1.00 and was not seen at its rest.*Let go of the stick. If the axis stays "
                          "where it is, it is a trigger", line)

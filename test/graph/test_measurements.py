@@ -238,6 +238,3 @@ def test_records_that_make_no_sense_are_told(car):
     levels = {(status.level, status.message.partition(" of ")[2]) for array in car.graph.messages("/diagnostics")
               for status in array.status if status.name == "teensy_sensor_hub: Teensy records"}
     assert (1, "the last second's records made no sense") in levels
-
-
-# --- parameters ---

@@ -138,20 +138,6 @@ def test_port_that_is_missing_at_the_start_is_waited_for(car):
     assert car.graph.newest(LINK).reconnects == 0
 
 
-@pytest.mark.once
-def test_flood_into_the_virtual_teensy_is_taken_at_the_line_s_pace_and_does_it_no_harm(car):
-    line = Line(car).settled()
-    turns, begun_ns = car.graph.nodes["/car_sim"].turns, line.graph.now_ns
-    car.cable.port.write(bytes(range(256)) * 400)
-    line.graph.run(4)
-    taken = 102_400 - len(car.cable.terminal.received)
-    assert 4 * 11_520 <= taken <= 4 * 11_520 + 2 * 4096
-    assert car.graph.nodes["/car_sim"].turns - turns <= 4 * 500 + 200
-    line.graph.run(10)
-    assert line.graph.messages("/teensy_distance", begun_ns)
-    assert line.link.state == "fine"
-
-
 @pytest.mark.parametrize("fault, value, reason", [
     ("explode", 1, "there is no fault 'explode', only bit_errors, cut, flood, out_of_step, plug"),
     ("unplug", -1, "unplug is -1.0; accepted: 0 (until plug) to 3600 s"),
