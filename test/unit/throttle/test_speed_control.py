@@ -72,6 +72,15 @@ def test_speed_that_falls_is_followed_and_a_stop_ends_at_standstill():
     assert "REVERSE" not in {sample.esc for sample in stopped}
 
 
+def test_direction_changes_at_standstill_only_and_by_gear():
+    rig = SpeedRig()
+    rig.run(2.0, SpeedRequest(1.5))
+    samples = rig.run(5.0, SpeedRequest(-1.0))
+    assert all(sample.esc != "REVERSE" or sample.speed_mps < 0.1 for sample in samples)
+    assert abs(mean_error(samples[-25:], -1.0)) < 0.03
+    assert abs(mean_error(rig.run(4.0, SpeedRequest(1.0))[-25:], 1.0)) < 0.03
+
+
 def test_request_with_a_smaller_acceleration_is_followed_with_that():
     samples = SpeedRig().run(4.0, SpeedRequest(2.0, acceleration_mps2=1.0))
     assert settled_s(samples, 2.0) == pytest.approx(2.0, abs=0.3)
