@@ -5,9 +5,10 @@ CAR_INTERFACE_ALL, as in `./dev test --all`, it takes others on every run, by th
 fails there is kept as an `@example`. In a run of `./dev test` a test that hangs fails, and the others run.
 
 A second Python runs what can differ there: syntax, the standard library, and other versions of numpy, matplotlib,
-rosbags and PyYAML. Once is enough for what takes long and is arithmetic (drives of virtual cars, fits, properties
-with hundreds of examples), for what only reads the checkout, and for the tests of the test runner: that runs on the
-system's Python alone. The short tests of the same module run on both, so that each module's code is run on both.
+rosbags and PyYAML. Once is enough for what takes long and is arithmetic (drives of virtual cars, faults in each phase
+of the timers, fits, properties with hundreds of examples), for what only reads the checkout, and for the tests of the
+test runner: that runs on the system's Python alone. The short tests of the same module or node run on both, so that
+each module's code is run on both.
 """
 import os
 import signal

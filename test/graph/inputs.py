@@ -3,9 +3,27 @@ from __future__ import annotations
 
 from typing import Any, Callable, Dict, Tuple
 
+from car_interface.msg import Control
+from nav_msgs.msg import Odometry
+
 from graph import Graph
 
 Topics = Dict[str, Tuple[str, Callable[[Any], Any]]]
+
+
+def odometry(speed_mps: float) -> Odometry:
+    """A speed; the car's pose doesn't matter."""
+    message = Odometry()
+    message.twist.twist.linear.x = speed_mps
+    return message
+
+
+def control(acceleration: float, angle: float = 0.0, velocity: float = 0.0) -> Control:
+    """A planner's command."""
+    message = Control()
+    message.lateral.steering_tire_angle = angle
+    message.longitudinal.velocity, message.longitudinal.acceleration = velocity, acceleration
+    return message
 
 
 class Inputs:

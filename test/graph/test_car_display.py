@@ -148,24 +148,16 @@ def test_launch_file_gives_the_frames_of_a_car_with_a_namespace_its_name(graph, 
     assert picture.marker("trail").header.frame_id == f"{prefix}odom"
 
 
-def test_computer_without_a_screen_gets_one_line_instead_of_rviz(monkeypatch, capsys):
-    for name in ("DISPLAY", "QT_QPA_PLATFORM", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(SystemExit) as ended:
-        rviz_window.main()
-    assert ended.value.code == 0
-    assert capsys.readouterr().err == (
-        "[WARN] no rviz: there is no screen (DISPLAY isn't set). The car's markers are published all the same: on "
-        "a computer with a screen and this master, roslaunch car_interface display.launch\n")
-
-
-def test_computer_without_rviz_gets_one_line_that_installs_it(monkeypatch, capsys):
-    monkeypatch.setattr(rviz_window, "screen_problem", lambda environment: "")
+@pytest.mark.parametrize("problem, line", [
+    ("there is no screen", "there is no screen. The car's markers are published all the same: on a computer with"),
+    ("", "it isn't installed: sudo apt install rviz (on Ubuntu")])
+def test_computer_without_a_screen_or_without_rviz_gets_one_line_instead(monkeypatch, capsys, problem, line):
+    monkeypatch.setattr(rviz_window, "screen_problem", lambda environment: problem)
     monkeypatch.setattr(rviz_window, "find_node", lambda *name: [])
     with pytest.raises(SystemExit) as ended:
         rviz_window.main()
     assert ended.value.code == 0
-    assert capsys.readouterr().err.startswith("[WARN] no rviz: it isn't installed: sudo apt install rviz (on Ubuntu")
+    assert capsys.readouterr().err.startswith(f"[WARN] no rviz: {line}")
 
 
 def test_computer_with_screen_and_rviz_gets_it_with_its_arguments(monkeypatch):

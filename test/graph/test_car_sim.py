@@ -1,7 +1,6 @@
 """car_sim: the hub against the virtual Teensy, which answers as the firmware does, and the car that it moves."""
 from __future__ import annotations
 
-import pytest
 from car_interface.msg import LinkStatus, WheelDirection
 from car_interface.srv import InjectFaultRequest, SetSonarSequenceRequest, SetSonarWaitRequest
 from std_msgs.msg import Int32MultiArray
@@ -48,9 +47,13 @@ class Simulated:
         return wheel.left, wheel.right
 
 
-def test_sonars_fire_as_they_are_commanded(car):
+def test_sonars_fire_as_they_are_commanded_without_one_that_is_missing(car):
     simulated = Simulated(car)
     assert set(simulated.sonars()) == ALL
+    for fault, firing in (("sonar_missing", ALL - {3}), ("sonar_fine", ALL)):
+        simulated.inject(fault, 3)
+        simulated.sonars(0.2)
+        assert set(simulated.sonars()) == firing
     simulated.call("set_sonar_sequence", SetSonarSequenceRequest([0, 1, 5]))
     simulated.sonars(0.2)
     assert set(simulated.sonars()) == {0, 1, 5}
@@ -65,17 +68,6 @@ def test_sonars_fire_as_they_are_commanded(car):
     assert len(simulated.sonars(4.0)) >= 8
     times_ms = [report.when for report in car.graph.messages(SONARS, since_ns)]
     assert all(400 <= after - before < 450 for before, after in zip(times_ms, times_ms[1:]))
-
-
-def test_sonar_that_is_missing_is_skipped_until_it_is_fine_again(car):
-    simulated = Simulated(car)
-    simulated.sonars(1.0)
-    simulated.inject("sonar_missing", 3)
-    simulated.sonars(0.2)
-    assert set(simulated.sonars()) == ALL - {3}
-    simulated.inject("sonar_fine", 3)
-    simulated.sonars(0.2)
-    assert set(simulated.sonars()) == ALL
 
 
 def test_stuck_sonar_that_silences_all_others_is_named_and_left_out_and_they_report_again(car):
@@ -108,11 +100,9 @@ def test_wheel_reset_zeroes_both_odometers(car):
     car.graph.run(1.0)
     simulated.drive(GENTLE)
     car.graph.run_until(lambda: min(wheel.dist_abs for wheel in simulated.wheels) > 20)
-    assert {wheel.direction for wheel in simulated.wheels} == {WheelDirection.FORWARD}
     simulated.drive(NEUTRAL)
     car.graph.run_until(lambda: car.speed_mps == 0)
     car.graph.run(2.0)
-    assert {wheel.speed for wheel in simulated.wheels} == {0}
     simulated.call("wheel_reset")
     car.graph.run(0.5)
     assert {(wheel.dist, wheel.dist_abs, wheel.direction) for wheel in simulated.wheels} == {
@@ -145,13 +135,6 @@ def test_car_follows_the_servo_output_and_truth_comes_fifty_times_a_second(car):
     car.graph.run(0.5)
     assert car.speed_mps > 0.5
     assert car.graph.lines("/car_sim", level=30) == ["/servo/output has 15 values, not 16: ignored"]
-
-
-def test_car_follows_the_channels_that_it_is_given(car):
-    Simulated(car, collisions=False, steering_channel=3, throttle_channel=7)
-    car.graph.publish("/servo/output", Int32MultiArray(data=[LEFT, FAST, 0, CENTER, 0, 0, 0, GENTLE] + 8 * [-1]))
-    car.graph.run(2.0)
-    assert car.speed_mps > 0.3 and car.truth().twist.twist.angular.z == pytest.approx(0.0, abs=0.01)
 
 
 def test_car_that_would_have_tipped_over_counts_it(car):

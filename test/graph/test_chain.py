@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any, Callable, Iterable, NamedTuple
 
 import pytest
-from car_interface.msg import Control
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, String
 
 from car import CENTER, ESC_NEUTRAL, LEFT, MANUAL, RIGHT, Car
 from car_interface.common.drive_modes import MANUAL as BY_HUMAN
+from inputs import control, odometry
 
 SAFETY = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
 MS = 1_000_000
@@ -27,18 +26,6 @@ GOES_ON = "goes on"  # of a channel, in the page's table
 HOUR_NS = 3600 * 1000 * MS
 # Of the moment of a fault, ns: at, just after and just before a tick of turn_arb, and of throttle_arb or teleop_logi.
 PHASES = (0, 1, 7 * MS, 10 * MS - 1, 10 * MS, 20 * MS - 1)
-
-
-def control(acceleration):
-    message = Control()
-    message.longitudinal.acceleration = acceleration
-    return message
-
-
-def odometry(speed_mps):
-    message = Odometry()
-    message.twist.twist.linear.x = speed_mps
-    return message
 
 
 def joy(stick):
@@ -154,10 +141,6 @@ class Chain:
             at_ns = next((at_ns for at_ns, counts in self.board.since(since_ns, channel) if counts == neutral))
             found[channel] = (at_ns - since_ns) / MS
         return found
-
-    def board_after(self, duration_s: float) -> tuple[int, ...]:
-        self.run(duration_s)
-        return self.board.counts[:2]
 
 
 Fault = Callable[[Chain, int], int]  # makes it in a phase, and returns from when the time counts
@@ -311,6 +294,7 @@ def page_rows() -> dict[str, list[tuple[float, float] | None]]:
     return found
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.title)
 @pytest.mark.parametrize("hop_s", [0.0, HOP_S], ids=["at_once", "delayed"])
 def test_time_from_fault_to_neutral_is_that_of_the_page(row, hop_s):
@@ -414,6 +398,7 @@ class TestBoardWithAGuard:
         assert chain.neutral_ms(at_ns, (0, 1)) == {0: 0.0, 1: 0.0}
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("radii_m", "after_ms"), [([], (500, 520)), ([1.0], (200, 300))], ids=["center", "in_a_turn"])
 def test_teensy_that_is_unplugged_stops_the_throttle_and_the_steering_goes_on(radii_m, after_ms):
     """Where a planner steers, so that the throttle depends on the speed, the odometry is awaited for less long."""
@@ -435,6 +420,7 @@ def test_teensy_that_is_unplugged_stops_the_throttle_and_the_steering_goes_on(ra
     graph.run_until(lambda: car.board.counts[1] > ESC_NEUTRAL)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("speed_mps", "column"), [(2, 1), (2, 2), (5, 1), (5, 2), (10, 1), (10, 2)])
 def test_stopping_distance_is_that_of_the_page(speed_mps, column):
     """From releasing the deadman to standstill, on a floor without walls."""

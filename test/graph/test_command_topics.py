@@ -8,9 +8,9 @@ import re
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from std_msgs.msg import Bool, Float32, Float64, Int32MultiArray
+from std_msgs.msg import Bool, Float64, Int32MultiArray
 
-from car import CENTER, LEFT, STEERING, Car
+from car import Car
 from car_interface.common import causes
 from graph import NS_PER_S
 
@@ -78,6 +78,7 @@ def test_two_nodes_on_two_channels_are_as_they_should_be(car):
     assert found[:2] == (OK, FINE) and "/rostopic_7" in found.values[VECTOR]
 
 
+@pytest.mark.once
 def test_publisher_that_sends_once_and_goes_is_shown_but_not_logged(car):
     since_ns = car.graph.now_ns
     car.graph.publish(HUMAN, Bool(False), "/rostopic_7")
@@ -89,6 +90,7 @@ def test_publisher_that_sends_once_and_goes_is_shown_but_not_logged(car):
     assert not [line for line in car.graph.lines(since_ns=since_ns) if "nodes publish" in line]
 
 
+@pytest.mark.once
 def test_publisher_that_stays_is_an_error_after_five_seconds_and_is_logged_then_and_every_ten(car):
     began_ns = car.graph.now_ns
     car.graph.repeat("/e_stop", Bool(False), 10, sender="/rostopic_7")
@@ -99,82 +101,36 @@ def test_publisher_that_stays_is_an_error_after_five_seconds_and_is_logged_then_
     assert report(car, "turn_arb").level == ERROR
 
 
-# --- what a second publisher does, as docs/safety.md has it ---
-
-@pytest.fixture
-def steered(car):
-    """A car that is steered by a gamepad."""
-    car.pad(manual=True, steering=0.0)
-    car.graph.run(0.3)
-    car.pad(manual=True, steering=1.0)
-    car.graph.run(0.1)
-    assert car.board.counts[STEERING] == LEFT
-    return car
-
-
-def test_second_true_keeps_the_car_going_when_the_gamepad_lets_go(steered):
-    """Each false stops it, and the true after it grants control again."""
-    steered.graph.repeat(HUMAN, Bool(True), 60, sender="/rostopic_7")
-    steered.graph.hold("/av_turnrad_req", Float32(1.0))
-    at_ns = steered.graph.now_ns
-    steered.pad()
-    steered.graph.run(0.5)
-    counts = [each for _, each in steered.board.since(at_ns + 1, STEERING)]
-    assert CENTER in counts and LEFT in counts and len(counts) > 20
-
-
-@pytest.mark.parametrize(("topic", "message"), [(HUMAN, Bool(False)), ("/e_stop", Bool(True))])
-def test_second_publisher_that_stops_the_car_stops_it_at_once(steered, topic, message):
-    at_ns = steered.graph.now_ns
-    steered.graph.publish(topic, message, "/rostopic_7")
-    steered.graph.run(0.1)
-    assert steered.board.since(at_ns, STEERING)[0] == (at_ns, CENTER)
-
-
 # --- a channel that nobody commands any more ---
 
-class Channel:
-    """A board whose channel 3 a node commands, and no longer."""
+def test_channel_that_nobody_commands_any_more_is_an_error_until_it_is_commanded_or_the_node_is_started_again():
+    car = Car()
+    car.pca9685(guard=True)
+    graph, sender = car.graph, "/commander"
 
-    def __init__(self, sender: str = "/commander"):
-        self.car, self.sender = Car(), sender
-        self.car.pca9685(guard=True)
-        self.graph = self.car.graph
-        self.command()
+    def reports():
+        return [graph.report(f"pca9685: {kind}") for kind in ("servo board", "command topics")]
 
-    def command(self) -> None:
-        self.graph.hold(VECTOR, vector(3), sender=self.sender)
-        self.graph.run(2.5)
-        assert [each.message for each in self.reports()] == ["running at 50.03 Hz", FINE]
-
-    def reports(self):
-        return [self.graph.report(f"pca9685: {kind}") for kind in ("servo board", "command topics")]
-
-    def assert_error(self, why: str, remedy: str) -> None:
-        """Both reports are errors with the reason, its cause and the remedy; and the log has it."""
-        for found in self.reports():
-            assert found.level == ERROR and found.values["cause"] == causes.CHANNEL_TIMED_OUT
-            assert re.search(r"channel timed out: channel 3, for \d+\.\d s" + re.escape(why), found.message)
-            assert remedy in found.values["remedy"]
-        assert any(line.startswith("channel timed out: channel 3") for line in self.graph.lines("/pca9685"))
-
-
-def test_commander_that_is_gone_is_named_until_the_channel_is_commanded_again():
-    channel = Channel()
-    channel.graph.silence(VECTOR, sender="/commander")
-    channel.graph.unregister(VECTOR, "/commander")
-    channel.graph.run_until(lambda: channel.reports()[0].level == ERROR, 0.3)  # at once, when it times out
-    channel.graph.run(2.0)
-    channel.assert_error("; /commander, which commanded it last, is gone",
-                         "Start /commander again; or, where nobody is to command channel 3 any more, start this node "
-                         "again: rosnode kill /pca9685")
-    channel.command()
-
-
-def test_channel_that_was_never_commanded_is_no_error():
-    channel = Channel()
-    channel.graph.nodes["/pca9685"].kill()
-    channel.graph.silence(VECTOR, sender="/commander")
-    channel.graph.nodes["/pca9685"].start()
-    channel.graph.run(3.0)
-    assert [each.message for each in channel.reports()] == ["running at 50.03 Hz", FINE]
+    def assert_fine():
+        assert [each.message for each in reports()] == ["running at 50.03 Hz", FINE]
+    graph.hold(VECTOR, vector(3), sender=sender)
+    graph.run(2.5)
+    assert_fine()
+    graph.silence(VECTOR, sender=sender)
+    graph.unregister(VECTOR, sender)
+    graph.run_until(lambda: reports()[0].level == ERROR, 0.3)  # at once, when it times out
+    graph.run(2.0)
+    for found in reports():
+        assert found.level == ERROR and found.values["cause"] == causes.CHANNEL_TIMED_OUT
+        assert re.search(r"channel timed out: channel 3, for \d+\.\d s; /commander, which commanded it last, is gone",
+                         found.message)
+        assert found.values["remedy"].startswith("Start /commander again; or, where nobody is to command channel 3 ")
+    assert any(line.startswith("channel timed out: channel 3") for line in graph.lines("/pca9685"))
+    graph.hold(VECTOR, vector(3), sender=sender)
+    graph.run(2.5)
+    assert_fine()
+    graph.nodes["/pca9685"].kill()
+    graph.silence(VECTOR, sender=sender)
+    graph.nodes["/pca9685"].start()
+    graph.run(3.0)
+    assert_fine()

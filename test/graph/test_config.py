@@ -12,7 +12,6 @@ import pytest
 from car import CONFIG, config
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.pca9685.channels import ChannelConfig
 
 PACKAGE = os.path.dirname(os.path.realpath(CONFIG))
 WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
@@ -24,21 +23,15 @@ BUTTONS = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_
 DEFAULTS = {
     "turn_arb": (STEERING, {
         "calibration.servo_left": 3800, "arbiter.tele_steer_deadband": 0.001, "arbiter.slew_limit": 0.0,
-        "arbiter.teleop_timeout_s": 0.5, "arbiter.interlock.human_timeout_s": 0.5,
-        "arbiter.interlock.e_stop_timeout_s": 1.0, "arbiter.interlock.e_stop_required": False,
-        "arbiter.interlock.grant_at_start": True, "tuning.max_offset": 500, "tuning.save_to": None}),
+        "arbiter.teleop_timeout_s": 0.5, "tuning.max_offset": 500, "tuning.save_to": None}),
     "generic_value_converter": (MAP, {
         "conversion.min_value": -5.0, "conversion.max_value": 3.0, "conversion.odometry_timeout_s": 0.5,
         "map_path": MAP["csv_path_value_map"]}),
     "throttle_arb": (ESC, {
-        "calibration.channel": 1, "calibration.neutral": 4915, "arbiter.stick.human_scale": 0.3,
-        "arbiter.stick.brake_scale": 1.0, "arbiter.command_timeout_s": 0.5, "arbiter.teleop_timeout_s": 0.5,
-        "arbiter.steering_timeout_s": 0.25, "arbiter.odometry_timeout_s": 0.5,
-        "arbiter.interlock.grant_at_start": True, "esc.profile": "unverified", "esc.arming_time_s": 1.0,
+        "calibration.neutral": 4915, "arbiter.command_timeout_s": 0.5, "arbiter.teleop_timeout_s": 0.5,
+        "arbiter.steering_timeout_s": 0.25, "arbiter.odometry_timeout_s": 0.5, "esc.arming_time_s": 1.0,
         "tuning.max_offset": 100}),
-    "pca9685": ({}, {
-        "device": "/dev/i2c-1", "address": 0x40, "prescale": 121, "oscillator_hz": 25e6,
-        "channels": (ChannelConfig(live_range=0),) * 16, "required": False, "virtual_log": None}),
+    "pca9685": ({}, {"device": "/dev/i2c-1"}),
     "teensy_sensor_hub": ({}, {
         "port": "/dev/ttyAMA0", "baud": 115200, "firmware_checksum": "auto", "required": False, "raw_only": False,
         "settings.ping_period_s": 1.0, "settings.odom_frame": "odom", "settings.odom_rate_hz": 50.0}),
@@ -55,8 +48,6 @@ DEFAULTS = {
 # Node, what is given besides the required ones, and how the one line begins.
 REFUSALS = [
     ("keyboard_drive", {"manual_button": 5}, "autonomous_button is 5; accepted: a button other than manual_button's"),
-    ("keyboard_drive", {"steer_scale": 50}, "steer_scale is 50; accepted: a number from -1 to 1"),
-    ("turn_arb", {"servo_left": "x"}, "servo_left is 'x'; accepted: an integer from 0 to 65535"),
     ("turn_arb", {"k_pwmcmd_left_table_servo": [1, 2]},
      "k_pwmcmd_left_table_servo is [1.0, 2.0]; accepted: 15 numbers"),
     ("turn_arb", {"grant_at_start": 0}, "grant_at_start is 0; accepted: true or false"),
@@ -70,30 +61,11 @@ REFUSALS = [
      "csv_path_value_map is '/nowhere.csv'; accepted: a file that can be read"),
     ("generic_value_converter", {"max_value": -9}, "min_value is -5.0; accepted: at most max_value -9.0"),
     ("generic_value_converter", {"min_value": 8, "max_value": 9}, f"{MAP['csv_path_value_map']}, value map has values"),
-    ("throttle_arb", {"servo": {**ESC["servo"], "duty_table": [1, 2]}},
-     "servo/duty_table is [1.0, 2.0]; accepted: 3 numbers"),
-    ("throttle_arb", {"servo": {**ESC["servo"], "neutral": 1}}, "servo/neutral is 1; accepted: a duty"),
-    ("throttle_arb", {"servo": {**ESC["servo"], "duty_table": [3277, 6554, 4915]}},
-     "servo/duty_table is [3277.0, 6554.0, 4915.0]; accepted: duties that only rise, or only fall"),
-    ("throttle_arb", {"servo": {**ESC["servo"], "channel": -1}}, "servo/channel is -1; accepted: an integer from 0"),
     ("throttle_arb", {"esc": {"dwell": 0}}, "esc/dwell is 0; accepted: a number from 0.1 to 0.5"),
     ("throttle_arb", {"human_scale": 3}, "human_scale is 3; accepted: a number from 0 to 1"),
-    ("throttle_arb", {"esc": {"profile": "hobby"}}, "esc/profile is 'hobby'; accepted: one of brake_then_reverse, "),
-    ("throttle_arb", {"servo": {**ESC["servo"], "value_axis": [3, 2, 1]}},
-     "servo/value_axis[1] is 2.0; accepted: more than"),
-    ("pca9685", {"address": 0x80}, "address is 128; accepted: an integer from 64 to 127"),
-    ("pca9685", {"pwm_min": 5000, "pwm_max": 4000}, "pwm_min[0] is 5000; accepted: at most pwm_max[0] 4000"),
     ("pca9685", {"timeout": [250] * 15}, "timeout is [250, 250, "),
     ("pca9685", {"frequency": 10}, "frequency is 10.0; accepted: 23.8 to 1526 Hz"),
-    ("pca9685", {"throttle_channel": 1}, "unknown parameter throttle_channel is 1; accepted: only address, "),
-    ("pca9685", {"save_to": "/a.yaml"}, "unknown parameter save_to is '/a.yaml'; accepted: only address, "),
     ("pca9685", {"steering": 5}, "unknown parameter steering is 5; accepted: only address, "),
-    ("pca9685", {"steering": {**STEERING, "servo_channel": 16}},
-     "steering/servo_channel is 16; accepted: an integer from 0 to 15"),
-    ("pca9685", {"esc": {"servo": {**ESC["servo"], "neutral": -1}}},
-     "esc/servo/neutral is -1; accepted: an integer from 0 to 65535"),
-    ("pca9685", {"steering": {**STEERING, "servo_channel": 1}, "esc": ESC},
-     "esc/servo/channel is 1; accepted: a channel other than steering/servo_channel"),
     ("pca9685", {"device": "virtual", "virtual_log": "chip.log"}, f"virtual_log is 'chip.log'; {WHOLE_PATH}"),
     ("pca9685", {"virtual_log": "/tmp/chip.log"}, "unknown parameter virtual_log is '/tmp/chip.log'"),
     ("teensy_sensor_hub", {"baud": 0}, "baud is 0; accepted: an integer from 300"),
@@ -103,12 +75,8 @@ REFUSALS = [
     ("teensy_sensor_hub", {"wheelbase": 1e-9}, "wheelbase is 1e-09; accepted: a number from 0.001"),
     ("teensy_sensor_hub", {"sonars": {"front_left": [1, 2]}},
      "sonars/front_left is [1.0, 2.0]; accepted: three numbers: x, y in m, and yaw in rad"),
-    ("teensy_sensor_hub", {"min_range": 3}, "max_range is 2.0; accepted: "),
-    ("planner_interface", {"source": "joystick"}, "source is 'joystick'; accepted: one of drive, "),
     ("planner_interface", {"max_speed": 0.05}, "max_speed is 0.05; accepted: a number from 0.2 to 100.0"),
-    ("planner_interface", {"source_timeout": 2}, "source_timeout is 2; accepted: a number from 0.05 to 0.5"),
     ("teleop_logi", {"joy_timeout": -1}, "joy_timeout is -1; accepted: a number from 0.0"),
-    ("teleop_logi", {"manual_button": 5}, "autonomous_button is 5; accepted: a button other than manual_button's"),
     ("car_sim", {"steering_duties": [3800, 6700]}, "steering_curvatures is "),
     ("car_sim", {"wheel_pulses": [1]}, "wheel_pulses is [1.0]; accepted: two numbers: left, right"),
     ("car_sim", {"esc_kind": "odd"}, "esc_kind is 'odd'; accepted: one of none, "),
@@ -147,16 +115,6 @@ def test_defaults_are_those_of_the_node_s_description_and_never_change(node):
         setattr(made, next(iter(expected)).partition(".")[0], None)
 
 
-@pytest.mark.parametrize("node, values", [
-    ("turn_arb", config("turn_arb.yaml")), ("teleop_logi", config("teleop_logi.yaml")),
-    ("pca9685", {**config("pca9685.yaml"), "steering": config("turn_arb.yaml"), "esc": config("throttle.yaml")}),
-    ("teensy_sensor_hub", {**config("teensy_sensor_hub.yaml"), **config("sonars.yaml")}),
-    ("generic_value_converter", {**config("generic_value_converter.yaml"), **MAP}),
-    ("throttle_arb", config("throttle.yaml"))])
-def test_shipped_files_are_taken(node, values):
-    assert dataclasses.is_dataclass(read(node, values))
-
-
 @pytest.mark.parametrize("node, given, begin", REFUSALS)
 def test_bad_parameter_is_named_with_its_value_and_what_is_accepted(node, given, begin):
     with pytest.raises(ConfigError) as error:
@@ -172,21 +130,6 @@ def test_missing_and_unknown_parameters_are_named(node):
             read(node, {name: value for name, value in required.items() if name != missing})
     with pytest.raises(ConfigError, match=r"^unknown parameter no_such_thing is 1; accepted: only "):
         read(node, {**required, "no_such_thing": 1})
-
-
-@pytest.mark.parametrize("given, expected", [
-    ({}, {}),
-    ({"steering": config("turn_arb.yaml")}, {0: (5100, 500)}),
-    ({"steering": config("turn_arb.yaml"), "esc": config("throttle.yaml")}, {0: (5100, 500), 1: (4915, 100)}),
-    ({"steering": {**STEERING, "servo_channel": 7}, "live_range": 50}, {7: (5100, 50)}),
-    ({"esc": {"servo": {**ESC["servo"], "channel": 15}}, "throttle_live_range": 9}, {15: (4915, 9)}),
-    ({"esc": {"servo": {**ESC["servo"], "channel": -1}}}, {}),
-    ({"steering": {"servo_channel": 3}}, {}),
-    ({"steering": {"servo_center": 5100}, "esc": {"servo": {"channel": 1}}}, {})])
-def test_center_and_neutral_are_the_timeout_values_of_their_channels(given, expected):
-    made = read("pca9685", {"timeout_value": [100] * 16, **given}).channels
-    assert [(channel.timeout_value, channel.live_range) for channel in made] == [
-        expected.get(channel, (100, 0)) for channel in range(16)]
 
 
 def test_simulated_car_has_what_a_car_s_files_say_and_its_own_parameters_go_before_them():
@@ -209,11 +152,6 @@ def test_simulated_room_without_obstacles_has_its_walls_and_no_car_starts_in_one
         read("car_sim", {"start": [5.9, 0, 0]})
     assert str(error.value) == ("start is [5.9, 0.0, 0.0]; accepted: a place where the car touches no wall, box or "
                                 "post, or collisions: false")
-
-
-def test_accelerations_that_pass_through_need_no_map():
-    made = read("generic_value_converter", {"use_value_ff": False})
-    assert (made.map_path, made.value_map) == ("", None)
 
 
 def test_reading_opens_and_makes_nothing(tmp_path):

@@ -16,7 +16,7 @@ from car_interface.nodes.demo_drive import DemoDrive
 from car_interface.sim.demo_script import DriveConfig
 from graph import Graph
 
-NEUTRAL, FORWARD, REVERSE, STRAIGHT, FULL_LEFT = 4915, 5500, 4300, 5070, 3800
+FORWARD, REVERSE, STRAIGHT = 5500, 4300, 5070
 WALL_M, NOSE_M = 6.0, 0.426  # the room's, along x; from the rear axle
 
 
@@ -67,6 +67,7 @@ def test_drive_goes_as_planned(capsys):
     assert not [line for line in demo.graph.lines(level=30) if "ran into" in line or "tipped" in line]
 
 
+@pytest.mark.once
 def test_drive_of_a_car_that_differs_in_everything_goes_as_planned(another_car, capsys):
     demo = Demo(sim_has_files=True)
     demo.graph.run_until(lambda: demo.board.counts[6] * 16 > 6000, 30.0)  # the human's circle, to the left
@@ -74,27 +75,24 @@ def test_drive_of_a_car_that_differs_in_everything_goes_as_planned(another_car, 
     assert "as planned: yes" in capsys.readouterr().out
 
 
-def test_drive_that_somebody_stops_has_failed_and_says_why(monkeypatch):
+@pytest.mark.once
+def test_drive_that_somebody_stops_has_failed_and_says_why_and_that_the_computer_stood_still(monkeypatch):
     monkeypatch.setattr(demo_drive, "DriveConfig", partial(DriveConfig, nobody_s=3.0, max_turn_s=2.0, let_go_s=1.0))
     demo = Demo()
     demo.graph.run(5.0)
     demo.graph.repeat("/e_stop", Bool(True), 10)
+    demo.graph.run(0.5)
+    demo.drive.stall(0.7, frozen=True)
     assert demo.drives() == "the drive didn't go as planned: " + "; ".join((
         "the human didn't steer all the time", "the human didn't drive all the time",
         "the human's circle wasn't closed",
         "the planner didn't steer all the time", "the planner didn't drive all the time",
-        "the left circle wasn't closed", "the right circle wasn't closed"))
+        "the left circle wasn't closed", "the right circle wasn't closed",
+        ("this computer stood still for 0.7 s meanwhile, which a car takes for a person who is gone: end other "
+         "programs, and start the demo again")))
 
 
-def test_drive_that_fails_while_the_computer_stood_still_says_so(monkeypatch):
-    monkeypatch.setattr(demo_drive, "DriveConfig", partial(DriveConfig, nobody_s=3.0, max_turn_s=2.0, let_go_s=1.0))
-    demo = Demo()
-    demo.graph.run(4.0)
-    demo.drive.stall(0.7, frozen=True)
-    assert demo.drives().endswith("; this computer stood still for 0.7 s meanwhile, which a car takes for a person who "
-                                  "is gone: end other programs, and start the demo again")
-
-
+@pytest.mark.once
 def test_car_that_is_not_ready_is_given_up_after_30_s_and_what_is_missing_is_named():
     demo = Demo(without=("hub",))
     begun_ns = demo.graph.now_ns
@@ -102,6 +100,7 @@ def test_car_that_is_not_ready_is_given_up_after_30_s_and_what_is_missing_is_nam
     assert 30.0 < demo.seconds_since(begun_ns) <= 30.1
 
 
+@pytest.mark.once
 def test_drive_that_is_ended_before_it_is_over_has_failed():
     demo = Demo()
     demo.graph.run(10.0)
@@ -111,18 +110,12 @@ def test_drive_that_is_ended_before_it_is_over_has_failed():
 
 # --- car_sim's room ---
 
-def rolling(esc, steering=STRAIGHT, **sim):
-    """A car whose servo and ESC are commanded by duty, and the function that commands them."""
-    car, duties = Car(), [steering, esc] + [-1] * 14
-    car.graph.record("/car_sim/collisions", "/car_sim/rollovers")
-    car.pca9685()
-    car.sim(**sim)
-    car.graph.repeat("/servo/cmdVector", lambda: Int32MultiArray(data=duties), 50)
-    return car, duties
-
-
 def test_wall_stops_the_car_which_is_counted_and_logged_once_and_it_backs_out():
-    car, duties = rolling(FORWARD, start=[4.5, 0, 0])
+    car, duties = Car(), [STRAIGHT, FORWARD] + [-1] * 14
+    car.graph.record("/car_sim/collisions")
+    car.pca9685()
+    car.sim(start=[4.5, 0, 0])
+    car.graph.repeat("/servo/cmdVector", lambda: Int32MultiArray(data=duties), 50)
 
     def x_m():
         return car.truth().pose.pose.position.x

@@ -17,15 +17,11 @@ from typing import NamedTuple
 import genpy
 import pytest
 import rospy
-from car_interface.msg import Distance
 
 from car import Car
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
-from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.nodes.car_display import CarDisplay
-from car_interface.ros.measurement_publisher import read_settings
-from teensy import Teensy, sonar
 
 ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 SEED = int(os.environ.get("CAR_INTERFACE_SEED", random.SystemRandom().randrange(10 ** 6) if ALL else 3))
@@ -108,9 +104,11 @@ def fails(what, error):
     raise AssertionError(f"CAR_INTERFACE_SEED={SEED}: {what}") from error
 
 
-def check_reader(read, good, choose):
+@pytest.mark.parametrize("name", NODES)
+def test_node_reads_parameters_of_any_value_or_refuses_them_with_a_config_error(name):
+    read = importlib.import_module(f"car_interface.nodes.{name}").read_config
+    good, choose, refused = good_parameters(name), random.Random(SEED), 0
     read(Params(good))
-    refused = 0
     for _ in range(READS):
         changes = changed(good, choose)
         try:
@@ -121,20 +119,6 @@ def check_reader(read, good, choose):
         except Exception as error:
             fails(changes, error)
     assert READS / 5 < refused < READS
-
-
-@pytest.mark.parametrize("name", NODES)
-def test_node_reads_parameters_of_any_value_or_refuses_them_with_a_config_error(name):
-    read = importlib.import_module(f"car_interface.nodes.{name}").read_config
-    check_reader(read, good_parameters(name), random.Random(SEED))
-
-
-def test_interlock_and_measurements_read_parameters_of_any_value_or_refuse_them():
-    check_reader(read_interlock, {"human_timeout": 0.5, "e_stop_timeout": 1.0, "e_stop_required": False,
-                                  "grant_at_start": False}, random.Random(SEED))
-    measured = {name: value for name, value in good_parameters("teensy_sensor_hub").items()
-                if name in ("odom_rate", "track", "wheelbase", "max_range") or name.startswith("sonars/")}
-    check_reader(lambda params: read_settings(params, 115200), measured, random.Random(SEED))
 
 
 @pytest.mark.parametrize("name", NODES)
@@ -241,6 +225,7 @@ def growth_of(act):
     return tracemalloc.get_traced_memory()[0] - before
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name", NODES)
 def test_node_fed_messages_of_any_content_lives_on_and_is_no_larger(car, name):
     choose, node = random.Random(SEED), NODES[name].start(car)
@@ -262,21 +247,3 @@ def test_node_asked_anything_by_its_services_answers_in_words(car, name):
             except Exception as error:
                 fails((service, request), error)
     assert node.is_alive
-
-
-def test_hub_whose_port_sends_anything_lives_on_and_is_no_larger(car):
-    car.graph.record("/teensy_distance")
-    teensy, node, choose = Teensy(car.graph, car.cable), car.hub(), random.Random(SEED)
-
-    def flood(count):
-        for index in range(count):
-            noise = bytes(choose.choices((0x7E, 0x7D, 0x00, 0xFF, choose.randrange(256)), k=choose.randrange(200)))
-            teensy.write(noise if index % 3 else b"\x7e")
-            teensy.write(sonar(2, 10_000, index))
-            car.graph.run(choose.choice((0, 0.001, 0.02)))
-            del teensy.pings[:], teensy.written[:]
-        car.graph.run(1.0)
-        assert node.is_alive and car.graph.newest("/teensy_distance") == Distance(2, 10_000, count - 1)
-        forget(car)
-    flood(WARM_UP)
-    check_growth(lambda: flood(MESSAGES))

@@ -8,13 +8,12 @@ import re
 
 import pytest
 import rospy
-from car_interface.msg import Control
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import Odometry
 
 from car import CONFIG, config
 from car_interface.nodes.generic_value_converter import GenericValueConverter
 from graph import NS_PER_S, Graph
+from inputs import control, odometry
 
 NAN, INF = math.nan, math.inf
 LOWEST, HIGHEST = -5.0, 3.0  # the shipped min_value and max_value
@@ -37,17 +36,16 @@ class Converter:
         """Send commands; return the values that they got."""
         since_ns, count = self.graph.now_ns, len(self.graph.recorded[VALUE])
         for acceleration in accelerations:
-            message = Control(stamp=rospy.Time(nsecs=since_ns + self.graph.ros_ahead_ns) if stamp is None else stamp)
-            message.longitudinal.acceleration = acceleration
+            message = control(acceleration)
+            message.stamp = rospy.Time(nsecs=since_ns + self.graph.ros_ahead_ns) if stamp is None else stamp
             self.graph.publish(f"{NAME}/input/control_cmd", message)
         self.run(0.0)
         return [record.message.data for record in self.graph.recorded[VALUE][count:]]
 
     def odometry(self, velocity, stamp=None):
         """Repeat it from now on."""
-        message = Odometry()
+        message = odometry(velocity)
         message.header.stamp = rospy.Time(nsecs=self.graph.now_ns + self.graph.ros_ahead_ns) if stamp is None else stamp
-        message.twist.twist.linear.x = velocity
         self.graph.hold(f"{NAME}/input/odometry", message, 25)
         self.run(0.0)
 

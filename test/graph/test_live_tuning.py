@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from car_interface.msg import SteeringState
-from std_msgs.msg import Bool, Float32, Int32MultiArray
+from std_msgs.msg import Bool, Float32
 
 from car import CONFIG, ESC, STEERING, Car
 from graph import NS_PER_S
@@ -165,19 +165,13 @@ def test_servo_board_rests_where_center_and_neutral_were_tuned_to_also_when_it_o
     assert tuned.duties(ESC)[-1][1] == NEUTRAL + 40
 
 
-def test_neutral_of_the_esc_glides_and_one_that_is_too_far_or_nonsense_is_not_followed(folder):
+def test_neutral_of_the_esc_glides(folder):
     tuned = Tuned(folder)
     at_ns = tuned.graph.now_ns
     assert tuned.tune(neutral=NEUTRAL + 40)["neutral"] == NEUTRAL + 40
     duties = [duty for _, duty in tuned.duties(ESC, at_ns)]
     assert duties[-1] == NEUTRAL + 40 and {b - a for a, b in zip(duties, duties[1:])} <= {0, 1, 2}
     assert tuned.graph.report("throttle_arb: throttle").values["tuned live"] == "neutral 4915 → 4955"
-    for data in ([5100] * 3, [-1] * 5 + [5100] + [-1] * 10, [9000] + [-1] * 15):
-        tuned.graph.publish("/servo/neutral", Int32MultiArray(data=data), "/rogue")
-    assert tuned.rests() == [CENTER, NEUTRAL + 40]
-    lines = " ".join(tuned.graph.lines("/pca9685", at_ns, level=30))
-    assert "a vector of neutrals needs 16 values and has 3: refused" in lines
-    assert "channel 0 rests at 9000 by servo/neutral, its timeout value is 5100: too far to follow" in lines
 
 
 def test_saved_values_are_there_at_the_next_start_and_comments_and_old_files_stay(folder):
@@ -212,32 +206,16 @@ def test_saved_values_are_there_at_the_next_start_and_comments_and_old_files_sta
     assert again.tune(servo_center=9999)["servo_center"] == 5650  # 500 from where it starts
 
 
-def test_nothing_is_written_unless_somebody_saves(folder):
-    before = {path: path.read_bytes() for path in folder.iterdir()}
-    tuned = Tuned(folder)
-    tuned.tune(servo_center=5150)
-    tuned.tune(neutral=4950)
-    for node in (tuned.steering, tuned.throttle, tuned.board):
-        node.end()
-    assert {path: path.read_bytes() for path in folder.iterdir()} == before
-
-
 def test_file_that_cannot_be_saved_is_named_and_the_drive_goes_on(folder):
     tuned = Tuned(folder)
     tuned.tune(servo_center=5150)
     path = folder / "turn_arb.yaml"
-    shipped_text = path.read_text(encoding="utf-8")
-    for text, fault in (("a: [1\n", ", line 2 is no YAML: "),
-                        (shipped_text + "servo_center: 5100\n", r", lines \d+ and \d+ both give servo_center"),
-                        (shipped_text + "#" * 1_000_000, r" can't be saved \(it has 1.0 MB, more than 1 MB\)")):
-        path.write_text(text, encoding="utf-8")
-        success, message = tuned.save("turn_arb")
-        assert not success and re.match(f"not saved: {path}{fault}", message) and "\n" not in message
-        assert path.read_text(encoding="utf-8") == text
+    path.write_text("a: [1\n", encoding="utf-8")
+    success, message = tuned.save("turn_arb")
+    assert not success and message.startswith(f"not saved: {path}, line 2 is no YAML: ") and "\n" not in message
+    assert path.read_text(encoding="utf-8") == "a: [1\n"
     path.unlink()
     assert "turn_arb.yaml can't be saved (No such file or directory)" in tuned.save("turn_arb")[1]
-    os.mkfifo(path)
-    assert "turn_arb.yaml can't be saved (it is a pipe)" in tuned.save("turn_arb")[1]
     assert tuned.backups("turn_arb.yaml") == [] and tuned.steers == 5150
 
 

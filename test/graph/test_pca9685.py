@@ -6,13 +6,11 @@ import os
 import tempfile
 from typing import Any
 
-import genpy
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Int32MultiArray
 
-from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Board, config
+from car import CENTER, ESC, ESC_NEUTRAL, STEERING, Board, config
 from car_interface.common.errors import DeviceError
 from car_interface.nodes.pca9685 import Pca9685
 from car_interface.ros import virtual_board
@@ -23,8 +21,6 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 COMMAND, VECTOR, OUTPUT = "/command", "/servo/cmdVector", "/servo/output"
 FAILSAFE = (5104,) + (0,) * 15  # the shipped center, 319 counts
 OFF, UNKNOWN = (0,) * 16, (-1,) * 16
-NO_BUS = "PCA9685 at 0x40 on {}: {}. "
-README = os.path.join(CONFIG, "..", "README.md")
 
 
 def vector(*first: int, length: int = 16, rest: int = -1) -> Int32MultiArray:
@@ -71,11 +67,6 @@ class Servos:
     def warnings(self, since_ns: int = 0) -> list[str]:
         return self.graph.lines("/pca9685", since_ns, level=30)
 
-    def run_to_change(self, within_s: float = 3.0) -> float:
-        """Let time go on until the pins change; return how many ms that took."""
-        count, began_ns = len(self.board.changes), self.graph.now_ns
-        return (self.graph.run_until(lambda: len(self.board.changes) > count, within_s) - began_ns) / MS
-
 
 @pytest.fixture
 def servos():
@@ -83,21 +74,6 @@ def servos():
 
 
 # --- commands ---
-
-def test_line_in_the_readme_sets_a_channel_of_a_node_without_parameters():
-    with open(README, encoding="utf-8") as file:
-        line = next(line for line in file if "rostopic pub" in line and "/command " in line)
-    message = Int32MultiArray()
-    genpy.message.fill_message_args(message, [yaml.safe_load(line.split('"')[1])])
-    servos = Servos(address=0x40)
-    assert servos.output == OFF
-    servos.graph.hold(COMMAND, message, 10)
-    servos.graph.run(1.0)
-    assert servos.output == FAILSAFE
-    servos.graph.silence(COMMAND)
-    assert 150 <= servos.run_to_change() <= 250
-    assert servos.output == OFF
-
 
 def test_output_has_the_layout_of_a_command_is_latched_and_comes_on_change_and_at_10_hz(servos):
     since_ns = servos.graph.now_ns
@@ -120,14 +96,13 @@ def test_both_topics_set_channels_at_once_and_minus_one_leaves_them_alone(servos
     assert servos.board.counts[:4] == (238, 1, 63, 4096)
 
 
-@pytest.mark.parametrize("length", [0, 15, 17, 1000])
-def test_command_of_another_length_is_refused_as_a_whole(servos, length):
-    servos.send(4000, length=length, rest=3000)
+def test_command_of_another_length_is_refused_as_a_whole(servos):
+    servos.send(4000, length=15, rest=3000)
     assert servos.output == FAILSAFE
-    assert servos.warnings() == [f"a command needs 16 values and has {length}: refused"]
+    assert servos.warnings() == ["a command needs 16 values and has 15: refused"]
 
 
-@pytest.mark.parametrize("wrong", [65536, 2**31 - 1, -2, -2**31])
+@pytest.mark.parametrize("wrong", [65536, -2])
 def test_what_is_no_duty_is_refused_and_its_neighbours_are_taken(servos, wrong):
     servos.send(wrong, 1600, wrong, 3200)
     assert servos.output == (5104, 1600, 0, 3200) + (0,) * 12
@@ -154,30 +129,6 @@ def test_each_channel_goes_to_its_timeout_value_after_250_ms_without_a_command_f
     servos.graph.run(4.0)
     assert len(servos.graph.messages("/diagnostics", since_ns)) <= 9
     assert int(servos.graph.report("pca9685: servo board").values["timeouts of channel 0"]) > 10
-
-
-def test_scalars_stand_for_all_channels_and_lists_for_each():
-    timeout_values = tuple(16 * channel for channel in range(16))
-    servos = Servos(timeout=60000, timeout_value=[*timeout_values], pwm_min=3200, pwm_max=[65535] * 15 + [4000])
-    assert servos.output == timeout_values
-    servos.send(rest=0)
-    assert servos.output == (3200,) * 16
-    servos.send(rest=65535)
-    assert servos.output == (65535,) * 15 + (4000,)
-    assert servos.warnings()[-1] == ("channels 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15: beyond pwm_min or "
-                                     "pwm_max, clamped")
-    servos.graph.run(59.9)
-    assert servos.output[0] == 65535
-    servos.graph.run(0.2)
-    assert servos.output == timeout_values
-
-
-@pytest.mark.parametrize(("parameters", "text", "prescale"), [
-    ({}, "running at 50.03 Hz (prescale 121)", 121), ({"prescale": 122}, "running at 49.62 Hz (prescale 122)", 122)])
-def test_frequency_is_by_the_data_sheets_prescale_or_a_given_one(parameters, text, prescale):
-    servos = Servos(address=0x40, **parameters)
-    assert servos.graph.lines("/pca9685") == [f"PCA9685 at 0x40 on virtual: {text}"]
-    assert servos.board.chip.read(0xFE, 1) == [prescale]
 
 
 # --- the timeout values follow ---
@@ -207,15 +158,12 @@ def real_bus(graph: Graph, **parameters: Any) -> Node:
     return graph.add(Pca9685, "pca9685", {"guard": False, **parameters})
 
 
-@pytest.mark.parametrize("kind", ["absent", "folder", "file"])
-def test_bus_that_is_not_there_is_told_in_one_line_and_the_node_goes_on(graph, tmp_path, kind):
-    (tmp_path / "file").write_text("")
-    path = {"absent": "/dev/i2c-250", "folder": str(tmp_path), "file": str(tmp_path / "file")}[kind]
-    cause = "there is no such bus" if kind == "absent" else "this is not an I2C bus"
-    real_bus(graph, device=path)
+def test_bus_that_is_not_there_is_told_in_one_line_and_the_node_goes_on(graph):
+    real_bus(graph, device="/dev/i2c-250")
     graph.run(9.0)
     line, = graph.lines("/pca9685", level=30)
-    assert line.startswith(f"PCA9685 at 0x40 on {path}: {cause}. ") and line.endswith("ls /dev/i2c-*. Trying again")
+    assert line.startswith("PCA9685 at 0x40 on /dev/i2c-250: there is no such bus. ")
+    assert line.endswith("ls /dev/i2c-*. Trying again")
     assert {output.data for output in graph.messages(OUTPUT)} == {UNKNOWN} and len(graph.messages(OUTPUT)) == 91
 
 
@@ -225,30 +173,22 @@ def test_required_bus_that_is_not_there_ends_the_node(graph):
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can be two users")
-@pytest.mark.parametrize("kind", ["foreign", "linked"])
-def test_another_users_folder_for_the_virtual_chip_is_told_and_not_used_until_it_is_gone(
-        graph, tmp_path, monkeypatch, kind):
+def test_another_users_folder_for_a_virtual_chip_is_told_and_not_used_until_it_is_gone(graph, tmp_path, monkeypatch):
     started = []
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(virtual_board.subprocess, "Popen", lambda *_, **__: started.append(1))
     monkeypatch.setattr(virtual_board, "START_S", 0.0)
-    tmp_path.chmod(0o1777)
-    folder, target = tmp_path / f"car_interface-{os.getuid()}", tmp_path / "target"
-    target.mkdir()
-    if kind == "foreign":
-        folder.mkdir()
-    else:
-        folder.symlink_to(target)
-    os.chown(folder, 65534, 65534, follow_symlinks=False)
     monkeypatch.setattr(virtual_board.rosgraph, "get_master_uri", lambda: "http://car:11311")
+    tmp_path.chmod(0o1777)
+    folder = tmp_path / f"car_interface-{os.getuid()}"
+    folder.mkdir()
+    os.chown(folder, 65534, 65534)
     real_bus(graph, device="virtual")
     graph.run(3.0)
     line, = graph.lines("/pca9685", level=30)
-    cause = {"foreign": "is another user's: nobody's", "linked": "is a link, of nobody"}[kind]
-    assert line.startswith(f"PCA9685 at 0x40 on virtual: {folder} {cause}. Have it removed (sudo rm -r {folder}")
-    assert graph.newest(OUTPUT).data == UNKNOWN and not [*folder.iterdir()] and not [*target.iterdir()]
-    assert not started
-    folder.unlink() if folder.is_symlink() else folder.rmdir()
+    assert line.startswith(f"PCA9685 at 0x40 on virtual: {folder} is another user's: nobody's. Have it removed (sudo ")
+    assert graph.newest(OUTPUT).data == UNKNOWN and not [*folder.iterdir()] and not started
+    folder.rmdir()
     graph.run(3.0)
     assert started and folder.stat().st_mode & 0o7777 == 0o700
 
@@ -408,22 +348,6 @@ class TestGuard:
         assert told[0].at_ns == at_ns + 500 * MS  # its process has started by then
         assert len(told) == 77 and told[-1].at_ns == at_ns + 8000 * MS
         assert not servos.graph.publishers[OUTPUT]
-
-    def test_output_of_a_frozen_node_is_told_after_another_half_a_second_and_by_the_node_again_when_it_goes_on(self):
-        servos = self.driven(guard_off_after=1.5)
-        at_ns = servos.graph.now_ns
-        servos.node.stall(3.0, frozen=True)
-        servos.graph.run(5.0)
-        senders = [(record.at_ns, record.sender) for record in servos.graph.recorded[OUTPUT] if record.at_ns > at_ns]
-        last_ns = max(each_ns for each_ns, sender in senders if sender == "/pca9685_guard")
-        first_ns = min(each_ns for each_ns, sender in senders if sender == "/pca9685_guard")
-        assert 1200 * MS < first_ns - at_ns <= 1300 * MS  # 250 and 500 of silence, 500 to start its process
-        assert last_ns <= at_ns + 3100 * MS
-        assert [data[:2] for _, data in servos.outputs(at_ns + 1)] == [
-            (5104, 4912), (0, 0), (5104, 4912), (3808, 6000)]
-        assert [publisher.node for publisher in servos.graph.publishers[OUTPUT]] == ["/pca9685"]
-        assert any("node stood still for 2.9" in text or "node stood still for 3.0" in text
-                   for text in servos.warnings(at_ns))
 
     def test_node_without_a_guard_says_what_that_means(self, servos):
         servos.graph.run(1.0)

@@ -59,6 +59,7 @@ class Program:
         self._graph.drop(self.name)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("source, example, arguments, speed, curvature", [
     ("drive", "f1tenth_drive", (), 1.0, 0.5),
     ("cmd_vel", "cmd_vel", (), 0.5, 0.5),

@@ -153,6 +153,7 @@ class Soak:
             assert self.at_rest(STEERING, ESC)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("number", range(ROUNDS))
 def test_car_stops_at_each_fault_that_takes_the_human_away_and_drives_again_after_all(number):
     choose = random.Random(SEED + number)

@@ -153,6 +153,7 @@ def fork_stall(story, node, at_ms, number):
 STOPS = {"lets_go": lambda car: car.pad(), "e_stop": lambda car: car.graph.hold("/e_stop", Bool(True), 10)}
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("stop", STOPS)
 @pytest.mark.parametrize("node", DELAYS_MS)
 def test_stall_of_0_6_s_at_each_time_leaves_the_car_safe(node, stop):

@@ -12,7 +12,6 @@ from car_interface.srv import SetSonarWaitRequest as Wait
 from std_srvs.srv import TriggerRequest
 
 from car import CONFIG
-from car_interface.common.errors import CarInterfaceError
 from graph import NS_PER_S, ROS_AHEAD_NS, START_NS
 from teensy import FILLER, FLAG, PORT, Teensy, frame, sonar, unescaped, wheels
 
@@ -195,23 +194,6 @@ def test_port_is_tried_ever_more_rarely_and_opened_again_with_filler_and_ping(ca
     tries = len(car.cable.attempts_ns)
     car.graph.run(0.2)
     assert len(car.cable.attempts_ns) == tries + 1  # as fast as at first
-
-
-def test_second_hub_on_the_port_is_refused_and_gets_it_when_the_first_ends(car, start):
-    teensy = start()
-    first = car.graph.nodes["/teensy_sensor_hub"]
-    car.graph.add(first._class, "second", {})
-    car.graph.run(5)
-    assert car.graph.lines("/second") == [f"Teensy on {PORT}: another program has it open. End it. Trying again"]
-    first.end()
-    ended_ns, pings = car.graph.now_ns, len(teensy.pings)
-    car.graph.run_until(lambda: len(teensy.pings) > pings, 2.0)
-    assert car.graph.lines("/second", ended_ns) == ["the Teensy's port is open"]
-
-
-def test_required_port_that_is_absent_ends_the_hub_at_its_start(car):
-    with pytest.raises(CarInterfaceError, match=f"Teensy on {PORT}: there is no such port"):
-        car.hub(required=True)
 
 
 def test_report_that_came_too_soon_is_told_a_period_after_its_turn_though_no_other_follows(car, start):

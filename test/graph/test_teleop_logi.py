@@ -96,8 +96,6 @@ def test_requests_come_at_50_hz_and_mode_button_and_state_at_10_also_without_a_g
 
 @pytest.mark.parametrize("held, published, mode", [
     ({"steering": 1.0, "throttle": 0.5, "manual": 1}, (True, 1.0, 0.5), "manual"),
-    ({"steering": -1.0, "throttle": -0.5, "manual": 1}, (True, -1.0, -0.5), "manual"),
-    ({"steering": 0.25, "throttle": 0.0, "manual": 1}, (True, 0.25, 0.0), "manual"),
     ({"steering": 0.0, "throttle": 0.0, "autonomous": 1}, (True, 0.0, 0.0), "autonomous"),
     ({"steering": -0.5, "throttle": 0.0, "manual": 1, "autonomous": 1}, (True, -0.5, 0.0), "manual"),
     ({"steering": 1.0, "throttle": 1.0}, (False, 0.0, 0.0), "manual"),
@@ -111,14 +109,6 @@ def test_deadmen_say_which_sticks_are_passed_on_in_the_instant_in_which_they_are
         teleop.run(0.1)
         assert teleop.published() == published
         assert teleop.published(MODE) == (mode,)
-
-
-def test_stick_that_is_off_its_center_when_the_autonomous_deadman_is_pressed_stays_neutral():
-    teleop = Teleop()
-    teleop.hold()
-    teleop.hold(steering=1.0, throttle=1.0)
-    teleop.hold(steering=1.0, throttle=1.0, autonomous=1)
-    assert teleop.published() == (True, 0.0, 0.0)
 
 
 def test_buttons_of_the_scale_are_published_at_once():
@@ -252,18 +242,6 @@ def test_deadmen_are_named_in_the_log_when_they_change():
     assert teleop.log(teleop.start_ns + 1) == [(logging.INFO, f"human in loop: {text}") for text in (
         "False (no deadman is held)", "True (manual deadman held)", "True (autonomous deadman held)",
         "False (no deadman is held)")]
-
-
-def test_gamepad_without_a_throttle_axis_leaves_it_to_the_planner_and_steers_before_it():
-    teleop = Teleop(throttle_axis=-1)
-    teleop.press(throttle=1.0, autonomous=1)
-    since_ns = teleop.graph.now_ns
-    teleop.hold(steering=-0.5, throttle=-1.0, autonomous=1)
-    teleop.run(0.5)
-    assert teleop.published() == (True, -0.5, 0.0)
-    assert set(teleop.since(THROTTLES, since_ns)) == {0.0}
-    teleop.hold(throttle=1.0, manual=1)
-    assert math.isnan(teleop.published()[2])
 
 
 # --- parameters, end ---

@@ -8,28 +8,22 @@ import re
 import pytest
 from car_interface.msg import TeleopState
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
-from car import Car
+from car import Car, config
+from car_interface.nodes.teleop_logi import TeleopLogi
 from car_interface.nodes.turn_arb import TurnArb
-from inputs import Inputs
+from inputs import Inputs, odometry
 
 LEFT, CENTER, RIGHT = 3800, 5100, 6700
 NAN, INF = math.nan, math.inf
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
 
 
-def odometry(speed_mps):
-    message = Odometry()
-    message.twist.twist.linear.x = speed_mps
-    return message
-
-
 TOPICS = {"e_stop": ("/e_stop", Bool), "human": ("/teleop_logi/human_in_loop", Bool),
           "teleop": ("/teleop_logi/tele_steer_req", Float32), "planner": ("/av_turnrad_req", Float32),
           "steering": ("/av_steer_req", Float32), "speed": ("/odom", odometry)}
-LET_GO = "let go once: publish false, then true"
 
 # Steering request → duty: linear to each side between center and the end, clamped beyond. Radius in m → duty, by hand
 # from the shipped table.
@@ -155,38 +149,8 @@ def test_teleop_goes_before_planner_and_nobody_before_both():
 
 def test_planner_drives_where_no_gamepad_was_ever_heard():
     arb = Arb().drive(planner=-4.5)
-    assert arb.now == (PLANNER, "av_turnrad_req is -4.500 m", 6475)
     assert (arb.state.teleop_age, arb.state.e_stop_age, arb.state.odometry_age) == (INF, INF, INF)
     assert 0 <= arb.state.planner_age <= arb.state.human_age < 0.01
-
-
-def test_planner_that_knows_no_radius_steers_like_the_gamepad_and_not_beside_one_that_does():
-    arb = Arb().drive(teleop=0.0, steering=0.5)
-    assert arb.now == (PLANNER, "av_steer_req is 0.500", 4450)
-    arb.hold(planner=2.0)
-    assert arb.now[::2] == (NEUTRAL, CENTER)
-    assert (arb.state.cause, arb.state.reason) == (
-        "two requests", "av_turnrad_req and av_steer_req are both published: neither is obeyed")
-    arb.silence("steering")
-    arb.run(0.6)
-    assert arb.now == (PLANNER, "av_turnrad_req is 2.000 m", 3830)
-
-
-def test_nothing_counts_before_e_stop_was_heard():
-    arb = Arb(grant_at_start=False, e_stop_timeout=3600)
-    arb.hold(human=True, planner=-4.5)
-    for held in (True, False, True):
-        arb.hold(human=held)
-        assert arb.now == (NO_HUMAN, "this node has just started: it waits up to 3600 s for e_stop", CENTER)
-    arb.once("e_stop", True)
-    arb.run(0.01)
-    assert arb.now == (LOCKED, "e_stop is true", CENTER)
-    arb.once("e_stop", False)
-    arb.run(0.01)
-    assert arb.now == (NO_HUMAN, f"the lock was on; {LET_GO}", CENTER)
-    assert set(arb.duties()) == {CENTER}
-    arb.drive()
-    assert arb.state.source == PLANNER
 
 
 # --- what it reports ---
@@ -239,6 +203,18 @@ def test_gamepad_s_reason_is_quoted_while_the_deadman_is_false():
     arb.graph.silence("/teleop_logi/state")
     arb.run(1.0)
     assert arb.now == (NO_HUMAN, "human_in_loop is false", CENTER)
+
+
+def test_gamepad_that_is_quoted_is_that_of_its_namespace(graph):
+    remap = {"/teleop_logi/human_in_loop": "/one/teleop_logi/human_in_loop"}
+    graph.record("/one/turn_arb/state")
+    for node_class, name in ((TurnArb, "turn_arb"), (TeleopLogi, "teleop_logi")):
+        graph.add(node_class, f"/one/{name}", config(f"{name}.yaml"), remap)
+    for topic, axes in (("/joy", 8), ("/one/joy", 4)):
+        graph.repeat(topic, Joy(axes=[0.0] * axes, buttons=[0] * 11), 20)
+    graph.run(2.0)
+    assert graph.newest("/one/turn_arb/state").reason == (
+        "human_in_loop is false: the gamepad has 4 axes (0 to 3), but throttle_axis is 4")
 
 
 def test_gamepad_s_state_grants_nothing_and_tells_an_override():
@@ -295,7 +271,22 @@ def test_log_has_a_line_for_each_change_of_source_or_cause_and_warns_of_losses()
         (logging.WARNING, "NEUTRAL: av_turnrad_req and av_steer_req are both published: neither is obeyed")]
 
 
-# --- limits by the measured speed: 4 m/s² sideways at 4 m/s are a radius of 4 m ---
+# --- limits by what the car turns, and by the measured speed: 4 m/s² sideways at 4 m/s are a radius of 4 m ---
+
+def test_turns_tighter_than_the_car_s_are_cut_and_told_everywhere_and_warned_of_once():
+    arb = Arb().drive(speed=1.0)
+    for radius, side, duty in ((0.17, "left", LEFT), (-0.17, "right", RIGHT), (0.17, "left", LEFT)):
+        arb.hold(planner=radius)
+        arb.run(1.0)
+        state, text = arb.state, f"asks for 0.17 m, this car turns on 1.00 m to the {side}: rad? rad/s? wheelbase?"
+        assert (state.source, state.cause, state.duty, state.limit, state.limit_reason) == (
+            PLANNER, "planner", duty, "too tight", text)
+        assert (state.asked_radius, abs(state.turn_radius), state.max_speed) == (pytest.approx(radius), 1.0, 2.0)
+    report = arb.graph.report("turn_arb: steering")
+    assert report.level == DiagnosticStatus.WARN and text in report.message and "degrees" in report.values["remedy"]
+    assert report.values["warnings of too tight"] == "1"
+    assert arb.warnings() == [f"the planner {text}"]
+
 
 def test_a_turn_is_widened_to_what_the_speed_allows_told_counted_and_kept_when_odometry_is_lost():
     arb = Arb().drive(planner=1.0)
@@ -324,26 +315,3 @@ def test_a_turn_is_widened_to_what_the_speed_allows_told_counted_and_kept_when_o
     arb.hold(speed=1.0)
     arb.run(1.0)
     assert (arb.duty, arb.state.limit, arb.state.limit_reason, arb.state.max_speed) == (LEFT, "", "", 2.0)
-
-
-def test_a_car_that_widens_its_turns_with_speed_is_steered_tighter():
-    arb = Arb(understeer=0.0078, planner={"max_lateral_acceleration": 0}).drive(planner=6.0)
-    assert arb.duty == 3870
-    arb.hold(speed=4.0)
-    arb.run(0.3)
-    assert arb.duty == 3855  # 4.50 m by the table
-    assert arb.state.turn_radius == pytest.approx(6.0, abs=0.1)
-
-
-def test_the_originals_parameters_are_found_in_the_root_namespace_from_two_namespaces_within(graph):
-    for name, value in {"servo_left": 4000, "servo_center": 5000, "servo_right": 7000, "servo_channel": 3,
-                        "m_turnrad_axis_servo": [1, 10], "k_pwmcmd_left_table_servo": [4000, 5000],
-                        "k_pwmcmd_right_table_servo": [7000, 5000]}.items():
-        graph.set_parameter(name, value)
-    graph.record("/outer/inner/commands")
-    graph.add(TurnArb, "/outer/inner/turn_arb", remap={"/servo/cmdVector": "/outer/inner/commands"})
-    graph.hold("/teleop_logi/human_in_loop", Bool(True), 20)
-    graph.hold("/outer/inner/av_turnrad_req", Float32(-5.5), 20)
-    graph.run(0.1)
-    assert [vector.data for vector in graph.messages("/outer/inner/commands")[::10]] == [
-        (-1, -1, -1, 5000) + (-1,) * 12, (-1, -1, -1, 6000) + (-1,) * 12]

@@ -48,8 +48,6 @@ class Sample(NamedTuple):
 
     at_s: float
     speed_mps: float  # the true one
-    odom_mps: float
-    reference_mps: float
     acceleration_mps2: float  # commanded
     granted: float
     esc: str
@@ -76,7 +74,6 @@ class SpeedRig:
                                         EscConfig(profile=profile))
         self.request: SpeedRequest | None = STOP
         self.human = False
-        self.stick = 0.0
         self.is_deaf = False  # odometry doesn't arrive
         self.samples: list[Sample] = []
         self.commands: list = []
@@ -86,7 +83,6 @@ class SpeedRig:
         self._motion = None
         self._odom_due_ns = self._tick_due_ns = START_NS
         self._duty = 4915
-        self.odom_mps = 0.0
         self.run(2.0)  # the ESC is armed
         self.human = True
         self.samples.clear()
@@ -120,11 +116,11 @@ class SpeedRig:
             elif isinstance(record, Pong):
                 self._measurements.pong(record, self._pinger.pong(record.timestamp1, now_ns), now_ns)
         if self._motion is not None and now_ns >= self._odom_due_ns:
-            self.odom_mps, self._motion = self._motion.motion.speed_mps, None
+            odom_mps, self._motion = self._motion.motion.speed_mps, None
             self._odom_due_ns = now_ns + ODOM_NS
             if not self.is_deaf:
                 for part in (self.control, self.converter, self.throttle):
-                    part.update_odometry(self.odom_mps, now_ns)
+                    part.update_odometry(odom_mps, now_ns)
 
     def _tick(self, now_ns):
         command = self.control.step(self.request, now_ns)
@@ -137,7 +133,7 @@ class SpeedRig:
             self.throttle.update_planner(conversion.value, now_ns)
         arbiter.update_human(self.human, now_ns)
         arbiter.update_steering(TELEOP, "", now_ns)
-        arbiter.update_teleop(self.stick, now_ns)
+        arbiter.update_teleop(0.0, now_ns)
         decision = self.throttle.decide(now_ns)
         self._duty = (decision.duty + 8) // 16 * 16  # the board counts to 4096
         self.throttle.update_output([-1, self._duty, *[-1] * 14], now_ns)
@@ -145,8 +141,8 @@ class SpeedRig:
                                      decision.esc.cause, now_ns)
         self.decision = decision
         self.commands.append(command)
-        self.samples.append(Sample(self.now_s, self.car.speed_mps, self.odom_mps, command.reference_mps,
-                                   command.acceleration_mps2, decision.esc.fraction, decision.esc.state_name))
+        self.samples.append(Sample(self.now_s, self.car.speed_mps, command.acceleration_mps2, decision.esc.fraction,
+                                   decision.esc.state_name))
 
 
 def overshoot(samples, target_mps):

@@ -104,12 +104,6 @@ def test_release_stops_at_once_and_brakes_where_the_esc_is_known_to_brake(profil
     assert not decision.is_driven
 
 
-def test_human_brakes_by_brake_scale():
-    rig = Rig(BRAKE_THEN_REVERSE)
-    rig.speed = 4.0
-    assert rig.pull((1.0, 1.0), (-1.0, 0.5)).duty == FULL_BRAKE
-
-
 @pytest.mark.parametrize("profile", [DIRECT_REVERSE, UNVERIFIED, BRAKE_THEN_REVERSE])
 def test_reverse_has_the_scale_of_driving_and_never_that_of_the_brake_not_even_for_a_moment(profile):
     rig = Rig(profile)
@@ -243,16 +237,6 @@ def test_sonar_that_was_dropped_with_other_messages_lets_nobody_drive_towards_it
 
 
 # --- a stick under a planner's deadman ---
-
-def test_pull_under_a_planner_s_deadman_brakes_fully():
-    rig = Rig(BRAKE_THEN_REVERSE, mode="autonomous")
-    rig.value, rig.speed = 2.0, 3.0
-    rig.run(1.0)
-    decision = rig.pull((-1.0, 0.1))
-    assert (decision.duty, decision.arbitration.source, decision.esc.state_name) == (FULL_BRAKE, TELEOP, "BRAKING")
-    assert rig.pull((0.0, 0.4)).duty == NEUTRAL_DUTY
-    assert rig.run(0.2).duty > NEUTRAL_DUTY  # the planner's
-
 
 @pytest.mark.parametrize("profile", [DIRECT_REVERSE, UNVERIFIED, BRAKE_THEN_REVERSE])
 def test_pull_that_is_held_when_the_human_takes_over_counts_for_nothing_and_reverse_takes_two_after_it(profile):

