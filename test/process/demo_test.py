@@ -34,7 +34,7 @@ from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionM
 from waiting import PACKAGE, Topic, config, eventually, set_params, start, start_node
 
 sys.path.append(os.path.join(os.path.dirname(os.path.abspath(__file__)), os.pardir, "unit"))
-from browser import find_browser, look_at
+from browser import Browser, find_browser
 
 DRIVE_WITHIN_S = START_WITHIN_S = 120
 SHIPPED = Path(PACKAGE, "config")
@@ -185,11 +185,13 @@ class TwoCarsDrive(unittest.TestCase):
         if find_browser() is None:
             rospy.logwarn("no Chromium on this computer: nobody has looked at %s", page)
             return
-        (plots, words), complaints = look_at(
-            find_browser(), Path(page), "[...document.querySelectorAll('svg[data-plot]')]"
-            ".filter(svg => svg.getBoundingClientRect().height > 80).map(svg => svg.dataset.plot)",
-            "document.querySelector('.verdict').textContent")
-        self.assertEqual((plots, complaints), (["who", "steering", "throttle", "path", "speed", "link"], []))
+        with Browser(find_browser()) as browser:
+            browser.open(Path(page))
+            plots = browser.evaluate("[...document.querySelectorAll('svg[data-plot]')]"
+                                     ".filter(svg => svg.getBoundingClientRect().height > 80)"
+                                     ".map(svg => svg.dataset.plot)")
+            words = browser.evaluate("document.querySelector('.verdict').textContent")
+        self.assertEqual((plots, browser.complaints), (["who", "steering", "throttle", "path", "speed", "link"], []))
         self.assertNotIn("can't tell", words)
         self.assertRegex(words, r"^The gamepad drove for \d+\.\d s and the planner for \d+\.\d s\.")
 

@@ -1,33 +1,36 @@
-"""A real Chromium without a window, for tests of pages: opens one, asks it something, and listens to its complaints.
+"""A real Chromium without a window, for tests of pages: opens one, listens to its complaints, takes a picture.
 
-The page is in a frame of another one, which asks; no port is opened, and no network is used.
+It is talked to through a pair of pipes, with the DevTools protocol; no port is opened, and no network is used.
 """
 from __future__ import annotations
 
-import html
+import base64
 import json
-import re
+import os
+import select
 import shutil
+import signal
 import subprocess
+import sys
 import tempfile
+import time
 from pathlib import Path
+from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
-OPTIONS = ("--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", "--enable-logging=stderr",
-           # The one page may look into the other.
-           "--disable-web-security", "--allow-file-access-from-files",
-           # Without them it looks its maker's hosts up at each start.
-           "--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-quic",
-           "--no-first-run", "--no-default-browser-check", "--disable-extensions")
+# Without them it looks its maker's hosts up at each start.
+QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-quic",
+         "--no-first-run", "--no-default-browser-check", "--disable-extensions")
 PATIENCE_S = 60
-FRAME = """<!doctype html><pre></pre><script>
-const frame = document.createElement("iframe");
-frame.width = 1100;
-frame.onload = () => document.querySelector("pre").textContent = JSON.stringify(
-  EXPRESSIONS.map(text => Function("document", "return " + text)(frame.contentDocument)));
-frame.src = "PAGE";
-document.body.append(frame);
-</script>"""
+# It reads from 3 and writes to 4.
+HAND_OVER = """
+import os, sys
+read, write = (os.dup(int(number)) for number in sys.argv[1:3])
+read, write = (os.dup(number) if number in (3, 4) else number for number in (read, write))
+os.dup2(read, 3)
+os.dup2(write, 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
 
 
 def find_browser() -> str | None:
@@ -35,13 +38,106 @@ def find_browser() -> str | None:
     return next((path for path in map(shutil.which, NAMES) if path), None)
 
 
-def look_at(browser: str, page: Path, *expressions: str) -> tuple[list, list[str]]:
-    """Return what JavaScript expressions are on a page, as JSON has it, and the lines of its console."""
-    with tempfile.TemporaryDirectory() as folder:
-        frame = Path(folder, "frame.html")
-        frame.write_text(FRAME.replace("EXPRESSIONS", json.dumps(expressions)).replace("PAGE", page.resolve().as_uri()),
-                         encoding="utf-8")
-        done = subprocess.run([browser, *OPTIONS, f"--user-data-dir={folder}/profile", frame.as_uri()],
-                              capture_output=True, text=True, check=True, timeout=PATIENCE_S)
-    (answers,) = re.findall("<pre>(.+)</pre>", done.stdout, re.S)
-    return json.loads(html.unescape(answers)), re.findall("CONSOLE.*", done.stderr)
+class Browser:
+    """One page in a browser of its own; a context manager.
+
+    Args:
+        path: of the browser.
+        width: of the window, pixels.
+
+    Attributes:
+        complaints: what came on the page's console, exceptions, and what it wasn't allowed to do.
+        requests: everything that it wanted to load, by URL.
+    """
+
+    def __init__(self, path: str, width: int = 1100):
+        self._folder = tempfile.TemporaryDirectory()
+        to_browser, self._out = os.pipe()
+        self._in, from_browser = os.pipe()
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", HAND_OVER, str(to_browser), str(from_browser), path, "--headless",
+             "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-pipe",
+             f"--user-data-dir={self._folder.name}", f"--window-size={width},1000", *QUIET, "about:blank"],
+            pass_fds=(to_browser, from_browser), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL, start_new_session=True)
+        os.close(to_browser)
+        os.close(from_browser)
+        self._received = b""
+        self._number = 0
+        self._answers: dict = {}
+        self._is_loaded = False
+        self._session = None
+        self.complaints: list = []
+        self.requests: list = []
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, *_):
+        os.close(self._out)
+        try:
+            self._process.wait(5)
+        except subprocess.TimeoutExpired:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait(10)
+        os.close(self._in)
+        self._folder.cleanup()
+
+    def open(self, page: Path) -> None:
+        """Open a file and wait until all of it is there."""
+        target = self._ask("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for room in ("Page", "Runtime", "Log", "Network"):
+            self._ask(room + ".enable")
+        self._ask("Page.navigate", url=page.resolve().as_uri())
+        self._until(lambda: self._is_loaded)
+
+    def evaluate(self, expression: str) -> Any:
+        """What a JavaScript expression is, as JSON has it."""
+        answer = self._ask("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def picture(self) -> bytes:
+        """All of the page, as PNG."""
+        answer = self._ask("Page.captureScreenshot", format="png", captureBeyondViewport=True,
+                           clip={"x": 0, "y": 0, "scale": 1,
+                                 "width": self.evaluate("document.documentElement.clientWidth"),
+                                 "height": self.evaluate("document.documentElement.scrollHeight")})
+        return base64.b64decode(answer["data"])
+
+    def _ask(self, method, **parameters):
+        self._number += 1
+        number = self._number
+        message = {"id": number, "method": method, "params": parameters}
+        if self._session is not None:
+            message["sessionId"] = self._session
+        os.write(self._out, json.dumps(message).encode() + b"\0")
+        self._until(lambda: number in self._answers)
+        answer = self._answers.pop(number)
+        assert "error" not in answer, answer
+        return answer["result"]
+
+    def _until(self, condition):
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            left = deadline - time.monotonic()
+            if left <= 0 or not select.select([self._in], [], [], left)[0]:
+                raise TimeoutError(f"no answer from the browser within {PATIENCE_S} s")
+            received = os.read(self._in, 1 << 20)
+            if not received:
+                raise AssertionError("the browser ended")
+            *messages, self._received = (self._received + received).split(b"\0")
+            for message in map(json.loads, messages):
+                self._hear(message)
+
+    def _hear(self, message):
+        event = message.get("method")
+        if "id" in message:
+            self._answers[message["id"]] = message
+        elif event == "Page.loadEventFired":
+            self._is_loaded = True
+        elif event in ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded"):
+            self.complaints.append(message["params"])
+        elif event == "Network.requestWillBeSent":
+            self.requests.append(message["params"]["request"]["url"])
