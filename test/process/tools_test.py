@@ -326,7 +326,8 @@ class Tools(unittest.TestCase):
                              {"servo_left": LEFT, "servo_center": CENTER, "servo_right": RIGHT})
         self.assertEqual(steering.update_configuration({"servo_center": 5150})["servo_center"], 5150)
         self.addCleanup(lambda: client("/turn_arb").update_configuration({"servo_center": CENTER}))
-        self.assertEqual(steering.get_configuration(timeout=30)["servo_center"], 5150)
+        # Of what is published; the requests before may still be on their way.
+        eventually(lambda: steering.get_configuration(timeout=30)["servo_center"] == 5150, "the new center")
         self.assertEqual(esc.get_configuration(timeout=30)["neutral"], 4915)
         answer = rospy.ServiceProxy("/turn_arb/save", Trigger)()
         self.assertFalse(answer.success)
