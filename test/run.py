@@ -193,14 +193,13 @@ class Runner:
 
     def _report(self, step, code, took_s, why_ended=""):
         folder, logs = self._results / step.name, self._logs / step.name
-        if step.may_be_empty and code == PYTEST_RAN_NOTHING:
-            code = 0
         (folder / "exit_code").write_text(str(code), encoding="ascii")
         if code == TIMEOUT_EXIT_CODE:
             why_ended = f"hung: ended after {step.limit_s:.0f} s"
         if why_ended:
             (folder / "why_ended").write_text(why_ended, encoding="utf-8")
-        result = self.tallies[step.name] = tally(folder)
+        is_empty = step.may_be_empty and code == PYTEST_RAN_NOTHING
+        result = self.tallies[step.name] = Tally() if is_empty else tally(folder)
         print_line(step.title, took_s, str(result))
         if result.failures:
             print(*result.lines(), end_of_log(folder / "log", 60), sep="\n", flush=True)
