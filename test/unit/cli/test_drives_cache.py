@@ -90,11 +90,10 @@ def content(folder):
 
 
 @pytest.mark.parametrize("body", [
-    "null", "[]", "7", '"text"', "{}", '{"version": 1, "rows": {}}', '{"version": "1"}', '{"version": "1", "rows": []}',
-    '{"version": "1", "rows": null}', '{"version": "1", "rows": "a.bag"}', '{"rows": {}}', "[" * 100_000,
+    "null", "[]", "{}", '{"version": 1, "rows": {}}', '{"version": "1"}', '{"version": "1", "rows": []}', "[" * 100_000,
     '{"version": "1", "rows": {"a.bag": ' + "[" * 100_000 + "]" * 100_000 + "}}", '{"version": "1", "rows": {}',
-], ids=["null", "list", "number", "text", "empty", "version_is_a_number", "no_rows", "rows_are_a_list",
-        "rows_are_null", "rows_are_a_text", "no_version", "nested_too_deeply", "row_nested_too_deeply", "no_json"])
+], ids=["null", "list", "empty", "version_is_a_number", "no_rows", "rows_are_a_list", "nested_too_deeply",
+        "row_nested_too_deeply", "no_json"])
 def test_file_with_the_right_checksum_and_another_structure_is_damaged(folder, body):
     path = rewrite(folder, body)
     cache = Cache(folder, "1")
@@ -103,9 +102,9 @@ def test_file_with_the_right_checksum_and_another_structure_is_damaged(folder, b
 
 def wrong_entries():
     """Entries of wrong structure: (id, a function that makes one of a good entry)."""
-    for wrong in (None, 5, "text", [], {}, [[100, 5]], [[100, 5], None, 1]):
+    for wrong in (None, "text", [], {}, [[100, 5]], [[100, 5], None, 1]):
         yield f"entry_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: wrong
-    for wrong in (None, [], [100], [100, 5, 6], ["100", 5], [100.0, 5], [True, 5], [None, 5], {"size": 100}):
+    for wrong in (None, [100], [100, 5, 6], ["100", 5], [100.0, 5], [True, 5], {"size": 100}):
         yield f"state_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: [wrong, entry[1]]
     for wrong in (None, {}, "a.bag"):
         yield f"row_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: [entry[0], wrong]

@@ -12,12 +12,10 @@ from car_interface.report.html import (
     date_text,
     document,
     moment_text,
-    range_text,
     ratio_text,
     section,
     span_text,
     table,
-    times_text,
 )
 
 
@@ -52,8 +50,7 @@ def test_table_escapes_names_and_takes_cells_as_html():
 
 
 @pytest.mark.parametrize("numbers, numbers_from, expected", [
-    (0, None, [False, False, False]), (1, None, [True, False, False]), (3, None, [True, True, True]),
-    (0, 1, [False, True, True]), (3, 3, [False, False, False]),
+    (1, None, [True, False, False]), (0, 1, [False, True, True]), (3, 3, [False, False, False]),
 ])
 def test_columns_of_numbers_are_marked_in_head_and_rows(numbers, numbers_from, expected):
     text = table("abc", ["123"], numbers, numbers_from)
@@ -85,15 +82,6 @@ def test_texts_are_counted_and_the_six_most_frequent_are_named(texts, line):
     assert counted(iter(texts)) == line
 
 
-def test_range_has_two_decimals_and_its_unit_and_no_negative_zero():
-    assert range_text(-0.5, 12.346, "m/s²") == "-0.50 to 12.35 m/s²"
-    assert range_text(-0.001, 1.0, "m/s") == "0.00 to 1.00 m/s"
-
-
-def test_small_counts_are_words():
-    assert [times_text(count) for count in (0, 1, 2, 3)] == ["never", "once", "twice", "3 times"]
-
-
 @pytest.mark.parametrize("time_s, duration_s, text", [
     (7.25, 99.9, "7.25 s"), (0, 0, "0.00 s"), (7.25, 100, "0:07.2"), (187.2, 3600, "3:07.2"),
     (59.96, 3600, "1:00.0"), (3661.0, 7200, "61:01.0"),
@@ -103,8 +91,8 @@ def test_time_of_a_long_drive_has_minutes(time_s, duration_s, text):
 
 
 @pytest.mark.parametrize("time_s, text", [
-    (0.0, "0 s"), (0.05, "0.05 s"), (0.0123, "0.012 s"), (0.1, "0.1 s"), (12.5, "12.5 s"), (99.94, "99.9 s"),
-    (100, "1 min 40 s"), (187, "3 min 7 s"), (3599.4, "59 min 59 s"), (3599.6, "1 h 0 min"), (3720, "1 h 2 min"),
+    (0.0, "0 s"), (0.0123, "0.012 s"), (0.1, "0.1 s"), (99.94, "99.9 s"), (100, "1 min 40 s"),
+    (3599.4, "59 min 59 s"), (3599.6, "1 h 0 min"), (3720, "1 h 2 min"),
 ])
 def test_duration_is_in_seconds_minutes_or_hours(time_s, text):
     assert span_text(time_s) == text

@@ -69,6 +69,12 @@ def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pi
                  pitch=Series(t_s[every], pitch[every]) if with_pitch else None)
 
 
+@functools.lru_cache(maxsize=None)
+def fitted_mixed():
+    """A fit at which several tests look."""
+    return fit([drive(uphill=(0.012, -0.016), sag=0.1)], None, None)
+
+
 def error(found, map_of=acceleration):
     """RMS over what is supported."""
     truth = map_of(found.values[:, None], found.velocities[None, :])
