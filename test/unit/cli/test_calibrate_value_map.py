@@ -23,6 +23,7 @@ sys.path.append(str(ROOT / "test"))
 virtual_drive = importlib.import_module("accuracy.virtual_drive")
 SEED, SECONDS = 3, 150.0
 KNOWN_DELAY = ("--delay", "0")  # the virtual car's: estimating it takes most of a fit's time
+QUICK = (*KNOWN_DELAY, "--acceleration", "odom")
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +81,7 @@ def test_recording_with_topics_of_other_names_comes_to_the_map_too(bag, tmp_path
     assert run(other, "-o", tmp_path / "map.csv") == 1
     assert "; name another by --map TOPIC=value; it has /esc/value\n" in capsys.readouterr().err
     assert run(other, "-o", tmp_path / "map.csv", "--map", "/esc/value=value", "--map", "/board/duties=output",
-               "--acceleration", "odom", *KNOWN_DELAY) == 0
+               *QUICK) == 0
     assert "other.bag: odom: /ekf/odometry (the only nav_msgs/Odometry)" in capsys.readouterr().out
     assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.12
 
@@ -147,7 +148,7 @@ def test_duties_count_as_the_values_that_make_them_and_those_that_none_makes_are
 def test_what_was_not_driven_is_missing_and_not_made_up(bag, tmp_path, capsys):
     # Nobody drove faster than 9 m/s, or braked harder than -5.
     axes = ("--values", -10, -5, -2, 0, 1, 2, "--velocities", 1, 3, 5, 7, 9, 13)
-    assert run(bag, "-o", tmp_path / "map.csv", *axes, *KNOWN_DELAY) == 0
+    assert run(bag, "-o", tmp_path / "map.csv", *axes, *QUICK) == 0
     table = load_value_map(str(tmp_path / "map.csv"))
     assert table.values[0] >= -5.0 and table.velocities[-1] <= 9.0
     out = capsys.readouterr().out
@@ -166,7 +167,7 @@ def test_prior_gives_the_axes_stays_where_nothing_was_driven_and_is_kept_beside_
     path, before = tmp_path / "map.csv", load_value_map(str(ROOT / "config" / "value_map.csv"))
     shutil.copy(str(ROOT / "config" / "value_map.csv"), str(path))
     (tmp_path / "map.report.txt").write_text("old", encoding="utf-8")
-    assert run(bag, short_bag, "-o", path, "--prior", path, "--jobs", 2, *KNOWN_DELAY) == 0
+    assert run(bag, short_bag, "-o", path, "--prior", path, "--jobs", 2, *QUICK) == 0
     after, out = load_value_map(str(path)), capsys.readouterr().out
     assert (after.values, after.velocities) == (before.values, before.velocities)
     assert after.acceleration_at(3.0, 10.0) == before.acceleration_at(3.0, 10.0)

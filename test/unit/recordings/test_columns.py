@@ -9,6 +9,7 @@ import pytest
 
 from car_interface.recordings.columns import CommandColumn, ImuColumn, OutputColumn, ValueColumn
 from car_interface.recordings.recording import Recorded
+from car_interface.recordings.series import Output
 from car_interface.recordings.signals import ODOM, load
 from car_interface.recordings.timeline import Timeline
 from written_recordings import START_NS, odometry, write_ros1, write_ros2
@@ -124,3 +125,18 @@ def test_command_outside_the_range_leaves_its_channel_unchanged(outside):
     output = vectors(CommandColumn("c"), (0.0, [outside, 1600] + [-1] * 14),
                      (0.1, [3200, outside] + [-1] * 14), (0.2, [outside, 4800] + [-1] * 14)).build()
     assert output.duties[:, :3].tolist() == [[-1, 1600, -1], [3200, 1600, -1], [3200, 4800, -1]]
+
+
+def test_duty_of_a_channel_is_that_of_the_newest_row():
+    output = Output(np.array([1.0, 2.0, 2.5]), np.array([[first, second, *[-1] * 14] for first, second in (
+        (5104, -1), (3808, -1), (3808, 4912))]))
+    for channel, t_s, duties in (
+            (0, [0.999, 1.0, 1.999, 2.0, 1e9], [-1, 5104, 5104, 3808, 3808]),
+            (1, [2.49, 2.5], [-1, 4912]), (15, [9.0], [-1]), (0, [2.0, 0.0, 1.0], [3808, -1, 5104]), (0, [], [])):
+        found = output.at(channel, np.array(t_s))
+        assert found.tolist() == duties and found.dtype.kind == "i"
+
+
+def test_of_rows_with_the_same_time_the_last_one_counts():
+    output = Output(np.array([1.0, 1.0]), np.array([[100] * 16, [200] * 16]))
+    assert output.at(3, np.array([1.0])).tolist() == [200]

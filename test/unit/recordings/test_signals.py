@@ -26,13 +26,6 @@ def duties(first, second=-1):
 OUTPUTS = [vector(0.0, duties(5104)), vector(0.5, duties(3808)), vector(1.0, duties(3808, 4912))]
 
 
-def test_output_counts_by_its_recording_and_holds_until_the_next(tmp_path):
-    output = load(str(write_ros1(tmp_path / "a.bag", OUTPUTS)), [OUTPUT]).output
-    assert output.t_s == pytest.approx([0.0, 0.5, 1.0])
-    assert output.at(0, np.array([-0.1, 0.0, 0.49, 0.5, 9.0])).tolist() == [-1, 5104, 5104, 3808, 3808]
-    assert output.at(1, np.array([0.7, 1.0])).tolist() == [-1, 4912]
-
-
 @pytest.mark.parametrize("topic", ("/servo/cmdVector", "/command"))
 def test_commands_serve_where_no_output_was_recorded(tmp_path, topic):
     path = write_ros1(tmp_path / "a.bag", [vector(0.0, duties(5101), topic), vector(0.2, duties(3800), topic)])
