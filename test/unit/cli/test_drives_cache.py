@@ -114,23 +114,14 @@ def wrong_entries():
     for _ in range(300):
         nested = [nested]
     for index, field in enumerate(Row._fields):
-        for wrong in (None, True, "5", "text", -1.5, math.nan, math.inf, 1e300, 10**30, [], [1], [None], [["a"]], {},
-                      {"a": "b"}, {"a": -1.5}, {"a": None}, {"a": [1]}, nested):
-            if wrong != ROW[index] and not _is_good(field, wrong):
-                yield (f"{field}_is_{json.dumps(wrong)[:20]}", lambda entry, index=index, wrong=wrong: [
-                    entry[0], [*entry[1][:index], wrong, *entry[1][index + 1:]]])
+        for wrong in (True, math.nan, math.inf, 1e300, 10**30, [1], [None], [["a"]], {"a": "b"}, {"a": -1.5},
+                      {"a": None}, {"a": [1]}, nested, *WRONG.get(field, ())):
+            yield (f"{field}_is_{json.dumps(wrong)[:20]}", lambda entry, index=index, wrong=wrong: [
+                entry[0], [*entry[1][:index], wrong, *entry[1][index + 1:]]])
 
 
-FIGURES = {"straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2"}
-NEEDED = {"path", "error", "start_ns", "duration_s", "lacks", "notes"}
-
-
-def _is_good(field, value):
-    if value is None:
-        return field not in NEEDED
-    if field in ("lacks", "notes"):
-        return value == []
-    return field in FIGURES and value == -1.5 or field == "losses" and value == {}
+WRONG = {"path": ("text", None), "error": ("text", None), "start_ns": ("5", -1.5, None), "frames": ("5", -1.5, []),
+         "duration_s": ("5", -1.5, None), "losses": ("text", 5, []), "lacks": ("text", None, {}), "notes": (None, {})}
 
 
 def test_entries_of_another_structure_are_not_used_and_the_others_are(folder):

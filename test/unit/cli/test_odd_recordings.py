@@ -82,6 +82,14 @@ def test_calibration_of_an_odd_drive_is_refused_in_one_line(name, bags, run, tmp
         assert code == 1 and err.count("\n") == 1 and err.startswith(f"{name}: "), bag
 
 
+@pytest.mark.parametrize("name", CALIBRATIONS)
+def test_calibration_that_would_overwrite_its_recording_is_refused(name, run, tmp_path):
+    bag = write_ros1(tmp_path / "a.bag", [odometry(0.0)])
+    before = bag.read_bytes()
+    code, _, err = run(name, bag, "-o", bag)
+    assert code == 1 and f"{bag} is one of the recordings" in err and bag.read_bytes() == before
+
+
 def test_map_of_an_odd_name_is_drawn_without_a_word(run, tmp_path):
     odd = tmp_path / ("_电池 $x^$ \\frac{ tab\there\nand more" + "x" * 200 + ".csv")
     odd.write_bytes((ROOT / "config" / "value_map.csv").read_bytes())

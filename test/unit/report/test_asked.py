@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -74,3 +75,11 @@ def test_topic_called_drive_of_another_type_is_not_read(tmp_path):
     assert summarize(str(path)).traces["requested speed"].count == 20
     path = write_ros1(tmp_path / "b.bag", [message for message in messages if message.topic != "/x"])
     assert "drive" not in summarize(str(path)).present
+
+
+def test_numbers_that_are_none_are_left_out(bag):
+    drive = summarize(bag)
+    before = drive.traces["requested speed"].count
+    for angle, speed in ((math.nan, 1.0), (0.1, math.inf)):
+        drive.asked.on_drive(9.0, SimpleNamespace(steering_angle=angle, speed=speed))
+    assert drive.traces["requested speed"].count == before

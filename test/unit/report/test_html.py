@@ -12,10 +12,12 @@ from car_interface.report.html import (
     date_text,
     document,
     moment_text,
+    range_text,
     ratio_text,
     section,
     span_text,
     table,
+    times_text,
 )
 
 
@@ -80,6 +82,15 @@ def test_long_table_is_folded_and_a_very_long_one_ends_early(rows, folded, shown
 ])
 def test_texts_are_counted_and_the_six_most_frequent_are_named(texts, line):
     assert counted(iter(texts)) == line
+
+
+def test_range_has_two_decimals_and_its_unit_and_no_negative_zero():
+    assert range_text(-0.5, 12.346, "m/s²") == "-0.50 to 12.35 m/s²"
+    assert range_text(-0.001, 1.0, "m/s") == "0.00 to 1.00 m/s"
+
+
+def test_small_counts_are_words():
+    assert [times_text(count) for count in (0, 1, 2, 3)] == ["never", "once", "twice", "3 times"]
 
 
 @pytest.mark.parametrize("time_s, duration_s, text", [

@@ -9,15 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.steering.synthetic import (
-    CENTER,
-    KNOWN,
-    drive,
-    fitted_mixed,
-    from_both_sides,
-    mixed,
-    true_curvature,
-)
+from calibration.steering.synthetic import CENTER, KNOWN, drive, fitted_mixed, from_both_sides, mixed, true_curvature
 from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.errors import BAND
 from car_interface.calibration.steering.table import (
