@@ -43,11 +43,6 @@ def no_plots(monkeypatch):
     monkeypatch.setattr(bag_report, "plots", lambda seen: {})
 
 
-def test_command_without_output_puts_the_page_beside_the_recording(bag, no_plots, capsys):
-    assert main("bag_report", [bag]) == 0
-    assert capsys.readouterr().out == bag.replace(".bag", ".html") + "\n"
-
-
 @pytest.mark.once
 def test_several_recordings_get_a_page_each_and_a_bad_one_stops_no_other(bag, no_plots, tmp_path, capsys):
     bad = tmp_path / "bad.bag"
