@@ -19,7 +19,7 @@ PLOTS = ["who", "steering", "path", "speed", "link"]
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    return str(write_ros1(tmp_path_factory.mktemp("bags") / "drive.bag", drive(30.0)))
+    return str(write_ros1(tmp_path_factory.mktemp("bags") / "drive.bag", drive(25.0)))
 
 
 @pytest.fixture(scope="module")

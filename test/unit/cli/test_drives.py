@@ -22,8 +22,8 @@ def made(tmp_path_factory):
     """A folder with a bag of each kind and one that is none."""
     folder = tmp_path_factory.mktemp("made") / "drives"
     (folder / "day").mkdir(parents=True)
-    write_ros1(folder / "drive.bag", drive(8.0))
-    write_ros2(folder / "day" / "ros2", [message for message in drive(8.0) if message.topic != "/rosout"],
+    write_ros1(folder / "drive.bag", drive(6.0))
+    write_ros2(folder / "day" / "ros2", [message for message in drive(6.0) if message.topic != "/rosout"],
                with_definitions=False)
     (folder / "day" / "broken.bag").write_bytes(b"no bag")
     return folder
@@ -61,7 +61,7 @@ def test_table_has_a_row_for_each_recording_of_whatever_kind(folder, capsys):
     assert shown.err == "drives: day/broken.bag can't be read as a recording: it is no bag\n"
     ros2, ros1, broken = lines(folder)
     assert [row["recording"] for row in (ros2, ros1, broken)] == ["day/ros2", "drive.bag", "day/broken.bag"]
-    assert ros1["distance_km"] == ros2["distance_km"] and float(ros1["distance_km"]) == pytest.approx(0.0045, abs=1e-4)
+    assert ros1["distance_km"] == ros2["distance_km"] and float(ros1["distance_km"]) == pytest.approx(0.0015, abs=1e-4)
     assert broken["error"] == "day/broken.bag can't be read as a recording: it is no bag"
     with open(os.path.join(folder, "drives.html"), encoding="utf-8") as file:
         page = file.read()
