@@ -34,7 +34,7 @@ sequences = importlib.import_module("esc_sequences")
 
 MS, S = 1_000_000, 1_000_000_000
 TICK_NS = 10 * MS
-DRIVES = 3000 if os.environ.get("CAR_INTERFACE_ALL") else 60
+DRIVES = 3000 if os.environ.get("CAR_INTERFACE_ALL") else 35
 PROMPT_MS, THROTTLE_MS, LATE_MS = 2, 20, 450  # a message takes less
 # From the last moment of another deadman to the last pulse that it may still have asked for, without the stick's delay.
 GRACE_NS = sequences.GRACE_NS

@@ -6,6 +6,7 @@ publishes is held in test/graph: test_teensy_sensor_hub.py, of a capture's bytes
 from __future__ import annotations
 
 import math
+import os
 from statistics import median
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from car_interface.teensy.sensing.ranging import DISTRUSTED, MICROS_WRAP, STUCK
 
 pytestmark = pytest.mark.once
 S_US = 1_000_000
+LISTENS_US = math.inf if os.environ.get("CAR_INTERFACE_ALL") else 75 * S_US  # one capture has 300 s
 SPEED_OF_SOUND_MPS = 343.42
 MAX_RANGE_M = 2.0
 WORTH_A_WORD = {verdicts.FIRST, verdicts.ODOMETERS_RESET, verdicts.CLOCK_RESTARTED}
@@ -63,7 +65,7 @@ def replayed():
     def get(name):
         if name not in done:
             capture = load(name)
-            moments, measurements = replay(capture)
+            moments, measurements = replay(capture, until_us=LISTENS_US)
             done[name] = capture, moments, measurements, errors(capture, moments)
         return done[name]
     return get
@@ -84,7 +86,7 @@ def test_heading_at_the_end_is_mostly_right_to_half_a_pulse(replayed):
 @pytest.mark.parametrize("name", NAMES)
 def test_car_ends_where_it_is_and_the_truth_lies_within_three_sigma_on_the_way(replayed, name):
     capture, _, _, found = replayed(name)
-    assert found[-1].position_m <= max(0.03, 0.005 * capture.distance_m())
+    assert found[-1].position_m <= max(0.03, 0.005 * capture.distance_m(LISTENS_US))
     assert abs(found[-1].yaw_deg) <= 3.0
     later = [error for error in found if error.received_us >= found[0].received_us + 2 * S_US]
     assert sum(error.sigmas <= 3 for error in later) >= 0.99 * len(later)
@@ -108,9 +110,9 @@ def test_stamps_rise_strictly_and_are_as_good_as_they_claim(replayed, name):
 
 
 @pytest.mark.parametrize("name, begin_s", [
-    ("stop_go", 9.6), ("drive_reverse", 12.35), ("wrap", 9.6), ("missing_sonars", 5.1), ("reboot_rolling", 12.2),
-], ids=["standing_after_a_drive", "rolling_backward", "a_second_before_all_counters_wrap",
-        "rolling_with_all_sonars_silent", "a_moment_before_the_teensy_reboots"])
+    ("drive_reverse", 12.35), ("wrap", 9.6), ("missing_sonars", 5.1), ("reboot_rolling", 12.2),
+], ids=["rolling_backward", "a_second_before_all_counters_wrap", "rolling_with_all_sonars_silent",
+        "a_moment_before_the_teensy_reboots"])
 def test_host_that_begins_to_listen_later_has_odometry_at_once(name, begin_s):
     capture = load(name)
     moments, measurements = replay(capture, skip_us=round(begin_s * S_US))

@@ -232,9 +232,9 @@ def test_errors_are_half_a_tick_and_neither_early_nor_late_on_average():
 
 @pytest.mark.once
 def test_temperature_that_bends_the_line_is_followed():
-    teensy = Teensy(ramp_ppm_per_h=20)
+    teensy = Teensy(ramp_ppm_per_h=40)
     clock = Clock()
-    for minute in range(60):
+    for minute in range(30):
         sync = teensy.keep_answering(clock, 60 * minute, 60 * minute + 60)
         assert abs(error_ns(clock, teensy, 60 * minute + 60)) < 0.9 * MS
         assert sync.used
@@ -431,11 +431,11 @@ def test_pings_a_hundred_times_a_second_cost_no_more_memory():
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("disturbance", [{"clock_start_ms": UINT32 - 9_000}, {"reboot_s": 2}, {"bit_errors": 1e-4}])
+@pytest.mark.parametrize("disturbance", [{"clock_start_ms": UINT32 - 12_000, "bit_errors": 1e-4}, {"reboot_s": 2}])
 def test_stamps_of_a_saturated_virtual_teensy_are_within_a_millisecond_and_honest(disturbance):
     """A short set of what the script measures at length."""
     score = clock_accuracy.run(clock_accuracy.Scenario(
-        "short", saturated=True, drift_ppm=40, ramp_ppm_per_h=20, seconds=16, **disturbance))
+        "short", saturated=True, drift_ppm=40, ramp_ppm_per_h=20, seconds=14, **disturbance))
     assert len(score.clock) > 100 and score.failures() == []
     assert score.converged_s < 2.5 and score.bytes_per_s > 8000
 

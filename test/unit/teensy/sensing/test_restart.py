@@ -13,7 +13,7 @@ from car_interface.teensy.sensing.restart import LEFT, RIGHT, CarState, RestartB
 
 TRACK_M = 0.296
 BEFORE_MS = 10_000.0
-REBOOTS = 200 if os.environ.get("CAR_INTERFACE_ALL") else 16
+REBOOTS = 200 if os.environ.get("CAR_INTERFACE_ALL") else 8
 
 
 @pytest.mark.once
