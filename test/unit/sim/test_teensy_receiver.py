@@ -12,7 +12,6 @@ from teensy_bench import (
     MS,
     PONG,
     Bench,
-    framed_by_the_textbook,
     framed_for_the_receiver,
     message,
     ping,
@@ -45,19 +44,6 @@ def test_receiver_in_any_state_waits_for_a_flag_after_39_zeros():
     assert len(states) == 78
     for state, wire in states.items():
         assert receiver_after(wire + bytes(39)).state == ("waiting", 0), state
-
-
-@given(command=st.integers(0, 255), payload=st.binary(max_size=32))
-def test_frame_with_the_receiver_s_own_checksum_and_any_payload_is_accepted(command, payload):
-    accepted, counters = received(framed_for_the_receiver(message(command, payload)))
-    assert len(accepted) == 1 and accepted[0].startswith(message(command, payload))
-    assert counters["rxErrorDropped"] == counters["rxErrorChecksum"] == 0
-
-
-@given(command=st.integers(0, 255), payload=st.binary(max_size=32))
-def test_frame_of_the_textbook_and_any_payload_is_accepted_by_a_corrected_firmware(command, payload):
-    accepted, _ = received(framed_by_the_textbook(message(command, payload)), corrected=True)
-    assert len(accepted) == 1 and accepted[0].startswith(message(command, payload))
 
 
 @pytest.mark.parametrize(("wire", "accepted"), [

@@ -4,14 +4,8 @@ import pytest
 
 from car_interface.common.errors import ConfigError
 from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m
+from slash import SKIDPAD
 
-# A 3.5 kg F1TENTH car on a skid pad, by motion capture, steady commands, left: speed (m/s) and radius (m) of three
-# steering angles. From the public recordings of Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline.
-SKIDPAD = {
-    0.312: {0.5: 1.488, 1.0: 1.499, 1.5: 1.529, 2.0: 1.599, 2.5: 1.733},
-    0.416: {0.5: 1.097, 1.0: 1.105, 1.5: 1.137, 2.0: 1.194, 2.5: 1.346},
-    0.52: {0.5: 0.98, 1.0: 0.987, 1.5: 1.022, 2.0: 1.074, 2.5: 1.25},
-}
 FROM_HERE = [(angle, speed, radius) for angle, rows in SKIDPAD.items() for speed, radius in rows.items()]
 
 

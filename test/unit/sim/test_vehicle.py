@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
@@ -80,12 +80,6 @@ def test_car_without_thrust_coasts_to_a_standstill(speed_mps, esc_duty):
     assert (vehicle.pose, vehicle.travel_m) == stands
 
 
-def test_car_at_full_throttle_ends_at_14_metres_per_second():
-    vehicle = rolling(0)
-    drive(vehicle, 40, 5000, FULL, dt_ns=5 * MS)
-    assert vehicle.speed_mps == pytest.approx(14.0, abs=0.1)
-
-
 def test_car_in_one_long_step_moves_on_the_exact_arc():
     vehicle = rolling(2.0, frictionless())
     vehicle.servo_duty, vehicle.steered_per_m = 4500.0, 0.5
@@ -122,26 +116,14 @@ def test_pulses_of_a_straight_come_every_15_millimetres_of_each_wheel():
     assert {pulse.direction for pulse in pulses} == {FORWARD}
 
 
-@settings(max_examples=20, deadline=None)
-@given(st.integers(3277, 6554), st.integers(3277, 6554), st.integers(4000, 6000), st.sampled_from([MS, 1_700_000]))
-def test_pulses_come_in_order_and_within_their_step(first_duty, second_duty, steering_duty, dt_ns):
-    vehicle = rolling(2.0)
-    for esc_duty in [first_duty] * 150 + [second_duty] * 150:
-        start_ns = vehicle.time_ns
-        pulses = vehicle.step(dt_ns, steering_duty, esc_duty)
-        assert pulses == sorted(pulses)
-        assert all(start_ns <= pulse.at_ns <= vehicle.time_ns for pulse in pulses)
-
-
 def test_pulses_do_not_depend_on_the_step():
     """With an even acceleration: the times of pulses are exact, not those of steps."""
-    even = VehicleConfig(
-        steering=PLAIN.steering, drive=DriveConfig(drag_per_s=0.0, drag_per_m=0.0, thrust_halves_mps=1e12)
-    )
+    drive_train = DriveConfig(drag_per_s=0.0, drag_per_m=0.0, thrust_halves_mps=1e12)
+    even = VehicleConfig(steering=PLAIN.steering, drive=drive_train)
     fine = drive(rolling(0.0, even), 3, 5000, 5800, dt_ns=100_000)
     coarse = drive(rolling(0.0, even), 3, 5000, 5800, dt_ns=20 * MS)
-    assert len(fine) == len(coarse) > 400
-    assert [pulse[1:] for pulse in sorted(fine)] == [pulse[1:] for pulse in sorted(coarse)]
+    assert len(fine) == len(coarse) > 400 and (fine, coarse) == (sorted(fine), sorted(coarse))
+    assert [pulse[1:] for pulse in fine] == [pulse[1:] for pulse in coarse]
     assert all(abs(one.at_ns - other.at_ns) < 100 for one, other in zip(fine, coarse))
 
 
@@ -180,9 +162,8 @@ ARM, AHEAD, PULL, LET_GO = (4915, 1.0), (6000, 1.0), (3277, 3.0), (4915, 0.5)
 
 
 @pytest.mark.parametrize(("esc", "steps", "direction"), [
-    (None, [PULL], -1), (VirtualEscConfig(), [AHEAD], 0), (VirtualEscConfig(), [ARM, AHEAD], 1),
-    (VirtualEscConfig(), [ARM, AHEAD, PULL], 0), (VirtualEscConfig(), [ARM, AHEAD, PULL, LET_GO, PULL], -1),
-], ids=["none", "not_armed", "armed", "first_pull_brakes", "second_pull_reverses"])
+    (None, [PULL], -1), (VirtualEscConfig(), [ARM, AHEAD, PULL], 0),
+    (VirtualEscConfig(), [ARM, AHEAD, PULL, LET_GO, PULL], -1)], ids=["none", "first_pull", "second_pull"])
 def test_esc_with_a_memory_drives_once_it_was_armed_and_brakes_before_it_reverses(esc, steps, direction):
     vehicle = Vehicle(VehicleConfig(esc=esc))
     for duty, seconds in steps:

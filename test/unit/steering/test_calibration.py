@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.steering.calibration import driven_radius_m, slow_radius_m, trimmed
-from slash import CENTER, PARAMETERS, SLASH
+from slash import CENTER, PARAMETERS, SKIDPAD, SLASH
 
 TRIPLES = st.tuples(st.integers(3000, 4600), st.integers(4300, 5900), st.integers(5900, 7500))
 
@@ -150,16 +150,6 @@ def test_trimmed_tables_keep_their_order_and_stay_duties(wanted):
     assert list(scaled.left_duties) == sorted(scaled.left_duties)
     assert list(scaled.right_duties) == sorted(scaled.right_duties, reverse=True)
     assert all(0 <= duty <= 65535 for duty in (*scaled.left_duties, *scaled.right_duties))
-
-
-# A 3.5 kg F1TENTH car on a skid pad, by motion capture, steady commands, left: the radius (m) that each steering angle
-# (rad) drives at each speed (m/s). From the public recordings of
-# Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline.
-SKIDPAD = {
-    0.312: {0.5: 1.488, 1.0: 1.499, 1.5: 1.529, 2.0: 1.599, 2.5: 1.733},
-    0.416: {0.5: 1.097, 1.0: 1.105, 1.5: 1.137, 2.0: 1.194, 2.5: 1.346},
-    0.52: {0.5: 0.98, 1.0: 0.987, 1.5: 1.022, 2.0: 1.074, 2.5: 1.25},
-}
 
 
 @pytest.mark.parametrize("angle", SKIDPAD)

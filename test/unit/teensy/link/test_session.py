@@ -166,13 +166,6 @@ def judge_seconds(session, data, seconds=2):
     return session.verdict.state
 
 
-def test_port_that_fails_is_the_verdict_until_it_is_open_again(session):
-    session.port_failed(ABSENT, "there is no such port", "plug it in")
-    assert (session.verdict.state, session.judge(NOW + 5 * S).state) == (ABSENT, ABSENT)
-    session.opened(NOW + 6 * S)
-    assert session.verdict.state == WAITING
-
-
 GOOD = b"".join(sonar(1000 + n) for n in range(20))
 
 

@@ -164,6 +164,6 @@ def test_false_echoes_make_no_range_and_are_counted(replayed, name, reason, at_l
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("stuck_sonar", "wrap", "sonar_start",
                                                                          "missing_sonars", "stuck_old")])
-def test_each_echo_of_healthy_sonars_makes_a_range(replayed, name):
+def test_each_echo_of_healthy_sonars_makes_its_range(replayed, name):
     capture, moments, _, _ = replayed(name)
-    assert all(measured is not None for measured, _ in ranges(capture, moments))
+    assert all(measured == pytest.approx(truth, abs=0.005) for measured, truth in ranges(capture, moments))

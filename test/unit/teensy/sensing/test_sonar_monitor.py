@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from captures import NAMES, NS_PER_US, load
+from captures import NS_PER_US, load
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.protocol import Pong, SonarStatus, decode
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe
@@ -63,7 +63,7 @@ class Listener:
 # --- captures of the original firmware ---
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if "stuck" not in name and "missing" not in name])
+@pytest.mark.parametrize("name", ["stop_go", "drive_reverse", "wrap", "far"])
 def test_sonars_that_run_are_never_started_and_never_blamed(name):
     listener = Listener(SonarMonitor()).follow(load(name))
     assert (listener.commands, listener.faults) == ([], [])
