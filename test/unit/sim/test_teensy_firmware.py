@@ -2,22 +2,35 @@
 
 test_captures.py holds the rest against long captures of it. Parser and encoders (teensy_bench) are shared with nothing.
 """
+from __future__ import annotations
 
-from car_interface.sim.teensy_transmitter import frame_body
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from car_interface.common.errors import ConfigError
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_transmitter import OutgoingLine, frame_body
+from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from teensy_bench import (
     CAPTURE,
     CAPTURED,
+    GET_COUNTERS,
     GOOD,
     MS,
     PING,
     PONG,
     SONAR,
     START,
+    WHEELS,
     Bench,
     S,
     framed_for_the_receiver,
     message,
+    parse_wheels,
     ping,
+    wheel_reports,
 )
 
 
@@ -64,3 +77,101 @@ def test_bytes_that_come_while_it_boots_are_lost():
     bench.write(framed_for_the_receiver(ping(1))).after(400 * MS)
     assert not bench.frames(PONG)
     assert bench.write(framed_for_the_receiver(ping(2))).after(10 * MS).frames(PONG)
+
+
+# --- its config ---
+
+@pytest.mark.parametrize(("name", "value", "accepted"), [
+    ("baud", 0, "more than 0"), ("pool_size", 0, "more than 0"), ("loop_us", 0, "1 to 1000"),
+    ("clock_start_ms", 2**32, r"0 to 2\*\*32 - 1"), ("clock_drift_ppm", 1e6, "-10000 to 10000"),
+    ("sonar_pulse_end_us", 11_000, "more than 11428, up to 1000000"), ("boot_byte", 256, "0 to 255"),
+    ("sonars_missing", (6,), "sensors from 0 to 5"), ("sonar_sequence", (0, 6), "1 to 24 sensors from 0 to 5"),
+    ("sonar_sequence", (), "1 to 24 sensors from 0 to 5"),
+])
+def test_config_that_no_teensy_could_have_is_refused(name, value, accepted):
+    with pytest.raises(ConfigError, match=f"{name} is .*; accepted: {accepted}"):
+        FirmwareConfig(**{name: value})
+
+
+# --- its clock ---
+
+@pytest.mark.parametrize(
+    ("drift_ppm", "ramp_ppm_per_h", "after_1h_ms"),
+    [(40, 0, 3_600_144), (-100, 0, 3_599_640), (0, 20, 3_600_036), (100, -20, 3_600_324)],
+)
+def test_clock_drifts(drift_ppm, ramp_ppm_per_h, after_1h_ms):
+    config = FirmwareConfig(clock_start_ms=0, clock_drift_ppm=drift_ppm, clock_ramp_ppm_per_h=ramp_ppm_per_h)
+    teensy = TeensyFirmware(config)
+    assert teensy.device_ns(3600 * S) == pytest.approx(after_1h_ms * MS, abs=1000)
+    assert teensy.millis(3600 * S) in (after_1h_ms - 1, after_1h_ms)
+
+
+def test_power_up_later_starts_the_clock_then():
+    teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=5), power_up_ns=1000 * S)
+    assert [teensy.millis(1000 * S + after_ns) for after_ns in (0, MS - 1, MS, 2 * MS - 1)] == [5, 5, 6, 6]
+    assert teensy.transmit(1000 * S + MS)[:4] == b"\x7e\xc1\x3e\x7e"
+
+
+def test_time_that_ran_back_changes_nothing():
+    bench = Bench(lambda sensor, at_ns: 1000).until(1100 * MS)
+    assert bench.teensy.transmit(0) == b""
+    bench.teensy.wheel_pulse(LEFT, FORWARD, 0)
+    assert parse_wheels(bench.after(10 * MS).frames(WHEELS)[-1])[0].when == 300 + 1100
+
+
+def test_next_event_is_when_something_happens():
+    bench = Bench(lambda sensor, at_ns: 1000).until(20 * MS)
+    for _ in range(150):
+        bench.until(bench.teensy.next_event_ns)
+        assert bench.teensy.next_event_ns > bench.now_ns
+    assert bench.now_ns > S
+
+
+# --- its transmitter ---
+
+@settings(max_examples=25)
+@given(st.lists(st.integers(1, 30 * MS), min_size=1, max_size=40), st.sampled_from([9600, 57600, 115200]))
+def test_line_never_sends_faster_than_its_baud_rate(spans_ns, baud):
+    bench = Bench(lambda sensor, at_ns: 300, baud=baud, sonar_wait_ms=0)
+    for span_ns in spans_ns:
+        before = len(bench.sent)
+        bench.after(span_ns).command(GET_COUNTERS)
+        # Of the byte that is on the wire at the start of the span all but the last bit may be out already.
+        assert len(bench.sent) - before <= span_ns * baud / (10 * S) + 1
+
+
+def test_line_asked_more_often_sends_the_same_bytes():
+    seldom, often = (Bench(lambda sensor, at_ns: 700 * sensor, sonar_wait_ms=0) for _ in range(2))
+    for at_us in range(0, 300_000, 130):
+        often.until(at_us * 1000)
+    assert often.until(S).sent == seldom.until(S).sent
+    assert len(seldom.sent) > 1000
+
+
+def test_line_cut_loses_only_what_was_not_out():
+    line = OutgoingLine(baud=10_000, buffer_size=64)  # a byte each millisecond
+    line.write(b"abcdef", 0)
+    line.cut(3 * MS)
+    line.write(b"xyz", 4 * MS)
+    assert line.collect(5 * MS) == b"abcx"
+    assert line.collect(10 * MS) == b"yz"
+
+
+# --- its wheels ---
+
+# Each pair is a hall state (pulses modulo 4 of a Gray code 0 1 3 2) and what the first pulses seem to be:
+# (direction, dist, dist_abs). The levels are never read at power-up, and an interrupt reads its own pin only.
+@pytest.mark.parametrize(("direction", "position", "seen"), [
+    pytest.param(FORWARD, 0, [(0, 1, 1), (0, 1, 2), (0, 1, 3)], id="forward_from_00_is_right"),
+    pytest.param(FORWARD, 1, [(1, 1, 1), (1, 1, 2), (0, 3, 3)], id="forward_from_01_seems_backward_twice"),
+    pytest.param(BACKWARD, 3, [(0, 1, 1), (0, 1, 2), (1, 3, 3)], id="backward_from_10_seems_forward_twice"),
+    pytest.param(BACKWARD, 2, [(2, 0, 1), (2, 0, 2), (1, 3, 3)], id="backward_from_11_has_no_direction_twice"),
+    pytest.param(BACKWARD, 1, [(2, 0, 1), (1, 2, 2), (1, 2, 3)], id="backward_from_01_has_no_direction_once"),
+])
+def test_hall_pins_are_taken_for_00_at_power_up(direction, position, seen):
+    bench = Bench(wheel_positions=(position, position + 4)).until(300 * MS)
+    bench.roll(LEFT, direction, 3, 15 * MS).roll(RIGHT, direction, 3, 15 * MS).after(5 * MS)
+    for side in (LEFT, RIGHT):
+        reports = [report for report in wheel_reports(bench, side) if report.dist_abs]
+        assert [(report.direction, report.dist, report.dist_abs) for report in reports[:2]] == seen[:2]
+        assert (reports[-1].direction, reports[-1].dist, reports[-1].dist_abs) == seen[2]

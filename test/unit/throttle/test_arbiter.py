@@ -220,6 +220,7 @@ AGE = st.none() | st.sampled_from([0.0, 0.2, 0.3, 0.5, 0.6])
 STICK = st.sampled_from([0.0, 0.04, 0.5, -0.5, 3.0, NAN, INF])
 
 
+@pytest.mark.once
 @given(present=st.booleans(), human=AGE, source=st.sampled_from([LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER, 9]),
        steering=AGE, mode=st.sampled_from([*MODES, "x"]), mode_age=AGE, stick=STICK, stick_age=AGE, planner=AGE,
        odometry=AGE)
