@@ -1,12 +1,8 @@
 """Random drives of virtual ESCs through the ESC's state machine, with all that goes wrong between them.
 
-``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each
-depends on its seed alone.
-
-A drive is a script of a person and a planner (forward, coast, pulls, stops with the stick kept where it is, a planner's
-hold of a stopped car, gears, a reverse button) through a world with delays, lost speed, a guard that puts the chip to
-neutral, a board that loses its power and a node that restarts. What the driver meant is judged by the script alone, and
-what the car did by the virtual ESC: neither asks the state machine.
+A drive is a script of a person and a planner through a world with delays, lost speed, a guard that puts the chip to
+neutral, a board that loses its power and a node that restarts; it depends on its seed alone. What the driver meant is
+judged by the script, and what the car did by the virtual ESC: neither asks the state machine.
 """
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ import collections
 import random
 from dataclasses import dataclass, field
 
-from many_drives import MS, asked_for, count_duty, run_on_all_cores
+from many_drives import MS, count_duty
 
 from car_interface.sim import esc as virtual
 from car_interface.sim.esc_car import EscCar, EscCarConfig
@@ -379,9 +375,3 @@ def summed_up(results):
         totals.update({f"state {name}": number for name, number in result.states.items()})
         found.append(failures(result))
     return list(filter(None, found)), totals
-
-
-if __name__ == "__main__":
-    found, totals = summed_up(run_on_all_cores(run, asked_for(__doc__)))
-    print(*found[:30], sep="\n")
-    print(len(found), "failed;", dict(totals))

@@ -140,14 +140,6 @@ def test_line_never_sends_faster_than_its_baud_rate(spans_ns, baud):
         assert len(bench.sent) - before <= span_ns * baud / (10 * S) + 1
 
 
-def test_line_asked_more_often_sends_the_same_bytes():
-    seldom, often = (Bench(lambda sensor, at_ns: 700 * sensor, sonar_wait_ms=0) for _ in range(2))
-    for at_us in range(0, 300_000, 130):
-        often.until(at_us * 1000)
-    assert often.until(S).sent == seldom.until(S).sent
-    assert len(seldom.sent) > 1000
-
-
 def test_line_cut_loses_only_what_was_not_out():
     line = OutgoingLine(baud=10_000, buffer_size=64)  # a byte each millisecond
     line.write(b"abcdef", 0)

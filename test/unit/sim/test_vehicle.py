@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.sim.drive_train import DriveConfig
-from car_interface.sim.esc import VirtualEscConfig
 from car_interface.sim.teensy_wheels import FORWARD, LEFT, RIGHT
 from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import Pose, SteeringConfig, Vehicle, VehicleConfig
@@ -156,19 +155,6 @@ def test_car_stands_on_a_slope_that_its_drag_holds_and_rolls_on_a_steeper_one():
     for vehicle in (held, rolls, turned):
         drive(vehicle, 1.0, CENTER, NEUTRAL)
     assert held.travel_m == 0.0 and rolls.travel_m < -0.1 and turned.travel_m == pytest.approx(-rolls.travel_m)
-
-
-ARM, AHEAD, PULL, LET_GO = (4915, 1.0), (6000, 1.0), (3277, 3.0), (4915, 0.5)
-
-
-@pytest.mark.parametrize(("esc", "steps", "direction"), [
-    (None, [PULL], -1), (VirtualEscConfig(), [ARM, AHEAD, PULL], 0),
-    (VirtualEscConfig(), [ARM, AHEAD, PULL, LET_GO, PULL], -1)], ids=["none", "first_pull", "second_pull"])
-def test_esc_with_a_memory_drives_once_it_was_armed_and_brakes_before_it_reverses(esc, steps, direction):
-    vehicle = Vehicle(VehicleConfig(esc=esc))
-    for duty, seconds in steps:
-        drive(vehicle, seconds, CENTER, duty, dt_ns=2 * MS)
-    assert direction * vehicle.speed_mps > 1.0 or direction == vehicle.speed_mps == 0
 
 
 def circling(tyres, speed_mps, steering_duty=4500, seconds=0.3):

@@ -1,6 +1,5 @@
 """How tight a car may turn at its speed."""
 import math
-import time
 
 import pytest
 
@@ -192,14 +191,3 @@ def test_it_stays_known_for_2_s_so_that_swings_from_side_to_side_are_one():
     limiter.limit(1.0, LATERAL, S, "asks for too much")
     limiter.limit(0.1, LATERAL, S + MS)
     assert (limiter.too_tight_lately(3 * S), limiter.too_tight_lately(3 * S + 1)) == ("asks for too much", "")
-
-
-def test_a_limit_costs_less_than_50_microseconds():
-    limiter, limits = limiter_at(4.0), SourceLimits(4.0, 40.0)
-    took_s = []
-    for repeat in range(50):  # the least of the processor's own time: the machine has other work
-        begin_s = time.thread_time()
-        for tick in range(100):
-            limiter.limit(1.0, limits, S + (repeat * 100 + tick) * 10 * MS)
-        took_s.append((time.thread_time() - begin_s) / 100)
-    assert min(took_s) < 50e-6

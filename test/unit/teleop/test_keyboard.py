@@ -52,14 +52,6 @@ def test_characters_are_read_as_keys_whole_and_one_by_one_and_swallow_nothing_th
     assert [key for character in text for key in reader.feed(character)] == keys
 
 
-@given(st.text(max_size=40))
-def test_any_text_is_read_without_an_error_and_later_keys_count(text):
-    reader = KeyReader()
-    reader.feed(text)
-    reader.feed("xx")
-    assert reader.feed("w") == [FORWARD]
-
-
 # --- a terminal alone ---
 
 def typed(*steps, until_ms, counts=True):

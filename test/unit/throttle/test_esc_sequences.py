@@ -19,6 +19,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 sequences = importlib.import_module("esc_sequences")
+run_on_all_cores = importlib.import_module("many_drives").run_on_all_cores
 
 IS_LONG = bool(os.environ.get("CAR_INTERFACE_ALL"))
 DRIVES = 100_000 if IS_LONG else 180
@@ -27,7 +28,7 @@ DRIVES = 100_000 if IS_LONG else 180
 @pytest.mark.once
 def test_random_drives():
     run = sequences.run
-    found, totals = sequences.summed_up(sequences.run_on_all_cores(run, DRIVES) if IS_LONG else map(run, range(DRIVES)))
+    found, totals = sequences.summed_up(run_on_all_cores(run, DRIVES) if IS_LONG else map(run, range(DRIVES)))
     assert found == []
     assert totals["drives"] == DRIVES
     assert totals["got"] == totals["wanted"] > DRIVES / 10
