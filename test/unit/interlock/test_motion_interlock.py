@@ -212,8 +212,6 @@ def test_start_that_grants_nothing_never_grants_what_the_other_one_refuses(event
         assert after(*events, **NOTHING_GRANTED) is not None
 
 
-# --- why the deadman isn't held, by who watches it ---
-
 GAMEPAD = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
 
 

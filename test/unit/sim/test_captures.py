@@ -64,7 +64,6 @@ class Capture:
 
     @property
     def frames(self):
-        """(kind, fields) of each whole frame."""
         return [fields_of(line) for line in self.captured.frames if not line.get("cut")]
 
     def at_ns(self, t_us):
@@ -149,7 +148,6 @@ def command(line):
 
 
 def parsed(frame):
-    """An unescaped frame → (kind, fields), as in the captures."""
     if frame[2] == WHEELS:
         return ("wheel", *([wheel.speed, wheel.direction, wheel.when, wheel.dist, wheel.dist_abs]
                            for wheel in parse_wheels(frame)))

@@ -26,7 +26,6 @@ def car_before(obstacles, start=ORIGIN):
 
 
 def drive(vehicle, seconds, esc_duty, steering_duty=STRAIGHT):
-    """Drives and returns every pulse on the way."""
     pulses = []
     for _ in range(round(seconds * S / (2 * MS))):
         pulses += vehicle.step(2 * MS, steering_duty, esc_duty)

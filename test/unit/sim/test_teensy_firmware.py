@@ -79,8 +79,6 @@ def test_bytes_that_come_while_it_boots_are_lost():
     assert bench.write(framed_for_the_receiver(ping(2))).after(10 * MS).frames(PONG)
 
 
-# --- its config ---
-
 @pytest.mark.parametrize(("name", "value", "accepted"), [
     ("baud", 0, "more than 0"), ("pool_size", 0, "more than 0"), ("loop_us", 0, "1 to 1000"),
     ("clock_start_ms", 2**32, r"0 to 2\*\*32 - 1"), ("clock_drift_ppm", 1e6, "-10000 to 10000"),
@@ -92,8 +90,6 @@ def test_config_that_no_teensy_could_have_is_refused(name, value, accepted):
     with pytest.raises(ConfigError, match=f"{name} is .*; accepted: {accepted}"):
         FirmwareConfig(**{name: value})
 
-
-# --- its clock ---
 
 @pytest.mark.parametrize(
     ("drift_ppm", "ramp_ppm_per_h", "after_1h_ms"),
@@ -127,8 +123,6 @@ def test_next_event_is_when_something_happens():
     assert bench.now_ns > S
 
 
-# --- its transmitter ---
-
 @settings(max_examples=25)
 @given(st.lists(st.integers(1, 30 * MS), min_size=1, max_size=40), st.sampled_from([9600, 57600, 115200]))
 def test_line_never_sends_faster_than_its_baud_rate(spans_ns, baud):
@@ -148,8 +142,6 @@ def test_line_cut_loses_only_what_was_not_out():
     assert line.collect(5 * MS) == b"abcx"
     assert line.collect(10 * MS) == b"yz"
 
-
-# --- its wheels ---
 
 # Each pair is a hall state (pulses modulo 4 of a Gray code 0 1 3 2) and what the first pulses seem to be:
 # (direction, dist, dist_abs). The levels are never read at power-up, and an interrupt reads its own pin only.

@@ -24,7 +24,6 @@ PLAIN = VehicleConfig(steering=SteeringConfig(curve=((4000, 1.0), (6000, -1.0)),
 
 
 def drive(vehicle, seconds, steering_duty, esc_duty, dt_ns=MS):
-    """Drives and returns every pulse on the way."""
     pulses = []
     for _ in range(round(seconds * S / dt_ns)):
         pulses += vehicle.step(dt_ns, steering_duty, esc_duty)
@@ -38,7 +37,6 @@ def rolling(speed_mps, config=PLAIN):
 
 
 def frictionless():
-    """A car that keeps its speed when it's neutral."""
     drive = DriveConfig(drag_mps2=0.0, drag_per_s=0.0, drag_per_m=0.0)
     return VehicleConfig(steering=PLAIN.steering, drive=drive, tyres=None)
 

@@ -154,8 +154,6 @@ def test_an_impossible_limit_is_refused_by_name(source, name, value):
         read_limits(Params({source: {name: value}}))
 
 
-# --- what the wheels can't do ---
-
 @pytest.mark.parametrize("asked_m, tightest_m, speed_mps, reason", [
     (0.9, (1.0, 1.0), 1.0, ""),
     (-0.9, (1.0, 1.0), 1.0, ""),

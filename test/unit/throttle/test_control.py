@@ -27,12 +27,7 @@ BY_HAND, REVERSE_BY_HAND = 5407, 4424  # 0.3 of each side
 
 
 class Rig:
-    """A throttle whose inputs are repeated 50 times a second, with a board that holds what it is given.
-
-    Attributes:
-        mode, gear: of teleop_logi and planner_interface; empty: they send none.
-        range_m: of the sonar in front.
-    """
+    """A throttle whose inputs are repeated 50 times a second (not an empty mode or gear), and a board that obeys."""
 
     def __init__(self, profile=UNVERIFIED, mode="", limits=None, obstacles=None, board=None, **esc):
         self.control = ThrottleControl(
@@ -40,7 +35,7 @@ class Rig:
             EscConfig(profile=profile, **esc), limits, obstacles)
         self.now_ns = 1000 * S
         self.human, self.stick, self.value, self.speed = False, 0.0, None, 0.0
-        self.mode, self.gear, self.range_m = mode, "", 1.5
+        self.mode, self.gear, self.range_m = mode, "", 1.5  # of the sonar in front
         self.decision = None
         self.duties = []
         self.run(1.5)  # arming
@@ -194,8 +189,6 @@ def test_what_differs_is_duty_source_cause_esc_mode_and_scale_but_no_number_in_a
                                           "the planner's value", "odometry", "/servo/output"}
 
 
-# --- limits ---
-
 @pytest.mark.parametrize("max_mps, cause", [(0.5, causes.CURVE_SLOWED), (0.0, ""), (-1.0, ""), (math.nan, ""),
                                             (math.inf, "")])
 def test_planner_keeps_to_the_speed_of_its_turn_while_turn_arb_names_one(max_mps, cause):
@@ -235,8 +228,6 @@ def test_sonar_that_was_dropped_with_other_messages_lets_nobody_drive_towards_it
     rig.human = True
     assert rig.run(0.02).limited.cause == causes.SONAR_SILENT
 
-
-# --- a stick under a planner's deadman ---
 
 @pytest.mark.parametrize("profile", [DIRECT_REVERSE, UNVERIFIED, BRAKE_THEN_REVERSE])
 def test_pull_that_is_held_when_the_human_takes_over_counts_for_nothing_and_reverse_takes_two_after_it(profile):

@@ -62,13 +62,7 @@ class Topic:
 
 
 class Drive:
-    """One car, its nodes and a person.
-
-    Attributes:
-        backward: when a pull, or what was left of one, drove it backward under a planner's deadman.
-        faster: when it got faster backward while the stick was pulled.
-        overrides, reversed_by_hand: how many ticks.
-    """
+    """One car, its nodes and a person."""
 
     def __init__(self, seed):
         self.rng = rng = random.Random(seed)
@@ -99,8 +93,8 @@ class Drive:
         self._sent = None
         self._by_hand_ns = self._planner_ns = -S
         self._speed_mps = 0.0
-        self.backward, self.faster = [], []
-        self.overrides = self.reversed_by_hand = 0
+        self.backward, self.faster = [], []  # when a pull drove it so under a planner's deadman
+        self.overrides = self.reversed_by_hand = 0  # ticks
 
     def hold(self, seconds, stick, buttons):
         until_ns = self.now_ns + round(seconds * S)

@@ -40,8 +40,6 @@ def naive_value_at(values, velocities, rows, acceleration, velocity):
     return values[-1]
 
 
-# --- lookup
-
 VALUES = [-2.0, 0.0, 1.0, 3.0]
 VELOCITIES = [0.0, 5.0, 10.0]
 ROWS = [[-4.0, -5.0, -6.0], [0.0, -0.5, -1.0], [1.0, 0.5, 0.0], [5.0, 3.5, 2.0]]
@@ -138,8 +136,6 @@ def test_lookup_where_rounding_levels_neighbours_does_not_divide_by_their_differ
     assert values[0] <= value <= values[-1]
 
 
-# --- large maps, which are kept in another way
-
 def test_large_map_looks_up_as_a_small_one_does():
     size = 400
     values, velocities = [0.1 * row for row in range(size)], [0.05 * column for column in range(size)]
@@ -149,8 +145,6 @@ def test_large_map_looks_up_as_a_small_one_does():
         assert large.value_at(acceleration, velocity) == pytest.approx(
             naive_value_at(values, velocities, rows, acceleration, velocity))
 
-
-# --- plateaus
 
 PLATEAU_ROWS = [[-1.0, -1.0], [0.0, -0.5], [0.0, 0.0], [0.0, 0.5], [2.0, 2.0]]
 
@@ -183,8 +177,6 @@ def test_plateau_at_an_end_of_the_map(accelerations, acceleration, value):
     assert ValueMap([1.0, 2.0, 3.0], [0.0, 1.0], rows, allow_plateaus=True).value_at(acceleration, 0.5) == value
 
 
-# --- what is refused
-
 RISES = "accepted: an acceleration that rises with value"
 
 
@@ -213,8 +205,6 @@ def test_with_plateaus_allowed_a_level_stretch_is_loaded_and_a_falling_one_is_re
     with pytest.raises(ConfigError, match=r"from value 1 to 2 falls from 3.0 to 2.0 m/s²"):
         ValueMap([1, 2], [0, 1], [[3, 1], [2, 2]], allow_plateaus=True)
 
-
-# --- files
 
 GOOD = "default,0.0,5.0,10.0\n-2.0,-4.0,-5.0,-6.0\n0.0,0.0,-0.5,-1.0\n1.0,1.0,0.5,0.0\n3.0,5.0,3.5,2.0\n"
 

@@ -41,7 +41,6 @@ class Link:
         self.health.opened(self.counts, self.now_ns)
 
     def live(self, *seconds):
-        """The state after each second."""
         return [self.second(second).state for second in seconds]
 
     def second(self, added):

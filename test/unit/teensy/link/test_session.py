@@ -159,7 +159,6 @@ def test_malformed_frames_are_counted_and_those_of_an_unknown_command_once_more(
 
 
 def judge_seconds(session, data, seconds=2):
-    """Feed the same bytes for each second; the state at the end."""
     for second in range(1, seconds + 1):
         session.receive(data, NOW + second * S)
         session.judge(NOW + second * S)

@@ -59,7 +59,6 @@ def errors(capture, moments):
 
 @pytest.fixture(scope="module")
 def replayed():
-    """Each capture is replayed once."""
     done = {}
 
     def get(name):

@@ -47,11 +47,7 @@ class Listener:
             self.faults.append((now_ns / S, words))
 
     def first(self, *parts):
-        """When all of these were first told together."""
         return next((at_s for at_s, words in self.faults if all(part in words for part in parts)), None)
-
-
-# --- captures of the original firmware ---
 
 
 @pytest.mark.parametrize("name", ["stop_go", "drive_reverse", "wrap", "far"])
@@ -96,9 +92,6 @@ def test_sonar_that_silences_all_others_is_named_and_then_left_out():
         listener.judge(end_ns + step * S)
     assert listener.monitor.dropped == (2,)
     assert SEND_SEQUENCE in [command for _, command in listener.commands]
-
-
-# --- rules ---
 
 
 class Sonars:
@@ -223,8 +216,6 @@ def test_configured_sequence_is_sent_at_start_after_a_reboot_and_when_the_port_i
         assert sonars.command == SEND_SEQUENCE
         assert sonars.command is None
 
-
-# --- mostly ahead while it drives forward ---
 
 AHEAD = (1, 0, 1, 2, 1, 4)
 
