@@ -106,9 +106,8 @@ def arrived(messages, now_ns):
 class Drive:
     """One drive: a world, a driver, the state machine, and what came of it."""
 
-    def __init__(self, seed, make_esc=Esc):
+    def __init__(self, seed):
         self.rng = rng = random.Random(seed)
-        self._make_esc = make_esc
         self.speed = SPEEDS[seed % 3]
         self.kind = (MATCHING, MATCHING, WRONG, UNVERIFIED)[seed // 3 % 4]
         esc = DRIVERS[seed // 12 % 5](
@@ -133,7 +132,7 @@ class Drive:
             reverse_after_neutral_s=0.9 * esc.forget_s if self.kind == MATCHING or rng.random() < 0.5 else 0.0,
             stop_brake=rng.choice((0.3, 0.5, 1.0)))
         self.chip = Chip(rng, esc)
-        self.esc = make_esc(self.config)
+        self.esc = Esc(self.config)
         self.now_ns = 0
         self.request = Request(is_stop=True)
         self._intended_ns, self._stopped_ns, self._push_began_ns = -10**12, None, None
@@ -185,7 +184,7 @@ class Drive:
             self.chip.dead_until_ns = now_ns + rng.randrange(20, 1500) * MS
         if rng.random() < 0.0005:
             self._node_back_ns = now_ns + rng.randrange(20, 1500) * MS
-            self.esc = self._make_esc(self.config)
+            self.esc = Esc(self.config)
             self._pulled = False
         if self.speed == STALE and rng.random() < 0.005:
             self._mute_until_ns = now_ns + rng.randrange(100, 3000) * MS
@@ -348,8 +347,8 @@ class Drive:
             self.result.unintended.append(f"no reverse at {self.now_ns / 1e9:.2f} s by way {way}: {before_m} {began}")
 
 
-def run(seed, make_esc=Esc):
-    return Drive(seed, make_esc).drive()
+def run(seed):
+    return Drive(seed).drive()
 
 
 def failures(result):

@@ -93,15 +93,6 @@ def test_car_that_stops_within_a_step_stands_where_it_stopped(dt_ns):
     assert vehicle.speed_mps == 0.0
 
 
-def test_car_started_elsewhere_starts_there():
-    config = VehicleConfig(steering=PLAIN.steering, drive=frictionless().drive, start=Pose(1.0, 2.0, math.pi / 2))
-    vehicle = Vehicle(config, start_ns=5 * S)
-    vehicle.speed_mps = 1.0
-    pulses = drive(vehicle, 1, 5000, NEUTRAL)
-    assert vehicle.pose == pytest.approx((1.0, 3.0, math.pi / 2))
-    assert 5 * S < pulses[0].at_ns < pulses[-1].at_ns <= 6 * S == vehicle.time_ns
-
-
 def test_pulses_of_a_straight_come_every_15_millimetres_of_each_wheel():
     vehicle = rolling(1.0, frictionless())
     pulses = drive(vehicle, 10, 5000, NEUTRAL)

@@ -113,16 +113,10 @@ def test_decision_differs_only_in_source_duty_or_cause():
 
 
 @pytest.mark.parametrize("neutral, deadband, request_, source", [
-    (0.0, 0.001, 0.0, NEUTRAL),
-    (0.0, 0.001, 0.0010000000474974513, NEUTRAL),  # as a float32 has its edge
-    (0.0, 0.001, -0.001, NEUTRAL),
-    (0.0, 0.001, 0.0011, TELEOP),
-    (0.0, 0.001, -0.0011, TELEOP),
-    (0.5, 0.001, 0.4995, NEUTRAL),  # the neutral of an old stack
-    (0.5, 0.001, 0.0, TELEOP),
-    (0.0, 0.2, 0.15, NEUTRAL),
-    (0.0, 0.0, 0.0, NEUTRAL),
-    (0.0, 0.0, 1e-9, TELEOP),
+    (0.0, 0.001, 0.0, NEUTRAL), (0.0, 0.001, 0.0010000000474974513, NEUTRAL),  # as a float32 has its edge
+    (0.0, 0.001, -0.001, NEUTRAL), (0.0, 0.001, 0.0011, TELEOP), (0.0, 0.001, -0.0011, TELEOP),
+    (0.5, 0.001, 0.4995, NEUTRAL), (0.5, 0.001, 0.0, TELEOP),  # the neutral of an old stack
+    (0.0, 0.2, 0.15, NEUTRAL), (0.0, 0.0, 0.0, NEUTRAL), (0.0, 0.0, 1e-9, TELEOP),
 ])
 def test_teleop_request_near_its_neutral_rests(neutral, deadband, request_, source):
     decision = decide(HELD, (request_, 0.1), tele_steer_neutral=neutral, tele_steer_deadband=deadband)
@@ -130,17 +124,10 @@ def test_teleop_request_near_its_neutral_rests(neutral, deadband, request_, sour
 
 
 @pytest.mark.parametrize("radius_m, source, duty", [
-    (1.25, PLANNER, 3808),  # 3807.5
-    (-1.5, PLANNER, 6675),
-    (8.0, PLANNER, 3883),  # 3883.33
-    (-8.0, PLANNER, 6317),  # 6316.67
-    (0.0011, PLANNER, 3800),
-    (-0.0011, PLANNER, 6700),
-    (1e30, PLANNER, 5100),
-    (-1e30, PLANNER, 5100),
-    (0.001, NEUTRAL, 5100),
+    (1.25, PLANNER, 3808), (8.0, PLANNER, 3883), (-8.0, PLANNER, 6317),  # 3807.5, 3883.33, 6316.67
+    (-1.5, PLANNER, 6675), (1e30, PLANNER, 5100), (-1e30, PLANNER, 5100),
+    (0.0011, PLANNER, 3800), (0.001, NEUTRAL, 5100), (-0.0011, PLANNER, 6700), (-0.001, NEUTRAL, 5100),
     (0.0010000000474974513, NEUTRAL, 5100),  # as a float32 has it
-    (-0.001, NEUTRAL, 5100),
 ])
 def test_planner_s_radius_makes_the_duty_and_within_a_millimetre_of_0_it_is_no_request(radius_m, source, duty):
     decision = decide(HELD, None, (radius_m, 0.1))

@@ -26,18 +26,11 @@ def test_value_makes_the_duty_of_the_table(value, duty):
 
 
 @pytest.mark.parametrize("calibration, request_, duty", [
-    (SHIPPED, 0.0, 4915),
-    (SHIPPED, -1.0, 3277),
-    (SHIPPED, 2.0, 6554),
+    (SHIPPED, 0.0, 4915), (SHIPPED, -1.0, 3277), (SHIPPED, 2.0, 6554), (SHIPPED, -0.5, 4096),
     (SHIPPED, 0.3, 5407),  # 4915 + 0.3 · 1639
-    (SHIPPED, -0.5, 4096),
-    (FALLING, 1.0, 3277),
-    (FALLING, -1.0, 6554),
-    (FORWARD_ONLY, -1.0, 4915),
-    (FORWARD_ONLY, 1.0, 6554),
+    (FALLING, 1.0, 3277), (FALLING, -1.0, 6554), (FORWARD_ONLY, -1.0, 4915), (FORWARD_ONLY, 1.0, 6554),
     (replace(SHIPPED, duty_table=[4915, 4915, 6554]), -1.0, 4915),
-    (replace(SHIPPED, neutral=3277), 0.0, 3277),
-    (replace(SHIPPED, neutral=6554), 0.0, 6554),
+    (replace(SHIPPED, neutral=3277), 0.0, 3277), (replace(SHIPPED, neutral=6554), 0.0, 6554),
     (replace(SHIPPED, duty_table=[0, 100, 200], neutral=0), 0.0, 0),
 ])
 def test_request_makes_a_duty(calibration, request_, duty):

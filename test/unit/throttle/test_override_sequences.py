@@ -11,12 +11,10 @@ nor, with a mode that is late or lost, with calibration_drive, which has the fir
 from __future__ import annotations
 
 import collections
-import importlib
 import os
 import random
-import sys
-from pathlib import Path
 
+import esc_sequences as sequences
 import pytest
 
 from car_interface.common.drive_modes import HUMAN_DRIVES
@@ -28,9 +26,6 @@ from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
-
-sys.path.append(str(Path(__file__).resolve().parents[2]))
-sequences = importlib.import_module("esc_sequences")
 
 MS, S = 1_000_000, 1_000_000_000
 TICK_NS = 10 * MS

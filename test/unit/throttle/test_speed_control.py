@@ -33,8 +33,6 @@ ROLLS = "5_percent_downhill"
 HELD_S = 64.0 if os.environ.get("CAR_INTERFACE_ALL") else 16.0
 
 
-# --- on the virtual car ---
-
 @pytest.mark.once
 @pytest.mark.parametrize("target", [3.0, -0.3])
 @pytest.mark.parametrize("disturbance", DISTURBED)
@@ -113,8 +111,6 @@ def test_neutral_coasts_drive_goes_on_from_there_and_park_holds():
     samples = rig.run(4.0, SpeedRequest(0.0, gear="park"))
     assert [sample.speed_mps for sample in samples[-50:]] == [0.0] * 50
 
-
-# --- rule by rule ---
 
 class Bench:
     """The control alone, with a speed and a throttle_arb that the test sets; None: throttle_arb is not there."""

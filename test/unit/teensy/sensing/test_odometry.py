@@ -82,16 +82,6 @@ def test_straight_way_is_straight_wherever_the_magnets_stood(phases):
     assert motion.speed_mps == pytest.approx(1.0, rel=0.02)
 
 
-@pytest.mark.parametrize("curvature", (0.2, -0.8))
-def test_circle_closes(curvature):
-    axle = Axle((0.3, 0.6))
-    half = curvature * TRACK_M / 2
-    motion = axle.roll((1 - half, 1 + half), 2 * math.pi / abs(curvature))
-    assert motion.yaw_rad == pytest.approx(math.copysign(2 * math.pi, curvature), abs=math.radians(1.5))
-    assert math.hypot(motion.x_m, motion.y_m) < 0.01 * motion.distance_m + 0.03
-    assert motion.yaw_rate_radps == pytest.approx(curvature, abs=0.1)
-
-
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(0.05, 1.0)), max_size=6),
        st.floats(0, 0.999), st.floats(0, 0.999))
