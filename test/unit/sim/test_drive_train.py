@@ -15,10 +15,8 @@ REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
 OFF, NEVER_SET = 0, -1
 
 
-@pytest.mark.parametrize(
-    ("duty", "expected"),
-    [(NEUTRAL, 0), (4930, 0), (4900, 0), (FULL, 1), (8000, 1), (REVERSE, -1), (1700, -1), (5747, 0.5), (4084, -0.5)],
-)
+@pytest.mark.parametrize("duty, expected", [
+    (NEUTRAL, 0), (4930, 0), (4900, 0), (FULL, 1), (8000, 1), (REVERSE, -1), (1700, -1), (5747, 0.5), (4084, -0.5)])
 def test_throttle_of_a_duty_is_linear_beyond_the_neutral_band_and_none_without_a_pulse(duty, expected):
     assert throttle(duty, DriveConfig()) == pytest.approx(expected, abs=0.001)
     assert throttle(65535, DriveConfig()) is None

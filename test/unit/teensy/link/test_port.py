@@ -54,8 +54,7 @@ def wait_for(descriptor):
     assert select.select([descriptor], [], [], 2.0)[0], "nothing arrived within 2 s"
 
 
-@pytest.mark.parametrize("use", [lambda link: link.fileno(), lambda link: link.read(), lambda link: link.write(b"x")],
-                         ids=["fileno", "read", "write"])
+@pytest.mark.parametrize("use", [lambda link: link.fileno(), lambda link: link.read(), lambda link: link.write(b"x")])
 def test_link_that_is_closed_has_let_go_of_the_port_and_says_so_to_whoever_uses_it(terminal, link, use):
     descriptor = link.fileno()
     link.close()
