@@ -333,7 +333,6 @@ class Drive:
                 if self.car.speed_mps:
                     self.stick(value, 0.05)
             self.stick(0.0, self.rng.uniform(0.1, 1.0))
-        before_m, began = self.car.place_m, self.car.speed_mps
         for _ in range(60):
             if way == 0:
                 self.stick(value, 0.1)
@@ -344,25 +343,23 @@ class Drive:
         self.result.wanted += 1
         self.result.got += self.car.speed_mps < -0.3
         if self.car.speed_mps >= -0.3:
-            self.result.unintended.append(f"no reverse at {self.now_ns / 1e9:.2f} s by way {way}: {before_m} {began}")
+            self.result.unintended.append(f"no reverse at {self.now_ns / 1e9:.2f} s by way {way}")
 
 
 def run(seed):
     return Drive(seed).drive()
 
 
-def failures(result):
-    """What is wrong with a drive, as a text; empty = nothing."""
-    kind = result.case
+def failure(result):
+    """What is wrong with a drive; empty = nothing."""
     if result.by_stop:
-        return f"seed {result.seed}, {kind}: a stop became reverse at {result.by_stop[0]}"
+        return f"a stop became reverse at {result.by_stop[0]}"
     if result.got < result.wanted:
-        return f"seed {result.seed}, {kind}: {result.unintended[-1]}"
-    if f"({MATCHING})" in kind and result.unintended:
-        return f"seed {result.seed}, {kind}: reverse that nobody meant at {result.unintended[0]}"
-    if kind.endswith(f" {KNOWN}") and result.longest_ns > MAX_WRONG_NS:
-        seconds = result.longest_ns / 1e9
-        return f"seed {result.seed}, {kind}: driven backward for {seconds:.2f} s: {result.unintended[0]}"
+        return result.unintended[-1]
+    if f"({MATCHING})" in result.case and result.unintended:
+        return f"reverse that nobody meant at {result.unintended[0]}"
+    if result.case.endswith(f" {KNOWN}") and result.longest_ns > MAX_WRONG_NS:
+        return f"driven backward for {result.longest_ns / 1e9:.2f} s: {result.unintended[0]}"
     return ""
 
 
@@ -372,5 +369,6 @@ def summed_up(results):
     for result in results:
         totals.update({"drives": 1, "wanted": result.wanted, "got": result.got, "backward": bool(result.unintended)})
         totals.update({f"state {name}": number for name, number in result.states.items()})
-        found.append(failures(result))
-    return list(filter(None, found)), totals
+        if failure(result):
+            found.append(f"seed {result.seed}, {result.case}: {failure(result)}")
+    return found, totals

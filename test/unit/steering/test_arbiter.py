@@ -256,8 +256,6 @@ def test_arbiter_keeps_what_it_received_when_its_calibration_changes():
     assert arbiter.decide(NOW)[:3] == (TELEOP, 3700, "teleop")
 
 
-# --- a planner that knows no radius ---
-
 @pytest.mark.parametrize("steering, teleop, planner, source, duty, cause, reason", [
     ((0.5, 0.1), None, None, PLANNER, 4450, causes.PLANNER, "av_steer_req is 0.500"),
     ((-0.5, 0.1), RESTS, None, PLANNER, 5900, causes.PLANNER, "av_steer_req is -0.500"),
@@ -298,8 +296,6 @@ def test_stick_that_overrides_the_planner_is_reported_as_long_as_teleop_logi_say
     arbiter.explain_teleop(overrides, NOW - round(age_s * S))
     assert arbiter.decide(NOW)[:4] == (TELEOP, 4450, "teleop", reason)
 
-
-# --- a planner that asks for more than the wheels can do ---
 
 WRONG = "asks for 0.17 m, this car turns on 1.00 m to the left: rad? rad/s? wheelbase?"
 UNLIMITED = SteeringLimits(planner=SourceLimits())

@@ -214,8 +214,6 @@ def test_age_and_size_of_the_newest_message_are_known():
     assert (gamepad.axes, gamepad.buttons, gamepad.joy_age_s(NOW + S)) == (8, 11, 1.0)
 
 
-# --- the human goes first ---
-
 REST, PERIOD = (0.0, 0.0), S // 20  # what a driver repeats at
 
 
@@ -325,8 +323,6 @@ def test_throttle_that_rests_within_its_dead_band_is_sent_as_none_while_the_over
     assert (read.throttle, read.throttle_stick) == (0.0, causes.OVERRIDE)
 
 
-# --- an axis counts once it was seen at its rest ---
-
 @pytest.mark.parametrize("rest", [1.0, -1.0])
 def test_trigger_in_the_place_of_a_stick_never_drives_nor_steers(rest):
     person = Person(axes=(rest, rest))
@@ -384,8 +380,6 @@ def test_cross_of_a_gamepad_in_d_mode_does_not_count_until_it_gave_what_no_cross
     person.hold(axes(0.0), buttons(1), 0.2)
     assert person.hold(axes(1.0), buttons(1)).throttle == 1.0
 
-
-# --- a pull after another deadman ---
 
 def test_pull_just_after_the_manual_deadman_begins_with_a_stop_so_that_it_is_no_second_pull():
     person = Person()

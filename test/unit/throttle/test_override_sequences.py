@@ -46,14 +46,12 @@ class Topic:
         self.is_cut = False
 
     def send(self, message, now_ns):
-        if self.is_cut:
-            return
-        at_ns = now_ns + self._rng.randrange(1, self._max_ms) * MS
-        self._messages.append((max(at_ns, self._messages[-1][0] if self._messages else 0), message))
+        if not self.is_cut:
+            sequences.send(self._messages, now_ns + self._rng.randrange(1, self._max_ms) * MS, message)
 
     def tick(self, now_ns):
-        while self._messages and self._messages[0][0] <= now_ns:
-            self._deliver(self._messages.popleft()[1], now_ns)
+        for message in sequences.arrived(self._messages, now_ns):
+            self._deliver(message, now_ns)
 
 
 class Drive:
