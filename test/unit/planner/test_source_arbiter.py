@@ -13,6 +13,9 @@ from car_interface.planner.twist import RATE, from_twist
 
 MS, S = 1_000_000, 1_000_000_000
 LEFT = PlannerRequest(2.0, 1.0)
+DEGREES = Refusal(causes.REQUEST_REFUSED, "drive.steering_angle of 3 rad (degrees?): no wheel turns so far", True)
+WHEELBASE_M = 0.3
+TWENTIETH = 50 * MS
 
 
 def received(command=LEFT, source="drive", at_ns=0):
@@ -90,11 +93,6 @@ def test_other_sources_are_counted_and_named():
     assert arbiter.others == ("autoware: 1 message, the last from an unknown node; "
                               "cmd_vel: 3 messages, the last from /move_base")
     assert arbiter.decide(0).reason == f"drive was never heard; not obeyed: {arbiter.others}"
-
-
-DEGREES = Refusal(causes.REQUEST_REFUSED, "drive.steering_angle of 3 rad (degrees?): no wheel turns so far", True)
-WHEELBASE_M = 0.3
-TWENTIETH = 50 * MS
 
 
 def refused():

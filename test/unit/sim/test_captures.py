@@ -44,6 +44,7 @@ UINT32 = 0xFFFFFFFF
 PULSE_M = math.pi * 0.095 / 20
 COMMANDS = {"ping": 1, "sonar_start": 5, "get_counters": 10, "sonar_wait": 12}
 FRAMES = ("wheel", "sonar", "pong", "counter")
+WHEEL_FIELDS = ("speed", "direction", "when", "dist", "dist_abs")
 
 
 @dataclass(frozen=True)
@@ -90,9 +91,6 @@ STREAMS = [
         ("clock_start_ms", 4294956502), ("sonar_sequence", (4, 5, 0, 1, 2, 3)), ("odometer_start", 2**32 - 300))),
 ]
 BUSY = Capture("line_busy", 114)
-
-
-WHEEL_FIELDS = ("speed", "direction", "when", "dist", "dist_abs")
 
 
 def fields_of(line):

@@ -10,6 +10,7 @@ MS = 1_000_000
 NEUTRAL, AHEAD, BACK = 4915, 5734, 4096  # half to both sides
 ARMED = [(NEUTRAL, 1.0, 0.0)]
 STOPPED = 0.0
+BRAKED = [(AHEAD, 1.0, 2.0), (BACK, 0.5, 1.0)]
 
 
 def play(config, steps, armed=True):
@@ -22,9 +23,6 @@ def play(config, steps, armed=True):
             motor = esc.step(duty, now_ns, wheel_mps)
         modes.append(motor.mode)
     return modes[1:] if armed else modes
-
-
-BRAKED = [(AHEAD, 1.0, 2.0), (BACK, 0.5, 1.0)]
 
 
 @pytest.mark.parametrize("make", [virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race])

@@ -26,6 +26,8 @@ from slash import CENTER, SLASH
 
 S = 1_000_000_000
 NOW = 1000 * S
+FINITE_OR_NOT = st.floats(allow_nan=True, allow_infinity=True)
+AGES_S = st.sampled_from([0.0, 0.3, 0.5, 0.51, 100.0])
 
 
 def arbiter_with(human=None, teleop=None, planner=None, steering=None, odometry=None, calibration=SLASH,
@@ -132,10 +134,6 @@ def test_teleop_request_near_its_neutral_rests(neutral, deadband, request_, sour
 def test_planner_s_radius_makes_the_duty_and_within_a_millimetre_of_0_it_is_no_request(radius_m, source, duty):
     decision = decide(HELD, None, (radius_m, 0.1))
     assert (SOURCE_NAMES[decision.source], decision.duty) == (SOURCE_NAMES[source], duty)
-
-
-FINITE_OR_NOT = st.floats(allow_nan=True, allow_infinity=True)
-AGES_S = st.sampled_from([0.0, 0.3, 0.5, 0.51, 100.0])
 
 
 @given(human=st.none() | st.tuples(st.booleans(), AGES_S), teleop=st.none() | st.tuples(FINITE_OR_NOT, AGES_S),

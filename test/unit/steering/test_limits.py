@@ -11,6 +11,8 @@ from car_interface.steering.limits import SourceLimits, SteeringLimiter, Steerin
 MS, S = 1_000_000, 1_000_000_000
 LATERAL = SourceLimits(max_lateral_mps2=4.0)
 JERK = SourceLimits(max_jerk_mps3=40.0)
+AT_4_MPS = "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.00 m was asked for"
+ODD = 0.1 + 0.2  # no number that a detour over radius and back would keep
 
 
 def limiter_at(speed_mps):
@@ -19,10 +21,6 @@ def limiter_at(speed_mps):
     for report in range(-100, 1):
         limiter.speed.update(speed_mps, report * 20 * MS)
     return limiter
-
-
-AT_4_MPS = "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.00 m was asked for"
-ODD = 0.1 + 0.2  # no number that a detour over radius and back would keep
 
 
 @pytest.mark.parametrize(("speed_mps", "asked_per_m", "turn"), [

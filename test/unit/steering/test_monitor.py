@@ -14,6 +14,9 @@ S = 1_000_000_000
 START_NS = 1000 * S
 STEP_NS = S // 50  # 20 ms from report to report
 INF, NAN = math.inf, math.nan
+# How long there is no warning, half a second of it for the servo; in how much more there is one; and what it advises.
+OFF = 2.4, 0.3, "Measure which duty drives "
+WRONG_SIDE = 0.9, 0.3, "See whether the servo, or the wheels' sensors, are the wrong way round"
 
 
 class Car:
@@ -111,11 +114,6 @@ def test_car_that_does_what_it_is_told_is_never_warned_of(drives):
     car = Car()
     for radius_m, seconds, speed_mps in drives:
         assert set(car.drives(radius_m, radius_m, seconds, speed_mps)) <= {""}
-
-
-# How long there is no warning, half a second of it for the servo; in how much more there is one; and what it advises.
-OFF = 2.4, 0.3, "Measure which duty drives "
-WRONG_SIDE = 0.9, 0.3, "See whether the servo, or the wheels' sensors, are the wrong way round"
 
 
 @pytest.mark.parametrize("speed_mps", [0.6, 1.4, -1.0])

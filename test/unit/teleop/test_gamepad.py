@@ -17,6 +17,11 @@ NOW = 1000 * S
 MANUAL, AUTONOMOUS, BOTH, NONE = [1, 0], [0, 1], [1, 1], [0, 0]
 
 NAN, INF = math.nan, math.inf
+SCALE = {"faster_button": 2, "slower_button": 3}
+REST, PERIOD = (0.0, 0.0), S // 20  # what a driver repeats at
+THROTTLE_THIRD, STEERING_THIRD = ({"third_button": 2, "third_mode": mode} for mode in ("human_throttle",
+                                                                                       "human_steering"))
+OVERRIDES = "the {} stick overrides the planner by {:.2f}"
 
 
 def config(**changes):
@@ -115,9 +120,6 @@ def test_gamepad_without_a_throttle_axis_steers_and_its_throttle_is_no_number():
     assert requests([0.5], AUTONOMOUS, throttle_axis=-1).throttle == 0.0
 
 
-SCALE = {"faster_button": 2, "slower_button": 3}
-
-
 @pytest.mark.parametrize("buttons, age_s, changes, pressed", [
     ([0, 0, 1, 0], 0.1, SCALE, 1), ([0, 0, 0, 1], 0.1, SCALE, -1), ([0, 0, 1, 1], 0.1, SCALE, 0),
     ([0, 0], 0.1, SCALE, 0), ([0, 0, 1], 0.1, SCALE, 1), ([1, 1, 1, 1], 0.1, {}, 0), ([0, 0, 1, 0], 0.3, SCALE, 0)])
@@ -214,9 +216,6 @@ def test_age_and_size_of_the_newest_message_are_known():
     assert (gamepad.axes, gamepad.buttons, gamepad.joy_age_s(NOW + S)) == (8, 11, 1.0)
 
 
-REST, PERIOD = (0.0, 0.0), S // 20  # what a driver repeats at
-
-
 class Person:
     """Two sticks and the buttons of a gamepad whose driver repeats 20 times a second."""
 
@@ -233,13 +232,6 @@ class Person:
             self.gamepad.update(axes, buttons, self.now_ns)
             self.seen.append(self.gamepad.requests(self.now_ns))
         return self.seen[-1]
-
-
-THROTTLE_THIRD, STEERING_THIRD = ({"third_button": 2, "third_mode": mode} for mode in ("human_throttle",
-                                                                                       "human_steering"))
-
-
-OVERRIDES = "the {} stick overrides the planner by {:.2f}"
 
 
 @pytest.mark.parametrize("buttons, changes, axes, steering, throttle", [

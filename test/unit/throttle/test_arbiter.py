@@ -19,6 +19,10 @@ NOW = 1000 * S
 LINEAR = StickConfig(deadband=0.05, expo=0.0, human_scale=0.3, brake_scale=0.8)
 FORWARD, REST, BRAKE = 0.525, 0.02, -0.525  # of the stick: half, in the dead band, half
 NAN, INF = math.nan, math.inf
+AGE = st.none() | st.sampled_from([0.0, 0.2, 0.3, 0.5, 0.6])
+STICK = st.sampled_from([0.0, 0.04, 0.5, -0.5, 3.0, NAN, INF])
+NO_REQUEST = NoValue("planner silent", "drive silent for 0.50 s")
+RELEASED = "released"  # instead of a mode: nobody holds a deadman, and the mode is the human's
 
 
 def arbiter_with(human=(True, 0.1), steering=(TELEOP, 0.1), teleop=None, mode=None, planner=None, odometry=(1.0, 0.1),
@@ -206,10 +210,6 @@ def test_speed_and_ages_are_those_of_the_last_messages_and_a_speed_counts_while_
     assert math.isnan(arbiter.speed_mps(NOW + S)) and math.isnan(arbiter_with(odometry=None).speed_mps(NOW))
 
 
-AGE = st.none() | st.sampled_from([0.0, 0.2, 0.3, 0.5, 0.6])
-STICK = st.sampled_from([0.0, 0.04, 0.5, -0.5, 3.0, NAN, INF])
-
-
 @pytest.mark.once
 @given(present=st.booleans(), human=AGE, source=st.sampled_from([LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER, 9]),
        steering=AGE, mode=st.sampled_from([*MODES, "x"]), mode_age=AGE, stick=STICK, stick_age=AGE, planner=AGE,
@@ -238,9 +238,6 @@ def test_nothing_is_asked_of_the_esc_without_human_turn_arb_and_a_fresh_source(
         assert decision.asked == decision.drive == decision.brake == 0.0
     assert -1 <= decision.asked <= 1 and abs(decision.drive) <= 1 and abs(decision.brake) <= 1
     assert decision.is_stop == (decision.source not in (TELEOP, PLANNER) and decision.cause != "no request")
-
-
-NO_REQUEST = NoValue("planner silent", "drive silent for 0.50 s")
 
 
 def planned(gear="drive", no_request=None, age_s=0.1, value=0.7):
@@ -310,9 +307,6 @@ def test_planner_interface_that_is_gone_reverses_no_more_and_hinders_nobody(no_r
     arbiter.update_planner(0.9, 0.3, NOW)
     decision = arbiter.decide(NOW)
     assert (decision.source, decision.gear) == (PLANNER, "auto")
-
-
-RELEASED = "released"  # instead of a mode: nobody holds a deadman, and the mode is the human's
 
 
 class Driven:

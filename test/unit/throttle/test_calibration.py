@@ -15,6 +15,7 @@ from car_interface.throttle.calibration import DutyMap, ThrottleCalibration, rea
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 FALLING = replace(SHIPPED, duty_table=[6554, 4915, 3277])
 FORWARD_ONLY = replace(SHIPPED, value_axis=[0.0, 3.0], duty_table=[4915, 6554])
+READ = {"channel": 1, "value_axis": [-5, 0, 3], "duty_table": [3277, 4915, 6554], "neutral": 4915}
 
 
 @pytest.mark.parametrize("value, duty", [
@@ -78,9 +79,6 @@ def test_table_moves_along_with_its_neutral_as_far_as_there_are_duties():
     assert (moved.neutral, moved.duty_table) == (4950, [3312, 4950, 6589])
     assert trimmed(replace(SHIPPED, duty_table=[10, 4915, 65530]), 4895).duty_table == [0, 4895, 65510]
     assert trimmed(replace(SHIPPED, duty_table=[10, 4915, 65530]), 4935).duty_table == [30, 4935, 65535]
-
-
-READ = {"channel": 1, "value_axis": [-5, 0, 3], "duty_table": [3277, 4915, 6554], "neutral": 4915}
 
 
 def test_parameters_are_those_below_servo():

@@ -24,6 +24,7 @@ SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table
 LINEAR = StickConfig(deadband=0.05, human_scale=0.3, brake_scale=1.0)
 FULL_FORWARD, FULL_BRAKE, NEUTRAL_DUTY = 6554, 3277, 4915
 BY_HAND, REVERSE_BY_HAND = 5407, 4424  # 0.3 of each side
+SONAR = ObstacleConfig({"front_middle": Mount(0.42, 0.0, 0.0)})
 
 
 class Rig:
@@ -205,9 +206,6 @@ def test_max_speed_holds_backward_while_the_esc_reverses():
     assert rig.run(1.0).limited.cause == ""
     rig.speed = 0.9  # that of a car which odometry takes to roll forward, slowly
     assert rig.run(0.02).limited.cause == causes.SPEED_LIMITED
-
-
-SONAR = ObstacleConfig({"front_middle": Mount(0.42, 0.0, 0.0)})
 
 
 @pytest.mark.parametrize("radius_m, max_mps", [(math.inf, 1.864), (0.0, 1.864), (math.nan, 1.864), (3.0, 1.851),

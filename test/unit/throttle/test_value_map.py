@@ -13,6 +13,15 @@ from car_interface.common.errors import ConfigError
 from car_interface.throttle.value_map import ValueMap, load_value_map
 
 SHIPPED = Path(__file__).resolve().parents[3] / "config" / "value_map.csv"
+VALUES = [-2.0, 0.0, 1.0, 3.0]
+VELOCITIES = [0.0, 5.0, 10.0]
+ROWS = [[-4.0, -5.0, -6.0], [0.0, -0.5, -1.0], [1.0, 0.5, 0.0], [5.0, 3.5, 2.0]]
+GAPS = st.floats(0.01, 10)
+NEARLY_LEVEL = st.sampled_from([0.0, 5e-324, 1.0 - 2 ** -53, 1.0, 1.0 + 2 ** -52, 2.0, -1.0])
+PLATEAU_ROWS = [[-1.0, -1.0], [0.0, -0.5], [0.0, 0.0], [0.0, 0.5], [2.0, 2.0]]
+RISES = "accepted: an acceleration that rises with value"
+GOOD = "default,0.0,5.0,10.0\n-2.0,-4.0,-5.0,-6.0\n0.0,0.0,-0.5,-1.0\n1.0,1.0,0.5,0.0\n3.0,5.0,3.5,2.0\n"
+NO_UTF_8, NO_NUMBER = r"csv_path_value_map is .*; accepted: a CSV file in UTF-8 \(", "accepted: a finite number"
 
 
 # --- an independent, naive map, in two steps as the original's documents describe them
@@ -40,11 +49,6 @@ def naive_value_at(values, velocities, rows, acceleration, velocity):
     return values[-1]
 
 
-VALUES = [-2.0, 0.0, 1.0, 3.0]
-VELOCITIES = [0.0, 5.0, 10.0]
-ROWS = [[-4.0, -5.0, -6.0], [0.0, -0.5, -1.0], [1.0, 0.5, 0.0], [5.0, 3.5, 2.0]]
-
-
 @pytest.mark.parametrize("acceleration, velocity, value", [
     (-4.0, 0.0, -2.0), (2.0, 10.0, 3.0), (-0.5, 5.0, 0.0), (3.0, 0.0, 2.0), (0.25, 2.5, 0.5), (-10.0, 3.0, -2.0),
     (math.inf, 3.0, 3.0), (3.0, -7.0, 2.0), (1.0, math.inf, 2.0)])
@@ -58,9 +62,6 @@ def test_value_at_acceleration_and_velocity_is_interpolated_and_clamped(accelera
     (1.0, 11.0, 0.0)])
 def test_acceleration_at_value_and_velocity_is_interpolated_and_clamped(value, velocity, acceleration):
     assert ValueMap(VALUES, VELOCITIES, ROWS).acceleration_at(value, velocity) == pytest.approx(acceleration)
-
-
-GAPS = st.floats(0.01, 10)
 
 
 @st.composite
@@ -107,9 +108,6 @@ def test_lookup_in_any_map_equals_the_naive_one_rises_and_is_the_inverse_of_the_
     assert value_map.value_at(rows[row][column], velocities[column]) == values[row]
 
 
-NEARLY_LEVEL = st.sampled_from([0.0, 5e-324, 1.0 - 2 ** -53, 1.0, 1.0 + 2 ** -52, 2.0, -1.0])
-
-
 @pytest.mark.once
 @given(st.data())
 def test_lookup_in_a_map_all_but_level_never_fails_nor_leaves_the_map(data):
@@ -146,9 +144,6 @@ def test_large_map_looks_up_as_a_small_one_does():
             naive_value_at(values, velocities, rows, acceleration, velocity))
 
 
-PLATEAU_ROWS = [[-1.0, -1.0], [0.0, -0.5], [0.0, 0.0], [0.0, 0.5], [2.0, 2.0]]
-
-
 @pytest.mark.parametrize("values, value", [
     ([-2.0, -1.0, 0.0, 1.0, 2.0], 0.0),
     ([1.0, 2.0, 3.0, 4.0, 5.0], 2.0),
@@ -177,9 +172,6 @@ def test_plateau_at_an_end_of_the_map(accelerations, acceleration, value):
     assert ValueMap([1.0, 2.0, 3.0], [0.0, 1.0], rows, allow_plateaus=True).value_at(acceleration, 0.5) == value
 
 
-RISES = "accepted: an acceleration that rises with value"
-
-
 @pytest.mark.parametrize("values, velocities, rows, message", [
     ([1], [0, 1], [[1, 2]], "map, values is .1.; accepted: at least two"),
     ([1, 1], [0, 1], [[1, 2], [3, 4]], r"map, values\[1\] is 1; accepted: more than"),
@@ -206,9 +198,6 @@ def test_with_plateaus_allowed_a_level_stretch_is_loaded_and_a_falling_one_is_re
         ValueMap([1, 2], [0, 1], [[3, 1], [2, 2]], allow_plateaus=True)
 
 
-GOOD = "default,0.0,5.0,10.0\n-2.0,-4.0,-5.0,-6.0\n0.0,0.0,-0.5,-1.0\n1.0,1.0,0.5,0.0\n3.0,5.0,3.5,2.0\n"
-
-
 def written(tmp_path, content):
     path = tmp_path / "value_map.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
@@ -230,9 +219,6 @@ def test_file_is_loaded_with_other_line_ends_spaces_names_and_numbers(tmp_path, 
     assert value_map.values == tuple(VALUES)
     assert value_map.velocities == tuple(VELOCITIES)
     assert [[value_map.acceleration_at(value, velocity) for velocity in VELOCITIES] for value in VALUES] == ROWS
-
-
-NO_UTF_8, NO_NUMBER = r"csv_path_value_map is .*; accepted: a CSV file in UTF-8 \(", "accepted: a finite number"
 
 
 @pytest.mark.parametrize("content, message", [

@@ -11,6 +11,7 @@ from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START
 MS, S = 1_000_000, 1_000_000_000
 ALL = (0, 1, 2, 3, 4, 5)
 ROUND_NS = 55 * MS
+AHEAD = (1, 0, 1, 2, 1, 4)
 
 
 class Listener:
@@ -215,9 +216,6 @@ def test_configured_sequence_is_sent_at_start_after_a_reboot_and_when_the_port_i
         sonars.monitor.frame(sonars.now_ns)
         assert sonars.command == SEND_SEQUENCE
         assert sonars.command is None
-
-
-AHEAD = (1, 0, 1, 2, 1, 4)
 
 
 def aimed(ahead=AHEAD, sequence=None):
