@@ -19,23 +19,13 @@ from functools import lru_cache
 
 import pytest
 
+import teensy_bench
 from captures import load
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_sonars import SONAR_STUCK
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from teensy_bench import (
-    PONG,
-    SONAR,
-    WHEELS,
-    framed_for_the_receiver,
-    message,
-    ones_complement_sum,
-    parse_counter,
-    parse_sonar,
-    parse_wheels,
-    unstuffed,
-)
+from teensy_bench import framed_for_the_receiver, ones_complement_sum, parse_counter, parse_sonar, parse_wheels
 
 pytestmark = pytest.mark.once
 MS, US = 1_000_000, 1_000
@@ -142,17 +132,19 @@ def command(line):
     """A command as the captures' host framed it: with the receiver's own checksum."""
     payload = (struct.pack("<II", line["timestamp1"], 0) if "timestamp1" in line else
                struct.pack("<I", line["ms"]) if "ms" in line else b"")
-    return framed_for_the_receiver(message(COMMANDS[line["host"]], payload))
+    return framed_for_the_receiver(teensy_bench.message(COMMANDS[line["host"]], payload))
 
 
 def parsed(frame):
-    if frame[2] == WHEELS:
+    if frame[2] == teensy_bench.WHEELS:
         return ("wheel", *([wheel.speed, wheel.direction, wheel.when, wheel.dist, wheel.dist_abs]
                            for wheel in parse_wheels(frame)))
-    if frame[2] == SONAR:
+    if frame[2] == teensy_bench.SONAR:
         sonar = parse_sonar(frame)
         return "sonar", sonar.sensor, sonar.echo_us, sonar.when
-    return ("pong", *struct.unpack_from("<II", frame, 4)) if frame[2] == PONG else ("counter", *parse_counter(frame))
+    if frame[2] == teensy_bench.PONG:
+        return ("pong", *struct.unpack_from("<II", frame, 4))
+    return ("counter", *parse_counter(frame))
 
 
 class Replay:
@@ -175,7 +167,7 @@ class Replay:
             act(at_ns)
         end_us = captured.frames[-1]["t_us"]
         self.sent += self.teensy.transmit(capture.at_ns(end_us) + 4 * MS)
-        self.frames = [parsed(frame[:-1]) for frame in map(unstuffed, self.sent.split(b"\x7e"))
+        self.frames = [parsed(frame[:-1]) for frame in map(teensy_bench.unstuffed, self.sent.split(b"\x7e"))
                        if len(frame) >= 5 and ones_complement_sum(frame) == 0xFF]
 
     def _echo_us(self, sensor, at_ns):

@@ -2,13 +2,8 @@
 
 import pytest
 
-from car_interface.sim.drive_train import (
-    DriveConfig,
-    is_pulse,
-    motor_acceleration_mps2,
-    throttle,
-    true_acceleration_mps2,
-)
+from car_interface.sim import drive_train
+from car_interface.sim.drive_train import DriveConfig, is_pulse, motor_acceleration_mps2, throttle
 from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, MotorState
 
 REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
@@ -45,4 +40,4 @@ def test_motor_agrees_with_the_esc_without_a_memory_where_that_drives():
     level = throttle(6000, DriveConfig())
     for speed_mps in (0.0, 1.0, 5.0):
         assert motor_acceleration_mps2(MotorState(FORWARD, level), speed_mps, DriveConfig(), 0.9, 0.1) == (
-            true_acceleration_mps2(6000, speed_mps, DriveConfig(), 0.9, 0.1))
+            drive_train.true_acceleration_mps2(6000, speed_mps, DriveConfig(), 0.9, 0.1))

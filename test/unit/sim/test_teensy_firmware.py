@@ -8,49 +8,32 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import teensy_bench
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_transmitter import OutgoingLine, frame_body
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from teensy_bench import (
-    CAPTURE,
-    CAPTURED,
-    GET_COUNTERS,
-    GOOD,
-    MS,
-    PING,
-    PONG,
-    SONAR,
-    START,
-    WHEELS,
-    Bench,
-    S,
-    framed_for_the_receiver,
-    message,
-    parse_wheels,
-    ping,
-    wheel_reports,
-)
+from teensy_bench import MS, Bench, S, framed_for_the_receiver, message, parse_wheels, ping, wheel_reports
 
 
 def test_captured_frames_built_anew_are_the_captured_bytes():
-    frames = CAPTURED[1:]
-    assert (len(CAPTURE), len(frames)) == (22999, 795)
+    frames = teensy_bench.CAPTURED[1:]
+    assert (len(teensy_bench.CAPTURE), len(frames)) == (22999, 795)
     for frame in frames:
         wire = b"\x7e" + frame_body(bytes.fromhex(frame["raw"])) + b"\x7e"
-        assert wire == CAPTURE[frame["start"] : frame["end"] + 1], frame["n"]
+        assert wire == teensy_bench.CAPTURE[frame["start"] : frame["end"] + 1], frame["n"]
 
 
 def test_boot_with_an_old_clock_sends_the_capture_s_first_42_bytes():
     # The first wheel report waits already while the boot frame is closed, so they share a flag.
-    assert Bench(clock_start_ms=31400).until(10 * MS).sent == CAPTURE[:42]
+    assert Bench(clock_start_ms=31400).until(10 * MS).sent == teensy_bench.CAPTURE[:42]
 
 
 def test_pong_is_the_ping_s_own_packet_with_a_new_address_and_a_frame_for_somebody_else_is_dropped_silently():
     # The header's reserved byte and the sender's address come back as they went out.
-    bench = Bench().write(framed_for_the_receiver(bytes([2, 9, PING, 0x33]) + bytes(8)))
-    bench.write(framed_for_the_receiver(message(PING, bytes(8), dst=3))).until(50 * MS)
-    assert [frame[:4] for frame in bench.frames(PONG)] == [bytes([9, 2, PONG, 0x33])]
+    bench = Bench().write(framed_for_the_receiver(bytes([2, 9, teensy_bench.PING, 0x33]) + bytes(8)))
+    bench.write(framed_for_the_receiver(message(teensy_bench.PING, bytes(8), dst=3))).until(50 * MS)
+    assert [frame[:4] for frame in bench.frames(teensy_bench.PONG)] == [bytes([9, 2, teensy_bench.PONG, 0x33])]
     assert [bench.teensy.counters[name] for name in ("rxPackets", "rxErrorUnknown", "rxErrorChecksum")] == [2, 0, 0]
 
 
@@ -62,20 +45,20 @@ def test_bytes_from_the_host_arrive_at_the_line_s_pace():
 
 def test_counters_asked_for_too_often_starve_sonars_and_wheels():
     bench = Bench(lambda sensor, at_ns: 3000).until(500 * MS)
-    bench.write(GOOD * 500).after(3 * S)
+    bench.write(teensy_bench.GOOD * 500).after(3 * S)
     assert bench.teensy.counters["txErrorNoBuf"] > 0
     # A sonar's report that found no packet scheduled no successor: silence, until somebody starts them again.
-    sonars = len(bench.frames(SONAR))
-    assert len(bench.after(S).frames(SONAR)) == sonars
-    assert len(bench.command(START).after(S).frames(SONAR)) > sonars + 15
+    sonars = len(bench.frames(teensy_bench.SONAR))
+    assert len(bench.after(S).frames(teensy_bench.SONAR)) == sonars
+    assert len(bench.command(teensy_bench.START).after(S).frames(teensy_bench.SONAR)) > sonars + 15
 
 
 def test_bytes_that_come_while_it_boots_are_lost():
     bench = Bench().until(S)
     bench.teensy.reboot(bench.now_ns)
     bench.write(framed_for_the_receiver(ping(1))).after(400 * MS)
-    assert not bench.frames(PONG)
-    assert bench.write(framed_for_the_receiver(ping(2))).after(10 * MS).frames(PONG)
+    assert not bench.frames(teensy_bench.PONG)
+    assert bench.write(framed_for_the_receiver(ping(2))).after(10 * MS).frames(teensy_bench.PONG)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +82,7 @@ def test_time_that_ran_back_changes_nothing():
     bench = Bench(lambda sensor, at_ns: 1000).until(1100 * MS)
     assert bench.teensy.transmit(0) == b""
     bench.teensy.wheel_pulse(LEFT, FORWARD, 0)
-    assert parse_wheels(bench.after(10 * MS).frames(WHEELS)[-1])[0].when == 300 + 1100
+    assert parse_wheels(bench.after(10 * MS).frames(teensy_bench.WHEELS)[-1])[0].when == 300 + 1100
 
 
 def test_next_event_is_when_something_happens():
@@ -116,7 +99,7 @@ def test_line_never_sends_faster_than_its_baud_rate(spans_ns, baud):
     bench = Bench(lambda sensor, at_ns: 300, baud=baud, sonar_wait_ms=0)
     for span_ns in spans_ns:
         before = len(bench.sent)
-        bench.after(span_ns).command(GET_COUNTERS)
+        bench.after(span_ns).command(teensy_bench.GET_COUNTERS)
         # Of the byte that is on the wire at the start of the span all but the last bit may be out already.
         assert len(bench.sent) - before <= span_ns * baud / (10 * S) + 1
 
