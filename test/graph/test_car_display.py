@@ -99,13 +99,6 @@ def test_arrow_bends_on_the_commanded_arc_and_the_front_wheels_look_there(pictur
     assert headings == pytest.approx([math.atan(0.324 / (radius_m - y_m)) for y_m in (0.148, -0.148)])
 
 
-def test_arrow_of_a_car_that_shall_go_straight_on_is_straight(picture):
-    line = picture.steer(math.inf, SteeringState.TELEOP)
-    assert picture.marker("steering", WORDS).text == "TELEOP: straight on"
-    assert {point.y for point in line.points} == {0.0}
-    assert line.points[-1].x - line.points[0].x == pytest.approx(1.0)
-
-
 def test_arrow_goes_when_the_radius_is_unknown_or_half_a_second_after_the_last_command(picture):
     assert picture.steer(3.0).action == Marker.ADD
     for unknown in (math.nan, 0.0):

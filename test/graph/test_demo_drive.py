@@ -100,14 +100,6 @@ def test_car_that_is_not_ready_is_given_up_after_30_s_and_what_is_missing_is_nam
     assert 30.0 < demo.seconds_since(begun_ns) <= 30.1
 
 
-@pytest.mark.once
-def test_drive_that_is_ended_before_it_is_over_has_failed():
-    demo = Demo()
-    demo.graph.run(10.0)
-    demo.drive.end()
-    assert demo.drive.fault == "the drive was ended before it was over"
-
-
 # --- car_sim's room ---
 
 def test_wall_stops_the_car_which_is_counted_and_logged_once_and_it_backs_out():

@@ -112,15 +112,6 @@ def test_center_moved_while_driving_glides_there_and_everything_moves_along(fold
     assert tuned.steers == CENTER + 200
 
 
-def test_ends_are_tuned_too(folder):
-    tuned = Tuned(folder)
-    tuned.drive(teleop=1.0)
-    tuned.tune(servo_left=3700, servo_right=6800)
-    assert tuned.steers == 3700
-    tuned.drive(teleop=-1.0)
-    assert tuned.steers == 6800
-
-
 def test_what_is_beyond_the_limits_is_clamped_and_what_is_impossible_is_refused_and_both_are_said(folder):
     tuned = Tuned(folder, servo_left=5000)  # so near to the center that it can be asked for the other side
     tuned.drive()
@@ -163,15 +154,6 @@ def test_servo_board_rests_where_center_and_neutral_were_tuned_to_also_when_it_o
     tuned.drive(planner=300.0)
     assert {duty for _, duty in tuned.duties(STEERING, at_ns)} == {5200}
     assert tuned.duties(ESC)[-1][1] == NEUTRAL + 40
-
-
-def test_neutral_of_the_esc_glides(folder):
-    tuned = Tuned(folder)
-    at_ns = tuned.graph.now_ns
-    assert tuned.tune(neutral=NEUTRAL + 40)["neutral"] == NEUTRAL + 40
-    duties = [duty for _, duty in tuned.duties(ESC, at_ns)]
-    assert duties[-1] == NEUTRAL + 40 and {b - a for a, b in zip(duties, duties[1:])} <= {0, 1, 2}
-    assert tuned.graph.report("throttle_arb: throttle").values["tuned live"] == "neutral 4915 → 4955"
 
 
 def test_saved_values_are_there_at_the_next_start_and_comments_and_old_files_stay(folder):
