@@ -66,9 +66,6 @@ def test_each_trouble_of_the_clock_is_told():
     assert len(check_clock(clock(synchronised=False, uses_sim_time=True))) == 2
 
 
-# --- versions ---
-
-
 # --- packages ---
 
 

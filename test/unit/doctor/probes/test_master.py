@@ -110,11 +110,6 @@ def test_four_of_the_nodes_may_be_parts_of_one_process_that_runs(name, process, 
     assert found == (name, f"/car1/{name}", RUNNING if name == "turn_arb" else ABSENT, f"/car1{process}")
 
 
-def test_process_that_runs_counts_more_than_what_an_earlier_node_left(master, node, refused):
-    found = look(master({"/car_nodes": node, "/turn_arb": refused}, ["/car_nodes", "/turn_arb"]))
-    assert (found.state, found.process) == (RUNNING, "/car_nodes")
-
-
 def test_node_or_process_of_the_graph_where_nothing_listens_was_killed_and_is_named(master, refused):
     assert look(master({"/turn_arb": refused}, ["/turn_arb"])).state == KILLED
     found = look(master({"/car_nodes": refused}, ["/car_nodes"]))
@@ -188,11 +183,6 @@ def test_files_of_the_folder_that_a_node_saves_to_are_read(car):
     pipe, twice = sorted(faults(folder / "turn_arb.yaml"))
     assert pipe.startswith(f"{folder}/pca9685.yaml can't be read (it is a pipe)")
     assert twice.startswith(f"{folder}/sonars.yaml, lines ") and "both give sonar_left" in twice
-
-
-@pytest.mark.parametrize("save_to", ["/nowhere/turn_arb.yaml", "turn_arb.yaml", ""])
-def test_file_that_is_not_here_is_not_read(car, save_to):
-    assert car[1](save_to) == []
 
 
 def test_file_of_another_name_is_read_where_it_is_saved_to(car):
