@@ -184,6 +184,19 @@ def test_all_that_is_missing_and_another_program_that_steers_are_listed_with_the
     assert os.listdir(tmp_path) == []
 
 
+def test_gamepad_that_is_off_is_waited_for(tmp_path):
+    car = Practice(tmp_path)
+    car.graph.link("/joy", loses=lambda data: True)
+    car.graph.run(1.0)
+    car.begin(10.0)
+    assert car.terminal.block[0].startswith("waits: the gamepad isn't there (joy silent for")
+    assert not hasattr(car, "recording")
+    car.graph.link("/joy")
+    car.wait_for(f"^.*waits: {HOLD_IT} begins")
+    car.type("q")
+    assert ended(car) == "ended before it was over: nothing is written"
+
+
 # --- the drive ---
 
 def test_it_drives_while_the_deadman_is_held_and_only_then_and_refuses_what_is_too_little(tmp_path):
@@ -273,7 +286,7 @@ def test_person_with_the_stick_is_told_where_to_hold_it_and_nothing_is_asked_for
 def test_without_a_terminal_there_are_plain_lines_of_what_it_waits_for_and_does(tmp_path):
     car = Practice(tmp_path, "--no-sonars", live=False).begin()
     car.hold()
-    car.graph.run(12.0)
+    car.graph.run(10.5)
     car.pad()
     car.graph.run(1.0)
     lines = [line for line in car.terminal.lines if re.match(r" +\d+%", line)]

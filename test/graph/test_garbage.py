@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from car_interface.common.standstill import MAX_WAIT_NS
+from car_interface.nodes import car_nodes
 from car_interface.ros import garbage, runtime
 from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.inbox import Inbox
@@ -76,3 +77,10 @@ def test_node_that_shares_its_process_is_known_as_stepping_in_each_step_and_gone
     events = []
     runtime.spin(Stepping, Watched(events))
     assert {event[0]: event[2] for event in events} == {"step": [True], "wait": [False], "shut down": 0}
+
+
+def test_node_of_car_nodes_has_no_collector_of_its_own(monkeypatch):
+    used: list = []
+    monkeypatch.setattr(car_nodes, "spin", lambda *arguments, **named: used.append(arguments[2:3]))
+    car_nodes.Part("turn_arb", Stepping, lambda part: None).join(60.0)
+    assert used == [()]

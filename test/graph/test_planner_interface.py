@@ -255,6 +255,19 @@ def test_while_a_human_drives_it_begins_anew_at_the_measured_speed():
     assert car.state.reference_speed == pytest.approx(0.5)
 
 
+def test_car_that_shall_turn_on_the_spot_is_refused_and_warned_of_until_it_asks_for_something_else():
+    car = Interface("cmd_vel")
+    state = car.ask(twist(0.0, 0.5))
+    assert (state.cause, state.reason) == (
+        causes.REQUEST_REFUSED, "cmd_vel: angular.z is 0.5 rad/s at linear.x 0 m/s: a car can't turn on the spot")
+    status = car.diagnosis("planner")
+    assert (status.level, status.message) == (DiagnosticStatus.WARN, state.reason)
+    car.ask(twist(1.0, 0.5))
+    assert car.diagnosis("planner").level == DiagnosticStatus.OK
+    car.ask(twist())
+    assert car.state.reason == "cmd_vel asks for 0.00 m/s, a radius of 2.00 m"  # the arc that it stops on
+
+
 def test_second_publisher_and_one_of_another_type_are_named():
     car = Interface("cmd_vel")
     car.ask(twist(1.0, 0.5))

@@ -44,8 +44,10 @@ def test_arguments_that_fix_nothing_are_refused(arguments, message):
 
 @pytest.mark.parametrize("reader, fixed, value", [
     ("text", "virtual", "virtual"),
+    ("integer", "0x40", "0x40"),
     ("integer", "0x40", 64),
     ("flag", "True", True),
+    ("flag", "false", False),
     ("text_or_integer", "1", 1),
     ("path", "/tmp/chip", "/tmp/chip"),
 ])
@@ -59,8 +61,12 @@ def test_parameter_that_is_as_the_launch_file_has_it_is_taken(reader, fixed, val
 @pytest.mark.parametrize("reader, default, fixed, value, message", [
     ("text_or_integer", "/dev/i2c-1", "virtual", None,
      "^x is missing; accepted: virtual, by the launch file that started this process$"),
+    ("text_or_integer", "/dev/i2c-1", "virtual", "/dev/i2c-1",
+     "^x is '/dev/i2c-1'; accepted: virtual, by the launch file that started this process$"),
+    ("integer", 64, "0x40", "0x41", "^x is '0x41'; accepted: 0x40, by"),
     ("flag", False, "true", None, "^x is missing; accepted: true, by"),
     ("flag", False, "true", False, "^x is False; accepted: true, by"),
+    ("flag", False, "maybe", False, "^x is False; accepted: maybe, by"),
     ("path", None, None, "/tmp/other",
      "^x is '/tmp/other'; accepted: none, by the launch file that started this process; its argument x sets it$"),
 ])

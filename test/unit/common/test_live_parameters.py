@@ -46,12 +46,14 @@ def settle(tuned, now_ns):
 @pytest.mark.parametrize("wanted, accepted, problem", [
     ({"servo_center": 5150}, values(center=5150), ""),
     (values(3850, 5150, 6750), values(3850, 5150, 6750), ""),
+    ({"servo_channel": 7}, values(), ""),
     ({"servo_center": 5600}, values(center=5600), ""),
     ({"servo_center": 5601}, values(center=5600), "servo_center 5601 is beyond 4600 to 5600: clamped to 5600"),
     ({"servo_left": -1, "servo_right": 7201}, values(left=3300, right=7200),
      "servo_left -1 is beyond 3300 to 4300: clamped to 3300; servo_right 7201 is beyond 6200 to 7200: clamped to 7200"),
     ({"servo_left": 3700, "servo_center": 5100.5}, values(), "servo_center 5100.5 is no duty: refused"),
     ({"servo_center": math.nan}, values(), "servo_center nan is no duty: refused"),
+    ({"servo_center": "5150"}, values(), "servo_center '5150' is no duty: refused"),
     ({"servo_center": True}, values(), "servo_center True is no duty: refused"),
 ])
 def test_request_is_accepted_clamped_or_refused(wanted, accepted, problem):

@@ -22,17 +22,24 @@ AB, EITHER, HALF_S = {"default": "a", "choices": ("a", "b")}, {"default": "a"}, 
     ("number", 10, {}, 10.0),
     ("number", "25e6", {}, 25e6),  # as YAML reads it
     ("number", " -2 ", {}, -2.0),
+    ("number", 0, UNIT, 0.0),
+    ("number", 1, UNIT, 1.0),
     ("number", 1e-9, {"above": 0}, 1e-9),
     ("number", None, {"default": 3}, 3.0),
+    ("number", None, {"default": None}, None),
     ("integer", "0x40", {}, 64),
     ("integer", 64.0, {}, 64),
+    ("integer", 0, CHANNEL, 0),
+    ("integer", 15, CHANNEL, 15),
     ("integer", -2 ** 31, {}, -2 ** 31),
     ("integer", 2 ** 31 - 1, {}, 2 ** 31 - 1),
     ("integer", None, {"default": 7}, 7),
+    ("integer", None, {"default": None}, None),
     ("numbers", (1, 2.5, "1e-3"), {}, [1.0, 2.5, 0.001]),
     ("numbers", [], {}, []),
     ("numbers", None, {"default": ()}, []),
     ("flag", True, {}, True),
+    ("flag", False, {}, False),
     ("flag", None, {"default": True}, True),
     ("text", "/dev/ttyAMA0", {}, "/dev/ttyAMA0"),
     ("text", None, {"default": None}, None),
@@ -40,12 +47,15 @@ AB, EITHER, HALF_S = {"default": "a", "choices": ("a", "b")}, {"default": "a"}, 
     ("path", "/home/me/my_car/map.csv", {}, "/home/me/my_car/map.csv"),
     ("path", None, {"default": None}, None),
     ("text_or_integer", "/dev/i2c-1", EITHER, "/dev/i2c-1"),
+    ("text_or_integer", 0, EITHER, 0),
     ("text_or_integer", "1", EITHER, 1),
     ("text_or_integer", 2 ** 31 - 1, EITHER, 2 ** 31 - 1),
     ("text_or_integer", None, EITHER, "a"),
     ("choice", "b", AB, "b"),
+    ("choice", None, AB, "a"),
     ("timeout", 0, HALF_S, 0.0),
     ("timeout", 3600, HALF_S, 3600.0),
+    ("timeout", None, HALF_S, 0.5),
 ])
 def test_parameter_is_read_as(reader, value, args, result):
     found = read(reader, value, **args)
@@ -61,10 +71,12 @@ WHOLE, LISTED = "accepted: an integer from -2147483648 to 2147483647$", "accepte
     ("number", True, {}, "^x is True; accepted: a number$"),
     ("number", "fast", {}, "^x is 'fast'; accepted: a number$"),
     ("number", math.nan, {}, "^x is nan; accepted: a number$"),
+    ("number", "inf", {}, "^x is 'inf'; accepted: a number$"),
     ("number", "0x" + "f" * 300, {}, "^x is '0xfff"),
     ("number", "1_0", {}, "^x is '1_0'; accepted: a number"),
     ("number", -0.1, UNIT, "^x is -0.1; accepted: a number from 0.0 to 1.0$"),
     ("number", 1.1, UNIT, "^x is 1.1; accepted: a number from 0.0 to 1.0$"),
+    ("number", -1, {"low": 0}, "^x is -1; accepted: a number of at least 0$"),
     ("number", "0x0", {"above": 0.0}, "^x is '0x0'; accepted: a number above 0.0$"),
     ("number", 9, {"above": 0.0, "high": 5}, "^x is 9; accepted: a number above 0.0, at most 5$"),
     ("integer", None, CHANNEL, "^x is missing; accepted: an integer from 0 to 15$"),
@@ -73,12 +85,17 @@ WHOLE, LISTED = "accepted: an integer from -2147483648 to 2147483647$", "accepte
     ("integer", -1, CHANNEL, "^x is -1; accepted: an integer from 0 to 15$"),
     ("integer", -2.0 ** 31 - 1, {}, WHOLE),
     ("integer", 2.0 ** 31, {}, WHOLE),
+    ("integer", 0.5, CHANNEL, "^x is 0.5; accepted: an integer"),
     ("integer", math.nan, CHANNEL, "^x is nan; accepted: an integer"),
+    ("integer", math.inf, CHANNEL, "^x is inf; accepted: an integer"),
     ("integer", True, CHANNEL, "^x is True; accepted: an integer"),
+    ("integer", "1e-3", CHANNEL, "^x is '1e-3'; accepted: an integer"),
     ("numbers", None, {}, f"^x is missing; {LISTED}"),
+    ("numbers", 1.0, {}, f"^x is 1.0; {LISTED}"),
     ("numbers", "1, 2", {}, f"^x is '1, 2'; {LISTED}"),
     ("numbers", [True], {}, r"^x\[0\] is True; accepted: a number$"),
     ("numbers", [0, 2], UNIT, r"^x\[1\] is 2; accepted: a number from 0.0 to 1.0$"),
+    ("numbers", [None], {}, r"^x\[0\] is missing; accepted: a number$"),
     ("flag", None, {}, "^x is missing; accepted: true or false$"),
     ("flag", 1, {}, "^x is 1; accepted: true or false$"),
     ("text", None, {}, "^x is missing; accepted: a text$"),
@@ -88,7 +105,9 @@ WHOLE, LISTED = "accepted: an integer from -2147483648 to 2147483647$", "accepte
     ("text_or_integer", "", EITHER, "^x is ''; accepted: a text, or an integer of at least 0$"),
     ("text_or_integer", -1, EITHER, "^x is -1; accepted: a text, or an integer of at least 0$"),
     ("text_or_integer", 2 ** 31, EITHER, "^x is 2147483648; accepted: a text"),
+    ("text_or_integer", True, EITHER, "^x is True; accepted: a text"),
     ("choice", ["a"], AB, r"^x is \['a'\]; accepted: one of a, b$"),
+    ("timeout", -0.1, HALF_S, "^x is -0.1; accepted: a number from 0.0 to 3600.0$"),
     ("timeout", 3601, HALF_S, "^x is 3601; accepted: a number from 0.0 to 3600.0$"),
 ])
 def test_parameter_is_refused_naming_it_its_value_and_what_is_accepted(reader, value, args, message):
@@ -103,8 +122,10 @@ def test_integers_of_a_given_length_may_be_one_for_all(value, result):
 
 @pytest.mark.parametrize("value, message", [
     ([1, 2], r"^x is \[1, 2\]; accepted: 3 integers, or one for all of them$"),
+    ([1, 2, 3, 4], r"^x is \[1, 2, 3, 4\]; accepted: 3 integers, or one for all"),
     ([1, 2, 256], r"^x\[2\] is 256; accepted: an integer from 0 to 255$"),
     (256, "^x is 256; accepted: an integer from 0 to 255, or 3 of them$"),
+    ("all", "^x is 'all'; accepted: an integer from 0 to 255, or 3 of them$"),
 ])
 def test_integers_that_do_not_fit_are_refused(value, message):
     with pytest.raises(ConfigError, match=message):
@@ -112,6 +133,7 @@ def test_integers_that_do_not_fit_are_refused(value, message):
 
 
 def test_names_with_a_slash_are_found_in_nested_namespaces():
+    Params(None).finish()
     params = Params({"servo": {"channel": 1, "value_axis": [0, 1], "deep": {"er": True}}})
     assert params.integer("servo/channel") == 1
     assert params.numbers("servo/value_axis") == [0.0, 1.0]

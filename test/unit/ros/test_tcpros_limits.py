@@ -159,9 +159,7 @@ def test_header_in_pieces_is_taken_and_what_follows_it_is_left_on_a_connection_w
 
 @pytest.mark.parametrize("data, text", [
     (FOUR_GIB + b"topic", f"announces a header of 4294967295 bytes, more than {tcpros_limits.MAX_HEADER_SIZE}"),
-    (b"\x08\0\0\0\x04\0\0\0abcd", "sends no TCPROS header"),
-    (b"\x08\0\0\0\x04\0\0\0\xff=\xff\xff", "sends no TCPROS header"),
-], ids=["4 GiB", "no equals sign", "not UTF-8"])
+    (b"\x08\0\0\0\x04\0\0\0\xff=\xff\xff", "sends no TCPROS header")], ids=["4 GiB", "not UTF-8"])
 def test_what_is_no_header_ends_its_connection_with_one_line(server, caplog, data, text):
     peer = server.connect(data)
     wait_until(lambda: is_closed(peer))
@@ -246,8 +244,7 @@ def string(text):
 
 @pytest.mark.parametrize("first, text", [
     (b"", "sent no whole header within 1 s"), (FOUR_GIB, "announces a header"),
-    (b"\2\0\0\0ab", "sends no TCPROS header"), (None, "closed the connection before its header was whole"),
-], ids=["silent", "4 GiB", "no header", "leaves"])
+    (None, "closed the connection before its header was whole")], ids=["silent", "4 GiB", "leaves"])
 def test_publisher_without_a_header_is_tried_again_after_one_line(listener, subscription, caplog, first, text):
     publisher = accept(listener, first or b"")
     if first is None:
@@ -261,9 +258,9 @@ def test_publisher_without_a_header_is_tried_again_after_one_line(listener, subs
 
 
 @pytest.mark.parametrize("data, before, length", [
-    (FOUR_GIB + b"x" * 9, [], 0xffffffff), (string("right") + FOUR_GIB + b"x" * 9, ["right"], 0xffffffff),
+    (string("right") + FOUR_GIB + b"x" * 9, ["right"], 0xffffffff),
     (string("x" * (MAX_MESSAGE_SIZE - 3))[:100_000], [], MAX_MESSAGE_SIZE + 1), (b"\2\0\0\0ab", [], None),
-], ids=["first message", "behind another one", "a byte too long", "rospy cannot read it"])
+], ids=["behind another one", "a byte too long", "rospy cannot read it"])
 def test_after_a_message_that_is_too_long_or_none_rospy_connects_again(listener, subscription, caplog, data, before,
                                                                      length):
     publisher = accept(listener, PUBLISHER + data)
@@ -352,12 +349,10 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, size):
 
 @pytest.mark.parametrize("owner, name, value, reason", [
     (tcpros_base.TCPServer, "run", None, "there is no TCPServer.run"),
-    (tcpros_base.TCPROSTransport, "read_header", lambda self, timeout: None,
-     "TCPROSTransport.read_header has other parameters"),
     (tcpros_base.TCPROSTransport, "read_header", lambda self: None,
      "TCPROSTransport.read_header doesn't use _validate_header"),
     (tcpros_pubsub.TCPROSSub, "read_messages", lambda *_: None, "TCPROSSub has a read_messages of its own"),
-], ids=["missing", "other parameters", "other body", "overridden"])
+], ids=["missing", "other body", "overridden"])
 def test_rospy_that_is_not_known_is_left_alone_with_a_line_for_the_log(owner, name, value, reason):
     restore_rospy()
     with pytest.MonkeyPatch.context() as patch:
