@@ -9,6 +9,7 @@ import itertools
 import os
 from contextlib import contextmanager
 from functools import lru_cache, partial
+from types import SimpleNamespace
 from typing import Any, Callable, Iterator
 
 import yaml
@@ -319,22 +320,8 @@ class Port:
             raise PortError(self._path, FAILING, "the port was lost", "Check its cable and power")
 
 
-class _NoClaim:
-    def __init__(self, path):
-        pass
-
-    def close(self):
-        pass
-
-
 class Car:
-    """A car's nodes and devices. A method for each node starts it, with the shipped parameters and the given ones.
-
-    Attributes:
-        graph: the graph.
-        board: the servo board.
-        cable: of the Teensy.
-    """
+    """A car's nodes and devices. A method for each node starts it, with the shipped parameters and the given ones."""
 
     def __init__(self, graph: Graph | None = None):
         self.graph = graph or Graph()
@@ -384,7 +371,8 @@ class Car:
 
     def sim(self, follows_board: bool = True, **parameters: Any) -> Node:
         board = self.board if follows_board else None
-        line = partial(VirtualLine, make_terminal=partial(Terminal, self.cable), make_claim=_NoClaim)
+        line = partial(VirtualLine, make_terminal=partial(Terminal, self.cable),
+                       make_claim=lambda path: SimpleNamespace(close=lambda: None))
         return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(board), make_line=line),
                               "car_sim", {"seed": 1, **parameters})
 

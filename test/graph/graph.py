@@ -14,6 +14,7 @@ import itertools
 import logging
 import threading
 from collections import defaultdict
+from types import SimpleNamespace
 from typing import Any, Callable, NamedTuple
 
 import rospy
@@ -228,15 +229,6 @@ class Subscription:
             publisher.disconnect(self)
 
 
-class _Service:
-    def __init__(self, services: dict, name: str, handler):
-        self._services, self._name = services, name
-        services[name] = handler
-
-    def shutdown(self, *_) -> None:
-        self._services.pop(self._name, None)
-
-
 class _ReconfigureServer:
     """dynamic_reconfigure's server, without its own topics: ``Graph.reconfigure`` asks it."""
 
@@ -280,9 +272,10 @@ class NodeGraph:
     def replace_connections(self, subscriber: Subscription) -> Callable[[Any], bool]:
         return subscriber.replace_connections()
 
-    def service(self, name: str, service_type, handler) -> _Service:
-        self._graph.service_types[self.resolve_name(name)] = service_type
-        return _Service(self._graph.services, self.resolve_name(name), handler)
+    def service(self, name: str, service_type, handler) -> SimpleNamespace:
+        full, services = self.resolve_name(name), self._graph.services
+        self._graph.service_types[full], services[full] = service_type, handler
+        return SimpleNamespace(shutdown=lambda *_: services.pop(full, None))
 
     def parameter(self, name: str, default: Any) -> Any:
         return self._graph.parameter(self.resolve_name(name), default)
@@ -312,19 +305,11 @@ class NodeGraph:
 
 
 class Node:
-    """One node of the graph.
-
-    Args:
-        graph: where it is.
-        node_class: called with parameters and inbox.
-        name: with its namespace.
-        remap: other names of topics and services, by full or relative name.
-        inbox_limit: how many messages its inbox holds; ``None`` = as usual.
+    """One node of the graph; ``Graph.add`` has the arguments.
 
     Attributes:
         fault: what ended it by itself, in words.
         turns: how often its thread had one.
-        stalled_until_ns: its thread stands still until then.
         exit_actions: called when its process has ended, however that was: what the kernel closes then.
     """
 
@@ -412,7 +397,6 @@ class Node:
         """Have its thread stand still from now on.
 
         Args:
-            duration_s: for how long.
             frozen: the whole process stands still: what is sent meanwhile waits in its sockets, and then looks new.
             after_step: it arrives after the node's first step then, else before.
         """
@@ -506,11 +490,7 @@ class Call:
         self._sleeps = None
 
     def finish(self) -> Any:
-        """Let time go on until it is answered; return the answer.
-
-        Raises:
-            rospy.ServiceException: as the caller would get it.
-        """
+        """Let time go on until it is answered; return the answer, or raise what the caller would get."""
         while self._thread.is_alive():
             if (any(node.inbox.awaits_answer for node in self._graph.nodes.values())
                     or self._sleeps is not None and not self._sleeps.is_set()):
@@ -574,11 +554,11 @@ class Graph:
         """Start a node.
 
         Args:
+            node_class: called with parameters and inbox.
             name: with its namespace, or one below /.
             parameters: its own, nested as in a YAML file.
-
-        Raises:
-            CarInterfaceError: as the node does.
+            remap: other names of topics and services, by full or relative name.
+            inbox_limit: how many messages its inbox holds; ``None`` = as usual.
         """
         name = name if name.startswith("/") else f"/{name}"
         if parameters is not None:
@@ -630,10 +610,9 @@ class Graph:
 
     def publish(self, topic: str, message: Any, sender: str = "/test") -> None:
         """Publish a message now, as a node of any name."""
-        key = topic, sender
-        if key not in self._senders:
-            self._senders[key] = TopicPublisher(self, sender, topic, type(message), False, NodeClocks(self))
-        self._senders[key].publish(message)
+        if (topic, sender) not in self._senders:
+            self._senders[topic, sender] = TopicPublisher(self, sender, topic, type(message), False, NodeClocks(self))
+        self._senders[topic, sender].publish(message)
 
     def unregister(self, topic: str, sender: str = "/test") -> None:
         """Have a sender no longer publish on a topic."""
@@ -722,11 +701,7 @@ class Graph:
     # --- services ---
 
     def call(self, service: str, request: Any) -> Any:
-        """Call a service; let time go on until it answers, and return the answer.
-
-        Raises:
-            rospy.ServiceException: as the caller would get it.
-        """
+        """Call a service; let time go on until it answers; return the answer, or raise what the caller would get."""
         return self.begin_call(service, request).finish()
 
     def begin_call(self, service: str, request: Any) -> Call:
@@ -764,11 +739,7 @@ class Graph:
         self.now_ns = end_ns
 
     def run_until(self, condition: Callable[[], bool], within_s: float = 10.0) -> int:
-        """Let time go on until a condition is true; return when that was.
-
-        Raises:
-            AssertionError: it isn't, in all that time.
-        """
+        """Let time go on until a condition is true, which it must be within a time; return when that was."""
         deadline_ns = self.now_ns + round(within_s * NS_PER_S)
         while not condition():
             assert self._events and self._events[0][0] <= deadline_ns, f"not within {within_s} s"

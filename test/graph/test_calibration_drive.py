@@ -106,7 +106,7 @@ class Practice(Car):
             self.graph.run(2.0)
         self.arguments = arguments
 
-    def begin(self, run_s=4.0):
+    def begin(self, run_s=2.0):
         """Start the program."""
         wanted = options.parse(["-o", str(self.table), *self.arguments])
         self.program = self.graph.add(
@@ -318,8 +318,8 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
     car.graph.run(0.3)
     if key:
         assert f"Replace {car.table}? The old one is kept beside it. Y: yes, N: no" in car.terminal.text
-        car.graph.run(10.0)
-        assert car.program.is_alive and car.speed_mps == 0.0
+        car.graph.run_until(lambda: car.speed_mps == 0.0)
+        assert car.program.is_alive
         car.type("x")
         car.type(key)
     assert ended(car) == ""

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from pathlib import Path
 
 import pytest
@@ -115,15 +114,6 @@ def path(tmp_path):
     made.write_text("a: 1  # why\n", encoding="utf-8")
     made.chmod(0o640)
     return made
-
-
-def test_save_replaces_the_file_and_keeps_the_old_one_beside_it_with_the_time(path):
-    aside = Path(save(str(path), {"a": 2}))
-    assert path.read_text(encoding="utf-8") == "a: 2  # why\n"
-    assert aside.read_text(encoding="utf-8") == "a: 1  # why\n"
-    assert re.fullmatch(r"turn_arb\.yaml\.bak-\d{8}-\d{6}", aside.name) and aside.parent == path.parent
-    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(aside.stat().st_mode) == 0o640
-    assert sorted(path.parent.iterdir()) == [path, aside]
 
 
 def test_save_through_a_link_writes_where_it_leads_but_nothing_that_the_file_says_already(path, tmp_path):

@@ -17,9 +17,10 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from car_interface.ros import tcpros_limits
-from car_interface.ros.tcpros_limits import MAX_MESSAGE_SIZE, MessageTooLong, limit_connections, read_header
+from car_interface.ros.tcpros_limits import MessageTooLong, limit_connections, read_header
 
 PATIENCE_S = 20.0
+MAX_MESSAGE_SIZE = 300_000  # in here
 FOUR_GIB = struct.pack("<I", 0xffffffff)
 SUBSCRIBER = {"topic": "/steering", "md5sum": String._md5sum, "type": String._type, "callerid": "/board"}
 PUBLISHER = encode_ros_handshake_header({"type": String._type, "md5sum": String._md5sum, "callerid": "/turn_arb"})
@@ -41,6 +42,7 @@ def functions_of_rospy():
 @pytest.fixture(autouse=True)
 def limits(monkeypatch):
     """The limits for the length of a test, and a log that holds nothing back."""
+    monkeypatch.setattr(tcpros_limits, "MAX_MESSAGE_SIZE", MAX_MESSAGE_SIZE)
     monkeypatch.setattr(tcpros_base, "_use_tcp_keepalive", True)  # else rospy asks the master
     monkeypatch.setattr(tcpros_limits, "_warnings", tcpros_limits._ThreadSafeWarnings())
     monkeypatch.setattr(tcpros_limits, "_handshakes", tcpros_limits._Handshakes())

@@ -34,10 +34,10 @@ def test_finding_is_one_line_in_a_pipe_and_its_cure_has_lines_of_its_own_in_a_te
                                       "                  remedy: Plug the Teensy in: ls /dev/serial/by-id")
 
 
-def test_in_a_terminal_no_line_is_too_long_and_words_stay_whole(width=60):
+def test_in_a_terminal_no_line_is_too_long_and_words_stay_whole():
     words = ["word" * (index % 5 + 1) for index in range(60)]
-    text = render(Finding(BAD, "port", " ".join(words), " ".join(words)), width)
-    assert max(map(len, text.split("\n"))) <= width
+    text = render(Finding(BAD, "port", " ".join(words), " ".join(words)), 60)
+    assert max(map(len, text.split("\n"))) <= 60
     assert text.split() == ["bad", "port", *words, "remedy:", *words]
 
 

@@ -150,11 +150,6 @@ def test_nothing_is_known_of_a_process_on_another_computer_or_with_wrong_argumen
     assert asked.fixed_parameters(look(asked, "pca9685")) == {}
 
 
-@pytest.mark.parametrize("host, is_here", [("127.0.0.1", True), ("192.0.2.1", False)])  # the latter: RFC 5737
-def test_address_is_this_computer_s_or_not(host, is_here):
-    assert probe._is_here(host) == is_here
-
-
 # --- files ---
 
 
@@ -183,12 +178,3 @@ def test_files_of_the_folder_that_a_node_saves_to_are_read(car):
     pipe, twice = sorted(faults(folder / "turn_arb.yaml"))
     assert pipe.startswith(f"{folder}/pca9685.yaml can't be read (it is a pipe)")
     assert twice.startswith(f"{folder}/sonars.yaml, lines ") and "both give sonar_left" in twice
-
-
-def test_file_of_another_name_is_read_where_it_is_saved_to(car):
-    folder, faults = car
-    os.rename(str(folder / "turn_arb.yaml"), str(folder / "mine.yaml"))
-    with open(str(folder / "mine.yaml"), "a", encoding="utf-8") as file:
-        file.write("servo_left: 1\n")
-    fault, = faults(folder / "mine.yaml")
-    assert fault.startswith(f"{folder}/mine.yaml, lines ") and "both give servo_left" in fault
