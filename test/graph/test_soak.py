@@ -1,6 +1,6 @@
 """Random faults of every kind on a car that drives: nothing moves that must not, and it drives again afterwards.
 
-``./dev soak`` does the same to the processes, in real time.
+``./dev soak`` does the like to the processes, in real time.
 """
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ class Soak:
                     raise
         pongs = self.graph.newest(LINK).pongs
         self.graph.run_until(lambda: self.graph.newest(LINK).open and self.graph.newest(LINK).pongs > pongs, 8.0)
-        self.graph.run(self.choose.uniform(0.1, 0.5))
+        self.graph.run(self.choose.uniform(0.3, 1.5))
 
     def stopped(self, within_s, *pins):
         """They are at rest within that time, and stay so."""
         self.graph.run_until(lambda: self.at_rest(*pins), within_s + TIMER_S)
         since_ns = self.graph.now_ns
-        self.graph.run(self.choose.uniform(0.2, 0.8))
+        self.graph.run(self.choose.uniform(0.2, 2.0))
         assert self.at_rest(*pins)
         for pin in pins:
             assert {counts for _, counts in self.car.board.since(since_ns, pin)} <= set(PINS_AT_REST[pin])
@@ -140,7 +140,7 @@ class Soak:
     def sonar(self, fault):
         sensor = self.choose.randrange(6)
         self.inject(fault, sensor)
-        self.graph.run(self.choose.uniform(0.5, 1.0))
+        self.graph.run(self.choose.uniform(0.5, 2.0))
         self.inject("sonar_fine", sensor)
 
     def kill(self, node):

@@ -10,16 +10,12 @@ POOR = Finding(BAD, "port", "/dev/ttyAMA0: there is no such port", "Plug the Tee
 SO_SO = Finding(WARN, "clock", "not synchronised", "sudo timedatectl set-ntp true")
 
 
-@pytest.mark.parametrize(
-    ("findings", "level", "words"),
-    [
-        ([GOOD, GOOD], 0, "2 ok: nothing to do"),
-        ([GOOD, SO_SO], 1, "1 warn, 1 ok: nothing that is bad; read the warnings"),
-        ([SO_SO, POOR, GOOD, POOR], 2, "2 bad, 1 warn, 1 ok: begin with the first that is bad"),
-        ([], 0, "nothing was looked at"),
-    ],
-    ids=["all_ok", "a_warning", "something_bad", "nothing"],
-)
+@pytest.mark.parametrize("findings, level, words", [
+    ([GOOD, GOOD], 0, "2 ok: nothing to do"),
+    ([GOOD, SO_SO], 1, "1 warn, 1 ok: nothing that is bad; read the warnings"),
+    ([SO_SO, POOR, GOOD, POOR], 2, "2 bad, 1 warn, 1 ok: begin with the first that is bad"),
+    ([], 0, "nothing was looked at"),
+], ids=["all_ok", "a_warning", "something_bad", "nothing"])
 def test_sum_and_exit_code_are_those_of_the_worst(findings, level, words):
     assert worst(findings) == level
     assert summarise(findings) == words
