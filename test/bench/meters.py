@@ -16,7 +16,6 @@ class CpuMeter:
         self._begun_s, self._used_s = time.monotonic(), sum(map(cpu_s, pids))
 
     def percent(self) -> float:
-        """Return the CPU time in percent of one core."""
         return 100 * (sum(map(cpu_s, self._pids)) - self._used_s) / (time.monotonic() - self._begun_s)
 
 

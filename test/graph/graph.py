@@ -36,16 +36,12 @@ MACHINE = "127.0.0.1"
 
 
 class Record(NamedTuple):
-    """A message that was published."""
-
     at_ns: int
     sender: str
     message: Any
 
 
 class Line(NamedTuple):
-    """A line of the log."""
-
     at_ns: int
     node: str
     level: int
@@ -121,7 +117,6 @@ class NodeInbox(Inbox):
         self._fds.discard(fd)
 
     def readable(self, fd) -> None:
-        """A device has something for the node."""
         if fd in self._fds:
             self.wake()
 
@@ -321,7 +316,6 @@ class Node:
         self.start()
 
     def start(self) -> None:
-        """Start it, or start it again."""
         self.fault, self.turns, self.watches = "", 0, []
         self._counted_from = self.graph.now_ns, 0  # time and turns
         self.exit_actions: list[Callable[[], None]] = []
@@ -380,7 +374,6 @@ class Node:
         self.plan_step(max(due_ns, ended_ns + SHORTEST_WAIT_NS))
 
     def receive(self, connection: Connection, data: bytes, life) -> None:
-        """A message arrives at its process."""
         if life is not self._life or not self.is_alive or not connection.subscription.is_open:
             return
         if self._is_frozen:
@@ -490,7 +483,6 @@ class Call:
         self._sleeps = None
 
     def finish(self) -> Any:
-        """Let time go on until it is answered; return the answer, or raise what the caller would get."""
         while self._thread.is_alive():
             if (any(node.inbox.awaits_answer for node in self._graph.nodes.values())
                     or self._sleeps is not None and not self._sleeps.is_set()):
@@ -504,8 +496,6 @@ class Call:
 
 
 class Link(NamedTuple):
-    """How messages get from a node to another."""
-
     delay_s: float = 0.0
     loses: Callable[[Any], bool] = lambda message: False
 
@@ -615,7 +605,6 @@ class Graph:
         self._senders[topic, sender].publish(message)
 
     def unregister(self, topic: str, sender: str = "/test") -> None:
-        """Have a sender no longer publish on a topic."""
         self._senders.pop((topic, sender)).unregister()
 
     def repeat(self, topic: str, message: Callable[[], Any] | Any, rate_hz: float, sender: str = "/test",
@@ -684,7 +673,6 @@ class Graph:
         return [record.message for record in self.recorded[topic] if record.at_ns >= since_ns]
 
     def newest(self, topic: str) -> Any:
-        """Return the newest recorded message of a topic."""
         return self.recorded[topic][-1].message
 
     def report(self, name: str, since_ns: int = 0) -> Report:
@@ -694,7 +682,6 @@ class Graph:
         return Report(status.level, status.message, {pair.key: pair.value for pair in status.values})
 
     def lines(self, node: str = "", since_ns: int = 0, level: int = logging.INFO) -> list[str]:
-        """Return the lines that a node, or any, has logged at a level or above."""
         return [line.text for line in self.log
                 if line.at_ns >= since_ns and line.level >= level and line.node.startswith(node)]
 
@@ -713,7 +700,6 @@ class Graph:
         return self.call(f"{namespace}/set_parameters", changes)
 
     def readable(self, fd: Any) -> None:
-        """Wake the node that waits for a device."""
         for node in self.nodes.values():
             if node.is_alive:
                 node.inbox.readable(fd)

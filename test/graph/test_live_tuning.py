@@ -58,7 +58,6 @@ class Tuned:
         return answer.success, answer.message
 
     def duties(self, channel, since_ns=0):
-        """Return (time, duty) of the commands to a channel."""
         return [(record.at_ns, record.message.data[channel]) for record in self.graph.recorded[ORDERS]
                 if record.at_ns >= since_ns and record.message.data[channel] >= 0]
 

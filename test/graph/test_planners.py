@@ -53,7 +53,6 @@ class Program:
             self._waits.acquire()
 
     def kill(self):
-        """End it without a word."""
         self._is_over = True
         self._goes.release()
         self._graph.drop(self.name)

@@ -38,7 +38,6 @@ class Soak:
         self.plan()
 
     def plan(self, radius_m=RADIUS_M, extra_mps2=0.0):
-        """Have the planner ask for a circle at a speed."""
         def command():
             message = Control()
             control_mps2 = 1.5 * (SPEED_MPS - self.car.speed_mps)

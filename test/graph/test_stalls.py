@@ -105,7 +105,6 @@ class Story:
             assert since_ns is None or at_ns - since_ns <= TOLERANCE_MS * MS, "throttle without steering"
 
     def check_that_it_drives_again(self):
-        """When the person has let go and held again."""
         self.graph.hold("/e_stop", Bool(False), 10)
         self.car.pad()
         self.graph.run(1.2)  # the ESC may have to find its neutral again
@@ -168,7 +167,6 @@ def stalled_at_each(story, node, times_ms):
 
 
 def whole_story(story, node):
-    """Play it to its end, in a process of its own."""
     times_ms = list(enumerate(range(7 * list(DELAYS_MS).index(node) % STEP_MS, STORY_MS, STEP_MS)))
 
     def end():

@@ -33,8 +33,6 @@ CASES = {"teleop": [(1.0, 3800), (-0.5, 5900), (0.25, 4775), (0.002, 5097), (-1.
 
 
 class Arb(Inputs):
-    """turn_arb in a graph of its own."""
-
     def __init__(self, **parameters):
         self.car = Car()
         super().__init__(self.car.graph, TOPICS, settle_s=0.012)  # a repeated value is handled at the next tick
@@ -43,7 +41,6 @@ class Arb(Inputs):
         self.car.turn_arb(**{"grant_at_start": True, **parameters})
 
     def drive(self, **inputs):
-        """Let go, and hold again."""
         self.once("human", False)
         self.hold(**inputs, human=True)
         return self

@@ -68,7 +68,6 @@ def test_limit_below_what_is_needed_is_refused_and_no_limit_is_not(monkeypatch):
 
 
 def limited(mib, *command):
-    """Run a program with a limit of its address space."""
     return subprocess.run(
         [sys.executable, "-B", *command], capture_output=True, text=True, check=False, timeout=60,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), *filter(None, sys.path)])},

@@ -107,7 +107,6 @@ def wait_until(is_true):
 
 
 def is_closed(peer):
-    """Whether the other side has ended a connection."""
     peer.setblocking(False)
     try:
         return peer.recv(1) == b""
@@ -288,7 +287,6 @@ def test_publisher_that_does_not_answer_still_counts_as_one_and_one_that_has_end
 
 @pytest.fixture
 def service(server):
-    """A service of rospy without a master."""
     implementation = object.__new__(tcpros_service.ServiceImpl)
     implementation.resolved_name, implementation.seq = "/save", 0
     implementation.response_class = SetBoolResponse

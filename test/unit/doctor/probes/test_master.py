@@ -17,7 +17,6 @@ from car_interface.pca9685 import config
 
 
 def uri_of(listener):
-    """That of what listens there."""
     return f"http://127.0.0.1:{listener.getsockname()[1]}"
 
 
@@ -38,7 +37,6 @@ class Server:
 
 @pytest.fixture
 def served():
-    """Starts servers, which end with the test."""
     servers = []
 
     def serve(**answers):
@@ -51,13 +49,11 @@ def served():
 
 @pytest.fixture
 def node(served):
-    """A node that answers."""
     return served(getPid=lambda caller: [1, "", 7])
 
 
 @pytest.fixture
 def refused():
-    """Where nothing listens any more."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         return uri_of(listener)
