@@ -14,6 +14,7 @@ import itertools
 import logging
 import threading
 from collections import defaultdict
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any, Callable, NamedTuple
 
@@ -35,10 +36,13 @@ COUNTED_NS, MAX_TURNS = NS_PER_S // 100, 2000  # of a node in such a time; none 
 MACHINE = "127.0.0.1"
 
 
-class Record(NamedTuple):
-    at_ns: int
-    sender: str
-    message: Any
+class Record:
+    def __init__(self, at_ns: int, sender: str, message_type: Any, data: bytes):
+        self.at_ns, self.sender, self._content = at_ns, sender, (message_type, data)
+
+    @cached_property
+    def message(self) -> Any:
+        return _message(*self._content)
 
 
 class Line(NamedTuple):
@@ -166,7 +170,9 @@ class TopicPublisher:
         self.connections = [each for each in self.connections if each.subscription is not subscription]
 
     def publish(self, *args, **kwargs) -> None:
-        """As rospy: a message, or its fields."""
+        """As rospy: a message, or its fields; nothing is serialised for nobody."""
+        if not (self.latch or self.get_num_connections()):
+            return
         is_message = len(args) == 1 and not kwargs and isinstance(args[0], self.type)
         message = args[0] if is_message else self.type(*args, **kwargs)
         buffer = io.BytesIO()
@@ -174,7 +180,7 @@ class TopicPublisher:
         data, now_ns = buffer.getvalue(), self._clocks.now_ns()
         self._last = data if self.latch else None
         if self.topic in self.graph.recorded:
-            self.graph.recorded[self.topic].append(Record(now_ns, self.node, _message(self.type, data)))
+            self.graph.recorded[self.topic].append(Record(now_ns, self.node, self.type, data))
         for connection in self.connections:
             self.graph.send(connection, data, now_ns)
 

@@ -28,7 +28,7 @@ from graph import NS_PER_S
 MS = 1_000_000
 STORY_MS, STALL_MS, STOP_MS = 2000, 600, 1400  # the person stops at STOP_MS
 STEP_MS = 10 if os.environ.get("CAR_INTERFACE_ALL") else 125
-AFTER_MS = 200  # of what is judged after the stall and the timeouts
+AFTER_MS = 120  # of what is judged after the stall and the timeouts
 NOISE_MPS = 0.02
 # How long after the person's stop a stall of the node may delay it: the timeout of who waits for it, and a timer.
 DELAYS_MS = {
@@ -52,11 +52,12 @@ class Story:
                                          "throttle_arb": {"esc": {"profile": "brake_then_reverse"}}},
                                esc_kind="brake_then_reverse", obstacles=False, collisions=False)
         self.graph = self.car.graph
-        self.graph.record("/servo/cmdVector")
         self.graph.hold("/av_turnrad_req", Float32(2.0), 20, sender="/planner")
         self.graph.hold("/av_speed_req", Float32(1.0), 20, sender="/planner")
         self.graph.run(2.5)
         self.begin_ns = self.graph.now_ns
+        self.graph.record("/servo/cmdVector")
+        del self.car.board.changes[:-1]
         self.car.pad(autonomous=True)
 
     def ns(self, at_ms):
