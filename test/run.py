@@ -1,8 +1,8 @@
 """Runs the tests, as ``./dev test`` does once the workspace is built and sourced.
 
 A *step* is one command with results of its own: the unit tests on one Python (test/unit), the tests of nodes in one
-process on one Python (test/graph), or one .test file with its own ROS master (test/process). Those of pytest use every
-CPU, one after the other; of the .test files, which mostly wait, three are at work at a time.
+process on one Python (test/graph), or one .test file with its own ROS master (test/process). Those of pytest come one
+after the other, each on every CPU; of the .test files, which mostly wait, four are at work at a time.
 """
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tally import Tally, tally
 
 TEST = Path(__file__).resolve().parent
 ROOT = TEST.parent
-AT_WORK = 3  # .test files at a time; one with --all, whose bounds are those of a machine that does nothing else
+AT_WORK = 4  # .test files at a time; one with --all, whose bounds are those of a machine that does nothing else
 # Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 900 s.
 PROCESS_LIMIT_S, PYTEST_LIMIT_S = 900.0, 1800.0
 LONG_PYTEST_LIMIT_S = 3600.0  # with --all
@@ -116,7 +116,7 @@ def pytest_step(results: Path, title: str, python: Python, files: list[Path], py
         marks, title = (*marks, f"--hypothesis-seed={seed}"), f"{title}, seed {seed}"
     command = (python.path, "-m", "pytest", "-q", "--tb=short", "-p", "no:cacheprovider",
                "-o", f"faulthandler_timeout={PYTEST_TRACEBACK_S}", f"--junitxml={results / name / 'junit.xml'}",
-               "-n", str(len(os.sched_getaffinity(0))), "--dist", "loadfile", *marks, *map(str, files))
+               "-n", str(len(os.sched_getaffinity(0)) + 1), "--dist", "loadfile", *marks, *map(str, files))
     return Step(name, title, command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": python_path},
                 LONG_PYTEST_LIMIT_S if is_all else PYTEST_LIMIT_S, is_pytest=True, may_be_empty=python.is_second)
 
