@@ -38,6 +38,7 @@ PERIOD_S = 0.02
 STOPPED_WITHIN_S = 1.0  # 0.25 s joy, 0.5 s human, and time for a busy machine
 RECOVERED_WITHIN_S = 15.0
 DRIVES_FOR_S = 1.5  # between two faults
+RECONNECTED_S = 5.0  # after a node was killed
 WARM_UP_RATIO = 0.4  # of the time: nodes are killed only until then, and what grows afterwards is a leak
 MAX_GROWTH_MB = 1.0
 AUTONOMOUS_BUTTON = 5
@@ -175,6 +176,7 @@ class Soak:
         before = None
         for name in self._names():
             if "killed" not in name and before is None and time.monotonic() > self._kill_until_s:
+                time.sleep(RECONNECTED_S)
                 before = {node: Footprint(node) for node in NODES}
             self._try_fault(name)
         return self._report(before or {}, {node: Footprint(node) for node in NODES})
