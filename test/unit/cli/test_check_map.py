@@ -96,7 +96,7 @@ def test_terminal_without_blocks_gets_plain_characters(monkeypatch, tmp_path):
 @pytest.mark.parametrize("changes, words", [
     pytest.param({}, ["can't tell apart .*: 4 and 5 m, 6 and 7 m"], id="stock"),
     pytest.param({"k_pwmcmd_right_table_servo": [6700 - 100 * index for index in range(13)] + [5550, 5100]},
-                 ["can't tell apart", "to the right the duty goes back from 5500 to 5550 .* 80 to 100 m|tell apart"],
+                 ["can't tell apart", "to the right the duty goes back from 5500 to 5550 .* 80 to 100 m"],
                  id="going_back"),
     pytest.param({"servo_right": 6500}, ["tell apart", "beyond servo_right 6500"], id="beyond_the_end"),
     pytest.param({"m_turnrad_axis_servo": [index + 1 for index in range(14)] + [99]},
