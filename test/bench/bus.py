@@ -24,7 +24,6 @@ def sizes(log: str) -> list[int]:
 
 
 def measure_bus(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure a steering change, the same command again, and sixteen changes."""
     path = stage.path("bus")
     with stage.running(stage.node("pca9685", "_device:=virtual", f"_virtual_log:={path}", "_timeout:=0")):
         outputs = TimedSubscriber("/servo/output", Int32MultiArray, lambda message: tuple(message.data)).connected()

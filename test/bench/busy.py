@@ -38,7 +38,6 @@ ESC_LINKS = ("turn_arb's state", "tele_throt_req", "mode", "the planner's value"
 
 
 def measure_busy(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure one reaction, then a drive in which gamepad and planner steer in turns."""
     loops = LOOPS_PER_CORE * (os.cpu_count() or 1)
     with busy(stage, loops):
         for what, times_ms, floors_ms in reactions(effort.busy_reactions, stage, TURN_ARB, kinds=1):
@@ -149,7 +148,6 @@ def values(subscriber: TimedSubscriber) -> list:
 
 
 def rises(flags: list[bool]) -> int:
-    """Return how often a value became true."""
     return sum(now and not before for before, now in zip([False, *flags], flags))
 
 

@@ -33,7 +33,6 @@ class Line:
         os.symlink(os.ttyname(self._far), link)
 
     def send(self, data: bytes) -> None:
-        """Write what the port takes."""
         try:
             os.write(self._near, data)
         except BlockingIOError:

@@ -19,8 +19,6 @@ RATE_TOLERANCE, PERIOD_TOLERANCE_MS = 0.0005, 0.5
 
 
 class Heartbeat(NamedTuple):
-    """An arbiter and what it gets meanwhile."""
-
     arbiter: Arbiter
     rate_hz: int  # of its timer
     rest: int  # the duty of its channel while nobody asks for anything

@@ -50,7 +50,6 @@ def twist(speed_mps: float = SPEED_MPS, radius_m: float = RADIUS_M) -> Twist:
 
 
 def steering_state() -> msg.SteeringState:
-    """Return turn_arb's state while the planner steers."""
     return msg.SteeringState(
         stamp=rospy.Time.now(), source=msg.SteeringState.PLANNER, cause=causes.PLANNER,
         reason="av_turnrad_req is 2.000 m", duty=DUTIES.data[0], turn_radius=RADIUS_M, speed=SPEED_MPS,

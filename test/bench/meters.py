@@ -16,7 +16,6 @@ class CpuMeter:
         self._begun_s, self._used_s = time.monotonic(), sum(map(cpu_s, pids))
 
     def percent(self) -> float:
-        """Return the CPU time in percent of one core."""
         return 100 * (sum(map(cpu_s, self._pids)) - self._used_s) / (time.monotonic() - self._begun_s)
 
 
@@ -41,17 +40,8 @@ def cpu_s(pid: int, with_children: bool = False) -> float:
 
 
 def rss_mb(pid: int) -> float:
-    return _kb(f"/proc/{pid}/status", "VmRSS:") / 1000
-
-
-def pss_mb(pid: int) -> float:
-    """Return the same, with its ratio of the pages that it shares with other processes, MB."""
-    return _kb(f"/proc/{pid}/smaps_rollup", "Pss:") / 1000
-
-
-def _kb(path, key):
-    with open(path, encoding="utf-8", errors="replace") as file:
-        return next(int(line.split()[1]) for line in file if line.startswith(key))
+    with open(f"/proc/{pid}/status", encoding="utf-8", errors="replace") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith("VmRSS:")) / 1000
 
 
 class OthersMeter:

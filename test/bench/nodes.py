@@ -56,7 +56,6 @@ def start_inputs(stage: Stage) -> list:
 
 
 def start_node(stage: Stage, subject: Subject):
-    """Start a node; return it and the time until its first message arrived, s."""
     subscriber = TimedSubscriber(subject.topic, rospy.AnyMsg, lambda message: message._connection_header["callerid"])
     time.sleep(0.1)
     begun_ns = time.monotonic_ns()

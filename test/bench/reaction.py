@@ -35,8 +35,6 @@ class Step(NamedTuple):
 
 
 class Arbiter(NamedTuple):
-    """An arbiter, and what makes it react."""
-
     node: str
     config: str  # its file in config/
     arguments: tuple[str, ...]  # of its command line
@@ -71,7 +69,6 @@ class ArbiterInputs:
         self._publishers = {name: connected_publisher(*topic) for name, topic in arbiter.topics.items()}
 
     def publish(self, name, value) -> int:
-        """Publish an input; return the time just before, ns."""
         at_ns = time.monotonic_ns()
         self._publishers[name].publish(data=value)
         return at_ns
@@ -85,7 +82,6 @@ class ArbiterInputs:
             self.publish(name, value)
 
     def pause(self) -> None:
-        """Wait for a random phase of the arbiter's timer."""
         time.sleep(self._random.uniform(*PAUSE_S))
 
 

@@ -63,7 +63,6 @@ def ignore_inputs(names) -> None:
 
 
 def at_50_hz(act) -> None:
-    """Call a function until shutdown, without drift."""
     due_s = time.monotonic()
     while not rospy.is_shutdown():
         act()

@@ -33,7 +33,6 @@ class Summary:
 
 
 def percentile(ordered: Sequence[float], percent: float) -> float:
-    """Return a percentile by nearest rank."""
     return ordered[max(0, math.ceil(len(ordered) * percent / 100) - 1)]
 
 
@@ -74,8 +73,6 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """One distribution that was measured."""
-
     group: str
     what: str
     unit: str
@@ -110,7 +107,6 @@ class Row:
         return f"{self._statistic(target)} {ratio or f'{number(value, self.digits)} {self.unit}'}".lstrip()
 
     def _values(self, target):
-        """Return the figure and bare rospy's, which may be None."""
         return getattr(self.summary, target.statistic), self.floor and getattr(self.floor, target.statistic)
 
     def _statistic(self, target):
@@ -118,7 +114,6 @@ class Row:
         return "" if is_single and len(self.targets) == 1 else target.statistic
 
     def lines(self) -> list[tuple[str, ...]]:
-        """Return the table's cells, a line for each target."""
         return [self._cells(target) for target in self.targets]
 
     def _cells(self, target):
@@ -136,7 +131,6 @@ class Row:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, a whole number as it is."""
     if value == int(value):
         return str(int(value))
     return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"

@@ -31,7 +31,6 @@ ORIGINALS = {(1, RAW): "5.4", (10, RAW): "34.8"}  # CPU, % of a core
 
 
 def hub(stage: Stage, port: str, namespace: str = "", *arguments: str) -> NodeProcess:
-    """Start the hub on a port, configured as by its launch file, and wait until the port is open."""
     stage.load(f"{namespace}/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
     process = stage.node("teensy_sensor_hub", f"_port:={port}", f"__ns:={namespace}", *arguments)
     process.wait_for_info("the Teensy's port is open")
@@ -61,8 +60,6 @@ def measure_serial(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 class Load(NamedTuple):
-    """What a node did during some time of a full line."""
-
     cpu_percent: float
     lost: int  # frames that did not arrive at their subscriber
     sent_per_s: float  # frames
@@ -122,7 +119,6 @@ def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
 
 
 def mean(loads: list[Load]) -> Load:
-    """Return several of the same duration as one, with all that was lost."""
     cpu_percents, lost, rates = zip(*loads)
     return Load(sum(cpu_percents) / len(loads), sum(lost), sum(rates) / len(loads))
 

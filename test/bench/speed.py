@@ -60,7 +60,6 @@ def decode(passes: int) -> dict:
 
 
 def per_call(call, arguments) -> list[float]:
-    """Return µs per call of each batch of calls."""
     costs = []
     for start in range(0, len(arguments), BATCH):
         batch = arguments[start:start + BATCH]
@@ -99,7 +98,6 @@ def lookup(calls: int, size: int) -> dict:
 
 
 def steering(limits: SteeringLimits) -> SteeringArbiter:
-    """Return turn_arb's arbiter while a planner steers a turn of 2 m at 1 m/s: below the limits."""
     arbiter = SteeringArbiter(load_steering(str(CONFIG / "turn_arb.yaml")), ArbiterConfig(limits=limits))
     arbiter.update_human(True, NOW_NS)
     arbiter.update_teleop(0.0, NOW_NS)
@@ -109,7 +107,6 @@ def steering(limits: SteeringLimits) -> SteeringArbiter:
 
 
 def throttle(limits: ThrottleLimits) -> ThrottleControl:
-    """Return throttle_arb's control while a planner drives at 1 m/s: below the limits."""
     control = ThrottleControl(ThrottleCalibration(1, [-5.0, 0.0, 3.0], [3277, 4915, 6554], 4915),
                               ThrottleArbiterConfig(), EscConfig(arming_time_s=0.1), limits)
     for at_ns in (0, NOW_NS // 2, NOW_NS):  # neutral for the arming time, then the deadman is held
@@ -141,13 +138,11 @@ def decide(calls: int, off, on) -> dict:
 
 
 def decide_steering(calls: int) -> dict:
-    """turn_arb's decision, without limits and with those that it ships with."""
     none = SourceLimits()
     return decide(calls, steering(SteeringLimits(human=none, planner=none)), steering(SteeringLimits()))
 
 
 def decide_throttle(calls: int) -> dict:
-    """throttle_arb's decision, without limits and with all of them."""
     limits = DriveLimits(max_speed_mps=3.0, max_acceleration_mps2=3.0, max_braking_mps2=5.0)
     value_map = load_value_map(str(CONFIG / "value_map.csv"))
     return decide(calls, throttle(ThrottleLimits(slow_down=False)),

@@ -47,7 +47,6 @@ class Stage:
         self._stack.close()
 
     def open(self) -> None:
-        """Start the master and become a node, once."""
         if self._has_master:
             return
         port = free_port()
@@ -64,7 +63,6 @@ class Stage:
         return process
 
     def node(self, node: str, *arguments: str) -> NodeProcess:
-        """Start a node of this package by rosrun, which becomes the node: this is its process."""
         return self.start("rosrun", "car_interface", node, *arguments)
 
     def actors(self, *roles: tuple[str, ...]) -> list[NodeProcess]:
@@ -141,7 +139,6 @@ class TimedSubscriber:
         self._received.put((now_ns, self._convert(message)))
 
     def connected(self) -> TimedSubscriber:
-        """Wait for a publisher; return this object."""
         eventually(lambda: self._subscriber.get_num_connections() > 0, f"a publisher of {self._topic}", PATIENCE_S)
         return self
 
@@ -157,7 +154,6 @@ class TimedSubscriber:
                 return at_ns
 
     def drain(self) -> list[tuple[int, object]]:
-        """Return what has arrived since the last call, with the times."""
         drained = []
         while not self._received.empty():
             drained.append(self._received.get())

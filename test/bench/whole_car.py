@@ -76,7 +76,6 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 
 def measure_planners_car(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure a car whose planner sends cmd_vel at 50 Hz."""
     nodes, namespace = (*ALL, PLANNER), "/bench_planner"
     with stage.running(*launch_cars(stage, [namespace], (*nodes, SIMULATOR), {"planner": "cmd_vel"}, ("cmd_vel",))):
         drive = measure_drive(effort.drive_s, [namespace], nodes)
@@ -108,7 +107,6 @@ def launch_cars(stage: Stage, namespaces: list[str], nodes: tuple[str, ...], arg
 
 
 def measure_drive(drive_s: float, namespaces: list[str], nodes: tuple[str, ...]) -> Drive:
-    """Measure cars that drive; ``nodes``: those of a car that count."""
     reports = [TimedSubscriber(f"{ns}/teensy_wheel", rospy.AnyMsg, lambda message: None).connected()
                for ns in namespaces]
     pids = {(ns, node): with_guard(pid_of(f"{ns}/{node}")) for ns in namespaces for node in (*nodes, SIMULATOR)}

@@ -9,6 +9,7 @@ import itertools
 import os
 from contextlib import contextmanager
 from functools import lru_cache, partial
+from types import SimpleNamespace
 from typing import Any, Callable, Iterator
 
 import yaml
@@ -80,19 +81,16 @@ class Board:
         self._clocks.sleep(duration_s)
 
     def node(self, params: Any, inbox: Any) -> Pca9685:
-        """Build a pca9685 on this board."""
         client = BoardClient(self, inbox)
         return Pca9685(params, inbox, client.make_bus, client.start_guard)
 
     def open(self, pid: int, clocks: Any) -> VirtualBus:
-        """Lock it and return the bus."""
         if self.holder not in (0, pid):
             raise BlockingIOError(errno.EAGAIN, "locked")
         self.holder, self._clocks = pid, clocks
         return self.bus
 
     def close(self, pid: int) -> None:
-        """Unlock it."""
         if self.holder == pid:
             self.holder = 0
 
@@ -104,12 +102,10 @@ class Board:
         self._clocks = before
 
     def brown_out(self) -> None:
-        """Have the chip lose its registers."""
         self.chip.power_up()
         self.note()
 
     def note(self) -> None:
-        """Note what the pins do now."""
         if self.counts != self.changes[-1][1]:
             self.changes.append((self._clocks.now_ns(), self.counts))
             self.graph.readable(self)
@@ -226,7 +222,6 @@ class Cable:
             deliver(data)
 
     def to_computer(self, data: bytes) -> None:
-        """Bytes have arrived there."""
         port = self.port
         if port is not None:
             port.received += data[:max(0, self.capacity - len(port.received))]
@@ -250,7 +245,6 @@ class Terminal:
         return bool(self.received)
 
     def take(self, data: bytes) -> None:
-        """Bytes have arrived from the computer."""
         self.received += data
         self._cable.graph.readable(self)
 
@@ -319,22 +313,8 @@ class Port:
             raise PortError(self._path, FAILING, "the port was lost", "Check its cable and power")
 
 
-class _NoClaim:
-    def __init__(self, path):
-        pass
-
-    def close(self):
-        pass
-
-
 class Car:
-    """A car's nodes and devices. A method for each node starts it, with the shipped parameters and the given ones.
-
-    Attributes:
-        graph: the graph.
-        board: the servo board.
-        cable: of the Teensy.
-    """
+    """A car's nodes and devices. A method for each node starts it, with the shipped parameters and the given ones."""
 
     def __init__(self, graph: Graph | None = None):
         self.graph = graph or Graph()
@@ -384,7 +364,8 @@ class Car:
 
     def sim(self, follows_board: bool = True, **parameters: Any) -> Node:
         board = self.board if follows_board else None
-        line = partial(VirtualLine, make_terminal=partial(Terminal, self.cable), make_claim=_NoClaim)
+        line = partial(VirtualLine, make_terminal=partial(Terminal, self.cable),
+                       make_claim=lambda path: SimpleNamespace(close=lambda: None))
         return self.graph.add(partial(CarSim, make_chip=lambda path, inbox: Pins(board), make_line=line),
                               "car_sim", {"seed": 1, **parameters})
 
@@ -406,7 +387,6 @@ class Car:
     # --- people and planners ---
 
     def joy(self, is_there: bool = True) -> None:
-        """Have the gamepad send, or fall silent."""
         self.graph.silence("/joy", sender="/joy_node")
         if is_there:
             self.graph.hold("/joy", lambda: self._pad, JOY_HZ, sender="/joy_node")
@@ -420,12 +400,10 @@ class Car:
             self._pad.buttons[index] = int(held)
 
     def truth(self) -> Any:
-        """Return the car's true odometry."""
         return self.graph.newest("/car_sim/truth")
 
     @property
     def speed_mps(self) -> float:
-        """The car's true speed."""
         return self.truth().twist.twist.linear.x
 
     def seconds_since(self, at_ns: int) -> float:

@@ -14,6 +14,8 @@ import itertools
 import logging
 import threading
 from collections import defaultdict
+from functools import cached_property
+from types import SimpleNamespace
 from typing import Any, Callable, NamedTuple
 
 import rospy
@@ -34,17 +36,16 @@ COUNTED_NS, MAX_TURNS = NS_PER_S // 100, 2000  # of a node in such a time; none 
 MACHINE = "127.0.0.1"
 
 
-class Record(NamedTuple):
-    """A message that was published."""
+class Record:
+    def __init__(self, at_ns: int, sender: str, message_type: Any, data: bytes):
+        self.at_ns, self.sender, self._content = at_ns, sender, (message_type, data)
 
-    at_ns: int
-    sender: str
-    message: Any
+    @cached_property
+    def message(self) -> Any:
+        return _message(*self._content)
 
 
 class Line(NamedTuple):
-    """A line of the log."""
-
     at_ns: int
     node: str
     level: int
@@ -120,7 +121,6 @@ class NodeInbox(Inbox):
         self._fds.discard(fd)
 
     def readable(self, fd) -> None:
-        """A device has something for the node."""
         if fd in self._fds:
             self.wake()
 
@@ -170,7 +170,9 @@ class TopicPublisher:
         self.connections = [each for each in self.connections if each.subscription is not subscription]
 
     def publish(self, *args, **kwargs) -> None:
-        """As rospy: a message, or its fields."""
+        """As rospy: a message, or its fields; nothing is serialised for nobody."""
+        if not (self.latch or self.get_num_connections()):
+            return
         is_message = len(args) == 1 and not kwargs and isinstance(args[0], self.type)
         message = args[0] if is_message else self.type(*args, **kwargs)
         buffer = io.BytesIO()
@@ -178,7 +180,7 @@ class TopicPublisher:
         data, now_ns = buffer.getvalue(), self._clocks.now_ns()
         self._last = data if self.latch else None
         if self.topic in self.graph.recorded:
-            self.graph.recorded[self.topic].append(Record(now_ns, self.node, _message(self.type, data)))
+            self.graph.recorded[self.topic].append(Record(now_ns, self.node, self.type, data))
         for connection in self.connections:
             self.graph.send(connection, data, now_ns)
 
@@ -228,15 +230,6 @@ class Subscription:
             publisher.disconnect(self)
 
 
-class _Service:
-    def __init__(self, services: dict, name: str, handler):
-        self._services, self._name = services, name
-        services[name] = handler
-
-    def shutdown(self, *_) -> None:
-        self._services.pop(self._name, None)
-
-
 class _ReconfigureServer:
     """dynamic_reconfigure's server, without its own topics: ``Graph.reconfigure`` asks it."""
 
@@ -280,9 +273,10 @@ class NodeGraph:
     def replace_connections(self, subscriber: Subscription) -> Callable[[Any], bool]:
         return subscriber.replace_connections()
 
-    def service(self, name: str, service_type, handler) -> _Service:
-        self._graph.service_types[self.resolve_name(name)] = service_type
-        return _Service(self._graph.services, self.resolve_name(name), handler)
+    def service(self, name: str, service_type, handler) -> SimpleNamespace:
+        full, services = self.resolve_name(name), self._graph.services
+        self._graph.service_types[full], services[full] = service_type, handler
+        return SimpleNamespace(shutdown=lambda *_: services.pop(full, None))
 
     def parameter(self, name: str, default: Any) -> Any:
         return self._graph.parameter(self.resolve_name(name), default)
@@ -312,19 +306,11 @@ class NodeGraph:
 
 
 class Node:
-    """One node of the graph.
-
-    Args:
-        graph: where it is.
-        node_class: called with parameters and inbox.
-        name: with its namespace.
-        remap: other names of topics and services, by full or relative name.
-        inbox_limit: how many messages its inbox holds; ``None`` = as usual.
+    """One node of the graph; ``Graph.add`` has the arguments.
 
     Attributes:
         fault: what ended it by itself, in words.
         turns: how often its thread had one.
-        stalled_until_ns: its thread stands still until then.
         exit_actions: called when its process has ended, however that was: what the kernel closes then.
     """
 
@@ -336,7 +322,6 @@ class Node:
         self.start()
 
     def start(self) -> None:
-        """Start it, or start it again."""
         self.fault, self.turns, self.watches = "", 0, []
         self._counted_from = self.graph.now_ns, 0  # time and turns
         self.exit_actions: list[Callable[[], None]] = []
@@ -395,7 +380,6 @@ class Node:
         self.plan_step(max(due_ns, ended_ns + SHORTEST_WAIT_NS))
 
     def receive(self, connection: Connection, data: bytes, life) -> None:
-        """A message arrives at its process."""
         if life is not self._life or not self.is_alive or not connection.subscription.is_open:
             return
         if self._is_frozen:
@@ -412,7 +396,6 @@ class Node:
         """Have its thread stand still from now on.
 
         Args:
-            duration_s: for how long.
             frozen: the whole process stands still: what is sent meanwhile waits in its sockets, and then looks new.
             after_step: it arrives after the node's first step then, else before.
         """
@@ -506,11 +489,6 @@ class Call:
         self._sleeps = None
 
     def finish(self) -> Any:
-        """Let time go on until it is answered; return the answer.
-
-        Raises:
-            rospy.ServiceException: as the caller would get it.
-        """
         while self._thread.is_alive():
             if (any(node.inbox.awaits_answer for node in self._graph.nodes.values())
                     or self._sleeps is not None and not self._sleeps.is_set()):
@@ -524,8 +502,6 @@ class Call:
 
 
 class Link(NamedTuple):
-    """How messages get from a node to another."""
-
     delay_s: float = 0.0
     loses: Callable[[Any], bool] = lambda message: False
 
@@ -574,11 +550,11 @@ class Graph:
         """Start a node.
 
         Args:
+            node_class: called with parameters and inbox.
             name: with its namespace, or one below /.
             parameters: its own, nested as in a YAML file.
-
-        Raises:
-            CarInterfaceError: as the node does.
+            remap: other names of topics and services, by full or relative name.
+            inbox_limit: how many messages its inbox holds; ``None`` = as usual.
         """
         name = name if name.startswith("/") else f"/{name}"
         if parameters is not None:
@@ -630,13 +606,11 @@ class Graph:
 
     def publish(self, topic: str, message: Any, sender: str = "/test") -> None:
         """Publish a message now, as a node of any name."""
-        key = topic, sender
-        if key not in self._senders:
-            self._senders[key] = TopicPublisher(self, sender, topic, type(message), False, NodeClocks(self))
-        self._senders[key].publish(message)
+        if (topic, sender) not in self._senders:
+            self._senders[topic, sender] = TopicPublisher(self, sender, topic, type(message), False, NodeClocks(self))
+        self._senders[topic, sender].publish(message)
 
     def unregister(self, topic: str, sender: str = "/test") -> None:
-        """Have a sender no longer publish on a topic."""
         self._senders.pop((topic, sender)).unregister()
 
     def repeat(self, topic: str, message: Callable[[], Any] | Any, rate_hz: float, sender: str = "/test",
@@ -705,7 +679,6 @@ class Graph:
         return [record.message for record in self.recorded[topic] if record.at_ns >= since_ns]
 
     def newest(self, topic: str) -> Any:
-        """Return the newest recorded message of a topic."""
         return self.recorded[topic][-1].message
 
     def report(self, name: str, since_ns: int = 0) -> Report:
@@ -715,18 +688,13 @@ class Graph:
         return Report(status.level, status.message, {pair.key: pair.value for pair in status.values})
 
     def lines(self, node: str = "", since_ns: int = 0, level: int = logging.INFO) -> list[str]:
-        """Return the lines that a node, or any, has logged at a level or above."""
         return [line.text for line in self.log
                 if line.at_ns >= since_ns and line.level >= level and line.node.startswith(node)]
 
     # --- services ---
 
     def call(self, service: str, request: Any) -> Any:
-        """Call a service; let time go on until it answers, and return the answer.
-
-        Raises:
-            rospy.ServiceException: as the caller would get it.
-        """
+        """Call a service; let time go on until it answers; return the answer, or raise what the caller would get."""
         return self.begin_call(service, request).finish()
 
     def begin_call(self, service: str, request: Any) -> Call:
@@ -738,7 +706,6 @@ class Graph:
         return self.call(f"{namespace}/set_parameters", changes)
 
     def readable(self, fd: Any) -> None:
-        """Wake the node that waits for a device."""
         for node in self.nodes.values():
             if node.is_alive:
                 node.inbox.readable(fd)
@@ -764,11 +731,7 @@ class Graph:
         self.now_ns = end_ns
 
     def run_until(self, condition: Callable[[], bool], within_s: float = 10.0) -> int:
-        """Let time go on until a condition is true; return when that was.
-
-        Raises:
-            AssertionError: it isn't, in all that time.
-        """
+        """Let time go on until a condition is true, which it must be within a time; return when that was."""
         deadline_ns = self.now_ns + round(within_s * NS_PER_S)
         while not condition():
             assert self._events and self._events[0][0] <= deadline_ns, f"not within {within_s} s"

@@ -19,11 +19,7 @@ PIDS = itertools.count(1000)
 
 
 class Relay:
-    """What ``RelayLink`` and its process are to a guard.
-
-    Args:
-        start_s: how long that process takes to start.
-    """
+    """What ``RelayLink`` and its process, which takes ``start_s`` to start, are to a guard."""
 
     def __init__(self, graph: Graph, node_name: str, topic: str, start_s: float):
         self._graph, self._name, self._topic, self._start_s = graph, f"{node_name}_guard", topic, start_s
@@ -58,16 +54,10 @@ class Relay:
 
 
 class GuardActor:
-    """What ``GuardChild`` is to a node's ``GuardLink``.
-
-    Args:
-        board: on which it acts, a ``car.Board``; its attributes have the delays.
-        node_pid: its node's.
-        off_after_ns, node_name, output_topic: as of ``GuardChild``.
+    """What ``GuardChild`` is to a node's ``GuardLink``, on a ``car.Board``, whose attributes have the delays.
 
     Attributes:
         log: its lines.
-        is_alive: it has not ended.
         signs_sent: how many signs of life its node has given it.
     """
 

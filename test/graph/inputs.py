@@ -31,7 +31,7 @@ class Inputs:
 
     Args:
         topics: by name: the topic, and what makes its message of a value.
-        settle_s: the time in which the node has handled a message: its timer's period and the report's delay.
+        settle_s: the time in which the node has handled a message.
     """
 
     RATE_HZ = 20

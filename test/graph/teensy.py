@@ -46,10 +46,9 @@ def unescaped(on_wire: bytes) -> bytes:
 
 
 class Teensy(Terminal):
-    """The Teensy's end of a car's cable.
+    """The Teensy's end of a car's cable, which sends a pong for each ping unless ``answers`` is false.
 
     Attributes:
-        answers: it sends a pong for each ping.
         written: all that the hub has sent.
         pings: (time in ns, ping without flags) of each.
         commands: likewise of what is no ping, the command in hex.

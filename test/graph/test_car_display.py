@@ -148,23 +148,22 @@ def test_launch_file_gives_the_frames_of_a_car_with_a_namespace_its_name(graph, 
     assert picture.marker("trail").header.frame_id == f"{prefix}odom"
 
 
-@pytest.mark.parametrize("problem, line", [
-    ("there is no screen", "there is no screen. The car's markers are published all the same: on a computer with"),
-    ("", "it isn't installed: sudo apt install rviz (on Ubuntu")])
-def test_computer_without_a_screen_or_without_rviz_gets_one_line_instead(monkeypatch, capsys, problem, line):
+@pytest.mark.parametrize("problem, found, line, is_started", [
+    ("there is no screen", ["/opt/rviz"], "there is no screen. The car's markers are published all the same", False),
+    ("", [], "it isn't installed: sudo apt install rviz (on Ubuntu", False),
+    ("", ["/opt/rviz"], "", True)])
+def test_rviz_is_started_with_its_arguments_where_there_are_it_and_a_screen_and_else_there_is_one_line(
+        monkeypatch, capsys, problem, found, line, is_started):
+    started = []
+
+    def execute(*arguments):
+        started.append(arguments)
+        raise SystemExit(0)
     monkeypatch.setattr(rviz_window, "screen_problem", lambda environment: problem)
-    monkeypatch.setattr(rviz_window, "find_node", lambda *name: [])
+    monkeypatch.setattr(rviz_window, "find_node", lambda *name: found)
+    monkeypatch.setattr(rviz_window.sys, "argv", ["rviz_window", "-d", "car.rviz"])
+    monkeypatch.setattr(rviz_window.os, "execv", execute)
     with pytest.raises(SystemExit) as ended:
         rviz_window.main()
-    assert ended.value.code == 0
-    assert capsys.readouterr().err.startswith(f"[WARN] no rviz: {line}")
-
-
-def test_computer_with_screen_and_rviz_gets_it_with_its_arguments(monkeypatch):
-    started = []
-    monkeypatch.setattr(rviz_window, "screen_problem", lambda environment: "")
-    monkeypatch.setattr(rviz_window, "find_node", lambda *name: ["/opt/rviz"])
-    monkeypatch.setattr(rviz_window.sys, "argv", ["rviz_window", "-d", "car.rviz"])
-    monkeypatch.setattr(rviz_window.os, "execv", lambda *arguments: started.append(arguments))
-    rviz_window.main()
-    assert started == [("/opt/rviz", ["/opt/rviz", "-d", "car.rviz"])]
+    assert ended.value.code == 0 and started == [("/opt/rviz", ["/opt/rviz", "-d", "car.rviz"])] * is_started
+    assert capsys.readouterr().err.startswith(line and f"[WARN] no rviz: {line}")

@@ -77,7 +77,7 @@ class Chain:
         self.graph.record("/servo/cmdVector", "/generic/output/value", *(topic for topic, _ in INPUTS.values()))
         for name in INPUTS:
             self.graph.repeat_each(0.02, lambda name=name: name in self.values and self.send(name))
-        self.run(1.5)
+        self.run(1.1)
         self.drive()
 
     def run(self, duration_s: float) -> None:

@@ -20,15 +20,19 @@ FORWARD, REVERSE, STRAIGHT = 5500, 4300, 5070
 WALL_M, NOSE_M = 6.0, 0.426  # the room's, along x; from the rear axle
 
 
+def files_of_a_car():
+    return {"steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
+            "wheels": config("teensy_sensor_hub.yaml")}
+
+
 class Demo(Car):
     """The car of demo.launch, and its drive."""
 
-    def __init__(self, without=(), sim_has_files=False):
+    def __init__(self, without=(), **sim):
         super().__init__(Graph())
-        files = {"steering": config("turn_arb.yaml"), "esc": config("throttle.yaml"),
-                 "wheels": config("teensy_sensor_hub.yaml")}
+        files = files_of_a_car()
         self.pca9685()
-        self.sim(**(files if sim_has_files else {}))  # else its own, which the package's files fit
+        self.sim(**sim)
         for start in (self.hub, self.turn_arb, self.converter, self.throttle_arb, self.teleop):
             if start.__name__ not in without:
                 start()
@@ -59,20 +63,14 @@ def another_car(tmp_path, monkeypatch):
     monkeypatch.setattr(cars, "CONFIG", str(tmp_path / "mine"))
 
 
-def test_drive_goes_as_planned(capsys):
-    demo = Demo()
+@pytest.mark.once
+def test_drive_of_a_car_that_differs_in_everything_goes_as_planned(another_car, capsys):
+    demo = Demo(**files_of_a_car())
+    demo.graph.run_until(lambda: demo.board.counts[6] * 16 > 6000, 30.0)  # the human's circle, to the left
     assert demo.drives() == ""
     shown = capsys.readouterr().out
     assert "as planned: yes" in shown and "frames good, bad" in shown
     assert not [line for line in demo.graph.lines(level=30) if "ran into" in line or "tipped" in line]
-
-
-@pytest.mark.once
-def test_drive_of_a_car_that_differs_in_everything_goes_as_planned(another_car, capsys):
-    demo = Demo(sim_has_files=True)
-    demo.graph.run_until(lambda: demo.board.counts[6] * 16 > 6000, 30.0)  # the human's circle, to the left
-    assert demo.drives() == ""
-    assert "as planned: yes" in capsys.readouterr().out
 
 
 @pytest.mark.once

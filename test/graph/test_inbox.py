@@ -53,8 +53,8 @@ def test_inbox_that_is_full_has_lost_nothing(queue):
     assert queue.inbox.dropped == 0 and not queue.inbox.overflowed_recently(time.monotonic_ns())
 
 
-@pytest.mark.parametrize("count", [6, 7, 9, 10, 100])
-def test_inbox_that_overflows_drops_all_that_waits_says_so_once_and_goes_on_with_what_is_newer(queue, count):
+@pytest.mark.parametrize("count", [6, 10, 100])
+def test_inbox_that_overflows_drops_all_that_waits_says_so_once_and_goes_on_with_what_is_newer(queue, graph, count):
     queue.put(*range(count))
     taken = list(queue.take())
     assert taken == ["overflow", *range(count - len(taken) + 1, count)] and len(taken) <= 5
@@ -62,14 +62,11 @@ def test_inbox_that_overflows_drops_all_that_waits_says_so_once_and_goes_on_with
     assert queue.inbox.overflowed_recently(time.monotonic_ns())
     queue.put("more")
     assert queue.take() == [*taken, "more"]
-
-
-def test_overflow_is_an_error_in_the_log_at_most_every_ten_seconds(queue, graph):
-    for _ in range(3):
-        queue.put(*range(6))
-        queue.take()
-    assert graph.lines(level=logging.ERROR) == [
-        "the inbox of this node overflowed: messages were dropped, 5 in all; all that was heard before counts as lost"]
+    queue.put(*range(6))
+    queue.take()
+    line, = graph.lines(level=logging.ERROR)  # at most every ten seconds
+    assert re.fullmatch(r"the inbox of this node overflowed: messages were dropped, \d+ in all; all that was heard "
+                        "before counts as lost", line)
 
 
 def test_request_that_is_dropped_is_answered_with_an_error(queue):
@@ -296,7 +293,7 @@ ALL = ("turn_arb", "generic_value_converter", "throttle_arb", "pca9685")
 
 @pytest.mark.once
 @pytest.mark.parametrize("after_step", [False, True])
-@pytest.mark.parametrize("seconds", [0.55, 3.0])
+@pytest.mark.parametrize("seconds", [0.55, 1.5])
 @pytest.mark.parametrize("names, duties", [(("turn_arb",), STANDS), (("throttle_arb",), (DRIVES[0], STANDS[1])),
                                            (ALL, STANDS)], ids=["turn_arb", "throttle_arb", "all"])
 def test_node_that_was_frozen_obeys_nothing_that_was_sent_meanwhile(names, duties, seconds, after_step):
@@ -321,10 +318,9 @@ def test_node_that_was_frozen_obeys_nothing_that_was_sent_meanwhile(names, dutie
     frozen.arm()
 
 
-@pytest.mark.parametrize("seconds", [0.25, 0.45])
-def test_delays_of_a_busy_computer_change_nothing(seconds):
+def test_delays_of_a_busy_computer_change_nothing():
     frozen = FrozenCar()
-    for _ in range(5):
+    for seconds in (0.25, 0.45, 0.45):
         since_ns = frozen.freeze(seconds, "turn_arb", meanwhile=())
         frozen.graph.run(0.3)
         assert CENTER not in frozen.duties(since_ns)[0]

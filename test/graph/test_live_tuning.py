@@ -58,7 +58,6 @@ class Tuned:
         return answer.success, answer.message
 
     def duties(self, channel, since_ns=0):
-        """Return (time, duty) of the commands to a channel."""
         return [(record.at_ns, record.message.data[channel]) for record in self.graph.recorded[ORDERS]
                 if record.at_ns >= since_ns and record.message.data[channel] >= 0]
 
@@ -110,15 +109,6 @@ def test_center_moved_while_driving_glides_there_and_everything_moves_along(fold
         assert tuned.steers == duty
     tuned.release()
     assert tuned.steers == CENTER + 200
-
-
-def test_ends_are_tuned_too(folder):
-    tuned = Tuned(folder)
-    tuned.drive(teleop=1.0)
-    tuned.tune(servo_left=3700, servo_right=6800)
-    assert tuned.steers == 3700
-    tuned.drive(teleop=-1.0)
-    assert tuned.steers == 6800
 
 
 def test_what_is_beyond_the_limits_is_clamped_and_what_is_impossible_is_refused_and_both_are_said(folder):

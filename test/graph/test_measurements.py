@@ -69,9 +69,8 @@ def wrapped(angle_rad):
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("seed", [1, 2])
-def test_odometry_is_where_the_car_is_and_knows_how_well(car, seed):
-    driven = Driven(car, seed=seed)
+def test_odometry_is_where_the_car_is_and_knows_how_well(car):
+    driven = Driven(car, seed=1)
     distance_m = (driven.drive(CENTER, FORWARD, 1.5) + driven.drive(LEFT, FORWARD, 2.0)
                   + driven.drive(LEFT, REVERSE, 1.0))
     odom, truth = driven.odom, car.truth()
@@ -181,7 +180,7 @@ def test_stamps_are_zero_while_nobody_publishes_the_simulated_clock(car, monkeyp
 @pytest.mark.once
 def test_clock_is_known_and_its_raw_numbers_are_told_over_its_wrap_too(car):
     Driven(car, clock_drift_ppm=80, clock_start_ms=4294960000)
-    car.graph.run(58)
+    car.graph.run(40)
     syncs = car.graph.messages(CLOCK)
     assert syncs[10].converged and all(sync.used for sync in syncs)
     for sync in syncs:
@@ -234,7 +233,7 @@ def test_records_that_make_no_sense_are_told(car):
     assert (report.level, report.message) == (0, "wheels, sonars and pongs make sense")
     assert int(report.values["accepted"]) > 20
     car.graph.call("/car_sim/inject_fault", InjectFaultRequest("bit_errors", 0.02))  # 1 of 255 gets past the checksum
-    car.graph.run(40)
+    car.graph.run(25)
     levels = {(status.level, status.message.partition(" of ")[2]) for array in car.graph.messages("/diagnostics")
               for status in array.status if status.name == "teensy_sensor_hub: Teensy records"}
     assert (1, "the last second's records made no sense") in levels

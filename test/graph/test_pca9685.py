@@ -47,13 +47,11 @@ class Servos:
         return self.graph.now_ns
 
     def hold(self, *duties: int, topic: str = VECTOR) -> None:
-        """Repeat a command at 50 Hz, and let it arrive."""
         self.graph.hold(topic, vector(*duties))
         self.graph.run(0)
 
     @property
     def output(self) -> tuple[int, ...]:
-        """The newest of /servo/output."""
         return self.graph.newest(OUTPUT).data
 
     def outputs(self, since_ns: int) -> list[tuple[int, tuple[int, ...]]]:
@@ -153,7 +151,6 @@ def test_timeout_values_follow_the_neutrals_of_those_who_command_the_channels_wi
 # --- bus and chip ---
 
 def real_bus(graph: Graph, **parameters: Any) -> Node:
-    """A node on the kernel's bus."""
     graph.record(OUTPUT)
     return graph.add(Pca9685, "pca9685", {"guard": False, **parameters})
 
@@ -284,7 +281,6 @@ def test_end_brings_timeout_values_for_two_periods_and_then_full_off_also_on_a_b
 class TestGuard:
     @staticmethod
     def driven(**parameters: Any) -> Servos:
-        """A node that drives, with its guard."""
         servos = Servos(guard=True, timeout_value=[5104, 4912] + [0] * 14, **parameters)
         servos.hold(3800, 6000)
         servos.graph.run(1.0)

@@ -60,7 +60,6 @@ class Interface:
         return self.state
 
     def hold(self, topic: str, message: Any) -> None:
-        """Send something else at 20 Hz from now on."""
         self.graph.repeat(topic, message, 20, sender="/others")
         self.graph.run(0.2)
 

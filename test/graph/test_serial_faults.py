@@ -35,7 +35,6 @@ class Line:
         return self.graph.newest(LINK)
 
     def inject(self, fault, value=0.0):
-        """Begin a fault; return when."""
         answer = self.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value))
         assert answer.success, answer.message
         return self.graph.now_ns

@@ -1,6 +1,6 @@
 """Random faults of every kind on a car that drives: nothing moves that must not, and it drives again afterwards.
 
-``./dev soak`` does the same to the processes, in real time.
+``./dev soak`` does the like to the processes, in real time.
 """
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ class Soak:
         self.plan()
 
     def plan(self, radius_m=RADIUS_M, extra_mps2=0.0):
-        """Have the planner ask for a circle at a speed."""
         def command():
             message = Control()
             control_mps2 = 1.5 * (SPEED_MPS - self.car.speed_mps)

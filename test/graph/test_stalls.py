@@ -1,6 +1,7 @@
 """A stall of each node at each time of a story: a person holds the deadman, a planner drives, the person stops.
 
-Each stall has a process of its own, forked from the one that plays the story at that time. What holds in each of them:
+Each stall has a process of its own, forked from the one that plays the story at that time, and each way to stop another
+one, forked when the person stops. What holds in each of them:
 
 - After the person let go or sent an e-stop, and the timeouts, the servo is at its center and the ESC at neutral.
 - The car never goes backward, and the ESC is never made to.
@@ -10,9 +11,12 @@ Each stall has a process of its own, forked from the one that plays the story at
 from __future__ import annotations
 
 import gc
+import json
 import os
+import sys
 import traceback
-from typing import Callable, NamedTuple
+from functools import partial
+from typing import Callable
 
 import pytest
 from std_msgs.msg import Bool, Float32
@@ -24,7 +28,7 @@ from graph import NS_PER_S
 MS = 1_000_000
 STORY_MS, STALL_MS, STOP_MS = 2000, 600, 1400  # the person stops at STOP_MS
 STEP_MS = 10 if os.environ.get("CAR_INTERFACE_ALL") else 125
-AFTER_MS = 300  # of what is judged after the stall and the timeouts
+AFTER_MS = 120  # of what is judged after the stall and the timeouts
 NOISE_MPS = 0.02
 # How long after the person's stop a stall of the node may delay it: the timeout of who waits for it, and a timer.
 DELAYS_MS = {
@@ -36,25 +40,25 @@ DELAYS_MS = {
 }
 JOY_MS = 20
 TOLERANCE_MS = 500 + 40  # of the board watch, and throttle_arb's timer
+STOPS = {"lets_go": lambda car: car.pad(), "e_stop": lambda car: car.graph.hold("/e_stop", Bool(True), 10)}
 OBEYS = {"/turn_arb": (STEERING, ESC), "/teleop_logi": (STEERING, ESC), "/throttle_arb": (ESC,)}  # a person: their pins
 
 
 class Story:
     """The car, and the story from its beginning to its end."""
 
-    def __init__(self, stop: Callable[[Car], None]):
-        self._stop = stop
+    def __init__(self):
         self.car = Car().whole("speed", {"pca9685": {"guard": True},
                                          "throttle_arb": {"esc": {"profile": "brake_then_reverse"}}},
                                esc_kind="brake_then_reverse", obstacles=False, collisions=False)
         self.graph = self.car.graph
-        self.graph.record("/servo/cmdVector")
         self.graph.hold("/av_turnrad_req", Float32(2.0), 20, sender="/planner")
         self.graph.hold("/av_speed_req", Float32(1.0), 20, sender="/planner")
         self.graph.run(2.5)
         self.begin_ns = self.graph.now_ns
+        self.graph.record("/servo/cmdVector")
+        del self.car.board.changes[:-1]
         self.car.pad(autonomous=True)
-        self.graph.at(self.ns(STOP_MS), lambda: self._stop(self.car))
 
     def ns(self, at_ms):
         return self.begin_ns + at_ms * MS
@@ -102,7 +106,6 @@ class Story:
             assert since_ns is None or at_ns - since_ns <= TOLERANCE_MS * MS, "throttle without steering"
 
     def check_that_it_drives_again(self):
-        """When the person has let go and held again."""
         self.graph.hold("/e_stop", Bool(False), 10)
         self.car.pad()
         self.graph.run(1.2)  # the ESC may have to find its neutral again
@@ -112,64 +115,83 @@ class Story:
         self.graph.run_until(lambda: self.car.speed_mps > 0.3, 2.0)
 
 
-class Stall(NamedTuple):
-    """One stall, in a process of its own."""
-
-    at_ms: int
-    pid: int
-    fault_fd: int
-
-    def fault(self) -> str:
-        """Wait for its end."""
-        with os.fdopen(self.fault_fd, encoding="utf-8") as file:
-            text = file.read()
-        _, status = os.waitpid(self.pid, 0)
-        return text if text or not status else f"status {status}"
-
-
-def fork_stall(story, node, at_ms, number):
-    """Begin one, of a thread or, each second time, of the process; play the rest of the story there."""
+def forked(act: Callable[[], list]) -> list:
+    """Have something done in a process of its own; return the faults that it found."""
     read_fd, write_fd = os.pipe()
     pid = os.fork()
-    if pid:
-        os.close(write_fd)
-        return Stall(at_ms, pid, read_fd)
-    text = ""
-    gc.disable()
-    try:
-        story.graph.nodes[node].stall(STALL_MS / 1e3, frozen=number % 2 == 1, after_step=number % 4 > 1)
+    if not pid:
+        gc.disable()
+        try:
+            faults = act()
+        except BaseException:
+            faults = [traceback.format_exc(limit=-2)]
+        try:
+            with os.fdopen(write_fd, "w", encoding="utf-8") as file:
+                json.dump(faults, file)
+        finally:
+            os._exit(0)
+    os.close(write_fd)
+    with os.fdopen(read_fd, encoding="utf-8") as file:
+        text = file.read()
+    _, status = os.waitpid(pid, 0)
+    return json.loads(text) if text and not status else [f"status {status}"]
+
+
+def with_each_stop(story, act):
+    """Have the person stop in each way, each in a process of its own."""
+    def stopped(stop):
+        stop(story.car)
+        return act()
+    story.run_to(STOP_MS)
+    return [f"{name}: {fault}" for name, stop in STOPS.items() for fault in forked(partial(stopped, stop))]
+
+
+def stalled(story, node, at_ms, number):
+    """Stall a thread or, each second time, a process; play the rest of the story, and judge it."""
+    story.graph.nodes[node].stall(STALL_MS / 1e3, frozen=number % 2 == 1, after_step=number % 4 > 1)
+
+    def judged():
         story.run_to(max(at_ms + STALL_MS, STOP_MS + JOY_MS + DELAYS_MS[node]) + AFTER_MS)
         story.check(node, at_ms)
-        if number % 8 == 0:
+        if number % 16 == 8:
             story.check_that_it_drives_again()
-    except BaseException:
-        text = traceback.format_exc(limit=-2)
-    try:
-        os.write(write_fd, text.encode()[-4000:])
-    finally:
-        os._exit(0)
+        return []
+    return judged() if at_ms >= STOP_MS else with_each_stop(story, judged)
 
 
-STOPS = {"lets_go": lambda car: car.pad(), "e_stop": lambda car: car.graph.hold("/e_stop", Bool(True), 10)}
+def stalled_at_each(story, node, times_ms):
+    faults = []
+    for number, at_ms in times_ms:
+        story.run_to(at_ms)
+        faults += [f"at {at_ms} ms: {fault}" for fault in forked(partial(stalled, story, node, at_ms, number))]
+    return faults
+
+
+def whole_story(story, node):
+    times_ms = list(enumerate(range(7 * list(DELAYS_MS).index(node) % STEP_MS, STORY_MS, STEP_MS)))
+
+    def end():
+        faults = stalled_at_each(story, node, [time for time in times_ms if time[1] >= STOP_MS])
+        story.run_to(STORY_MS)
+        story.check("", STORY_MS)
+        return faults
+    return (stalled_at_each(story, node, [time for time in times_ms if time[1] < STOP_MS])
+            + with_each_stop(story, end))
+
+
+@pytest.fixture(scope="module")
+def story():
+    """At its beginning. Each test plays it in processes of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdin", None)
+        made = Story()
+    gc.collect()
+    gc.freeze()  # children share the pages
+    yield made
+    gc.unfreeze()
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("stop", STOPS)
 @pytest.mark.parametrize("node", DELAYS_MS)
-def test_stall_of_0_6_s_at_each_time_leaves_the_car_safe(node, stop):
-    story = Story(STOPS[stop])
-    gc.collect()
-    gc.freeze()  # children share the pages
-    first_ms = 7 * list(DELAYS_MS).index(node) % STEP_MS + (STEP_MS // 2 if stop == "e_stop" else 0)
-    faults, stall = [], None
-    for number, at_ms in enumerate(range(first_ms, STORY_MS, STEP_MS)):
-        story.run_to(at_ms)
-        newer = fork_stall(story, node, at_ms, number)  # one runs beside the story
-        if stall is not None:
-            faults.append((stall.at_ms, stall.fault()))
-        stall = newer
-    faults.append((stall.at_ms, stall.fault()))
-    gc.unfreeze()
-    story.run_to(STORY_MS)
-    story.check("", STORY_MS)
-    assert [f"{node} stalled at {at_ms} ms: {fault}" for at_ms, fault in faults if fault] == []
+def test_stall_of_0_6_s_at_each_time_leaves_the_car_safe(story, node):
+    assert forked(partial(whole_story, story, node)) == []

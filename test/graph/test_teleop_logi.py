@@ -58,7 +58,6 @@ class Teleop:
         self.graph.silence("/joy")
 
     def published(self, *topics):
-        """What was published last on each."""
         return tuple(self.graph.newest(topic).data for topic in topics or (HUMAN, STEERING, THROTTLES))
 
     def since(self, topic, since_ns):
@@ -75,7 +74,6 @@ class Teleop:
         return [(line.level, line.text) for line in self.graph.log if line.at_ns >= since_ns]
 
     def report(self):
-        """The next one."""
         self.run(1.0)
         return self.graph.report("teleop_logi: gamepad")
 

@@ -98,7 +98,6 @@ class Arb(Inputs):
         return self.graph.lines("/throttle_arb", since_ns, logging.WARNING)
 
     def report(self):
-        """The next one."""
         self.run(1.0)
         return self.graph.report("throttle_arb: throttle")
 

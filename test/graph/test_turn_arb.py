@@ -33,8 +33,6 @@ CASES = {"teleop": [(1.0, 3800), (-0.5, 5900), (0.25, 4775), (0.002, 5097), (-1.
 
 
 class Arb(Inputs):
-    """turn_arb in a graph of its own."""
-
     def __init__(self, **parameters):
         self.car = Car()
         super().__init__(self.car.graph, TOPICS, settle_s=0.012)  # a repeated value is handled at the next tick
@@ -43,7 +41,6 @@ class Arb(Inputs):
         self.car.turn_arb(**{"grant_at_start": True, **parameters})
 
     def drive(self, **inputs):
-        """Let go, and hold again."""
         self.once("human", False)
         self.hold(**inputs, human=True)
         return self
@@ -133,6 +130,10 @@ def test_teleop_goes_before_planner_and_nobody_before_both():
     arb = Arb()
     arb.run(0.002)
     assert arb.now == (NO_HUMAN, "human_in_loop was never heard", CENTER)
+    arb.drive(planner=2.0)  # where no gamepad was ever heard
+    assert arb.state.source == PLANNER
+    assert (arb.state.teleop_age, arb.state.e_stop_age, arb.state.odometry_age) == (INF, INF, INF)
+    assert 0 <= arb.state.planner_age <= arb.state.human_age < 0.01
     arb.drive(teleop=0.0, planner=0.0)
     assert arb.now == (NEUTRAL, "av_turnrad_req is 0, which asks for nothing", CENTER)
     arb.hold(planner=2.0)
@@ -145,12 +146,6 @@ def test_teleop_goes_before_planner_and_nobody_before_both():
     assert arb.now == (TELEOP, "tele_steer_req is -1.000", RIGHT)
     arb.hold(teleop=0.0)
     assert arb.now == (PLANNER, "av_turnrad_req is 2.000 m", 3830)
-
-
-def test_planner_drives_where_no_gamepad_was_ever_heard():
-    arb = Arb().drive(planner=-4.5)
-    assert (arb.state.teleop_age, arb.state.e_stop_age, arb.state.odometry_age) == (INF, INF, INF)
-    assert 0 <= arb.state.planner_age <= arb.state.human_age < 0.01
 
 
 # --- what it reports ---

@@ -1,10 +1,8 @@
 """Files are replaced in one step, with mode and backup, and whatever happens nothing else is left."""
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
-import random
 import signal
 import stat
 import subprocess
@@ -53,7 +51,6 @@ def test_new_file_has_the_mode_of_the_umask(tmp_path):
 
 # --- a process that is killed in a save ---
 
-TIMES = 10 if os.environ.get("CAR_INTERFACE_ALL") else 1
 TEXT = "# of this car\n" + "".join(f"name_{index}: {index}  # why\n" for index in range(100)) + "servo_center: {}\n"
 SAVES = """
 import sys
@@ -61,55 +58,19 @@ from car_interface.common import atomic_file
 from car_interface.common.yaml_edit import save
 {change}
 save(sys.argv[1], {{"servo_center": 0}})
-print("saving", flush=True)
-for value in range(1, int(sys.argv[2])):
-    save(sys.argv[1], {{"servo_center": value}})
 """
 WITHOUT_O_TMPFILE = "atomic_file._open_unnamed = lambda folder: None"
 KILLS_ITSELF = "import os, signal; atomic_file.os.{} = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)"
 
 
-def saving_process(path, change="", saves=1):
-    return subprocess.Popen([sys.executable, "-c", SAVES.format(change=change), str(path), str(saves)],
-                            stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
+def saving_process(path, change):
+    return subprocess.Popen([sys.executable, "-c", SAVES.format(change=change), str(path)], stdout=subprocess.PIPE,
+                            env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
 
 
 def not_in_place(folder):
     """The contents of the files that a save has not put in place yet."""
     return [path.read_text(encoding="utf-8") for path in folder.iterdir() if ".new-" in path.name]
-
-
-def is_complete(text):
-    head, _, value = text.rpartition(": ")
-    return f"{head}: {{}}\n" == TEXT and value.endswith("\n") and value.strip().isdigit()
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("change, kills", [("", 15 * TIMES), (WITHOUT_O_TMPFILE, 5 * TIMES)])
-def test_process_that_is_killed_in_a_save_leaves_complete_files_and_the_next_save_nothing_else(tmp_path, change, kills):
-    path, moments = tmp_path / "turn_arb.yaml", random.Random(1)
-    path.write_text(TEXT.format("1"), encoding="utf-8")
-    for _ in range(kills):
-        process = saving_process(path, change, saves=10 ** 6)
-        try:
-            assert process.stdout.readline() == b"saving\n"
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(moments.uniform(0.0, 0.02))
-        finally:
-            process.kill()
-            process.communicate()
-        assert process.returncode == -signal.SIGKILL
-        assert is_complete(path.read_text(encoding="utf-8"))
-        new = not_in_place(tmp_path)
-        assert len(new) <= (1 if change == "" else 2)  # the file, or it and its backup
-        assert change or all(map(is_complete, new))
-        save(str(path), {"servo_center": 5100})
-        assert not_in_place(tmp_path) == []
-        others = [other for other in tmp_path.iterdir() if other != path]
-        assert all(".bak-" in other.name for other in others)
-        for backup in others:
-            assert is_complete(backup.read_text(encoding="utf-8"))
-            backup.unlink()
 
 
 @pytest.mark.parametrize("change, function, left", [

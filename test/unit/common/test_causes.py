@@ -7,13 +7,6 @@ CONSTANTS = {name: value for name, value in vars(causes).items() if name.isupper
 CAUSES = {name: value for name, value in CONSTANTS.items() if isinstance(value, str)}
 
 
-def test_sets_hold_causes_only_and_cannot_change():
-    sets = [value for value in CONSTANTS.values() if not isinstance(value, str)]
-    assert len(sets) == 8
-    for members in sets:
-        assert isinstance(members, frozenset) and members <= set(CAUSES.values())
-
-
 def test_causes_named_stale_or_not_finite_are_losses():
     for name, cause in CAUSES.items():
         assert (cause in causes.STALE) == name.endswith("_STALE")

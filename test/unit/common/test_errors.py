@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.common.errors import ConfigError, DeviceError
+from car_interface.common.errors import ConfigError
 
 
 @pytest.mark.parametrize("value, message", [
@@ -17,12 +17,6 @@ def test_config_error_is_one_short_line_and_keeps_what_it_was_made_of(value, mes
     error = ConfigError("x", value, "less")
     assert str(error) == message
     assert (error.name, error.value, error.accepted) == ("x", value, "less")
-
-
-def test_device_error_says_what_why_and_what_to_do():
-    error = DeviceError("PCA9685 at 0x40", "nothing answers", "Check its power")
-    assert str(error) == "PCA9685 at 0x40: nothing answers. Check its power"
-    assert (error.what, error.cause, error.remedy) == ("PCA9685 at 0x40", "nothing answers", "Check its power")
 
 
 def test_config_error_within_a_file_names_both():

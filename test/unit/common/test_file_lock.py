@@ -29,7 +29,6 @@ def fd(tmp_path):
 
 @pytest.fixture
 def holder(tmp_path, fd):
-    """Another process that has locked byte 64."""
     with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path / "file"), "64"], stdin=subprocess.PIPE,
                           stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "locked\n"

@@ -35,7 +35,6 @@ def sparse(path):
 @pytest.mark.parametrize("make, reason", [
     (pipe, "it is a pipe"),
     (lambda path: "/dev/zero", "it is a device"),
-    (lambda path: "/dev/tty", "it is a device"),
     (listening, "it is a socket"),
     (lambda path: path.parent, "Is a directory"),
     (sparse, "it has 1,000.0 MB, more than 2 MB"),

@@ -67,11 +67,6 @@ def test_their_period_is_the_mean_of_about_eight():
     assert not measured.is_late(now_ns + 259 * MS) and measured.is_late(now_ns + 261 * MS)
 
 
-def test_one_that_brakes_counts_as_fast_as_it_was_measured():
-    measured, now_ns = fed([3.0 - 0.1 * index for index in range(11)])
-    assert measured.highest_mps(now_ns) == pytest.approx(2.0)
-
-
 def test_a_lost_speed_stays_and_stops_rising():
     measured, now_ns = fed([0.0] * 60 + [0.1 * index for index in range(31)])
     assert measured.is_lost(now_ns + S) and measured.lost_reason(now_ns + S) == "odom silent for 1.00 s"
@@ -114,9 +109,9 @@ def test_a_fall_is_believed_that_a_tyre_and_noise_can_make_and_else_the_car_slid
     assert measured.magnitude_mps == pytest.approx(believed_mps)
 
 
-def test_a_hard_brake_is_believed():
-    measured, _ = fed([5.0 - 9.0 * 0.02 * index for index in range(20)])
-    assert measured.magnitude_mps == pytest.approx(5.0 - 9.0 * 0.38)
+def test_a_hard_brake_is_believed_and_counts_as_fast_as_it_was_measured():
+    measured, now_ns = fed([5.0 - 9.0 * 0.02 * index for index in range(20)])
+    assert measured.magnitude_mps == measured.highest_mps(now_ns) == pytest.approx(5.0 - 9.0 * 0.38)
 
 
 def test_a_car_that_was_stopped_while_odometry_was_away_stands():

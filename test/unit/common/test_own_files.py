@@ -27,7 +27,6 @@ def shared():
 
 @pytest.fixture
 def own(shared):
-    """The path of this user's folder in it."""
     return os.path.join(shared, folder_name())
 
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 
 from car_interface.common import small_process
 
@@ -20,12 +19,3 @@ def test_module_runs_with_its_arguments_and_finds_the_package_from_anywhere_what
         assert done.returncode == 1
         assert "FileNotFoundError" in done.stderr and "missing/chip.lock" in done.stderr
     assert "car_interface.nothing" in run(*small_process.command("nothing")).stderr
-
-
-def test_byte_code_goes_where_the_starter_writes_its_own(monkeypatch):
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    monkeypatch.setattr(sys, "pycache_prefix", "/cache")
-    assert small_process.command("x")[:6] == [sys.executable, "-S", "-I", "-B", "-X", "pycache_prefix=/cache"]
-    monkeypatch.setattr(sys, "dont_write_bytecode", False)
-    monkeypatch.setattr(sys, "pycache_prefix", None)
-    assert small_process.command("x")[1:4] == ["-S", "-I", small_process.__file__]

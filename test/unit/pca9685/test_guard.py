@@ -28,8 +28,6 @@ SILENCE_MS = 250
 
 
 class Bench:
-    """A guard, a clock, and the node's and the bus's part."""
-
     def __init__(self):
         self.guard = Guard(OFF_AFTER)
         self.now_ns = NOW

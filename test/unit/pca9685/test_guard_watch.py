@@ -14,8 +14,6 @@ COUNTS = (319, 307) + (0,) * 14
 
 
 class Bench:
-    """A node's watch, a clock, and the guard's part."""
-
     def __init__(self):
         self.watch = GuardWatch()
         self.now_ns = NOW

@@ -24,8 +24,6 @@ LEFT = [238] + [0] * 15
 
 
 class Bench:
-    """A keeper, its virtual bus, and what it told."""
-
     def __init__(self):
         self.chip = VirtualPca9685()
         self.bus = VirtualBus({ADDRESS: self.chip}, on_write=lambda *write: self.writes.append(write))

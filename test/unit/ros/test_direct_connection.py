@@ -119,13 +119,6 @@ def test_subscriber_that_does_not_read_delays_nobody_and_gets_the_newest_message
     assert link.receive(1) == [5] and not link.writers
 
 
-def test_queue_of_any_length_drops_nothing(link):
-    link.connection._queue_size = 0
-    sent = link.fill()
-    assert link.receive(sent) == list(range(sent))
-    assert link.transport.stat_num_msg == sent
-
-
 def test_message_that_is_sent_while_the_subscriber_catches_up_comes_after_those_that_wait(link):
     last = link.fill() - 1
     link.pause_before = message(last, BIG)  # the thread has that of its second time

@@ -19,7 +19,6 @@ HERE = "127.0.0.1 (this computer)"
 
 @contextmanager
 def serving(**methods):
-    """A server with these methods; its URI."""
     with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as server:
         for name, method in methods.items():
             server.register_function(method, name)
@@ -46,7 +45,6 @@ def node(name):
 
 
 def refusing():
-    """An address at which nothing listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"http://127.0.0.1:{probe.getsockname()[1]}/"

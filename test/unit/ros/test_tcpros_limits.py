@@ -17,9 +17,10 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from car_interface.ros import tcpros_limits
-from car_interface.ros.tcpros_limits import MAX_MESSAGE_SIZE, MessageTooLong, limit_connections, read_header
+from car_interface.ros.tcpros_limits import MessageTooLong, limit_connections, read_header
 
 PATIENCE_S = 20.0
+MAX_MESSAGE_SIZE = 300_000  # in here
 FOUR_GIB = struct.pack("<I", 0xffffffff)
 SUBSCRIBER = {"topic": "/steering", "md5sum": String._md5sum, "type": String._type, "callerid": "/board"}
 PUBLISHER = encode_ros_handshake_header({"type": String._type, "md5sum": String._md5sum, "callerid": "/turn_arb"})
@@ -41,6 +42,7 @@ def functions_of_rospy():
 @pytest.fixture(autouse=True)
 def limits(monkeypatch):
     """The limits for the length of a test, and a log that holds nothing back."""
+    monkeypatch.setattr(tcpros_limits, "MAX_MESSAGE_SIZE", MAX_MESSAGE_SIZE)
     monkeypatch.setattr(tcpros_base, "_use_tcp_keepalive", True)  # else rospy asks the master
     monkeypatch.setattr(tcpros_limits, "_warnings", tcpros_limits._ThreadSafeWarnings())
     monkeypatch.setattr(tcpros_limits, "_handshakes", tcpros_limits._Handshakes())
@@ -105,7 +107,6 @@ def wait_until(is_true):
 
 
 def is_closed(peer):
-    """Whether the other side has ended a connection."""
     peer.setblocking(False)
     try:
         return peer.recv(1) == b""
@@ -159,9 +160,7 @@ def test_header_in_pieces_is_taken_and_what_follows_it_is_left_on_a_connection_w
 
 @pytest.mark.parametrize("data, text", [
     (FOUR_GIB + b"topic", f"announces a header of 4294967295 bytes, more than {tcpros_limits.MAX_HEADER_SIZE}"),
-    (b"\x08\0\0\0\x04\0\0\0abcd", "sends no TCPROS header"),
-    (b"\x08\0\0\0\x04\0\0\0\xff=\xff\xff", "sends no TCPROS header"),
-], ids=["4 GiB", "no equals sign", "not UTF-8"])
+    (b"\x08\0\0\0\x04\0\0\0\xff=\xff\xff", "sends no TCPROS header")], ids=["4 GiB", "not UTF-8"])
 def test_what_is_no_header_ends_its_connection_with_one_line(server, caplog, data, text):
     peer = server.connect(data)
     wait_until(lambda: is_closed(peer))
@@ -246,8 +245,7 @@ def string(text):
 
 @pytest.mark.parametrize("first, text", [
     (b"", "sent no whole header within 1 s"), (FOUR_GIB, "announces a header"),
-    (b"\2\0\0\0ab", "sends no TCPROS header"), (None, "closed the connection before its header was whole"),
-], ids=["silent", "4 GiB", "no header", "leaves"])
+    (None, "closed the connection before its header was whole")], ids=["silent", "4 GiB", "leaves"])
 def test_publisher_without_a_header_is_tried_again_after_one_line(listener, subscription, caplog, first, text):
     publisher = accept(listener, first or b"")
     if first is None:
@@ -261,9 +259,9 @@ def test_publisher_without_a_header_is_tried_again_after_one_line(listener, subs
 
 
 @pytest.mark.parametrize("data, before, length", [
-    (FOUR_GIB + b"x" * 9, [], 0xffffffff), (string("right") + FOUR_GIB + b"x" * 9, ["right"], 0xffffffff),
+    (string("right") + FOUR_GIB + b"x" * 9, ["right"], 0xffffffff),
     (string("x" * (MAX_MESSAGE_SIZE - 3))[:100_000], [], MAX_MESSAGE_SIZE + 1), (b"\2\0\0\0ab", [], None),
-], ids=["first message", "behind another one", "a byte too long", "rospy cannot read it"])
+], ids=["behind another one", "a byte too long", "rospy cannot read it"])
 def test_after_a_message_that_is_too_long_or_none_rospy_connects_again(listener, subscription, caplog, data, before,
                                                                      length):
     publisher = accept(listener, PUBLISHER + data)
@@ -289,7 +287,6 @@ def test_publisher_that_does_not_answer_still_counts_as_one_and_one_that_has_end
 
 @pytest.fixture
 def service(server):
-    """A service of rospy without a master."""
     implementation = object.__new__(tcpros_service.ServiceImpl)
     implementation.resolved_name, implementation.seq = "/save", 0
     implementation.response_class = SetBoolResponse
@@ -352,12 +349,10 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, size):
 
 @pytest.mark.parametrize("owner, name, value, reason", [
     (tcpros_base.TCPServer, "run", None, "there is no TCPServer.run"),
-    (tcpros_base.TCPROSTransport, "read_header", lambda self, timeout: None,
-     "TCPROSTransport.read_header has other parameters"),
     (tcpros_base.TCPROSTransport, "read_header", lambda self: None,
      "TCPROSTransport.read_header doesn't use _validate_header"),
     (tcpros_pubsub.TCPROSSub, "read_messages", lambda *_: None, "TCPROSSub has a read_messages of its own"),
-], ids=["missing", "other parameters", "other body", "overridden"])
+], ids=["missing", "other body", "overridden"])
 def test_rospy_that_is_not_known_is_left_alone_with_a_line_for_the_log(owner, name, value, reason):
     restore_rospy()
     with pytest.MonkeyPatch.context() as patch:

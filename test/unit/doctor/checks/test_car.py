@@ -113,22 +113,17 @@ STALE = Report("pca9685: servo board", 3, "stale")
 OTHER = Report("car1/pca9685: servo board", BAD, "nothing answers")
 
 
-@pytest.mark.parametrize(
-    ("reports", "namespace", "reporting", "told", "levels"),
-    [
-        ([STEERING], "/", ["/turn_arb"], [], [OK]),
-        ([STEERING, BOARD], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
-        ([STEERING, STALE], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
-        ([STEERING, BOARD], "/", ["/turn_arb", "/pca9685"], [BOARD.name], [OK]),
-        ([STEERING, BOARD, RAIL], "/", ["/turn_arb", "/pca9685"], [BOARD.name], [OK, WARN]),
-        ([STEERING, OTHER], "/", ["/turn_arb"], [], [OK]),
-        ([STEERING, OTHER], "/car1", ["/car1/pca9685"], [], [BAD]),
-        ([STEERING], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
-        ([], "/", ["/turn_arb"], [], [BAD]),
-    ],
-    ids=["good", "bad", "stale", "told_elsewhere", "another_of_the_same_node", "another_cars", "own_namespace",
-         "one_silent", "all_silent"],
-)
+@pytest.mark.parametrize("reports, namespace, reporting, told, levels", [
+    ([STEERING], "/", ["/turn_arb"], [], [OK]),
+    ([STEERING, BOARD], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
+    ([STEERING, STALE], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
+    ([STEERING, BOARD, RAIL], "/", ["/turn_arb", "/pca9685"], [BOARD.name], [OK, WARN]),
+    ([STEERING, OTHER], "/", ["/turn_arb"], [], [OK]),
+    ([STEERING, OTHER], "/car1", ["/car1/pca9685"], [], [BAD]),
+    ([STEERING], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
+    ([], "/", ["/turn_arb"], [], [BAD]),
+], ids=["good", "bad", "stale", "another_of_the_same_node", "another_cars", "own_namespace", "one_silent",
+         "all_silent"])
 def test_reports(reports, namespace, reporting, told, levels):
     assert [found.level for found in check_diagnostics(reports, namespace, reporting, told)] == levels
 

@@ -44,18 +44,14 @@ def clock(year=2026, synchronised=True, uses_sim_time=False):
     return ClockReading(year, synchronised, uses_sim_time)
 
 
-@pytest.mark.parametrize(
-    ("reading", "level", "words"),
-    [
-        (clock(), OK, "synchronised"),
-        (clock(synchronised=None), OK, "doesn't say"),
-        (clock(synchronised=False), WARN, "not synchronised"),
-        (clock(year=1970), BAD, "the year 1970"),
-        (clock(year=2150, synchronised=False), BAD, "the year 2150"),
-        (clock(uses_sim_time=True), WARN, "/use_sim_time"),
-    ],
-    ids=["fine", "unknown", "unsynchronised", "epoch", "far_future", "simulated"],
-)
+@pytest.mark.parametrize("reading, level, words", [
+    (clock(), OK, "synchronised"),
+    (clock(synchronised=None), OK, "doesn't say"),
+    (clock(synchronised=False), WARN, "not synchronised"),
+    (clock(year=1970), BAD, "the year 1970"),
+    (clock(year=2150, synchronised=False), BAD, "the year 2150"),
+    (clock(uses_sim_time=True), WARN, "/use_sim_time"),
+], ids=["fine", "unknown", "unsynchronised", "epoch", "far_future", "simulated"])
 def test_clock(reading, level, words):
     found, = check_clock(reading)
     assert (found.level, bool(found.remedy)) == (level, level != OK)
@@ -64,9 +60,6 @@ def test_clock(reading, level, words):
 
 def test_each_trouble_of_the_clock_is_told():
     assert len(check_clock(clock(synchronised=False, uses_sim_time=True))) == 2
-
-
-# --- versions ---
 
 
 # --- packages ---

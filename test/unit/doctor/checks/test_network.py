@@ -39,43 +39,32 @@ def test_listeners_are_read_from_the_kernels_tables(port, addresses):
     assert listeners([TCP, TCP6], port) == addresses
 
 
-@pytest.mark.parametrize(
-    ("uri", "place"),
-    [
-        ("http://car:11311", ("car", 11311)),
-        ("http://car/", ("car", 11311)),
-        ("http://[::1]:5", ("::1", 5)),
-        ("car:11311", None),
-        ("https://car:1", None),
-        ("http://:11311", None),
-        ("http://car:port", None),
-        ("http://car:99999999", None),
-        ("http://[::1", None),
-    ],
-)
+@pytest.mark.parametrize("uri, place", [
+    ("http://car:11311", ("car", 11311)),
+    ("http://[::1]:5", ("::1", 5)),
+    ("car:11311", None),
+    ("http://:11311", None),
+    ("http://car:99999999", None),
+    ("http://[::1", None),
+])
 def test_host_and_port_of_a_uri(uri, place):
     assert host_and_port(uri) == place
 
 
-@pytest.mark.parametrize(
-    ("master", "level", "words", "remedy"),
-    [
-        (Master(URI, "", True, ("127.0.0.1",)), OK, "on the loopback only", ""),
-        (Master(URI, "", True, ("::1", "127.0.0.2")), OK, "on the loopback only", ""),
-        (Master(URI, "", True, ()), OK, "answers", ""),
-        (Master(URI, "", True, ("0.0.0.0", "127.0.0.1")), WARN, "every interface", "ROS_IP=127.0.0.1"),
-        (Master(URI, "", True, ("10.1.2.3",)), WARN, "listens on 10.1.2.3", "VPN"),
-        (Master("http://car:11311", "", False), WARN, "on another host", "VPN"),
-        (Master(URI, "Connection refused", True), WARN, "none runs at", "roslaunch starts one"),
-        (Master(URI, "timed out", True, ("0.0.0.0",)), BAD, "doesn't answer as a master", "End it"),
-        (Master("http://car:11311", "timed out", False), BAD, "on another host", "ping car"),
-        (Master("http://car:11311", "no", None), BAD, "can't be found", "/etc/hosts"),
-        (Master("", "no"), BAD, "not set", "setup.bash"),
-        (Master("localhost", "no"), BAD, "no master's address", "export ROS_MASTER_URI"),
-    ],
-    ids=["loopback", "loopback_twice", "tables_unreadable", "everywhere", "one_interface", "elsewhere", "none", "other",
-         "elsewhere_silent", "unknown_host", "unset", "nonsense"],
-)
+@pytest.mark.parametrize("master, level, words, remedy", [
+    (Master(URI, "", True, ("127.0.0.1",)), OK, "on the loopback only", ""),
+    (Master(URI, "", True, ()), OK, "answers", ""),
+    (Master(URI, "", True, ("0.0.0.0", "127.0.0.1")), WARN, "every interface", "ROS_IP=127.0.0.1"),
+    (Master(URI, "", True, ("10.1.2.3",)), WARN, "listens on 10.1.2.3", "VPN"),
+    (Master("http://car:11311", "", False), WARN, "on another host", "VPN"),
+    (Master(URI, "Connection refused", True), WARN, "none runs at", "roslaunch starts one"),
+    (Master(URI, "timed out", True, ("0.0.0.0",)), BAD, "doesn't answer as a master", "End it"),
+    (Master("http://car:11311", "timed out", False), BAD, "on another host", "ping car"),
+    (Master("http://car:11311", "no", None), BAD, "can't be found", "/etc/hosts"),
+    (Master("", "no"), BAD, "not set", "setup.bash"),
+    (Master("localhost", "no"), BAD, "no master's address", "export ROS_MASTER_URI"),
+], ids=["loopback", "tables_unreadable", "everywhere", "one_interface", "elsewhere", "none", "other",
+         "elsewhere_silent", "unknown_host", "unset", "nonsense"])
 def test_master(master, level, words, remedy):
     found, = check_master(master)
     assert found.level == level
@@ -93,20 +82,16 @@ def address(name="10.0.0.1", resolves=True, is_here=True, is_loopback=False):
     return LocalAddress(name, resolves, is_here, is_loopback)
 
 
-@pytest.mark.parametrize(
-    ("environment", "own", "master_is_here", "level", "words"),
-    [
-        ({"ROS_IP": "127.0.0.1"}, address("127.0.0.1", is_loopback=True), True, OK, "this computer only"),
-        ({"ROS_IP": "10.0.0.1"}, address(), False, OK, "ROS_IP, 10.0.0.1"),
-        ({}, address("car"), True, OK, "this host's name, car"),
-        ({}, address("car", resolves=False), True, BAD, "can't be looked up"),
-        ({}, address(""), True, BAD, "has no name"),
-        ({"ROS_IP": "1.2.3.4"}, address("1.2.3.4", is_here=False), True, BAD, "isn't this computer's"),
-        ({"ROS_IP": "127.0.0.1"}, address("127.0.0.1", is_loopback=True), False, BAD, "on another host"),
-        ({"ROS_IP": "10.0.0.1", "ROS_HOSTNAME": "car"}, address("car"), True, WARN, "the first one counts"),
-    ],
-    ids=["loopback", "lan", "host_name", "unknown_name", "no_name", "foreign", "loopback_but_master_elsewhere", "both"],
-)
+@pytest.mark.parametrize("environment, own, master_is_here, level, words", [
+    ({"ROS_IP": "127.0.0.1"}, address("127.0.0.1", is_loopback=True), True, OK, "this computer only"),
+    ({"ROS_IP": "10.0.0.1"}, address(), False, OK, "ROS_IP, 10.0.0.1"),
+    ({}, address("car"), True, OK, "this host's name, car"),
+    ({}, address("car", resolves=False), True, BAD, "can't be looked up"),
+    ({}, address(""), True, BAD, "has no name"),
+    ({"ROS_IP": "1.2.3.4"}, address("1.2.3.4", is_here=False), True, BAD, "isn't this computer's"),
+    ({"ROS_IP": "127.0.0.1"}, address("127.0.0.1", is_loopback=True), False, BAD, "on another host"),
+    ({"ROS_IP": "10.0.0.1", "ROS_HOSTNAME": "car"}, address("car"), True, WARN, "the first one counts"),
+], ids=["loopback", "lan", "host_name", "unknown_name", "no_name", "foreign", "loopback_but_master_elsewhere", "both"])
 def test_own_address(environment, own, master_is_here, level, words):
     found, = check_local_address(environment, own, master_is_here)
     assert found.level == level and words in found.what and bool(found.remedy) == (level != OK)

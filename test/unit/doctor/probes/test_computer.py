@@ -89,8 +89,7 @@ def kernel(monkeypatch, state):
     (5, WARN, "not synchronised"),  # TIME_ERROR of adjtimex(2)
     (-1, OK, "the kernel doesn't say"),
     (OSError("no libc"), OK, "the kernel doesn't say"),
-    (AttributeError("adjtimex"), OK, "the kernel doesn't say"),
-], ids=["synchronised", "not_synchronised", "refused", "no_library", "no_function"])
+], ids=["synchronised", "not_synchronised", "refused", "no_library"])
 def test_clock_is_as_synchronised_as_the_kernel_has_it(monkeypatch, state, level, what):
     kernel(monkeypatch, state)
     (found,) = computer.probe_clock(False)
@@ -122,15 +121,6 @@ def test_versions_are_those_of_the_distributions(monkeypatch):
                       "sudo apt install ros-noetic-no-such-msgs (Debian: python3-no-such-msgs)")]
 
 
-@pytest.mark.parametrize("error", [ImportError("no"), OSError("libfoo.so is missing"), SyntaxError("bad")])
-def test_library_that_fails_in_any_way_is_a_finding(monkeypatch, error):
-    def fails(name):
-        raise error
-    monkeypatch.setattr(computer.importlib, "import_module", fails)
-    monkeypatch.setattr(computer, "MESSAGES", ())
-    assert [finding.level for finding in computer.probe_versions()] == [OK] + [BAD] * len(computer.LIBRARIES)
-
-
 # --- packages ---
 
 
@@ -144,23 +134,14 @@ def test_packages_are_those_of_the_tools_and_joy_for_a_car_with_hardware(is_virt
     assert [finding.level for finding in computer.probe_packages(False, is_virtual)] == levels
 
 
-def test_missing_library_of_a_tool_is_told_unless_the_documentation_s_virtual_environment_is_there(
-        monkeypatch, tmp_path):
-    monkeypatch.setattr(computer, "TOOLS", {"json": "json", "no_such_library": "NoSuchLibrary"})
-    monkeypatch.setattr(computer, "TOOLS_ENVIRONMENT", "/nowhere")
-    found, = computer.probe_packages(False, True)
-    assert found.level == WARN and found.what.startswith("NoSuchLibrary is missing for bag_report")
-    monkeypatch.setattr(computer, "TOOLS_ENVIRONMENT", str(tmp_path))
-    found, = computer.probe_packages(False, True)
-    assert (found.level, found.what) == (OK, f"the tools for recordings are in {tmp_path}")
-
-
 # --- network ---
 
 
 @pytest.fixture
 def network(monkeypatch):
-    """Hosts by name, of which 10.0.0.1 and the loopback are this computer's; /proc/net is empty."""
+    """Hosts by name, of which 10.0.0.1 and the loopback are this computer's; /proc/net is empty. A master that answers
+    is asked by ``str``: no fault.
+    """
     hosts = {"car": ["10.0.0.1"], "other": ["10.0.0.2"], "localhost": ["127.0.0.1", "::1"]}
     tables = {"/proc/net/tcp": "header\n"}
 
@@ -182,37 +163,29 @@ def network(monkeypatch):
     return types.SimpleNamespace(hosts=hosts, tables=tables)
 
 
-def answers():
-    return ""
-
-
-def no_answer():
-    return "Connection refused"
-
-
 def test_master_on_this_computer_that_answers_is_ok_and_one_that_does_not_is_not_there(network):
-    master, address, is_there = computer.probe_network(MASTER, answers)
+    master, address, is_there = computer.probe_network(MASTER, str)
     assert is_there and [(one.level, one.what) for one in master] == [(OK, "http://car:11311 answers")]
     assert [(one.level, one.what) for one in address] == [(OK, "this host's name, car")]
-    (found,), _, is_there = computer.probe_network(MASTER, no_answer)
+    (found,), _, is_there = computer.probe_network(MASTER, lambda: "Connection refused")
     assert not is_there and (found.level, found.what.split(";")[0]) == (WARN, "none runs at http://car:11311")
 
 
 def test_listening_address_is_read_from_the_kernels_table(network):
     # 0x2C2F is port 11311; state 0A listens.
     network.tables["/proc/net/tcp"] += "   0: 00000000:2C2F 00000000:0000 0A\n"
-    (found,), _, _ = computer.probe_network(MASTER, answers)
+    (found,), _, _ = computer.probe_network(MASTER, str)
     assert found.level == WARN and "listens on every interface" in found.what
 
 
 def test_master_on_another_host_is_named_and_needs_an_address_that_is_reached_from_there(network, monkeypatch):
     monkeypatch.setenv("ROS_HOSTNAME", "localhost")
-    (master,), (address,), is_there = computer.probe_network("http://other:11311", answers)
+    (master,), (address,), is_there = computer.probe_network("http://other:11311", str)
     assert is_there and (master.level, address.level) == (WARN, BAD)
     assert "is on another host" in master.what and "nodes there can't reach those here" in address.what
     for name, what in (("nowhere", "can't be looked up"), ("other", "isn't this computer's")):
         monkeypatch.setenv("ROS_HOSTNAME", name)
-        _, (found,), _ = computer.probe_network(MASTER, answers)
+        _, (found,), _ = computer.probe_network(MASTER, str)
         assert found.level == BAD and what in found.what
 
 
@@ -224,10 +197,3 @@ def test_master_whose_host_is_unknown_is_not_asked(network, uri, what):
         raise AssertionError("asked")
     (found,), _, is_there = computer.probe_network(uri, asked)
     assert not is_there and found.level == BAD and what in found.what
-
-
-@pytest.mark.parametrize("host", ["localhost", "nowhere"])
-def test_loopback_name_is_fine_while_the_master_is_here_or_nobody_knows_where(network, monkeypatch, host):
-    monkeypatch.setenv("ROS_IP", "localhost")
-    _, (found,), _ = computer.probe_network(f"http://{host}:11311", answers)
-    assert (found.level, found.what) == (OK, "ROS_IP, localhost: reached from this computer only")

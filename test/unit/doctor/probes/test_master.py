@@ -17,7 +17,6 @@ from car_interface.pca9685 import config
 
 
 def uri_of(listener):
-    """That of what listens there."""
     return f"http://127.0.0.1:{listener.getsockname()[1]}"
 
 
@@ -38,7 +37,6 @@ class Server:
 
 @pytest.fixture
 def served():
-    """Starts servers, which end with the test."""
     servers = []
 
     def serve(**answers):
@@ -51,13 +49,11 @@ def served():
 
 @pytest.fixture
 def node(served):
-    """A node that answers."""
     return served(getPid=lambda caller: [1, "", 7])
 
 
 @pytest.fixture
 def refused():
-    """Where nothing listens any more."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         return uri_of(listener)
@@ -110,11 +106,6 @@ def test_four_of_the_nodes_may_be_parts_of_one_process_that_runs(name, process, 
     assert found == (name, f"/car1/{name}", RUNNING if name == "turn_arb" else ABSENT, f"/car1{process}")
 
 
-def test_process_that_runs_counts_more_than_what_an_earlier_node_left(master, node, refused):
-    found = look(master({"/car_nodes": node, "/turn_arb": refused}, ["/car_nodes", "/turn_arb"]))
-    assert (found.state, found.process) == (RUNNING, "/car_nodes")
-
-
 def test_node_or_process_of_the_graph_where_nothing_listens_was_killed_and_is_named(master, refused):
     assert look(master({"/turn_arb": refused}, ["/turn_arb"])).state == KILLED
     found = look(master({"/car_nodes": refused}, ["/car_nodes"]))
@@ -155,11 +146,6 @@ def test_nothing_is_known_of_a_process_on_another_computer_or_with_wrong_argumen
     assert asked.fixed_parameters(look(asked, "pca9685")) == {}
 
 
-@pytest.mark.parametrize("host, is_here", [("127.0.0.1", True), ("192.0.2.1", False)])  # the latter: RFC 5737
-def test_address_is_this_computer_s_or_not(host, is_here):
-    assert probe._is_here(host) == is_here
-
-
 # --- files ---
 
 
@@ -188,17 +174,3 @@ def test_files_of_the_folder_that_a_node_saves_to_are_read(car):
     pipe, twice = sorted(faults(folder / "turn_arb.yaml"))
     assert pipe.startswith(f"{folder}/pca9685.yaml can't be read (it is a pipe)")
     assert twice.startswith(f"{folder}/sonars.yaml, lines ") and "both give sonar_left" in twice
-
-
-@pytest.mark.parametrize("save_to", ["/nowhere/turn_arb.yaml", "turn_arb.yaml", ""])
-def test_file_that_is_not_here_is_not_read(car, save_to):
-    assert car[1](save_to) == []
-
-
-def test_file_of_another_name_is_read_where_it_is_saved_to(car):
-    folder, faults = car
-    os.rename(str(folder / "turn_arb.yaml"), str(folder / "mine.yaml"))
-    with open(str(folder / "mine.yaml"), "a", encoding="utf-8") as file:
-        file.write("servo_left: 1\n")
-    fault, = faults(folder / "mine.yaml")
-    assert fault.startswith(f"{folder}/mine.yaml, lines ") and "both give servo_left" in fault
