@@ -58,8 +58,3 @@ def test_what_cannot_be_is_refused_with_its_name_and_what_is_accepted(name, valu
         read(**{"source": "drive", name: value})
     found = "is missing" if value is None else f"is {value!r}"
     assert str(refused.value) == f"{name} {found}; accepted: {accepted}"
-
-
-def test_unknown_parameter_is_refused():
-    with pytest.raises(ConfigError, match="unknown parameter max_sped"):
-        read(source="drive", max_sped=1.0)

@@ -34,11 +34,6 @@ def test_newest_command_is_obeyed_and_the_reason_says_it_in_words(command, sourc
     assert received(command, source).decide(MS) == (causes.PLANNER, reason, command, radius_m)
 
 
-def test_source_that_was_never_received_has_no_request():
-    decision = SourceArbiter("cmd_vel", 0.5).decide(0)
-    assert decision == (causes.NO_REQUEST, "cmd_vel was never heard", None, 0.0)
-
-
 def test_silent_source_has_no_request_from_its_timeout_on():
     arbiter = received(at_ns=S)
     assert arbiter.silent_at_ns(S) == S + 500 * MS + 1
@@ -84,9 +79,9 @@ def test_dropped_messages_make_it_silent_until_the_next():
     assert arbiter.silent_at_ns(MS) == math.inf
 
 
-def test_other_sources_are_counted_and_named():
+def test_source_that_was_never_received_has_no_request_and_others_are_counted_and_named():
     arbiter = SourceArbiter("drive", 0.5)
-    assert arbiter.others == ""
+    assert arbiter.others == "" and arbiter.decide(0) == (causes.NO_REQUEST, "drive was never heard", None, 0.0)
     for _ in range(3):
         arbiter.count_other("cmd_vel", "/move_base")
     arbiter.count_other("autoware", "")

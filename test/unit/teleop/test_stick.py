@@ -26,7 +26,7 @@ def after(moves, brakes=True):
 
 @pytest.mark.once
 @given(MOVES, st.booleans())
-@settings(max_examples=500)
+@settings(max_examples=300)
 def test_stick_overrides_beyond_its_dead_band_if_it_was_seen_within_it_and_a_pull_always_does(moves, brakes):
     stick, _, now_ns = after(moves, brakes)
     deflection, is_planners = moves[-1][:2]

@@ -16,12 +16,6 @@ def test_stick_is_shaped(request_, deadband, expo, expected):
     assert shaped(request_, deadband, expo) == pytest.approx(expected)
 
 
-def test_request_rises_with_the_stick_and_has_no_step():
-    requests = [shaped(number / 1000, 0.05, 0.7) for number in range(-1000, 1001)]
-    assert requests == sorted(requests)
-    assert max(high - low for low, high in zip(requests, requests[1:])) < 0.003
-
-
 def press(scale, *buttons):
     return [scale.update(button) for button in buttons]
 

@@ -223,6 +223,7 @@ def test_file_is_loaded_with_other_line_ends_spaces_names_and_numbers(tmp_path, 
 
 @pytest.mark.parametrize("content, message", [
     ("\n\n", r"value_map.csv has 0 line\(s\); accepted: a line of velocities and at least two"),
+    ("default,0,1\n1,2,3\n", r"has 2 line\(s\)"),
     ("default,0\n1,2\n2,3\n", r"line 1 is \['default', '0'\]; accepted: a name and at least two velocities"),
     ("default,0,1\n1,2,3\n2,3\n", "line 3 has 2 columns; accepted: 3, as in line 1"),
     ("default,0,1\n1,2,3,4\n2,3,4\n", "line 2 has 4 columns; accepted: 3, as in line 1"),

@@ -51,10 +51,7 @@ def test_frame_spelled_out_by_hand(timestamp, shipped, corrected):
     assert encode(ping_body(timestamp), CORRECTED) == bytes.fromhex(corrected)
 
 
-# The receiver is only worth what it predicts: this share was measured on the real firmware.
-
-
-def test_half_of_the_textbook_pings_are_answered_as_measured():
+def test_half_of_the_textbook_pings_are_answered_as_measured_on_the_real_firmware():
     answered = [bool(received(encode(ping_body(ms), CORRECTED))[0]) for ms in range(0, 60_000, 7)]
     assert sum(answered) / len(answered) == pytest.approx(0.51, abs=0.01)
 

@@ -229,6 +229,11 @@ def test_port_that_fails_while_it_is_set_up_is_left_to_others(terminal, monkeypa
     link.close()
 
 
+def test_baud_that_no_port_takes_is_refused_with_what_pyserial_says(terminal):
+    error = refusal(terminal.path, baud=-1)
+    assert error.cause.startswith("it can't be opened (") and error.remedy == "Check ~port and ~baud"
+
+
 @pytest.mark.parametrize("use", [lambda link: link.read(), lambda link: link.write(b"\x7e")], ids=["read", "write"])
 def test_port_unplugged_is_noticed_and_closed(link, terminal, use):
     terminal.unplug()
@@ -245,6 +250,15 @@ def test_port_that_fails_to_read_is_closed_with_the_reason(link, monkeypatch, re
     monkeypatch.setattr(os, "read", lambda descriptor, size: read())
     with pytest.raises(DeviceError, match=rf"the port was lost \({words}\)"):
         link.read()
+    assert not link.is_open
+
+
+def test_port_that_cannot_even_be_closed_any_more_counts_as_closed(link, monkeypatch):
+    def fail():
+        raise OSError(5, "Input/output error")
+    with monkeypatch.context() as patch:
+        patch.setattr(link._serial, "close", fail)
+        link.close()
     assert not link.is_open
 
 

@@ -66,7 +66,9 @@ def test_first_ping_is_due_as_the_port_opens_and_goes_behind_the_filler(session)
         assert (session.openings, session.resyncs) == (openings, openings)
         session.receive(sonar(5000)[:9], NOW)
         session.port_failed(ABSENT, "it is gone", "plug it in")
+        assert (session.verdict.state, session.judge(NOW).state) == (ABSENT, ABSENT)
         session.opened(NOW)
+        assert session.verdict.state == WAITING
         session.receive(sonar(5000)[1:], NOW)
         assert session.tally.bad_frames == 0  # the two halves are no frame
 
