@@ -39,7 +39,6 @@ def test_user_is_in_the_groups_that_are_needed_or_told_why_not(one, needs, level
 
 # --- clock ---
 
-
 def clock(year=2026, synchronised=True, uses_sim_time=False):
     return ClockReading(year, synchronised, uses_sim_time)
 
@@ -63,7 +62,6 @@ def test_each_trouble_of_the_clock_is_told():
 
 
 # --- packages ---
-
 
 @pytest.mark.parametrize("missing, environment, level, words", [
     ([], "", OK, ""),

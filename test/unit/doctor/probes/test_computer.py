@@ -22,7 +22,6 @@ MASTER = "http://car:11311"
 
 # --- groups ---
 
-
 @pytest.mark.parametrize("mode, name, usual, group", [
     (0o20660, "gpio", "i2c", "gpio"), (0o20620, "tty", "dialout", "dialout"), (0o20600, "root", "dialout", "dialout"),
     (0o20660, None, "dialout", "dialout"), (None, "gpio", "dialout", "dialout"),
@@ -73,7 +72,6 @@ def test_gamepad_needs_its_group_only_while_it_cannot_be_read(member, monkeypatc
 
 # --- clock ---
 
-
 def kernel(monkeypatch, state):
     """A C library whose adjtimex returns ``state``; an exception = it is raised by loading it."""
     def load(name, use_errno):
@@ -100,7 +98,6 @@ def test_clock_is_as_synchronised_as_the_kernel_has_it(monkeypatch, state, level
 
 # --- versions ---
 
-
 def test_versions_are_those_of_the_distributions(monkeypatch):
     def version(distribution):
         if distribution == "apart":
@@ -123,7 +120,6 @@ def test_versions_are_those_of_the_distributions(monkeypatch):
 
 # --- packages ---
 
-
 @pytest.mark.parametrize("is_virtual, joy, levels", [
     (False, True, [OK, OK]), (False, False, [OK, WARN]), (True, False, [OK])],
     ids=["joy_is_installed", "joy_is_missing", "virtual_car_needs_none"])
@@ -135,7 +131,6 @@ def test_packages_are_those_of_the_tools_and_joy_for_a_car_with_hardware(is_virt
 
 
 # --- network ---
-
 
 @pytest.fixture
 def network(monkeypatch):
