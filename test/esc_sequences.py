@@ -1,12 +1,8 @@
 """Random drives of virtual ESCs through the ESC's state machine, with all that goes wrong between them.
 
-``python3 test/esc_sequences.py 100000`` runs so many of them on all cores; test_esc_sequences.py runs a sample. Each
-depends on its seed alone.
-
-A drive is a script of a person and a planner (forward, coast, pulls, stops with the stick kept where it is, a planner's
-hold of a stopped car, gears, a reverse button) through a world with delays, lost speed, a guard that puts the chip to
-neutral, a board that loses its power and a node that restarts. What the driver meant is judged by the script alone, and
-what the car did by the virtual ESC: neither asks the state machine.
+A drive is a script of a person and a planner through a world with delays, lost speed, a guard that puts the chip to
+neutral, a board that loses its power and a node that restarts; it depends on its seed alone. What the driver meant is
+judged by the script, and what the car did by the virtual ESC: neither asks the state machine.
 """
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ import collections
 import random
 from dataclasses import dataclass, field
 
-from many_drives import MS, asked_for, count_duty, run_on_all_cores
+from many_drives import MS, count_duty
 
 from car_interface.sim import esc as virtual
 from car_interface.sim.esc_car import EscCar, EscCarConfig
@@ -110,9 +106,8 @@ def arrived(messages, now_ns):
 class Drive:
     """One drive: a world, a driver, the state machine, and what came of it."""
 
-    def __init__(self, seed, make_esc=Esc):
+    def __init__(self, seed):
         self.rng = rng = random.Random(seed)
-        self._make_esc = make_esc
         self.speed = SPEEDS[seed % 3]
         self.kind = (MATCHING, MATCHING, WRONG, UNVERIFIED)[seed // 3 % 4]
         esc = DRIVERS[seed // 12 % 5](
@@ -137,7 +132,7 @@ class Drive:
             reverse_after_neutral_s=0.9 * esc.forget_s if self.kind == MATCHING or rng.random() < 0.5 else 0.0,
             stop_brake=rng.choice((0.3, 0.5, 1.0)))
         self.chip = Chip(rng, esc)
-        self.esc = make_esc(self.config)
+        self.esc = Esc(self.config)
         self.now_ns = 0
         self.request = Request(is_stop=True)
         self._intended_ns, self._stopped_ns, self._push_began_ns = -10**12, None, None
@@ -189,7 +184,7 @@ class Drive:
             self.chip.dead_until_ns = now_ns + rng.randrange(20, 1500) * MS
         if rng.random() < 0.0005:
             self._node_back_ns = now_ns + rng.randrange(20, 1500) * MS
-            self.esc = self._make_esc(self.config)
+            self.esc = Esc(self.config)
             self._pulled = False
         if self.speed == STALE and rng.random() < 0.005:
             self._mute_until_ns = now_ns + rng.randrange(100, 3000) * MS
@@ -338,7 +333,6 @@ class Drive:
                 if self.car.speed_mps:
                     self.stick(value, 0.05)
             self.stick(0.0, self.rng.uniform(0.1, 1.0))
-        before_m, began = self.car.place_m, self.car.speed_mps
         for _ in range(60):
             if way == 0:
                 self.stick(value, 0.1)
@@ -349,25 +343,23 @@ class Drive:
         self.result.wanted += 1
         self.result.got += self.car.speed_mps < -0.3
         if self.car.speed_mps >= -0.3:
-            self.result.unintended.append(f"no reverse at {self.now_ns / 1e9:.2f} s by way {way}: {before_m} {began}")
+            self.result.unintended.append(f"no reverse at {self.now_ns / 1e9:.2f} s by way {way}")
 
 
-def run(seed, make_esc=Esc):
-    return Drive(seed, make_esc).drive()
+def run(seed):
+    return Drive(seed).drive()
 
 
-def failures(result):
-    """What is wrong with a drive, as a text; empty = nothing."""
-    kind = result.case
+def failure(result):
+    """What is wrong with a drive; empty = nothing."""
     if result.by_stop:
-        return f"seed {result.seed}, {kind}: a stop became reverse at {result.by_stop[0]}"
+        return f"a stop became reverse at {result.by_stop[0]}"
     if result.got < result.wanted:
-        return f"seed {result.seed}, {kind}: {result.unintended[-1]}"
-    if f"({MATCHING})" in kind and result.unintended:
-        return f"seed {result.seed}, {kind}: reverse that nobody meant at {result.unintended[0]}"
-    if kind.endswith(f" {KNOWN}") and result.longest_ns > MAX_WRONG_NS:
-        seconds = result.longest_ns / 1e9
-        return f"seed {result.seed}, {kind}: driven backward for {seconds:.2f} s: {result.unintended[0]}"
+        return result.unintended[-1]
+    if f"({MATCHING})" in result.case and result.unintended:
+        return f"reverse that nobody meant at {result.unintended[0]}"
+    if result.case.endswith(f" {KNOWN}") and result.longest_ns > MAX_WRONG_NS:
+        return f"driven backward for {result.longest_ns / 1e9:.2f} s: {result.unintended[0]}"
     return ""
 
 
@@ -377,11 +369,6 @@ def summed_up(results):
     for result in results:
         totals.update({"drives": 1, "wanted": result.wanted, "got": result.got, "backward": bool(result.unintended)})
         totals.update({f"state {name}": number for name, number in result.states.items()})
-        found.append(failures(result))
-    return list(filter(None, found)), totals
-
-
-if __name__ == "__main__":
-    found, totals = summed_up(run_on_all_cores(run, asked_for(__doc__)))
-    print(*found[:30], sep="\n")
-    print(len(found), "failed;", dict(totals))
+        if failure(result):
+            found.append(f"seed {result.seed}, {result.case}: {failure(result)}")
+    return found, totals

@@ -3,11 +3,9 @@
 ``python3 test/room_drives.py 1000`` runs so many on all cores; test_virtual_drives.py runs a sample. Each depends on
 its seed alone.
 
-A planner pushes with no idea of the room, on arcs that it changes now and then. The sonars fire as the Teensy fires
-them, one after another; ranges are late and noisy. Judged by the vehicle and the room alone: a collision counts as one
-with something *seen* when what the car touches was on the arc that it drove and in the cone of a sonar for as long as
-the arithmetic needs to stop. All others are counted beside: what came into the way sideways, or when the planner
-turned.
+A planner pushes with no idea of the room, on arcs that it changes now and then; ranges are late and noisy. Judged by
+the vehicle and the room alone: a collision counts as one with something *seen* when what the car touches was on the arc
+that it drove and in the cone of a sonar for as long as the arithmetic needs to stop. All others are counted beside.
 """
 from __future__ import annotations
 

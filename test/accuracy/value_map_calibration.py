@@ -7,8 +7,8 @@ For each car a person drives (virtual_drive: sensor noise, uneven magnets, play,
 battery that sags by 10 %), the command reads the bag, and the map's numbers are compared with the true acceleration on
 level ground at mean battery, over those that the command says the drive supports. Beside it the yardstick: per-cell
 recursive least squares as Autoware describes it (forgetting 0.999, covariance 0.05, nearest cell), on the same bag with
-the same axes and over the same numbers, started from config/value_map.csv; once as published (speeds differenced over
-0.2 s, a delay of 0.3 s), once favoured with what the command has measured (its windows and its delay).
+the same axes and over the same numbers, started from config/value_map.csv (speeds differenced over 0.2 s, a delay of
+0.3 s).
 
 Ends with exit code 1 if a target is missed: at most 0.08 m/s² RMS, and half of the published yardstick's.
 """
@@ -23,7 +23,6 @@ from pathlib import Path
 import numpy as np
 
 from accuracy import virtual_drive
-from car_interface.calibration.value_map import acceleration as windowing
 from car_interface.calibration.value_map import table as tables
 from car_interface.cli import calibrate_value_map as command
 from car_interface.common.errors import CarInterfaceError
@@ -76,19 +75,6 @@ def published(drive, table, start):
     return cells
 
 
-def favoured(drive, table, start, delay_s):
-    """The same cells with the command's own windows and delay: where the value held through a window."""
-    cells = PerCell(table.values, table.velocities, start)
-    windows = windowing.windows(drive)
-    held = value_at(drive, windows.t_s - delay_s)
-    value, speed = held.mean(axis=1), windows.speed_mps.mean(axis=1)
-    counts = ((windows.state == windowing.MEASURED) & (np.ptp(held, axis=1) < 0.05 * np.ptp(table.values))
-              & inside(value, speed, table))
-    for index in np.flatnonzero(counts):
-        cells.update(value[index], speed[index], windows.acceleration_mps2[index])
-    return cells
-
-
 def value_at(drive, t_s):
     return drive.value.y[np.maximum(0, np.searchsorted(drive.value.t_s, t_s, side="right") - 1)]
 
@@ -115,15 +101,14 @@ def judge(seed, folder):
     command.add_arguments(parser)
     config = command.config_of(parser.parse_args([str(path), "-o", "unused.csv", "--jobs", "1"]))
     (recorded_drive,), done = command.calibrate_by(config)
-    table, fit, drive = done.table, done.fit, recorded_drive.drive
+    table, drive = done.table, recorded_drive.drive
     stated, true = table.origin <= tables.BETWEEN, truth(car, table)
     stock = load_value_map(str(STOCK_MAP))
     start = [[stock.acceleration_at(value, velocity) for velocity in table.velocities] for value in table.values]
 
     def off(accelerations):
         return math.sqrt(float(np.mean(np.square((accelerations - true)[stated]))))
-    figure = (off(table.accelerations), off(published(drive, table, start).map),
-              off(favoured(drive, table, start, fit.delay_s).map), float(np.mean(fit.supported)))
+    figure = off(table.accelerations), off(published(drive, table, start).map), float(np.mean(done.fit.supported))
     return figure, " refused" if done.problems else ""
 
 
@@ -132,7 +117,7 @@ def main():
     parser.add_argument("--cars", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     arguments = parser.parse_args()
-    print(" car     RMS  published  favoured  supported")
+    print(" car     RMS  published  supported")
     figures = []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(arguments.first, arguments.first + arguments.cars):
@@ -145,10 +130,9 @@ def main():
             figures.append(figure)
     if not figures:
         return 1
-    errors, by_book, by_favour, known = map(np.array, zip(*figures))
+    errors, by_book, known = map(np.array, zip(*figures))
     for what, numbers in ((f"RMS over the map's numbers, m/s² (target {TARGET_MPS2})", errors),
-                          (f"as a share of the yardstick as published (target {TARGET_SHARE})", errors / by_book),
-                          ("of the yardstick favoured", errors / by_favour)):
+                          (f"as a share of the yardstick (target {TARGET_SHARE})", errors / by_book)):
         print(f"{what}: median {np.median(numbers):.3f}, worst {max(numbers):.3f}")
     print(f"supported of what was looked at: median {np.median(known):.0%}, least {min(known):.0%}; "
           f"refused: {arguments.cars - len(figures)} of {arguments.cars}")

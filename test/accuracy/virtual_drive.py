@@ -312,7 +312,7 @@ def _straight(see):
 
 
 def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing: str = MIXED, duration_s: float = 300.0,
-           imu: bool = False, servo_topic: str = "/servo/output", by_hand: bool = False) -> None:
+           imu: bool = False, servo_topic: str = "/servo/output") -> None:
     """Drive a car and write the bag.
 
     Args:
@@ -322,12 +322,9 @@ def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing:
         missing: what the person leaves away; ``TWO_THIRDS``: the recorder ran only 7 s of each 10.
         imu: with imu/data, 100 a second.
         servo_topic: ``/servo/output``, or ``/servo/cmdVector`` with its −1 for channels that are left alone.
-        by_hand: the person drives the ESC, and there are no values.
     """
     recorder = _Recorder(car, random.Random(seed), imu, servo_topic)
     commands = script(recorder.see, missing)
-    if by_hand:
-        commands = (command._replace(esc_duty=round(duty_of_value(command.value))) for command in commands)
     messages = recorder.drive(commands, duration_s)
     if missing == TWO_THIRDS:
         messages = (message for message in messages if message.time_s % 10 < 7)

@@ -99,9 +99,10 @@ class Capture:
         ratio = (t_us - before.t_us) / (after.t_us - before.t_us)
         return Truth(*(a + ratio * (b - a) for a, b in zip(before, after)))
 
-    def distance_m(self) -> float:
+    def distance_m(self, until_us: float = math.inf) -> float:
         """Driven, forward and backward."""
-        return sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in zip(self.truth, self.truth[1:]))
+        return sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in zip(self.truth, self.truth[1:])
+                   if b.t_us <= until_us)
 
     def pulse_us(self, sensor: int, t_us: int) -> float | None:
         """How long a sonar's newest echo before then took; ``None``: its pin stays high."""
@@ -126,8 +127,8 @@ class Moment(NamedTuple):
     result: object  # what Measurements made of it, or None
 
 
-def replay(capture: Capture, skip_us: int = 0) -> tuple[list[Moment], Measurements]:
-    """Feed a capture's bytes to the measurements at the pace at which they came, from when the host listens."""
+def replay(capture: Capture, skip_us: int = 0, until_us: float = math.inf) -> tuple[list[Moment], Measurements]:
+    """Feed a capture's bytes to the measurements at the pace at which they came, while the host listens."""
     measurements = Measurements()
     monitor = SonarMonitor()
     decoder = FrameDecoder()
@@ -138,6 +139,8 @@ def replay(capture: Capture, skip_us: int = 0) -> tuple[list[Moment], Measuremen
     for t_us, data in capture.chunks():
         if t_us < skip_us:
             continue
+        if t_us > until_us:
+            break
         received_us = t_us + READ_DELAY_US
         while pings and pings[0].sent_us < received_us:
             ping = pings.pop(0)

@@ -1,4 +1,4 @@
-"""The calibration of a Traxxas Slash 4x4, as its owner published it."""
+"""The calibration of a Traxxas Slash 4x4, as its owner published it; and how another car turns at speed."""
 from __future__ import annotations
 
 from car_interface.steering.calibration import SteeringCalibration
@@ -16,3 +16,11 @@ PARAMETERS = {
 }
 CENTER = PARAMETERS["servo_center"]
 SLASH = SteeringCalibration(*PARAMETERS.values())
+
+# A 3.5 kg F1TENTH car on a skid pad, by motion capture, steady commands, left: the radius (m) that each steering angle
+# (rad) drives at each speed (m/s). From the public recordings of Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline.
+SKIDPAD = {
+    0.312: {0.5: 1.488, 1.0: 1.499, 1.5: 1.529, 2.0: 1.599, 2.5: 1.733},
+    0.416: {0.5: 1.097, 1.0: 1.105, 1.5: 1.137, 2.0: 1.194, 2.5: 1.346},
+    0.52: {0.5: 0.98, 1.0: 0.987, 1.5: 1.022, 2.0: 1.074, 2.5: 1.25},
+}

@@ -24,9 +24,6 @@ Wheel = namedtuple("Wheel", "speed direction reserved when dist dist_abs")
 Sonar = namedtuple("Sonar", "sensor filler echo_us when")
 
 
-# From the wire, by the text
-
-
 def unstuffed(data):
     plain, escaped = bytearray(), False
     for byte in data:
@@ -63,9 +60,6 @@ def parse_sonar(frame):
 def parse_counter(frame):
     assert frame[-1] == 0 and 0 not in frame[8:-1]
     return frame[8:-1].decode("ascii"), struct.unpack_from("<I", frame, 4)[0]
-
-
-# To the wire, by the text
 
 
 def stuffed(data):

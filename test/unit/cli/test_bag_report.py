@@ -19,8 +19,7 @@ PLOTS = ["who", "steering", "path", "speed", "link"]
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """A drive of a minute in which a lot happens, as a ROS 1 bag."""
-    return str(write_ros1(tmp_path_factory.mktemp("bags") / "drive.bag", drive()))
+    return str(write_ros1(tmp_path_factory.mktemp("bags") / "drive.bag", drive(30.0)))
 
 
 @pytest.fixture(scope="module")

@@ -15,14 +15,13 @@ import yaml
 from car_interface.cli.main import main
 from car_interface.throttle.params import load_throttle
 from recorded_drives import recorded
-from written_recordings import rename_topics
 
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.append(str(ROOT / "test"))
 drives = importlib.import_module("accuracy.esc_calibration")
 SHIPPED = ROOT / "config" / "throttle.yaml"
-SEED, CRAWLER, RACE = 1, 7, 4  # brake_then_reverse, brake_becomes_reverse, forward_only
-RANDOM_ESCS = range(20) if os.environ.get("CAR_INTERFACE_ALL") else (SEED, CRAWLER, RACE)
+SEED = 1  # brake_then_reverse
+RANDOM_ESCS = range(20) if os.environ.get("CAR_INTERFACE_ALL") else (SEED,)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +115,7 @@ def test_what_was_not_driven_is_refused_with_what_to_drive_and_if_forced_keeps_t
 @pytest.mark.once
 def test_what_one_recording_lacks_another_one_may_have_and_without_a_profile_nothing_is_forced(tmp_path, capsys):
     one, other = (record(leaves_out=parts) for parts in (
-        ("wait and pull",), ("creep forward", "brake", "pull twice", "creep backward")))
+        ("creep backward",), ("creep forward", "brake", "pull twice", "wait and pull")))
     assert run(other, "-o", tmp_path / "new.yaml", "--force") == 1
     assert "the drive doesn't show which kind of ESC it is. Drive this, and" in capsys.readouterr().err
     assert not (tmp_path / "new.yaml").exists()
@@ -132,15 +131,10 @@ def test_base_that_the_node_would_refuse_is_refused_by_name(bag, tmp_path, capsy
     assert f"{base}, esc/profile is 'fast'; accepted: one of brake_then_reverse" in capsys.readouterr().err
 
 
-def test_output_that_is_the_recording_is_refused(bag, capsys):
-    assert run(bag, "-o", bag) == 1
-    assert f"{bag} is one of the recordings" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("options, said", [
     (("--channel", "16"), "--channel is 16; accepted: a channel of the servo board, 0 to 15"),
     (("--channel", "3"), "channel 3 of the servo board never had a pulse: is the ESC on another one (--channel)?"),
-    (("--odom", "none"), "none"),
+    (("--map", "/none=output"), "part.bag has no topic /none"),
     (("--ns", "/other"), "part.bag has no topic odom below /other"),
     (("--base", "nowhere.yaml"), "nowhere.yaml"),
 ], ids=lambda part: " ".join(part) if isinstance(part, tuple) else "")
@@ -148,17 +142,3 @@ def test_option_that_is_no_good_is_named(bag, tmp_path, capsys, options, said):
     assert run(bag, "-o", tmp_path / "new.yaml", *options) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert said.replace("part.bag", bag) in line
-
-
-@pytest.mark.once
-def test_recording_with_topics_of_other_names_comes_to_the_same_calibration(bag, calibrated, tmp_path, capsys):
-    names = {"/odom": "/ekf/odometry", "/servo/output": "/board/duties"}
-    other = rename_topics(bag, tmp_path / "other.bag", names)
-    assert run(other, "-o", tmp_path / "other.yaml") == 1
-    assert ("has no topic /servo/output, which says what the ESC got; name another by --map TOPIC=output; it has "
-            in capsys.readouterr().err)
-    assert run(other, "-o", tmp_path / "other.yaml", "--map", "/board/duties=output") == 0
-    assert "odom: /ekf/odometry (the only nav_msgs/Odometry)" in capsys.readouterr().out
-    own, found = (yaml.safe_load(path.read_text(encoding="utf-8")) for path in (
-        calibrated[0], tmp_path / "other.yaml"))
-    assert own == found

@@ -90,11 +90,10 @@ def content(folder):
 
 
 @pytest.mark.parametrize("body", [
-    "null", "[]", "7", '"text"', "{}", '{"version": 1, "rows": {}}', '{"version": "1"}', '{"version": "1", "rows": []}',
-    '{"version": "1", "rows": null}', '{"version": "1", "rows": "a.bag"}', '{"rows": {}}', "[" * 100_000,
+    "null", "[]", "{}", '{"version": 1, "rows": {}}', '{"version": "1"}', '{"version": "1", "rows": []}', "[" * 100_000,
     '{"version": "1", "rows": {"a.bag": ' + "[" * 100_000 + "]" * 100_000 + "}}", '{"version": "1", "rows": {}',
-], ids=["null", "list", "number", "text", "empty", "version_is_a_number", "no_rows", "rows_are_a_list",
-        "rows_are_null", "rows_are_a_text", "no_version", "nested_too_deeply", "row_nested_too_deeply", "no_json"])
+], ids=["null", "list", "empty", "version_is_a_number", "no_rows", "rows_are_a_list", "nested_too_deeply",
+        "row_nested_too_deeply", "no_json"])
 def test_file_with_the_right_checksum_and_another_structure_is_damaged(folder, body):
     path = rewrite(folder, body)
     cache = Cache(folder, "1")
@@ -103,9 +102,9 @@ def test_file_with_the_right_checksum_and_another_structure_is_damaged(folder, b
 
 def wrong_entries():
     """Entries of wrong structure: (id, a function that makes one of a good entry)."""
-    for wrong in (None, 5, "text", [], {}, [[100, 5]], [[100, 5], None, 1]):
+    for wrong in (None, "text", [], {}, [[100, 5]], [[100, 5], None, 1]):
         yield f"entry_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: wrong
-    for wrong in (None, [], [100], [100, 5, 6], ["100", 5], [100.0, 5], [True, 5], [None, 5], {"size": 100}):
+    for wrong in (None, [100], [100, 5, 6], ["100", 5], [100.0, 5], [True, 5], {"size": 100}):
         yield f"state_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: [wrong, entry[1]]
     for wrong in (None, {}, "a.bag"):
         yield f"row_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: [entry[0], wrong]
@@ -115,23 +114,14 @@ def wrong_entries():
     for _ in range(300):
         nested = [nested]
     for index, field in enumerate(Row._fields):
-        for wrong in (None, True, "5", "text", -1.5, math.nan, math.inf, 1e300, 10**30, [], [1], [None], [["a"]], {},
-                      {"a": "b"}, {"a": -1.5}, {"a": None}, {"a": [1]}, nested):
-            if wrong != ROW[index] and not _is_good(field, wrong):
-                yield (f"{field}_is_{json.dumps(wrong)[:20]}", lambda entry, index=index, wrong=wrong: [
-                    entry[0], [*entry[1][:index], wrong, *entry[1][index + 1:]]])
+        for wrong in (True, math.nan, math.inf, 1e300, 10**30, [1], [None], [["a"]], {"a": "b"}, {"a": -1.5},
+                      {"a": None}, {"a": [1]}, nested, *WRONG.get(field, ())):
+            yield (f"{field}_is_{json.dumps(wrong)[:20]}", lambda entry, index=index, wrong=wrong: [
+                entry[0], [*entry[1][:index], wrong, *entry[1][index + 1:]]])
 
 
-FIGURES = {"straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2"}
-NEEDED = {"path", "error", "start_ns", "duration_s", "lacks", "notes"}
-
-
-def _is_good(field, value):
-    if value is None:
-        return field not in NEEDED
-    if field in ("lacks", "notes"):
-        return value == []
-    return field in FIGURES and value == -1.5 or field == "losses" and value == {}
+WRONG = {"path": ("text", None), "error": ("text", None), "start_ns": ("5", -1.5, None), "frames": ("5", -1.5, []),
+         "duration_s": ("5", -1.5, None), "losses": ("text", 5, []), "lacks": ("text", None, {}), "notes": (None, {})}
 
 
 def test_entries_of_another_structure_are_not_used_and_the_others_are(folder):

@@ -15,10 +15,6 @@ def squared(number):
     return number * number
 
 
-def refusing(number):
-    raise CarInterfaceError(f"{number} is refused")
-
-
 def leaving_a_mark(folder, number):
     (folder / str(number)).touch()
     if number == 0:
@@ -29,15 +25,9 @@ def dying(number):
     os._exit(9)
 
 
-@pytest.mark.parametrize("count", [1, 3, 20])
+@pytest.mark.parametrize("count", [1, 3])
 def test_work_in_processes_comes_back_in_order(count):
     assert list(jobs.for_each(squared, list(range(7)), count)) == [0, 1, 4, 9, 16, 25, 36]
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_error_of_this_package_comes_back_as_it_is(count):
-    with pytest.raises(CarInterfaceError, match="1 is refused"):
-        list(jobs.for_each(refusing, [1, 2], count))
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -52,7 +42,7 @@ def test_process_that_was_killed_is_told():
         list(jobs.for_each(dying, [1, 2], 2))
 
 
-@pytest.mark.parametrize("text", ["0", "-1", "x", ""])
+@pytest.mark.parametrize("text", ["0", "x"])
 def test_number_of_jobs_must_be_one(text, capsys):
     parser = argparse.ArgumentParser()
     jobs.add_jobs_argument(parser)

@@ -22,6 +22,11 @@ SILENCE = ("silence", 600 * MS)  # longer than the deadman's timeout, shorter th
 LONG_SILENCE = ("silence", 1100 * MS)  # longer than both
 DROPPED = ("dropped", None)  # messages, before they got here
 NOTHING_GRANTED = {"grant_at_start": False}
+WAITS = (False, "starting", "this node has just started: it waits up to 1 s for e_stop")
+TO_REARM = (False, "not re-armed", "this node has just started; let go once: publish false, then true")
+E_STOP_UNKNOWN = (True, "e_stop silent", "e_stop was not heard since messages were dropped")
+WERE_DROPPED = (False, "not re-armed", "messages were dropped; let go once: publish false, then true")
+GAMEPAD = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
 
 
 def after(*events, explanation=None, **changes):
@@ -97,10 +102,6 @@ def test_lock_that_was_never_received_is_off_unless_it_is_required():
     assert after(RUN, ("silence", 3600 * S), HOLD, e_stop_timeout_s=0.0) is None
 
 
-WAITS = (False, "starting", "this node has just started: it waits up to 1 s for e_stop")
-TO_REARM = (False, "not re-armed", "this node has just started; let go once: publish false, then true")
-
-
 @pytest.mark.parametrize("events, inhibit", [
     ([LONG_SILENCE, LET_GO, HOLD], None),
     ([HOLD, LONG_SILENCE, HOLD, LET_GO, HOLD], None),
@@ -159,10 +160,6 @@ def test_shipped_configuration_grants_nothing_at_start(name):
     assert re.findall(r"(?m)^grant_at_start: *(\w+)", (CONFIG_FILES / name).read_text(encoding="utf-8")) == ["false"]
 
 
-E_STOP_UNKNOWN = (True, "e_stop silent", "e_stop was not heard since messages were dropped")
-WERE_DROPPED = (False, "not re-armed", "messages were dropped; let go once: publish false, then true")
-
-
 @pytest.mark.parametrize("before, since, inhibit", [
     ([RUN, HOLD], [], E_STOP_UNKNOWN),
     ([RUN, HOLD], [LET_GO, HOLD], E_STOP_UNKNOWN),
@@ -210,11 +207,6 @@ def test_after_a_loss_or_a_start_that_grants_nothing_nothing_but_letting_go_brin
 def test_start_that_grants_nothing_never_grants_what_the_other_one_refuses(events):
     if after(*events) is not None:
         assert after(*events, **NOTHING_GRANTED) is not None
-
-
-# --- why the deadman isn't held, by who watches it ---
-
-GAMEPAD = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
 
 
 @pytest.mark.parametrize("present, reason, age_ms, quoted", [

@@ -97,17 +97,9 @@ def test_velocity_against_the_gear_and_gears_that_are_none_are_refused(gear, vel
 
 
 @pytest.mark.parametrize("linear_x, angular_z, radius_m", [
-    (2.0, 0.5, 4.0),
-    (2.0, -0.5, -4.0),
-    (-2.0, 0.5, -4.0),
-    (-2.0, -0.5, 4.0),
-    (2.0, 0.0, INF),
-    (-2.0, -0.0, INF),
-    (0.0, 0.0, None),
-    (1e-17, -1e-17, None),
-    (0.001, 2.0, 0.01),  # tighter than any car, and still a request
-    (0.001, -2.0, -0.01),
-    (2.0, 1e-320, INF),
+    (2.0, 0.5, 4.0), (2.0, -0.5, -4.0), (-2.0, 0.5, -4.0), (-2.0, -0.5, 4.0),
+    (2.0, 0.0, INF), (-2.0, -0.0, INF), (2.0, 1e-320, INF), (0.0, 0.0, None), (1e-17, -1e-17, None),
+    (0.001, 2.0, 0.01), (0.001, -2.0, -0.01),  # tighter than any car, and still a request
 ])
 def test_rate_of_a_twist_is_speed_by_radius(linear_x, angular_z, radius_m):
     request = from_twist(linear_x, angular_z, RATE, 0.3)

@@ -13,6 +13,9 @@ from car_interface.planner.twist import RATE, from_twist
 
 MS, S = 1_000_000, 1_000_000_000
 LEFT = PlannerRequest(2.0, 1.0)
+DEGREES = Refusal(causes.REQUEST_REFUSED, "drive.steering_angle of 3 rad (degrees?): no wheel turns so far", True)
+WHEELBASE_M = 0.3
+TWENTIETH = 50 * MS
 
 
 def received(command=LEFT, source="drive", at_ns=0):
@@ -92,15 +95,7 @@ def test_other_sources_are_counted_and_named():
     assert arbiter.decide(0).reason == f"drive was never heard; not obeyed: {arbiter.others}"
 
 
-# --- a source that was refused for an angle ---
-
-DEGREES = Refusal(causes.REQUEST_REFUSED, "drive.steering_angle of 3 rad (degrees?): no wheel turns so far", True)
-WHEELBASE_M = 0.3
-TWENTIETH = 50 * MS
-
-
 def refused():
-    """One whose source has just sent an angle in degrees."""
     arbiter = SourceArbiter("drive", 0.5, sane_radius_m(WHEELBASE_M))
     arbiter.update(DEGREES, 0)
     return arbiter

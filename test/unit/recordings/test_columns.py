@@ -7,16 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from car_interface.recordings.columns import (
-    CommandColumn,
-    ImuColumn,
-    OutputColumn,
-    ValueColumn,
-)
+from car_interface.recordings.columns import CommandColumn, ImuColumn, OutputColumn, ValueColumn
 from car_interface.recordings.recording import Recorded
-from car_interface.recordings.signals import IMU, ODOM, load
+from car_interface.recordings.series import Output
+from car_interface.recordings.signals import ODOM, load
 from car_interface.recordings.timeline import Timeline
-from written_recordings import START_NS, Written, odometry, stamp, write_ros1, write_ros2
+from written_recordings import START_NS, odometry, write_ros1, write_ros2
 
 ODOMETRY = [odometry(0.1 * index, x_m=0.2 * index, yaw_rad=0.5 * index, speed_mps=2.0) for index in range(20)]
 
@@ -39,9 +35,6 @@ def values(column, *rows):
     return column
 
 
-# --- whole recordings ---
-
-
 @pytest.mark.parametrize("write", (write_ros1, write_ros2), ids=("ROS 1", "ROS 2"))
 def test_odometry_counts_by_its_stamps_and_its_heading_is_unwrapped(tmp_path, write):
     later = [message._replace(time_s=message.time_s + 0.03) for message in ODOMETRY]
@@ -50,21 +43,6 @@ def test_odometry_counts_by_its_stamps_and_its_heading_is_unwrapped(tmp_path, wr
     assert odom.x_m == pytest.approx(0.2 * np.arange(20))
     assert odom.yaw_rad == pytest.approx(0.5 * np.arange(20))
     assert set(odom.speed_mps) == {2.0}
-
-
-def imu(time_s, pitch_rad=0.0, unknown=False):
-    covariance = [-1.0] + [0.0] * 8 if unknown else [0.01] * 9
-    return Written(time_s, "/imu/data", "sensor_msgs/Imu", {
-        "header": {"stamp": stamp(time_s)}, "angular_velocity": {"z": 0.3}, "linear_acceleration": {"x": 1.5},
-        "orientation": {"y": math.sin(pitch_rad / 2), "w": math.cos(pitch_rad / 2)},
-        "orientation_covariance": covariance})
-
-
-def test_imu_has_pitch_nose_down_unless_it_says_that_it_knows_none(tmp_path):
-    messages = [imu(0.0, 0.1), imu(0.1, -0.2), imu(0.2, 0.3, unknown=True)]
-    found = load(str(write_ros1(tmp_path / "a.bag", messages)), [IMU])
-    assert found.imu.pitch_rad[:2] == pytest.approx([0.1, -0.2]) and math.isnan(found.imu.pitch_rad[2])
-    assert set(found.imu.yaw_rate_radps) == {0.3} and set(found.imu.acceleration_mps2) == {1.5}
 
 
 # --- columns with stamps ---
@@ -106,10 +84,12 @@ def pitch_rad(orientation, unknown=False):
     x, y, z, w = orientation
     column = ImuColumn("imu/data")
     message = SimpleNamespace(
-        angular_velocity=SimpleNamespace(z=0.0), linear_acceleration=SimpleNamespace(x=0.0, y=0.0, z=9.8),
+        angular_velocity=SimpleNamespace(z=0.3), linear_acceleration=SimpleNamespace(x=1.5, y=0.0, z=9.8),
         orientation=SimpleNamespace(x=x, y=y, z=z, w=w), orientation_covariance=[-1.0 if unknown else 0.0] * 9)
     column.add(Recorded(0, "imu/data", message), 0.0, Timeline())
-    return column.build().pitch_rad[0]
+    built = column.build()
+    assert (built.yaw_rate_radps[0], built.acceleration_mps2[0]) == (0.3, 1.5)
+    return built.pitch_rad[0]
 
 
 # --- columns of duties ---
@@ -134,17 +114,29 @@ def test_output_that_was_recorded_earlier_than_the_one_before_is_left_out():
 
 @pytest.mark.parametrize("command, output", [
     # A count of the PCA9685 is 16 duties: the nearest one, and full on for 4096 counts.
-    (0, 0), (7, 0), (8, 16), (5101, 5104), (65527, 65520), (65528, 65535), (65535, 65535),
+    (7, 0), (8, 16), (5101, 5104), (65527, 65520), (65528, 65535),
 ])
 def test_command_is_the_duty_of_the_nearest_count(command, output):
     assert vectors(CommandColumn("c"), (0.0, [command] * 16)).build().duties.tolist() == [[output] * 16]
 
 
-@pytest.mark.parametrize("outside", [-1, -2, 65536])
+@pytest.mark.parametrize("outside", [-1, 65536])
 def test_command_outside_the_range_leaves_its_channel_unchanged(outside):
     output = vectors(CommandColumn("c"), (0.0, [outside, 1600] + [-1] * 14),
                      (0.1, [3200, outside] + [-1] * 14), (0.2, [outside, 4800] + [-1] * 14)).build()
     assert output.duties[:, :3].tolist() == [[-1, 1600, -1], [3200, 1600, -1], [3200, 4800, -1]]
 
 
-# --- stamps ---
+def test_duty_of_a_channel_is_that_of_the_newest_row():
+    output = Output(np.array([1.0, 2.0, 2.5]), np.array([[first, second, *[-1] * 14] for first, second in (
+        (5104, -1), (3808, -1), (3808, 4912))]))
+    for channel, t_s, duties in (
+            (0, [0.999, 1.0, 1.999, 2.0, 1e9], [-1, 5104, 5104, 3808, 3808]),
+            (1, [2.49, 2.5], [-1, 4912]), (15, [9.0], [-1]), (0, [2.0, 0.0, 1.0], [3808, -1, 5104]), (0, [], [])):
+        found = output.at(channel, np.array(t_s))
+        assert found.tolist() == duties and found.dtype.kind == "i"
+
+
+def test_of_rows_with_the_same_time_the_last_one_counts():
+    output = Output(np.array([1.0, 1.0]), np.array([[100] * 16, [200] * 16]))
+    assert output.at(3, np.array([1.0])).tolist() == [200]

@@ -66,12 +66,6 @@ def test_two_publishers_may_have_different_definitions_of_a_type():
     assert other(struct.pack("<i", -3)).fathoms == -3
 
 
-def test_recordings_definition_goes_before_the_known_one():
-    name = "car_interface/msg/Float64Stamped"
-    decode = Definitions(False).decoder(connection(name, "int32 old_name"))
-    assert decode(struct.pack("<i", 7)).old_name == 7
-
-
 @pytest.mark.parametrize("name, data, field, value", [
     pytest.param("std_msgs/msg/Float32", CDR + struct.pack("<f", 0.25), "data", 0.25, id="standard_type"),
     pytest.param("car_interface/msg/Float64Stamped",

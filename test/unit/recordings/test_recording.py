@@ -68,7 +68,6 @@ def test_mcap_of_autoware_is_read_by_its_folder_and_by_its_file():
 @pytest.mark.parametrize("asked, namespace, found", [
     pytest.param("odom", "/car1", ["/car1/odom"], id="relative_name_below_the_namespace"),
     pytest.param("odom", "car1/", ["/car1/odom"], id="namespace_without_and_with_slashes"),
-    pytest.param("odom", "/", [], id="relative_name_of_another_car"),
     pytest.param("/diagnostics", "/car1", ["/diagnostics"], id="absolute_name_that_did_not_move"),
     pytest.param("/servo/output", "/car1", ["/car1/servo/output"], id="absolute_name_that_moved"),
     pytest.param("diagnostics", "/car1", [], id="relative_name_is_never_taken_as_absolute"),
@@ -159,7 +158,6 @@ def cut_mcap(tmp_path):
 @pytest.mark.parametrize("make, words", [
     pytest.param(lambda tmp_path: tmp_path / "a.bag", "there is no such file", id="missing"),
     pytest.param(with_text(b""), "it is empty", id="empty_file"),
-    pytest.param(with_text(b"timestamp,value\n1,2\n"), "it is no bag", id="another_kind_of_file"),
     pytest.param(with_text(b"\xff\xfe\x00" * 50), "it is no bag|damaged", id="binary_rubbish"),
     pytest.param(cut, r"a\.bag is cut off or damaged \([\w :.]+\w\): rosbag reindex .*a.bag saves", id="truncated"),
     pytest.param(lambda tmp_path: cut(tmp_path, 0.02), "cut off or damaged|never closed", id="truncated_in_its_head"),
@@ -168,8 +166,6 @@ def cut_mcap(tmp_path):
     pytest.param(chunk_overwritten, "damaged", id="overwritten_in_the_middle"),
     pytest.param(lambda tmp_path: tmp_path, "a ROS 2 bag's folder has a metadata.yaml", id="folder_that_is_no_bag"),
     pytest.param(ros2_with(lambda path: (path / "metadata.yaml").write_text("a: [")), "YAML", id="ros2_bad_metadata"),
-    pytest.param(ros2_with(lambda path: (path / "metadata.yaml").write_text("a: 1")), "metadata",
-                 id="ros2_metadata_of_something_else"),
     pytest.param(ros2_with(lambda path: next(path.glob("*.db3")).unlink()), "missing", id="ros2_without_its_database"),
     pytest.param(ros2_with(cut_database), "damaged|can't be read", id="ros2_truncated_database"),
     pytest.param(cut_mcap, "damaged|can't be read", id="ros2_truncated_mcap"),
@@ -181,7 +177,7 @@ def test_bad_bag_is_told_in_one_line_that_names_it(make, words, tmp_path):
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["drive.bag", "drive.mcap", "drive.db3"])
+@pytest.mark.parametrize("name", ["drive.bag", "drive.db3"])
 @pytest.mark.parametrize("make, kind", [
     pytest.param(lambda path: os.mkfifo(str(path)), "a pipe", id="pipe"),
     pytest.param(lambda path: path.symlink_to("/dev/zero"), "a device", id="device"),

@@ -99,6 +99,3 @@ def test_record_longer_than_its_chunk_is_refused(tmp_path):
     path.write_bytes(data[:at] + struct.pack("<I", 400) + data[at + 4:])
     with pytest.raises(ReaderError, match="a record reaches beyond its chunk"):
         messages(path)
-
-
-# --- by ``recording`` ---

@@ -9,14 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from car_interface.report.downsample import Trace
-from car_interface.report.figures import (
-    bands,
-    curve,
-    label_text,
-    stack,
-    time_axis,
-    usual_magnitude,
-)
+from car_interface.report.figures import bands, curve, label_text, stack, time_axis, usual_magnitude
 from car_interface.report.steering_state import UNKNOWN_DRIVER, Episode
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, PLANNER, TELEOP
 

@@ -95,13 +95,6 @@ def test_deadman_that_is_let_go_is_no_loss(tmp_path):
     assert "Went neutral once: human absent" in " ".join(text.split())
 
 
-def test_without_teleop_logis_state_the_deadman_is_all_that_is_known(tmp_path):
-    messages = [message for message in drive((10.0, causes.JOY_STALE, "joy silent for 0.26 s"))
-                if "teleop_logi" not in message.topic]
-    seen, text = report(tmp_path, messages)
-    assert "Went neutral once: human absent" in " ".join(text.split()) and seen.faults.entries == []
-
-
 def test_what_diagnostics_and_log_say_of_the_gamepad_is_not_listed_twice(tmp_path):
     others = [
         Written(10.1, "/diagnostics", "diagnostic_msgs/DiagnosticArray", {"header": {"stamp": stamp(10.1)}, "status": [

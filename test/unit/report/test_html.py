@@ -52,8 +52,7 @@ def test_table_escapes_names_and_takes_cells_as_html():
 
 
 @pytest.mark.parametrize("numbers, numbers_from, expected", [
-    (0, None, [False, False, False]), (1, None, [True, False, False]), (3, None, [True, True, True]),
-    (0, 1, [False, True, True]), (3, 3, [False, False, False]),
+    (1, None, [True, False, False]), (0, 1, [False, True, True]), (3, 3, [False, False, False]),
 ])
 def test_columns_of_numbers_are_marked_in_head_and_rows(numbers, numbers_from, expected):
     text = table("abc", ["123"], numbers, numbers_from)
@@ -103,8 +102,8 @@ def test_time_of_a_long_drive_has_minutes(time_s, duration_s, text):
 
 
 @pytest.mark.parametrize("time_s, text", [
-    (0.0, "0 s"), (0.05, "0.05 s"), (0.0123, "0.012 s"), (0.1, "0.1 s"), (12.5, "12.5 s"), (99.94, "99.9 s"),
-    (100, "1 min 40 s"), (187, "3 min 7 s"), (3599.4, "59 min 59 s"), (3599.6, "1 h 0 min"), (3720, "1 h 2 min"),
+    (0.0, "0 s"), (0.0123, "0.012 s"), (0.1, "0.1 s"), (99.94, "99.9 s"), (100, "1 min 40 s"),
+    (3599.4, "59 min 59 s"), (3599.6, "1 h 0 min"), (3720, "1 h 2 min"),
 ])
 def test_duration_is_in_seconds_minutes_or_hours(time_s, text):
     assert span_text(time_s) == text

@@ -1,6 +1,7 @@
 """What is found in a recording, and which recordings are refused."""
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores
@@ -8,7 +9,36 @@ from rosbags.typesys import Stores
 import written_recordings
 from car_interface.recordings.recording import NoRecording
 from car_interface.report.summary import summarize
-from written_recordings import HOSTILE, SPEED_MPS, Written, drive, odometry, write_ros1, write_ros2
+from written_recordings import (
+    HOSTILE,
+    NEUTRAL,
+    NO_HUMAN,
+    PLANNER,
+    SPEED_MPS,
+    TELEOP,
+    Written,
+    drive,
+    odometry,
+    write_ros1,
+    write_ros2,
+)
+
+
+def test_who_drove_when_and_why_is_listed_once_for_each_cause_and_the_servo_is_found_by_its_output(seen):
+    assert [(episode.source, round(episode.start_s, 2)) for episode in seen.steering.episodes] == [
+        (NO_HUMAN, 0.0), (TELEOP, 5.0), (PLANNER, 20.0), (NEUTRAL, 40.0)]
+    assert seen.steering.episodes[-1].reason == "av_turnrad_req silent for 0.50 s"
+    assert seen.steering.source_s[PLANNER] == pytest.approx(20.0)
+    assert seen.steering.steering_channel == 3 and sorted(seen.steering.duties) == [2, 3]
+    assert seen.teensy.counters == {"txPackets": (0, 5900), "rxErrorChecksum": (7, 7)}, "first and last"
+
+
+def test_sonar_hits_are_where_the_car_was(seen):
+    x_m, y_m = seen.sonars.echoes.places()
+    assert seen.sonars.echoes.count == 3 and np.abs(y_m).max() < 0.02
+    # At 10.2 s it has driven for 5.2 s.
+    assert x_m.min() == pytest.approx(5.2 * SPEED_MPS + 0.42 + 0.8, abs=0.1)
+    assert (seen.sonars.nearest_m, seen.sonars.nearest_sonar) == (pytest.approx(0.8), "front_middle")
 
 
 def test_recording_of_ros_2_gives_the_same(seen, tmp_path):

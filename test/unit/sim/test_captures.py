@@ -1,20 +1,14 @@
 """The simulated Teensy against captures of the original firmware: same wheels, echoes and commands in, same frames out.
 
-The captures (test/data/firmware; all but ``drive``) were made by the original firmware, compiled for a
-desktop, whose loop passed every 250 µs. Fed to the simulated one are its pins at power-up, its wheels' pulses, the
-length of each echo, the host's commands and the losses of power, each at its time, with the captures' uptime and a
-clock that is 25 ppm fast.
+Fed to it are the captures' pins at power-up, wheels' pulses, echoes, commands and losses of power, each at its time,
+with their uptime and a clock that is 25 ppm fast. Out come the captures' frames in their order, all of them, but:
 
-What comes out is the captures' frames in the captures' order, all of them, with these tolerances and exceptions:
-
-- A pulse's time is interpolated between positions 20 ms (``drive_reverse``: 50 ms) apart, to some 0.1 ms: a
-  tick of a wheel (``when``) may be 1 ms off, and its speed by that share. Where both wheels' pulses lie that close to
-  each other, or to the 5 ms that a report waits, it isn't determined in which report one comes: ``undetermined``.
-- Echoes begin at times that are known to 1 µs: ±2 µs in an echo, 1 ms in its tick. Its filler byte isn't compared.
+- A pulse's time is interpolated between positions 20 or 50 ms apart, to some 0.1 ms: ``when`` may be 1 ms off, and the
+  speed by that share. Where both wheels' pulses are that close to each other, or to the 5 ms that a report waits, it
+  isn't determined in which report one comes: ``undetermined``.
+- Echoes begin at times known to 1 µs: ±2 µs in an echo, 1 ms in its tick. Its filler byte isn't compared.
 - ``line_busy``: which of several waiting reports is next hangs on all the bytes since the line was last idle. Numbers
   are held instead of the order.
-
-In ``wrap`` the offset of the clock is known to 1 µs only: one was taken that gives the captured ticks near the wrap.
 """
 
 import math
@@ -25,23 +19,13 @@ from functools import lru_cache
 
 import pytest
 
+import teensy_bench
 from captures import load
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_sonars import SONAR_STUCK
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from teensy_bench import (
-    PONG,
-    SONAR,
-    WHEELS,
-    framed_for_the_receiver,
-    message,
-    ones_complement_sum,
-    parse_counter,
-    parse_sonar,
-    parse_wheels,
-    unstuffed,
-)
+from teensy_bench import framed_for_the_receiver, ones_complement_sum, parse_counter, parse_sonar, parse_wheels
 
 pytestmark = pytest.mark.once
 MS, US = 1_000_000, 1_000
@@ -50,27 +34,19 @@ UINT32 = 0xFFFFFFFF
 PULSE_M = math.pi * 0.095 / 20
 COMMANDS = {"ping": 1, "sonar_start": 5, "get_counters": 10, "sonar_wait": 12}
 FRAMES = ("wheel", "sonar", "pong", "counter")
+WHEEL_FIELDS = ("speed", "direction", "when", "dist", "dist_abs")
 
 
 @dataclass(frozen=True)
 class Capture:
-    """How a capture began, and how much of it is not determined.
-
-    Attributes:
-        pass_us: when the loop passed first, modulo 250 µs.
-        undetermined: frames that may differ.
-        first_us: when the simulated Teensy is switched on. Captures of a power-up begin with it. The others begin in
-            a stream: there it is one repeat of standing wheels before the first captured one,
-        lead_us: and its first sonar hears an echo of this length, after which the next one pings when the first
-            captured one did. What it sends before the capture begins isn't looked at.
-        config: what it is like otherwise.
-    """
+    """How a capture began, and how much of it is not determined."""
 
     name: str
-    pass_us: float
-    undetermined: int = 0
+    pass_us: float  # when the loop passed first, modulo 250 µs
+    undetermined: int = 0  # frames that may differ
+    # When the Teensy is switched on: of a capture that begins in a stream one repeat of standing wheels before it,
     first_us: float = 0.0
-    lead_us: float = 0.0
+    lead_us: float = 0.0  # and its first sonar hears such an echo, for the next one to ping when the captured one did.
     config: tuple = ()
 
     @property
@@ -79,7 +55,6 @@ class Capture:
 
     @property
     def frames(self):
-        """(kind, fields) of each whole frame."""
         return [fields_of(line) for line in self.captured.frames if not line.get("cut")]
 
     def at_ns(self, t_us):
@@ -108,9 +83,6 @@ STREAMS = [
 BUSY = Capture("line_busy", 114)
 
 
-WHEEL_FIELDS = ("speed", "direction", "when", "dist", "dist_abs")
-
-
 def fields_of(line):
     kind = line["frame"]
     if kind == "wheel":
@@ -123,10 +95,7 @@ def fields_of(line):
 
 
 def pulses_of(truth):
-    """The wheels' positions and speeds → (µs, side, direction) of each pulse: a whole number crossed.
-
-    Between two positions a wheel turns by the cubic that has both positions and both speeds.
-    """
+    """(µs, side, direction) of each pulse: a whole number crossed, by the cubic through positions and speeds."""
     found = []
     for begin, end in zip(truth, truth[1:]):
         span_us = end.t_us - begin.t_us
@@ -163,28 +132,23 @@ def command(line):
     """A command as the captures' host framed it: with the receiver's own checksum."""
     payload = (struct.pack("<II", line["timestamp1"], 0) if "timestamp1" in line else
                struct.pack("<I", line["ms"]) if "ms" in line else b"")
-    return framed_for_the_receiver(message(COMMANDS[line["host"]], payload))
+    return framed_for_the_receiver(teensy_bench.message(COMMANDS[line["host"]], payload))
 
 
 def parsed(frame):
-    """An unescaped frame → (kind, fields), as in the captures."""
-    if frame[2] == WHEELS:
+    if frame[2] == teensy_bench.WHEELS:
         return ("wheel", *([wheel.speed, wheel.direction, wheel.when, wheel.dist, wheel.dist_abs]
                            for wheel in parse_wheels(frame)))
-    if frame[2] == SONAR:
+    if frame[2] == teensy_bench.SONAR:
         sonar = parse_sonar(frame)
         return "sonar", sonar.sensor, sonar.echo_us, sonar.when
-    return ("pong", *struct.unpack_from("<II", frame, 4)) if frame[2] == PONG else ("counter", *parse_counter(frame))
+    if frame[2] == teensy_bench.PONG:
+        return ("pong", *struct.unpack_from("<II", frame, 4))
+    return ("counter", *parse_counter(frame))
 
 
 class Replay:
-    """A capture's inputs, fed to a simulated Teensy until the capture's last frame.
-
-    Attributes:
-        sent: every byte since the capture's start.
-        frames: (kind, fields) of each whole frame.
-        wrong_sensors: pings with another sensor than in the capture.
-    """
+    """A capture's inputs, fed to a simulated Teensy until the last frame; and what that sent since the first."""
 
     def __init__(self, capture):
         self.capture, captured = capture, capture.captured
@@ -194,7 +158,7 @@ class Replay:
         self._echoes = deque((sensor, pulse_us) for _, sensor, pulse_us in captured.echoes if pulse_us is not None)
         if capture.lead_us:
             self._echoes.appendleft((config.sonar_sequence[0], capture.lead_us))
-        self.wrong_sensors = []
+        self.wrong_sensors = []  # pings with another one than in the capture
         self.teensy = TeensyFirmware(config, self._echo_us, capture.at_ns(capture.first_us))
         self.teensy.transmit(capture.at_ns(0))
         self.sent = b""
@@ -203,7 +167,7 @@ class Replay:
             act(at_ns)
         end_us = captured.frames[-1]["t_us"]
         self.sent += self.teensy.transmit(capture.at_ns(end_us) + 4 * MS)
-        self.frames = [parsed(frame[:-1]) for frame in map(unstuffed, self.sent.split(b"\x7e"))
+        self.frames = [parsed(frame[:-1]) for frame in map(teensy_bench.unstuffed, self.sent.split(b"\x7e"))
                        if len(frame) >= 5 and ones_complement_sum(frame) == 0xFF]
 
     def _echo_us(self, sensor, at_ns):

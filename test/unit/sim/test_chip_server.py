@@ -40,8 +40,6 @@ def serve(path):
 
 
 class Server:
-    """A chip's process and its clients."""
-
     def __init__(self, path):
         self.path = path
         self.links = []
@@ -151,6 +149,7 @@ def test_second_process_for_one_path_ends_and_disturbs_nobody(server, link):
     assert server.connect().read(0, 1) == AWAKE
 
 
+@pytest.mark.once
 def test_process_ignores_the_signals_of_its_group_and_ends_after_its_last_client_with_no_file_left(server, link):
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         server.process.send_signal(number)

@@ -3,14 +3,14 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.common.errors import ConfigError
 from car_interface.sim import esc as virtual
-from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, VirtualEsc, VirtualEscConfig
+from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, VirtualEsc
 
 MS = 1_000_000
 NEUTRAL, AHEAD, BACK = 4915, 5734, 4096  # half to both sides
 ARMED = [(NEUTRAL, 1.0, 0.0)]
 STOPPED = 0.0
+BRAKED = [(AHEAD, 1.0, 2.0), (BACK, 0.5, 1.0)]
 
 
 def play(config, steps, armed=True):
@@ -23,9 +23,6 @@ def play(config, steps, armed=True):
             motor = esc.step(duty, now_ns, wheel_mps)
         modes.append(motor.mode)
     return modes[1:] if armed else modes
-
-
-BRAKED = [(AHEAD, 1.0, 2.0), (BACK, 0.5, 1.0)]
 
 
 @pytest.mark.parametrize("make", [virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race])
@@ -87,11 +84,3 @@ def test_esc_without_pulses_holds_for_its_time_then_stops_and_must_be_armed_agai
     (4915, 0.0), (4995, 0.0), (4835, 0.0), (6554, 1.0), (8000, 1.0), (3277, -1.0), (5774.5, 0.5), (4056, -0.5)])
 def test_command_is_linear_from_the_dead_band_to_the_ends(duty, command):
     assert VirtualEsc().command(duty) == pytest.approx(command)
-
-
-@pytest.mark.parametrize("changes, name", [
-    ({"kind": "boat"}, "kind"), ({"second_pull": "turns"}, "second_pull"), ({"neutral_duty": 7000}, "neutral_duty"),
-    ({"drag_brake": 1.5}, "drag_brake")])
-def test_impossible_esc_is_refused(changes, name):
-    with pytest.raises(ConfigError, match=name):
-        VirtualEscConfig(**changes)

@@ -2,16 +2,9 @@
 
 import pytest
 
-from car_interface.common.errors import ConfigError
 from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m
+from slash import SKIDPAD
 
-# A 3.5 kg F1TENTH car on a skid pad, by motion capture, steady commands, left: speed (m/s) and radius (m) of three
-# steering angles. From the public recordings of Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline.
-SKIDPAD = {
-    0.312: {0.5: 1.488, 1.0: 1.499, 1.5: 1.529, 2.0: 1.599, 2.5: 1.733},
-    0.416: {0.5: 1.097, 1.0: 1.105, 1.5: 1.137, 2.0: 1.194, 2.5: 1.346},
-    0.52: {0.5: 0.98, 1.0: 0.987, 1.5: 1.022, 2.0: 1.074, 2.5: 1.25},
-}
 FROM_HERE = [(angle, speed, radius) for angle, rows in SKIDPAD.items() for speed, radius in rows.items()]
 
 
@@ -43,9 +36,3 @@ def test_a_rollover_counts_once_until_the_car_stands_again():
     for lateral_mps2 in (5.3, 6.1):
         rollovers.update(lateral_mps2)
     assert (rollovers.count, rollovers.lateral_mps2, rollovers.max_lateral_mps2) == (2, 6.1, 6.5)
-
-
-@pytest.mark.parametrize(("name", "value"), [("understeer", -0.1), ("grip_mps2", 0), ("rollover_mps2", 0)])
-def test_impossible_tyres_are_refused(name, value):
-    with pytest.raises(ConfigError, match=name):
-        TyreConfig(**{name: value})

@@ -4,7 +4,6 @@ import math
 
 import pytest
 
-from car_interface.common.errors import ConfigError
 from car_interface.sim.world import Box, Mount, Post, World, WorldConfig, speed_of_sound_mps
 
 FRONT_RIGHT, FRONT, FRONT_LEFT, REAR_RIGHT, REAR, REAR_LEFT = range(6)
@@ -37,19 +36,13 @@ def test_distance_to_a_wall(pose, sensor, distance_m):
     pytest.param((), (Post(1.5, 0.0, 0.25),), 1.25, id="post_ahead"),
     pytest.param((Box(1.5, 0.0, 0.2, 0.2),), (Post(1.0, 0.0, 0.1),), 0.9, id="the_nearer_one"),
     pytest.param((Box(-1.5, 0.0, 1.0, 1.0),), (Post(-1.0, 0.0, 0.25),), None, id="behind_its_back"),
-    pytest.param((), (Post(0.0, 1.0, 0.25),), None, id="beside_the_cone"),
+    pytest.param((), (Post(1.5 * math.cos(0.244), 1.5 * math.sin(0.244), 0.04),), 1.47, id="14_degrees_to_the_left"),
+    pytest.param((), (Post(1.5 * math.cos(0.297), 1.5 * math.sin(0.297), 0.04),), None, id="17_degrees_to_the_left"),
     pytest.param((), (Post(0.0, 0.0, 0.25),), 0.0, id="inside_a_post"),
 ])
 def test_distance_to_an_obstacle(boxes, posts, distance_m):
     heard_m = hall(boxes, posts).distance_m((0.0, 0.0, 0.0), FRONT)
-    assert heard_m == (distance_m if distance_m is None else pytest.approx(distance_m))
-
-
-@pytest.mark.parametrize(("bearing_deg", "heard"), [(0, True), (9, True), (-14, True), (14, True), (17, False)])
-def test_cone_of_30_degrees_hears_a_post_within_15(bearing_deg, heard):
-    bearing_rad = math.radians(bearing_deg)
-    world = hall(posts=(Post(1.5 * math.cos(bearing_rad), 1.5 * math.sin(bearing_rad), 0.04),))
-    assert (world.distance_m((0.0, 0.0, 0.0), FRONT) is not None) == heard
+    assert heard_m == (distance_m if distance_m is None else pytest.approx(distance_m, abs=0.005))
 
 
 @pytest.mark.parametrize(("temperature_c", "echo_us"), [(20.0, 5824), (40.0, 5625)])
@@ -62,13 +55,3 @@ def test_echo_from_beyond_four_metres_is_zero_and_any_other_is_not():
     assert hall().echo_us((5.99, 0.0, 0.0), FRONT) == 0
     assert hall().echo_us((6.01, 0.0, 0.0), FRONT) > 23_000
     assert hall(posts=(Post(0.0, 0.0, 1.0),)).echo_us((0.0, 0.0, 0.0), FRONT) == 1  # what touches isn't, either
-
-
-@pytest.mark.parametrize(("name", "value", "accepted"), [
-    ("walls", (1, -1, 0, 1), "x from < x to, y from < y to"), ("mounts", (), "six of them"),
-    ("cone_rad", 4.0, "more than 0, less than pi"), ("rays", 0, "1 or more"), ("max_range_m", 0, "more than 0"),
-    ("temperature_c", 300, "-100 to 100"),
-])
-def test_config_of_no_room_is_refused(name, value, accepted):
-    with pytest.raises(ConfigError, match=f"{name} is .*; accepted: {accepted}"):
-        WorldConfig(**{name: value})

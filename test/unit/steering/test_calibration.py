@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.steering.calibration import driven_radius_m, slow_radius_m, trimmed
-from slash import CENTER, PARAMETERS, SLASH
+from slash import PARAMETERS, SKIDPAD, SLASH
 
 TRIPLES = st.tuples(st.integers(3000, 4600), st.integers(4300, 5900), st.integers(5900, 7500))
 
@@ -27,12 +27,6 @@ def test_teleop_request_makes_duty(steering, duty):
 def test_servo_may_turn_the_other_way_round_or_to_one_side_only(left, right, duties):
     calibration = replace(SLASH, servo_left=left, servo_right=right)
     assert [calibration.teleop_duty(steering) for steering in (1.0, 0.5, 0.0, -0.5, -1.0)] == duties
-
-
-@given(st.floats(-1, 1))
-def test_teleop_duty_of_any_request_is_the_rounded_line_to_its_side(steering):
-    exact = CENTER - steering * (CENTER - 3800 if steering > 0 else 6700 - CENTER)
-    assert abs(SLASH.teleop_duty(steering) - exact) <= 0.5
 
 
 @pytest.mark.parametrize("side, table", [(1, "k_pwmcmd_left_table_servo"), (-1, "k_pwmcmd_right_table_servo")])
@@ -150,16 +144,6 @@ def test_trimmed_tables_keep_their_order_and_stay_duties(wanted):
     assert list(scaled.left_duties) == sorted(scaled.left_duties)
     assert list(scaled.right_duties) == sorted(scaled.right_duties, reverse=True)
     assert all(0 <= duty <= 65535 for duty in (*scaled.left_duties, *scaled.right_duties))
-
-
-# A 3.5 kg F1TENTH car on a skid pad, by motion capture, steady commands, left: the radius (m) that each steering angle
-# (rad) drives at each speed (m/s). From the public recordings of
-# Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline.
-SKIDPAD = {
-    0.312: {0.5: 1.488, 1.0: 1.499, 1.5: 1.529, 2.0: 1.599, 2.5: 1.733},
-    0.416: {0.5: 1.097, 1.0: 1.105, 1.5: 1.137, 2.0: 1.194, 2.5: 1.346},
-    0.52: {0.5: 0.98, 1.0: 0.987, 1.5: 1.022, 2.0: 1.074, 2.5: 1.25},
-}
 
 
 @pytest.mark.parametrize("angle", SKIDPAD)

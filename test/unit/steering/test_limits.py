@@ -1,6 +1,5 @@
 """How tight a car may turn at its speed."""
 import math
-import time
 
 import pytest
 
@@ -12,6 +11,8 @@ from car_interface.steering.limits import SourceLimits, SteeringLimiter, Steerin
 MS, S = 1_000_000, 1_000_000_000
 LATERAL = SourceLimits(max_lateral_mps2=4.0)
 JERK = SourceLimits(max_jerk_mps3=40.0)
+AT_4_MPS = "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.00 m was asked for"
+ODD = 0.1 + 0.2  # no number that a detour over radius and back would keep
 
 
 def limiter_at(speed_mps):
@@ -20,10 +21,6 @@ def limiter_at(speed_mps):
     for report in range(-100, 1):
         limiter.speed.update(speed_mps, report * 20 * MS)
     return limiter
-
-
-AT_4_MPS = "4 m/s² sideways: at 4.0 m/s no tighter than 4.00 m, 1.00 m was asked for"
-ODD = 0.1 + 0.2  # no number that a detour over radius and back would keep
 
 
 @pytest.mark.parametrize(("speed_mps", "asked_per_m", "turn"), [
@@ -155,8 +152,6 @@ def test_an_impossible_limit_is_refused_by_name(source, name, value):
         read_limits(Params({source: {name: value}}))
 
 
-# --- what the wheels can't do ---
-
 @pytest.mark.parametrize("asked_m, tightest_m, speed_mps, reason", [
     (0.9, (1.0, 1.0), 1.0, ""),
     (-0.9, (1.0, 1.0), 1.0, ""),
@@ -192,14 +187,3 @@ def test_it_stays_known_for_2_s_so_that_swings_from_side_to_side_are_one():
     limiter.limit(1.0, LATERAL, S, "asks for too much")
     limiter.limit(0.1, LATERAL, S + MS)
     assert (limiter.too_tight_lately(3 * S), limiter.too_tight_lately(3 * S + 1)) == ("asks for too much", "")
-
-
-def test_a_limit_costs_less_than_50_microseconds():
-    limiter, limits = limiter_at(4.0), SourceLimits(4.0, 40.0)
-    took_s = []
-    for repeat in range(50):  # the least of the processor's own time: the machine has other work
-        begin_s = time.thread_time()
-        for tick in range(100):
-            limiter.limit(1.0, limits, S + (repeat * 100 + tick) * 10 * MS)
-        took_s.append((time.thread_time() - begin_s) / 100)
-    assert min(took_s) < 50e-6

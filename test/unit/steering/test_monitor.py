@@ -14,6 +14,9 @@ S = 1_000_000_000
 START_NS = 1000 * S
 STEP_NS = S // 50  # 20 ms from report to report
 INF, NAN = math.inf, math.nan
+# How long there is no warning, half a second of it for the servo; in how much more there is one; and what it advises.
+OFF = 2.4, 0.3, "Measure which duty drives "
+WRONG_SIDE = 0.9, 0.3, "See whether the servo, or the wheels' sensors, are the wrong way round"
 
 
 class Car:
@@ -48,8 +51,6 @@ def car():
     return Car()
 
 
-# --- the radii ---
-
 @pytest.mark.parametrize("speed_mps", [1.0, -1.0])
 @pytest.mark.parametrize("commanded_m, driven_m", [(2.0, 2.1), (-3.0, -2.9), (INF, INF), (INF, -50.0)])
 def test_judgement_has_both_radii_forward_and_in_reverse(car, commanded_m, driven_m, speed_mps):
@@ -83,8 +84,6 @@ def test_commanded_radius_is_unknown_when_it_is_none_or_silent_or_dropped(car, c
     assert car.judge().commanded_m == 2.0
 
 
-# --- a car that turns as told ---
-
 @pytest.mark.parametrize("speed_mps", [0.5, 1.9, -1.0])
 @pytest.mark.parametrize("commanded_m, driven_m", [
     (2.0, 2.9), (2.0, 1.05), (-1.0, -1.4), (15.0, 21.0), (21.0, -21.0), (INF, 21.0), (16.0, INF)])
@@ -115,13 +114,6 @@ def test_car_that_does_what_it_is_told_is_never_warned_of(drives):
     car = Car()
     for radius_m, seconds, speed_mps in drives:
         assert set(car.drives(radius_m, radius_m, seconds, speed_mps)) <= {""}
-
-
-# --- a car that doesn't ---
-
-# How long there is no warning, half a second of it for the servo; in how much more there is one; and what it advises.
-OFF = 2.4, 0.3, "Measure which duty drives "
-WRONG_SIDE = 0.9, 0.3, "See whether the servo, or the wheels' sensors, are the wrong way round"
 
 
 @pytest.mark.parametrize("speed_mps", [0.6, 1.4, -1.0])
@@ -186,8 +178,6 @@ def test_speed_that_wavers_about_the_least_one_is_at_speed_still(car):
     assert "commanded left" in car.warning
 
 
-# --- how long a warning stays ---
-
 def test_warning_stays_until_the_same_side_was_driven_right_over_the_last_two_seconds(car):
     car.drives(2.0, 4.0, 3.0)
     warning = car.warning
@@ -213,8 +203,6 @@ def test_warnings_of_both_sides_are_reported_together(car):
     assert "commanded left, 2.0 m, the car went right" in car.warning
     assert "; commanded right, 2.0 m, the car went left" in car.warning
 
-
-# --- the configuration ---
 
 @pytest.mark.parametrize("wrong, message", [
     ({"min_speed_mps": 0.0}, "min_speed_mps is 0.0; accepted: a number above 0"),

@@ -29,7 +29,6 @@ MS = 1_000_000
 NOW = 1000 * S
 CODE_M, CODE_W, CODE_A, CODE_SHIFT = 50, 17, 30, 42  # linux/input-event-codes.h
 
-# --- what a terminal sends ---
 
 @pytest.mark.parametrize("text, keys", [
     ("wasd", [FORWARD, LEFT, BACKWARD, RIGHT]),
@@ -51,16 +50,6 @@ def test_characters_are_read_as_keys_whole_and_one_by_one_and_swallow_nothing_th
     reader = KeyReader()
     assert [key for character in text for key in reader.feed(character)] == keys
 
-
-@given(st.text(max_size=40))
-def test_any_text_is_read_without_an_error_and_later_keys_count(text):
-    reader = KeyReader()
-    reader.feed(text)
-    reader.feed("xx")
-    assert reader.feed("w") == [FORWARD]
-
-
-# --- a terminal alone ---
 
 def typed(*steps, until_ms, counts=True):
     """The controls after (key, time in ms), at a time, asked for every 20 ms as the node does."""
@@ -121,8 +110,6 @@ def test_terminal_alone_counts_where_it_may(counts, until_ms):
     for age_ms in (0, 700, 710):
         assert keyboard.controls(NOW + age_ms * MS).manual == (age_ms <= until_ms)
 
-
-# --- with a keyboard that reports presses and releases ---
 
 STORIES = {
     "key_counts_until_its_release_without_being_repeated": (False, [
@@ -196,8 +183,6 @@ def test_help_names_every_key_and_how_to_hold_the_deadman():
                                      "is released, so each counts for 0.7 s.")
     assert max(map(len, help_text(False).splitlines())) < 80
 
-
-# --- slow pushes and the scale ---
 
 def held(*keys, seconds):
     """The throttle each second of holding keys beside the deadman."""

@@ -24,7 +24,7 @@ from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_config import EscConfig
-from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedControlConfig, SpeedRequest
+from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedRequest
 from car_interface.throttle.value_map import ValueMap, load_value_map
 
 MS, S = 1_000_000, 1_000_000_000
@@ -44,8 +44,6 @@ def wrong_map(of_acceleration=1.0, of_value=1.0):
 
 
 class Sample(NamedTuple):
-    """The car at a moment."""
-
     at_s: float
     speed_mps: float  # the true one
     acceleration_mps2: float  # commanded
@@ -59,19 +57,17 @@ class SpeedRig:
     Args:
         slope: metres up for each metre ahead.
         thrust: ratio of the motor's thrust to that of the car that the shipped map is of.
-        esc: the virtual ESC.
         value_map: the converter's.
-        profile: what throttle_arb takes the ESC for.
     """
 
-    def __init__(self, slope=0.0, thrust=1.0, esc=None, value_map=MAP, profile="brake_then_reverse", **config):
+    def __init__(self, slope=0.0, thrust=1.0, value_map=MAP):
         drive = DriveConfig()
         drive = replace(drive, forward_mps2=drive.forward_mps2 * thrust, reverse_mps2=drive.reverse_mps2 * thrust)
-        self.car = Vehicle(VehicleConfig(drive=drive, slope=slope, esc=esc or xl5()), START_NS)
-        self.control = SpeedControl(SpeedControlConfig(**config))
+        self.car = Vehicle(VehicleConfig(drive=drive, slope=slope, esc=xl5()), START_NS)
+        self.control = SpeedControl()
         self.converter = Converter(ConversionConfig(), value_map)
         self.throttle = ThrottleControl(SHIPPED_ESC, ArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
-                                        EscConfig(profile=profile))
+                                        EscConfig(profile="brake_then_reverse"))
         self.request: SpeedRequest | None = STOP
         self.human = False
         self.is_deaf = False  # odometry doesn't arrive
@@ -86,10 +82,6 @@ class SpeedRig:
         self.run(2.0)  # the ESC is armed
         self.human = True
         self.samples.clear()
-
-    @property
-    def now_s(self):
-        return (self.car.time_ns - START_NS) / S
 
     def run(self, seconds, request=None):
         """Drive on; the samples of that time."""
@@ -139,14 +131,12 @@ class SpeedRig:
         self.throttle.update_output([-1, self._duty, *[-1] * 14], now_ns)
         self.control.update_throttle(decision.arbitration.source, decision.arbitration.asked, decision.esc.fraction,
                                      decision.esc.cause, now_ns)
-        self.decision = decision
         self.commands.append(command)
-        self.samples.append(Sample(self.now_s, self.car.speed_mps, command.acceleration_mps2, decision.esc.fraction,
-                                   decision.esc.state_name))
+        self.samples.append(Sample((self.car.time_ns - START_NS) / S, self.car.speed_mps, command.acceleration_mps2,
+                                   decision.esc.fraction, decision.esc.state_name))
 
 
 def overshoot(samples, target_mps):
-    """By how much of the target it was exceeded."""
     return max(sample.speed_mps for sample in samples) / target_mps - 1.0
 
 
@@ -159,5 +149,4 @@ def settled_s(samples, target_mps, within=0.05):
 
 
 def mean_error(samples, target_mps):
-    """The mean speed's error, as a ratio of the target."""
     return sum(sample.speed_mps for sample in samples) / len(samples) / target_mps - 1.0

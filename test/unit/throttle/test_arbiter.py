@@ -19,6 +19,10 @@ NOW = 1000 * S
 LINEAR = StickConfig(deadband=0.05, expo=0.0, human_scale=0.3, brake_scale=0.8)
 FORWARD, REST, BRAKE = 0.525, 0.02, -0.525  # of the stick: half, in the dead band, half
 NAN, INF = math.nan, math.inf
+AGE = st.none() | st.sampled_from([0.0, 0.2, 0.3, 0.5, 0.6])
+STICK = st.sampled_from([0.0, 0.04, 0.5, -0.5, 3.0, NAN, INF])
+NO_REQUEST = NoValue("planner silent", "drive silent for 0.50 s")
+RELEASED = "released"  # instead of a mode: nobody holds a deadman, and the mode is the human's
 
 
 def arbiter_with(human=(True, 0.1), steering=(TELEOP, 0.1), teleop=None, mode=None, planner=None, odometry=(1.0, 0.1),
@@ -50,8 +54,6 @@ def rearm(arbiter, now_ns=NOW):
     arbiter.update_human(True, now_ns)
 
 
-# --- who drives ---
-
 @pytest.mark.parametrize("mode, stick, planner, source, asked", [
     (None, None, None, NEUTRAL, 0.0),
     (None, REST, None, NEUTRAL, 0.0),
@@ -80,8 +82,6 @@ def test_nobody_who_asks_is_no_stop():
     assert decide() == (NEUTRAL, "no request", "neither tele_throt_req nor a planner's value asks for anything",
                         0.0, 0.0, 0.0, False, "auto")
 
-
-# --- what stops it ---
 
 @pytest.mark.parametrize("inputs, source, cause, reason", [
     ({"human": None}, NO_HUMAN, "human never heard", "human_in_loop was never heard"),
@@ -173,8 +173,6 @@ def test_dropped_messages_make_every_input_stale():
     assert arbiter.decide(NOW).reason == "the planner's value is 2.100"
 
 
-# --- the request ---
-
 @pytest.mark.parametrize("inputs, drive, brake", [
     ({"teleop": (-1.0, 0.1)}, -0.3, -0.8), ({"teleop": (0.525, 0.1)}, 0.15, 0.4), ({"teleop": (5.0, 0.1)}, 0.3, 0.8),
     ({"planner": (-0.8, 0.1)}, -0.8, -0.8)], ids=str)
@@ -189,8 +187,6 @@ def test_buttons_change_the_scale_of_driving_and_the_reason_names_it():
     assert arbiter.update_scale_button(1) and arbiter.scale == 0.4
     assert arbiter.decide(NOW)[2:6] == ("tele_throt_req is 1.000, scaled by 0.4", 1.0, pytest.approx(0.4), 0.8)
 
-
-# --- what the ESC's rules need ---
 
 @pytest.mark.parametrize("human, released", [
     (None, False), ((True, 0.1), False), ((False, 0.1), True), ((False, 0.51), False)])
@@ -214,12 +210,7 @@ def test_speed_and_ages_are_those_of_the_last_messages_and_a_speed_counts_while_
     assert math.isnan(arbiter.speed_mps(NOW + S)) and math.isnan(arbiter_with(odometry=None).speed_mps(NOW))
 
 
-# --- all together ---
-
-AGE = st.none() | st.sampled_from([0.0, 0.2, 0.3, 0.5, 0.6])
-STICK = st.sampled_from([0.0, 0.04, 0.5, -0.5, 3.0, NAN, INF])
-
-
+@pytest.mark.once
 @given(present=st.booleans(), human=AGE, source=st.sampled_from([LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER, 9]),
        steering=AGE, mode=st.sampled_from([*MODES, "x"]), mode_age=AGE, stick=STICK, stick_age=AGE, planner=AGE,
        odometry=AGE)
@@ -247,11 +238,6 @@ def test_nothing_is_asked_of_the_esc_without_human_turn_arb_and_a_fresh_source(
         assert decision.asked == decision.drive == decision.brake == 0.0
     assert -1 <= decision.asked <= 1 and abs(decision.drive) <= 1 and abs(decision.brake) <= 1
     assert decision.is_stop == (decision.source not in (TELEOP, PLANNER) and decision.cause != "no request")
-
-
-# --- planner_interface ---
-
-NO_REQUEST = NoValue("planner silent", "drive silent for 0.50 s")
 
 
 def planned(gear="drive", no_request=None, age_s=0.1, value=0.7):
@@ -323,11 +309,6 @@ def test_planner_interface_that_is_gone_reverses_no_more_and_hinders_nobody(no_r
     assert (decision.source, decision.gear) == (PLANNER, "auto")
 
 
-# --- a stick under a planner's deadman ---
-
-RELEASED = "released"  # instead of a mode: nobody holds a deadman, and the mode is the human's
-
-
 class Driven:
     """An arbiter whose planner asks for 0.7, and whose inputs are all repeated 50 times a second."""
 
@@ -392,8 +373,6 @@ def test_under_a_human_s_deadman_the_second_pull_may_mean_reverse(mode):
     decision = Driven(mode, (BRAKE, 0.1)).decide()
     assert (decision.cause, decision.gear) == ("teleop", "auto")
 
-
-# --- a human who takes over from the planner ---
 
 @pytest.mark.parametrize("planners, mode", [(AUTONOMOUS, MANUAL), (HUMAN_STEERING, HUMAN_THROTTLE)])
 def test_pull_that_is_held_from_the_planner_s_deadman_on_only_brakes_and_the_reason_says_so(planners, mode):

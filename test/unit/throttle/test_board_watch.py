@@ -24,11 +24,7 @@ def vector(duty, channel=0):
 
 
 class Car:
-    """A turn_arb, a board and a throttle_arb that judges them, in steps of 10 ms.
-
-    Args:
-        state_late, report_late: how late a state of turn_arb and a report of the board arrive, in ms.
-    """
+    """A turn_arb and a board, whose states and reports are so many ms late, and a throttle_arb that judges them."""
 
     def __init__(self, state_late=1, report_late=1, channel=0, **config):
         self.watch = BoardWatch(BoardConfig(**config))
@@ -55,20 +51,17 @@ class Car:
         self.troubles.append(trouble and trouble.cause)
         return trouble
 
+    def steps(self, ms, *duties):
+        """The trouble after each; ``commanded`` and ``held`` are duties, or functions of the time in ms."""
+        return (self.step(*(duty(at) if callable(duty) else duty for duty in duties)) for at in range(0, ms, 10))
+
     def run(self, ms, commanded, held):
-        """The trouble at the end; ``commanded`` and ``held`` are duties, or functions of the time in ms."""
-        for at in range(0, ms, 10):
-            trouble = self.step(commanded(at) if callable(commanded) else commanded,
-                                held(at) if callable(held) else held)
-        return trouble
+        return list(self.steps(ms, commanded, held))[-1]
 
     def ms_until_trouble(self, commanded, held, limit=5000):
         """How long the car drives on with a fault, in ms; inf = for ever."""
-        for at in range(0, limit, 10):
-            if self.step(commanded(at) if callable(commanded) else commanded,
-                         held(at) if callable(held) else held):
-                return at + 10
-        return math.inf
+        return next((10 * number for number, trouble in enumerate(self.steps(limit, commanded, held), 1) if trouble),
+                    math.inf)
 
 
 def agreed(**arguments):

@@ -15,6 +15,7 @@ from car_interface.throttle.calibration import DutyMap, ThrottleCalibration, rea
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 FALLING = replace(SHIPPED, duty_table=[6554, 4915, 3277])
 FORWARD_ONLY = replace(SHIPPED, value_axis=[0.0, 3.0], duty_table=[4915, 6554])
+READ = {"channel": 1, "value_axis": [-5, 0, 3], "duty_table": [3277, 4915, 6554], "neutral": 4915}
 
 
 @pytest.mark.parametrize("value, duty", [
@@ -26,18 +27,11 @@ def test_value_makes_the_duty_of_the_table(value, duty):
 
 
 @pytest.mark.parametrize("calibration, request_, duty", [
-    (SHIPPED, 0.0, 4915),
-    (SHIPPED, -1.0, 3277),
-    (SHIPPED, 2.0, 6554),
+    (SHIPPED, 0.0, 4915), (SHIPPED, -1.0, 3277), (SHIPPED, 2.0, 6554), (SHIPPED, -0.5, 4096),
     (SHIPPED, 0.3, 5407),  # 4915 + 0.3 · 1639
-    (SHIPPED, -0.5, 4096),
-    (FALLING, 1.0, 3277),
-    (FALLING, -1.0, 6554),
-    (FORWARD_ONLY, -1.0, 4915),
-    (FORWARD_ONLY, 1.0, 6554),
+    (FALLING, 1.0, 3277), (FALLING, -1.0, 6554), (FORWARD_ONLY, -1.0, 4915), (FORWARD_ONLY, 1.0, 6554),
     (replace(SHIPPED, duty_table=[4915, 4915, 6554]), -1.0, 4915),
-    (replace(SHIPPED, neutral=3277), 0.0, 3277),
-    (replace(SHIPPED, neutral=6554), 0.0, 6554),
+    (replace(SHIPPED, neutral=3277), 0.0, 3277), (replace(SHIPPED, neutral=6554), 0.0, 6554),
     (replace(SHIPPED, duty_table=[0, 100, 200], neutral=0), 0.0, 0),
 ])
 def test_request_makes_a_duty(calibration, request_, duty):
@@ -85,9 +79,6 @@ def test_table_moves_along_with_its_neutral_as_far_as_there_are_duties():
     assert (moved.neutral, moved.duty_table) == (4950, [3312, 4950, 6589])
     assert trimmed(replace(SHIPPED, duty_table=[10, 4915, 65530]), 4895).duty_table == [0, 4895, 65510]
     assert trimmed(replace(SHIPPED, duty_table=[10, 4915, 65530]), 4935).duty_table == [30, 4935, 65535]
-
-
-READ = {"channel": 1, "value_axis": [-5, 0, 3], "duty_table": [3277, 4915, 6554], "neutral": 4915}
 
 
 def test_parameters_are_those_below_servo():

@@ -24,15 +24,11 @@ SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table
 LINEAR = StickConfig(deadband=0.05, human_scale=0.3, brake_scale=1.0)
 FULL_FORWARD, FULL_BRAKE, NEUTRAL_DUTY = 6554, 3277, 4915
 BY_HAND, REVERSE_BY_HAND = 5407, 4424  # 0.3 of each side
+SONAR = ObstacleConfig({"front_middle": Mount(0.42, 0.0, 0.0)})
 
 
 class Rig:
-    """A throttle whose inputs are repeated 50 times a second, with a board that holds what it is given.
-
-    Attributes:
-        mode, gear: of teleop_logi and planner_interface; empty: they send none.
-        range_m: of the sonar in front.
-    """
+    """A throttle whose inputs are repeated 50 times a second (not an empty mode or gear), and a board that obeys."""
 
     def __init__(self, profile=UNVERIFIED, mode="", limits=None, obstacles=None, board=None, **esc):
         self.control = ThrottleControl(
@@ -40,7 +36,7 @@ class Rig:
             EscConfig(profile=profile, **esc), limits, obstacles)
         self.now_ns = 1000 * S
         self.human, self.stick, self.value, self.speed = False, 0.0, None, 0.0
-        self.mode, self.gear, self.range_m = mode, "", 1.5
+        self.mode, self.gear, self.range_m = mode, "", 1.5  # of the sonar in front
         self.decision = None
         self.duties = []
         self.run(1.5)  # arming
@@ -194,8 +190,6 @@ def test_what_differs_is_duty_source_cause_esc_mode_and_scale_but_no_number_in_a
                                           "the planner's value", "odometry", "/servo/output"}
 
 
-# --- limits ---
-
 @pytest.mark.parametrize("max_mps, cause", [(0.5, causes.CURVE_SLOWED), (0.0, ""), (-1.0, ""), (math.nan, ""),
                                             (math.inf, "")])
 def test_planner_keeps_to_the_speed_of_its_turn_while_turn_arb_names_one(max_mps, cause):
@@ -212,9 +206,6 @@ def test_max_speed_holds_backward_while_the_esc_reverses():
     assert rig.run(1.0).limited.cause == ""
     rig.speed = 0.9  # that of a car which odometry takes to roll forward, slowly
     assert rig.run(0.02).limited.cause == causes.SPEED_LIMITED
-
-
-SONAR = ObstacleConfig({"front_middle": Mount(0.42, 0.0, 0.0)})
 
 
 @pytest.mark.parametrize("radius_m, max_mps", [(math.inf, 1.864), (0.0, 1.864), (math.nan, 1.864), (3.0, 1.851),
@@ -235,8 +226,6 @@ def test_sonar_that_was_dropped_with_other_messages_lets_nobody_drive_towards_it
     rig.human = True
     assert rig.run(0.02).limited.cause == causes.SONAR_SILENT
 
-
-# --- a stick under a planner's deadman ---
 
 @pytest.mark.parametrize("profile", [DIRECT_REVERSE, UNVERIFIED, BRAKE_THEN_REVERSE])
 def test_pull_that_is_held_when_the_human_takes_over_counts_for_nothing_and_reverse_takes_two_after_it(profile):

@@ -56,8 +56,6 @@ class Car:
         return ask(-0.5, 0.8, speed=0.0)
 
 
-# --- arming ---
-
 def test_esc_starts_in_arming_and_says_what_is_missing():
     car = Car(armed=False)
     decision = car.stick(0.5, 0.02)
@@ -95,8 +93,6 @@ def test_board_that_lost_its_power_means_arming_again():
     assert car.stick(0.5).state == FORWARD
 
 
-# --- requests ---
-
 @pytest.mark.parametrize("value, fraction, state, reason", [
     (0.079, 0.0, NEUTRAL, "neutral is requested"),
     (0.08, 0.08, FORWARD, "0.08 is requested"),
@@ -111,8 +107,6 @@ def test_forward_is_passed_beyond_the_dead_band_and_clamped_and_what_is_no_numbe
     assert (decision.fraction, decision.state, decision.reason) == (fraction, state, reason)
     assert (decision.cause == causes.REQUEST_NOT_FINITE) == (not math.isfinite(value))
 
-
-# --- brake ---
 
 @pytest.mark.parametrize("profile", [SEQUENCE, NO_REVERSE])
 def test_pull_after_forward_brakes_and_then_holds_the_car_without_odometry_too(profile):
@@ -171,8 +165,6 @@ def test_pull_is_neutral_while_it_rolls_backward_after_a_guard_s_neutral_and_aft
     dropped.esc.mark_stale()
     assert dropped.stick(-0.5, speed=0.4)[:2] == (0.0, NEUTRAL)
 
-
-# --- reverse ---
 
 def pulled_twice(car, speed):
     """The fractions and causes of the second pull, of two seconds."""
@@ -245,8 +237,6 @@ def test_brake_in_reverse_gear_slows_above_the_margin_and_never_drives_forward()
     assert car.planner(0.4, speed=-0.7, gear=REVERSE_GEAR).fraction == 0.0
     assert car.planner(0.4, 1.0, speed=0.0, gear=REVERSE_GEAR)[:2] == (0.0, NEUTRAL)
 
-
-# --- stop ---
 
 @pytest.mark.parametrize("profile, changes, fraction, guarantee", [
     *((profile, {}, -0.5, (1.5, 0.5)) for profile in KNOWN),
@@ -324,8 +314,6 @@ def test_stop_with_an_unknown_chip_or_from_reverse_is_neutral_and_never_a_push_f
     assert {reversing.stop(speed=-2.0).fraction for _ in range(100)} == {0.0}
 
 
-# --- motion against the state ---
-
 def test_rolling_backward_under_a_brake_disproves_the_profile_and_ends_in_neutral_until_rearmed():
     car = Car(profile_measured=True)
     car.drive_and_brake_to_standstill(planner=True)
@@ -349,8 +337,6 @@ def test_rolling_forward_in_reverse_ends_in_neutral_or_is_a_brake_where_reverse_
     assert blind.stick(-0.5, 1.0, speed=3.0)[:2] == (-0.5, BRAKING)
     assert blind.stick(-0.5, 3.0, speed=0.0).fraction == 0.0
 
-
-# --- calibration drive ---
 
 def test_calibration_drive_passes_a_person_s_stick_once_it_is_armed_and_nobody_else_s():
     car = Car("unverified", calibration_drive=True, armed=False)

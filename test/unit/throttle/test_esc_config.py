@@ -16,14 +16,10 @@ def test_defaults_name_no_profile_and_coast_no_longer_than_a_stop_from_10_mps():
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_all_parameters_are_read_by_their_names(profile):
-    values = {name: low for name, low, _ in NUMBERS.values()}
-    values.update(profile=profile, profile_measured=profile != "unverified", stop_brake=0.02, reverse_after_neutral=0.1)
-    params = Params({"esc": values})
-    config = read_esc(params)
-    params.finish()
-    assert (config.profile, config.profile_measured, config.dwell_s, config.stop_brake,
-            config.reverse_after_neutral_s) == (profile, profile != "unverified", 0.1, 0.02, 0.1)
+def test_profile_is_read_with_whether_it_was_measured(profile):
+    is_measured = profile != "unverified"
+    config = read_esc(Params({"esc": {"profile": profile, "profile_measured": is_measured}}))
+    assert (config.profile, config.profile_measured) == (profile, is_measured)
 
 
 def test_unknown_profile_is_refused_with_those_that_there_are():

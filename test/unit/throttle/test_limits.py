@@ -19,6 +19,7 @@ MAP = ValueMap([-5.0, 0.0, 3.0], [0.0, 10.0], [[-10.0, -10.0], [0.0, 0.0], [6.0,
 NO_LIMITS, TO_3 = DriveLimits(), DriveLimits(max_speed_mps=3.0)
 FASTER_BY_3, BRAKED_BY_4 = DriveLimits(max_acceleration_mps2=3.0), DriveLimits(max_braking_mps2=4.0)
 SEEN = SpeedBound(0.5, causes.OBSTACLE_SLOWED, "an obstacle allows")
+BY_HAND = {"source": TELEOP, "human": TO_3}
 
 
 def asked(request, source=PLANNER, stops=False):
@@ -37,9 +38,6 @@ def limited(request, speed_mps, planner=NO_LIMITS, source=PLANNER, is_reverse=Fa
             at_ns=S // 10, **limits):
     return limiter_at(speed_mps, planner, **limits).limit(asked(request, source), is_reverse, turn_max_mps, at_ns,
                                                           bounds)
-
-
-BY_HAND = {"source": TELEOP, "human": TO_3}
 
 
 @pytest.mark.parametrize(("request_", "speed_mps", "inputs", "drive", "brake", "cause", "reason"), [

@@ -19,6 +19,8 @@ MS, S = 1_000_000, 1_000_000_000
 NOW = 10 * S
 AHEAD, BEHIND = Mount(0.42, 0.0, 0.0), Mount(-0.14, 0.0, math.pi)
 CERTAIN, DRAG = Guarantee(1.5, 0.0, 0.3), Guarantee(0.3, 0.0, 0.3)
+BY_BRAKE, BY_DRAG = (pytest.approx(stopping_speed_mps(1.494 - 0.1, 0.43 + 0.1, guarantee), rel=0.05)
+                     for guarantee in (CERTAIN, DRAG))
 
 
 def asked(request, source=PLANNER, stops=False):
@@ -46,10 +48,6 @@ def allowed(guard, arbitration, speed_mps, curvature_per_m=0.0):
     found = guard.check(arbitration, moving(speed_mps), curvature_per_m, NOW)
     bound = found.stop or found.bounds[0]
     return bound.speed_mps, found.stop is not None
-
-
-BY_BRAKE, BY_DRAG = (pytest.approx(stopping_speed_mps(1.494 - 0.1, 0.43 + 0.1, guarantee), rel=0.05)
-                     for guarantee in (CERTAIN, DRAG))
 
 
 @pytest.mark.parametrize(("answers", "request_", "speed_mps"), [

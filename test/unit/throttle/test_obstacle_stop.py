@@ -28,8 +28,6 @@ SONARS = {"front_right": [0.40, -0.10, -0.5236], "front_middle": [0.42, 0.0, 0.0
           "rear_left": [-0.12, 0.10, 2.6180]}
 
 
-# --- the arithmetic ---
-
 @pytest.mark.parametrize("distance_m", [0.05, 1.0, 3.9])
 @pytest.mark.parametrize("time_s", [0.1, 1.0])
 @pytest.mark.parametrize("guarantee", [BRAKE, DRAG])
@@ -46,8 +44,6 @@ def test_a_brake_that_ends_early_leaves_the_rest_to_drag_and_where_it_is_too_sho
     assert speed_mps * 0.5 + (speed_mps ** 2 - 0.25) / 3.0 + 0.25 / 0.6 == pytest.approx(1.9)
     assert stopping_speed_mps(0.4, 0.5, guarantee) == stopping_speed_mps(0.4, 0.5, DRAG)
 
-
-# --- the arc ---
 
 @pytest.mark.parametrize(("x_m", "y_m", "is_backward", "distance_m"), [
     (1.4, 0.0, False, 1.0), (1.4, 0.19, False, 1.0), (1.4, -0.19, False, 1.0), (1.4, 0.21, False, None),
@@ -96,8 +92,6 @@ def test_of_a_cone_the_place_counts_where_the_car_arrives_first():
     assert cone_distance_m(Mount(0.4, 0.1, 1.2), 1.0, 0.5, 0.0, False, CAR) is None
     assert cone_distance_m(AHEAD, 1.0, 0.5, 0.0, True, CAR) is None
 
-
-# --- ranges ---
 
 @pytest.mark.parametrize(("arrivals_ms", "cycle_s"), [
     ((0,), 0.43), ((0, 140), 0.14), ((0, 300, 440, 580), 0.3), ((0, 300, 440, 580, 720), 0.14)])
@@ -155,8 +149,6 @@ def test_a_sonar_that_looks_elsewhere_or_that_the_car_does_not_have_does_not_cou
     assert bound_of({"rear_middle": 0.1, "front_left": 0.3}, -0.9, names=("rear_middle", "front_left")) is None
     assert bound_of({"front_middle": 1.0, "rear_left": 0.1}, is_backward=True) is None
 
-
-# --- parameters ---
 
 @pytest.mark.parametrize("values", [{}, {"obstacle_stop": True}])
 def test_it_is_off_by_default_and_where_the_hub_s_file_is_left_out(values):

@@ -11,12 +11,10 @@ nor, with a mode that is late or lost, with calibration_drive, which has the fir
 from __future__ import annotations
 
 import collections
-import importlib
 import os
 import random
-import sys
-from pathlib import Path
 
+import esc_sequences as sequences
 import pytest
 
 from car_interface.common.drive_modes import HUMAN_DRIVES
@@ -29,12 +27,9 @@ from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 
-sys.path.append(str(Path(__file__).resolve().parents[2]))
-sequences = importlib.import_module("esc_sequences")
-
 MS, S = 1_000_000, 1_000_000_000
 TICK_NS = 10 * MS
-DRIVES = 3000 if os.environ.get("CAR_INTERFACE_ALL") else 60
+DRIVES = 3000 if os.environ.get("CAR_INTERFACE_ALL") else 35
 PROMPT_MS, THROTTLE_MS, LATE_MS = 2, 20, 450  # a message takes less
 # From the last moment of another deadman to the last pulse that it may still have asked for, without the stick's delay.
 GRACE_NS = sequences.GRACE_NS
@@ -51,24 +46,16 @@ class Topic:
         self.is_cut = False
 
     def send(self, message, now_ns):
-        if self.is_cut:
-            return
-        at_ns = now_ns + self._rng.randrange(1, self._max_ms) * MS
-        self._messages.append((max(at_ns, self._messages[-1][0] if self._messages else 0), message))
+        if not self.is_cut:
+            sequences.send(self._messages, now_ns + self._rng.randrange(1, self._max_ms) * MS, message)
 
     def tick(self, now_ns):
-        while self._messages and self._messages[0][0] <= now_ns:
-            self._deliver(self._messages.popleft()[1], now_ns)
+        for message in sequences.arrived(self._messages, now_ns):
+            self._deliver(message, now_ns)
 
 
 class Drive:
-    """One car, its nodes and a person.
-
-    Attributes:
-        backward: when a pull, or what was left of one, drove it backward under a planner's deadman.
-        faster: when it got faster backward while the stick was pulled.
-        overrides, reversed_by_hand: how many ticks.
-    """
+    """One car, its nodes and a person."""
 
     def __init__(self, seed):
         self.rng = rng = random.Random(seed)
@@ -99,8 +86,8 @@ class Drive:
         self._sent = None
         self._by_hand_ns = self._planner_ns = -S
         self._speed_mps = 0.0
-        self.backward, self.faster = [], []
-        self.overrides = self.reversed_by_hand = 0
+        self.backward, self.faster = [], []  # when a pull drove it so under a planner's deadman
+        self.overrides = self.reversed_by_hand = 0  # ticks
 
     def hold(self, seconds, stick, buttons):
         until_ns = self.now_ns + round(seconds * S)

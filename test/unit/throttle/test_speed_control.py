@@ -30,13 +30,11 @@ DISTURBED = {
 # On this one the car rolls by itself faster than 0.3 m/s: the ESC brakes it in pulses.
 ROLLS = "5_percent_downhill"
 
-HELD_S = 64.0 if os.environ.get("CAR_INTERFACE_ALL") else 24.0
+HELD_S = 64.0 if os.environ.get("CAR_INTERFACE_ALL") else 16.0
 
-
-# --- on the virtual car ---
 
 @pytest.mark.once
-@pytest.mark.parametrize("target", [3.0, 2.0, -0.3, -1.0])
+@pytest.mark.parametrize("target", [3.0, -0.3])
 @pytest.mark.parametrize("disturbance", DISTURBED)
 def test_speed_is_reached_in_time_without_overshoot_and_held(disturbance, target):
     sign, magnitude = math.copysign(1, target), abs(target)
@@ -61,6 +59,7 @@ def test_0_3_mps_is_held_without_a_stall(disturbance):
         assert abs(mean_error(samples[200:], 0.3)) < 0.03
 
 
+@pytest.mark.once
 def test_speed_that_falls_is_followed_and_a_stop_ends_at_standstill():
     rig = SpeedRig()
     rig.run(3.0, SpeedRequest(2.0))
@@ -72,6 +71,7 @@ def test_speed_that_falls_is_followed_and_a_stop_ends_at_standstill():
     assert "REVERSE" not in {sample.esc for sample in stopped}
 
 
+@pytest.mark.once
 def test_direction_changes_at_standstill_only_and_by_gear():
     rig = SpeedRig()
     rig.run(2.0, SpeedRequest(1.5))
@@ -86,6 +86,7 @@ def test_request_with_a_smaller_acceleration_is_followed_with_that():
     assert settled_s(samples, 2.0) == pytest.approx(2.0, abs=0.3)
 
 
+@pytest.mark.once
 def test_without_odometry_it_says_so_and_the_car_stops():
     rig = SpeedRig()
     rig.run(2.0, SpeedRequest(1.0))
@@ -100,6 +101,7 @@ def test_without_odometry_it_says_so_and_the_car_stops():
     assert overshoot(samples, 1.0) < 0.10 and abs(mean_error(samples[-25:], 1.0)) < 0.03
 
 
+@pytest.mark.once
 def test_neutral_coasts_drive_goes_on_from_there_and_park_holds():
     rig = SpeedRig(slope=0.05)
     rig.run(3.0, SpeedRequest(2.0))
@@ -109,8 +111,6 @@ def test_neutral_coasts_drive_goes_on_from_there_and_park_holds():
     samples = rig.run(4.0, SpeedRequest(0.0, gear="park"))
     assert [sample.speed_mps for sample in samples[-50:]] == [0.0] * 50
 
-
-# --- rule by rule ---
 
 class Bench:
     """The control alone, with a speed and a throttle_arb that the test sets; None: throttle_arb is not there."""

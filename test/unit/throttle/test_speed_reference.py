@@ -12,7 +12,6 @@ ROUNDED_JERK = 2 * 20.0 + 1e-6  # to come out exactly at the target the last ste
 
 
 def course(begin_mps, target_mps, seconds=3.0, acceleration=2.0, braking=3.0, jerk=20.0):
-    """The reference's speeds, each 20 ms."""
     reference = SpeedReference()
     reference.reset(begin_mps)
     speeds = [begin_mps]

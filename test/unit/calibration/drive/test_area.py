@@ -52,7 +52,7 @@ def farthest_m(pose, curvature_per_m):
     return farthest
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_turn_reaches_as_far_as_its_corners_do_step_by_step(seed):
     rng = random.Random(seed)
     pose = Pose(rng.uniform(-3, 3), rng.uniform(-3, 3), rng.uniform(-7, 7))

@@ -1,9 +1,11 @@
-"""The command line of calibration_drive."""
+"""The command line of calibration_drive, and the drive's settings: what is impossible is named as the parameter."""
 from __future__ import annotations
+
+import math
 
 import pytest
 
-from car_interface.calibration.drive.config import DriveConfig
+from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
 from car_interface.calibration.drive.options import drive_config, parse
 from car_interface.common.errors import ConfigError
 
@@ -18,21 +20,14 @@ def test_options_are_read_and_those_of_the_drive_are_its_settings():
     assert drive_config(made) == DriveConfig(4.0, 1.0, 0.8, 60.0, 0.5)
 
 
-@pytest.mark.parametrize(("given", "begin"), [
-    (["--radius", "1"], "radius is 1.0; accepted: a number from 2.5 to 100"),
-    (["--max-time", "5"], "max_time is 5.0; accepted: a number from 30 to 3600"),
-    (["--speed", "nan"], "speed is nan; accepted: a number from ")])
-def test_setting_out_of_range_is_named(given, begin):
-    with pytest.raises(ConfigError) as raised:
-        drive_config(parse(given))
-    assert str(raised.value).startswith(begin)
+@pytest.mark.parametrize("field, value, parameter", [
+    ("radius_m", 1.0, "radius"), ("speed_mps", 0.0, "speed"), ("tight_speed_mps", 5.0, "tight_speed"),
+    ("max_time_s", 0.0, "max_time"), ("braking_mps2", 0.0, "braking"), ("radius_m", math.nan, "radius"),
+])
+def test_an_impossible_number_is_refused_by_its_parameters_name(field, value, parameter):
+    with pytest.raises(ConfigError, match=rf"^{parameter}\b.*a number from"):
+        DriveConfig(**{field: value})
 
 
-def test_help_says_what_happens_and_what_it_takes(capsys):
-    with pytest.raises(SystemExit) as raised:
-        parse(["--help"])
-    shown = capsys.readouterr().out
-    assert raised.value.code == 0
-    for words in ("autonomous deadman and watch", "throttle:=true planner:=speed", "Let go, and it stops",
-                  "6 x 6 m", "--stick", "--radius M", "(default: 3)"):
-        assert words in shown
+def test_the_default_is_six_metres_and_five_minutes():
+    assert (2 * DEFAULTS.radius_m, DEFAULTS.max_time_s, DEFAULTS.obstacles) == (6.0, 300.0, None)

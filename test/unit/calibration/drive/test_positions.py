@@ -5,14 +5,7 @@ import pytest
 
 from calibration.drive.light_car import base
 from car_interface.calibration.drive.knowledge import Knowledge
-from car_interface.calibration.drive.positions import (
-    APART_DUTY,
-    FIRST,
-    STEEP_NEED,
-    Measured,
-    Positions,
-    nearest_count,
-)
+from car_interface.calibration.drive.positions import APART_DUTY, FIRST, STEEP_NEED, Measured, Positions, nearest_count
 
 DUTIES = tuple(range(3904, 6401, 16))
 

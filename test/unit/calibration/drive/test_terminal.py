@@ -119,11 +119,3 @@ def test_radii_of_a_side_name_the_one_that_is_known_least():
     assert terminal.radius_marks([], "left") == "nothing known yet"
     whole_table = [row("right", 0.96, INF), *29 * [row("right", 300.0, INF)]]  # fits a terminal of 80 columns
     assert terminal.radius_marks(whole_table, "right") == f"0.96 m {'.' * 30} 300 m: 0 of 30, 0.96 m isn't known"
-
-
-def test_introduction_says_how_much_room_it_takes():
-    assert terminal.introduction(False, 3.0) == (
-        "The car drives by itself while you hold the autonomous deadman, within 3 m of\n"
-        "  where it stands when you first hold it: 6 x 6 m have to be free. Let go, and\n"
-        "  it stops.")
-    assert terminal.introduction(True, 3.0).startswith("You drive, holding the manual deadman: slowly")

@@ -154,6 +154,14 @@ def second_pulls(esc, *neutrals_s):
     return person
 
 
+def wait_and_pull(person, neutral_s):
+    person.forward()
+    person.center()
+    person.center(neutral_s)
+    person.hold(-0.5, 2.0, lambda speed: speed < -0.6)
+    person.center()
+
+
 def test_second_pulls_that_contradict_each_other_name_no_profile():
     esc = virtual.xl5(dwell_s=0.8)
     assert fit(second_pulls(esc, 1.0, 1.0, 1.0).recorded()).profile == "brake_then_reverse"
@@ -164,11 +172,7 @@ def test_esc_that_was_once_seen_to_reverse_is_not_forward_only():
     esc = virtual.xl5(dwell_s=2.0, forget_s=3.0)
     person = second_pulls(esc, 0.6, 0.7, 0.8, 0.6)
     assert fit(person.recorded()).profile == "forward_only"  # so it looks as yet
-    person.forward()
-    person.center()
-    person.center(4.0)
-    person.hold(-0.5, 2.0, lambda speed: speed < -0.6)
-    person.center()
+    wait_and_pull(person, 4.0)
     assert fit(person.recorded()).profile is None
 
 
@@ -179,11 +183,7 @@ def test_brake_of_a_car_that_still_rolls_does_not_show_that_the_esc_remembers():
     assert person.car.speed_mps > 1.0
     person.hold(-0.5, 3.0, lambda speed: speed < -0.6)
     person.center()
-    person.forward()
-    person.center()
-    person.center(4.0)
-    person.hold(-0.5, 2.0, lambda speed: speed < -0.6)
-    person.center()
+    wait_and_pull(person, 4.0)
     found = fit(person.recorded())
     assert found.reverse_after_neutral_s == 0.5
     assert any(text.endswith("the first pull was reverse, and none from standstill was a brake") for text in found.seen)
@@ -193,11 +193,7 @@ def test_only_a_long_wait_shows_that_an_esc_never_forgets_and_waits_that_contrad
     person, forgets = second_pulls(virtual.xl5(), 0.8, 0.7, 0.9), virtual.VirtualEsc(virtual.xl5(forget_s=3.0))
     found = []
     for wait_s in (1.0, 6.5, 4.0):
-        person.forward()
-        person.center()
-        person.center(wait_s)
-        person.hold(-0.5, 2.0, lambda speed: speed < -0.6)
-        person.center()
+        wait_and_pull(person, wait_s)
         found.append(fit(person.recorded()))
         if wait_s == 6.5:
             person.replace_esc(forgets)

@@ -5,12 +5,14 @@ import functools
 
 import numpy as np
 
-from car_interface.calibration.delay import held, lagged
+from car_interface.calibration.delay import Delay, held, lagged
 from car_interface.calibration.steering import fit
-from car_interface.calibration.steering.drive import Drive
+from car_interface.calibration.steering.drive import Drive, FitConfig
 
 STEP_S = 0.02
 LEFT_STOP, CENTER, RIGHT_STOP = 3900, 5200, 6400
+KNOWN_DELAY = Delay(0.0, 0.15, 1.0)  # to find it takes most of a fit's time
+KNOWN = FitConfig(delay=KNOWN_DELAY, backlash_duty=0.0)  # the synthetic car's, unless it is told otherwise
 
 
 def true_curvature(duty):

@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.steering.synthetic import drive, mixed
+from calibration.steering.synthetic import KNOWN_DELAY, drive, mixed
 from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.drive import FitConfig
 from car_interface.calibration.steering.ends import find_side
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.once
 
 
 def test_limit_of_the_stick_is_an_end_too():
-    found = fit.fit([drive(mixed(low=3700, high=6000))], FitConfig(limits=(3800, 6000)))
+    found = fit.fit([drive(mixed(low=3700, high=6000))], FitConfig(limits=(3800, 6000), delay=KNOWN_DELAY))
     assert found.right.is_end and not found.right.is_stop
     assert breakpoints(found, [1.0], RIGHT)[0].source == END
 

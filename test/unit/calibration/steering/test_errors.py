@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calibration.steering.synthetic import drive, fitted_steep, steep_ends, true_curvature
+from calibration.steering.synthetic import KNOWN, drive, fitted_steep, steep_ends, true_curvature
 from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.errors import BAND, UNSEEN_RATIO, bends, unseen
 
@@ -22,7 +22,7 @@ def test_bands_hold_the_truth_where_a_steering_is_steep_and_where_it_is_nearly_l
 
 def test_between_places_that_differ_the_band_holds_a_stop_that_nobody_drove_at():
     duties = np.concatenate([[3500, 3600, 3700], np.arange(3984, 6700, 48)])
-    found = fit.fit([drive(np.random.default_rng(1).permutation(16 * np.round(duties / 16)), hold_s=2.0)])
+    found = fit.fit([drive(np.random.default_rng(1).permutation(16 * np.round(duties / 16)), hold_s=2.0)], KNOWN)
     inside = (found.duties > 3700) & (found.duties < 3984)
     off = np.abs(found.curvatures - true_curvature(found.duties))[inside]
     assert np.all(off <= BAND * found.sigmas[inside])
@@ -37,7 +37,8 @@ def s_shaped(duty):
 
 def test_the_band_holds_a_bend_in_a_gap_whose_two_sides_are_as_steep_as_each_other():
     duties = np.concatenate([np.arange(4000, 4601, 40), np.arange(4850, 5600, 40)])
-    found = fit.fit([drive(np.random.default_rng(2).permutation(duties), curve=s_shaped, hold_s=2.0)])
+    found = fit.fit([drive(np.random.default_rng(2).permutation(duties), curve=s_shaped, hold_s=2.0)],
+                    KNOWN)
     inside = (found.duties > 4600) & (found.duties < 4850)
     off = np.abs(found.curvatures - s_shaped(found.duties))[inside]
     assert off.max() > 0.005
@@ -63,9 +64,6 @@ def test_unseen_bends_are_likelier_where_the_curve_changes_more_and_none_is_at_a
     duties = np.array([-50.0, 0.0, 50.0, 100.0, 175.0, 250.0, 400.0, 600.0, 900.0])
     assert unseen(duties, straight, np.ones(4, bool)) == pytest.approx(
         UNSEEN_RATIO * np.array([0.0, 0.0, 0.1, 0.0, 0.225, 0.3, 0.0, 0.0, 0.0]))
+    assert unseen(np.array([200.0]), observations_at([0, 100, 400], [0.0, 0.3, 0.4]), np.array(
+        [True, False, True])) == pytest.approx([UNSEEN_RATIO * 0.4]), "an outlier leaves a gap"
     assert unseen(duties[:2], observations_at([0], [0.1]), np.ones(1, bool)) == pytest.approx([0.0, 0.0])
-
-
-def test_outliers_leave_a_gap():
-    straight = observations_at([0, 100, 400], [0.0, 0.3, 0.4])
-    assert unseen(np.array([200.0]), straight, np.array([True, False, True])) == pytest.approx([UNSEEN_RATIO * 0.4])

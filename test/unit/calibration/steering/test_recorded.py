@@ -1,9 +1,10 @@
-"""The heading of a recorded drive."""
+"""Heading and distance of a recorded drive."""
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from car_interface.calibration.steering.distance import distance_m
 from car_interface.calibration.steering.recorded import imu_heading
 from car_interface.recordings.series import Imu, Odom
 
@@ -27,3 +28,13 @@ def test_imu_that_covers_too_little_or_is_unrelated_is_not_used():
     assert imu_heading(*driving(imu_end_s=50.0)) is None
     odom, imu = driving()
     assert imu_heading(odom, imu._replace(yaw_rate_radps=np.zeros(len(imu.t_s)))) is None
+
+
+def test_distance_is_as_long_whether_the_recording_has_gaps_or_not():
+    t_s = np.arange(0.0, 60.0, 0.02)
+    circle = Odom(t_s, np.sin(t_s), 1 - np.cos(t_s), t_s, np.full(len(t_s), 1.02), np.ones(len(t_s)))
+    recorded = t_s % 10 < 7  # by speed it's 2 % longer than between positions; across a gap these are no use
+    gappy = Odom(*(column[recorded] for column in circle))
+    for odom in (circle, gappy):
+        travelled_m = distance_m(odom)
+        assert np.median(np.diff(travelled_m) / np.diff(odom.t_s)) == pytest.approx(1.0, abs=2e-4)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
 
-from calibration.steering.synthetic import LEFT_STOP, RIGHT_STOP, drive, mixed, true_curvature
+from calibration.steering.synthetic import KNOWN, LEFT_STOP, RIGHT_STOP, drive, mixed, true_curvature
 from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.smooth import Smooth, rising
 
@@ -29,7 +29,7 @@ def test_outlying_segments_are_left_out_and_counted():
     for begin in (1055, 4055, 7055):  # the car was pushed
         yaw[begin:begin + 140] += np.linspace(0, 1.5, 140)
         yaw[begin + 140:] += 1.5
-    found = fit.fit([good._replace(yaw_rad=yaw)])
+    found = fit.fit([good._replace(yaw_rad=yaw)], KNOWN)
     assert found.counts["apart from all others"] >= 2
     inside = (found.duties > LEFT_STOP + 100) & (found.duties < RIGHT_STOP - 100)
     assert np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.02

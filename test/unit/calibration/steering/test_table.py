@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.steering.synthetic import CENTER, drive, fitted_mixed, from_both_sides, mixed, true_curvature
+from calibration.steering.synthetic import CENTER, KNOWN, drive, fitted_mixed, from_both_sides, mixed, true_curvature
 from car_interface.calibration.steering import fit
 from car_interface.calibration.steering.errors import BAND
 from car_interface.calibration.steering.table import (
@@ -46,7 +46,7 @@ def test_tighter_than_the_stop_has_the_duty_of_the_stop():
 
 
 def test_tighter_than_what_was_driven_is_unknown_unless_a_stop_was_met():
-    found = fit.fit([drive(mixed(low=3700, high=5700))])
+    found = fit.fit([drive(mixed(low=3700, high=5700))], KNOWN)
     assert not found.right.is_stop
     points = breakpoints(found, [1.0, 2.0, 4.0], RIGHT)
     assert [point.source for point in points] == [UNKNOWN, UNKNOWN, DRIVEN]
@@ -56,14 +56,14 @@ def test_tighter_than_what_was_driven_is_unknown_unless_a_stop_was_met():
 def test_gap_in_what_was_driven_is_unknown():
     duties = np.concatenate([mixed(low=3700, high=4100, count=15), mixed(low=4950, high=6600, count=25)])
     curve = lambda duty: np.sign(CENTER - duty) * np.abs((CENTER - duty) / 1250) ** 2.5  # noqa: E731
-    found = fit.fit([drive(duties, curve=curve)])
+    found = fit.fit([drive(duties, curve=curve)], KNOWN)
     sources = {point.radius_m: point.source for point in breakpoints(found, [1.2, 3.0, 100.0], LEFT)}
     assert sources == {1.2: DRIVEN, 3.0: UNKNOWN, 100.0: DRIVEN}
 
 
 def test_what_a_table_says_was_driven_is_known_as_well_as_it_is_promised():
     found = fit.fit([drive(from_both_sides(mixed(count=8)), curve=lambda duty: np.sign(CENTER - duty) * np.abs(
-        (CENTER - duty) / 1300) ** 2.5, hold_s=2.0)])
+        (CENTER - duty) / 1300) ** 2.5, hold_s=2.0)], KNOWN)
     radii = np.exp(np.linspace(math.log(1.1), math.log(100), 80))
     points = [point for side in (LEFT, RIGHT) for point in breakpoints(found, radii, side)]
     assert {UNKNOWN, DRIVEN} <= {point.source for point in points}

@@ -1,13 +1,13 @@
 """By how much a car's turns widen with speed, from drives of a car whose steering is known."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calibration.steering.synthetic import drive, mixed, true_curvature
-from car_interface.calibration.delay import Delay
+from calibration.steering.synthetic import KNOWN, drive, mixed, true_curvature
 from car_interface.calibration.steering import fit
-from car_interface.calibration.steering.drive import FitConfig
 
 pytestmark = pytest.mark.once
 
@@ -31,7 +31,7 @@ def drives(understeer, speeds_mps=(0.7, 1.3, 1.9)):
 
 
 def test_it_is_found_where_the_same_turns_were_driven_at_several_speeds_and_the_curve_is_that_of_a_crawl():
-    found = fit.fit(drives(0.0078))
+    found = fit.fit(drives(0.0078), KNOWN)
     assert found.understeer.is_known
     assert found.understeer.value == pytest.approx(0.0078, abs=3 * found.understeer.sigma)
     assert found.understeer.value == pytest.approx(0.0078, rel=0.15)
@@ -40,14 +40,14 @@ def test_it_is_found_where_the_same_turns_were_driven_at_several_speeds_and_the_
 
 
 def test_a_car_that_has_none_gets_none():
-    found = fit.fit(drives(0.0))
+    found = fit.fit(drives(0.0), KNOWN)
     assert found.understeer.is_known and found.understeer.value == 0.0
 
 
 def test_at_one_speed_it_is_not_known_and_the_calibration_s_own_is_taken():
     (one,) = drives(0.0078, (1.9,))
     for given, is_near in ((0.0078, True), (0.0, False)):
-        found = fit.fit([one], FitConfig(understeer=given, delay=Delay(0.0, 0.15, 1.0), backlash_duty=0.0))
+        found = fit.fit([one], replace(KNOWN, understeer=given))
         assert not found.understeer.is_known
         inside = (found.duties > 4000) & (found.duties < 6300)
         assert (np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.02) is np.bool_(is_near)

@@ -9,7 +9,7 @@ import numpy as np
 
 from car_interface.calibration.value_map.acceleration import Drive, Series
 from car_interface.calibration.value_map.config import FitConfig
-from car_interface.calibration.value_map.fit import fit
+from car_interface.calibration.value_map.fit import Fit, fit
 
 PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))
 DELAY_S = 0.08
@@ -69,11 +69,27 @@ def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pi
                  pitch=Series(t_s[every], pitch[every]) if with_pitch else None)
 
 
+@functools.lru_cache(maxsize=None)
+def fitted_mixed():
+    """A fit at which several tests look."""
+    return fit([drive(uphill=(0.012, -0.016), sag=0.1)], None, None)
+
+
 def error(found, map_of=acceleration):
     """RMS over what is supported."""
     truth = map_of(found.values[:, None], found.velocities[None, :])
     assert found.supported.sum() > 0.3 * found.supported.size
     return float(np.sqrt(np.mean((found.accelerations - truth)[found.supported] ** 2)))
+
+
+def fit_of(supported, sure=None, held_out_mps2=0.0):
+    """A fit that is made by hand: a value more is 1 m/s² more, a velocity more 0.1 m/s² less."""
+    supported = np.array(supported, bool)
+    rows, columns = supported.shape
+    accelerations = np.add.outer(np.arange(rows) * 1.0, -0.1 * np.arange(columns))
+    return Fit(np.arange(rows) - 1.0, np.arange(columns) * 1.0, accelerations, np.full(supported.shape, 0.05),
+               np.ones(supported.shape), np.ones(supported.shape, int), supported,
+               supported if sure is None else np.array(sure, bool), 0.0, 0.0, False, (), {}, 0.0, held_out_mps2, 1)
 
 
 def rejected(one, config=None):

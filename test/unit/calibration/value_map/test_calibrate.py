@@ -6,23 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calibration.value_map.synthetic import fit_of
 from car_interface.calibration.value_map import calibrate as module
 from car_interface.calibration.value_map.calibrate import MapAxes, NoTable, calibrate
 from car_interface.calibration.value_map.config import FitConfig
-from car_interface.calibration.value_map.fit import Fit, NothingToFit
+from car_interface.calibration.value_map.fit import NothingToFit
 from car_interface.common.errors import CarInterfaceError
 from car_interface.throttle.value_map import ValueMap
 
 RECORDED = [SimpleNamespace(drive=None, trail=SimpleNamespace(path="drive.bag"))]
-
-
-def fit_of(supported, held_out_mps2=0.1):
-    supported = np.array(supported, bool)
-    rows, columns = supported.shape
-    accelerations = np.add.outer(np.arange(rows) * 1.0, -0.1 * np.arange(columns))
-    return Fit(np.arange(rows) - 1.0, np.arange(columns) * 1.0, accelerations, np.full(supported.shape, 0.05),
-               np.ones(supported.shape), np.ones(supported.shape, int), supported, supported, 0.0, 0.0, False, (), {},
-               0.0, held_out_mps2, 1)
 
 
 def calibrated(monkeypatch, fit, prior=None):

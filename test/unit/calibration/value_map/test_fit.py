@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.value_map.synthetic import DELAY_S, NOTHING, acceleration, drive, error
+from calibration.value_map.synthetic import DELAY_S, NOTHING, acceleration, drive, error, fitted_mixed
 from car_interface.calibration.value_map import acceleration as windowing
 from car_interface.calibration.value_map.acceleration import Drive, Series
 from car_interface.calibration.value_map.config import FitConfig
@@ -15,8 +15,13 @@ pytestmark = pytest.mark.once
 KNOWN_DELAY = FitConfig(delay_s=DELAY_S)
 
 
-def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_mean_battery(mixed):
+def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_mean_battery():
+    mixed = fitted_mixed()
     assert error(mixed) < 0.03
+    ground = mixed.grounds[0]
+    assert mixed.delay_s == pytest.approx(DELAY_S, abs=0.01)
+    assert ground.uphill == pytest.approx((0.012, -0.016), abs=0.002)
+    assert ground.sag_above == pytest.approx(0.1, abs=0.02) and ground.sag_below == pytest.approx(0.0, abs=0.03)
 
 
 def test_turns_show_the_slope_and_nothing_else_where_straights_all_go_one_way():
@@ -63,12 +68,6 @@ def test_two_drives_with_slopes_of_their_own_make_one_map():
     assert found.grounds[0].uphill == pytest.approx((0.02, 0.0), abs=0.003)
     assert found.grounds[1].uphill == pytest.approx((0.0, -0.02), abs=0.003)
     assert error(found) < 0.03
-
-
-def test_given_axes_are_used_and_a_given_delay_too():
-    found = fit([drive(seconds=60.0)], np.array([-3.0, 0.0, 2.0]), np.array([1.0, 3.0, 4.5]),
-                        FitConfig(delay_s=0.07))
-    assert (list(found.values), list(found.velocities), found.delay_s) == ([-3.0, 0.0, 2.0], [1.0, 3.0, 4.5], 0.07)
 
 
 @pytest.mark.parametrize("one", [

@@ -1,4 +1,4 @@
-"""Parts of what is read from a recording: whether a value reached the ESC, and the wheels' distances."""
+"""Parts of what is read from a recording: the values of duties, whether one reached the ESC, the wheels' distances."""
 from __future__ import annotations
 
 import numpy as np
@@ -6,7 +6,19 @@ import pytest
 
 from car_interface.calibration.value_map.acceleration import Series
 from car_interface.calibration.value_map.recorded import reached_esc, wheel_distances
+from car_interface.calibration.value_map.throttle import load_throttle
 from car_interface.recordings.series import Pulses
+
+
+def test_duties_become_values_by_the_throttles_table_the_other_way_round(tmp_path):
+    path = tmp_path / "throttle.yaml"
+    path.write_text("servo: {channel: 2, value_axis: [-1, 0, 4], duty_table: [6000, 5000, 3000], neutral: 5000}\n"
+                    "command_timeout: 0.3\n", encoding="utf-8")
+    table = load_throttle(str(path))
+    assert table.neutral == 0.0
+    assert table.values(np.array([6000, 5500, 5000, 4000, 3000])).tolist() == [-1, -0.5, 0, 2, 4]
+    assert table.values(np.array([6016, 2984])).tolist() == [-1, 4]  # the board's rounding
+    assert np.isnan(table.values(np.array([6100, 2900, 0]))).all()
 
 
 def test_value_that_did_not_reach_the_esc_is_seen():

@@ -1,4 +1,4 @@
-"""A bilinear grid, and columns that rise."""
+"""A bilinear grid, and columns that rise, rounded or not."""
 from __future__ import annotations
 
 import numpy as np
@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.calibration.value_map.axes import rounded
 from car_interface.calibration.value_map.surface import Grid, rising_column
 
 pytestmark = pytest.mark.once
@@ -25,3 +26,14 @@ def test_rising_column_rises_and_leaves_alone_what_does(column):
     assert (np.diff(risen) >= 0.01 - 1e-12).all()
     again = rising_column(risen, np.ones(len(column)), least - 1e-9)
     assert again == pytest.approx(risen, abs=1e-6)
+
+
+@given(st.lists(st.tuples(st.floats(-10, 10), st.floats(-10, 10)), min_size=2, max_size=8))
+def test_rounded_columns_rise_and_are_near(rows):
+    table = rounded(np.sort(np.array(rows), axis=0) + 0.002 * np.arange(len(rows))[:, None])
+    assert (np.diff(table, axis=0) > 0).all()
+    assert np.abs(table - np.sort(np.array(rows), axis=0)).max() < 0.002 * len(rows) + 0.001
+
+
+def test_rounding_makes_even_level_columns_rise():
+    assert rounded(np.array([[1.0], [1.0], [0.9999]]))[:, 0].tolist() == [1.0, 1.001, 1.002]

@@ -4,21 +4,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calibration.value_map.synthetic import fit_of
 from car_interface.calibration.value_map import table as tables
-from car_interface.calibration.value_map.fit import Fit
 from car_interface.calibration.value_map.table import csv_text, table
 from car_interface.throttle.value_map import load_value_map
 
 pytestmark = pytest.mark.once
-
-
-def fit_of(supported, accelerations=None, sure=None):
-    supported = np.array(supported, bool)
-    rows, columns = supported.shape
-    table = np.add.outer(np.arange(rows) * 1.0, -0.1 * np.arange(columns)) if accelerations is None else accelerations
-    return Fit(np.arange(rows) - 1.0, np.arange(columns) * 1.0, table, np.full(supported.shape, 0.05),
-                       np.ones(supported.shape), np.ones(supported.shape, int), supported,
-                       supported if sure is None else np.array(sure, bool), 0.0, 0.0, False, (), {}, 0.0, 0.0, 0)
 
 
 def test_axes_are_cut_to_the_largest_part_that_was_driven():

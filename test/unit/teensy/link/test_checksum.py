@@ -59,8 +59,7 @@ def test_half_of_the_textbook_pings_are_answered_as_measured():
     assert sum(answered) / len(answered) == pytest.approx(0.51, abs=0.01)
 
 
-@pytest.mark.parametrize("before", ["7e", "7e 02010100", "7e" + "55" * 50 + "7e"],
-                         ids=["an_odd_flag", "a_frame_that_lost_its_end", "an_overlong_frame"])
+@pytest.mark.parametrize("before", ["7e", "7e 02010100", "7e" + "55" * 50 + "7e"])
 def test_receiver_out_of_step_loses_every_later_frame_until_the_filler_which_changes_nothing_in_step(before):
     ping = encode(ping_body(1))
     lost = bytes.fromhex(before) + ping * 10

@@ -39,8 +39,7 @@ def test_port_that_a_console_has_is_its_console_s_and_asks_for_no_group_tty(cons
     assert is_consoles(consoles_port) and "serial-getty@ttyAMA0 " in removal_remedy(consoles_port)
 
 
-@pytest.mark.parametrize(("mode", "group"), [(0o20660, 5), (0o20620, 20), (0o20600, 987)],
-                         ids=["open_to_tty", "dialout_s", "nameless_group_s"])
+@pytest.mark.parametrize(("mode", "group"), [(0o20660, 5), (0o20620, 20), (0o20600, 987)])
 def test_port_that_is_otherwise_is_no_console_s(consoles_port, monkeypatch, mode, group):
     names = {5: "tty", 20: "dialout"}
     monkeypatch.setattr(os, "stat", lambda path, **how: os.stat_result((mode, 3, 26, 1, 0, group, 0, 0, 0, 0)))

@@ -15,7 +15,6 @@ from teensy_bench import framed_by_the_textbook
 
 
 def line(text):
-    """The bytes that a text of hex digits spells."""
     return bytes.fromhex(text)
 
 

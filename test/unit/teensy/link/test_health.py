@@ -3,22 +3,8 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.teensy.link.health import (
-    ABSENT,
-    BAD_CHECKSUMS,
-    BUSY,
-    ERROR,
-    FINE,
-    NO_FRAMES,
-    NO_PONGS,
-    OK,
-    REBOOTED,
-    SILENT,
-    WAITING,
-    WARN,
-    Counts,
-    LinkHealth,
-)
+from car_interface.teensy.link import health
+from car_interface.teensy.link.health import ERROR, FINE, OK, WAITING, WARN, Counts, LinkHealth
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 100 * S
@@ -55,7 +41,6 @@ class Link:
         self.health.opened(self.counts, self.now_ns)
 
     def live(self, *seconds):
-        """The state after each second."""
         return [self.second(second).state for second in seconds]
 
     def second(self, added):
@@ -78,30 +63,30 @@ def good_link():
 
 
 def test_link_is_bad_before_its_port_is_opened_then_waited_for_and_fine_with_its_first_good_second(link):
-    assert (LinkHealth(115200).verdict.state, LinkHealth(115200).verdict.level) == (ABSENT, ERROR)
+    assert (LinkHealth(115200).verdict.state, LinkHealth(115200).verdict.level) == (health.ABSENT, ERROR)
     assert (link.health.verdict.state, link.health.verdict.level) == (WAITING, WARN)
     assert link.second(GOOD) == (FINE, OK, "fine: 21 frames a second", "")
 
 
 def test_port_that_fails_is_told_at_once_in_the_port_s_own_words_and_judged_anew_once_it_is_open(good_link):
     good_link.live(NOTHING, NOTHING)
-    good_link.health.port_failed(BUSY, "another program has it open", "See which one")
-    assert good_link.health.verdict == (BUSY, ERROR, "another program has it open", "See which one")
-    assert good_link.live(GOOD, GOOD) == [BUSY, BUSY]
+    good_link.health.port_failed(health.BUSY, "another program has it open", "See which one")
+    assert good_link.health.verdict == (health.BUSY, ERROR, "another program has it open", "See which one")
+    assert good_link.live(GOOD, GOOD) == [health.BUSY, health.BUSY]
     good_link.open()
     assert good_link.health.verdict.state == WAITING
     assert good_link.live(GOOD) == [FINE]
 
 
 @pytest.mark.parametrize("second, state, level, words, next_step", [
-    (NOTHING, SILENT, ERROR, "open, but nothing comes", "TX leads to this port's RX"),
-    (OTHER_BAUD, NO_FRAMES, ERROR, "1200 bytes a second come, but no frames", "~baud 115200"),
-    (FLAGLESS, NO_FRAMES, ERROR, "11520 bytes a second come, but no frames", "~baud"),
-    (FLOOD, NO_FRAMES, ERROR, "more than 115200 baud can carry", "Is it a Teensy at all"),
-    (OTHER_CHECKSUM, BAD_CHECKSUMS, ERROR, "the checksum of almost none of them is right", "cable"),
-    (VERY_NOISY, BAD_CHECKSUMS, ERROR, "76 % of them are corrupt", "cable"),
-    (UNANSWERED, NO_PONGS, WARN, "none of the last 3 pings was answered", "~firmware_checksum"),
-    (UNANSWERED_AND_NOISY, NO_PONGS, WARN, "none of the last 9 pings", "~firmware_checksum"),
+    (NOTHING, health.SILENT, ERROR, "open, but nothing comes", "TX leads to this port's RX"),
+    (OTHER_BAUD, health.NO_FRAMES, ERROR, "1200 bytes a second come, but no frames", "~baud 115200"),
+    (FLAGLESS, health.NO_FRAMES, ERROR, "11520 bytes a second come, but no frames", "~baud"),
+    (FLOOD, health.NO_FRAMES, ERROR, "more than 115200 baud can carry", "Is it a Teensy at all"),
+    (OTHER_CHECKSUM, health.BAD_CHECKSUMS, ERROR, "the checksum of almost none of them is right", "cable"),
+    (VERY_NOISY, health.BAD_CHECKSUMS, ERROR, "76 % of them are corrupt", "cable"),
+    (UNANSWERED, health.NO_PONGS, WARN, "none of the last 3 pings was answered", "~firmware_checksum"),
+    (UNANSWERED_AND_NOISY, health.NO_PONGS, WARN, "none of the last 9 pings", "~firmware_checksum"),
 ], ids=["silent", "other_baud_rate", "no_flag_at_all", "flood", "frames_none_of_which_sums_up",
         "more_noise_than_frames", "no_pongs", "no_pongs_and_a_little_noise"])
 def test_fault_of_an_open_port_is_told_in_words_with_the_next_step(link, second, state, level, words, next_step):
@@ -119,17 +104,17 @@ STANDING_BAD = a_second_of(bytes_in=190, records=4, bad_frames=1)
 
 @pytest.mark.parametrize("seconds, states", [
     *(pytest.param([fault] * 3 + [GOOD] * 3, [FINE] + [state] * 3 + [FINE] * 2, id=f"{state}_two_to_come_two_to_go")
-      for fault, state in ((NOTHING, SILENT), (OTHER_BAUD, NO_FRAMES), (OTHER_CHECKSUM, BAD_CHECKSUMS),
-                           (UNANSWERED, NO_PONGS))),
-    pytest.param([HALF] + [OTHER_BAUD] * 2, [FINE] + [NO_FRAMES] * 2, id="second_in_which_a_fault_begins"),
+      for fault, state in ((NOTHING, health.SILENT), (OTHER_BAUD, health.NO_FRAMES),
+                           (OTHER_CHECKSUM, health.BAD_CHECKSUMS), (UNANSWERED, health.NO_PONGS))),
+    pytest.param([HALF] + [OTHER_BAUD] * 2, [FINE] + [health.NO_FRAMES] * 2, id="second_in_which_a_fault_begins"),
     pytest.param([NOTHING, GOOD, OTHER_BAUD, GOOD, GOOD], [FINE] * 5, id="single_bad_seconds"),
     pytest.param([STANDING] * 20, [FINE] * 20, id="car_that_stands_with_its_sonars_off"),
     pytest.param([DRIVING] * 20, [FINE] * 20, id="small_share_of_bad_frames"),
     pytest.param(([STANDING] * 4 + [STANDING_BAD]) * 4, [FINE] * 20, id="two_bad_frames_in_ten_seconds_of_few"),
-    pytest.param([OTHER_BAUD] * 3 + [HALF] + [GOOD] * 5, [FINE] + [NO_FRAMES] * 3 + [FINE] * 5,
+    pytest.param([OTHER_BAUD] * 3 + [HALF] + [GOOD] * 5, [FINE] + [health.NO_FRAMES] * 3 + [FINE] * 5,
                  id="second_in_which_another_baud_rate_ends_is_no_noise"),
-    pytest.param([FLOOD] * 5 + [GOOD] * 10, [FINE] + [NO_FRAMES] * 5 + [FINE] * 9, id="flood_is_no_noise_afterwards"),
-    pytest.param([NOISY] * 20 + [GOOD] * 11, [FINE] * 3 + [BAD_CHECKSUMS] * 25 + [FINE] * 3,
+    pytest.param([FLOOD] * 5 + [GOOD] * 10, [FINE] + [health.NO_FRAMES] * 5 + [FINE] * 9, id="flood_is_no_noise_later"),
+    pytest.param([NOISY] * 20 + [GOOD] * 11, [FINE] * 3 + [health.BAD_CHECKSUMS] * 25 + [FINE] * 3,
                  id="noise_is_forgotten_within_ten_seconds"),
 ])
 def test_state_of_a_good_link_second_by_second(good_link, seconds, states):
@@ -141,7 +126,7 @@ def test_fault_that_changes_its_face_every_second_is_no_fine_link(good_link):
 
 
 def test_noise_is_told_by_its_share_over_ten_seconds(good_link):
-    assert good_link.live(*[NOISY] * 9)[3:] == [BAD_CHECKSUMS] * 6
+    assert good_link.live(*[NOISY] * 9)[3:] == [health.BAD_CHECKSUMS] * 6
     verdict = good_link.second(NOISY)
     assert verdict.level == WARN
     assert "5 % of them are corrupt" in verdict.description
@@ -157,14 +142,14 @@ def test_counters_looked_at_twice_in_a_row_change_nothing(good_link):
 def test_reboot_is_told_at_once_and_for_ten_seconds(good_link):
     good_link.health.rebooted("its clock went from 9.0 s back to 0.1 s", good_link.now_ns)
     verdict = good_link.health.verdict
-    assert (verdict.state, verdict.level) == (REBOOTED, WARN)
+    assert (verdict.state, verdict.level) == (health.REBOOTED, WARN)
     assert verdict.description == "the Teensy rebooted: its clock went from 9.0 s back to 0.1 s"
     assert "power supply" in verdict.next_step
-    assert good_link.live(*[GOOD] * 10) == [REBOOTED] * 9 + [FINE]
+    assert good_link.live(*[GOOD] * 10) == [health.REBOOTED] * 9 + [FINE]
 
 
 @pytest.mark.parametrize("before, after, states", [
-    ([GOOD], [NOTHING, NOTHING], [REBOOTED, SILENT]), ([], [GOOD, GOOD], [WAITING, REBOOTED]),
+    ([GOOD], [NOTHING, NOTHING], [health.REBOOTED, health.SILENT]), ([], [GOOD, GOOD], [WAITING, health.REBOOTED]),
 ], ids=["fault_after_it_comes_as_any_other", "noticed_when_the_port_is_back_it_is_told_after_the_first_good_second"])
 def test_reboot_does_not_hide_how_the_link_does(link, before, after, states):
     link.live(*before)

@@ -12,7 +12,6 @@ from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, Sona
 
 
 def body_of(text):
-    """The bytes that a text of hex digits spells."""
     return bytes.fromhex(text)
 
 

@@ -42,8 +42,7 @@ def test_clock_read_late_or_heard_again_after_days_is_no_reboot():
     assert run(detector, sonars(1000 + 3 * 86_400_000), NOW + 3 * 86_400 * S) == []
 
 
-@pytest.mark.parametrize("before", [2_000, 2 ** 31 + 5, WRAP - 100_000_000],
-                         ids=["soon", "weeks", "near_the_wrap"])
+@pytest.mark.parametrize("before", [2_000, 2 ** 31 + 5, WRAP - 100_000_000])
 def test_clock_that_begins_anew_is_a_reboot_told_once(before):
     detector = RebootDetector()
     assert run(detector, [*sonars(before), *sonars(12)]) == [

@@ -159,18 +159,10 @@ def test_malformed_frames_are_counted_and_those_of_an_unknown_command_once_more(
 
 
 def judge_seconds(session, data, seconds=2):
-    """Feed the same bytes for each second; the state at the end."""
     for second in range(1, seconds + 1):
         session.receive(data, NOW + second * S)
         session.judge(NOW + second * S)
     return session.verdict.state
-
-
-def test_port_that_fails_is_the_verdict_until_it_is_open_again(session):
-    session.port_failed(ABSENT, "there is no such port", "plug it in")
-    assert (session.verdict.state, session.judge(NOW + 5 * S).state) == (ABSENT, ABSENT)
-    session.opened(NOW + 6 * S)
-    assert session.verdict.state == WAITING
 
 
 GOOD = b"".join(sonar(1000 + n) for n in range(20))

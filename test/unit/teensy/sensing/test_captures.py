@@ -6,6 +6,7 @@ publishes is held in test/graph: test_teensy_sensor_hub.py, of a capture's bytes
 from __future__ import annotations
 
 import math
+import os
 from statistics import median
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from car_interface.teensy.sensing.ranging import DISTRUSTED, MICROS_WRAP, STUCK
 
 pytestmark = pytest.mark.once
 S_US = 1_000_000
+LISTENS_US = math.inf if os.environ.get("CAR_INTERFACE_ALL") else 75 * S_US  # one capture has 300 s
 SPEED_OF_SOUND_MPS = 343.42
 MAX_RANGE_M = 2.0
 WORTH_A_WORD = {verdicts.FIRST, verdicts.ODOMETERS_RESET, verdicts.CLOCK_RESTARTED}
@@ -57,13 +59,12 @@ def errors(capture, moments):
 
 @pytest.fixture(scope="module")
 def replayed():
-    """Each capture is replayed once."""
     done = {}
 
     def get(name):
         if name not in done:
             capture = load(name)
-            moments, measurements = replay(capture)
+            moments, measurements = replay(capture, until_us=LISTENS_US)
             done[name] = capture, moments, measurements, errors(capture, moments)
         return done[name]
     return get
@@ -84,7 +85,7 @@ def test_heading_at_the_end_is_mostly_right_to_half_a_pulse(replayed):
 @pytest.mark.parametrize("name", NAMES)
 def test_car_ends_where_it_is_and_the_truth_lies_within_three_sigma_on_the_way(replayed, name):
     capture, _, _, found = replayed(name)
-    assert found[-1].position_m <= max(0.03, 0.005 * capture.distance_m())
+    assert found[-1].position_m <= max(0.03, 0.005 * capture.distance_m(LISTENS_US))
     assert abs(found[-1].yaw_deg) <= 3.0
     later = [error for error in found if error.received_us >= found[0].received_us + 2 * S_US]
     assert sum(error.sigmas <= 3 for error in later) >= 0.99 * len(later)
@@ -108,9 +109,9 @@ def test_stamps_rise_strictly_and_are_as_good_as_they_claim(replayed, name):
 
 
 @pytest.mark.parametrize("name, begin_s", [
-    ("stop_go", 9.6), ("drive_reverse", 12.35), ("wrap", 9.6), ("missing_sonars", 5.1), ("reboot_rolling", 12.2),
-], ids=["standing_after_a_drive", "rolling_backward", "a_second_before_all_counters_wrap",
-        "rolling_with_all_sonars_silent", "a_moment_before_the_teensy_reboots"])
+    ("drive_reverse", 12.35), ("wrap", 9.6), ("missing_sonars", 5.1), ("reboot_rolling", 12.2),
+], ids=["rolling_backward", "a_second_before_all_counters_wrap", "rolling_with_all_sonars_silent",
+        "a_moment_before_the_teensy_reboots"])
 def test_host_that_begins_to_listen_later_has_odometry_at_once(name, begin_s):
     capture = load(name)
     moments, measurements = replay(capture, skip_us=round(begin_s * S_US))
@@ -141,27 +142,20 @@ def ranges(capture, moments):
     return result
 
 
-@pytest.mark.parametrize("name", ["far", "far_young", "stop_go", "drive"])
-def test_sonar_that_sees_nothing_says_so_each_time(replayed, name):
-    capture, moments, _, _ = replayed(name)
-    nothing = [measured for measured, truth in ranges(capture, moments) if math.isinf(truth)]
-    assert len(nothing) > 20 and all(measured == math.inf for measured in nothing)
-
-
 @pytest.mark.parametrize("name, reason, at_least, at_most", [
-    pytest.param("stuck_sonar", STUCK, 1, 4, id="a_pin_that_is_stuck_high"),
-    pytest.param("wrap", MICROS_WRAP, 1, 10, id="a_wrap_of_micros"),
-    pytest.param("sonar_start", DISTRUSTED, 10, 30, id="three_reports_for_each_of_ten_SONAR_STARTs_at_most"),
-])
+    ("stuck_sonar", STUCK, 1, 4), ("wrap", MICROS_WRAP, 1, 10),
+    ("sonar_start", DISTRUSTED, 10, 30)])  # three reports for each of ten SONAR_STARTs at most
 def test_false_echoes_make_no_range_and_are_counted(replayed, name, reason, at_least, at_most):
     capture, moments, measurements, _ = replayed(name)
-    refused = sum(measured is None for measured, _ in ranges(capture, moments))
+    found = ranges(capture, moments)
+    refused = sum(measured is None for measured, _ in found)
+    assert all(measured in (None, pytest.approx(truth, abs=0.005)) for measured, truth in found)
     assert measurements.ranging.counts == {reason: refused}
     assert at_least <= refused <= at_most
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("stuck_sonar", "wrap", "sonar_start",
                                                                          "missing_sonars", "stuck_old")])
-def test_each_echo_of_healthy_sonars_makes_a_range(replayed, name):
+def test_each_echo_of_healthy_sonars_makes_its_range(replayed, name):
     capture, moments, _, _ = replayed(name)
-    assert all(measured is not None for measured, _ in ranges(capture, moments))
+    assert all(measured == pytest.approx(truth, abs=0.005) for measured, truth in ranges(capture, moments))

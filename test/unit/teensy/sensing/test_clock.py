@@ -13,19 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.teensy.sensing.clock import (
-    BEGUN_ANEW,
-    CONTRADICTION,
-    CONVERGED_PONGS,
-    FASTER_LINE,
-    FROM_THE_FUTURE,
-    ONE_WAS_WRONG,
-    ONE_WAY_UNCERTAINTY_NS,
-    TOO_SOON,
-    UNKNOWN_NS,
-    Clock,
-    ClockConfig,
-)
+from car_interface.teensy.sensing import clock as reasons
+from car_interface.teensy.sensing.clock import CONVERGED_PONGS, ONE_WAY_UNCERTAINTY_NS, UNKNOWN_NS, Clock, ClockConfig
 
 S, MS, US = 1_000_000_000, 1_000_000, 1_000
 UINT32 = 2 ** 32
@@ -40,16 +29,10 @@ def at(number):
 
 
 class Teensy:
-    """A crystal of its own, and the way to it and back.
-
-    Args:
-        start_ms: its clock at NOW.
-        skew_ppm: how much too fast it runs.
-        ramp_ppm_per_h: how much faster still after an hour.
-    """
+    """A crystal of its own, so much too fast and after an hour faster still, and the way to it and back."""
 
     def __init__(self, start_ms=50_000, skew_ppm=0.0, ramp_ppm_per_h=0.0, seed=1):
-        self.start_ms = start_ms
+        self.start_ms = start_ms  # at NOW
         self._skew_ppm = skew_ppm
         self._ramp_ppm_per_h = ramp_ppm_per_h
         self._random = random.Random(seed)
@@ -82,7 +65,6 @@ class Teensy:
 
 
 def converged(teensy=None, seconds=60, **how):
-    """A clock that has listened to a Teensy for so long."""
     clock = Clock()
     (teensy or Teensy()).keep_answering(clock, 0, seconds, **how)
     assert clock.converged
@@ -232,9 +214,9 @@ def test_errors_are_half_a_tick_and_neither_early_nor_late_on_average():
 
 @pytest.mark.once
 def test_temperature_that_bends_the_line_is_followed():
-    teensy = Teensy(ramp_ppm_per_h=20)
+    teensy = Teensy(ramp_ppm_per_h=40)
     clock = Clock()
-    for minute in range(60):
+    for minute in range(30):
         sync = teensy.keep_answering(clock, 60 * minute, 60 * minute + 60)
         assert abs(error_ns(clock, teensy, 60 * minute + 60)) < 0.9 * MS
         assert sync.used
@@ -326,8 +308,8 @@ def test_wrong_tick_that_noise_made_is_not_used_and_counted(tick_error):
     clock = converged(teensy)
     before = clock.translate(teensy.tick(NOW + 61 * S))
     sync = teensy.answer(clock, NOW + 60 * S, tick_error=tick_error)
-    assert (sync.used, sync.reason, sync.converged) == (False, CONTRADICTION, True)
-    assert clock.counts == {CONTRADICTION: 1}
+    assert (sync.used, sync.reason, sync.converged) == (False, reasons.CONTRADICTION, True)
+    assert clock.counts == {reasons.CONTRADICTION: 1}
     assert clock.translate(teensy.tick(NOW + 61 * S)) == before
 
 
@@ -347,7 +329,7 @@ def test_wrong_first_pong_is_overruled_by_the_next_two_even_in_the_same_half_sec
     clock, teensy = Clock(), Teensy()
     syncs = [teensy.answer(clock, NOW + number * 240 * MS, tick_error=-64 if number == 0 else 0)
              for number in range(6)]
-    assert [sync.reason for sync in syncs] == ["", CONTRADICTION, ONE_WAS_WRONG, "", "", ""]
+    assert [sync.reason for sync in syncs] == ["", reasons.CONTRADICTION, reasons.ONE_WAS_WRONG, "", "", ""]
     assert [sync.converged for sync in syncs] == [False] * 5 + [True]
 
 
@@ -356,7 +338,7 @@ def test_three_wrong_pongs_in_a_row_that_do_not_agree_overrule_nothing():
     clock = converged(teensy)
     for number, tick_error in enumerate((-128, 64, 1024, -32, 128)):
         teensy.answer(clock, NOW + (60 + number) * S, tick_error=tick_error)
-    assert clock.counts == {CONTRADICTION: 5}
+    assert clock.counts == {reasons.CONTRADICTION: 5}
     assert abs(error_ns(clock, teensy, 65)) < 0.9 * MS
 
 
@@ -373,8 +355,8 @@ def test_wrong_tick_that_a_queue_can_explain_is_thrown_out_without_the_rest_when
     used = [teensy.answer(clock, at(number), 0.1, 0.1) for number in range(20, 40)]
     assert abs(error_ns(clock, teensy, 40)) < MS
     assert all(sync.converged for sync in used)
-    assert set(clock.counts) <= {CONTRADICTION, ONE_WAS_WRONG}
-    assert clock.counts[CONTRADICTION] <= 3 * len(wrong_ones)
+    assert set(clock.counts) <= {reasons.CONTRADICTION, reasons.ONE_WAS_WRONG}
+    assert clock.counts[reasons.CONTRADICTION] <= 3 * len(wrong_ones)
 
 
 def test_wrong_sonar_tick_from_the_future_and_a_pong_that_comes_too_soon_are_not_used_and_counted():
@@ -383,19 +365,19 @@ def test_wrong_sonar_tick_from_the_future_and_a_pong_that_comes_too_soon_are_not
     before = clock.translate(teensy.tick(NOW + 61 * S))
     clock.update_tick(teensy.tick(NOW + 60 * S) + 128, NOW + 60 * S + 2 * MS, 14)
     sync = clock.pong(teensy.tick(NOW + 60 * S), NOW + 60 * S, PING_BYTES, NOW + 60 * S + 2 * MS, PONG_BYTES)
-    assert (sync.used, sync.reason) == (False, TOO_SOON)
-    assert clock.counts == {FROM_THE_FUTURE: 1, TOO_SOON: 1}
+    assert (sync.used, sync.reason) == (False, reasons.TOO_SOON)
+    assert clock.counts == {reasons.FROM_THE_FUTURE: 1, reasons.TOO_SOON: 1}
     assert clock.translate(teensy.tick(NOW + 61 * S)) == before
 
 
 def test_teensy_on_usb_which_has_no_baud_rate_is_known_all_the_same():
     clock, teensy = Clock(), Teensy()
-    reasons = []
+    found = []
     for number in range(20):
         at_ns = at(number)
         tick = teensy.tick(at_ns + 100 * US)
-        reasons.append(clock.pong(tick, at_ns, PING_BYTES, at_ns + 300 * US, PONG_BYTES).reason)
-    assert reasons == [TOO_SOON, TOO_SOON, FASTER_LINE] + 17 * [""]
+        found.append(clock.pong(tick, at_ns, PING_BYTES, at_ns + 300 * US, PONG_BYTES).reason)
+    assert found == [reasons.TOO_SOON, reasons.TOO_SOON, reasons.FASTER_LINE] + 17 * [""]
     assert clock.converged
     assert abs(error_ns(clock, teensy, 21)) < 1.2 * MS
 
@@ -406,8 +388,8 @@ def test_three_pongs_that_agree_begin_anew_after_a_clock_stood_still(gap_ms, ahe
     teensy = Teensy(skew_ppm=40)
     clock = converged(teensy)
     teensy.start_ms += gap_ms if ahead else -gap_ms
-    reasons = [teensy.answer(clock, at(60 + number)).reason for number in range(10)]
-    assert reasons == [CONTRADICTION, CONTRADICTION, BEGUN_ANEW] + 7 * [""]
+    found = [teensy.answer(clock, at(60 + number)).reason for number in range(10)]
+    assert found == [reasons.CONTRADICTION, reasons.CONTRADICTION, reasons.BEGUN_ANEW] + 7 * [""]
     assert clock.converged
     assert abs(error_ns(clock, teensy, 70)) < 1.2 * MS
 
@@ -431,11 +413,10 @@ def test_pings_a_hundred_times_a_second_cost_no_more_memory():
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("disturbance", [{"clock_start_ms": UINT32 - 9_000}, {"reboot_s": 2}, {"bit_errors": 1e-4}])
+@pytest.mark.parametrize("disturbance", [{"clock_start_ms": UINT32 - 12_000, "bit_errors": 1e-4}, {"reboot_s": 2}])
 def test_stamps_of_a_saturated_virtual_teensy_are_within_a_millisecond_and_honest(disturbance):
-    """A short set of what the script measures at length."""
     score = clock_accuracy.run(clock_accuracy.Scenario(
-        "short", saturated=True, drift_ppm=40, ramp_ppm_per_h=20, seconds=16, **disturbance))
+        "short", saturated=True, drift_ppm=40, ramp_ppm_per_h=20, seconds=14, **disturbance))
     assert len(score.clock) > 100 and score.failures() == []
     assert score.converged_s < 2.5 and score.bytes_per_s > 8000
 

@@ -60,14 +60,13 @@ class Axle:
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("name, worst_percent, worst_deg, worst_speed_percent", (
-    ("reversing, resets", 1.0, 2.0, 3.0), ("crawl 0.05 m/s", 1.0, 2.0, 10.0), ("8 m/s", 0.5, 2.0, 2.0)))
-def test_virtual_car_is_where_odometry_says(name, worst_percent, worst_deg, worst_speed_percent):
+@pytest.mark.parametrize("name, off_percent, speed_percent", [("crawl 0.05 m/s", 1.0, 10.0), ("8 m/s", 0.5, 2.0)])
+def test_virtual_car_is_where_odometry_says(name, off_percent, speed_percent):
     score = odometry_accuracy.run(name, (0.3, 0.9), 1)
-    assert 100 * score.position_m / score.distance_m <= worst_percent
-    assert score.yaw_deg <= worst_deg
+    assert 100 * score.position_m / score.distance_m <= off_percent
+    assert score.yaw_deg <= 2.0
     speeds = score.crawl if "crawl" in name else score.speed
-    assert 100 * odometry_accuracy.percentile(speeds, 0.95) <= worst_speed_percent
+    assert 100 * odometry_accuracy.percentile(speeds, 0.95) <= speed_percent
     assert score.inside / score.reports >= 0.99
 
 
@@ -81,16 +80,6 @@ def test_straight_way_is_straight_wherever_the_magnets_stood(phases):
     assert motion.y_m == pytest.approx(0.0, abs=0.05)
     assert motion.yaw_rad == pytest.approx(0.0, abs=math.radians(0.5))
     assert motion.speed_mps == pytest.approx(1.0, rel=0.02)
-
-
-@pytest.mark.parametrize("curvature", (0.2, -0.8))
-def test_circle_closes(curvature):
-    axle = Axle((0.3, 0.6))
-    half = curvature * TRACK_M / 2
-    motion = axle.roll((1 - half, 1 + half), 2 * math.pi / abs(curvature))
-    assert motion.yaw_rad == pytest.approx(math.copysign(2 * math.pi, curvature), abs=math.radians(1.5))
-    assert math.hypot(motion.x_m, motion.y_m) < 0.01 * motion.distance_m + 0.03
-    assert motion.yaw_rate_radps == pytest.approx(curvature, abs=0.1)
 
 
 @settings(max_examples=25, deadline=None)

@@ -31,7 +31,6 @@ def records_of_the_capture():
 
 
 def through(some, records):
-    """Pulses of both wheels."""
     verdicts = [some.wheels(record) if isinstance(record, WheelStatus)
                 else some.sonar(record) if isinstance(record, SonarStatus) else some.pong(record, True)
                 for record in records if isinstance(record, (WheelStatus, SonarStatus, Pong))]

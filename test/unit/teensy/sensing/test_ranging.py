@@ -101,14 +101,6 @@ def test_temperature_set_while_it_runs_counts_from_then_on_also_for_the_median_u
     assert ranges(ranging, NONE_US) == [pytest.approx(1.6565)]
 
 
-def test_median_hides_one_or_two_wrong_echoes_in_a_row():
-    ranging = Ranging(RangingConfig(median=True))
-    ranges(ranging, *[ONE_METRE_US] * 5)
-    steady = pytest.approx(1.0, rel=1e-4)
-    wrong = (200, ONE_METRE_US, NONE_US, NONE_US, *[ONE_METRE_US] * 3, 300, 400, ONE_METRE_US)
-    assert ranges(ranging, *wrong) == [steady] * 10
-
-
 def test_median_shows_what_is_new_two_reports_later_and_counts_no_echo_as_farther_than_all():
     ranging = Ranging(RangingConfig(median=True))
     ranges(ranging, *[ONE_METRE_US] * 5)
