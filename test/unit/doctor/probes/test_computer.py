@@ -3,10 +3,8 @@ from __future__ import annotations
 
 import ctypes
 import grp
-import importlib.metadata
 import io
 import os
-import sys
 import time
 import types
 
@@ -94,28 +92,6 @@ def test_clock_is_as_synchronised_as_the_kernel_has_it(monkeypatch, state, level
     assert found.level == level and found.what.startswith(what)
     monkeypatch.setattr(time, "gmtime", lambda: time.struct_time((1970, 1, 1, 0, 0, 0, 3, 1, 0)))
     assert [finding.level for finding in computer.probe_clock(True)][:1] == [BAD], "a wrong year"
-
-
-# --- versions ---
-
-def test_versions_are_those_of_the_distributions(monkeypatch):
-    def version(distribution):
-        if distribution == "apart":
-            raise importlib.metadata.PackageNotFoundError(distribution)
-        return {"pyserial": "3.5"}[distribution]
-    modules = {"serial": types.ModuleType("serial"), "apart": types.SimpleNamespace(__version__="1.2"),
-               "built": types.ModuleType("built")}
-    monkeypatch.setattr(computer.importlib, "import_module", modules.__getitem__)
-    monkeypatch.setattr(importlib.metadata, "version", version)
-    monkeypatch.setattr(computer, "LIBRARIES", (("serial", "pyserial", ""), ("apart", "apart", ""), ("built", "", ""),
-                                                ("absent", "absent", "install it")))
-    monkeypatch.setattr(computer, "MESSAGES", ("json", "no_such_msgs"))
-    monkeypatch.setattr(sys, "version_info", (3, 8, 10, "final", 0))
-    found = [(finding.level, finding.what, finding.remedy) for finding in computer.probe_versions()]
-    assert found == [(OK, "Python 3.8.10, serial 3.5, apart 1.2, built", ""),
-                     (BAD, "absent can't be imported", "install it"),
-                     (BAD, "no_such_msgs can't be imported",
-                      "sudo apt install ros-noetic-no-such-msgs (Debian: python3-no-such-msgs)")]
 
 
 # --- packages ---
