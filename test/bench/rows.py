@@ -89,15 +89,9 @@ class Row:
             return None
         return self.summary is not None and not self.void and target.met_by(*self._values(target))
 
-    def missed(self, by_floor: bool | None = None) -> tuple[str, ...]:
-        """Return the statistics whose target is missed, each with its figure, or its ratio where that is the target;
-        with ``by_floor`` only those that bare rospy misses too, or does not.
-        """
-        return tuple(self._missed_text(target) for target in self.targets if self.meets(target) is False
-                     and by_floor in (None, self._floor_misses(target)))
-
-    def _floor_misses(self, target):
-        return self.floor is not None and not target.met_by(*[getattr(self.floor, target.statistic)] * 2)
+    def missed(self) -> tuple[str, ...]:
+        """Return the statistics whose target is missed, each with its figure, or its ratio where that is the target."""
+        return tuple(self._missed_text(target) for target in self.targets if self.meets(target) is False)
 
     def _missed_text(self, target):
         if self.summary is None:
@@ -147,11 +141,7 @@ def head() -> str:
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """Return how many targets were met, and which were not; those that bare rospy misses too come apart."""
+    """Return how many targets were met, and which were not."""
     count = sum(1 for row in rows for target in row.targets if target.is_bound)
-    text = f"{count - sum(len(row.missed()) for row in rows)} of {count} targets met"
-    for by_floor, reason in ((False, "missed"), (True, "missed by bare rospy as well")):
-        missed = [(row.what, row.missed(by_floor)) for row in rows if row.missed(by_floor)]
-        if missed:
-            text += f"; {reason}: " + "; ".join(f"{what} ({', '.join(figures)})" for what, figures in missed)
-    return text
+    missed = "; ".join(f"{row.what} ({', '.join(row.missed())})" for row in rows if row.missed())
+    return f"{count - sum(len(row.missed()) for row in rows)} of {count} targets met{missed and f'; missed: {missed}'}"

@@ -106,7 +106,7 @@ class Practice(Car):
             self.graph.run(2.0)
         self.arguments = arguments
 
-    def begin(self, run_s=2.0):
+    def begin(self, run_s=4.0):
         """Start the program."""
         wanted = options.parse(["-o", str(self.table), *self.arguments])
         self.program = self.graph.add(

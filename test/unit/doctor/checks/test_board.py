@@ -12,7 +12,6 @@ from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 # --- the bus ---
 
-
 def bus(exists=True, is_i2c=True, usable=True, others=()):
     return board.Bus("/dev/i2c-1", exists, is_i2c, usable, "i2c", others)
 

@@ -29,7 +29,6 @@ TURN_ARB = Node("turn_arb", "/turn_arb", RUNNING, "/car_nodes")
 
 # --- nodes ---
 
-
 def nodes(namespace="", rest=RUNNING, process="", **states):
     """Those of a car in these states, the others as ``rest`` says."""
     return [Node(name, f"{namespace}/{name}", states.get(name, rest),
@@ -89,7 +88,6 @@ def test_cars_are_found_by_the_names_of_their_nodes_and_of_several_none_is_looke
 
 
 # --- steering ---
-
 
 def test_who_drives_and_why_is_told():
     found, = check_steering(Steering("PLANNER", "the planner asks", 4000, True), TURN_ARB)
@@ -159,7 +157,6 @@ def test_faults_of_command_topics_are_bad_each_told_once_and_not_with_the_other_
 
 
 # --- parameters ---
-
 
 def test_good_parameters_are_one_line_and_none_is_how_it_is_before_the_launch():
     found, = check_parameters([Reading("/turn_arb", "", True), Reading("/pca9685", "", False)])

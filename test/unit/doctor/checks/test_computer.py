@@ -4,19 +4,13 @@ from __future__ import annotations
 import pytest
 
 from car_interface.common.device_access import Membership
-from car_interface.doctor.checks.computer import (
-    ClockReading,
-    Need,
-    check_clock,
-    check_groups,
-    check_joy,
-    check_tools,
-)
+from car_interface.doctor.checks import computer
 from car_interface.doctor.checks.findings import BAD, OK, WARN
 
 # --- groups ---
 
-PORT, BUS, PAD = Need("dialout", "the port", BAD), Need("i2c", "the bus", BAD), Need("input", "the gamepad", WARN)
+PORT, BUS = computer.Need("dialout", "the port", BAD), computer.Need("i2c", "the bus", BAD)
+PAD = computer.Need("input", "the gamepad", WARN)
 
 
 def member(process=(), user=(), existing=("dialout", "i2c", "input"), is_root=False):
@@ -33,15 +27,14 @@ def member(process=(), user=(), existing=("dialout", "i2c", "input"), is_root=Fa
     (member(), [PAD], WARN, "ann is not in input", ""),
 ], ids=["in_all", "root", "virtual_devices", "from_the_next_log_in", "outside", "no_such_group", "as_bad_as_it_says"])
 def test_user_is_in_the_groups_that_are_needed_or_told_why_not(one, needs, level, what, remedy):
-    found, = check_groups(one, needs)
+    found, = computer.check_groups(one, needs)
     assert found.level == level and what in found.what and remedy in found.remedy
 
 
 # --- clock ---
 
-
 def clock(year=2026, synchronised=True, uses_sim_time=False):
-    return ClockReading(year, synchronised, uses_sim_time)
+    return computer.ClockReading(year, synchronised, uses_sim_time)
 
 
 @pytest.mark.parametrize("reading, level, words", [
@@ -53,17 +46,16 @@ def clock(year=2026, synchronised=True, uses_sim_time=False):
     (clock(uses_sim_time=True), WARN, "/use_sim_time"),
 ], ids=["fine", "unknown", "unsynchronised", "epoch", "far_future", "simulated"])
 def test_clock(reading, level, words):
-    found, = check_clock(reading)
+    found, = computer.check_clock(reading)
     assert (found.level, bool(found.remedy)) == (level, level != OK)
     assert words in found.what
 
 
 def test_each_trouble_of_the_clock_is_told():
-    assert len(check_clock(clock(synchronised=False, uses_sim_time=True))) == 2
+    assert len(computer.check_clock(clock(synchronised=False, uses_sim_time=True))) == 2
 
 
 # --- packages ---
-
 
 @pytest.mark.parametrize("missing, environment, level, words", [
     ([], "", OK, ""),
@@ -73,7 +65,7 @@ def test_each_trouble_of_the_clock_is_told():
     (["matplotlib", "rosbags"], "", WARN, "matplotlib, rosbags are missing for bag_report"),
 ], ids=["none", "in_a_virtual_environment", "one", "two"])
 def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, environment, level, words):
-    found, = check_tools(missing, environment)
+    found, = computer.check_tools(missing, environment)
     assert found.level == level and found.what.startswith(words)
     assert found.remedy == ("" if level == OK else "rosdep install, or on Debian a virtual environment: "
                             "docs/recordings.md, Install the tools")
@@ -86,6 +78,6 @@ def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, en
     (False, False, "debian", OK, ""),
 ], ids=["installed", "from_another_computer", "missing_on_ubuntu", "not_needed_on_debian"])
 def test_joy_is_missing_only_if_nobody_publishes_it(is_installed, is_published, distribution, level, remedy):
-    found, = check_joy(is_installed, is_published, distribution)
+    found, = computer.check_joy(is_installed, is_published, distribution)
     assert found.level == level and remedy in found.remedy
     assert level == OK or found.what.startswith("the ROS package joy, whose joy_node reads the gamepad, is missing")

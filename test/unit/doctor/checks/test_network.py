@@ -3,16 +3,8 @@ from __future__ import annotations
 
 import pytest
 
+from car_interface.doctor.checks import network
 from car_interface.doctor.checks.findings import BAD, OK, WARN
-from car_interface.doctor.checks.network import (
-    LocalAddress,
-    Master,
-    check_local_address,
-    check_master,
-    host_and_port,
-    listeners,
-    local_name,
-)
 
 URI = "http://127.0.0.1:11311"
 # 127.0.0.1:11311, 0.0.0.0:11312, 10.1.2.3:22 all listening, and a connection to 127.0.0.1:11311.
@@ -36,7 +28,7 @@ TCP6 = """\
     ("port", "addresses"),
     [(11311, ("127.0.0.1", "::")), (11312, ("0.0.0.0", "::1")), (11313, ("127.0.0.1",)), (22, ("10.1.2.3",)), (80, ())])
 def test_listeners_are_read_from_the_kernels_tables(port, addresses):
-    assert listeners([TCP, TCP6], port) == addresses
+    assert network.listeners([TCP, TCP6], port) == addresses
 
 
 @pytest.mark.parametrize("uri, place", [
@@ -48,38 +40,38 @@ def test_listeners_are_read_from_the_kernels_tables(port, addresses):
     ("http://[::1", None),
 ])
 def test_host_and_port_of_a_uri(uri, place):
-    assert host_and_port(uri) == place
+    assert network.host_and_port(uri) == place
 
 
 @pytest.mark.parametrize("master, level, words, remedy", [
-    (Master(URI, "", True, ("127.0.0.1",)), OK, "on the loopback only", ""),
-    (Master(URI, "", True, ()), OK, "answers", ""),
-    (Master(URI, "", True, ("0.0.0.0", "127.0.0.1")), WARN, "every interface", "ROS_IP=127.0.0.1"),
-    (Master(URI, "", True, ("10.1.2.3",)), WARN, "listens on 10.1.2.3", "VPN"),
-    (Master("http://car:11311", "", False), WARN, "on another host", "VPN"),
-    (Master(URI, "Connection refused", True), WARN, "none runs at", "roslaunch starts one"),
-    (Master(URI, "timed out", True, ("0.0.0.0",)), BAD, "doesn't answer as a master", "End it"),
-    (Master("http://car:11311", "timed out", False), BAD, "on another host", "ping car"),
-    (Master("http://car:11311", "no", None), BAD, "can't be found", "/etc/hosts"),
-    (Master("", "no"), BAD, "not set", "setup.bash"),
-    (Master("localhost", "no"), BAD, "no master's address", "export ROS_MASTER_URI"),
+    (network.Master(URI, "", True, ("127.0.0.1",)), OK, "on the loopback only", ""),
+    (network.Master(URI, "", True, ()), OK, "answers", ""),
+    (network.Master(URI, "", True, ("0.0.0.0", "127.0.0.1")), WARN, "every interface", "ROS_IP=127.0.0.1"),
+    (network.Master(URI, "", True, ("10.1.2.3",)), WARN, "listens on 10.1.2.3", "VPN"),
+    (network.Master("http://car:11311", "", False), WARN, "on another host", "VPN"),
+    (network.Master(URI, "Connection refused", True), WARN, "none runs at", "roslaunch starts one"),
+    (network.Master(URI, "timed out", True, ("0.0.0.0",)), BAD, "doesn't answer as a master", "End it"),
+    (network.Master("http://car:11311", "timed out", False), BAD, "on another host", "ping car"),
+    (network.Master("http://car:11311", "no", None), BAD, "can't be found", "/etc/hosts"),
+    (network.Master("", "no"), BAD, "not set", "setup.bash"),
+    (network.Master("localhost", "no"), BAD, "no master's address", "export ROS_MASTER_URI"),
 ], ids=["loopback", "tables_unreadable", "everywhere", "one_interface", "elsewhere", "none", "other",
          "elsewhere_silent", "unknown_host", "unset", "nonsense"])
 def test_master(master, level, words, remedy):
-    found, = check_master(master)
+    found, = network.check_master(master)
     assert found.level == level
     assert words in found.what and remedy in found.remedy and bool(found.remedy) == (level != OK)
 
 
 def test_own_name_is_found_as_ros_finds_it():
     both = {"ROS_HOSTNAME": "car", "ROS_IP": "10.0.0.1"}
-    assert local_name(both, "host") == "car"
-    assert local_name({"ROS_IP": "10.0.0.1"}, "host") == "10.0.0.1"
-    assert local_name({"ROS_HOSTNAME": "", "ROS_IP": ""}, "host") == "host"
+    assert network.local_name(both, "host") == "car"
+    assert network.local_name({"ROS_IP": "10.0.0.1"}, "host") == "10.0.0.1"
+    assert network.local_name({"ROS_HOSTNAME": "", "ROS_IP": ""}, "host") == "host"
 
 
 def address(name="10.0.0.1", resolves=True, is_here=True, is_loopback=False):
-    return LocalAddress(name, resolves, is_here, is_loopback)
+    return network.LocalAddress(name, resolves, is_here, is_loopback)
 
 
 @pytest.mark.parametrize("environment, own, master_is_here, level, words", [
@@ -93,5 +85,5 @@ def address(name="10.0.0.1", resolves=True, is_here=True, is_loopback=False):
     ({"ROS_IP": "10.0.0.1", "ROS_HOSTNAME": "car"}, address("car"), True, WARN, "the first one counts"),
 ], ids=["loopback", "lan", "host_name", "unknown_name", "no_name", "foreign", "loopback_but_master_elsewhere", "both"])
 def test_own_address(environment, own, master_is_here, level, words):
-    found, = check_local_address(environment, own, master_is_here)
+    found, = network.check_local_address(environment, own, master_is_here)
     assert found.level == level and words in found.what and bool(found.remedy) == (level != OK)

@@ -53,7 +53,6 @@ def test_terminals_are_those_of_the_kernel_s_drivers(number, expected):
 
 # --- the Teensy ---
 
-
 def probed(firmware=None, change=lambda data: data, baud=115200, begin_ns=50_000 * MS):
     """The finding about a Teensy behind a line that ``change`` spoils, and how long it took."""
     now_ns = begin_ns

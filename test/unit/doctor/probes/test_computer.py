@@ -3,10 +3,8 @@ from __future__ import annotations
 
 import ctypes
 import grp
-import importlib.metadata
 import io
 import os
-import sys
 import time
 import types
 
@@ -21,7 +19,6 @@ MASTER = "http://car:11311"
 
 
 # --- groups ---
-
 
 @pytest.mark.parametrize("mode, name, usual, group", [
     (0o20660, "gpio", "i2c", "gpio"), (0o20620, "tty", "dialout", "dialout"), (0o20600, "root", "dialout", "dialout"),
@@ -73,7 +70,6 @@ def test_gamepad_needs_its_group_only_while_it_cannot_be_read(member, monkeypatc
 
 # --- clock ---
 
-
 def kernel(monkeypatch, state):
     """A C library whose adjtimex returns ``state``; an exception = it is raised by loading it."""
     def load(name, use_errno):
@@ -98,31 +94,7 @@ def test_clock_is_as_synchronised_as_the_kernel_has_it(monkeypatch, state, level
     assert [finding.level for finding in computer.probe_clock(True)][:1] == [BAD], "a wrong year"
 
 
-# --- versions ---
-
-
-def test_versions_are_those_of_the_distributions(monkeypatch):
-    def version(distribution):
-        if distribution == "apart":
-            raise importlib.metadata.PackageNotFoundError(distribution)
-        return {"pyserial": "3.5"}[distribution]
-    modules = {"serial": types.ModuleType("serial"), "apart": types.SimpleNamespace(__version__="1.2"),
-               "built": types.ModuleType("built")}
-    monkeypatch.setattr(computer.importlib, "import_module", modules.__getitem__)
-    monkeypatch.setattr(importlib.metadata, "version", version)
-    monkeypatch.setattr(computer, "LIBRARIES", (("serial", "pyserial", ""), ("apart", "apart", ""), ("built", "", ""),
-                                                ("absent", "absent", "install it")))
-    monkeypatch.setattr(computer, "MESSAGES", ("json", "no_such_msgs"))
-    monkeypatch.setattr(sys, "version_info", (3, 8, 10, "final", 0))
-    found = [(finding.level, finding.what, finding.remedy) for finding in computer.probe_versions()]
-    assert found == [(OK, "Python 3.8.10, serial 3.5, apart 1.2, built", ""),
-                     (BAD, "absent can't be imported", "install it"),
-                     (BAD, "no_such_msgs can't be imported",
-                      "sudo apt install ros-noetic-no-such-msgs (Debian: python3-no-such-msgs)")]
-
-
 # --- packages ---
-
 
 @pytest.mark.parametrize("is_virtual, joy, levels", [
     (False, True, [OK, OK]), (False, False, [OK, WARN]), (True, False, [OK])],
@@ -135,7 +107,6 @@ def test_packages_are_those_of_the_tools_and_joy_for_a_car_with_hardware(is_virt
 
 
 # --- network ---
-
 
 @pytest.fixture
 def network(monkeypatch):

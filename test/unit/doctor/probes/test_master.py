@@ -148,7 +148,6 @@ def test_nothing_is_known_of_a_process_on_another_computer_or_with_wrong_argumen
 
 # --- files ---
 
-
 @pytest.fixture
 def car(tmp_path, served):
     """A car's folder, and its faults by a master that knows where turn_arb saves."""
