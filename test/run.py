@@ -2,7 +2,7 @@
 
 A *step* is one command with results of its own: the unit tests on one Python (test/unit), the tests of nodes in one
 process on one Python (test/graph), or one .test file with its own ROS master (test/process). Those of pytest come one
-after the other, each on every CPU; of the .test files, which mostly wait, four are at work at a time.
+after the other, each on every CPU. The .test files mostly wait: two of them are at work beside pytest, then four.
 """
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ from tally import Tally, tally
 
 TEST = Path(__file__).resolve().parent
 ROOT = TEST.parent
-AT_WORK = 4  # .test files at a time; one with --all, whose bounds are those of a machine that does nothing else
+# .test files at a time; with --all, whose bounds are those of a machine that does nothing else, one step.
+AT_WORK, BESIDE_PYTEST = 4, 2
 # Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 900 s.
 PROCESS_LIMIT_S, PYTEST_LIMIT_S = 900.0, 1800.0
 LONG_PYTEST_LIMIT_S = 3600.0  # with --all
@@ -116,7 +117,7 @@ def pytest_step(results: Path, title: str, python: Python, files: list[Path], py
         marks, title = (*marks, f"--hypothesis-seed={seed}"), f"{title}, seed {seed}"
     command = (python.path, "-m", "pytest", "-q", "--tb=short", "-p", "no:cacheprovider",
                "-o", f"faulthandler_timeout={PYTEST_TRACEBACK_S}", f"--junitxml={results / name / 'junit.xml'}",
-               "-n", str(len(os.sched_getaffinity(0)) + 1), "--dist", "loadfile", *marks, *map(str, files))
+               "-n", str(len(os.sched_getaffinity(0))), "--dist", "loadfile", *marks, *map(str, files))
     return Step(name, title, command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": python_path},
                 LONG_PYTEST_LIMIT_S if is_all else PYTEST_LIMIT_S, is_pytest=True, may_be_empty=python.is_second)
 
@@ -153,13 +154,13 @@ class Runner:
 
     Args:
         output: folder; the results are in ``results/STEP``, the nodes' logs in ``log/test/STEP``.
-        at_work: how many steps at a time.
+        is_alone: one step at a time.
     """
 
-    def __init__(self, output: Path, at_work: int):
+    def __init__(self, output: Path, is_alone: bool):
         self.tallies: dict[str, Tally] = {}  # by step
         self._results, self._logs = output / "results", output / "log" / "test"
-        self._at_work = at_work
+        self._is_alone = is_alone
         self._running: list[Running] = []
 
     def run(self, steps: list[Step]) -> None:
@@ -177,8 +178,12 @@ class Runner:
                 time.sleep(POLL_S)
 
     def _has_room_for(self, step):
-        at_work = 1 if step.is_pytest or any(each.step.is_pytest for each in self._running) else self._at_work
-        return len(self._running) < at_work
+        if self._is_alone:
+            return not self._running
+        by_pytest = sum(each.step.is_pytest for each in self._running)
+        if step.is_pytest:
+            return not by_pytest
+        return len(self._running) - by_pytest < (BESIDE_PYTEST if by_pytest else AT_WORK)
 
     def _begin(self, step):
         folder = self._results / step.name
@@ -230,17 +235,18 @@ def print_line(title: str, took_s: float, result: str = "") -> None:
     print(f"{title:<44} {took_s:7.1f} s   {result}", flush=True)
 
 
-def run(output: Path, steps: list[Step], at_work: int, skipped: int) -> int:
+def run(output: Path, steps: list[Step], is_alone: bool, skipped: int) -> int:
     """Run steps, print the results and their sum; return the exit code.
 
     SIGTERM ends the run early, as timeout(1) does in .ci/run when the run has taken too long: its results are printed,
     and what had not ended by itself counts as failed.
 
     Args:
+        is_alone: one step at a time.
         skipped: how many Pythons could not be prepared: each counts as a skipped test.
     """
     begun_s = time.monotonic()
-    runner = Runner(output, at_work)
+    runner = Runner(output, is_alone)
     try:
         runner.run(steps)
     except SystemExit as end:
@@ -284,7 +290,7 @@ def main() -> int:
     pythons = [Python(path, first if path == arguments.python[0] else
                       second if path == os.environ.get("CAR_INTERFACE_PYTHON38") else "", path != arguments.python[0])
                for path in arguments.python if os.access(path, os.X_OK)]
-    return run(arguments.output, all_steps(results, pythons, selected, arguments.all), 1 if arguments.all else AT_WORK,
+    return run(arguments.output, all_steps(results, pythons, selected, arguments.all), arguments.all,
                len(arguments.python) - len(pythons))
 
 

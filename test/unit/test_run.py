@@ -18,7 +18,7 @@ sys.path.insert(0, sys.argv[1])
 import run
 run.adopt_descendants()
 STEPS = {steps}
-sys.exit(run.run(Path(), [run.Step(name, name, *step) for name, step in STEPS.items()], 1, 0))
+sys.exit(run.run(Path(), [run.Step(name, name, *step) for name, step in STEPS.items()], True, 0))
 """
 
 

@@ -81,7 +81,7 @@ def test_socket_and_file_of_another_user_are_refused(shared):
     def make():
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
             listener.bind(f"{shared}/chip")
-        with open(f"{shared}/chip.lock", "w", encoding="ascii"):
+        with open(f"{shared}/chip.lock", "wb"):
             pass
     as_nobody(make)
     with pytest.raises(UnsafeFile, match=f"{shared}/chip is another user's: nobody's. See what it is"):
