@@ -13,6 +13,7 @@ import random
 import tempfile
 from pathlib import Path
 
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -127,6 +128,7 @@ def table(rows):
 @given(st.binary(max_size=200) | (st.text(max_size=200) | st.lists(
     st.lists(CELLS, min_size=1, max_size=5), max_size=6).map(table)).map(
         lambda text: text.encode("utf-8", "surrogatepass")))
+@pytest.mark.once
 @example(b"")
 @example(b"\xff\xfe\x00")
 @example(b'"\n\n\n')

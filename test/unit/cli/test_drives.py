@@ -68,6 +68,7 @@ def test_table_has_a_row_for_each_recording_of_whatever_kind(folder, capsys):
     assert page.endswith("</html>\n") and 'data-plot="trends"' in page and "day/ros2" in page
 
 
+@pytest.mark.once
 def test_second_run_reads_only_what_is_new_or_has_changed(folder, read, capsys):
     assert run(folder) == 0
     first = lines(folder)

@@ -66,6 +66,7 @@ def run(capfd):
     return run
 
 
+@pytest.mark.once
 def test_reports_and_the_table_of_odd_drives_are_made_without_a_word(bags, run, tmp_path):
     code, _, err = run("bag_report", *bags, "-o", tmp_path, "--jobs", "1")
     assert (code, err) == (0, "") and len(list(tmp_path.glob("*.html"))) == len(bags)
@@ -95,6 +96,7 @@ def test_map_of_an_odd_name_is_drawn_without_a_word(run, tmp_path):
     assert run("check_map", odd, "-o", tmp_path / "made.png")[::2] == (0, "")
 
 
+@pytest.mark.once
 def test_surroundings_of_matplotlib_bring_no_line_to_the_terminal(tmp_path):
     """Its folder can't be written, its settings have a typo, its backend isn't installed."""
     (tmp_path / "matplotlibrc").write_text("no.such.key: 1\nlines.linewidth: thick\n", encoding="utf-8")

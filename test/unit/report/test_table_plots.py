@@ -16,6 +16,7 @@ REVERSED = SteeringCalibration(6700, 5100, 3800, 0, RADII_M, (6700, 5900, 5400, 
 MAP = ValueMap([0, 1], [0, 2], [[-1, -2], [3, 2.5]])
 
 
+@pytest.mark.once
 def test_picture_is_of_the_kind_asked_for_and_has_the_files_name_without_its_folder():
     assert draw(STEERING, "pdf", "a").startswith(b"%PDF-")
     first = draw(STEERING, "svg", "/home/car/a")
