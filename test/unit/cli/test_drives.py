@@ -2,8 +2,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
-import json
 import os
 import shutil
 from pathlib import Path
@@ -12,7 +10,6 @@ import pytest
 
 from browser import Browser, find_browser
 from car_interface.cli import drives
-from car_interface.cli.drives_cache import NAME
 from car_interface.cli.main import main
 from written_recordings import Written, drive, odometry, write_ros1, write_ros2
 
@@ -90,21 +87,6 @@ def test_second_run_reads_only_what_is_new_or_has_changed(folder, read, capsys):
 
 
 @pytest.mark.once
-def test_damaged_row_of_the_cache_is_said_and_only_its_recording_is_read_again(folder, read, capsys):
-    run(folder)
-    first, path = lines(folder), Path(folder, NAME)
-    content = json.loads(path.read_text("ascii").split("\n")[1])
-    content["rows"]["drive.bag"][1][2] = "yesterday"
-    body = json.dumps(content)
-    path.write_text(f"{hashlib.sha256(body.encode('ascii')).hexdigest()}\n{body}\n", "ascii")
-    read.clear()
-    capsys.readouterr()
-    assert run(folder) == 0
-    assert sorted(read) == ["broken.bag", "drive.bag"] and lines(folder) == first
-    assert f"drives: {path} has damaged rows (1): their recordings are read again\n" in capsys.readouterr().err
-
-
-@pytest.mark.once
 def test_what_was_read_before_an_interruption_is_kept(folder, read, monkeypatch):
     def interrupted(drive, path):
         if path == "drive.bag":
@@ -148,14 +130,6 @@ def test_folder_in_which_nothing_can_be_read_fails_and_the_terminal_says_why(tmp
     assert shown.err.split("\n")[0] == "drives: a.bag has no topic /typo; it has /odom"
     assert shown.err.split("\n")[5:] == ["drives: and 2 more that can't be read: the page says why", ""]
     assert "7 can't be read" in shown.out
-
-
-def test_place_where_nothing_can_be_written_is_said_before_the_work_with_the_option_for_another(folder, read, capsys):
-    os.mkdir(os.path.join(folder, "drives.html"))
-    assert run(folder) == 1
-    assert capsys.readouterr().err == (f"drives: {folder}/drives.html is a folder: name a file for the output; -o FILE "
-                                       "writes it elsewhere\n")
-    assert read == []
 
 
 def test_folder_without_recordings_is_refused_in_one_line(tmp_path, capsys):

@@ -1,7 +1,6 @@
 """The same work on several recordings at once."""
 from __future__ import annotations
 
-import argparse
 import os
 from functools import partial
 
@@ -40,12 +39,3 @@ def test_error_ends_the_work(count, tmp_path):
 def test_process_that_was_killed_is_told():
     with pytest.raises(CarInterfaceError, match="was killed, maybe for want of memory: try again with --jobs 1"):
         list(jobs.for_each(dying, [1, 2], 2))
-
-
-@pytest.mark.parametrize("text", ["0", "x"])
-def test_number_of_jobs_must_be_one(text, capsys):
-    parser = argparse.ArgumentParser()
-    jobs.add_jobs_argument(parser)
-    with pytest.raises(SystemExit):
-        parser.parse_args(["--jobs", text])
-    assert "no number of at least 1" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import pytest
 
 from car_interface.cli.topics import add_topic_arguments, topics_of
 from car_interface.common.errors import ConfigError
-from car_interface.recordings.roles import ACKERMANN, COMMAND, IMU, ODOM, OUTPUT
+from car_interface.recordings.roles import ACKERMANN, IMU, ODOM, OUTPUT
 
 
 def parsed(*arguments):
@@ -43,11 +43,3 @@ def test_what_makes_no_sense_is_refused_by_its_text(arguments, words):
     with pytest.raises(ConfigError) as caught:
         topics_of(parsed(*arguments))
     assert words in str(caught.value)
-
-
-def test_help_has_every_role_with_what_it_is_its_usual_topics_in_order_and_whether_it_is_guessed():
-    parser = argparse.ArgumentParser()
-    add_topic_arguments(parser, (ODOM, COMMAND))
-    shown = " ".join(parser.format_help().split())
-    assert "odom (pose and speed; default: odom, else the only topic of its type)" in shown
-    assert "default: /servo/cmdVector or command)" in shown

@@ -2,27 +2,11 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import pytest
 
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
-
-
-def kept_beside(path):
-    return [other for other in path.parent.iterdir() if other.name.startswith(f"{path.name}.bak-")]
-
-
-@pytest.mark.parametrize("keeps_old", [False, True])
-def test_replaced_file_keeps_its_mode_and_is_kept_on_request(tmp_path, keeps_old):
-    path = tmp_path / "a"
-    path.write_text("old")
-    path.chmod(0o640)
-    aside = output.write(str(path), b"new", keeps_old)
-    assert path.read_text() == "new" and path.stat().st_mode & 0o777 == 0o640
-    assert [str(other) for other in kept_beside(path)] == ([aside] if keeps_old else [])
-    assert not keeps_old or Path(aside).read_text() == "old"
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root may give files away")

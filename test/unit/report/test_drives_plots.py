@@ -60,15 +60,6 @@ def test_what_no_drive_tells_has_no_panel_and_what_one_lacks_is_a_gap(figure):
     assert figure[1].axes[2].lines[-1].get_xdata().tolist() == [0, 1]
 
 
-def test_axis_is_labelled_with_dates(figure):
-    trends([BLIND, *ROWS * 10])
-    labels = [label.get_text() for label in figure[0].axes[-1].get_xticklabels()]
-    assert labels[-1] == "2023-11-17\n22:13" and len(labels) == 7
-    trends([BLIND, *ROWS])
-    labels = [label.get_text() for label in figure[1].axes[-1].get_xticklabels()]
-    assert labels[0] == "no date" and len(labels) == 5
-
-
 @pytest.mark.once
 @pytest.mark.parametrize("count", [7, 14, 47])
 def test_labels_stand_evenly_so_that_none_covers_its_neighbour(figure, count):

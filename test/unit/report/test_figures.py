@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from car_interface.report.downsample import Trace
-from car_interface.report.figures import bands, curve, label_text, stack, time_axis, usual_magnitude
+from car_interface.report.figures import bands, curve, label_text, stack, usual_magnitude
 from car_interface.report.steering_state import UNKNOWN_DRIVER, Episode
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, PLANNER, TELEOP
 
@@ -52,15 +52,6 @@ def test_bands_are_start_width_and_source(episodes, expected):
 
 
 # --- axes ---
-
-
-@pytest.mark.parametrize("duration_s, end_s, label", [
-    (0, 0.001, "seconds"), (180, 180, "seconds"), (181, 181, "minutes:seconds")])
-def test_time_axis_has_the_length_of_the_drive_and_minutes_from_three_on(duration_s, end_s, label, axes):
-    time_axis(axes, drive(duration_s))
-    assert axes.get_xlim() == (0, end_s) and axes.get_xlabel() == label
-    if duration_s > 180:
-        assert axes.xaxis.get_major_formatter()(125.0, 0) == "2:05"
 
 
 def test_stack_has_the_wanted_panels_and_labels_the_last_one():

@@ -9,15 +9,11 @@ from car_interface.report.html import (
     MAX_ROWS,
     OPEN_ROWS,
     counted,
-    date_text,
     document,
     moment_text,
     range_text,
-    ratio_text,
-    section,
     span_text,
     table,
-    times_text,
 )
 
 
@@ -26,24 +22,6 @@ def test_document_is_a_page_with_an_escaped_title_and_the_body_as_it_is():
     assert text.startswith("<!DOCTYPE html>\n<html lang=\"en\">") and text.endswith("</body>\n</html>\n")
     assert "<title>&lt;b&gt; &amp; co</title>" in text
     assert "<main>\n<p>body</p>\n</main>" in text
-
-
-@pytest.mark.parametrize("ratio, words", [(1.0, "as asked"), (1.014, "as asked"), (0.986, "as asked"),
-                                          (1.1, "10% faster than asked"), (0.5, "50% slower than asked"),
-                                          (500.0, "more than 10 times faster than asked")])
-def test_ratio_is_in_words(ratio, words):
-    assert ratio_text(ratio, "asked", "faster", "slower") == words
-
-
-def test_date_of_a_clock_that_began_at_0_is_none():
-    assert date_text(1_700_000_000_000_000_000) == "2023-11-14 22:13:20 UTC"
-    assert date_text(47_600_000_000) == "no date: its clock began at 0, 47.6 s before"
-
-
-def test_section_escapes_its_title_only_and_a_plot_can_be_scrolled():
-    assert section("link", "A < B", "<i>text</i>", "<svg/>", "<br>") == (
-        '<section id="link">\n<h2>A &lt; B</h2>\n<p class="faint"><i>text</i></p>\n'
-        '<div class="scroll"><svg/></div>\n<br></section>\n')
 
 
 def test_table_escapes_names_and_takes_cells_as_html():
@@ -87,10 +65,6 @@ def test_texts_are_counted_and_the_six_most_frequent_are_named(texts, line):
 def test_range_has_two_decimals_and_its_unit_and_no_negative_zero():
     assert range_text(-0.5, 12.346, "m/s²") == "-0.50 to 12.35 m/s²"
     assert range_text(-0.001, 1.0, "m/s") == "0.00 to 1.00 m/s"
-
-
-def test_small_counts_are_words():
-    assert [times_text(count) for count in (0, 1, 2, 3)] == ["never", "once", "twice", "3 times"]
 
 
 @pytest.mark.parametrize("time_s, duration_s, text", [

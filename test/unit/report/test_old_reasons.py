@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from car_interface.common import causes
-from car_interface.report.old_reasons import BEGINNINGS, UNKNOWN, cause_of
+from car_interface.report.old_reasons import UNKNOWN, cause_of
 
 
 @pytest.mark.parametrize("reason, is_loss", [
@@ -29,9 +29,3 @@ def test_cause_in_the_message_counts_whatever_its_reason_says():
 
 def test_reason_that_is_not_in_the_table_has_an_unknown_cause():
     assert cause_of(SimpleNamespace(reason="something else")) == UNKNOWN
-
-
-def test_no_beginning_hides_a_later_one():
-    beginnings = [beginning for beginning, _ in BEGINNINGS]
-    assert [(one, later) for index, one in enumerate(beginnings) for later in beginnings[index + 1:]
-            if later.startswith(one)] == []

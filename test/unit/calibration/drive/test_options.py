@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
+from car_interface.calibration.drive.config import DriveConfig
 from car_interface.calibration.drive.options import drive_config, parse
 from car_interface.common.errors import ConfigError
 
@@ -27,7 +27,3 @@ def test_options_are_read_and_those_of_the_drive_are_its_settings():
 def test_an_impossible_number_is_refused_by_its_parameters_name(field, value, parameter):
     with pytest.raises(ConfigError, match=rf"^{parameter}\b.*a number from"):
         DriveConfig(**{field: value})
-
-
-def test_the_default_is_six_metres_and_five_minutes():
-    assert (2 * DEFAULTS.radius_m, DEFAULTS.max_time_s, DEFAULTS.obstacles) == (6.0, 300.0, None)

@@ -62,17 +62,6 @@ def test_picture_says_how_much_is_missing_and_when_it_can_be_ended_and_is_over()
         " 24%, 0:42 driven, about 2:10 left; paused: hold the button")
 
 
-def test_picture_before_the_first_fit_has_no_legend_and_no_center():
-    text = "no deadman is held; hold the autonomous deadman and it goes on"
-    made = terminal.drive_lines(Step(None, 0.0, PAUSED, text), progress(fraction=0.0, left_s=200.0))
-    assert made == [
-        "paused: no deadman is held; hold the autonomous deadman and it goes on",
-        "[........................]   0%   0:42 driven, about 3:20 left, 9 positions",
-        "left   nothing known yet",
-        "right  nothing known yet",
-    ]
-
-
 def test_instruction_that_is_longer_than_the_terminal_is_wrapped_and_whole():
     text = ("it stands 2.9 m from where it began, with no room to turn: move it towards the middle by hand or by the "
             "manual deadman, then hold the button again")

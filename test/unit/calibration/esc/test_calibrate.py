@@ -1,4 +1,4 @@
-"""From what a drive shows to the parameters in a file, and the lines of the report."""
+"""From what a drive shows to the parameters in a file."""
 from __future__ import annotations
 
 import functools
@@ -10,7 +10,6 @@ from calibration.esc.synthetic import Person
 from car_interface.calibration.esc.calibrate import Calibrated, calibrate, yaml_text, yaml_values
 from car_interface.calibration.esc.fit import EscFit
 from car_interface.calibration.esc.recorded import RecordedDrive
-from car_interface.calibration.esc.report import report
 from car_interface.common.errors import CarInterfaceError
 from car_interface.recordings.overlap import Trail
 from car_interface.sim import esc as virtual
@@ -80,35 +79,3 @@ def test_file_that_had_a_calibration_drive_has_none_any_more():
     text = yaml_text(Calibrated(WHOLE, 4912.0, False), base(calibration_drive=True),
                      "servo: {neutral: 4912, duty_table: [3277, 4912, 6554]}\nesc:\n  calibration_drive: true\n", [])
     assert "calibration_drive: false" in text
-
-
-# --- the report ---
-
-
-def reported(path, *notes):
-    return RecordedDrive(path, None, notes, 80.4, Trail(path, *[np.zeros(0)] * 3))
-
-
-def test_each_parameter_has_its_value_the_old_one_and_what_shows_it():
-    fit = EscFit("direct_reverse", 4912.2, 0.11, 0.08, None, None, 0.45,
-                 ("esc/profile: 3 brakes", "servo/neutral: the car set off: twice",
-                  "esc/drag_deceleration: 0.45 to 0.5"), ())
-    drives = [reported("a.bag", "odom: a note"), reported("b.bag")]
-    assert list(report(Calibrated(fit, 4912.2, False), drives, base())) == [
-        "ESC by a.bag, b.bag: 161 s",
-        "  odom: a note",
-        "  esc/profile: direct_reverse (was unverified): 3 brakes",
-        "  servo/neutral: 4912: the car set off: twice",
-        "  esc/dead_band_forward: 0.11 (was 0.08): from there to where the car sets off",
-        "  esc/dead_band_reverse: 0.08: from there to where the car sets off",
-        "  esc/dwell: not shown by the drive, stays 0.5 s",
-        "  esc/reverse_after_neutral: not shown by the drive, stays 0.0 s",
-        "  esc/drag_deceleration: 0.45 m/s² (was 0.3 m/s²): 0.45 to 0.5",
-    ]
-
-
-def test_what_is_missing_stands_below():
-    fit = EscFit(*[None] * 7, (), ("the profile: drive", "esc/dwell: drive"))
-    lines = list(report(Calibrated(fit, None, False), [reported("a.bag")], base()))
-    assert lines[1] == "  esc/profile: not shown by the drive, stays unverified"
-    assert lines[-2:] == ["  missing: the profile: drive", "  missing: esc/dwell: drive"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from car_interface.calibration.steering.ends import Side
-from car_interface.calibration.steering.problems import find_problems, radius_text
+from car_interface.calibration.steering.problems import find_problems
 from car_interface.calibration.steering.table import DRIVEN, LEFT, RIGHT, UNKNOWN, Breakpoint
 
 RADII_M = (1.0, 2.0, 5.0, 20.0)
@@ -60,7 +60,3 @@ def test_duties_to_drive_are_named_for_each_gap():
 def test_center_that_is_not_known_is_a_problem(found, problem):
     (text,) = find_problems(found, {LEFT: ALL, RIGHT: ALL})
     assert text.startswith(problem)
-
-
-def test_radius_of_a_curvature_is_text():
-    assert (radius_text(0.5), radius_text(0.0)) == ("2.00 m", "none")

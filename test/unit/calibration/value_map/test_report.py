@@ -10,7 +10,7 @@ import pytest
 
 from car_interface.calibration.value_map import table as tables
 from car_interface.calibration.value_map.fit import Fit, Ground
-from car_interface.calibration.value_map.recorded import IMU, Source
+from car_interface.calibration.value_map.recorded import Source
 from car_interface.calibration.value_map.report import coverage_text, report
 from car_interface.calibration.value_map.table import Table
 
@@ -74,12 +74,6 @@ def test_report_names_prior_notes_problems_and_what_holds_at_standstill():
     assert found[-3:] == ["", "not good enough: too few values", "not good enough: poor"]
 
 
-def test_imu_measures_when_it_is_the_source():
-    found = lines(source=Source(topics={"value": "throttle"}, measured_by=IMU))
-    assert found[1].endswith("accelerations by the IMU, its bias by the wheels")
-    assert any("gravity is in what an accelerometer feels" in line for line in found)
-
-
 @pytest.mark.parametrize("changes, text", [
     ({}, "80 ± 4 ms (estimated)"),
     ({"delay_sigma_s": 0.0001}, "80 ± 1 ms (estimated)"),
@@ -106,15 +100,6 @@ def test_slope_is_given_by_its_size_and_direction_or_by_what_takes_its_place():
 
 
 # --- the map ---
-
-
-def test_coverage_is_a_grid_with_the_largest_value_on_top():
-    assert coverage_text(fit_of([[1, 1, 0], [1, 1, 1], [0, 0, 0]]), None).split("\n") == [
-        "what was driven: # enough, . not enough",
-        "    value |    0.5    1.0    2.0 m/s",
-        "      1.0 |      .      .      .",
-        "      0.0 |      #      #      #",
-        "     -1.0 |      #      #      ."]
 
 
 def test_coverage_shows_the_origin_inside_of_the_table_and_what_is_cut_off():

@@ -40,10 +40,3 @@ def test_in_a_terminal_no_line_is_too_long_and_words_stay_whole():
 def test_a_command_is_never_broken_at_a_hyphen():
     for length in range(40, 62):  # wherever the line ends, it isn't in the middle of the command
         assert "apt-get" in render(Finding(BAD, "port", "x" * length + " apt-get"), 80)
-
-
-@pytest.mark.parametrize(("finding", "code"), [(GOOD, "32m"), (SO_SO, "1;33m"), (POOR, "1;31m")])
-def test_colour_is_on_the_level_alone(finding, code):
-    plain, coloured = render(finding, 80), render(finding, 80, colour=True)
-    assert coloured == f"\033[{code}{plain[:4]}\033[0m{plain[4:]}"
-    assert "\033" not in plain
