@@ -12,7 +12,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,23 +44,16 @@ def bag():
     return record()
 
 
-class Calibrated(NamedTuple):
-    """What the command made of the drive, in place of a file of the car's."""
-
-    path: Path
-    out: str
-    base_text: str
-
-
 @pytest.fixture(scope="module")
 def calibrated(bag, tmp_path_factory):
+    """What the command made of the drive, in place of a file of the car's."""
     path = tmp_path_factory.mktemp("calibrated") / "turn_arb.yaml"
     base_text = STOCK.read_text(encoding="utf-8") + "slew_limit: 9000  # gently\n"
     path.write_text(base_text, encoding="utf-8")
     path.chmod(0o640)
     with contextlib.redirect_stdout(io.StringIO()) as out:
         assert run(bag, "-o", path, "--base", path) == 0
-    return Calibrated(path, out.getvalue(), base_text)
+    return SimpleNamespace(path=path, out=out.getvalue(), base_text=base_text)
 
 
 def run(*arguments):

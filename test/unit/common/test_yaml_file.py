@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import pytest
 import yaml
@@ -12,13 +11,6 @@ from hypothesis import strategies as st
 from car_interface.common.errors import ConfigError
 from car_interface.common.yaml_edit import edited, rewritten, save
 from car_interface.common.yaml_file import MAX_BYTES, compose_yaml, load_yaml, scalar_number
-
-CONFIG = Path(__file__).resolve().parents[3] / "config"
-
-
-@pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda path: path.name)
-def test_shipped_file_is_read_as_yaml_has_it(path):
-    assert load_yaml(str(path)) == yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("text", [

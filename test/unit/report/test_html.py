@@ -5,16 +5,7 @@ import re
 
 import pytest
 
-from car_interface.report.html import (
-    MAX_ROWS,
-    OPEN_ROWS,
-    counted,
-    document,
-    moment_text,
-    range_text,
-    span_text,
-    table,
-)
+from car_interface.report.html import MAX_ROWS, OPEN_ROWS, counted, document, moment_text, range_text, span_text, table
 
 
 def test_document_is_a_page_with_an_escaped_title_and_the_body_as_it_is():

@@ -5,8 +5,6 @@ test_captures.py holds the rest against long captures of it. Parser and encoders
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import teensy_bench
 from car_interface.sim.teensy_config import FirmwareConfig
@@ -91,17 +89,6 @@ def test_next_event_is_when_something_happens():
         bench.until(bench.teensy.next_event_ns)
         assert bench.teensy.next_event_ns > bench.now_ns
     assert bench.now_ns > S
-
-
-@settings(max_examples=25)
-@given(st.lists(st.integers(1, 30 * MS), min_size=1, max_size=40), st.sampled_from([9600, 57600, 115200]))
-def test_line_never_sends_faster_than_its_baud_rate(spans_ns, baud):
-    bench = Bench(lambda sensor, at_ns: 300, baud=baud, sonar_wait_ms=0)
-    for span_ns in spans_ns:
-        before = len(bench.sent)
-        bench.after(span_ns).command(teensy_bench.GET_COUNTERS)
-        # Of the byte that is on the wire at the start of the span all but the last bit may be out already.
-        assert len(bench.sent) - before <= span_ns * baud / (10 * S) + 1
 
 
 def test_line_cut_loses_only_what_was_not_out():

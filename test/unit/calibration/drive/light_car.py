@@ -37,8 +37,7 @@ class LightCar:
         seconds: since the start.
     """
 
-    def __init__(self, drive, curve=CURVE, lag_s=0.1, accelerates_mps2=2.0, fits=True,
-                 slows_mps2=2.0):
+    def __init__(self, drive, curve=CURVE, lag_s=0.1, accelerates_mps2=2.0, fits=True, slows_mps2=2.0):
         self.drive, self._curve, self._lag_s, self._accelerates_mps2 = drive, curve, lag_s, accelerates_mps2
         self._slows_mps2 = slows_mps2
         self.pose, self.speed_mps, self.servo, self.duty = Pose(0.0, 0.0, 0.0), 0.0, 5180.0, 5180

@@ -43,11 +43,3 @@ def test_it_asks_again_only_after_three_more():
     assert one.asked == LEFT and one.drive(RIGHT) is None
     one.update_motion(-THREE_RAD)
     assert one.drive(RIGHT) == LEFT
-
-
-def test_the_text_says_where_to_place_it():
-    one = LostTurns()
-    one.ask(LEFT)
-    assert one.text((0.625, -0.8)) == (
-        "left turns are missing, and no way leads to one: place the car so that the middle is about 1.6 m to its left, "
-        "by hand or by the manual deadman, then hold the button again")

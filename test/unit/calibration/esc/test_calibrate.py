@@ -38,13 +38,10 @@ def base(**esc):
     return ThrottleConfig(RISING, ArbiterConfig(), EscConfig(**esc), ThrottleLimits(), None, None)
 
 
-def test_drive_becomes_the_fit_s_numbers():
+def test_drive_becomes_the_fit_s_numbers_and_the_neutral_of_a_mirrored_one_is_mirrored_back():
     found = calibrate([recorded()], RISING)
     assert (found.fit.profile, found.problems, found.mirrored) == ("brake_then_reverse", (), False)
     assert found.neutral == found.fit.neutral
-
-
-def test_neutral_of_a_mirrored_drive_is_mirrored_back():
     found = calibrate([recorded()], FALLING)
     assert found.neutral == pytest.approx(2 * 4912 - found.fit.neutral)
 
