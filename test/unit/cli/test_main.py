@@ -77,17 +77,13 @@ def test_what_is_not_understood_is_2(command, arguments, capsys):
 def test_output_that_nobody_reads_any_more_is_no_fault():
     read, write = os.pipe()
     os.close(read)
+    path = os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])
     try:
         done = subprocess.run([sys.executable, "-B", "-m", "car_interface.cli.main", "check_map", str(TABLE)],
-                              env={"PYTHONPATH": path_for_children()}, stdout=write, stderr=subprocess.PIPE, text=True,
-                              check=False)
+                              env={"PYTHONPATH": path}, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
     finally:
         os.close(write)
     assert (done.returncode, done.stderr) == (1, "")
-
-
-def path_for_children():
-    return os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])
 
 
 # --- what is installed ---

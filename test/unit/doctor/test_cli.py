@@ -13,14 +13,11 @@ from car_interface.doctor.cli import read_options, show
 from car_interface.doctor.examination import Options
 
 
-def test_options_by_default_name_nothing_but_the_namespace(monkeypatch):
+def test_options_are_read_without_remappings_and_by_default_name_nothing_but_the_namespace(monkeypatch):
     monkeypatch.delenv("ROS_NAMESPACE", raising=False)
     assert read_options([]) == Options(None, None, None, None)
     monkeypatch.setenv("ROS_NAMESPACE", "car1/")
     assert read_options([]).namespace == "/car1"
-
-
-def test_options_are_read_and_remappings_are_left_out():
     arguments = ["--port", "/dev/ttyACM0", "__name:=doctor", "--i2c", "7", "--address", "0x41", "--ns", "/a/b/"]
     assert read_options(arguments) == Options("/dev/ttyACM0", "7", 0x41, "/a/b")
 

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,23 +17,13 @@ pytestmark = pytest.mark.once
 BASE_TEXT = (Path(__file__).resolve().parents[4] / "config/turn_arb.yaml").read_text(encoding="utf-8")
 
 
-class Recorded(Samples):
+def recorded(whole):
     """The samples of a synthetic drive."""
-
-    def __init__(self, whole):
-        super().__init__()
-        self._whole = whole
-
-    def drive(self):
-        return self._whole
-
-    @property
-    def duration_s(self):
-        return float(self._whole.t_s[-1]) if len(self._whole.t_s) else 0.0
+    return SimpleNamespace(drive=lambda: whole, duration_s=float(whole.t_s[-1]))
 
 
 def test_enough_gives_the_file_with_center_and_ends_unless_its_base_cannot_be_edited():
-    whole = Recorded(drive(mixed(3900, 6400)))
+    whole = recorded(drive(mixed(3900, 6400)))
     found = conclude(whole, base(), BASE_TEXT, "drive.bag")
     assert found.refusal == "" and found.center_duty == pytest.approx(5200, abs=10)
     assert found.ends_duty == pytest.approx((3900, 6400), abs=20)
@@ -48,7 +39,7 @@ def test_enough_gives_the_file_with_center_and_ends_unless_its_base_cannot_be_ed
 
 
 def test_too_little_is_refused_in_the_tools_words():
-    found = conclude(Recorded(drive(mixed(5200, 6400))), base(), BASE_TEXT, "drive.bag")
+    found = conclude(recorded(drive(mixed(5200, 6400))), base(), BASE_TEXT, "drive.bag")
     assert found.yaml_text == "" and "left turns" in found.refusal and found.center_duty == 0
     assert "; ".join(found.missing) == found.refusal
 
@@ -60,5 +51,5 @@ def test_without_samples_it_says_so():
 
 def test_exchanged_ends_are_refused():
     whole = drive(mixed(3900, 6400), curve=lambda duty: -true_curvature(duty))
-    found = conclude(Recorded(whole), base(), BASE_TEXT, "drive.bag")
+    found = conclude(recorded(whole), base(), BASE_TEXT, "drive.bag")
     assert found.yaml_text == "" and "exchange servo_left and servo_right" in found.refusal and found.missing == ()

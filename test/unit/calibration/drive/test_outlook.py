@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -20,22 +21,15 @@ LEFT, CENTER, RIGHT = 3900, 5184, 6400
 ACROSS = Pose(-2.0, 0.0, 0.0)
 
 
-class SeenStops:
-    """Stops that showed this."""
-
-    def __init__(self, least_mps2=math.inf, sure_mps2=0.0):
-        self.least_mps2, self.sure_mps2 = least_mps2, sure_mps2
-
-
 def outlook(pose, speed_mps=1.0, braking_mps2=1.0, **stops):
-    """Of a car that rolls straight on and is at a pose by now."""
+    """Of a car that rolls straight on, is at a pose by now, and was seen to stop as the last arguments say."""
     motion, config = Motion(), DriveConfig(braking_mps2=braking_mps2)
     for tick in range(20):
         motion.update(moved(pose, -0.02 * speed_mps * (19 - tick), 0.0), speed_mps, tick * S // 50)
     survey = Survey(base(), 300.0)
     survey.knowledge = Knowledge(1, "", delay=Delay(0.05, 0.15, 1.0))
-    one = Outlook(base(), config, survey, motion, Area((0.0, 0.0), 2.88), None,
-                  SeenStops(**stops))
+    seen = SimpleNamespace(**{"least_mps2": math.inf, "sure_mps2": 0.0, **stops})
+    one = Outlook(base(), config, survey, motion, Area((0.0, 0.0), 2.88), None, seen)
     one.servo_duty = CENTER
     return one
 
