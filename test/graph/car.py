@@ -45,7 +45,6 @@ CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd
 
 
 def config(name: str) -> dict:
-    """The parameters in one of the package's files."""
     with open(os.path.join(CONFIG, name), encoding="utf-8") as file:
         return yaml.safe_load(file)
 

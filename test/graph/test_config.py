@@ -84,7 +84,6 @@ REFUSALS = [
 
 
 def read(node, values):
-    """What a node makes of parameters."""
     return importlib.import_module(f"car_interface.nodes.{node}").read_config(Params(values))
 
 
@@ -99,7 +98,6 @@ def loaded(file, *arguments):
 
 
 def below(launch, namespace):
-    """The parameters below a namespace."""
     return {name[len(namespace):]: param.value for name, param in launch.params.items() if name.startswith(namespace)}
 
 
@@ -205,6 +203,16 @@ def test_car_to_practise_with_has_a_steering_of_its_own_and_obeys_speeds():
     assert (values["planner_interface/source"], values["car_sim/steering_duties"][0]) == ("speed", 3800)
     assert not values["car_sim/obstacles"] and "car_sim/steering/servo_center" not in values
     assert "demo_drive" not in [node.type for node in launch.nodes]
+
+
+@pytest.mark.parametrize("one_process", ["false", "true"])
+@pytest.mark.parametrize("line, grants", [("", False), ("grant_at_start: true", True)])
+def test_car_grants_nothing_at_its_start_unless_its_owner_s_file_says_so(tmp_path, one_process, line, grants):
+    shutil.copytree(CONFIG, tmp_path / "mine")
+    for path in (tmp_path / "mine").glob("*.yaml"):
+        path.write_text(path.read_text(encoding="utf-8").replace("grant_at_start: false", line), encoding="utf-8")
+    launch = loaded("car.launch", f"config:={tmp_path}/mine", "throttle:=true", f"one_process:={one_process}")
+    assert [below(launch, f"/{node}/")["grant_at_start"] for node in ("turn_arb", "throttle_arb")] == [grants] * 2
 
 
 OURS, THEIRS = [("car_interface", "gamepad_joy")], [("joy", "joy_node")]

@@ -17,15 +17,14 @@ import unittest
 from concurrent.futures import ThreadPoolExecutor
 from fcntl import ioctl
 from typing import NamedTuple
-from xmlrpc.client import ServerProxy
 
-import rosgraph
 import rosnode
 import rospy
 import rostest
 from car_interface.msg import LinkStatus
 from car_interface.srv import InjectFault
 
+from closing import pid_of
 from waiting import PATIENCE_S, NodeProcess, Topic, eventually, executable, set_params, start
 
 OK, WARN, BAD = "ok", "warn", "bad"
@@ -57,7 +56,6 @@ class Examination(NamedTuple):
 
     @property
     def findings(self):
-        """Level, subject and text of each finding."""
         found = [re.match(r"(ok|warn|bad) +(\S+) +(.*)", line) for line in self.lines[:-1]]
         return [match.groups() for match in found]
 
@@ -66,15 +64,8 @@ class Examination(NamedTuple):
 
 
 def run(*command, env=None, cwd=None):
-    """Run a program to its end, in pipes."""
     return subprocess.run(command, env={**os.environ, **(env or {})}, cwd=cwd, stdin=subprocess.DEVNULL,
                           capture_output=True, text=True, timeout=120, check=False)
-
-
-def pid_of(node):
-    """The process of a node that roslaunch started."""
-    uri = rosnode.get_api_uri(rosgraph.Master(rospy.get_name()), node, skip_cache=True)
-    return ServerProxy(uri).getPid(rospy.get_name())[2]
 
 
 class Doctor(unittest.TestCase):
@@ -139,7 +130,6 @@ class Doctor(unittest.TestCase):
                 done.result()
 
     def publish(self, *arguments):
-        """Publish until the test ends."""
         process = start(self, "rostopic", "pub", "-r", "10", *arguments)
         self.addCleanup(process.end)
 

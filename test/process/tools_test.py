@@ -14,7 +14,6 @@ import time
 import tty
 import unittest
 from contextlib import suppress
-from xmlrpc.client import ServerProxy
 
 import rosbag
 import rosgraph
@@ -30,6 +29,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from car_interface.common import causes
+from closing import pid_of
 from terminal import Terminal
 from waiting import PACKAGE, NodeProcess, Repeater, Sender, Topic, eventually, executable, set_params, start
 
@@ -333,13 +333,9 @@ class Tools(unittest.TestCase):
         self.assertFalse(answer.success)
         self.assertIn("turn_arb.yaml is the package's own, which the demo leaves as it is", answer.message)
 
-        def uri():
-            with suppress(Exception):
-                return rosgraph.Master(rospy.get_name()).lookupNode("/turn_arb")
-            return None
-        before = uri()
-        os.kill(ServerProxy(before).getPid(rospy.get_name())[2], signal.SIGKILL)
-        eventually(lambda: uri() not in (None, before), "the new turn_arb")
+        before = pid_of("/turn_arb")
+        os.kill(before, signal.SIGKILL)
+        eventually(lambda: pid_of("/turn_arb") not in (None, before), "the new turn_arb")
         self.steering.wait_for(lambda state: state.source == SteeringState.NO_HUMAN and state.duty == 5150,
                                self.steering.mark())
 
