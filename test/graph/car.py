@@ -406,5 +406,4 @@ class Car:
         return self.truth().twist.twist.linear.x
 
     def seconds_since(self, at_ns: int) -> float:
-        """Return how long ago that was."""
         return (self.graph.now_ns - at_ns) / NS_PER_S

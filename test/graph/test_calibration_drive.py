@@ -112,7 +112,6 @@ class Practice(Car):
         return self
 
     def wait_for(self, pattern, within_s=60.0):
-        """Run until the terminal shows it; return the match."""
         self.graph.run_until(lambda: re.search(pattern, self.terminal.text), within_s)
         return re.search(pattern, self.terminal.text)
 

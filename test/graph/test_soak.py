@@ -76,7 +76,6 @@ class Soak:
         self.graph.run(self.choose.uniform(0.3, 1.5))
 
     def stopped(self, within_s, *pins):
-        """They are at rest within that time, and stay so."""
         self.graph.run_until(lambda: self.at_rest(*pins), within_s + TIMER_S)
         since_ns = self.graph.now_ns
         self.graph.run(self.choose.uniform(0.2, 2.0))

@@ -176,7 +176,6 @@ class TwoCarsDrive(unittest.TestCase):
 
 
 def digests():
-    """Of the package's files."""
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(SHIPPED.iterdir())}
 
 

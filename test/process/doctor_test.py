@@ -141,7 +141,6 @@ class Doctor(unittest.TestCase):
         call(fault, value)
 
     def stop(self, *nodes):
-        """Stop processes until the test ends; return their numbers."""
         pids = [pid_of(node) for node in nodes]
         for pid in pids:
             self.addCleanup(os.kill, pid, signal.SIGCONT)
@@ -171,11 +170,8 @@ class Doctor(unittest.TestCase):
         self.publish("/car1/control/command/control_cmd", "std_msgs/Float64", "2.0")
         self.publish("/car1/teleop_logi/human_in_loop", "std_msgs/Bool", "false")
         self.publish("/car1/servo/cmdVector", "std_msgs/Int32MultiArray", f"{{data: [5100{', -1' * 15}]}}")
-
-        def are_there():
-            names = rosnode.get_node_names()
-            return sum(name.startswith("/rostopic_") for name in names) >= 3
-        eventually(are_there, "the publishers")
+        eventually(lambda: sum(name.startswith("/rostopic_") for name in rosnode.get_node_names()) >= 3,
+                   "the publishers")
         self.look(NO_JOY,
                   *((BAD, "topics", words, remedy) for words, remedy in (
                       ("publishes std_msgs/Float64 on /car1/control/command/control_cmd, which takes car_interface/C",

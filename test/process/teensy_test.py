@@ -44,7 +44,6 @@ while True: os.read(port, 1)
 
 
 def call(hub, name, service_type=Trigger, *arguments):
-    """Success and message of a service."""
     rospy.wait_for_service(f"/{hub}/{name}", PATIENCE_S)
     answer = rospy.ServiceProxy(f"/{hub}/{name}", service_type)(*arguments)
     return answer.success, answer.message
@@ -112,7 +111,6 @@ class Line:
 
 
 class LaunchedCar(unittest.TestCase):
-    """The car that the launch files have started."""
 
     @classmethod
     def setUpClass(cls):
@@ -181,7 +179,6 @@ class LaunchedCar(unittest.TestCase):
 
 
 class ByItself(unittest.TestCase):
-    """Hubs and simulators on lines of their own."""
 
     def setUp(self):
         directory = tempfile.TemporaryDirectory()

@@ -129,7 +129,6 @@ class Car:
         return self.start(node, *program, *arguments, env=self._node_env)
 
     def load(self, node, *names):
-        """Set a node's parameters from files in config/."""
         for name in names:
             self._rosparam("load", os.path.join(PACKAGE, "config", name), node)
 

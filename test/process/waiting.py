@@ -239,7 +239,6 @@ def executable(node: str) -> str:
 
 
 def config(*names: str) -> dict:
-    """Parameters from files in config/."""
     values: dict = {}
     for name in names:
         with open(os.path.join(PACKAGE, "config", name), encoding="utf-8") as file:
@@ -310,6 +309,5 @@ def set_params(test, namespace: str, values: dict) -> None:
 
 
 def delete_param(path) -> None:
-    """Take a parameter from the server, if it is there."""
     if rospy.has_param(path):
         rospy.delete_param(path)
