@@ -45,7 +45,6 @@ CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd
 
 
 def config(name: str) -> dict:
-    """The parameters in one of the package's files."""
     with open(os.path.join(CONFIG, name), encoding="utf-8") as file:
         return yaml.safe_load(file)
 
@@ -407,5 +406,4 @@ class Car:
         return self.truth().twist.twist.linear.x
 
     def seconds_since(self, at_ns: int) -> float:
-        """Return how long ago that was."""
         return (self.graph.now_ns - at_ns) / NS_PER_S

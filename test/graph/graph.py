@@ -14,9 +14,10 @@ import itertools
 import logging
 import threading
 from collections import defaultdict
+from contextlib import contextmanager
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any, Callable, NamedTuple
+from typing import Any, Callable, Iterator, NamedTuple
 
 import rospy
 
@@ -501,11 +502,6 @@ class Call:
         return answer
 
 
-class Link(NamedTuple):
-    delay_s: float = 0.0
-    loses: Callable[[Any], bool] = lambda message: False
-
-
 class Graph:
     """All nodes, their messages, and the clock.
 
@@ -529,7 +525,7 @@ class Graph:
         self.log: list[Line] = []
         self.master_fault = ""
         self._parameters: dict = {}
-        self._links: list[tuple[str, str, str, Link]] = []
+        self._links: list[tuple] = []
         self._last_arrivals: dict[int, int] = {}
         self._senders: dict[tuple[str, str], TopicPublisher] = {}
         self._held: dict[tuple[str, str], Callable[[], None]] = {}
@@ -563,7 +559,6 @@ class Graph:
         return node
 
     def parameter(self, name: str, default: Any = None) -> Any:
-        """Return a parameter by its full name."""
         value: Any = self._parameters
         for part in filter(None, name.split("/")):
             if not isinstance(value, dict) or part not in value:
@@ -593,9 +588,14 @@ class Graph:
         self.services = {service: handler for service, handler in self.services.items()
                          if not service.startswith(f"{name}/")}
 
-    def turn_of(self, name: str) -> _Turn:
-        """The lines that are logged meanwhile are a node's."""
-        return _Turn(self, name)
+    @contextmanager
+    def turn_of(self, name: str) -> Iterator[None]:
+        """Have the lines that are logged meanwhile be a node's."""
+        before, self._turn = self._turn, name
+        try:
+            yield
+        finally:
+            self._turn = before
 
     # --- messages ---
 
@@ -645,7 +645,6 @@ class Graph:
         tick()
 
     def flood(self, topic: str, message: Any, count: int, sender: str = "/flood") -> None:
-        """Publish a message so many times at once."""
         for _ in range(count):
             self.publish(topic, message, sender)
 
@@ -657,19 +656,20 @@ class Graph:
             delay_s: until each arrives. A shorter delay than before lets it overtake none of its connection, as TCP.
             loses: whether a message, serialised, is lost.
         """
-        self._links.append((topic, sender, receiver, Link(delay_s, loses)))
+        self._links.append((topic, sender, receiver, delay_s, loses))
 
     def send(self, connection: Connection, data: bytes, at_ns: int) -> None:
         """Deliver a message to one subscription, as the links say."""
         topic, receiver = connection.publisher.topic, connection.subscription.node
-        link = Link()
-        for wanted_topic, sender, wanted_receiver, rule in self._links:
+        delay_s = 0.0
+        for wanted_topic, sender, wanted_receiver, rule_delay_s, loses in reversed(self._links):
             if (wanted_topic in ("", topic) and sender in ("", connection.publisher.node)
                     and wanted_receiver in ("", receiver.name)):
-                link = rule
-        if link.loses(data):
-            return
-        arrival_ns = max(at_ns + round(link.delay_s * NS_PER_S), self._last_arrivals.get(id(connection), 0))
+                if loses(data):
+                    return
+                delay_s = rule_delay_s
+                break
+        arrival_ns = max(at_ns + round(delay_s * NS_PER_S), self._last_arrivals.get(id(connection), 0))
         self._last_arrivals[id(connection)] = arrival_ns
         life = receiver._life
         self.at(arrival_ns, lambda: receiver.receive(connection, data, life))
@@ -717,15 +717,12 @@ class Graph:
         heapq.heappush(self._events, (max(at_ns, self.now_ns), next(self._numbers), event))
 
     def after(self, delay_s: float, event: Callable[[], None]) -> None:
-        """Call something after a while."""
         self.at(self.now_ns + round(delay_s * NS_PER_S), event)
 
     def run(self, duration_s: float) -> None:
-        """Let time go on."""
         self.run_to(self.now_ns + round(duration_s * NS_PER_S))
 
     def run_to(self, end_ns: int) -> None:
-        """Let time go on to a time."""
         while self._events and self._events[0][0] <= end_ns:
             self.run_event()
         self.now_ns = end_ns
@@ -739,7 +736,6 @@ class Graph:
         return self.now_ns
 
     def run_event(self) -> None:
-        """Let time go on to the next event."""
         self.now_ns, _, event = heapq.heappop(self._events)
         event()
 
@@ -751,17 +747,6 @@ class _Lookup:
     def publishers(subscription: Subscription, listed: Any) -> list[Publisher]:
         return sorted(Publisher(each.node, MACHINE, each.type._type)
                       for each in subscription.graph.publishers[subscription.resolved_name])
-
-
-class _Turn:
-    def __init__(self, graph: Graph, name: str):
-        self._graph, self._name = graph, name
-
-    def __enter__(self):
-        self._before, self._graph._turn = self._graph._turn, self._name
-
-    def __exit__(self, *_):
-        self._graph._turn = self._before
 
 
 class _LogHandler(logging.Handler):

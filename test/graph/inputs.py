@@ -19,7 +19,6 @@ def odometry(speed_mps: float) -> Odometry:
 
 
 def control(acceleration: float, angle: float = 0.0, velocity: float = 0.0) -> Control:
-    """A planner's command."""
     message = Control()
     message.lateral.steering_tire_angle = angle
     message.longitudinal.velocity, message.longitudinal.acceleration = velocity, acceleration
@@ -55,5 +54,4 @@ class Inputs:
             self.graph.publish(topic, make(value))
 
     def silence(self, *names: str) -> None:
-        """Send these no more."""
         self.graph.silence(*(self._topics[name][0] for name in names))

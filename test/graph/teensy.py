@@ -28,7 +28,6 @@ def frame(body: bytes) -> bytes:
 
 
 def sonar(sensor: int, echo_us: int, tick_ms: int) -> bytes:
-    """A sonar's report."""
     return frame(b"\x01\x02\x06\x00" + bytes((sensor, 0)) + echo_us.to_bytes(2, "little")
                  + tick_ms.to_bytes(4, "little"))
 
@@ -41,7 +40,6 @@ def wheels(pulses: tuple[int, int], ticks_ms: tuple[int, int], speed: int = 50, 
 
 
 def unescaped(on_wire: bytes) -> bytes:
-    """The bytes that were meant."""
     return re.sub(b"\x7d(.)", lambda match: bytes((match.group(1)[0] ^ 0x20,)), on_wire, flags=re.DOTALL)
 
 
@@ -64,7 +62,6 @@ class Teensy(Terminal):
 
     @property
     def tick_ms(self) -> int:
-        """Its clock."""
         return (self._graph.now_ns - START_NS) // 1_000_000 + UPTIME_MS
 
     def take(self, data: bytes) -> None:
@@ -79,10 +76,8 @@ class Teensy(Terminal):
                 self.commands.append((self._graph.now_ns, segment.hex()))
 
     def pinged(self, timestamp1: bytes) -> None:
-        """A ping has come."""
         if self.answers:
             self.write(self.pong(timestamp1))
 
     def pong(self, timestamp1: bytes) -> bytes:
-        """The frame that answers a ping."""
         return frame(b"\x01\x02\x02\x00" + timestamp1 + self.tick_ms.to_bytes(4, "little"))

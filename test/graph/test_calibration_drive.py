@@ -56,12 +56,10 @@ class Terminal:
 
     @property
     def text(self):
-        """All in one line."""
         return " ".join(" ".join([*self.lines, *self.block]).split())
 
 
 class Recording:
-    """What ``BagRecording`` is."""
 
     has_ended = False
 
@@ -79,7 +77,6 @@ class Recording:
 
 
 class Page:
-    """What ``BagPage`` is."""
 
     def __init__(self, recording):
         self._recording, self._left = recording, 3
@@ -107,7 +104,6 @@ class Practice(Car):
         self.arguments = arguments
 
     def begin(self, run_s=4.0):
-        """Start the program."""
         wanted = options.parse(["-o", str(self.table), *self.arguments])
         self.program = self.graph.add(
             partial(CalibrationDriveNode, wanted, text=self.terminal, keys=self.terminal, make_page=Page,
@@ -116,7 +112,6 @@ class Practice(Car):
         return self
 
     def wait_for(self, pattern, within_s=60.0):
-        """Run until the terminal shows it; return the match."""
         self.graph.run_until(lambda: re.search(pattern, self.terminal.text), within_s)
         return re.search(pattern, self.terminal.text)
 

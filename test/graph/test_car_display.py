@@ -21,7 +21,6 @@ FRONT_LEFT, FRONT_RIGHT = 2, 3  # of the wheels
 
 
 class Picture:
-    """What the node draws, and what it is given."""
 
     def __init__(self, graph, **parameters):
         self.graph = graph
@@ -29,7 +28,6 @@ class Picture:
         self.node = graph.add(CarDisplay, "car_display", parameters)
 
     def marker(self, ns, index=0):
-        """The newest marker of a name and number."""
         return next(marker for array in reversed(self.graph.messages(MARKERS)) for marker in array.markers
                     if (marker.ns, marker.id) == (ns, index))
 
@@ -128,10 +126,7 @@ def test_trail_has_a_point_every_five_centimetres_and_begins_anew_after_a_jump(p
     assert picture.marker("trail").action == Marker.ADD
     picture.go_to((0.0, 0.0), (0.0, 0.1))
     assert picture.trail() == [(0.0, 0.0), (0.0, 0.1)]
-
-
-def test_trail_has_the_newest_two_thousand_points(picture):
-    picture.go_to(*((0.1 * index, 0.0) for index in range(2100)))
+    picture.go_to(*((0.1 * index, 0.0) for index in range(2100)))  # of which it keeps the newest two thousand
     trail = picture.trail()
     assert (len(trail), trail[0], trail[-1]) == (2000, (10.0, 0.0), (209.9, 0.0))
 

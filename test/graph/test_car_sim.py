@@ -32,7 +32,6 @@ class Simulated:
         self.graph.publish("/servo/output", Int32MultiArray(data=[steering, esc] + 14 * [-1]))
 
     def sonars(self, duration_s=2.0):
-        """The sonars that report in the next time."""
         since_ns = self.graph.now_ns
         self.graph.run(duration_s)
         return [report.sensor for report in self.graph.messages(SONARS, since_ns)]

@@ -52,11 +52,9 @@ REFUSALS = [
      "k_pwmcmd_left_table_servo is [1.0, 2.0]; accepted: 15 numbers"),
     ("turn_arb", {"grant_at_start": 0}, "grant_at_start is 0; accepted: true or false"),
     ("turn_arb", {"live_range": -1}, "live_range is -1; accepted: an integer from 0"),
-    ("turn_arb", {"save_to": "turn_arb.yaml"}, f"save_to is 'turn_arb.yaml'; {WHOLE_PATH}"),
+    ("turn_arb", {"save_to": "~/turn_arb.yaml"}, f"save_to is '~/turn_arb.yaml'; {WHOLE_PATH}"),
     ("generic_value_converter", {"csv_path_value_map": "value_map.csv"},
      f"csv_path_value_map is 'value_map.csv'; {WHOLE_PATH}"),
-    ("generic_value_converter", {"csv_path_value_map": "~/my_car/value_map.csv"},
-     f"csv_path_value_map is '~/my_car/value_map.csv'; {WHOLE_PATH}"),
     ("generic_value_converter", {"csv_path_value_map": "/nowhere.csv"},
      "csv_path_value_map is '/nowhere.csv'; accepted: a file that can be read"),
     ("generic_value_converter", {"max_value": -9}, "min_value is -5.0; accepted: at most max_value -9.0"),
@@ -78,13 +76,13 @@ REFUSALS = [
     ("car_sim", {"wheel_pulses": [1]}, "wheel_pulses is [1.0]; accepted: two numbers: left, right"),
     ("car_sim", {"esc_kind": "odd"}, "esc_kind is 'odd'; accepted: one of none, "),
     ("car_sim", {"wheelbase": 0}, "wheelbase is 0; accepted: a number above 0.0"),
+    ("gamepad_joy", {"deadzone": 1.5}, "deadzone is 1.5; accepted: a number from 0 to 0.9"),
     ("car_display", {"track": 11}, "track is 11; accepted: a number above 0.0"),
     ("demo_drive", {"bag_dir": "bags"}, f"bag_dir is 'bags'; {WHOLE_PATH}"),
 ]
 
 
 def read(node, values):
-    """What a node makes of parameters."""
     return importlib.import_module(f"car_interface.nodes.{node}").read_config(Params(values))
 
 
@@ -99,7 +97,6 @@ def loaded(file, *arguments):
 
 
 def below(launch, namespace):
-    """The parameters below a namespace."""
     return {name[len(namespace):]: param.value for name, param in launch.params.items() if name.startswith(namespace)}
 
 
@@ -205,6 +202,16 @@ def test_car_to_practise_with_has_a_steering_of_its_own_and_obeys_speeds():
     assert (values["planner_interface/source"], values["car_sim/steering_duties"][0]) == ("speed", 3800)
     assert not values["car_sim/obstacles"] and "car_sim/steering/servo_center" not in values
     assert "demo_drive" not in [node.type for node in launch.nodes]
+
+
+@pytest.mark.parametrize("one_process", ["false", "true"])
+@pytest.mark.parametrize("line, grants", [("", False), ("grant_at_start: true", True)])
+def test_car_grants_nothing_at_its_start_unless_its_owner_s_file_says_so(tmp_path, one_process, line, grants):
+    shutil.copytree(CONFIG, tmp_path / "mine")
+    for path in (tmp_path / "mine").glob("*.yaml"):
+        path.write_text(path.read_text(encoding="utf-8").replace("grant_at_start: false", line), encoding="utf-8")
+    launch = loaded("car.launch", f"config:={tmp_path}/mine", "throttle:=true", f"one_process:={one_process}")
+    assert [below(launch, f"/{node}/")["grant_at_start"] for node in ("turn_arb", "throttle_arb")] == [grants] * 2
 
 
 OURS, THEIRS = [("car_interface", "gamepad_joy")], [("joy", "joy_node")]

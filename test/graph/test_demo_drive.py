@@ -1,12 +1,11 @@
 """The demo's scripted drive, on the package's own files and on those of another car, and the walls of its room."""
 from __future__ import annotations
 
-import shutil
+import sys
 from functools import partial
 from pathlib import Path
 
 import pytest
-import yaml
 from std_msgs.msg import Bool, Int32MultiArray
 
 import car as cars
@@ -15,6 +14,9 @@ from car_interface.nodes import demo_drive
 from car_interface.nodes.demo_drive import DemoDrive
 from car_interface.sim.demo_script import DriveConfig
 from graph import Graph
+
+sys.path.append(str(Path(__file__).parents[1]))
+from another_car import copy_another_car
 
 FORWARD, REVERSE, STRAIGHT = 5500, 4300, 5070
 WALL_M, NOSE_M = 6.0, 0.426  # the room's, along x; from the rear axle
@@ -46,20 +48,7 @@ class Demo(Car):
 
 @pytest.fixture
 def another_car(tmp_path, monkeypatch):
-    """Files of a car that differs in everything: channels, a reversed servo, ESC, wheels, gamepad."""
-    shutil.copytree(cars.CONFIG, tmp_path / "mine")
-    steering, servo = config("turn_arb.yaml"), config("throttle.yaml")["servo"]
-    tables = [steering[f"k_pwmcmd_{side}_table_servo"] for side in ("left", "right")]
-    for name, changes in (
-            ("turn_arb.yaml", {"servo_channel": 6, "servo_left": 6600, "servo_center": 5200, "servo_right": 3900,
-                               "k_pwmcmd_left_table_servo": [duty - 100 for duty in tables[1][:-1]] + [5200],
-                               "k_pwmcmd_right_table_servo": [duty + 100 for duty in tables[0]]}),
-            ("throttle.yaml", {"servo": {**servo, "channel": 9, "neutral": servo["neutral"] + 80,
-                                         "duty_table": [duty + 80 for duty in servo["duty_table"]]}}),
-            ("teensy_sensor_hub.yaml", {"wheel_diameter": 0.12, "track": 0.25, "pulses_per_revolution": 12}),
-            ("teleop_logi.yaml", {"steer_axis": 9, "manual_button": 1, "autonomous_button": 12, "steer_scale": -1.0})):
-        path = Path(tmp_path, "mine", name)
-        path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **changes}))
+    copy_another_car(Path(cars.CONFIG), tmp_path / "mine")
     monkeypatch.setattr(cars, "CONFIG", str(tmp_path / "mine"))
 
 

@@ -85,7 +85,6 @@ def changed(good, choose):
 
 
 def flat(values, prefix=""):
-    """Parameters by their names with slashes."""
     found = {}
     for name, value in values.items():
         found.update(flat(value, f"{prefix}{name}/") if isinstance(value, dict) else {f"{prefix}{name}": value})
@@ -151,7 +150,6 @@ OTHER_TYPES = ("std_msgs/Float32", "std_msgs/String", "geometry_msgs/Twist", "ge
 
 
 def anything(type_name, choose):
-    """A value of a ROS type."""
     if type_name.endswith("]"):
         base, _, length = type_name[:-1].partition("[")
         values = [anything(base, choose) for _ in range(int(length) if length else choose.choice(LENGTHS))]
@@ -174,7 +172,6 @@ def anything(type_name, choose):
 
 
 def filled(message_type, choose):
-    """A message of any content."""
     message = message_type()
     for name, type_name in zip(message.__slots__, message._slot_types):
         setattr(message, name, anything(type_name, choose))

@@ -57,7 +57,6 @@ class Converter:
         return self.graph.lines(NAME, 0, logging.WARNING)
 
     def report(self):
-        """The next one."""
         self.run(1.0)
         return self.graph.report("generic_value_converter: converter")
 

@@ -37,11 +37,9 @@ class Drive:
         self.graph.hold("/av_speed_req", Float32(speed_mps), 20)
 
     def until(self, condition, within_s=8.0):
-        """When that is so."""
         return self.graph.run_until(condition, within_s)
 
     def hold(self, lasts_s=0.1, **what):
-        """Hold buttons and sticks."""
         self.pad(**what)
         self.graph.run(lasts_s)
 

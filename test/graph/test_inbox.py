@@ -99,7 +99,6 @@ def test_items_of_several_threads_are_taken_or_counted(queue):
 # --- nodes whose inboxes overflow: each stops with the messages that it couldn't take ---
 
 class SmallCar(Car):
-    """Its nodes have small inboxes."""
 
     def __init__(self):
         super().__init__()
@@ -271,7 +270,6 @@ class FrozenCar:
         assert self.duties(self.graph.now_ns - 50_000_000) == DRIVES
 
     def duties(self, since_ns):
-        """Those of the steering and of the ESC."""
         return tuple({vector.data[channel] for vector in self.graph.messages("/servo/cmdVector", since_ns)} - {-1}
                      for channel in (0, 1))
 

@@ -51,7 +51,6 @@ class Driven:
         return self.graph.newest(ODOM)
 
     def off_m(self):
-        """Distance from the car to where odometry has it."""
         return math.dist(xy(self.odom), xy(self.car.truth()))
 
 

@@ -24,7 +24,7 @@ KEEPS_STOPPED = ("/turn_arb", "/teleop_logi")  # started again under a deadman t
 RADIUS_M, SPEED_MPS = 1.6, 1.0
 OFF = 0  # counts of a pin that is off
 PINS_AT_REST = {STEERING: (CENTER, OFF), ESC: (ESC_NEUTRAL, OFF)}
-JOY_S, HUMAN_S, E_STOP_S, TIMER_S, INPUT_S = 0.25, 0.5, 1.0, 0.06, 0.5
+JOY_S, E_STOP_S, TIMER_S, INPUT_S = 0.25, 1.0, 0.06, 0.5
 
 
 class Soak:
@@ -76,7 +76,6 @@ class Soak:
         self.graph.run(self.choose.uniform(0.3, 1.5))
 
     def stopped(self, within_s, *pins):
-        """They are at rest within that time, and stay so."""
         self.graph.run_until(lambda: self.at_rest(*pins), within_s + TIMER_S)
         since_ns = self.graph.now_ns
         self.graph.run(self.choose.uniform(0.2, 2.0))

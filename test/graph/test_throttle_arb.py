@@ -14,7 +14,7 @@ from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 from car import Car, config
 from inputs import Inputs, odometry
 
-NEUTRAL, FULL_FORWARD, FULL_BRAKE = 4915, 6554, 3277
+NEUTRAL, FULL_FORWARD = 4915, 6554
 BY_HAND = 5407  # 0.3 of the way to full forward: 4915 + 0.3 · 1639
 BY_PLANNER = 5571  # 4915 + 1.2 / 3 · 1639
 NAN, INF = math.nan, math.inf

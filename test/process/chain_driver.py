@@ -58,7 +58,6 @@ KINDS = {
 
 
 class Driver:
-    """Publishes what it's told."""
 
     def __init__(self, names):
         self._publishers = {name: rospy.Publisher(KINDS[name][0], KINDS[name][1], queue_size=10, tcp_nodelay=True)

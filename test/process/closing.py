@@ -48,7 +48,6 @@ def joy(held):
 
 
 def output_of(process):
-    """All lines of a process so far."""
     return process.stdout.since() + process.stderr.since()
 
 
@@ -74,7 +73,6 @@ class Closing(unittest.TestCase):
         return sender
 
     def launch(self, *arguments, env=None):
-        """Start a launch file of this package."""
         process = NodeProcess("roslaunch", "car_interface", *arguments, env=env)
         self.addCleanup(lambda: process.runs() and process.end())  # with its nodes
         return process

@@ -14,11 +14,9 @@ import subprocess
 import sys
 import tempfile
 import unittest
-import xmlrpc.client
 from pathlib import Path
 
 import rosbag
-import rosgraph
 import rosnode
 import rospy
 import rostest
@@ -31,9 +29,12 @@ from car_interface.recordings.recording import read
 from car_interface.recordings.replay import TOPICS, replay
 from car_interface.recordings.signals import PARTS, load
 from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionMeasurement
-from waiting import PACKAGE, Topic, config, eventually, set_params, start, start_node
+from closing import pid_of
+from waiting import PACKAGE, Topic, eventually, set_params, start, start_node
 
-sys.path.append(os.path.join(os.path.dirname(os.path.abspath(__file__)), os.pardir, "unit"))
+sys.path += [os.path.join(PACKAGE, "test"), os.path.join(PACKAGE, "test", "unit")]
+from another_car import copy_another_car
+
 from browser import Browser, find_browser
 
 DRIVE_WITHIN_S = START_WITHIN_S = 120
@@ -56,7 +57,8 @@ class TwoCarsDrive(unittest.TestCase):
     def test_both_drives_end_and_neither_hears_the_other_nor_changes_the_package(self):
         self.folder = tempfile.mkdtemp()
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
-        before, mine = digests(), self.my_car()
+        before, mine = digests(), Path(self.folder, "my_car")
+        copy_another_car(SHIPPED, mine)
         cars = start(self, shutil.which("roslaunch"), os.path.join(PACKAGE, "test", "process", "two_cars.launch"),
                      f"port:={self.folder}/teensy", f"config:={mine}")
         self.addCleanup(cars.end, within_s=START_WITHIN_S)  # a roslaunch that is killed leaves its nodes behind
@@ -90,27 +92,6 @@ class TwoCarsDrive(unittest.TestCase):
         self.assertIn("as planned: yes", shown)
         return True
 
-    def my_car(self):
-        """Files of a car that differs in everything: channels, a reversed servo, ESC, wheels, gamepad."""
-        mine = Path(self.folder, "my_car")
-        shutil.copytree(str(SHIPPED), str(mine))
-        steering, throttle = config("turn_arb.yaml"), config("throttle.yaml")
-        servo = throttle["servo"]
-        for name, changes in (
-                ("turn_arb.yaml", {
-                    "servo_channel": 6, "servo_left": 6600, "servo_center": 5200, "servo_right": 3900,
-                    "k_pwmcmd_left_table_servo": [
-                        *(duty - 100 for duty in steering["k_pwmcmd_right_table_servo"][:-1]), 5200],
-                    "k_pwmcmd_right_table_servo": [duty + 100 for duty in steering["k_pwmcmd_left_table_servo"]]}),
-                ("throttle.yaml", {"servo": {**servo, "channel": 9, "neutral": servo["neutral"] + 80,
-                                             "duty_table": [duty + 80 for duty in servo["duty_table"]]}}),
-                ("teensy_sensor_hub.yaml", {"wheel_diameter": 0.12, "track": 0.25, "pulses_per_revolution": 12}),
-                ("teleop_logi.yaml", {"steer_axis": 9, "manual_button": 1, "autonomous_button": 12,
-                                      "steer_scale": -1.0})):
-            values = yaml.safe_load((mine / name).read_text(encoding="utf-8"))
-            (mine / name).write_text(yaml.safe_dump({**values, **changes}), encoding="utf-8")
-        return mine
-
     def check_saves(self, mine):
         """The owner's file takes a value that was tuned; the package's files take none."""
         self.assertEqual(rospy.get_param("/car1/teensy_sensor_hub/wheel_diameter"), 0.12)
@@ -141,9 +122,7 @@ class TwoCarsDrive(unittest.TestCase):
         nodes = [name for name in rosnode.get_node_names() if name != "/rosout"]
         self.assertGreater(len(nodes), 10)
         for name in nodes:
-            uri = rosnode.get_api_uri(rosgraph.Master("/demo_test"), name)
-            pid = xmlrpc.client.ServerProxy(uri).getPid("/demo_test")[2]
-            sockets = set(re.findall(r"socket:\[(\d+)\]", " ".join(links_in(f"/proc/{pid}/fd"))))
+            sockets = set(re.findall(r"socket:\[(\d+)\]", " ".join(links_in(f"/proc/{pid_of(name)}/fd"))))
             self.assertEqual(sockets & exposed, set(), name)
 
     def check_bag(self, path):
@@ -204,7 +183,6 @@ class TwoCarsDrive(unittest.TestCase):
 
 
 def digests():
-    """Of the package's files."""
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(SHIPPED.iterdir())}
 
 

@@ -17,15 +17,14 @@ import unittest
 from concurrent.futures import ThreadPoolExecutor
 from fcntl import ioctl
 from typing import NamedTuple
-from xmlrpc.client import ServerProxy
 
-import rosgraph
 import rosnode
 import rospy
 import rostest
 from car_interface.msg import LinkStatus
 from car_interface.srv import InjectFault
 
+from closing import pid_of
 from waiting import PATIENCE_S, NodeProcess, Topic, eventually, executable, set_params, start
 
 OK, WARN, BAD = "ok", "warn", "bad"
@@ -58,7 +57,6 @@ class Examination(NamedTuple):
 
     @property
     def findings(self):
-        """Level, subject and text of each finding."""
         found = [re.match(r"(ok|warn|bad) +(\S+) +(.*)", line) for line in self.lines[:-1]]
         return [match.groups() for match in found]
 
@@ -67,15 +65,8 @@ class Examination(NamedTuple):
 
 
 def run(*command, env=None, cwd=None):
-    """Run a program to its end, in pipes."""
     return subprocess.run(command, env={**os.environ, **(env or {})}, cwd=cwd, stdin=subprocess.DEVNULL,
                           capture_output=True, text=True, timeout=120, check=False)
-
-
-def pid_of(node):
-    """The process of a node that roslaunch started."""
-    uri = rosnode.get_api_uri(rosgraph.Master(rospy.get_name()), node, skip_cache=True)
-    return ServerProxy(uri).getPid(rospy.get_name())[2]
 
 
 class Doctor(unittest.TestCase):
@@ -140,7 +131,6 @@ class Doctor(unittest.TestCase):
                 done.result()
 
     def publish(self, *arguments):
-        """Publish until the test ends."""
         process = start(self, "rostopic", "pub", "-r", "10", *arguments)
         self.addCleanup(process.end)
 
@@ -152,7 +142,6 @@ class Doctor(unittest.TestCase):
         call(fault, value)
 
     def stop(self, *nodes):
-        """Stop processes until the test ends; return their numbers."""
         pids = [pid_of(node) for node in nodes]
         for pid in pids:
             self.addCleanup(os.kill, pid, signal.SIGCONT)
@@ -182,11 +171,8 @@ class Doctor(unittest.TestCase):
         self.publish("/car1/control/command/control_cmd", "std_msgs/Float64", "2.0")
         self.publish("/car1/teleop_logi/human_in_loop", "std_msgs/Bool", "false")
         self.publish("/car1/servo/cmdVector", "std_msgs/Int32MultiArray", f"{{data: [5100{', -1' * 15}]}}")
-
-        def are_there():
-            names = rosnode.get_node_names()
-            return sum(name.startswith("/rostopic_") for name in names) >= 3
-        eventually(are_there, "the publishers")
+        eventually(lambda: sum(name.startswith("/rostopic_") for name in rosnode.get_node_names()) >= 3,
+                   "the publishers")
         self.look(NO_JOY,
                   *((BAD, "topics", words, remedy) for words, remedy in (
                       ("publishes std_msgs/Float64 on /car1/control/command/control_cmd, which takes car_interface/C",

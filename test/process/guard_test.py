@@ -60,7 +60,6 @@ class OnABus(Guarded):
         return self.start(name, f"_device:={self.bus.path}", *arguments, env=self.bus.env)
 
     def start_and_drive(self, name, *arguments):
-        """A node that drives, and its guard, which has found the chip."""
         process = self.start_on_bus(name, *arguments)
         process.wait_for_info("running at 50.03 Hz")
         self.drive()

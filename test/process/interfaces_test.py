@@ -10,28 +10,23 @@ import os
 import shlex
 import shutil
 import signal
-import subprocess
 import tempfile
-import threading
 import time
 import unittest
-import xmlrpc.client
 
 import rosgraph
 import rosnode
 import rospy
 import rostest
-import yaml
 from car_interface.msg import Control, ConverterState, Float64Stamped, SteeringState, TeleopState, ThrottleState
 from diagnostic_msgs.msg import DiagnosticArray
-from dynamic_reconfigure.client import Client
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
-from std_srvs.srv import Trigger
 
-from waiting import PACKAGE, Topic, config, delete_param, eventually, one_process_params, set_params, start, start_node
+from closing import pid_of
+from waiting import PACKAGE, Repeater, Topic, config, eventually, one_process_params, set_params, start, start_node
 
 CENTER, LEFT, PLANNER_LEFT = 5100, 3800, 3830
 NEUTRAL, BY_HAND = 4915, 5407
@@ -66,41 +61,17 @@ MOVED = [f"/{name}:={name}" for name in ("servo/cmdVector", "servo/output", "e_s
     f"teleop_logi/{each}" for each in ("human_in_loop", "tele_steer_req", "tele_throt_req", "mode", "scale_button")))]
 
 
-class Inputs:
-    """Publishes messages, or what functions return, over and over."""
+class Inputs(Repeater):
+    """Publishes by the names of topics, to who subscribes."""
 
     def __init__(self):
-        self._held = {}
         self._publishers = {}
-        self._ending = threading.Event()
-        self._lock = threading.Lock()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def hold(self, topic, message):
-        with self._lock:
-            self._held[topic] = message
-
-    def drop(self, *topics):
-        with self._lock:
-            for topic in topics or list(self._held):
-                self._held.pop(topic, None)
+        super().__init__(0.03)
 
     def send(self, topic, message):
-        """Once, to who subscribes."""
         if topic not in self._publishers:
             self._publishers[topic] = rospy.Publisher(topic, type(message), queue_size=20, tcp_nodelay=True)
         self._publishers[topic].publish(message)
-
-    def _run(self):
-        while not self._ending.wait(0.03):
-            with self._lock:
-                for topic, message in self._held.items():
-                    self.send(topic, message() if callable(message) else message)
-
-    def end(self):
-        self._ending.set()
-        self._thread.join()
 
 
 class Car:
@@ -199,16 +170,6 @@ class Interfaces(unittest.TestCase):
         self.assertLessEqual({"/turn_arb/set_parameters", "/turn_arb/save", "/throttle_arb/servo/set_parameters",
                               "/throttle_arb/save"}, services)
 
-    def test_commands_have_sixteen_channels_of_which_each_node_sets_its_own(self):
-        mark = self.car.commands.mark()
-        for channel, sender in ((0, "/turn_arb"), (1, "/throttle_arb")):
-            vector = self.car.commands.wait_for(
-                lambda vector, sender=sender: vector._connection_header["callerid"] == sender, mark).what
-            self.assertEqual((len(vector.data), vector.data[:channel] + vector.data[channel + 1:]), (16, (-1,) * 15))
-            self.assertGreaterEqual(vector.data[channel], 0)
-            self.assertEqual(vector.layout.data_offset, 0)
-            self.assertEqual([(dim.label, dim.size, dim.stride) for dim in vector.layout.dim], [("pwm_channel", 16, 1)])
-
     def test_line_of_the_readme_commands_a_servo_board_as_typed(self):
         with open(os.path.join(PACKAGE, "README.md"), encoding="utf-8") as file:
             line = next(line for line in file if line.startswith("    rostopic pub /command "))
@@ -222,16 +183,6 @@ class Interfaces(unittest.TestCase):
         typed.end()
         outputs.wait_for(lambda output: output.data == (0,) * 16, outputs.mark())
         self.assertEqual(board.end(), 0)
-
-    def test_states_and_neutrals_are_latched_for_who_comes_late(self):
-        for name, message_type in (*((f"/{node}/state", each) for node, each in STATES.items()),
-                                   ("/servo/neutral", Int32MultiArray)):
-            topic = Topic(name, message_type)
-            self.addCleanup(topic.close)
-            message = topic.wait_for(lambda _: True).what
-            self.assertEqual(message._connection_header["latching"], "1", name)
-            if hasattr(message, "stamp"):
-                self.assertAlmostEqual(message.stamp.to_sec(), time.time(), delta=30)
 
     def test_gamepad_drives_through_all_nodes_and_letting_go_stops_which_the_log_and_diagnostics_say(self):
         diagnostics = Topic("/diagnostics", DiagnosticArray)
@@ -266,50 +217,6 @@ class Interfaces(unittest.TestCase):
         process = start_node(self, "turn_arb", "__ns:=/outer/inner", *MOVED)
         self.assertEqual(commands.wait_for(lambda _: True).what.data, (-1, -1, -1, 5000) + (-1,) * 12)
         self.assertEqual((process.end(), process.stderr.since()), (0, []))
-
-    def test_bad_parameter_ends_each_node_with_exit_code_1_and_one_line_that_names_it(self):
-        cases = [
-            ("turn_arb", {**config("turn_arb.yaml"), "servo_channel": 20},
-             "servo_channel is 20; accepted: an integer from 0 to 15"),
-            ("throttle_arb", {**config("throttle.yaml"), "human_scal": 0.3},
-             "unknown parameter human_scal is 0.3; accepted: only "),
-            ("teleop_logi", {}, "steer_axis is missing; accepted: an integer from 0 to 63"),
-            ("generic_value_converter", {"csv_path_value_map": "/nowhere.csv"},
-             "csv_path_value_map is '/nowhere.csv'; accepted: a file that can be read (No such file"),
-        ]
-        started = []
-        for node, parameters, text in cases:
-            set_params(self, f"/refused_{node}", parameters)
-            started.append((text, start_node(self, node, name=f"refused_{node}")))
-        for text, process in started:
-            self.assertEqual(process.wait_for_exit(), 1)
-            lines = process.stderr.since()
-            self.assertEqual((len(lines), text in lines[0], "FATAL" in lines[0]), (1, True, True), lines)
-
-    def test_values_are_tuned_by_dynamic_reconfigure_and_saved_into_their_files(self):
-        cases = (("turn_arb", "turn_arb.yaml", "", {"servo_center": 5130}, 0, 5130),
-                 ("throttle_arb", "throttle.yaml", "/servo", {"neutral": 4935}, 1, 4935))
-        for node, name, namespace, change, channel, duty in cases:
-            path = os.path.join(self.folder, name)
-            shutil.copy(os.path.join(PACKAGE, "config", name), path)
-            set_params(self, f"/tuned_{node}", {**config(name), "save_to": path})
-            commands = Topic(f"/tuned_{node}/cmdVector", Int32MultiArray)
-            self.addCleanup(commands.close)
-            start_node(self, node, f"/servo/cmdVector:=tuned_{node}/cmdVector", "servo/neutral:=tuned_neutral",
-                       name=f"tuned_{node}")
-            self.addCleanup(delete_param, f"/tuned_{node}")
-            commands.wait_for(lambda _: True)
-            client = Client(f"/tuned_{node}{namespace}", timeout=40)
-            self.addCleanup(client.close)
-            self.assertLessEqual(change.items(), client.update_configuration(change).items())
-            commands.wait_for(lambda vector, channel=channel, duty=duty: vector.data[channel] == duty)
-            answer = rospy.ServiceProxy(f"/tuned_{node}/save", Trigger)()
-            self.assertTrue(answer.success, answer.message)
-        with open(os.path.join(self.folder, "throttle.yaml"), encoding="utf-8") as file:
-            saved = yaml.safe_load(file)["servo"]
-        self.assertEqual((saved["neutral"], saved["duty_table"]), (4935, [3297, 4935, 6574]))
-        with open(os.path.join(self.folder, "turn_arb.yaml"), encoding="utf-8") as file:
-            self.assertEqual(yaml.safe_load(file)["servo_center"], 5130)
 
     def test_node_that_ends_leaves_neutral_a_released_deadman_and_nothing_on_the_master(self):
         self.press()
@@ -355,8 +262,7 @@ class Interfaces(unittest.TestCase):
         self.press()
         type(self).lets_go = False
         self.addCleanup(setattr, type(self), "lets_go", True)
-        turn_arb = xmlrpc.client.ServerProxy(rosgraph.Master("/test").lookupNode("/turn_arb"))
-        pids = turn_arb.getPid("/test")[2], process.pid
+        pids = pid_of("/turn_arb"), process.pid
         self.addCleanup(go_on, *pids)
         for each in pids:
             os.kill(each, signal.SIGSTOP)
@@ -381,25 +287,6 @@ class Interfaces(unittest.TestCase):
         one.wait_for(0, PLANNER_LEFT)
         one.human(False)
         self.assertEqual(process.end(), 0)
-
-    def test_launched_it_grants_nothing_at_its_start_unless_its_owners_file_says_so(self):
-        """A file of one's own that says nothing of it must not have the car drive on when a node was started again."""
-        shipped = os.path.join(PACKAGE, "config")
-        granting = "grant_at_start: true"
-        for says, one_process, grants in (("", "false", False), ("", "true", False),
-                                          (granting, "false", True), (granting, "true", True)):
-            for name in os.listdir(shipped):
-                with open(os.path.join(shipped, name), encoding="utf-8") as file:
-                    text = file.read()
-                with open(os.path.join(self.folder, name), "w", encoding="utf-8") as file:
-                    file.write(text.replace("grant_at_start: false", says))
-            dumped = subprocess.run(
-                ["roslaunch", "car_interface", "car.launch", "--dump-params", f"config:={self.folder}",
-                 "throttle:=true", "gamepad:=false", f"one_process:={one_process}"],
-                stdout=subprocess.PIPE, check=True).stdout
-            params = yaml.safe_load(dumped)
-            for node in ("turn_arb", "throttle_arb"):
-                self.assertIs(params[f"/{node}/grant_at_start"], grants, (says, one_process))
 
 
 if __name__ == "__main__":

@@ -161,7 +161,6 @@ class MissedPublisher(Closing):
 
 
 class Names(Closing):
-    """A name that another node has."""
 
     def test_launch_file_that_is_started_twice_waits_undisturbing_and_takes_over_when_the_first_ends(self):
         def launched(name):

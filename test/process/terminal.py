@@ -34,7 +34,6 @@ class Terminal:
         self._reader.start()
 
     def settings(self):
-        """The terminal's, as termios has them."""
         return termios.tcgetattr(self._master)
 
     def wait_for_line(self, pattern, since=0):
@@ -42,7 +41,6 @@ class Terminal:
         return self.lines.wait_for(lambda line: re.search(pattern, line), since).what
 
     def type(self, keys):
-        """As if typed."""
         os.write(self._master, keys)
 
     def hang_up(self):
@@ -59,7 +57,6 @@ class Terminal:
         return os.WEXITSTATUS(status) if os.WIFEXITED(status) else -os.WTERMSIG(status)
 
     def clean_up(self):
-        """Leave nothing behind, however the test ended."""
         if self.pid is not None:
             os.kill(self.pid, signal.SIGKILL)
             self.wait_for_exit()

@@ -14,7 +14,6 @@ import time
 import tty
 import unittest
 from contextlib import suppress
-from xmlrpc.client import ServerProxy
 
 import rosbag
 import rosgraph
@@ -30,6 +29,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from car_interface.common import causes
+from closing import pid_of
 from terminal import Terminal
 from waiting import PACKAGE, NodeProcess, Repeater, Sender, Topic, eventually, executable, set_params, start
 
@@ -114,9 +114,6 @@ class Tools(unittest.TestCase):
     def wait_for_steering(self, source):
         return self.steering.wait_for(lambda state: state.source == source, self.steering.mark()).what
 
-    def wait_until_it_drives(self, within_s=60):
-        self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, self.truth.mark(), within_s)
-
     def wait_until_it_stands(self):
         self.truth.wait_for(lambda truth: truth.twist.twist.linear.x == 0.0, self.truth.mark())
 
@@ -131,7 +128,7 @@ class Tools(unittest.TestCase):
         terminal.wait_for_line("^TELEOP: tele_steer_req")
         deadman.let_go()
         faster = Hand(self, terminal, b"w")
-        self.wait_until_it_drives()
+        self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, self.truth.mark(), 60)
         second = self.terminal(executable("keyboard_drive"), "__name:=second")
         second.wait_for_line("/keyboard_drive publishes /joy already. End it first: rosnode kill /keyboard_drive")
         self.assertEqual(second.wait_for_exit(), 1)
@@ -259,7 +256,6 @@ class Tools(unittest.TestCase):
     # --- calibration_drive ---
 
     def begin(self, folder, *arguments):
-        """Start calibration_drive until it waits for the deadman."""
         terminal = self.terminal(executable("calibration_drive"), "-o", os.path.join(folder, "turn_arb.yaml"),
                                  "--no-sonars", *arguments)
         terminal.lines.wait_for(lambda line: re.search(WAITS, ESCAPES.sub("", line)))
@@ -333,13 +329,9 @@ class Tools(unittest.TestCase):
         self.assertFalse(answer.success)
         self.assertIn("turn_arb.yaml is the package's own, which the demo leaves as it is", answer.message)
 
-        def uri():
-            with suppress(Exception):
-                return rosgraph.Master(rospy.get_name()).lookupNode("/turn_arb")
-            return None
-        before = uri()
-        os.kill(ServerProxy(before).getPid(rospy.get_name())[2], signal.SIGKILL)
-        eventually(lambda: uri() not in (None, before), "the new turn_arb")
+        before = pid_of("/turn_arb")
+        os.kill(before, signal.SIGKILL)
+        eventually(lambda: pid_of("/turn_arb") not in (None, before), "the new turn_arb")
         self.steering.wait_for(lambda state: state.source == SteeringState.NO_HUMAN and state.duty == 5150,
                                self.steering.mark())
 

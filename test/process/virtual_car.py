@@ -56,7 +56,6 @@ class Chip:
         self._counts[channel].append(counts)
 
     def counts(self, channel):
-        """What a channel holds."""
         self._read()
         return self._counts[channel][-1] if self._counts[channel] else None
 
@@ -73,13 +72,11 @@ class Chip:
         return eventually(found, lambda: f"channel {channel} as wanted; it holds {self.counts(channel)}", within_s)
 
     def values_since(self, channel, since_ns):
-        """What a channel was given since then."""
         self._read()
         return self._counts[channel][bisect.bisect_right(self._times_ns[channel], since_ns):]
 
 
 def free_port():
-    """A port on which nobody listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
@@ -110,7 +107,6 @@ class Car:
         self.start_master()
 
     def start_master(self):
-        """Start the master, or another one in its place."""
         self.start("master", shutil.which("rosmaster"), "--core", "-p", str(self._port))
         eventually(self._master_answers, "a master")
 
@@ -123,19 +119,16 @@ class Car:
         return command
 
     def start(self, name, *command, env=None):
-        """Start a program under a name."""
         process = NodeProcess(*self.on_host(name, command), env=env or self.env)
         self._add_cleanup(process.clean_up)
         self.processes[name] = process
         return process
 
     def node(self, node, *arguments):
-        """Start a node with its shipped configuration."""
         program = (PYTHON38, os.path.join(PACKAGE, "scripts", node)) if self._python38 else (executable(node),)
         return self.start(node, *program, *arguments, env=self._node_env)
 
     def load(self, node, *names):
-        """Set a node's parameters from files in config/."""
         for name in names:
             self._rosparam("load", os.path.join(PACKAGE, "config", name), node)
 
@@ -153,7 +146,6 @@ class Car:
         self.load("/throttle_arb", "throttle.yaml")
 
     def actors(self, odometry="localization/kinematic_state"):
-        """The four nodes between the senders and the chip."""
         self.load_actors()
         self.pca9685()
         self.turn_arb()
@@ -161,22 +153,18 @@ class Car:
         self.throttle_arb(odometry)
 
     def pca9685(self):
-        """Start pca9685; its parameters are there."""
         return self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
 
     def turn_arb(self):
-        """Start turn_arb; its parameters are there."""
         return self.node("turn_arb")
 
     def converter(self, odometry="localization/kinematic_state"):
-        """Start the converter; its parameters are there but for the map."""
         return self.node("generic_value_converter",
                          "generic_value_converter/input/control_cmd:=control/command/control_cmd",
                          f"generic_value_converter/input/odometry:={odometry}",
                          f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
 
     def throttle_arb(self, odometry="localization/kinematic_state"):
-        """Start throttle_arb; its parameters are there."""
         return self.node("throttle_arb", "throttle_arb/input/value:=generic_value_converter/output/value",
                          f"throttle_arb/input/odometry:={odometry}")
 
@@ -191,7 +179,6 @@ class Car:
             self._rosparam("set", name, value)
 
     def one_process(self):
-        """Start car_nodes; its parameters are there."""
         return self.node("car_nodes", "generic_value_converter/input/control_cmd:=control/command/control_cmd",
                          "generic_value_converter/input/odometry:=localization/kinematic_state",
                          "throttle_arb/input/value:=generic_value_converter/output/value",
@@ -247,7 +234,6 @@ class FakeBus:
             file.write(registers)
 
     def registers(self, first, length):
-        """What the chip's registers hold."""
         with open(self.path, "rb") as file:
             return file.read()[first: first + length]
 
@@ -264,7 +250,6 @@ class FakeBus:
         return [text for at_ns, who, text in found if int(who) == pid and int(at_ns) >= since_ns]
 
     def hold(self, on):
-        """Hold the bus down, or let it go."""
         if on:
             open(f"{self.path}.held", "wb").close()
         else:

@@ -50,7 +50,6 @@ class Record:
         self._grown = threading.Condition()
 
     def add(self, what) -> None:
-        """Take one more."""
         with self._grown:
             self._heard.append(Received(time.monotonic(), what))
             self._grown.notify_all()
@@ -62,10 +61,6 @@ class Record:
     def since(self, mark: int = 0) -> list[Any]:
         """What arrived from ``mark`` on."""
         return [heard.what for heard in self._heard[mark:]]
-
-    def heard_since(self, mark: int = 0) -> list[Received]:
-        """The same, with the times."""
-        return self._heard[mark:]
 
     def wait_for(self, wanted: Callable[[Any], bool], since: int = 0, within_s: float = PATIENCE_S) -> Received:
         """The first from ``since`` on that is ``wanted``.
@@ -109,12 +104,11 @@ class Topic(Record):
         return self
 
     def close(self) -> None:
-        """Stop listening."""
         self._subscriber.unregister()
 
 
 class Sender:
-    """Publishes to a topic, once there's somebody to hear it."""
+    """Publishes to a topic that has subscribers."""
 
     def __init__(self, name: str, message_type, listeners: int = 1):
         self._make = message_type
@@ -123,7 +117,6 @@ class Sender:
         eventually(lambda: self._publisher.get_num_connections() >= listeners, f"a subscriber of {name}")
 
     def close(self) -> None:
-        """Stop publishing."""
         self._publisher.unregister()
 
 
@@ -142,7 +135,10 @@ class Repeater:
         """Publish a message, or what a function returns, now, and again and again."""
         with self._lock:
             self._messages[sender] = message
-            sender.publish(message() if callable(message) else message)
+            self.send(sender, message() if callable(message) else message)
+
+    def send(self, sender: Sender, message) -> None:
+        sender.publish(message)
 
     def drop(self, *senders: Sender) -> None:
         """Let inputs fall silent; all of them when none is named."""
@@ -151,7 +147,6 @@ class Repeater:
                 self._messages.pop(sender, None)
 
     def end(self) -> None:
-        """Stop."""
         self._ending.set()
         self._thread.join()
 
@@ -159,7 +154,7 @@ class Repeater:
         while not self._ending.wait(self._period_s):
             with self._lock:
                 for sender, message in self._messages.items():
-                    sender.publish(message() if callable(message) else message)
+                    self.send(sender, message() if callable(message) else message)
 
 
 class NodeProcess:
@@ -192,11 +187,9 @@ class NodeProcess:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
         return self._process.pid
 
     def tell(self, line: str) -> None:
-        """Write a line to its standard input."""
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
 
@@ -207,7 +200,6 @@ class NodeProcess:
         return at_s
 
     def runs(self) -> bool:
-        """Whether it has not ended."""
         return self._process.poll() is None
 
     def wait_for_line(self, pattern: str, since: int = 0) -> str:
@@ -236,7 +228,6 @@ class NodeProcess:
         return self.wait_for_exit(within_s)
 
     def clean_up(self) -> None:
-        """Leave nothing behind, however the test ended."""
         if self.runs():
             self._process.kill()
         self.wait_for_exit()
@@ -248,7 +239,6 @@ def executable(node: str) -> str:
 
 
 def config(*names: str) -> dict:
-    """Parameters from files in config/."""
     values: dict = {}
     for name in names:
         with open(os.path.join(PACKAGE, "config", name), encoding="utf-8") as file:
@@ -319,6 +309,5 @@ def set_params(test, namespace: str, values: dict) -> None:
 
 
 def delete_param(path) -> None:
-    """Take a parameter from the server, if it is there."""
     if rospy.has_param(path):
         rospy.delete_param(path)
