@@ -170,6 +170,16 @@ class Interfaces(unittest.TestCase):
         self.assertLessEqual({"/turn_arb/set_parameters", "/turn_arb/save", "/throttle_arb/servo/set_parameters",
                               "/throttle_arb/save"}, services)
 
+    def test_commands_have_sixteen_channels_of_which_each_node_sets_its_own(self):
+        mark = self.car.commands.mark()
+        for channel, sender in ((0, "/turn_arb"), (1, "/throttle_arb")):
+            vector = self.car.commands.wait_for(
+                lambda vector, sender=sender: vector._connection_header["callerid"] == sender, mark).what
+            self.assertEqual((len(vector.data), vector.data[:channel] + vector.data[channel + 1:]), (16, (-1,) * 15))
+            self.assertGreaterEqual(vector.data[channel], 0)
+            self.assertEqual(vector.layout.data_offset, 0)
+            self.assertEqual([(dim.label, dim.size, dim.stride) for dim in vector.layout.dim], [("pwm_channel", 16, 1)])
+
     def test_line_of_the_readme_commands_a_servo_board_as_typed(self):
         with open(os.path.join(PACKAGE, "README.md"), encoding="utf-8") as file:
             line = next(line for line in file if line.startswith("    rostopic pub /command "))
@@ -183,6 +193,16 @@ class Interfaces(unittest.TestCase):
         typed.end()
         outputs.wait_for(lambda output: output.data == (0,) * 16, outputs.mark())
         self.assertEqual(board.end(), 0)
+
+    def test_states_and_neutrals_are_latched_for_who_comes_late(self):
+        for name, message_type in (*((f"/{node}/state", each) for node, each in STATES.items()),
+                                   ("/servo/neutral", Int32MultiArray)):
+            topic = Topic(name, message_type)
+            self.addCleanup(topic.close)
+            message = topic.wait_for(lambda _: True).what
+            self.assertEqual(message._connection_header["latching"], "1", name)
+            if hasattr(message, "stamp"):
+                self.assertAlmostEqual(message.stamp.to_sec(), time.time(), delta=30)
 
     def test_gamepad_drives_through_all_nodes_and_letting_go_stops_which_the_log_and_diagnostics_say(self):
         diagnostics = Topic("/diagnostics", DiagnosticArray)
