@@ -143,8 +143,6 @@ class Drive:
         self._pulled = self._meant = False  # what the driver meant
         self.result = Result(seed, f"{esc.kind} as {profile} ({self.kind}), speed {self.speed}")
 
-    # --- the world ---
-
     def run_for(self, seconds, request, meant=False):
         """Holds a request for so long."""
         self.request, self._meant = request, meant
@@ -213,8 +211,6 @@ class Drive:
         self.result.longest_ns = max(self.result.longest_ns, now_ns - max(self._moved_ns, self._push_began_ns))
         if self._stopped_ns is not None and now_ns - self._stopped_ns > GRACE_NS:
             self.result.by_stop.append(f"{now_ns / 1e9:.2f} s")
-
-    # --- the driver ---
 
     def stop(self, seconds, stick=0.0):
         """The deadman is released, the stick stays."""
@@ -351,7 +347,6 @@ def run(seed):
 
 
 def failure(result):
-    """What is wrong with a drive; empty = nothing."""
     if result.by_stop:
         return f"a stop became reverse at {result.by_stop[0]}"
     if result.got < result.wanted:

@@ -142,8 +142,6 @@ class Soak:
             self._faults[f"{node[1:]} frozen for a second"] = partial(self._freeze, node)
             self._faults[f"{node[1:]} killed"] = partial(self._kill, node)
 
-    # --- faults: each is injected, waits, and is undone ---
-
     def _change_input(self, name, value, lasts_s):
         setattr(self._inputs, name, value)
         time.sleep(lasts_s)
@@ -168,8 +166,6 @@ class Soak:
         pid = pid_of(node)
         os.kill(pid, signal.SIGKILL)
         self._await(lambda: pid_of(node) not in (None, pid), RECOVERED_WITHIN_S, f"another {node}")
-
-    # --- the run ---
 
     def run(self):
         self._recover()

@@ -10,9 +10,6 @@ The Teensy runs byte by byte in virtual time. Idle: sonars every 50 ms and more,
 Saturated: no wait between the sonars, pulses for a report of the wheels every 5 ms, and all counters once a second,
 which is more than the cars' firmware ever sends.
 
-The host isn't ideal either: what it writes leaves up to 0.2 ms after it took the time, one write in fifty up to 2 ms
-after; it reads 0.3 ms after the bytes have come, on average, and once in a hundred times 5 to 10 ms later.
-
 An error is that of a stamp against the true time of what it stands for: a wheel's last pulse, a sonar's echo, the
 making of a pong. Beside it what one-way methods make of the same bytes: receipt minus tick, of the newest tick.
 """
@@ -37,8 +34,7 @@ from car_interface.teensy.sensing.clock import Clock, ClockConfig
 from car_interface.teensy.sensing.plausibility import Gates
 
 NS_PER_S, NS_PER_MS, NS_PER_US = 1_000_000_000, 1_000_000, 1_000
-BAUD = 115200
-BYTE_NS = 10 * NS_PER_S / BAUD
+BYTE_NS = 10 * NS_PER_S / 115200
 PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 START_NS = 5_000 * NS_PER_S
 LOOK_NS = 100 * NS_PER_US  # so often the host's UART is looked at: about a byte
@@ -89,7 +85,7 @@ def percentile(values: list, share: float) -> float:
 
 
 class Bench:
-    """A virtual Teensy, a host that isn't ideal, and the truth."""
+    """A virtual Teensy, a host that sometimes writes and reads late, and the truth."""
 
     def __init__(self, scenario: Scenario, config: ClockConfig):
         self._scenario = scenario

@@ -34,8 +34,6 @@ from car_interface.throttle.stick import StickConfig
 
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
 TICK_S = 0.02
-STEERING_DUTY = 5100.0
-MAX_LATE_DUTY = 100  # what the stick moves from where the car sets off until that is seen
 ALL = ("creep forward", "brake", "pull twice", "creep backward", "wait and pull")
 
 
@@ -190,7 +188,7 @@ def script(leaves_out=(), is_calibration_drive=True):
         for _ in person.drive():
             now_ns = START_NS + round(see.now_s * NS_PER_S)
             duty, state = node.step(person, see.speed_mps, now_ns)
-            yield Command(STEERING_DUTY, 0.0, duty, state)
+            yield Command(5100.0, 0.0, duty, state)
     return commands
 
 
@@ -234,7 +232,7 @@ def _errors(car, written):
             ("reverse", neutral - found.get("dead_band_reverse", 0.08) * (neutral - low), band_low,
              esc.full_reverse_duty, drive.reverse_mps2)):
         sets_off = true + drive.drag_mps2 / push_mps2 * (full - true)
-        late = MAX_LATE_DUTY if name == "forward" else -MAX_LATE_DUTY
+        late = 100 if name == "forward" else -100  # what the stick moves from there until that is seen
         if not min(true, sets_off + late) <= edge <= max(true, sets_off + late):
             yield (f"dead_band_{name} ends at {edge:.0f}, the ESC's at {true:.0f}, and the car sets off at "
                    f"{sets_off:.0f}")

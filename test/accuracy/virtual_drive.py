@@ -44,9 +44,6 @@ SIDEWAYS_MPS2 = 3.0  # nobody drives faster than that round a bend
 MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS = "mixed", "right", "fast", "third"
 
 
-# --- the car ---
-
-
 def random_car(seed: int) -> VehicleConfig:
     """A car as no other: where it goes straight and where its stops are, how steep in between, what drives it.
 
@@ -99,9 +96,6 @@ def true_curvature_per_m(car: VehicleConfig, duty) -> np.ndarray:
 def duty_of_value(value: float) -> float:
     """The ESC's, by config/throttle.yaml."""
     return float(np.interp(value, THROTTLE.value_axis, THROTTLE.duty_table))
-
-
-# --- the person ---
 
 
 class Command(NamedTuple):
@@ -306,9 +300,6 @@ def _straight(see):
             state["duty"] = see.straight_duty + 160 * off_rad / (1 + max(0.0, see.speed_mps) / 4)
         return state["duty"]
     return stick
-
-
-# --- the recording ---
 
 
 def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing: str = MIXED, duration_s: float = 300.0,

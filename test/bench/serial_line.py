@@ -20,12 +20,9 @@ PAUSE_S = (0.004, 0.02)
 UNCOUNTED = 3  # the first frames, while the connections may not be complete
 EVERYTHING = ("odom", "/tf", "joint_states", "teensy_clock", "teensy_sensor_hub/link", "/diagnostics",
               *(f"sonar/{name}" for name in SONARS))
-WARM_UP_S = 0.3
-FACTORS = (1, 10)  # × 115200 baud
 RAW, ALL = "raw", "everything"
 FLOORS = {RAW: "floor_of_raw", ALL: "floor_of_everything"}  # bare rospy with the same messages, ready-made
 KINDS = (*FLOORS.values(), RAW, ALL)  # also their namespaces
-ODOM_RATE = "50"  # Hz, the hub's by default
 CPU_RATIOS = {RAW: 1.2, ALL: 1.35}  # to bare rospy
 ORIGINALS = {(1, RAW): "5.4", (10, RAW): "34.8"}  # CPU, % of a core
 
@@ -79,7 +76,7 @@ def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
     The line and the subscribers are processes of their own, whose CPU time is not counted.
     """
     with readers(stage) as by_kind:
-        for factor in FACTORS:
+        for factor in (1, 10):  # × 115200 baud
             rounds = [{kind: load(effort.line_s / effort.line_rounds, reader, factor)
                        for kind, reader in by_kind.items()} for _ in range(effort.line_rounds)]
             loads = {kind: mean([loads[kind] for loads in rounds]) for kind in by_kind}
@@ -108,7 +105,7 @@ def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
                           *(("count", *everything.get(kind, ()), f"__ns:={kind}") for kind in KINDS))
     lines, counts = actors[:len(KINDS)], actors[len(KINDS):]
     nodes = (*stage.actors(("pipe", ports[FLOORS[RAW]], f"__ns:={FLOORS[RAW]}"),
-                           ("pipe", ports[FLOORS[ALL]], ODOM_RATE, f"__ns:={FLOORS[ALL]}")),
+                           ("pipe", ports[FLOORS[ALL]], "50", f"__ns:={FLOORS[ALL]}")),  # the hub's odom_rate
              hub(stage, ports[RAW], f"/{RAW}", "_raw_only:=true"), hub(stage, ports[ALL], f"/{ALL}"))
     with stage.running(*actors, *nodes):
         for count in counts:
@@ -128,7 +125,7 @@ def load(lasts_s: float, reader: Reader, factor: int) -> Load:
     sent_mark, counted_mark = line.stdout.mark(), count.stdout.mark()
     begun_s = time.monotonic()
     line.tell(f"go {factor}")
-    time.sleep(WARM_UP_S)
+    time.sleep(0.3)
     meter = CpuMeter(node.pid)
     time.sleep(lasts_s)
     used = meter.percent()
