@@ -33,8 +33,6 @@ MAX_WRONG_NS = 500 * MS
 
 @dataclass
 class Result:
-    """What one drive showed."""
-
     seed: int
     case: str
     unintended: list = field(default_factory=list)  # pushes backward that nobody meant
@@ -72,7 +70,7 @@ class Chip:
         return (esc.full_forward_duty if forward else esc.full_reverse_duty) - esc.neutral_duty
 
     def tick(self, now_ns):
-        """Returns what arrives at the node now."""
+        """Return what arrives at the node now."""
         while self._commands and self._commands[0][0] <= now_ns:
             self._command_ns, self._newest = self._commands.popleft()
         if now_ns < self.dead_until_ns:
@@ -144,7 +142,6 @@ class Drive:
         self.result = Result(seed, f"{esc.kind} as {profile} ({self.kind}), speed {self.speed}")
 
     def run_for(self, seconds, request, meant=False):
-        """Holds a request for so long."""
         self.request, self._meant = request, meant
         until_ns = self.now_ns + round(seconds * 1e9)
         while self.now_ns < until_ns:
@@ -359,7 +356,7 @@ def failure(result):
 
 
 def summed_up(results):
-    """What failed, and totals."""
+    """Return what failed, and totals."""
     found, totals = [], collections.Counter()
     for result in results:
         totals.update({"drives": 1, "wanted": result.wanted, "got": result.got, "backward": bool(result.unintended)})

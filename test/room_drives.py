@@ -35,7 +35,7 @@ CONE_RAD = math.radians(30)
 FAST_MPS = 0.3
 ALL_ALIKE, MOSTLY_AHEAD = (0, 1, 2, 3, 4, 5), (1, 0, 1, 2, 1, 0, 1, 2, 1, 4)
 CAR = Outline()
-# The brake that a stop is certain of, by half of the full one, and drag; what the car does is its own affair.
+# The brake that a stop is certain of, by half of the full one, and drag.
 BRAKE_MPS2, DRAG_MPS2 = 1.5, 0.3
 REACTION_S = 0.65  # the range's age, a cycle and the actuation
 

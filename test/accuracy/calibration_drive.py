@@ -4,9 +4,9 @@
     PYTHONPATH=src:test python3 -m accuracy.calibration_drive
 
 The same cars as in steering_calibration, here with an ESC of some kind and with tyres, half of them in a room of
-6 × 6 m whose walls their sonars see. Between the drive and the car are the real arbiters, speed control, converter, Teensy and
-odometry. A person lets the button go at random for a random time, and sometimes pushes the car back to the middle
-meanwhile, also where the drive asks for it. The fit answers late, as on a slow computer.
+6 × 6 m whose walls their sonars see. Between the drive and the car are the real arbiters, speed control, converter,
+Teensy and odometry. A person lets the button go at random for a random time, and sometimes pushes the car back to
+the middle meanwhile, also where the drive asks for it. The fit answers late, as on a slow computer.
 
 With --releases the button is let go for good at regular moments, too, each time in a copy of the whole, which rolls
 until it stands: whether it stays inside whenever a person lets go. With --rolls nothing but its own drag stops it then.

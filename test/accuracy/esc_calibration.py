@@ -1,8 +1,7 @@
 """What calibrate_esc finds of random virtual ESCs, whose kind and numbers it does not know.
 
 A scripted person drives as docs/calibrate.md asks for, through throttle_arb's rules with esc/calibration_drive, and the
-command sees the bag only. The person's hand is a person's: it reacts late, moves the stick in some tenths of a second,
-trembles, counts badly, and now and then does something else than it was told.
+command sees the bag only. The person reacts late, trembles, counts badly, and now and then does something else.
 
     PYTHONPATH=src:test python3 -m accuracy.esc_calibration [--first SEED] [--escs N]
 """
@@ -34,7 +33,6 @@ from car_interface.throttle.stick import StickConfig
 
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
 TICK_S = 0.02
-ALL = ("creep forward", "brake", "pull twice", "creep backward", "wait and pull")
 
 
 def random_car(seed: int) -> VehicleConfig:
@@ -71,9 +69,11 @@ class Person:
         for pressed in (1, 0, 1, 0):  # Y, twice: half of the throttle
             self.button = pressed
             yield from self._hold(0.0, 0.2)
-        for heading in ALL:
+        steps = {"creep forward": self._creep, "brake": self._brake, "pull twice": self._pull_twice,
+                 "creep backward": lambda: self._creep(-1), "wait and pull": self._wait_and_pull}
+        for heading in steps:
             if heading not in self._leaves_out:
-                yield from getattr(self, "_" + heading.replace(" ", "_"))()
+                yield from steps[heading]()
         self.holds_deadman = False
         yield from self._hold(0.0, 1.0)
 
@@ -116,7 +116,7 @@ class Person:
         strength = -1.0 if self.rng.random() < 0.8 else -self.rng.uniform(0.75, 1.0)
         yield from self._hold(strength, seconds, lambda: self._see.speed_mps < -0.5)
 
-    def _creep_forward(self, sign=1):
+    def _creep(self, sign=1):
         for _ in range(3):
             per_s, position = self.rng.uniform(0.06, 0.13), self.rng.uniform(0.0, 0.06)
             while abs(self._see.speed_mps) < 0.08 and position < 0.9:
@@ -124,9 +124,6 @@ class Person:
                 position += per_s * TICK_S
             yield from self._hold(sign * position, self._reaction_s)
             yield from self._stand(1.0)
-
-    def _creep_backward(self):
-        return self._creep_forward(-1)
 
     def _stand(self, seconds):
         """Let the stick go until the car stands, and for so long."""
@@ -220,7 +217,7 @@ def judge(seed: int, folder: Path, bag: str | None = None) -> Outcome:
 
 
 def _errors(car, written):
-    """What of a file is wrong: a neutral that is none, a dead band or a dwell that is too short, or far too long."""
+    """Yield what of a file is wrong."""
     esc, drive, servo, found = car.esc, car.drive, written["servo"], written["esc"]
     neutral, low, high = servo["neutral"], servo["duty_table"][0], servo["duty_table"][-1]
     band_low, band_high = esc.neutral_duty - esc.reverse_band_duty, esc.neutral_duty + esc.forward_band_duty
@@ -239,8 +236,8 @@ def _errors(car, written):
     if esc.kind == virtual.BRAKE_THEN_REVERSE and not -0.01 <= found["dwell"] - esc.dwell_s <= 0.15:
         yield f"dwell {found['dwell']} s, the ESC's is {esc.dwell_s:.2f} s"
     forgets_s = found.get("reverse_after_neutral", 0.0)
-    if esc.kind == virtual.BRAKE_THEN_REVERSE and not (forgets_s <= esc.forget_s and bool(forgets_s) ==
-                                                       bool(esc.forget_s)):
+    is_true = forgets_s <= esc.forget_s and bool(forgets_s) == bool(esc.forget_s)
+    if esc.kind == virtual.BRAKE_THEN_REVERSE and not is_true:
         yield f"reverse_after_neutral {forgets_s} s, the ESC's is {esc.forget_s:.2f} s"
 
 

@@ -22,13 +22,7 @@ RECORDED = ("car_sim/truth", "turn_arb/state", "servo/output", "servo/cmdVector"
 
 
 class Driver:
-    """Holds the autonomous deadman and commands a circle at a speed.
-
-    Args:
-        speed_mps: the speed.
-        alternates: the gamepad steers every other ten seconds, and e_stop is published.
-        by_twist: the planner sends cmd_vel, for planner_interface; else radius and acceleration.
-    """
+    """Holds the autonomous deadman and commands a circle at a speed; for the options see roles.py."""
 
     def __init__(self, speed_mps: float, alternates: bool = False, by_twist: bool = False):
         self._target_mps = speed_mps

@@ -62,23 +62,15 @@ class Load(NamedTuple):
     sent_per_s: float  # frames
 
 
-class Reader(NamedTuple):
-    node: NodeProcess
-    line: NodeProcess
-    count: NodeProcess
-
-
 def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure with the capture's reports of wheels and sonars, repeated: 368 a second at 115200 baud, and ten times.
+    """Measure the hub with ``raw_only``, the hub with subscribers to all of its topics, and a bare node for each.
 
-    In turns: the hub with ``raw_only``, the hub with subscribers to all of its topics, and for each a bare node that
-    publishes the same messages ready-made, except those that are published once a second. The others wait meanwhile.
-    The line and the subscribers are processes of their own, whose CPU time is not counted.
+    In turns, with the capture's reports repeated: 368 a second at 115200 baud, and ten times.
     """
     with readers(stage) as by_kind:
         for factor in (1, 10):  # × 115200 baud
-            rounds = [{kind: load(effort.line_s / effort.line_rounds, reader, factor)
-                       for kind, reader in by_kind.items()} for _ in range(effort.line_rounds)]
+            rounds = [{kind: load(effort.line_s / effort.line_rounds, *processes, factor)
+                       for kind, processes in by_kind.items()} for _ in range(effort.line_rounds)]
             loads = {kind: mean([loads[kind] for loads in rounds]) for kind in by_kind}
             yield from line_rows(factor, loads)
 
@@ -97,8 +89,8 @@ def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
 
 
 @contextmanager
-def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
-    """Start the nodes, each with a line and subscribers; nothing is sent yet."""
+def readers(stage: Stage) -> Iterator[dict[str, tuple[NodeProcess, ...]]]:
+    """Start of each kind a node, its line and its subscribers; nothing is sent yet."""
     ports = {kind: stage.path(f"line_{kind}") for kind in KINDS}
     everything = {ALL: EVERYTHING, FLOORS[ALL]: EVERYTHING}
     actors = stage.actors(*(("line", port) for port in ports.values()),
@@ -112,7 +104,7 @@ def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
             count.tell("connected")
         for count in counts:
             count.wait_for_info("^connected")
-        yield {kind: Reader(*reader) for kind, *reader in zip(ports, nodes, lines, counts)}
+        yield dict(zip(ports, zip(nodes, lines, counts)))
 
 
 def mean(loads: list[Load]) -> Load:
@@ -120,8 +112,7 @@ def mean(loads: list[Load]) -> Load:
     return Load(sum(cpu_percents) / len(loads), sum(lost), sum(rates) / len(loads))
 
 
-def load(lasts_s: float, reader: Reader, factor: int) -> Load:
-    node, line, count = reader
+def load(lasts_s: float, node: NodeProcess, line: NodeProcess, count: NodeProcess, factor: int) -> Load:
     sent_mark, counted_mark = line.stdout.mark(), count.stdout.mark()
     begun_s = time.monotonic()
     line.tell(f"go {factor}")
@@ -131,11 +122,8 @@ def load(lasts_s: float, reader: Reader, factor: int) -> Load:
     used = meter.percent()
     line.tell("stop")
     lasted_s = time.monotonic() - begun_s
-    frames = _number(line.stdout.wait_for(lambda text: text.startswith("sent"), sent_mark).what)
+    sent = line.stdout.wait_for(lambda text: text.startswith("sent"), sent_mark).what
     count.tell("report")
-    counted = _number(count.stdout.wait_for(lambda text: text.startswith("counted"), counted_mark).what)
-    return Load(used, frames - counted, frames / lasted_s)
-
-
-def _number(text):
-    return int(text.split()[1])
+    counted = count.stdout.wait_for(lambda text: text.startswith("counted"), counted_mark).what
+    frames, arrived = (int(text.split()[1]) for text in (sent, counted))
+    return Load(used, frames - arrived, frames / lasted_s)
