@@ -120,7 +120,7 @@ class TwoCars(Closing):
             mark, killed_s = output.mark(), time.monotonic()
             os.kill(pid_of("/four/pca9685"), signal.SIGKILL)
             output.wait_for(lambda message: message.data[0] != LEFT_DUTY, mark)  # its guard
-            back = drive()  # the stick rests first: with that many connections a node may have stood still, and locked
+            back = drive()  # with that many connections a node may have stood still: it wants the deadman let go
             print(f"{mode}: pca9685 is back after {back.at_s - killed_s:.2f} s", flush=True)
             if STRICT:
                 self.assertLess(back.at_s - killed_s, 5.0)
@@ -128,7 +128,8 @@ class TwoCars(Closing):
                 peers.clean_up()
         os.kill(pid_of("/four/turn_arb"), signal.SIGKILL)
         mark = states.mark()
-        states.wait_for(lambda state: state.cause == causes.NOT_REARMED, mark)  # it hears teleop_logi
+        # It hears teleop_logi, and wants the deadman let go.
+        states.wait_for(lambda state: state.cause in (causes.NOT_REARMED, causes.HUMAN_ABSENT), mark)
         drive()
 
 

@@ -67,20 +67,28 @@ class TwoCarsDrive(unittest.TestCase):
         for name, file in DRIVE_FILES.items():
             set_params(self, f"/car1/demo_drive/{name}", yaml.safe_load((mine / file).read_text(encoding="utf-8")))
         other = start_node(self, "demo_drive", "__ns:=car1", *(f"{name}:={name[1:]}" for name in ABSOLUTE))
-        outputs.wait_for(lambda message: message.data[6] > 6000, within_s=DRIVE_WITHIN_S)  # the circle to the left
+        eventually(lambda: not other.runs() or any(message.data[6] > 6000 for message in outputs.since()[-1:]),
+                   "the circle to the left", DRIVE_WITHIN_S)
         self.check_saves(mine)
-        for process in (alone, other):
-            code = process.wait_for_exit(DRIVE_WITHIN_S)
-            shown = "\n".join(process.stdout.since() + process.stderr.since())
-            self.assertNotIn("Traceback", shown)
-            self.assertNotIn("ran into something", shown)
-            if "this computer stood still" not in shown:
-                self.assertEqual(code, 0, shown)
-                self.assertIn("as planned: yes", shown)
+        is_whole = [self.is_whole(process) for process in (alone, other)]
         self.assertEqual(digests(), before)
         self.check_names()
         self.check_listeners()
-        self.check_bag(f"{self.folder}/bags")
+        path, = glob.glob(f"{self.folder}/bags/*.bag")  # it was closed
+        if is_whole[0]:
+            self.check_bag(path)
+
+    def is_whole(self, process):
+        """Whether a drive went on to its end, as planned; the computer may have stood still, which ends it."""
+        code = process.wait_for_exit(DRIVE_WITHIN_S)
+        shown = "\n".join(process.stdout.since() + process.stderr.since())
+        self.assertNotIn("Traceback", shown)
+        self.assertNotIn("ran into something", shown)
+        if "this computer stood still" in shown:
+            return False
+        self.assertEqual(code, 0, shown)
+        self.assertIn("as planned: yes", shown)
+        return True
 
     def my_car(self):
         """Files of a car that differs in everything: channels, a reversed servo, ESC, wheels, gamepad."""
@@ -138,9 +146,8 @@ class TwoCarsDrive(unittest.TestCase):
             sockets = set(re.findall(r"socket:\[(\d+)\]", " ".join(links_in(f"/proc/{pid}/fd"))))
             self.assertEqual(sockets & exposed, set(), name)
 
-    def check_bag(self, folder):
-        """The bag was closed and holds what both the human and the car did."""
-        path, = glob.glob(os.path.join(folder, "*.bag"))
+    def check_bag(self, path):
+        """It holds what both the human and the car did."""
         with rosbag.Bag(path) as bag:
             counts = {topic: info.message_count for topic, info in bag.get_type_and_topic_info().topics.items()}
         for topic, at_least in (("/servo/output", 30), ("/servo/cmdVector", 3000), ("/teensy_wheel", 500),
