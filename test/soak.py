@@ -239,6 +239,9 @@ class Footprint(NamedTuple):
     threads: int
     files: int
 
+    def __str__(self):
+        return f"{self.memory_mb:.1f} MB, {self.threads} threads, {self.files} files"
+
     def has_grown_until(self, later):
         return (later.pid != self.pid or later.memory_mb - self.memory_mb > MAX_GROWTH_MB
                 or later.threads > self.threads + 1 or later.files > self.files + 2)
