@@ -33,8 +33,6 @@ MAX_WRONG_NS = 500 * MS
 
 @dataclass
 class Result:
-    """What one drive showed."""
-
     seed: int
     case: str
     unintended: list = field(default_factory=list)  # pushes backward that nobody meant
@@ -72,7 +70,7 @@ class Chip:
         return (esc.full_forward_duty if forward else esc.full_reverse_duty) - esc.neutral_duty
 
     def tick(self, now_ns):
-        """Returns what arrives at the node now."""
+        """Return what arrives at the node now."""
         while self._commands and self._commands[0][0] <= now_ns:
             self._command_ns, self._newest = self._commands.popleft()
         if now_ns < self.dead_until_ns:
@@ -143,10 +141,7 @@ class Drive:
         self._pulled = self._meant = False  # what the driver meant
         self.result = Result(seed, f"{esc.kind} as {profile} ({self.kind}), speed {self.speed}")
 
-    # --- the world ---
-
     def run_for(self, seconds, request, meant=False):
-        """Holds a request for so long."""
         self.request, self._meant = request, meant
         until_ns = self.now_ns + round(seconds * 1e9)
         while self.now_ns < until_ns:
@@ -213,8 +208,6 @@ class Drive:
         self.result.longest_ns = max(self.result.longest_ns, now_ns - max(self._moved_ns, self._push_began_ns))
         if self._stopped_ns is not None and now_ns - self._stopped_ns > GRACE_NS:
             self.result.by_stop.append(f"{now_ns / 1e9:.2f} s")
-
-    # --- the driver ---
 
     def stop(self, seconds, stick=0.0):
         """The deadman is released, the stick stays."""
@@ -351,7 +344,6 @@ def run(seed):
 
 
 def failure(result):
-    """What is wrong with a drive; empty = nothing."""
     if result.by_stop:
         return f"a stop became reverse at {result.by_stop[0]}"
     if result.got < result.wanted:
@@ -364,7 +356,7 @@ def failure(result):
 
 
 def summed_up(results):
-    """What failed, and totals."""
+    """Return what failed, and totals."""
     found, totals = [], collections.Counter()
     for result in results:
         totals.update({"drives": 1, "wanted": result.wanted, "got": result.got, "backward": bool(result.unintended)})

@@ -33,8 +33,6 @@ MUTANTS, PACKAGE = Path("test/mutants"), Path("src/car_interface")
 SEED, MAX_PER_PART, MAX_PER_NODE = 20261125, 60, 15
 # What decides. The Teensy's link and sensing belong to it: limits, obstacle stop and interlock go by their values.
 PARTS = ("interlock", "steering", "throttle", "planner", "teleop", "pca9685", "teensy/link", "teensy/sensing", "nodes")
-COMMON = ("drive_modes", "fixed_parameters", "live_parameters", "lookup_table", "measured_speed", "name_wait", "params",
-          "publishers", "rate_timer", "refusal", "servo_channels", "staleness", "standstill", "units")
 # A mutant is killed by tests that take this many times as long as in the clean run, and so much more.
 LIMIT_FACTOR, LIMIT_EXTRA_S = 3.0, 15.0
 MAX_MEMORY = 8 * 2 ** 30  # bytes: for a mutant that appends without end
@@ -191,12 +189,9 @@ def draw(module: str, found: Iterable[Key], limit: int) -> list[Key]:
 
 def draw_list(root: Path, before: dict[str, list[Key]], names: list[str]) -> dict[str, list[Key]]:
     """Return the list of mutants with those of the named modules drawn anew."""
-    package = root / PACKAGE
-    paths = [*(package / f"common/{name}.py" for name in COMMON),
-             *(path for part in PARTS for path in sorted((package / part).rglob("*.py")))]
     drawn = dict(before)
-    for path in paths:
-        module = path.relative_to(package).as_posix()
+    for path in sorted((root / PACKAGE).rglob("*.py")):
+        module = path.relative_to(root / PACKAGE).as_posix()
         if is_named(module, names):
             limit = MAX_PER_NODE if module.startswith("nodes/") else MAX_PER_PART
             drawn[module] = draw(module, find(module, path.read_bytes()), limit)
@@ -235,14 +230,20 @@ def from_text(text: str) -> tuple[dict[str, list[Key]], dict[str, str]]:
     return lists, titles
 
 
-def imported(path: Path, root: Path) -> set[str]:
-    """Return the modules of the package that a file imports."""
+def imports(path: Path) -> set[str]:
+    """Return the full names that a file imports, anywhere in it; relative ones begin with a dot."""
     names = set()
     for node in ast.walk(ast.parse(path.read_bytes())):
-        if isinstance(node, ast.ImportFrom):
-            names |= {node.module or "", *(f"{node.module}.{each.name}" for each in node.names)}
-        elif isinstance(node, ast.Import):
+        if isinstance(node, ast.Import):
             names |= {each.name for each in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names |= {f"{'.' * node.level}{node.module or ''}.{each.name}" for each in node.names}
+    return names
+
+
+def imported(path: Path, root: Path) -> set[str]:
+    """Return the modules of the package that a file imports."""
+    names = {each for name in imports(path) for each in (name, name.rpartition(".")[0])}
     paths = (name[len("car_interface."):].replace(".", "/") + ".py" for name in names
              if name.startswith("car_interface."))
     return {module for module in paths if (root / PACKAGE / module).exists()}
@@ -446,6 +447,8 @@ def main() -> int:
     (everything, _), (accepted, titles) = (
         from_text(path.read_text(encoding="utf-8") if path.exists() else "") for path in files)
     if options.draw:
+        if not options.modules:
+            parser.error("--draw needs a MODULE")
         files[0].write_text(to_text(draw_list(ROOT, everything, options.modules), {}), encoding="utf-8")
         return 0
     lists = {module: keys for module, keys in everything.items() if is_named(module, options.modules)}

@@ -3,9 +3,8 @@
 ``python3 test/planner_drives.py 1000`` runs so many planners, each on one of 20 cars, on all cores;
 test_virtual_drives.py runs a sample. Each depends on its seed alone.
 
-A planner asks for turns and throttle that no sane one would, at 5 to 200 Hz, and may fall silent. A car's tables are
-off by some percent, its tyres, balance and battery are its own, and odometry is late, noisy, sometimes away. What
-happens is judged by the vehicle alone. Without limits most of these drives end on the roof.
+A planner asks for turns and throttle that no sane one would, and may fall silent. A car's tables are off by some
+percent, and odometry is late, noisy, sometimes away. What happens is judged by the vehicle alone.
 """
 from __future__ import annotations
 

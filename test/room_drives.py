@@ -35,7 +35,7 @@ CONE_RAD = math.radians(30)
 FAST_MPS = 0.3
 ALL_ALIKE, MOSTLY_AHEAD = (0, 1, 2, 3, 4, 5), (1, 0, 1, 2, 1, 0, 1, 2, 1, 4)
 CAR = Outline()
-# The brake that a stop is certain of, by half of the full one, and drag; what the car does is its own affair.
+# The brake that a stop is certain of, by half of the full one, and drag.
 BRAKE_MPS2, DRAG_MPS2 = 1.5, 0.3
 REACTION_S = 0.65  # the range's age, a cycle and the actuation
 
@@ -44,10 +44,7 @@ class Result(NamedTuple):
     seed: int
     speed_mps: float  # of the collision; 0 = none
     was_seen: bool
-    profile: str
     distance_m: float
-    max_speed_mps: float
-    cuts: int
 
 
 def random_room(rng) -> WorldConfig:
@@ -111,7 +108,6 @@ def run(seed: int, stops: bool = True) -> Result:
         obstacles=ObstacleConfig(mounts, CONE_RAD, MAX_RANGE_M) if stops else None)
     sonars, history = Sonars(rng, world, sequence), []
     duty, steering_duty, value, change_ns, chip, odometry = NEUTRAL, 5000, 0.0, 0, Chip(rng, 5000), deque()
-    fastest = 0.0
     for now_ns in range(STEP_NS, DRIVE_S * S, STEP_NS):
         for name, range_m in sonars.step(vehicle.pose, now_ns):
             throttle.update_range(name, range_m, now_ns)
@@ -133,11 +129,9 @@ def run(seed: int, stops: bool = True) -> Result:
         history.append((now_ns, vehicle.pose, vehicle.curvature_per_m, vehicle.speed_mps))
         before_mps = vehicle.speed_mps
         vehicle.step(STEP_NS, *chip.duties(now_ns))
-        fastest = max(fastest, vehicle.speed_mps)
         if collisions.count:
-            was_seen = _was_seen(world, history, profile)
-            return Result(seed, abs(before_mps), was_seen, profile, vehicle.travel_m, fastest, throttle.cuts)
-    return Result(seed, 0.0, False, profile, vehicle.travel_m, fastest, throttle.cuts)
+            return Result(seed, abs(before_mps), _was_seen(world, history, profile), vehicle.travel_m)
+    return Result(seed, 0.0, False, vehicle.travel_m)
 
 
 def _was_seen(world, history, profile):

@@ -21,6 +21,7 @@ import threading
 import time
 import xmlrpc.client
 from functools import partial
+from typing import NamedTuple
 
 import rosgraph
 import rosnode
@@ -37,11 +38,7 @@ LEFT, RADIUS_M, SPEED_MPS = 3824, 1.6, 1.0  # what the planner asks for
 PERIOD_S = 0.02
 STOPPED_WITHIN_S = 1.0  # 0.25 s joy, 0.5 s human, and time for a busy machine
 RECOVERED_WITHIN_S = 15.0
-DRIVES_FOR_S = 1.5  # between two faults
-RECONNECTED_S = 5.0  # after a node was killed
-WARM_UP_RATIO = 0.4  # of the time: nodes are killed only until then, and what grows afterwards is a leak
 MAX_GROWTH_MB = 1.0
-AUTONOMOUS_BUTTON = 5
 INPUT_FAULTS = {  # attribute of Inputs, its value, and for how long
     "human lets go": ("deadman", False, 1.5), "gamepad silent": ("deadman", None, 2.0),
     "gamepad axis NaN": ("joy_axis", math.nan, 1.5), "e_stop on": ("e_stop", True, 1.5),
@@ -87,7 +84,7 @@ class Inputs:
         joy = command = None
         if self.deadman is not None:
             joy = Joy(axes=[self.joy_axis] * 8, buttons=[0] * 11)
-            joy.buttons[AUTONOMOUS_BUTTON] = int(self.deadman)
+            joy.buttons[5] = int(self.deadman)
         if self.acceleration is not None:
             command = Control(stamp=rospy.Time.now())
             control = 1.5 * (SPEED_MPS - self.speed_mps)
@@ -132,7 +129,7 @@ class Soak:
     def __init__(self, minutes, seed):
         self._random = random.Random(seed)
         self._end_s = time.monotonic() + 60 * minutes
-        self._kill_until_s = time.monotonic() + WARM_UP_RATIO * 60 * minutes
+        self._kill_until_s = time.monotonic() + 0.4 * 60 * minutes  # what grows afterwards is a leak
         self._inputs = Inputs()
         self._observer = Observer(self._inputs)
         self._failures: list = []
@@ -141,8 +138,6 @@ class Soak:
         for node in NODES:
             self._faults[f"{node[1:]} frozen for a second"] = partial(self._freeze, node)
             self._faults[f"{node[1:]} killed"] = partial(self._kill, node)
-
-    # --- faults: each is injected, waits, and is undone ---
 
     def _change_input(self, name, value, lasts_s):
         setattr(self._inputs, name, value)
@@ -169,17 +164,15 @@ class Soak:
         os.kill(pid, signal.SIGKILL)
         self._await(lambda: pid_of(node) not in (None, pid), RECOVERED_WITHIN_S, f"another {node}")
 
-    # --- the run ---
-
     def run(self):
         self._recover()
         before = None
         for name in self._names():
             if "killed" not in name and before is None and time.monotonic() > self._kill_until_s:
-                time.sleep(RECONNECTED_S)
-                before = {node: Footprint(node) for node in NODES}
+                time.sleep(5.0)  # until all are connected again
+                before = {node: footprint(node) for node in NODES}
             self._try_fault(name)
-        return self._report(before or {}, {node: Footprint(node) for node in NODES})
+        return self._report(before or {}, {node: footprint(node) for node in NODES})
 
     def _names(self):
         """Until the end, each fault once, in random order, before any is repeated."""
@@ -202,7 +195,7 @@ class Soak:
             self._inputs.undo()
             return
         print(f"{time.strftime('%X')}  {name:42} drives again after {time.monotonic() - begun_s:5.2f} s", flush=True)
-        time.sleep(self._random.uniform(0.5, DRIVES_FOR_S))
+        time.sleep(self._random.uniform(0.5, 1.5))
 
     def _recover(self):
         """Release the deadman and hold it again, until the car drives and the Teensy answers."""
@@ -231,7 +224,7 @@ class Soak:
             time.sleep(0.01)
 
     def _report(self, before, after):
-        leaks = [leak for node in before for leak in before[node].leaks_until(after[node])]
+        leaks = [f"leak: {node}" for node in before if before[node].has_grown_until(after[node])]
         for node in before:
             print(f"{node:44} {before[node]} before, {after[node]} after")
         for text in (*self._failures, *(f"unsafe: {moment}" for moment in self._observer.unsafe[:5]), *leaks):
@@ -240,25 +233,25 @@ class Soak:
         return not (self._failures or self._observer.unsafe or leaks)
 
 
-class Footprint:
-    def __init__(self, node):
-        self._node = node
-        self.pid = pid_of(node)
-        folder = f"/proc/{self.pid}"
-        self.fds = len(os.listdir(f"{folder}/fd"))
-        self.threads = len(os.listdir(f"{folder}/task"))
-        with open(f"{folder}/statm", encoding="ascii") as file:
-            self.memory_mb = int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+class Footprint(NamedTuple):
+    pid: int
+    memory_mb: float
+    threads: int
+    files: int
 
     def __str__(self):
-        return f"{self.memory_mb:5.1f} MB, {self.threads} threads, {self.fds} files"
+        return f"{self.memory_mb:.1f} MB, {self.threads} threads, {self.files} files"
 
-    def leaks_until(self, later):
-        if later.pid != self.pid:
-            return [f"{self._node} is not the process that it was"]
-        has_grown = (later.memory_mb - self.memory_mb > MAX_GROWTH_MB or later.threads > self.threads + 1
-                     or later.fds > self.fds + 2)
-        return [f"{self._node} has {later}, and had {self}"] if has_grown else []
+    def has_grown_until(self, later):
+        return (later.pid != self.pid or later.memory_mb - self.memory_mb > MAX_GROWTH_MB
+                or later.threads > self.threads + 1 or later.files > self.files + 2)
+
+
+def footprint(node):
+    pid = pid_of(node)
+    with open(f"/proc/{pid}/statm", encoding="ascii") as file:
+        memory_mb = int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return Footprint(pid, memory_mb, *(len(os.listdir(f"/proc/{pid}/{name}")) for name in ("task", "fd")))
 
 
 def pid_of(node):

@@ -3,11 +3,10 @@
 
     PYTHONPATH=src:test python3 -m accuracy.calibration_drive
 
-The same cars as in steering_calibration, here with an ESC of some kind and with tyres. Half of them drive in a room of
-6 × 6 m whose walls their sonars see. The core of the drive asks for steering and speed; in between are the real
-steering arbiter, speed control, converter with the shipped map, throttle arbiter with the ESC's rules, the Teensy byte
-by byte and odometry. A person lets the button go at random moments for a random time, sometimes pushes the car back to
-the middle meanwhile, and does so where the drive asks for it. The fit answers late, as on a slow computer.
+The same cars as in steering_calibration, here with an ESC of some kind and with tyres, half of them in a room of
+6 × 6 m whose walls their sonars see. Between the drive and the car are the real arbiters, speed control, converter,
+Teensy and odometry. A person lets the button go at random for a random time, and sometimes pushes the car back to
+the middle meanwhile, also where the drive asks for it. The fit answers late, as on a slow computer.
 
 With --releases the button is let go for good at regular moments, too, each time in a copy of the whole, which rolls
 until it stands: whether it stays inside whenever a person lets go. With --rolls nothing but its own drag stops it then.
@@ -19,12 +18,10 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
-import pickle
+import multiprocessing
 import random
 import sys
 import tempfile
-import traceback
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +32,6 @@ import numpy as np
 from many_drives import THROTTLE, Chip
 from room_drives import ALL_ALIKE, Sonars
 
-from accuracy.releases import ROLLS_S, STANDS_MPS, Release, Releases
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
 from car_interface.calibration.drive.calibration_drive import CalibrationDrive
@@ -73,6 +69,7 @@ MAX_S = 900.0  # of the whole, with all its pauses
 QUICK_FIT_NS, FULL_FIT_NS = 400 * NS_PER_MS, 3000 * NS_PER_MS
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
 PUSHED_MPS = 0.7
+ROLLS_S, STANDS_MPS = 20.0, 0.02
 PLACES_PER_M = 1.25  # half a circle to the left leaves the middle 1.6 m to the left
 
 
@@ -89,13 +86,19 @@ class Result(NamedTuple):
     seed: int
     conclusion: Conclusion
     held_s: float
-    total_s: float
     max_m: float  # the farthest that any corner was from the middle of the area, along x or y
     extent_m: float  # the same from the start, in a straight line
     collisions: int
+
+
+class Release(NamedTuple):
+    """What a car did after the button had been let go for good."""
+
     distance_m: float
-    positions: int
-    pauses: int
+    extent_m: float  # as of a Result
+    max_m: float
+    hit_mps: float | None  # the speed at which it ran into something
+    took_s: float
 
 
 def driving_car(seed: int, rolls: bool = False) -> Car:
@@ -131,7 +134,6 @@ class Person:
     def __init__(self, rng):
         self._rng = rng
         self.holds = False
-        self.pauses = 0
         self._until_s = 1.6  # the ESC is armed meanwhile
         self._blocked_s = 0.0
         self.pushes = self._wants_push = False
@@ -150,7 +152,6 @@ class Person:
             elif now_s > self._until_s or is_there:
                 self._release(now_s, 1.0)
         elif self.holds and (now_s > self._until_s or self._blocked_s > 1.5):
-            self.pauses += 1
             self._wants_push = self._blocked_s > 1.5 or self._rng.random() < 0.3
             self._release(now_s, self._rng.choice((0.15, 0.6, 2.0, 5.0)))
         elif not self.holds and now_s > self._until_s:
@@ -218,9 +219,8 @@ class Bench:
             self._advance()
         base_text = STOCK.read_text(encoding="utf-8")
         conclusion = conclude(self.drive.samples, self.car.base, base_text, "calibration drive")
-        return Result(self._seed, conclusion, self.drive.driven_s, (self.vehicle.time_ns - START_NS) / NS_PER_S,
-                      self._max_m, self._extent_m, self._collisions.count if self._collisions else 0,
-                      self.vehicle.travel_m, self.drive.progress(self.vehicle.time_ns).positions, self._person.pauses)
+        return Result(self._seed, conclusion, self.drive.driven_s, self._max_m, self._extent_m,
+                      self._collisions.count if self._collisions else 0)
 
     def _advance(self):
         now_ns = self.vehicle.time_ns
@@ -235,19 +235,13 @@ class Bench:
 
     def let_go(self) -> Release:
         """What happens if the button is let go now, for good; this bench goes on as if it had not been."""
-        reads, writes = os.pipe()
-        child = os.fork()  # the virtual firmware can't be copied otherwise
-        if child == 0:
-            try:
-                os.write(writes, pickle.dumps(self._roll()))
-            except BaseException:
-                traceback.print_exc()
-            finally:
-                os._exit(0)
-        os.close(writes)
-        with os.fdopen(reads, "rb") as answer:
-            release = pickle.load(answer)
-        os.waitpid(child, 0)
+        fork = multiprocessing.get_context("fork")  # the virtual firmware can't be copied otherwise
+        answer, sends = fork.Pipe(duplex=False)
+        child = fork.Process(target=lambda: sends.send(self._roll()))
+        child.start()
+        sends.close()
+        release = answer.recv()
+        child.join()
         return release
 
     def _roll(self):
@@ -255,14 +249,14 @@ class Bench:
         self._person, self._trace = Mock(holds=False, pushes=False), None
         self._max_m = self._extent_m = 0.0
         vehicle, collisions = self.vehicle, self._collisions
-        begin_ns, speed_mps, travel_m = vehicle.time_ns, vehicle.speed_mps, vehicle.travel_m
+        begin_ns, travel_m = vehicle.time_ns, vehicle.travel_m
         hits = collisions.count if collisions else 0
         while vehicle.time_ns < begin_ns + ROLLS_S * NS_PER_S and abs(vehicle.speed_mps) > STANDS_MPS:
             self._advance()
         self._judge()
         hit_mps = collisions.speed_mps if collisions and collisions.count > hits else None
-        return Release((begin_ns - START_NS) / NS_PER_S, speed_mps, vehicle.travel_m - travel_m,
-                       self._extent_m, self._max_m, hit_mps, (vehicle.time_ns - begin_ns) / NS_PER_S)
+        return Release(vehicle.travel_m - travel_m, self._extent_m, self._max_m, hit_mps,
+                       (vehicle.time_ns - begin_ns) / NS_PER_S)
 
     def _push(self):
         """A step in which the person moves the car, whose wheels roll."""
@@ -354,6 +348,31 @@ class Bench:
             self._extent_m = max(self._extent_m, math.hypot(at[0] - start[0], at[1] - start[1]))
 
 
+class Releases:
+    """A trace that lets the button go at regular moments while the car is driven, each time in a copy."""
+
+    def __init__(self, every_s: float):
+        self._found: list[Release] = []
+        self._every_ns = round(every_s * NS_PER_S)
+        self._next_ns = 0
+
+    def __call__(self, now_ns, bench, step):
+        if now_ns >= self._next_ns and step.steering is not None and bench.vehicle.speed_mps > STANDS_MPS:
+            self._next_ns = now_ns + self._every_ns
+            self._found.append(bench.let_go())
+
+    def text(self) -> str:
+        found = self._found
+        if not found:
+            return "never let go"
+        out_m = [one.extent_m - HALF_M for one in found if one.extent_m > HALF_M]
+        hits_mps = [one.hit_mps for one in found if one.hit_mps is not None]
+        return (f"let go {len(found)} times: {len(out_m)} leave {HALF_M:g} m, "
+                f"by {max(out_m, default=0.0):.2f} m at most ({max(one.max_m for one in found):.2f} m along x or y); "
+                f"{len(hits_mps)} hit a wall, at {max(hits_mps, default=0.0):.2f} m/s at most; "
+                f"rolls {max(one.distance_m for one in found):.2f} m, {max(one.took_s for one in found):.1f} s at most")
+
+
 def errors(car: Car, yaml_text: str) -> tuple[Errors, Errors]:
     """(of the table, of the board's nearest count alone), for what the car can turn between its ends."""
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
@@ -371,8 +390,7 @@ def row(result: Result, pair: tuple[Errors, Errors] | None) -> str:
     kind = "slash" if result.seed % 4 == 3 else "smooth"
     figures = result.conclusion.refusal[:150] if pair is None else line("", beyond(*pair), *pair)
     return (f"{result.seed:5d} {kind:6} {'walls' if driving_car(result.seed).world else '     '} | "
-            f"{result.held_s:4.0f} {result.total_s:4.0f} s {result.distance_m:4.0f} m {result.positions:3d} "
-            f"{result.pauses:2d} | {result.max_m:4.2f} {result.extent_m:4.2f} {result.collisions}{figures}")
+            f"{result.held_s:4.0f} s | {result.max_m:4.2f} {result.extent_m:4.2f} {result.collisions}{figures}")
 
 
 def is_good(result: Result, pair: tuple[Errors, Errors] | None) -> bool:
@@ -397,11 +415,11 @@ def main():
     parser.add_argument("--braking", type=float, default=DEFAULTS.braking_mps2, metavar="M/S^2",
                         help="what the drive is told, as the program's option of that name")
     options = parser.parse_args()
-    print("  car              | held total  way pos pauses | max_x ext col      "
+    print("  car              | held   | max_x ext col      "
           " | radius, %: beyond | calibrated    | floor: count  | curvature, 1/m: the same")
     judged = []
     for seed in range(options.first, options.first + options.cars):
-        releases = None if options.releases is None else Releases(options.releases, HALF_M)
+        releases = None if options.releases is None else Releases(options.releases)
         judged.append(judge(seed, releases, options.rolls, options.braking))
         print(row(*judged[-1]), "" if is_good(*judged[-1]) else " missed", flush=True)
         if releases is not None:

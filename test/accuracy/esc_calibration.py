@@ -1,8 +1,7 @@
 """What calibrate_esc finds of random virtual ESCs, whose kind and numbers it does not know.
 
 A scripted person drives as docs/calibrate.md asks for, through throttle_arb's rules with esc/calibration_drive, and the
-command sees the bag only. The person's hand is a person's: it reacts late, moves the stick in some tenths of a second,
-trembles, counts badly, and now and then does something else than it was told.
+command sees the bag only. The person reacts late, trembles, counts badly, and now and then does something else.
 
     PYTHONPATH=src:test python3 -m accuracy.esc_calibration [--first SEED] [--escs N]
 """
@@ -34,9 +33,6 @@ from car_interface.throttle.stick import StickConfig
 
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
 TICK_S = 0.02
-STEERING_DUTY = 5100.0
-MAX_LATE_DUTY = 100  # what the stick moves from where the car sets off until that is seen
-ALL = ("creep forward", "brake", "pull twice", "creep backward", "wait and pull")
 
 
 def random_car(seed: int) -> VehicleConfig:
@@ -73,9 +69,11 @@ class Person:
         for pressed in (1, 0, 1, 0):  # Y, twice: half of the throttle
             self.button = pressed
             yield from self._hold(0.0, 0.2)
-        for heading in ALL:
+        steps = {"creep forward": self._creep, "brake": self._brake, "pull twice": self._pull_twice,
+                 "creep backward": lambda: self._creep(-1), "wait and pull": self._wait_and_pull}
+        for heading in steps:
             if heading not in self._leaves_out:
-                yield from getattr(self, "_" + heading.replace(" ", "_"))()
+                yield from steps[heading]()
         self.holds_deadman = False
         yield from self._hold(0.0, 1.0)
 
@@ -118,7 +116,7 @@ class Person:
         strength = -1.0 if self.rng.random() < 0.8 else -self.rng.uniform(0.75, 1.0)
         yield from self._hold(strength, seconds, lambda: self._see.speed_mps < -0.5)
 
-    def _creep_forward(self, sign=1):
+    def _creep(self, sign=1):
         for _ in range(3):
             per_s, position = self.rng.uniform(0.06, 0.13), self.rng.uniform(0.0, 0.06)
             while abs(self._see.speed_mps) < 0.08 and position < 0.9:
@@ -126,9 +124,6 @@ class Person:
                 position += per_s * TICK_S
             yield from self._hold(sign * position, self._reaction_s)
             yield from self._stand(1.0)
-
-    def _creep_backward(self):
-        return self._creep_forward(-1)
 
     def _stand(self, seconds):
         """Let the stick go until the car stands, and for so long."""
@@ -190,7 +185,7 @@ def script(leaves_out=(), is_calibration_drive=True):
         for _ in person.drive():
             now_ns = START_NS + round(see.now_s * NS_PER_S)
             duty, state = node.step(person, see.speed_mps, now_ns)
-            yield Command(STEERING_DUTY, 0.0, duty, state)
+            yield Command(5100.0, 0.0, duty, state)
     return commands
 
 
@@ -222,7 +217,7 @@ def judge(seed: int, folder: Path, bag: str | None = None) -> Outcome:
 
 
 def _errors(car, written):
-    """What of a file is wrong: a neutral that is none, a dead band or a dwell that is too short, or far too long."""
+    """Yield what of a file is wrong."""
     esc, drive, servo, found = car.esc, car.drive, written["servo"], written["esc"]
     neutral, low, high = servo["neutral"], servo["duty_table"][0], servo["duty_table"][-1]
     band_low, band_high = esc.neutral_duty - esc.reverse_band_duty, esc.neutral_duty + esc.forward_band_duty
@@ -234,15 +229,15 @@ def _errors(car, written):
             ("reverse", neutral - found.get("dead_band_reverse", 0.08) * (neutral - low), band_low,
              esc.full_reverse_duty, drive.reverse_mps2)):
         sets_off = true + drive.drag_mps2 / push_mps2 * (full - true)
-        late = MAX_LATE_DUTY if name == "forward" else -MAX_LATE_DUTY
+        late = 100 if name == "forward" else -100  # what the stick moves from there until that is seen
         if not min(true, sets_off + late) <= edge <= max(true, sets_off + late):
             yield (f"dead_band_{name} ends at {edge:.0f}, the ESC's at {true:.0f}, and the car sets off at "
                    f"{sets_off:.0f}")
     if esc.kind == virtual.BRAKE_THEN_REVERSE and not -0.01 <= found["dwell"] - esc.dwell_s <= 0.15:
         yield f"dwell {found['dwell']} s, the ESC's is {esc.dwell_s:.2f} s"
     forgets_s = found.get("reverse_after_neutral", 0.0)
-    if esc.kind == virtual.BRAKE_THEN_REVERSE and not (forgets_s <= esc.forget_s and bool(forgets_s) ==
-                                                       bool(esc.forget_s)):
+    is_true = forgets_s <= esc.forget_s and bool(forgets_s) == bool(esc.forget_s)
+    if esc.kind == virtual.BRAKE_THEN_REVERSE and not is_true:
         yield f"reverse_after_neutral {forgets_s} s, the ESC's is {esc.forget_s:.2f} s"
 
 

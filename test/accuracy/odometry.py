@@ -3,11 +3,10 @@
 
     PYTHONPATH=src:test python3 -m accuracy.odometry [--runs N]
 
-Virtual time: the car drives, its Teensy reports byte by byte, gates and odometry follow. Where the wheels stand
-between magnets at the start differs from run to run, as do the Teensy's clock and the driver's hand. Scored are: the
-final error of the position, as a share of the distance, and of the heading; the 95th percentile of the speed's relative
-error over all reports above 0.5 m/s, at the crawl over all in which it really crawls; and how many reports have the
-truth within three sigma in x, y and heading at once.
+Where the wheels stand between magnets at the start differs from run to run, as do the Teensy's clock and the driver's
+hand. Scored are: the final error of the position, as a share of the distance, and of the heading; the 95th percentile
+of the speed's relative error over all reports above 0.5 m/s, at the crawl over all in which it really crawls; and how
+many reports have the truth within three sigma in x, y and heading at once.
 """
 from __future__ import annotations
 
@@ -33,7 +32,6 @@ from car_interface.teensy.sensing.plausibility import Gates
 NS_PER_S, NS_PER_MS = 1_000_000_000, 1_000_000
 STEP_NS = 2 * NS_PER_MS
 CONTROL_NS = 20 * NS_PER_MS
-SPEED_FROM_MPS = 0.5
 CRAWL_MPS = 0.05
 STARTS_S = 0.7
 NEUTRAL = 4915
@@ -245,7 +243,7 @@ class Bench:
         score.position_m = math.hypot(errors[0], errors[1])
         score.yaw_deg = math.degrees(abs(errors[2]))
         error = abs(motion.speed_mps - speed_mps)
-        if abs(speed_mps) > SPEED_FROM_MPS:
+        if abs(speed_mps) > 0.5:
             score.speed.append(error / abs(speed_mps))
         elif 0.8 * CRAWL_MPS < abs(speed_mps) < 1.25 * CRAWL_MPS:
             score.crawl.append(error / abs(speed_mps))

@@ -3,10 +3,9 @@
 
     PYTHONPATH=src:test python3 -m accuracy.reboot
 
-Virtual time: wheels roll by a plan of speed and curvature, their hall pins stand anywhere, and power is cut in the
-middle; frames are cut on the line, no pulse counts while the Teensy boots, and its first pulses have wrong directions.
-What is scored is what the reboot itself changes: the error of the heading at the end less that just before it; and
-whether the truth lies within the published covariance's three sigma.
+Wheels roll by a plan, their hall pins stand anywhere, and power is cut in the middle. Scored is what the reboot itself
+changes: the error of the heading at the end less that just before it; and whether the truth lies within the published
+covariance's three sigma.
 """
 from __future__ import annotations
 
@@ -24,9 +23,7 @@ from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.sensing.measurements import MotionMeasurement
 
 PULSE_M, TRACK_M = math.pi * 0.095 / 20, 0.296
-STEP_NS = MS
-REBOOT_S, END_S = 6.0, 9.0
-ACCELERATION_MPS2 = 2.0
+STEP_NS, REBOOT_S, END_S = MS, 6.0, 9.0
 KINDS = ("straight", "curve", "slowing", "starting", "slalom", "stopping", "backward", "standing")
 STEADY = ("straight", "curve", "slowing", "backward")  # those whose curvature stays
 
@@ -88,7 +85,7 @@ class Drive:
 
     def step(self):
         wanted, curvature = self.plan.at(self.now_ns / S)
-        change = ACCELERATION_MPS2 * STEP_NS / S
+        change = 2.0 * STEP_NS / S
         self.speed += max(-change, min(change, wanted - self.speed))
         self.curvature += max(-0.01, min(0.01, curvature - self.curvature))  # a servo takes a fifth of a second
         rolled = self.speed * STEP_NS / S

@@ -4,11 +4,10 @@
     PYTHONPATH=src:test python3 -m accuracy.steering_calibration
 
 Each car is recorded (see virtual_drive: play, a lag of 0.15 s, sensors' noise, a slope of 2 %, a sagging battery), the
-command itself calibrates it from the bag alone, turn_arb's own core loads what it wrote, and is asked for turns. What
-the car then does, with its duty as the servo board's nearest count and in the middle of the play, is held against what
-was asked for: radii that it can reach up to 5 m, evenly by their logarithm, to both sides; and curvatures evenly over
-all that it can reach. Beside it what the best of all counts would cost, what the table costs beyond that (this is what
-is judged), and what the package's stock table costs.
+command itself calibrates it from the bag alone, turn_arb's own core loads what it wrote, and is asked for turns: radii
+up to 5 m, evenly by their logarithm, to both sides; and curvatures evenly over all that the car can reach. What it then
+does, with the servo board's nearest count and in the middle of the play, is compared with that. Beside it what the best
+of all counts would cost, what the table costs beyond that (this is judged), and what the stock table costs.
 """
 from __future__ import annotations
 
@@ -39,13 +38,6 @@ class Errors(NamedTuple):
     curvature: np.ndarray
 
 
-class Verdict(NamedTuple):
-    refusal: str
-    table: Errors | None
-    floor: Errors
-    stock: Errors
-
-
 def ask(car, radii_m, curvatures_per_m, duty_for) -> Errors:
     """What comes of asking for turns."""
     def driven(curvature):
@@ -66,7 +58,8 @@ def floor(car, radii_m, curvatures_per_m) -> Errors:
                   np.array([np.min(np.abs(possible - curvature)) for curvature in curvatures_per_m]))
 
 
-def judge(seed, folder, missing=MIXED) -> Verdict:
+def judge(seed, folder, missing) -> tuple[str, Errors | None, Errors, Errors]:
+    """Return why no table was written, or the errors of the table; those of the best counts and of the stock table."""
     car = random_car(seed)
     bag, table = Path(folder) / f"{seed}.bag", Path(folder) / f"{seed}.yaml"
     record(car, bag, seed, missing=missing)
@@ -76,8 +69,8 @@ def judge(seed, folder, missing=MIXED) -> Verdict:
     curvatures = [curvature for _, curvature in car.steering.curve]
     turns = asked_for(curvatures[0], curvatures[-1])
     made = None if code else ask(car, *turns, load_steering(str(table)).planner_duty)
-    return Verdict(said.getvalue().strip().splitlines()[-1] if code else "", made, floor(car, *turns),
-                   ask(car, *turns, load_steering(str(STOCK)).planner_duty))
+    return (said.getvalue().strip().splitlines()[-1] if code else "", made, floor(car, *turns),
+            ask(car, *turns, load_steering(str(STOCK)).planner_duty))
 
 
 def asked_for(left_per_m, right_per_m) -> tuple[np.ndarray, np.ndarray]:

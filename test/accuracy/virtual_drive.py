@@ -44,9 +44,6 @@ SIDEWAYS_MPS2 = 3.0  # nobody drives faster than that round a bend
 MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS = "mixed", "right", "fast", "third"
 
 
-# --- the car ---
-
-
 def random_car(seed: int) -> VehicleConfig:
     """A car as no other: where it goes straight and where its stops are, how steep in between, what drives it.
 
@@ -101,9 +98,6 @@ def duty_of_value(value: float) -> float:
     return float(np.interp(value, THROTTLE.value_axis, THROTTLE.duty_table))
 
 
-# --- the person ---
-
-
 class Command(NamedTuple):
     """What stick and trigger ask for."""
 
@@ -132,10 +126,7 @@ class View:
 def mixed_drive(see: View, missing: str = MIXED) -> Iterator[Command]:
     """Slow circles at ever other positions of the stick, and in between straights with throttle, coasting and brake.
 
-    Args:
-        see: what the person sees.
-        missing: ``NO_RIGHT``: no turns to the right but the slightest; ``NO_FAST``: nothing above 3 m/s and no hard
-            braking. Both leave about 30 % of the drive away.
+    ``NO_RIGHT`` has no turns to the right but the slightest, ``NO_FAST`` nothing above 3 m/s and no hard braking.
     """
     yield from rest(see, 2.5)
     yield from straight_on(see, 4.0, 1.5)
@@ -161,11 +152,7 @@ def rest(see, seconds):
 
 
 def circle(see, duty):
-    """Hold the stick at one position at an easy speed, and remember how tight that was.
-
-    It's come to from where the stick was, not quite there at once; and then from a little beyond, so that the play in
-    the linkage lies to the other side.
-    """
+    """Hold the stick at a position at an easy speed, come to from either side, and remember how tight that was."""
     pace, curvatures = _pace(see), []
     side = math.copysign(1.0, see.stick_duty - duty)
     for come_from, seconds in ((side, MISSED_S), (-side, BEYOND_S)):
@@ -308,19 +295,13 @@ def _straight(see):
     return stick
 
 
-# --- the recording ---
-
-
 def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing: str = MIXED, duration_s: float = 300.0,
            imu: bool = False, servo_topic: str = "/servo/output") -> None:
     """Drive a car and write the bag.
 
     Args:
-        path: must not exist.
-        seed: of the person, the Teensy's clock, magnets that sit a little off, the IMU's noise.
         script: ``(View, missing) -> Command``s, 50 a second; its end is the drive's.
         missing: what the person leaves away; ``TWO_THIRDS``: the recorder ran only 7 s of each 10.
-        imu: with imu/data, 100 a second.
         servo_topic: ``/servo/output``, or ``/servo/cmdVector`` with its −1 for channels that are left alone.
     """
     recorder = _Recorder(car, random.Random(seed), imu, servo_topic)
@@ -360,12 +341,7 @@ class Link:
 
 
 class Hub(Link):
-    """The link to the Teensy of a car.
-
-    Args:
-        rng: of the Teensy's clock.
-        noise: of magnets that sit a little off.
-    """
+    """The link to the Teensy of a car, whose clock (``rng``) and magnets (``noise``) are a little off."""
 
     def __init__(self, car: VehicleConfig, rng, noise):
         super().__init__(

@@ -13,14 +13,12 @@ from .rows import Row, Summary, Target
 from .stage import Stage, TimedSubscriber, connected_publisher
 
 CHANNELS = 16
-SETTLING_S = 0.05  # of a command that writes nothing
-ADDRESS_AND_REGISTER = 2  # bytes
 
 
 def sizes(log: str) -> list[int]:
     """Return the size of each write in the chip's log, bytes: address, register, data. Checks of the chip only read."""
     with open(log, encoding="ascii") as file:
-        return [ADDRESS_AND_REGISTER + len(line.split()[3]) // 2 for line in file if line.endswith("\n")]
+        return [2 + len(line.split()[3]) // 2 for line in file if line.endswith("\n")]
 
 
 def measure_bus(effort: Effort, stage: Stage) -> Iterator[Row]:
@@ -36,7 +34,7 @@ def measure_bus(effort: Effort, stage: Stage) -> Iterator[Row]:
                 outputs.first(lambda held: all(duty in (-1, output) for duty, output in zip(duties, held)))
                 eventually(lambda: len(sizes(path)) > before, "a write")
             else:
-                time.sleep(SETTLING_S)
+                time.sleep(0.05)
             return sizes(path)[before:]
         written([1600] * CHANNELS)
         steering, unchanged, all_channels, blocks = [], [], [], []

@@ -26,8 +26,6 @@ from .rows import MEDIAN, P99, WORST, Row, Summary, Target
 from .stage import Stage, TimedSubscriber
 from .whole_car import ALL, SIMULATOR, launch_cars
 
-LOOPS_PER_CORE = 4
-LOOP = "while True: pass"
 CAR = "/busy"
 CHANNELS = {"steering": 0, "ESC": 1}
 CENTER = 5104  # of the steering, on the chip
@@ -38,7 +36,7 @@ ESC_LINKS = ("turn_arb's state", "tele_throt_req", "mode", "the planner's value"
 
 
 def measure_busy(effort: Effort, stage: Stage) -> Iterator[Row]:
-    loops = LOOPS_PER_CORE * (os.cpu_count() or 1)
+    loops = 4 * (os.cpu_count() or 1)
     with busy(stage, loops):
         for what, times_ms, floors_ms in reactions(effort.busy_reactions, stage, TURN_ARB, kinds=1):
             yield Row("busy", f"{loops} busy loops: {what} → /servo/cmdVector", "ms", Summary.of(times_ms),
@@ -64,7 +62,7 @@ def busy(stage: Stage, loops: int) -> Iterator[None]:
     """Keep all cores busy by programs in sessions of their own, as roslaunch starts them: Linux shares a core among
     sessions, then among the programs of each.
     """
-    processes = [stage.start("setsid", sys.executable, "-c", LOOP) for _ in range(loops)]
+    processes = [stage.start("setsid", sys.executable, "-c", "while True: pass") for _ in range(loops)]
     try:
         yield
     finally:

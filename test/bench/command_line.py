@@ -18,7 +18,7 @@ from .heartbeat import measure_heartbeat
 from .meters import OthersMeter
 from .nodes import measure_memory, measure_start
 from .reaction import measure_chip, measure_reaction
-from .rows import Row, head, table, verdict
+from .rows import COLUMNS, WIDTHS, Row, table, verdict
 from .serial_line import measure_line, measure_serial
 from .stage import Stage
 from .throttle import measure_throttle
@@ -29,9 +29,7 @@ GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measu
           "serial": measure_serial, "line": measure_line, "lookup": measure_lookup, "decide": measure_decide,
           "bus": measure_bus, "start": measure_start, "memory": measure_memory, "car": measure_car}
 ON_REQUEST = {"busy": measure_busy}
-WITHOUT_ROS = {"decode", "encode", "lookup", "decide"}
 LOOP_STEPS = 200_000
-DISTURBED_PERCENT = 10  # of a core, used by other programs: above it they lengthen latencies
 
 
 class Conditions(NamedTuple):
@@ -39,20 +37,6 @@ class Conditions(NamedTuple):
     took_s: float
     others_percent: float  # of a core, used by other programs
     loop_hz: float  # mean of before and after it: loop_hz()
-
-
-def read_arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="./dev bench", description="Measure latency, CPU and memory of this package on this machine. Exit code 0 "
-        "= everything was measured, whether or not each target was met.")
-    parser.add_argument("--quick", action="store_true",
-                        help="fewer trials, one car: within two minutes, too little to judge by")
-    parser.add_argument("--only", action="append", choices=(*GROUPS, *ON_REQUEST), metavar="NAME",
-                        help=f"measure this only; may be given again. One of {', '.join(GROUPS)}, or "
-                        f"{', '.join(ON_REQUEST)}, which is not measured otherwise")
-    parser.add_argument("--json", metavar="FILE", default=os.environ.get("CAR_INTERFACE_BENCH_JSON"),
-                        help="where to write the figures as JSON")
-    return parser.parse_args()
 
 
 def machine() -> dict:
@@ -72,7 +56,7 @@ def measure(names, effort: Effort) -> Iterator[tuple[list[Row], str, Conditions]
             error_text = ""
             begun_s, others = time.monotonic(), OthersMeter()
             try:
-                if name not in WITHOUT_ROS:
+                if name not in ("decode", "encode", "lookup", "decide"):
                     stage.open()
                 rows.extend({**GROUPS, **ON_REQUEST}[name](effort, stage))
             except Exception as error:  # the other groups can still be measured
@@ -95,12 +79,27 @@ def loop_hz() -> float:
     return LOOP_STEPS / (time.process_time() - begun_s)
 
 
+def read_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="./dev bench", description="Measure latency, CPU and memory of this package on this machine. Exit code 0 "
+        "= everything was measured, whether or not each target was met.")
+    parser.add_argument("--quick", action="store_true",
+                        help="fewer trials, one car: within two minutes, too little to judge by")
+    parser.add_argument("--only", action="append", choices=(*GROUPS, *ON_REQUEST), metavar="NAME",
+                        help=f"measure this only; may be given again. One of {', '.join(GROUPS)}, or "
+                        f"{', '.join(ON_REQUEST)}, which is not measured otherwise")
+    parser.add_argument("--json", metavar="FILE", default=os.environ.get("CAR_INTERFACE_BENCH_JSON"),
+                        help="where to write the figures as JSON")
+    return parser.parse_args()
+
+
 def main() -> int:
     arguments = read_arguments()
     begun_s = time.monotonic()
     about = machine()
     print(f"{about['cpu']}, {about['cores']} cores, Python {about['python']}, Linux {about['kernel']}; "
-          f"load before: {about['load_before']:.2f}\n\n{head()}", flush=True)
+          f"load before: {about['load_before']:.2f}\n", flush=True)
+    print(table([COLUMNS, ["-" * width for width in WIDTHS]]), flush=True)
     rows, errors, conditions = [], [], []
     for new, error, condition in measure(arguments.only or GROUPS, QUICK if arguments.quick else FULL):
         rows.extend(new)
@@ -108,7 +107,7 @@ def main() -> int:
         if error:
             errors.append(error)
         if new:
-            print(table([line for row in new for line in row.lines()]), flush=True)
+            print(table([row.cells(target) for row in new for target in row.targets]), flush=True)
     print()
     for note in dict.fromkeys(f"{row.what}: {row.note}" for row in rows if row.note):
         print(f"  {note}")
@@ -116,8 +115,7 @@ def main() -> int:
         if row.void:
             print(f"  {row.what}: meets no target, since {row.void}")
     print(f"\n{verdict(rows)}; took {time.monotonic() - begun_s:.0f} s")
-    disturbed = [f"{each.group} {each.others_percent:.0f}" for each in conditions
-                 if each.others_percent > DISTURBED_PERCENT]
+    disturbed = [f"{each.group} {each.others_percent:.0f}" for each in conditions if each.others_percent > 10]
     if disturbed:
         print(f"Other programs used % of a core, which lengthens latencies: {', '.join(disturbed)}")
     print("The machine's own speed, in million steps a second of a fixed loop: "

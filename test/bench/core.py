@@ -13,7 +13,6 @@ from .rows import MEDIAN, P99, Row, Summary, Target
 from .stage import Stage
 
 ROOT = Path(__file__).resolve().parents[2]
-MAX_LIMITS_US = 50  # by which limits that are not reached may lengthen a decision
 LOOKUPS = {11: (0.55, "0.68"), 100: (0.85, "15.9"), 1000: (2.2, "1054")}  # µs: to reach, and Autoware's C++
 PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")
 
@@ -55,4 +54,4 @@ def measure_decide(effort: Effort, stage: Stage) -> Iterator[Row]:
         yield Row("decide", f"decide: {node} without limits", "µs", Summary.of(result["off"]),
                   note="the planner drives; a sample is one decision after other programs used the CPU's caches")
         yield Row("decide", f"decide: {node} below its limits, more", "µs", Summary.of(result["more"]),
-                  (Target(high=MAX_LIMITS_US),))
+                  (Target(high=50),))

@@ -22,13 +22,7 @@ RECORDED = ("car_sim/truth", "turn_arb/state", "servo/output", "servo/cmdVector"
 
 
 class Driver:
-    """Holds the autonomous deadman and commands a circle at a speed.
-
-    Args:
-        speed_mps: the speed.
-        alternates: the gamepad steers every other ten seconds, and e_stop is published.
-        by_twist: the planner sends cmd_vel, for planner_interface; else radius and acceleration.
-    """
+    """Holds the autonomous deadman and commands a circle at a speed; for the options see roles.py."""
 
     def __init__(self, speed_mps: float, alternates: bool = False, by_twist: bool = False):
         self._target_mps = speed_mps
@@ -43,19 +37,10 @@ class Driver:
         for topic in RECORDED:
             rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None)
         self._joy = publisher("joy", Joy)
-        self._plan = self._twist() if by_twist else self._radius_and_acceleration()
-
-    def _twist(self):
-        twists = publisher("cmd_vel", Twist)
-        return lambda: twists.publish(twist(self._target_mps, RADIUS_M))
-
-    def _radius_and_acceleration(self):
-        radii, commands = publisher("av_turnrad_req", Float32), publisher("control/command/control_cmd", Control)
-
-        def publish():
-            radii.publish(RADIUS_M)
-            commands.publish(control(max(-2.0, min(2.0, 1.5 * (self._target_mps - self._speed_mps)))))
-        return publish
+        self._twists = publisher("cmd_vel", Twist) if by_twist else None
+        if not by_twist:
+            self._radii = publisher("av_turnrad_req", Float32)
+            self._commands = publisher("control/command/control_cmd", Control)
 
     def _on_odometry(self, message):
         self._speed_mps = message.twist.twist.linear.x
@@ -75,7 +60,11 @@ class Driver:
         self._joy.publish(joy(held - manual, manual))
         if self._e_stop:
             self._e_stop.publish(False)
-        self._plan()
+        if self._twists:
+            self._twists.publish(twist(self._target_mps, RADIUS_M))
+        else:
+            self._radii.publish(RADIUS_M)
+            self._commands.publish(control(max(-2.0, min(2.0, 1.5 * (self._target_mps - self._speed_mps)))))
         if not self._drives and self._speed_mps > 0.9 * self._target_mps:
             self._drives = True
             print("drives", flush=True)

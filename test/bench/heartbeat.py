@@ -13,9 +13,7 @@ from .reaction import CENTER, TURN_ARB, Arbiter, senders
 from .rows import P99, WORST, Row, Summary, Target
 from .stage import Stage, TimedSubscriber
 
-CPU_RATIO = 1.3  # to bare rospy
 SETTLED_S = 1.0
-RATE_TOLERANCE, PERIOD_TOLERANCE_MS = 0.0005, 0.5
 
 
 class Heartbeat(NamedTuple):
@@ -57,12 +55,11 @@ def heartbeat(group: str, what: Heartbeat, effort: Effort, stage: Stage) -> Iter
         times_ns = [[at_ns for at_ns, _ in subscriber.drain()] for subscriber in subscribers]
     rates_hz = [1e9 * (len(times) - 1) / (times[-1] - times[0]) for times in times_ns]
     periods_ms = [[(now - before) / 1e6 for before, now in zip(times, times[1:])] for times in times_ns]
-    tolerance_hz = RATE_TOLERANCE * what.rate_hz
     yield Row(group, f"{group}: rate", "Hz", Summary.of(rates_hz[:1]),
-              (Target(low=what.rate_hz - tolerance_hz, high=what.rate_hz + tolerance_hz),), Summary.of(rates_hz[1:]),
+              (Target(low=0.9995 * what.rate_hz, high=1.0005 * what.rate_hz),), Summary.of(rates_hz[1:]),
               digits=6)
     yield Row(group, f"{group}: period", "ms", Summary.of(periods_ms[0]),
-              (Target(P99, high=1000 / what.rate_hz + PERIOD_TOLERANCE_MS), Target(WORST)), Summary.of(periods_ms[1]))
+              (Target(P99, high=1000 / what.rate_hz + 0.5), Target(WORST)), Summary.of(periods_ms[1]))
     yield Row(group, f"{group}: CPU of {arbiter.node} over {effort.heartbeat_s:.0f} s", "% of core",
-              Summary.of(used[:1]), (Target(original=what.original, max_ratio=CPU_RATIO),), Summary.of(used[1:]),
+              Summary.of(used[:1]), (Target(original=what.original, max_ratio=1.3),), Summary.of(used[1:]),
               note=f"{what.note}; bare rospy: the same subscribers and a publisher at {what.rate_hz} Hz")

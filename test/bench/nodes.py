@@ -16,8 +16,7 @@ INPUTS = ("human", "steering", "radius", "acceleration", "odometry", "joy", "twi
 
 
 class Subject(NamedTuple):
-    """A node: how it is started, the topic of its first message, and its files in config/, as its launch file has them.
-    """
+    """A node: the topic of its first message, and arguments and files in config/ as its launch file has them."""
 
     name: str
     topic: str

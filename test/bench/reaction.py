@@ -23,7 +23,6 @@ MEDIAN_RATIO, P99_RATIO = 1.3, 1.5  # to bare rospy
 REACTION = (Target(MEDIAN, original="15.5", max_ratio=MEDIAN_RATIO), Target(P99, original="20.4", max_ratio=P99_RATIO),
             Target(WORST, original="20.8"))
 TO_CHIP = (Target(MEDIAN, high=0.9), Target(P99, high=1.8), Target(WORST))
-PAUSE_S = (0.012, 0.032)  # one to three periods of turn_arb's timer, one of throttle_arb's
 
 
 class Step(NamedTuple):
@@ -65,7 +64,7 @@ TURN_ARB = Arbiter(
 class ArbiterInputs:
     def __init__(self, arbiter: Arbiter, random):
         self._random = random
-        self._nothing = arbiter.nothing
+        self.nothing = arbiter.nothing
         self._publishers = {name: connected_publisher(*topic) for name, topic in arbiter.topics.items()}
 
     def publish(self, name, value) -> int:
@@ -73,40 +72,31 @@ class ArbiterInputs:
         self._publishers[name].publish(data=value)
         return at_ns
 
-    def prepare(self, step: Step) -> None:
-        for name, value in step.before.items():
-            self.publish(name, value)
-
-    def release(self) -> None:
-        for name, value in self._nothing.items():
+    def publish_all(self, values: Mapping[str, Any]) -> None:
+        for name, value in values.items():
             self.publish(name, value)
 
     def pause(self) -> None:
-        time.sleep(self._random.uniform(*PAUSE_S))
+        time.sleep(self._random.uniform(0.012, 0.032))  # periods of the timer: three at most
 
 
 def trials(inputs: ArbiterInputs, count: int, kind: list[Step], wait_for: Callable,
-           floor: Callable | None = None) -> tuple[list[float], list[float]]:
-    """Return the latencies of so many reactions and those of bare rospy, ms.
+           floor: Callable) -> tuple[list[float], list[float]]:
+    """Return the latencies of so many reactions and those of bare rospy, ms, without the first: it may yet connect.
 
-    The first reaction is not counted: its connections may not be complete yet.
-
-    Args:
-        wait_for: called with a duty and a time, ns; returns when the duty was reached after that time.
-        floor: returns one latency of bare rospy.
+    ``wait_for`` gets a duty and a time, ns; it returns when the duty was reached after that time.
     """
     times_ms, floors_ms = [], []
     for index in range(count + 1):
         step = kind[index % len(kind)]
         ready_ns = time.monotonic_ns()
-        inputs.prepare(step)
+        inputs.publish_all(step.before)
         wait_for(step.duties[0], ready_ns)
         inputs.pause()
         sent_ns = inputs.publish(*step.trigger)
         times_ms.append((wait_for(step.duties[1], sent_ns) - sent_ns) / 1e6)
-        if floor:
-            inputs.pause()
-            floors_ms.append(floor())
+        inputs.pause()
+        floors_ms.append(floor())
     return times_ms[1:], floors_ms[1:]
 
 
@@ -119,10 +109,7 @@ def measure_reaction(effort: Effort, stage: Stage) -> Iterator[Row]:
 
 def reactions(count: int, stage: Stage, arbiter: Arbiter, kinds: int | None = None
               ) -> Iterator[tuple[str, list[float], list[float]]]:
-    """Yield each kind with its latencies to /servo/cmdVector and those of bare rospy, ms; both with TCP_NODELAY.
-
-    With ``kinds`` only so many of the first.
-    """
+    """Yield each kind, or the first ``kinds``, with its latencies to /servo/cmdVector and those of bare rospy, ms."""
     stage.load(f"/{arbiter.node}", arbiter.config)
     with stage.running(stage.node(arbiter.node, *arbiter.arguments),
                        *stage.actors(("relay", "/bench/in", "/bench/out", *arbiter.others),
@@ -144,20 +131,17 @@ def reactions(count: int, stage: Stage, arbiter: Arbiter, kinds: int | None = No
 def senders(names: tuple[str, ...], arbiters: str, floor_topic: str) -> list[tuple[str, ...]]:
     """Return the roles of who publishes these of inputs.INPUTS: /servo/output is the board's, by what it receives.
 
-    Args:
-        arbiters: as of the role inputs.
-        floor_topic: bare rospy's, which the board receives, too.
+    ``floor_topic`` is bare rospy's, which the board receives, too.
     """
     roles = [("inputs", arbiters, *(name for name in names if name != "output"))]
     return [*roles, ("board", floor_topic)] if "output" in names else roles
 
 
 def hold_deadman(inputs: ArbiterInputs, step: Step, acts: Callable) -> None:
-    """Release the deadman and hold it again until the arbiter acts on the inputs before a step."""
     def attempt():
-        inputs.release()
+        inputs.publish_all(inputs.nothing)
         time.sleep(0.05)
-        inputs.prepare(step)
+        inputs.publish_all(step.before)
         time.sleep(0.1)
         return acts()
     eventually(attempt, "the arbiter acts on its inputs")
@@ -176,15 +160,13 @@ def measure_chip(effort: Effort, stage: Stage) -> Iterator[Row]:
         floor = floor_by(to_relay, lambda sent_ns: eventually(lambda: last_line_after(sink_log, sent_ns), "the sink"))
         hold_deadman(inputs, TURN_ARB.kinds[0][1][0], lambda: chip.counts(0) == COUNTS[LEFT])
         eventually(lambda: to_relay.publish(True) or last_line_after(sink_log, 0), "the relay")
+
+        def wait_for(duty, since_ns):
+            return chip.wait_for(0, lambda counts: counts == COUNTS[duty], since_ns)
         for what, kind in TURN_ARB.kinds:
-            times_ms, floors_ms = trials(inputs, effort.chip_reactions, kind, reached(chip), floor)
+            times_ms, floors_ms = trials(inputs, effort.chip_reactions, kind, wait_for, floor)
             yield Row("chip", f"reaction: {what} → register write", "ms", Summary.of(times_ms), TO_CHIP,
                       Summary.of(floors_ms))
-
-
-def reached(chip: Chip) -> Callable:
-    """Return what waits for a duty of the steering on the chip, see ``trials``."""
-    return lambda duty, since_ns: chip.wait_for(0, lambda counts: counts == COUNTS[duty], since_ns)
 
 
 def floor_by(to_relay, arrival: Callable) -> Callable:

@@ -1,12 +1,11 @@
 """The other processes of a measurement, each by its role. Each prints "ready" when it is.
 
-    relay IN OUT [NAME...]
-                        publishes 16 duties for each Bool that it receives; subscribes to inputs, too
+    relay IN OUT NAME...  publishes 16 duties for each Bool that it receives; subscribes to inputs, too
     sink TOPIC FILE     writes the time of each message's arrival to a file, as the virtual chip does
     timer RATE NAME...  subscribes to inputs and publishes 16 duties at that rate, whatever the inputs are
     inputs ARBITERS NAME...
-                        publishes these of inputs.INPUTS. The deadman is first released, until the arbiters (turn_arb,
-                        throttle_arb, both with a comma between, or none) have seen that; then nothing changes
+                        publishes these of inputs.INPUTS. The deadman is first released, until the arbiters (none, or
+                        with a comma between) have seen that; then nothing changes
     board [TOPIC...]    answers /servo/cmdVector by /servo/output, on a change and at 10 Hz, as the servo board;
                         receives the same of other topics
     pipe PORT [RATE]    reads a serial port and publishes a ready-made teensy_wheel or teensy_distance for each frame;
@@ -45,7 +44,6 @@ from .driver import SONARS, Driver
 from .inputs import DUTIES, INPUTS, Deadman, publisher
 
 PERIOD_S = 0.02
-BYTES_PER_S = 11_520  # 115200 baud, 8N1
 NEUTRAL = 4915  # of the ESC, config/throttle.yaml: the board holds it from the start
 
 
@@ -132,7 +130,7 @@ def board(*others):
 
 
 class Measurements:
-    """Publishes what a hub does besides the raw records, ready-made and as often, except what it does once a second."""
+    """Publishes what a hub does besides the raw records, except what it does once a second."""
 
     def __init__(self, rate_hz):
         self._period_ns = round(1e9 / float(rate_hz))
@@ -190,7 +188,7 @@ def line(link):
                 time.sleep(0.1)
                 print("sent", order["frames"], flush=True)
             else:
-                order.update(bytes_per_s=float(text.split()[1]) * BYTES_PER_S, frames=0)
+                order.update(bytes_per_s=float(text.split()[1]) * 11_520, frames=0)
                 going.set()
     threading.Thread(target=read_commands, daemon=True).start()
     ready()

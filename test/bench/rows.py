@@ -107,10 +107,8 @@ class Row:
         is_single = self.summary is None or self.summary.samples == 1
         return "" if is_single and len(self.targets) == 1 else target.statistic
 
-    def lines(self) -> list[tuple[str, ...]]:
-        return [self._cells(target) for target in self.targets]
-
-    def _cells(self, target):
+    def cells(self, target: Target) -> tuple[str, ...]:
+        """Return the line of the table for a target."""
         what = ", ".join(filter(None, (self.what, self._statistic(target))))
         met = {True: "yes", False: "no", None: ""}[self.meets(target)]
         if self.summary is None:
@@ -134,10 +132,6 @@ def table(lines: Sequence[Sequence[str]]) -> str:
     """Return lines of Markdown whose columns also line up on a terminal."""
     return "\n".join("| " + " | ".join(cell.ljust(width) for cell, width in zip(cells, WIDTHS)) + " |"
                      for cells in lines)
-
-
-def head() -> str:
-    return table([COLUMNS, ["-" * width for width in WIDTHS]])
 
 
 def verdict(rows: Sequence[Row]) -> str:

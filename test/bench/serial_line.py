@@ -20,12 +20,9 @@ PAUSE_S = (0.004, 0.02)
 UNCOUNTED = 3  # the first frames, while the connections may not be complete
 EVERYTHING = ("odom", "/tf", "joint_states", "teensy_clock", "teensy_sensor_hub/link", "/diagnostics",
               *(f"sonar/{name}" for name in SONARS))
-WARM_UP_S = 0.3
-FACTORS = (1, 10)  # × 115200 baud
 RAW, ALL = "raw", "everything"
 FLOORS = {RAW: "floor_of_raw", ALL: "floor_of_everything"}  # bare rospy with the same messages, ready-made
 KINDS = (*FLOORS.values(), RAW, ALL)  # also their namespaces
-ODOM_RATE = "50"  # Hz, the hub's by default
 CPU_RATIOS = {RAW: 1.2, ALL: 1.35}  # to bare rospy
 ORIGINALS = {(1, RAW): "5.4", (10, RAW): "34.8"}  # CPU, % of a core
 
@@ -65,23 +62,15 @@ class Load(NamedTuple):
     sent_per_s: float  # frames
 
 
-class Reader(NamedTuple):
-    node: NodeProcess
-    line: NodeProcess
-    count: NodeProcess
-
-
 def measure_line(effort: Effort, stage: Stage) -> Iterator[Row]:
-    """Measure with the capture's reports of wheels and sonars, repeated: 368 a second at 115200 baud, and ten times.
+    """Measure the hub with ``raw_only``, the hub with subscribers to all of its topics, and a bare node for each.
 
-    In turns: the hub with ``raw_only``, the hub with subscribers to all of its topics, and for each a bare node that
-    publishes the same messages ready-made, except those that are published once a second. The others wait meanwhile.
-    The line and the subscribers are processes of their own, whose CPU time is not counted.
+    In turns, with the capture's reports repeated: 368 a second at 115200 baud, and ten times.
     """
     with readers(stage) as by_kind:
-        for factor in FACTORS:
-            rounds = [{kind: load(effort.line_s / effort.line_rounds, reader, factor)
-                       for kind, reader in by_kind.items()} for _ in range(effort.line_rounds)]
+        for factor in (1, 10):  # × 115200 baud
+            rounds = [{kind: load(effort.line_s / effort.line_rounds, *processes, factor)
+                       for kind, processes in by_kind.items()} for _ in range(effort.line_rounds)]
             loads = {kind: mean([loads[kind] for loads in rounds]) for kind in by_kind}
             yield from line_rows(factor, loads)
 
@@ -100,22 +89,22 @@ def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
 
 
 @contextmanager
-def readers(stage: Stage) -> Iterator[dict[str, Reader]]:
-    """Start the nodes, each with a line and subscribers; nothing is sent yet."""
+def readers(stage: Stage) -> Iterator[dict[str, tuple[NodeProcess, ...]]]:
+    """Start of each kind a node, its line and its subscribers; nothing is sent yet."""
     ports = {kind: stage.path(f"line_{kind}") for kind in KINDS}
     everything = {ALL: EVERYTHING, FLOORS[ALL]: EVERYTHING}
     actors = stage.actors(*(("line", port) for port in ports.values()),
                           *(("count", *everything.get(kind, ()), f"__ns:={kind}") for kind in KINDS))
     lines, counts = actors[:len(KINDS)], actors[len(KINDS):]
     nodes = (*stage.actors(("pipe", ports[FLOORS[RAW]], f"__ns:={FLOORS[RAW]}"),
-                           ("pipe", ports[FLOORS[ALL]], ODOM_RATE, f"__ns:={FLOORS[ALL]}")),
+                           ("pipe", ports[FLOORS[ALL]], "50", f"__ns:={FLOORS[ALL]}")),  # the hub's odom_rate
              hub(stage, ports[RAW], f"/{RAW}", "_raw_only:=true"), hub(stage, ports[ALL], f"/{ALL}"))
     with stage.running(*actors, *nodes):
         for count in counts:
             count.tell("connected")
         for count in counts:
             count.wait_for_info("^connected")
-        yield {kind: Reader(*reader) for kind, *reader in zip(ports, nodes, lines, counts)}
+        yield dict(zip(ports, zip(nodes, lines, counts)))
 
 
 def mean(loads: list[Load]) -> Load:
@@ -123,22 +112,18 @@ def mean(loads: list[Load]) -> Load:
     return Load(sum(cpu_percents) / len(loads), sum(lost), sum(rates) / len(loads))
 
 
-def load(lasts_s: float, reader: Reader, factor: int) -> Load:
-    node, line, count = reader
+def load(lasts_s: float, node: NodeProcess, line: NodeProcess, count: NodeProcess, factor: int) -> Load:
     sent_mark, counted_mark = line.stdout.mark(), count.stdout.mark()
     begun_s = time.monotonic()
     line.tell(f"go {factor}")
-    time.sleep(WARM_UP_S)
+    time.sleep(0.3)
     meter = CpuMeter(node.pid)
     time.sleep(lasts_s)
     used = meter.percent()
     line.tell("stop")
     lasted_s = time.monotonic() - begun_s
-    frames = _number(line.stdout.wait_for(lambda text: text.startswith("sent"), sent_mark).what)
+    sent = line.stdout.wait_for(lambda text: text.startswith("sent"), sent_mark).what
     count.tell("report")
-    counted = _number(count.stdout.wait_for(lambda text: text.startswith("counted"), counted_mark).what)
-    return Load(used, frames - counted, frames / lasted_s)
-
-
-def _number(text):
-    return int(text.split()[1])
+    counted = count.stdout.wait_for(lambda text: text.startswith("counted"), counted_mark).what
+    frames, arrived = (int(text.split()[1]) for text in (sent, counted))
+    return Load(used, frames - arrived, frames / lasted_s)

@@ -1,11 +1,7 @@
 #!/usr/bin/env python3
 """Measures the core's speed in an interpreter of its own and prints the samples as JSON.
 
-    PYTHONPATH=src python3 test/bench/speed.py decode PASSES
-    PYTHONPATH=src python3 test/bench/speed.py encode CALLS
-    PYTHONPATH=src python3 test/bench/speed.py lookup CALLS SIZE
-    PYTHONPATH=src python3 test/bench/speed.py decide_steering CALLS
-    PYTHONPATH=src python3 test/bench/speed.py decide_throttle CALLS
+    PYTHONPATH=src python3 test/bench/speed.py decode PASSES    (or encode CALLS, lookup CALLS SIZE, decide_… CALLS)
 """
 from __future__ import annotations
 

@@ -20,8 +20,6 @@ from processes import answers, end_descendants, free_port
 from waiting import NodeProcess, eventually
 
 PACKAGE = rospkg.RosPack().get_path("car_interface")
-ACTOR = os.path.join(PACKAGE, "test", "bench", "actor.py")
-SWITCH_INTERVAL_S = 0.0005  # as the package's nodes: it is their time that is measured
 PATIENCE_S = 20.0
 CLOSING: list[Callable] = []  # unregisters what is subscribed and published
 
@@ -54,7 +52,7 @@ class Stage:
         self._stack.callback(self.end, self.start(shutil.which("roscore"), "-p", str(port)))
         eventually(lambda: answers(port), "a master", PATIENCE_S)
         rospy.init_node("bench", disable_signals=True)
-        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        sys.setswitchinterval(0.0005)  # as the package's nodes: it is their time that is measured
         self._has_master = True
 
     def start(self, *command: str) -> NodeProcess:
@@ -67,7 +65,7 @@ class Stage:
 
     def actors(self, *roles: tuple[str, ...]) -> list[NodeProcess]:
         """Start some of actor.py's roles, each with its arguments, and wait until all are ready."""
-        processes = [self.start(sys.executable, ACTOR, *role) for role in roles]
+        processes = [self.start(sys.executable, f"{PACKAGE}/test/bench/actor.py", *role) for role in roles]
         for process in processes:
             process.wait_for_info("^ready")
         return processes

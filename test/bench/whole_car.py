@@ -5,12 +5,11 @@ All that a car runs, but for the gamepad's driver: its messages come from an act
 from __future__ import annotations
 
 import time
-import xmlrpc.client
 from typing import Iterator, NamedTuple
 
-import rosgraph
 import rospy
 
+from closing import pid_of
 from waiting import NodeProcess, eventually
 
 from .driver import RADIUS_M
@@ -28,7 +27,6 @@ PATIENCE_S = 60
 SETTLED_S = 1.0
 SPEED_MPS = 3.0  # at which the wheels' pulses cause the highest rate of reports, one in 5 ms
 LINEAR = 1.05  # 4 cars ≤ 4.2 × one
-FULL_RATE_HZ = 180  # above it, it is the full rate
 CAR = '''<include file="$(find car_interface)/launch/demo.launch">
   <arg name="ns" value="{ns}"/><arg name="port" value="{port}"/><arg name="drive" value="false"/>
   <arg name="collisions" value="false"/>{more}</include>
@@ -42,7 +40,7 @@ class Drive(NamedTuple):
     reports_hz: float  # of the wheels, of the car with the fewest
 
     def __str__(self) -> str:
-        slow = "" if self.reports_hz > FULL_RATE_HZ else ", not the full rate"
+        slow = "" if self.reports_hz > 180 else ", not the full rate"
         return f"a car's processes: {self.by_node}; {self.reports_hz:.0f} reports of the wheels a second{slow}"
 
 
@@ -72,10 +70,6 @@ def measure_car(effort: Effort, stage: Stage) -> Iterator[Row]:
                           (Target(high=LINEAR * count),))
     finally:
         stage.end(*processes)
-    yield from measure_planners_car(effort, stage)
-
-
-def measure_planners_car(effort: Effort, stage: Stage) -> Iterator[Row]:
     nodes, namespace = (*ALL, PLANNER), "/bench_planner"
     with stage.running(*launch_cars(stage, [namespace], (*nodes, SIMULATOR), {"planner": "cmd_vel"}, ("cmd_vel",))):
         drive = measure_drive(effort.drive_s, [namespace], nodes)
@@ -126,12 +120,3 @@ def measure_drive(drive_s: float, namespaces: list[str], nodes: tuple[str, ...])
     means = {name: sum(of_each_car([name])) / len(namespaces) for name in (*nodes, GUARD, SIMULATOR)}
     return Drive(of_each_car((*nodes, GUARD)), of_each_car(FOUR),
                  ", ".join(f"{name} {percent:.1f}" for name, percent in means.items()), reports_hz)
-
-
-def pid_of(node: str) -> int | None:
-    """Return the id of a node's process, or None while it is not registered or does not answer."""
-    try:
-        uri = rosgraph.Master("/bench").lookupNode(node)
-        return xmlrpc.client.ServerProxy(uri).getPid("/bench")[2]
-    except (rosgraph.MasterException, OSError):
-        return None

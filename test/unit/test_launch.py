@@ -11,7 +11,6 @@ from car_interface.common.fixed_parameters import FIXED, PARTS
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
-MAX_DOC = 100  # characters: a line of `roslaunch --ros-args`
 
 
 def root_of(path: Path):
@@ -24,7 +23,7 @@ ARGUMENTS = [(path.name, arg) for path in LAUNCH_FILES for arg in root_of(path).
 @pytest.mark.parametrize("file, arg", ARGUMENTS, ids=[f"{file}:{arg.get('name')}" for file, arg in ARGUMENTS])
 def test_argument_has_a_short_doc_and_a_default(file, arg):
     doc, default = arg.get("doc", ""), arg.get("default")
-    assert 0 < len(doc) <= MAX_DOC and doc == doc.strip() and not doc.endswith(".")
+    assert 0 < len(doc) <= 100 and doc == doc.strip() and not doc.endswith(".")
     # `roslaunch --ros-args` lists an argument as required whose default is empty, or becomes so when evaluated.
     assert default and not default.startswith("$(eval")
 

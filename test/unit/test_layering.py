@@ -1,12 +1,12 @@
 """Which folder imports which: downwards only, from scripts over nodes, ros and the parts to common."""
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from mutate import imports
 
 SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
@@ -68,30 +68,10 @@ def dotted(path: Path) -> str:
     return ".".join(path.relative_to(SRC).with_suffix("").parts).replace(".__init__", "")
 
 
-def pure_modules() -> list[str]:
-    return [dotted(path) for path in MODULES if not inside(path).startswith(NOT_PURE)]
-
-
-def imports(path: Path) -> set[str]:
-    """Returns the full names of the modules that a file imports, anywhere in it."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path} imports relatively: that hides which room it looks into"
-            found.update(f"{node.module}.{alias.name}" for alias in node.names)
-    return found
-
-
 def folder(name: str) -> str:
     """Returns the folder, as MAY_IMPORT names it, of a module or of something in a module."""
     parts = name.split(".")[1:]
     return max((known for known in MAY_IMPORT if parts[:known.count("/") + 1] == known.split("/")), key=len, default="")
-
-
-def is_allowed(importer: str, imported: str) -> bool:
-    return importer == imported or imported in MAY_IMPORT.get(importer, ())
 
 
 # Each module in a child of its own, which has imported nothing else.
@@ -110,20 +90,23 @@ for name in sys.argv[1:]:
 
 
 def test_pure_module_imported_alone_pulls_in_no_device_no_ros_and_no_numpy():
+    pure = [dotted(path) for path in MODULES if not inside(path).startswith(NOT_PURE)]
     # -S: what site packages import by themselves is not the module's doing.
-    done = subprocess.run([sys.executable, "-S", "-B", "-c", IMPORT_EACH, *pure_modules()],
+    done = subprocess.run([sys.executable, "-S", "-B", "-c", IMPORT_EACH, *pure],
                           env={"PYTHONPATH": str(SRC)}, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr, done.stdout) == (0, "", "") and len(pure_modules()) > 100
+    assert (done.returncode, done.stderr, done.stdout) == (0, "", "") and len(pure) > 100
 
 
 @pytest.mark.parametrize("path", MODULES, ids=inside)
 def test_module_imports_downwards_only_and_ros_and_devices_only_where_they_belong(path):
     names = imports(path)
+    assert [name for name in names if name.startswith(".")] == [], "relative: that hides which folder it looks into"
     ours = {name for name in names if name.startswith("car_interface.")}
     generated = {name for name in ours if name.split(".")[1] in ("msg", "srv", "cfg")}
     assert not generated or inside(path).startswith(ROS)
     importer = folder(dotted(path))
-    assert [name for name in sorted(ours - generated) if not is_allowed(importer, folder(name))] == []
+    allowed = (importer, *MAY_IMPORT.get(importer, ()))
+    assert [name for name in sorted(ours - generated) if folder(name) not in allowed] == []
     libraries = {name.split(".")[0] for name in names}
     assert [name for name in ONLY_IN if name in libraries and not inside(path).startswith(ONLY_IN[name])] == []
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from mutate import imports
 
 ROOT = Path(__file__).resolve().parents[2]
 CMAKE = (ROOT / "CMakeLists.txt").read_text(encoding="utf-8")
@@ -50,14 +51,8 @@ def is_standard(name: str) -> bool:
 
 def keys_of_imports(paths: list[Path]) -> set[str]:
     """Returns the rosdep keys of the libraries that Python files import from outside the package."""
-    found = set()
-    for path in paths:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                found.update(alias.name.split(".")[0] for alias in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.level == 0:
-                found.add((node.module or "").split(".")[0])
-    ours = {"car_interface"} | {path.stem for path in paths} | {path.parent.name for path in paths}
+    found = {name.split(".")[0] for path in paths for name in imports(path)}  # "" of a relative one
+    ours = {"", "car_interface"} | {path.stem for path in paths} | {path.parent.name for path in paths}
     return {KEYS.get(name, name) for name in found - ours if not is_standard(name)}
 
 
