@@ -25,6 +25,7 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 
+from car_interface.common import causes
 from closing import pid_of
 from waiting import PACKAGE, Repeater, Topic, config, eventually, one_process_params, set_params, start, start_node
 
@@ -87,6 +88,8 @@ class Car:
     def lets_go(self):
         """Whether a node waits for it, or for something else than the human."""
         newest = [topic.since()[-1] for topic in self.states.values() if topic.mark()]
+        if any(getattr(state, "esc_cause", "") == causes.ESC_ARMING for state in newest):
+            return True  # it takes a second of neutral
         return any("let go" in state.reason or state.cause in ("human absent", "e_stop on", "starting")
                    or "let go" in getattr(state, "esc_reason", "") for state in newest) and time.monotonic() % 0.4 < 0.2
 
