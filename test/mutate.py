@@ -24,6 +24,7 @@ import time
 import tokenize
 from bisect import bisect_right
 from collections import Counter, defaultdict, deque
+from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
 from typing import Iterable, Iterator, NamedTuple
@@ -230,6 +231,7 @@ def from_text(text: str) -> tuple[dict[str, list[Key]], dict[str, str]]:
     return lists, titles
 
 
+@lru_cache(maxsize=None)
 def imports(path: Path) -> set[str]:
     """Return the full names that a file imports, anywhere in it; relative ones begin with a dot."""
     names = set()

@@ -17,6 +17,7 @@ from .effort import FULL, QUICK, Effort
 from .heartbeat import measure_heartbeat
 from .meters import OthersMeter
 from .nodes import measure_memory, measure_start
+from .one_process import measure_one_process
 from .reaction import measure_chip, measure_reaction
 from .rows import COLUMNS, WIDTHS, Row, table, verdict
 from .serial_line import measure_line, measure_serial
@@ -28,7 +29,7 @@ GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measu
           "throttle": measure_throttle, "decode": measure_decode, "encode": measure_encode,
           "serial": measure_serial, "line": measure_line, "lookup": measure_lookup, "decide": measure_decide,
           "bus": measure_bus, "start": measure_start, "memory": measure_memory, "car": measure_car}
-ON_REQUEST = {"busy": measure_busy}
+ON_REQUEST = {"one_process": measure_one_process, "busy": measure_busy}
 LOOP_STEPS = 200_000
 
 
@@ -87,7 +88,7 @@ def read_arguments() -> argparse.Namespace:
                         help="fewer trials, one car: within two minutes, too little to judge by")
     parser.add_argument("--only", action="append", choices=(*GROUPS, *ON_REQUEST), metavar="NAME",
                         help=f"measure this only; may be given again. One of {', '.join(GROUPS)}, or "
-                        f"{', '.join(ON_REQUEST)}, which is not measured otherwise")
+                        f"{', '.join(ON_REQUEST)}, which are not measured otherwise")
     parser.add_argument("--json", metavar="FILE", default=os.environ.get("CAR_INTERFACE_BENCH_JSON"),
                         help="where to write the figures as JSON")
     return parser.parse_args()

@@ -40,8 +40,17 @@ def cpu_s(pid: int, with_children: bool = False) -> float:
 
 
 def rss_mb(pid: int) -> float:
-    with open(f"/proc/{pid}/status", encoding="utf-8", errors="replace") as file:
-        return next(int(line.split()[1]) for line in file if line.startswith("VmRSS:")) / 1000
+    return _kb(f"/proc/{pid}/status", "VmRSS:") / 1000
+
+
+def pss_mb(pid: int) -> float:
+    """Return the same, with its ratio of the pages that it shares with other processes, MB."""
+    return _kb(f"/proc/{pid}/smaps_rollup", "Pss:") / 1000
+
+
+def _kb(path, key):
+    with open(path, encoding="utf-8", errors="replace") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith(key))
 
 
 class OthersMeter:

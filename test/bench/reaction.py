@@ -160,13 +160,15 @@ def measure_chip(effort: Effort, stage: Stage) -> Iterator[Row]:
         floor = floor_by(to_relay, lambda sent_ns: eventually(lambda: last_line_after(sink_log, sent_ns), "the sink"))
         hold_deadman(inputs, TURN_ARB.kinds[0][1][0], lambda: chip.counts(0) == COUNTS[LEFT])
         eventually(lambda: to_relay.publish(True) or last_line_after(sink_log, 0), "the relay")
-
-        def wait_for(duty, since_ns):
-            return chip.wait_for(0, lambda counts: counts == COUNTS[duty], since_ns)
         for what, kind in TURN_ARB.kinds:
-            times_ms, floors_ms = trials(inputs, effort.chip_reactions, kind, wait_for, floor)
+            times_ms, floors_ms = trials(inputs, effort.chip_reactions, kind, reached(chip), floor)
             yield Row("chip", f"reaction: {what} → register write", "ms", Summary.of(times_ms), TO_CHIP,
                       Summary.of(floors_ms))
+
+
+def reached(chip: Chip) -> Callable:
+    """Return what waits for a duty of the steering on the chip, see ``trials``."""
+    return lambda duty, since_ns: chip.wait_for(0, lambda counts: counts == COUNTS[duty], since_ns)
 
 
 def floor_by(to_relay, arrival: Callable) -> Callable:
