@@ -70,10 +70,10 @@ def test_drive_that_somebody_stops_has_failed_and_says_why_and_that_the_computer
     demo.graph.repeat("/e_stop", Bool(True), 10)
     demo.graph.run(0.5)
     demo.drive.stall(0.7, frozen=True)
+    stopped = "all the time (e_stop is true)"
     assert demo.drives() == "the drive didn't go as planned: " + "; ".join((
-        "the human didn't steer all the time", "the human didn't drive all the time",
-        "the human's circle wasn't closed",
-        "the planner didn't steer all the time", "the planner didn't drive all the time",
+        f"the human didn't steer {stopped}", f"the human didn't drive {stopped}", "the human's circle wasn't closed",
+        f"the planner didn't steer {stopped}", f"the planner didn't drive {stopped}",
         "the left circle wasn't closed", "the right circle wasn't closed",
         ("this computer stood still for 0.7 s meanwhile, which a car takes for a person who is gone: end other "
          "programs, and start the demo again")))

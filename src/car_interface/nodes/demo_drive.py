@@ -82,6 +82,7 @@ class Watch:
         self.stage_distance_m = Counter()
         self.stage_sources = {stage: set() for stage in range(DONE + 1)}
         self.stage_drivers = {stage: set() for stage in range(DONE + 1)}
+        self.stopped_by = {}  # the reason of the first state in which nobody drove, by stage and type
         self.throttle_state = None
         self.stage_yaw_rad = Counter()
         self.sonar_m = {}
@@ -102,14 +103,18 @@ class Watch:
     def on_state(self, message, now_ns):
         """Who steers."""
         self.state = message
-        if now_ns - self.stage_since_ns > SETTLING_NS:
-            self.stage_sources[self.stage].add(message.source)
+        self._count(self.stage_sources, message, now_ns)
 
     def on_throttle_state(self, message, now_ns):
         """Who drives."""
         self.throttle_state = message
+        self._count(self.stage_drivers, message, now_ns)
+
+    def _count(self, stage_sources, message, now_ns):
         if now_ns - self.stage_since_ns > SETTLING_NS:
-            self.stage_drivers[self.stage].add(message.source)
+            stage_sources[self.stage].add(message.source)
+            if message.source not in (TELEOP_STEERS, PLANNER):
+                self.stopped_by.setdefault((self.stage, type(message)), message.reason)
 
     def on_output(self, message, now_ns):
         """The servo board's output."""
@@ -365,12 +370,18 @@ class DemoDrive:
         yaw_rad, sources, distance_m = watch.stage_yaw_rad, watch.stage_sources, watch.stage_distance_m
         yield "the car moved though nobody was there", distance_m[NOBODY] < 0.01
         yield "somebody steered though nobody was there", sources[NOBODY] == {NO_HUMAN}
-        yield "the human didn't steer all the time", sources[TELEOP] == {TELEOP_STEERS}
-        drivers = watch.stage_drivers
-        yield "the human didn't drive all the time", drivers[TELEOP] == {TELEOP_STEERS}
+        drivers, human, circles = watch.stage_drivers, (TELEOP,), (LEFT_CIRCLE, RIGHT_CIRCLE)
+
+        def paused(who, stages, kind):
+            reason = next((watch.stopped_by[stage, kind] for stage in stages if (stage, kind) in watch.stopped_by), "")
+            return f"the {who} all the time" + (f" ({reason})" if reason else "")
+        yield paused("human didn't steer", human, SteeringState), sources[TELEOP] == {TELEOP_STEERS}
+        yield paused("human didn't drive", human, ThrottleState), drivers[TELEOP] == {TELEOP_STEERS}
         yield "the human's circle wasn't closed", yaw_rad[TELEOP] > 0.95 * TURN_RAD
-        yield "the planner didn't steer all the time", sources[LEFT_CIRCLE] == sources[RIGHT_CIRCLE] == {PLANNER}
-        yield "the planner didn't drive all the time", drivers[LEFT_CIRCLE] == drivers[RIGHT_CIRCLE] == {PLANNER}
+        yield (paused("planner didn't steer", circles, SteeringState),
+               sources[LEFT_CIRCLE] == sources[RIGHT_CIRCLE] == {PLANNER})
+        yield (paused("planner didn't drive", circles, ThrottleState),
+               drivers[LEFT_CIRCLE] == drivers[RIGHT_CIRCLE] == {PLANNER})
         yield "the left circle wasn't closed", yaw_rad[LEFT_CIRCLE] > 0.95 * TURN_RAD
         yield "the right circle wasn't closed", yaw_rad[RIGHT_CIRCLE] < -0.95 * TURN_RAD
         yield "the outputs weren't neutral within 0.1 s of letting go", (
