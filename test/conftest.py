@@ -31,7 +31,7 @@ MARKS = ("once: takes long, and comes out the same with every Python: one of the
          "browser: looks at a page in a real browser")
 
 
-# The longest test takes some 30 s on an idle machine.
+# The longest test takes some 10 s on an idle machine.
 LIMIT_S = float(os.environ.get("CAR_INTERFACE_UNIT_LIMIT_S", "600"))
 
 

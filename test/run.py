@@ -33,7 +33,7 @@ TEST = Path(__file__).resolve().parent
 ROOT = TEST.parent
 # .test files at a time; with --all, whose bounds are those of a machine that does nothing else, one step.
 AT_WORK, BESIDE_PYTEST = 4, 2
-# Limits after which a step has hung. On two busy cores the longest node test takes some 300 s, all unit tests 900 s.
+# Limits after which a step has hung. On two busy cores the longest .test file took 135 s, all unit tests 185 s.
 PROCESS_LIMIT_S, PYTEST_LIMIT_S = 900.0, 1800.0
 LONG_PYTEST_LIMIT_S = 3600.0  # with --all
 # One unit test fails after 600 s (test/conftest.py); of one that nothing interrupts the log shows where it is.

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import os
 
+import esc_sequences
 import pytest
-from esc_sequences import run, summed_up
+from esc_sequences import failure, run, summed_up
 from many_drives import run_on_all_cores
 
 IS_LONG = bool(os.environ.get("CAR_INTERFACE_ALL"))
@@ -29,3 +30,13 @@ def test_random_drives():
     assert all(totals[f"state {name}"] > DRIVES for name in
                ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE"))
     assert totals["backward"] > DRIVES / 50, "wrong profiles did nothing wrong: the drives are too tame"
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("stop, text", [(-0.4, "a stop became reverse"), (0.0, "reverse that nobody meant")])
+def test_careless_rules_are_found_out(stop, text, monkeypatch):
+    class Careless(esc_sequences.Esc):
+        def step(self, request, now_ns):
+            return super().step(request, now_ns)._replace(fraction=stop if request.is_stop else request.value)
+    monkeypatch.setattr(esc_sequences, "Esc", Careless)
+    assert sum(text in failure(run(seed)) for seed in range(30)) > 2
