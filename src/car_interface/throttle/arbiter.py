@@ -199,10 +199,10 @@ class ThrottleArbiter:
         elif had_none is not None:
             self._resumed_ns = now_ns
 
-    def update_odometry(self, speed_mps: float, now_ns: int) -> None:
-        """The car's speed, forward positive; one that no car has counts as infinite."""
+    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """The car's speed, forward positive, and its age at arrival; one that no car has counts as infinite."""
         is_no_cars = abs(speed_mps) > MAX_SPEED_MPS
-        self._odometry.update(math.copysign(math.inf, speed_mps) if is_no_cars else speed_mps, now_ns)
+        self._odometry.update(math.copysign(math.inf, speed_mps) if is_no_cars else speed_mps, now_ns, age_ns)
 
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all inputs are stale."""

@@ -79,11 +79,11 @@ class ThrottleControl:
         """The converter's value for the planner's command."""
         self.arbiter.update_planner(value, self._duties.request_of_value(value), now_ns)
 
-    def update_odometry(self, speed_mps: float, now_ns: int) -> None:
-        """The car's measured speed, forward positive."""
-        self.arbiter.update_odometry(speed_mps, now_ns)
-        self._limiter.speed.update(speed_mps, now_ns)
-        self._esc.update_speed(speed_mps, now_ns)
+    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """The car's measured speed, forward positive, and how old it was at its arrival, as far as its stamp says."""
+        self.arbiter.update_odometry(speed_mps, now_ns, age_ns)
+        self._limiter.speed.update(speed_mps, now_ns, age_ns)
+        self._esc.update_speed(speed_mps, now_ns, age_ns)
 
     def update_turn(self, radius_m: float, max_speed_mps: float) -> None:
         """The turn that turn_arb steers, in m, left positive, inf: straight on; and up to which speed what is asked for

@@ -90,9 +90,9 @@ class Esc:
         """What the servo board holds; ``None`` = no pulse: switched off, never set, without power."""
         self._history.update_held(fraction, now_ns)
 
-    def update_speed(self, speed_mps: float, now_ns: int) -> None:
-        """The measured speed, forward positive."""
-        self._motion.update(speed_mps, now_ns)
+    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """The measured speed, forward positive, and how old it was at its arrival."""
+        self._motion.update(speed_mps, now_ns, age_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here: neither the board nor the speed is known."""

@@ -19,22 +19,26 @@ ACTUATION_NS = 40_000_000  # from a decision to the end of the last pulse before
 
 
 class MeasuredMotion:
-    """The measured speed, forward positive, and how it may be read."""
+    """The measured speed, forward positive, and how it may be read.
+
+    Attributes:
+        measured_ns: when the newest was measured.
+    """
 
     def __init__(self, config: EscConfig):
         self._speed = TimedInput("odom", config.speed_timeout_s)
-        self._arrival_ns = 0
+        self.measured_ns = -math.inf
         self._slides_until_ns = -math.inf
 
-    def update(self, speed_mps: float, now_ns: int) -> None:
-        """A speed that has arrived; one that is not finite, or no car's, makes the speed unknown."""
+    def update(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """A speed that has arrived, and how old it was then; one that is not finite, or no car's, is unknown."""
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._speed.mark_stale(f"it was {speed_mps}")
             return
-        self._speed.update(speed_mps, now_ns)
-        self._arrival_ns = now_ns
+        self._speed.update(speed_mps, now_ns, age_ns)
+        self.measured_ns = now_ns - max(0, age_ns)
         if abs(speed_mps) >= STANDSTILL_MPS:
-            slides_until_ns = now_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
+            slides_until_ns = self.measured_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
             self._slides_until_ns = max(self._slides_until_ns, slides_until_ns)
 
     def mark_stale(self) -> None:
@@ -69,7 +73,7 @@ class MeasuredMotion:
         speed_mps = self.speed_mps(now_ns)
         if speed_mps is None:
             return 0.0
-        age_s = (now_ns - self._arrival_ns + ACTUATION_NS) / NS_PER_S
+        age_s = (now_ns - self.measured_ns + ACTUATION_NS) / NS_PER_S
         return max(0.0, abs(speed_mps) - MAX_DECELERATION_MPS2 * age_s)
 
 
