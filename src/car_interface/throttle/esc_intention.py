@@ -44,6 +44,9 @@ class Pulls:
 
     Args:
         dead_band: a pull begins beyond it. It ends at half of it, or a stick that trembles there would pull twice.
+
+    Attributes:
+        began_ns: when the newest pull began.
     """
 
     def __init__(self, dead_band: float):
@@ -51,13 +54,14 @@ class Pulls:
         self._was_one = False  # there was a pull, and the stick came back to the center
         self._in_pull = False
         self._is_second = False
+        self.began_ns = 0
 
     @property
     def means_reverse(self) -> bool:
         """Whether the stick is in a second pull that has not become a brake."""
         return self._in_pull and self._is_second
 
-    def update(self, request: Request) -> None:
+    def update(self, request: Request, now_ns: int) -> None:
         """The newest request."""
         value = request.value
         is_stick = request.is_human and request.gear == AUTO and not request.is_stop
@@ -65,7 +69,7 @@ class Pulls:
             self._was_one = self._in_pull = False
         elif value <= -self._dead_band:
             if not self._in_pull:
-                self._in_pull, self._is_second = True, self._was_one
+                self._in_pull, self._is_second, self.began_ns = True, self._was_one, now_ns
         elif self._in_pull and value > -self._dead_band / 2:
             self._in_pull, self._was_one = False, True
 
