@@ -38,6 +38,10 @@ PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may be
 # A stop trusts the ESC to remember that it drove forward for no longer than this, whatever reverse_after_neutral says:
 # the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
 STOP_MEMORY_NS = round(0.5 * NS_PER_S)
+# So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
+PRIMES_OVER_MPS = 0.5
+# A push so weak slows a car that rolls backward by less than 1.5 m/s²: it doesn't turn it round between two reports.
+GENTLE = 0.25
 
 
 class EscDecision(NamedTuple):
@@ -120,7 +124,8 @@ class Esc:
     def _update_arming(self, request, now_ns):
         if self._history.had_no_pulse():
             self._disarm(causes.ESC_ARMING, NO_PULSE, now_ns)
-        against = self._check.check(self._motion, self._state == REVERSE, now_ns)
+        wants_backward = request.cruise_mps < 0 and request.gear == REVERSE_GEAR and not request.is_stop
+        against = self._check.check(self._motion, self._state == REVERSE, now_ns, wants_backward)
         if against and self._state != ARMING:
             self._disarm(causes.ESC_MOTION, f"{against}: esc/profile is wrong, or this is a hill", now_ns)
         if self._state != ARMING:
@@ -175,19 +180,48 @@ class Esc:
         return value, state, causes.CALIBRATION_DRIVE, PASSES
 
     def _drive(self, value, request, now_ns):
+        if request.cruise_mps > 0 and request.gear == DRIVE and self.config.profile == BRAKE_THEN_REVERSE:
+            value = self._with_a_certain_brake(value, request, now_ns)
         if value > 0:
             return self._push(value, request, now_ns)
         if value < 0:
             return self._pull(value, request, now_ns)
         return 0.0, NEUTRAL, causes.NO_THROTTLE, "neutral is requested"
 
+    def _with_a_certain_brake(self, value, request, now_ns):
+        """The request of a planner that wants the car to go on forward, so that the next pull is a brake for certain.
+
+        Downhill the brake is all that keeps the speed. It is certain after half a second of driving, and until neutral
+        follows a pull. So a drive begins with as much of a push, however weak, and a brake that is no longer wanted is
+        held as weakly as the ESC takes it until a push is wanted.
+        """
+        speed_mps = self._motion.speed_mps(now_ns)
+        if speed_mps is None or speed_mps <= -STANDSTILL_MPS:
+            return value
+        if not self._history.brake_is_certain(now_ns):
+            is_slow = speed_mps <= request.cruise_mps + PRIMES_OVER_MPS
+            return max(value, self.config.dead_band_forward) if is_slow and not request.is_limited else value
+        if value or self._state != BRAKING:
+            return value
+        if request.value > 0 and not request.is_limited:
+            return self.config.dead_band_forward
+        return -self.config.dead_band_reverse
+
     def _push(self, value, request, now_ns):
         backward = self._motion.rolls_backward(now_ns)
         if request.gear == REVERSE_GEAR:
+            if self._rolls_too_fast_backward(request, now_ns):
+                return min(value, GENTLE), BRAKING, causes.BRAKING, "it rolls backward faster than is asked for"
             return self._brake_in_reverse(value, "a brake in reverse gear doesn't drive forward", now_ns)
         if backward:
             return value, BRAKING, causes.BRAKING, "it rolls backward"
         return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
+
+    def _rolls_too_fast_backward(self, request, now_ns):
+        """Whether a gentle push certainly ends before it drives the car forward."""
+        speed_mps = self._motion.speed_mps(now_ns)
+        return (not request.is_human and request.cruise_mps < 0 and self._motion.is_fresh(now_ns)
+                and speed_mps < min(request.cruise_mps, -2 * STANDSTILL_MPS))
 
     def _brake_in_reverse(self, value, withheld, now_ns):
         """A push is a brake while it rolls backward. Below the margin the next one would drive forward."""

@@ -23,6 +23,8 @@ class Request(NamedTuple):
         is_stop: the car has to stop, whatever ``value`` is: no deadman, a lock, a silent source.
         is_centered: the stick is in its dead band.
         is_released: the deadman is known to be released.
+        cruise_mps: the speed that a planner wants the car to keep, backward negative; 0 = it is to stop, or nobody said.
+        is_limited: something grants it less than it asks for.
     """
 
     value: float = 0.0
@@ -31,6 +33,8 @@ class Request(NamedTuple):
     is_stop: bool = False
     is_centered: bool = False
     is_released: bool = False
+    cruise_mps: float = 0.0
+    is_limited: bool = False
 
 
 STOP = Request(is_stop=True)

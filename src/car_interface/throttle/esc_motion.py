@@ -19,6 +19,7 @@ ACTUATION_NS = 40_000_000  # from a decision to the end of the last pulse before
 # The board holds a pull that may become reverse for 80 ms (``pca9685.channels``), should no other decision follow; and
 # the pulse that it has begun by then takes another 20.
 PULL_NS = 100_000_000
+FRESH_NS = 150_000_000
 MOTOR_LAG_NS = 150_000_000  # for so long a motor goes on pushing
 
 
@@ -56,6 +57,10 @@ class MeasuredMotion:
     def unknown_reason(self, now_ns: int) -> str:
         """Why the speed is unknown."""
         return self._speed.stale_reason(now_ns)
+
+    def is_fresh(self, now_ns: int) -> bool:
+        """Whether the speed is known and hardly older than between two reports."""
+        return self.speed_mps(now_ns) is not None and now_ns - self.measured_ns <= FRESH_NS
 
     def stands(self, now_ns: int) -> bool:
         """Whether the car is known to stand."""
@@ -101,14 +106,22 @@ class MotionCheck:
         self._max_backward_mps = math.inf
         self._reverse_until_ns = -math.inf
 
-    def check(self, motion: MeasuredMotion, is_reverse: bool, now_ns: int) -> str:
-        """Why the motion contradicts the state for too long; empty = it does not."""
+    def check(self, motion: MeasuredMotion, is_reverse: bool, now_ns: int, wants_backward: bool = False) -> str:
+        """Why the motion contradicts the state for too long; empty = it does not.
+
+        Args:
+            motion: the measured speed.
+            is_reverse: the ESC is in reverse.
+            now_ns: the time.
+            wants_backward: the car is to roll backward, if by a hill alone.
+        """
         speed_mps = motion.speed_mps(now_ns)
         if is_reverse:
             self._reverse_until_ns = now_ns + MOTOR_LAG_NS
         if speed_mps is None:
             return ""
-        against = self._against(speed_mps, is_reverse, motion.measured_ns <= self._reverse_until_ns)
+        was_reverse = wants_backward or motion.measured_ns <= self._reverse_until_ns
+        against = self._against(speed_mps, is_reverse, was_reverse)
         if not against:
             self._since_ns = None
         elif self._since_ns is None:
@@ -123,7 +136,8 @@ class MotionCheck:
         if is_reverse:
             self._max_backward_mps = math.inf
             return f"it rolled forward at {speed_mps:.1f} m/s in reverse" if speed_mps > margin_mps else ""
-        if was_reverse:  # it was measured in reverse
+        if was_reverse:
+            self._max_backward_mps = math.inf
             return ""
         self._max_backward_mps = min(self._max_backward_mps, max(0.0, -speed_mps))
         if -speed_mps < STANDSTILL_MPS:
