@@ -92,6 +92,7 @@ class SpeedBound(NamedTuple):
     speed_mps: float
     cause: str  # one of car_interface.common.causes
     words: str  # what the speed is, for a reason: ``max_speed``
+    max_throttle: float = 1.0  # 0..1: no more of it on the way to that speed
 
 
 class Limited(NamedTuple):
@@ -177,7 +178,7 @@ class ThrottleLimiter:
         limited = Limited(arbitration, max_speed_mps=max_mps)
         backward = speed_mps <= BACKWARD_MPS
         over_mps = self.speed.magnitude_mps - max_mps
-        room = max(0.0, -over_mps / BAND_MPS)
+        room = max(0.0, min(bound.max_throttle, -over_mps / BAND_MPS))
         drives_on = arbitration.drive > 0 and not backward or arbitration.drive < 0 and (is_reverse or backward)
         if over_mps > OVER_MPS and not backward and arbitration.source == PLANNER and not is_reverse:
             brake = -min(MAX_BRAKE, max(MIN_BRAKE, over_mps * BRAKE_PER_MPS))

@@ -1,0 +1,144 @@
+"""By how much less than its configuration says a car slows down now: because it drives downhill, or its brake is weak.
+
+Measured by the wheels. In neutral nothing but drag and slope act, so the deceleration is seen directly, once the motor
+has let go; so is a brake's, while it holds. While the motor pushes neither is seen. So the last neutral counts on; what
+it took away is given back slowly, by later ones, since the next turn may lead downhill again. And what stands in
+neutral doesn't roll.
+
+Pure. It only ever takes away from what the configuration promises.
+"""
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from car_interface.common.units import NS_PER_S
+from car_interface.throttle.esc_config import EscConfig
+
+SETTLES_NS = round(0.18 * NS_PER_S)  # a motor's lag of up to 0.15 s, and a pulse
+SPAN_NS, MAX_SPAN_NS = round(0.2 * NS_PER_S), round(0.5 * NS_PER_S)  # over which a deceleration is measured
+RECENT_NS = round(0.12 * NS_PER_S)  # the same of the present acceleration
+NOISE_MPS2 = 0.02  # less than this is none
+ROLLS_MPS = 0.1
+RELAXES_MPS3 = 0.1  # the rate at which a shortfall is given up once it isn't seen any more
+MATTERS_MPS2 = 0.05  # a shortfall of more is to be measured again
+KNOWN_NS = 3 * NS_PER_S  # every so often
+STANDS_NS = NS_PER_S
+LEFT_MPS2 = 0.05  # of the drag, at least, where the car stands in neutral
+TURNED_RAD = 0.5  # since the slope was measured: on another heading it is another one
+STOOD_NS = 3 * NS_PER_S  # somebody may have put the car somewhere else
+
+
+class Slope:
+    """What one car's decelerations lack."""
+
+    def __init__(self, esc: EscConfig):
+        self._drag_mps2, self._brake_mps2 = esc.drag_deceleration_mps2, esc.brake_deceleration_mps2
+        self._fraction = 0.0
+        self._held_ns = -math.inf  # since when the ESC has had this
+        self._reports: deque = deque()  # (when measured, speed), of the last 0.5 s
+        self._lacks_mps2 = {False: 0.0, True: 0.0}  # forward, backward
+        self._brake_lacks_mps2 = 0.0
+        self._measured_rad: dict[bool, float | None] = {False: None, True: None}  # the heading where it was measured
+        self._measured_ns = {False: 0, True: 0}
+        self._yaw_rad = 0.0
+        self._stood_ns: int | None = None
+
+    def update_esc(self, fraction: float, now_ns: int) -> None:
+        """What the ESC gets."""
+        if fraction != self._fraction:
+            self._fraction, self._held_ns = fraction, now_ns
+
+    def update_speed(self, speed_mps: float, measured_ns: int, curvature_per_m: float) -> None:
+        """The speed that was measured at a time, forward positive, and the curvature (1/m) of the arc."""
+        reports = self._reports
+        if not math.isfinite(speed_mps) or reports and measured_ns <= reports[-1][0]:
+            return
+        elapsed_s = (measured_ns - reports[-1][0]) / NS_PER_S if reports else 0.0
+        self._yaw_rad += speed_mps * curvature_per_m * min(1.0, elapsed_s)
+        reports.append((measured_ns, speed_mps))
+        while reports[0][0] < measured_ns - MAX_SPAN_NS:
+            reports.popleft()
+        if abs(speed_mps) < ROLLS_MPS:
+            self._stand(measured_ns)
+            return
+        self._stood_ns = None
+        is_slowed = self._fraction == 0.0 or self._fraction < 0.0 < speed_mps
+        if is_slowed and measured_ns - self._held_ns >= SETTLES_NS + SPAN_NS:
+            self._slow(speed_mps < 0.0, measured_ns)
+
+    def is_known(self, is_backward: bool) -> bool:
+        """Whether it was measured in this direction since the car last stood, or before that on this heading; a while
+        ago only where nothing was lacking.
+        """
+        if self._measured_rad[is_backward] is None or not self._reports:
+            return False
+        return (self._lacks_mps2[is_backward] <= MATTERS_MPS2
+                or self._reports[-1][0] - self._measured_ns[is_backward] <= KNOWN_NS)
+
+    def lacks_mps2(self, is_backward: bool) -> float:
+        """By how much its drag slows the car less than configured."""
+        return self._lacks_mps2[is_backward]
+
+    def brake_lacks_mps2(self, is_backward: bool) -> float:
+        """The same of its brake."""
+        return max(self._lacks_mps2[is_backward], 0.0 if is_backward else self._brake_lacks_mps2)
+
+    @property
+    def acceleration_mps2(self) -> float:
+        """The rate at which the speed rises now, whichever way it goes; negative: it falls."""
+        return -self._deceleration_mps2(RECENT_NS)
+
+    def _deceleration_mps2(self, span_ns):
+        """Of the magnitude, by a straight line through the reports of the last ``span_ns``."""
+        reports = self._reports
+        if len(reports) < 3:
+            return 0.0
+        newest_ns = reports[-1][0]
+        times, speeds = [], []
+        for at_ns, speed_mps in reversed(reports):
+            if newest_ns - at_ns > span_ns:
+                break
+            times.append((at_ns - newest_ns) / NS_PER_S)
+            speeds.append(abs(speed_mps))
+        if len(times) < 3:
+            return 0.0
+        mean_s, mean_mps = math.fsum(times) / len(times), math.fsum(speeds) / len(speeds)
+        spread = math.fsum((time_s - mean_s) ** 2 for time_s in times)
+        return -math.fsum((time_s - mean_s) * (speed_mps - mean_mps)
+                          for time_s, speed_mps in zip(times, speeds)) / spread
+
+    def _slow(self, is_backward, measured_ns):
+        """In neutral, or under a brake."""
+        span_ns = min(MAX_SPAN_NS, measured_ns - self._held_ns - SETTLES_NS)
+        seen_mps2 = self._deceleration_mps2(span_ns)
+        if self._fraction == 0.0:
+            lacks_mps2 = self._drag_mps2 - seen_mps2
+            given_back_mps2 = RELAXES_MPS3 * (measured_ns - self._measured_ns[is_backward]) / NS_PER_S
+            self._lacks_mps2[is_backward] = max(lacks_mps2 if lacks_mps2 > NOISE_MPS2 else 0.0,
+                                                self._lacks_mps2[is_backward] - given_back_mps2)
+            self._mark_measured(is_backward, measured_ns)
+        else:
+            self._brake_lacks_mps2 = max(0.0, -self._fraction * self._brake_mps2 - seen_mps2 - NOISE_MPS2)
+
+    def _mark_measured(self, is_backward, measured_ns):
+        self._measured_rad[is_backward], self._measured_ns[is_backward] = self._yaw_rad, measured_ns
+
+    def _stand(self, measured_ns):
+        if self._stood_ns is None:
+            self._stood_ns = measured_ns
+            if self._fraction == 0.0 and measured_ns - self._held_ns <= NS_PER_S and len(self._reports) > 2:
+                self._came_to_stand(measured_ns)
+        for is_backward, measured_rad in self._measured_rad.items():
+            if measured_rad is not None and (abs(self._yaw_rad - measured_rad) > TURNED_RAD
+                                             or measured_ns - self._stood_ns > STOOD_NS):
+                self._measured_rad[is_backward] = None
+        if self._fraction == 0.0 and measured_ns - max(self._stood_ns, self._held_ns) > STANDS_NS:
+            for is_backward, lacks_mps2 in self._lacks_mps2.items():
+                self._lacks_mps2[is_backward] = min(lacks_mps2, max(0.0, self._drag_mps2 - LEFT_MPS2))
+
+    def _came_to_stand(self, measured_ns):
+        """It stopped in neutral too soon for its deceleration to be measured: drag is as strong as that."""
+        is_backward = self._reports[-2][1] < 0.0
+        if abs(self._reports[0][1]) > 2.0 * ROLLS_MPS and self._measured_rad[is_backward] is None:
+            self._mark_measured(is_backward, measured_ns)
