@@ -33,7 +33,7 @@ TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
 MOTOR_LAG_S = 0.15
 # On the way to a bound: what full throttle adds after it was cut, in the motor's lag and a pulse.
 GRADUAL_MPS = BAND_MPS + UNSEEN_MPS2 * MOTOR_LAG_S
-STEADY_S = 0.5  # until a throttle that is held counts as what the car needs for its speed
+STEADY_S, LET_GO_S = 0.5, 0.25  # until a throttle that is held counts as what the car needs for its speed; or not
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
 UNKNOWN_SLOPE_MPS = 0.35  # as long as it isn't known how the car slows down here
@@ -74,7 +74,7 @@ class ObstacleGuard:
         elapsed_s = (now_ns - self._answered_ns) / NS_PER_S
         self._answered_ns = now_ns
         pushes = abs(answer.fraction) if answer.state in (FORWARD, REVERSE) else 0.0
-        self._steady = min(pushes, self._steady + (pushes - self._steady) * min(1.0, elapsed_s / STEADY_S))
+        self._steady += (pushes - self._steady) * min(1.0, elapsed_s / (STEADY_S if pushes > self._steady else LET_GO_S))
         self.slope.update_esc(answer.fraction, now_ns)
 
     def update_speed(self, speed_mps: float, now_ns: int, age_ns: int, curvature_per_m: float) -> None:

@@ -15,9 +15,10 @@ from collections import deque
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 
-SETTLES_NS = round(0.18 * NS_PER_S)  # a motor's lag of up to 0.15 s, and a pulse
-SPAN_NS, MAX_SPAN_NS = round(0.2 * NS_PER_S), round(0.5 * NS_PER_S)  # over which a deceleration is measured
-RECENT_NS = round(0.12 * NS_PER_S)  # the same of the present acceleration
+ACTUATION_S, LAG_S = 0.03, 0.15  # a pulse's way to the ESC; and the largest time constant of a motor that lets go
+RESIDUAL_MPS2 = 0.04  # what is left of its force by then doesn't matter
+SPAN_S, MAX_SPAN_S = 0.2, 0.5  # over which a deceleration is measured
+RECENT_S = 0.12  # the same of the present acceleration
 NOISE_MPS2 = 0.02  # less than this is none
 ROLLS_MPS = 0.1
 RELAXES_MPS3 = 0.1  # the rate at which a shortfall is given up once it isn't seen any more
@@ -36,8 +37,10 @@ class Slope:
         self._drag_mps2, self._brake_mps2 = esc.drag_deceleration_mps2, esc.brake_deceleration_mps2
         self._fraction = 0.0
         self._held_ns = -math.inf  # since when the ESC has had this
+        self._settles_s = 0.0  # how long until nothing is left of what it had before
         self._reports: deque = deque()  # (when measured, speed), of the last 0.5 s
         self._lacks_mps2 = {False: 0.0, True: 0.0}  # forward, backward
+        self._kept_mps2 = {False: 0.0, True: 0.0}  # what is left of it from before this neutral
         self._brake_lacks_mps2 = 0.0
         self._measured_rad: dict[bool, float | None] = {False: None, True: None}  # the heading where it was measured
         self._measured_ns = {False: 0, True: 0}
@@ -46,8 +49,14 @@ class Slope:
 
     def update_esc(self, fraction: float, now_ns: int) -> None:
         """What the ESC gets."""
-        if fraction != self._fraction:
-            self._fraction, self._held_ns = fraction, now_ns
+        if fraction == self._fraction:
+            return
+        self._fraction, self._held_ns = fraction, now_ns
+        force_mps2 = max(0.0, self.acceleration_mps2) + self._drag_mps2 + abs(min(0.0, fraction)) * self._brake_mps2
+        self._settles_s = ACTUATION_S + LAG_S * math.log(max(1.0, force_mps2 / RESIDUAL_MPS2))
+        for is_backward, lacks_mps2 in self._lacks_mps2.items():
+            given_back_mps2 = RELAXES_MPS3 * (now_ns - self._measured_ns[is_backward]) / NS_PER_S
+            self._kept_mps2[is_backward] = max(0.0, lacks_mps2 - given_back_mps2)
 
     def update_speed(self, speed_mps: float, measured_ns: int, curvature_per_m: float) -> None:
         """The speed that was measured at a time, forward positive, and the curvature (1/m) of the arc."""
@@ -57,14 +66,13 @@ class Slope:
         elapsed_s = (measured_ns - reports[-1][0]) / NS_PER_S if reports else 0.0
         self._yaw_rad += speed_mps * curvature_per_m * min(1.0, elapsed_s)
         reports.append((measured_ns, speed_mps))
-        while reports[0][0] < measured_ns - MAX_SPAN_NS:
+        while reports[0][0] < measured_ns - round(MAX_SPAN_S * NS_PER_S):
             reports.popleft()
         if abs(speed_mps) < ROLLS_MPS:
             self._stand(measured_ns)
             return
         self._stood_ns = None
-        is_slowed = self._fraction == 0.0 or self._fraction < 0.0 < speed_mps
-        if is_slowed and measured_ns - self._held_ns >= SETTLES_NS + SPAN_NS:
+        if self._fraction == 0.0 or self._fraction < 0.0 < speed_mps:
             self._slow(speed_mps < 0.0, measured_ns)
 
     def is_known(self, is_backward: bool) -> bool:
@@ -87,17 +95,17 @@ class Slope:
     @property
     def acceleration_mps2(self) -> float:
         """The rate at which the speed rises now, whichever way it goes; negative: it falls."""
-        return -self._deceleration_mps2(RECENT_NS)
+        return -self._deceleration_mps2(RECENT_S)
 
-    def _deceleration_mps2(self, span_ns):
-        """Of the magnitude, by a straight line through the reports of the last ``span_ns``."""
+    def _deceleration_mps2(self, span_s):
+        """Of the magnitude, by a straight line through the reports of the last ``span_s``."""
         reports = self._reports
         if len(reports) < 3:
             return 0.0
         newest_ns = reports[-1][0]
         times, speeds = [], []
         for at_ns, speed_mps in reversed(reports):
-            if newest_ns - at_ns > span_ns:
+            if newest_ns - at_ns > span_s * NS_PER_S:
                 break
             times.append((at_ns - newest_ns) / NS_PER_S)
             speeds.append(abs(speed_mps))
@@ -109,17 +117,25 @@ class Slope:
                           for time_s, speed_mps in zip(times, speeds)) / spread
 
     def _slow(self, is_backward, measured_ns):
-        """In neutral, or under a brake."""
-        span_ns = min(MAX_SPAN_NS, measured_ns - self._held_ns - SETTLES_NS)
-        seen_mps2 = self._deceleration_mps2(span_ns)
-        if self._fraction == 0.0:
-            lacks_mps2 = self._drag_mps2 - seen_mps2
-            given_back_mps2 = RELAXES_MPS3 * (measured_ns - self._measured_ns[is_backward]) / NS_PER_S
-            self._lacks_mps2[is_backward] = max(lacks_mps2 if lacks_mps2 > NOISE_MPS2 else 0.0,
-                                                self._lacks_mps2[is_backward] - given_back_mps2)
-            self._mark_measured(is_backward, measured_ns)
+        """In neutral, or under a brake. What the motor still pushes only hides a part of the deceleration, so one that
+        is as strong as promised counts before it has let go.
+        """
+        held_s = (measured_ns - self._held_ns) / NS_PER_S
+        settled_s = held_s - self._settles_s
+        if held_s < ACTUATION_S + SPAN_S:
+            return
+        seen_mps2 = self._deceleration_mps2(max(SPAN_S, min(MAX_SPAN_S, settled_s)))
+        brakes = self._fraction < 0.0
+        lacks_mps2 = (-self._fraction * self._brake_mps2 if brakes else self._drag_mps2) - seen_mps2
+        if lacks_mps2 <= NOISE_MPS2:
+            lacks_mps2 = 0.0
+        elif settled_s < SPAN_S:
+            return
+        if brakes:
+            self._brake_lacks_mps2 = lacks_mps2
         else:
-            self._brake_lacks_mps2 = max(0.0, -self._fraction * self._brake_mps2 - seen_mps2 - NOISE_MPS2)
+            self._lacks_mps2[is_backward] = max(lacks_mps2, self._kept_mps2[is_backward])
+            self._mark_measured(is_backward, measured_ns)
 
     def _mark_measured(self, is_backward, measured_ns):
         self._measured_rad[is_backward], self._measured_ns[is_backward] = self._yaw_rad, measured_ns
