@@ -21,8 +21,9 @@ from car_interface.throttle.sonar_fan import Arc, Mount, Outline, cone_points
 
 MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 3, 2, 1
 SAME_M = 0.08  # ranges that differ by less are of the same thing: the sonar's noise, and that of the odometry meanwhile
-EDGE_RAD = math.radians(2.0)  # a place so near to a cone's edge may not have been looked at
+EDGE_RAD = math.radians(2.0)  # a place so near to a cone's edge may have been looked at, or not
 MAX_POINTS = 48  # beside those of the newest echoes; the nearest stay
+CELL_M = 0.08  # one of a sonar's points stands for all in a square of this size
 FORGET_M = 2.5  # from the middle of the rear axle: a thing farther away is looked at again before the car gets there
 MAX_STEP_S = 1.0  # what a car without reports is moved on by
 
@@ -72,26 +73,25 @@ class EchoMemory:
     def look(self, sonar: str, range_m: float, is_echo: bool) -> None:
         """A sonar's newest range; without an echo: how far it would have seen one."""
         mount = self._mounts[sonar]
-        half_rad = self._field_of_view_rad / 2.0 - EDGE_RAD
+        half_rad = self._field_of_view_rad / 2.0
         cos_yaw, sin_yaw = math.cos(self._yaw_rad), math.sin(self._yaw_rad)
         sonar_x_m = self._x_m + mount.x_m * cos_yaw - mount.y_m * sin_yaw
         sonar_y_m = self._y_m + mount.x_m * sin_yaw + mount.y_m * cos_yaw
         axis_rad = self._yaw_rad + mount.yaw_rad
         kept = []
         for point in self._points:
-            if point.sonar == sonar:
+            is_own = point.sonar == sonar
+            if is_own:
                 point.is_current = False
             to_x_m, to_y_m = point.x_m - sonar_x_m, point.y_m - sonar_y_m
-            away_m = math.hypot(to_x_m, to_y_m)
-            if abs(math.remainder(math.atan2(to_y_m, to_x_m) - axis_rad, 2.0 * math.pi)) <= half_rad:
-                if away_m < range_m - SAME_M:
-                    point.misses += MISSED_BY_ECHO if is_echo else MISSED_BY_NONE
-                    if point.misses >= MISSES:
-                        continue
-                elif is_echo and point.sonar == sonar and away_m <= range_m + SAME_M:
+            beyond_m = math.hypot(to_x_m, to_y_m) - range_m
+            off_rad = abs(math.remainder(math.atan2(to_y_m, to_x_m) - axis_rad, 2.0 * math.pi))
+            if is_own and is_echo and abs(beyond_m) <= SAME_M and off_rad <= half_rad + EDGE_RAD:
+                continue
+            if beyond_m < -SAME_M and off_rad <= half_rad - EDGE_RAD:
+                point.misses += MISSED_BY_ECHO if is_echo else MISSED_BY_NONE
+                if point.misses >= MISSES:
                     continue
-                elif is_echo:
-                    point.misses = 0
             kept.append(point)
         self._points = self._remembered(kept)
         if is_echo:
@@ -101,15 +101,19 @@ class EchoMemory:
 
     def _remembered(self, points):
         """Those that are still ahead of the sonar's end of the car, the nearest ones if there are many."""
-        found, current = [], []
-        for point in points:
+        found, current, cells = [], [], set()
+        for point in reversed(points):
             if point.is_current:
                 current.append(point)
                 continue
             x_m, y_m = self._from_car(point)
             away_m = math.hypot(x_m, y_m)
-            if away_m <= FORGET_M and not self._is_passed(point.sonar, x_m, y_m):
+            cell = point.sonar, round(point.x_m / CELL_M), round(point.y_m / CELL_M)
+            if away_m <= FORGET_M and cell not in cells and not self._is_passed(point.sonar, x_m, y_m):
+                cells.add(cell)
                 found.append((away_m, point))
+        found.reverse()
+        current.reverse()
         if len(found) > MAX_POINTS:
             found = sorted(found, key=lambda one: one[0])[:MAX_POINTS]
         return current + [point for _, point in found]
