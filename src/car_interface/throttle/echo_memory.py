@@ -21,7 +21,8 @@ from car_interface.throttle.sonar_fan import Arc, Mount, Outline, cone_points
 
 MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 3, 2, 1
 SAME_M = 0.08  # ranges that differ by less are of the same thing: the sonar's noise, and that of the odometry meanwhile
-EDGE_RAD = math.radians(2.0)  # a place so near to a cone's edge may have been looked at, or not
+# So near to a cone's edge a place may be looked at, or not: a sonar's own echo came from there, another's may not.
+EDGE_RAD = math.radians(2.0)
 MAX_POINTS = 48  # beside those of the newest echoes; the nearest stay
 CELL_M = 0.08  # one of a sonar's points stands for all in a square of this size
 FORGET_M = 2.5  # from the middle of the rear axle: a thing farther away is looked at again before the car gets there
@@ -88,7 +89,7 @@ class EchoMemory:
             off_rad = abs(math.remainder(math.atan2(to_y_m, to_x_m) - axis_rad, 2.0 * math.pi))
             if is_own and is_echo and abs(beyond_m) <= SAME_M and off_rad <= half_rad + EDGE_RAD:
                 continue
-            if beyond_m < -SAME_M and off_rad <= half_rad - EDGE_RAD:
+            if beyond_m < -SAME_M and off_rad <= half_rad + (EDGE_RAD if is_own else -EDGE_RAD):
                 point.misses += MISSED_BY_ECHO if is_echo else MISSED_BY_NONE
                 if point.misses >= MISSES:
                     continue

@@ -19,10 +19,10 @@ ACTUATION_S, LAG_S = 0.03, 0.15  # a pulse's way to the ESC; and the largest tim
 RESIDUAL_MPS2 = 0.04  # what is left of its force by then doesn't matter
 SPAN_S, MAX_SPAN_S = 0.2, 0.5  # over which a deceleration is measured
 RECENT_S = 0.12  # the same of the present acceleration
-NOISE_MPS2 = 0.02  # less than this is none
+NOISE_MPS2 = 0.02  # less than this is none; and more is measured no better than to twice this
 ROLLS_MPS = 0.1
-RELAXES_MPS3 = 0.1  # the rate at which a shortfall is given up once it isn't seen any more
-MATTERS_MPS2 = 0.05  # a shortfall of more is to be measured again
+RELAXES_MPS3 = 0.05  # the rate at which a shortfall is given up once it isn't seen any more
+MATTERS_MPS2 = 0.1  # a shortfall of more is to be measured again
 KNOWN_NS = 3 * NS_PER_S  # every so often
 STANDS_NS = NS_PER_S
 LEFT_MPS2 = 0.05  # of the drag, at least, where the car stands in neutral
@@ -131,6 +131,8 @@ class Slope:
             lacks_mps2 = 0.0
         elif settled_s < SPAN_S:
             return
+        else:
+            lacks_mps2 += 2.0 * NOISE_MPS2
         if brakes:
             self._brake_lacks_mps2 = lacks_mps2
         else:
