@@ -25,7 +25,7 @@ from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
 from car_interface.throttle.limits import BAND_MPS, SpeedBound
 from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop
-from car_interface.throttle.slope import Slope
+from car_interface.throttle.slope import LEFT_MPS2, Slope
 
 ROLLS_MPS = 0.1
 # Before the stop's memory of driving forward ends a stop must have begun, and reached the ESC.
@@ -36,8 +36,9 @@ GRADUAL_MPS = BAND_MPS + UNSEEN_MPS2 * MOTOR_LAG_S
 STEADY_S, LET_GO_S = 0.5, 0.25  # until a throttle that is held counts as what the car needs for its speed; or not
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
+UNKNOWN_SLOPE_MPS2 = 0.25  # what a slope on which a car stands in neutral may take from its drag
 UNKNOWN_SLOPE_MPS = 0.35  # as long as it isn't known how the car slows down here
-SHOWS_SLOPE_MPS = 0.25  # from this speed on it rolls in neutral, until that is known or it hardly rolls
+SHOWS_SLOPE_MPS = 0.2  # from this speed on it rolls in neutral, until that is known or it hardly rolls
 
 
 class Obstacle(NamedTuple):
@@ -93,11 +94,13 @@ class ObstacleGuard:
             is_reverse or arbitration.asked < 0)
         guarantee = self._guarantee(arbitration, is_backward, is_backward or is_reverse, now_ns)
         late_s = speed.age_s(now_ns) + MOTOR_LAG_S
-        bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s)
+        is_known = self.slope.is_known(is_backward) or guarantee.stop_mps2 > guarantee.drag_mps2
+        to_echo = None if is_known else self._on_unknown_slope(guarantee)
+        bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s, to_echo=to_echo)
         highest_mps = self._highest_mps(speed, now_ns)
         if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
             return Obstacle(stop=bound)
-        bound = self._begun_slowly(bound, guarantee, is_backward, speed)
+        bound = self._begun_slowly(bound, is_known, is_backward, speed)
         return Obstacle(bounds=(self._approached(bound, highest_mps, speed, now_ns),))
 
     def _guarantee(self, arbitration, is_backward, by_drag, now_ns):
@@ -121,9 +124,13 @@ class ObstacleGuard:
         """The acceleration beyond what noise looks like."""
         return self.slope.acceleration_mps2 - NOISE_MPS2 - NOISE_PER_S * speed.magnitude_mps
 
-    def _begun_slowly(self, bound, guarantee, is_backward, speed):
+    def _on_unknown_slope(self, guarantee):
+        drag_mps2 = min(guarantee.drag_mps2, max(LEFT_MPS2, self._drag_mps2 - UNKNOWN_SLOPE_MPS2))
+        return Guarantee(drag_mps2, 0.0, drag_mps2)
+
+    def _begun_slowly(self, bound, is_known, is_backward, speed):
         """A bound while it isn't known how the car slows down here."""
-        if self.slope.is_known(is_backward) or guarantee.stop_mps2 > guarantee.drag_mps2:
+        if is_known:
             self._shows_slope = False
             return bound
         may_wait = self._will_brake and not self.slope.lacks_mps2(is_backward)

@@ -141,7 +141,10 @@ class ObstacleStop:
             self._echoes.look(name, self._reaches_m[name], range_m < self.config.max_range_m)
 
     def update_motion(self, speed_mps: float, curvature_per_m: float, now_ns: int) -> None:
-        """The car has driven at this speed (backward negative) on this arc (1/m, left positive) since the last call."""
+        """The car has driven at this speed (backward negative) on this arc (1/m, left positive) since the last call.
+
+        As long as it isn't called nothing is remembered, and an echo counts where it was measured, with its age.
+        """
         self._echoes.move(speed_mps, curvature_per_m, now_ns)
 
     def mark_stale(self) -> None:
@@ -150,8 +153,8 @@ class ObstacleStop:
             timed.mark_stale()
 
     def bound(self, curvature_per_m: float, is_backward: bool, guarantee: Guarantee, now_ns: int,
-              late_s: float = 0.0) -> SpeedBound:
-        """The speed that the car may have on this arc.
+              late_s: float = 0.0, counts_sides: bool = True, to_echo: Guarantee | None = None) -> SpeedBound | None:
+        """The speed that the car may have on this arc; ``None``: nothing bounds it, which takes ``counts_sides`` false.
 
         Args:
             curvature_per_m: of the arc, left positive.
@@ -159,16 +162,19 @@ class ObstacleStop:
             guarantee: the deceleration that a stop is certain of.
             now_ns: the time.
             late_s: by so much longer the car drives on towards an echo: odometry's age, and the motor's lag.
+            to_echo: the deceleration on the way to an echo; ``None`` = the same.
+            counts_sides: the fan's sides are an end, too. They aren't to one who knows what is beside the car.
         """
         end = self._fans[is_backward].end(curvature_per_m, self._reaches_m)
         silent = self._silent(end, curvature_per_m, is_backward, now_ns)
         if silent is not None:
             return silent
-        bound = self._bound_of_unknown(end, guarantee, now_ns)
+        bound = self._bound_of_unknown(end, guarantee, now_ns) if counts_sides or not end.is_edge else None
         for name, met in self._echoes.meets(curvature_per_m, is_backward).items():
-            time_s = self._cycles_s[name] + self.config.actuation_s + late_s
-            speed_mps = stopping_speed_mps(met.distance_m - self.config.margin_m, time_s, guarantee)
-            if speed_mps < bound.speed_mps:
+            age_s = 0.0 if self._echoes.are_moved else self._ranges[name].age_s(now_ns)
+            time_s = age_s + self._cycles_s[name] + self.config.actuation_s + late_s
+            speed_mps = stopping_speed_mps(met.distance_m - self.config.margin_m, time_s, to_echo or guarantee)
+            if bound is None or speed_mps < bound.speed_mps:
                 bound = SpeedBound(speed_mps, causes.OBSTACLE_SLOWED, self._echo_words(name, met))
         return bound
 

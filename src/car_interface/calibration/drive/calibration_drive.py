@@ -103,8 +103,6 @@ class CalibrationDrive:
         if self._drives:  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
             self.samples.update_odometry(x_m, y_m, yaw_rad, speed_mps, measured_ns)
         motion = self._motion.update(Pose(x_m, y_m, yaw_rad), speed_mps, measured_ns)
-        if self._obstacles is not None:
-            self._obstacles.update_motion(speed_mps, self._motion.curvature_per_m() or 0.0, now_ns)
         if self._is_slowed:
             self._stops.discard()
         self._stops.update(motion[0], speed_mps, self._motion.pose.yaw_rad, self._drives, measured_ns)
