@@ -31,9 +31,10 @@ ROLLS_MPS = 0.1
 # Before the stop's memory of driving forward ends a stop must have begun, and reached the ESC.
 TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
 MOTOR_LAG_S = 0.15
-# On the way to a bound: what full throttle adds after it was cut, in the motor's lag and a pulse.
-GRADUAL_MPS = BAND_MPS + UNSEEN_MPS2 * MOTOR_LAG_S
-STEADY_S, LET_GO_S = 0.5, 0.25  # until a throttle that is held counts as what the car needs for its speed; or not
+CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
+# A throttle counts as what the car needs for its speed when it gets no faster by it, after this time; and no more after
+# this.
+STEADY_S, LET_GO_S = 0.6, 0.25
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
 UNKNOWN_SLOPE_MPS2 = 0.25  # what a slope on which a car stands in neutral may take from its drag
@@ -75,7 +76,10 @@ class ObstacleGuard:
         elapsed_s = (now_ns - self._answered_ns) / NS_PER_S
         self._answered_ns = now_ns
         pushes = abs(answer.fraction) if answer.state in (FORWARD, REVERSE) else 0.0
-        self._steady += (pushes - self._steady) * min(1.0, elapsed_s / (STEADY_S if pushes > self._steady else LET_GO_S))
+        if pushes < self._steady:
+            self._steady += (pushes - self._steady) * min(1.0, elapsed_s / LET_GO_S)
+        elif self.slope.acceleration_mps2 < NOISE_MPS2:
+            self._steady += (pushes - self._steady) * min(1.0, elapsed_s / STEADY_S)
         self.slope.update_esc(answer.fraction, now_ns)
 
     def update_speed(self, speed_mps: float, now_ns: int, age_ns: int, curvature_per_m: float) -> None:
@@ -92,7 +96,7 @@ class ObstacleGuard:
         is_reverse = self._answer is not None and self._answer.state == REVERSE
         is_backward = speed.last_mps <= -ROLLS_MPS or speed.last_mps < ROLLS_MPS and (
             is_reverse or arbitration.asked < 0)
-        guarantee = self._guarantee(arbitration, is_backward, is_backward or is_reverse, now_ns)
+        guarantee = self._guarantee(arbitration, is_backward, is_backward or is_reverse, curvature_per_m, now_ns)
         late_s = speed.age_s(now_ns) + MOTOR_LAG_S
         is_known = self.slope.is_known(is_backward) or guarantee.stop_mps2 > guarantee.drag_mps2
         to_echo = None if is_known else self._on_unknown_slope(guarantee)
@@ -103,8 +107,8 @@ class ObstacleGuard:
         bound = self._begun_slowly(bound, is_known, is_backward, speed)
         return Obstacle(bounds=(self._approached(bound, highest_mps, speed, now_ns),))
 
-    def _guarantee(self, arbitration, is_backward, by_drag, now_ns):
-        drag_mps2 = max(0.01, self._drag_mps2 - self.slope.lacks_mps2(is_backward))
+    def _guarantee(self, arbitration, is_backward, by_drag, curvature_per_m, now_ns):
+        drag_mps2 = max(0.01, self._drag_mps2 - self.slope.lacks_mps2(is_backward, curvature_per_m))
         drag = Guarantee(drag_mps2, 0.0, drag_mps2)
         answer = self._answer
         if by_drag or answer is None or answer.coasts_below_mps or answer.stop_mps2 <= self._drag_mps2:
@@ -143,9 +147,9 @@ class ObstacleGuard:
 
     def _approached(self, bound, highest_mps, speed, now_ns):
         """A bound with the throttle that may be given on the way to it."""
-        left_mps = bound.speed_mps - highest_mps
+        left_mps, age_s = bound.speed_mps - highest_mps, speed.age_s(now_ns)
         gain_mps2 = self._gain_mps2(speed)
-        if gain_mps2 > 0.0 and left_mps <= gain_mps2 * MOTOR_LAG_S:
+        if gain_mps2 > 0.0 and left_mps <= gain_mps2 * CUT_S:
             return bound._replace(max_throttle=0.0)
-        gradual_mps = GRADUAL_MPS + UNSEEN_MPS2 * speed.age_s(now_ns)
+        gradual_mps = BAND_MPS + UNSEEN_MPS2 * (CUT_S + age_s)
         return bound._replace(max_throttle=max(0.0, min(1.0, self._steady + left_mps / gradual_mps)))

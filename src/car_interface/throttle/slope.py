@@ -27,6 +27,9 @@ KNOWN_NS = 3 * NS_PER_S  # every so often
 STANDS_NS = NS_PER_S
 LEFT_MPS2 = 0.05  # of the drag, at least, where the car stands in neutral
 TURNED_RAD = 0.5  # since the slope was measured: on another heading it is another one
+CLIMBS_MPS2 = 0.2  # beyond the drag: less is a drag that is configured with care
+AHEAD_M = 1.5  # along the arc, in which the car may point downhill
+NEAR_RAD, SEEN_NS, MAX_SEEN = 0.6, 20 * NS_PER_S, 8  # a measurement holds for such headings, so long
 STOOD_NS = 3 * NS_PER_S  # somebody may have put the car somewhere else
 
 
@@ -44,6 +47,7 @@ class Slope:
         self._brake_lacks_mps2 = 0.0
         self._measured_rad: dict[bool, float | None] = {False: None, True: None}  # the heading where it was measured
         self._measured_ns = {False: 0, True: 0}
+        self._seen: deque = deque(maxlen=MAX_SEEN)  # (where the car went, when, the drag that lacked), also less than 0
         self._yaw_rad = 0.0
         self._stood_ns: int | None = None
 
@@ -81,12 +85,36 @@ class Slope:
         """
         if self._measured_rad[is_backward] is None or not self._reports:
             return False
+        if self._expected_mps2(is_backward, 0.0) > MATTERS_MPS2:
+            return False
         return (self._lacks_mps2[is_backward] <= MATTERS_MPS2
                 or self._reports[-1][0] - self._measured_ns[is_backward] <= KNOWN_NS)
 
-    def lacks_mps2(self, is_backward: bool) -> float:
-        """By how much its drag slows the car less than configured."""
-        return self._lacks_mps2[is_backward]
+    def lacks_mps2(self, is_backward: bool, curvature_per_m: float = 0.0) -> float:
+        """By how much its drag slows the car less than configured, on an arc (1/m, left positive)."""
+        lacks_mps2 = self._lacks_mps2[is_backward]
+        if not self._climbs_mps2:
+            return lacks_mps2
+        turns_rad = AHEAD_M * curvature_per_m * (-1.0 if is_backward else 1.0)
+        return max(lacks_mps2, *(self._expected_mps2(is_backward, share * turns_rad) for share in (0.0, 0.5, 1.0)))
+
+    @property
+    def _climbs_mps2(self):
+        return any(lacks_mps2 < -CLIMBS_MPS2 for _, _, lacks_mps2 in self._seen)
+
+    def _expected_mps2(self, is_backward, turns_rad):
+        """What will lack after a turn, by what was seen before it; 0 where it was measured."""
+        way_rad = self._yaw_rad + turns_rad + (math.pi if is_backward else 0.0)
+        newest_ns, expected_mps2 = self._reports[-1][0] if self._reports else 0, 0.0
+        for seen_rad, seen_ns, lacks_mps2 in self._seen:
+            off_rad = abs(math.remainder(way_rad - seen_rad, 2.0 * math.pi))
+            if newest_ns - seen_ns > SEEN_NS:
+                continue
+            if off_rad <= NEAR_RAD:
+                return 0.0
+            if lacks_mps2 < -CLIMBS_MPS2:
+                expected_mps2 = max(expected_mps2, lacks_mps2 * math.cos(off_rad))
+        return min(expected_mps2, max(0.0, self._drag_mps2 - LEFT_MPS2))
 
     def brake_lacks_mps2(self, is_backward: bool) -> float:
         """The same of its brake."""
@@ -126,7 +154,7 @@ class Slope:
             return
         seen_mps2 = self._deceleration_mps2(max(SPAN_S, min(MAX_SPAN_S, settled_s)))
         brakes = self._fraction < 0.0
-        lacks_mps2 = (-self._fraction * self._brake_mps2 if brakes else self._drag_mps2) - seen_mps2
+        lacks_mps2 = signed_mps2 = (-self._fraction * self._brake_mps2 if brakes else self._drag_mps2) - seen_mps2
         if lacks_mps2 <= NOISE_MPS2:
             lacks_mps2 = 0.0
         elif settled_s < SPAN_S:
@@ -138,6 +166,13 @@ class Slope:
         else:
             self._lacks_mps2[is_backward] = max(lacks_mps2, self._kept_mps2[is_backward])
             self._mark_measured(is_backward, measured_ns)
+            self._remember(is_backward, signed_mps2, measured_ns)
+
+    def _remember(self, is_backward, lacks_mps2, measured_ns):
+        way_rad = self._yaw_rad + (math.pi if is_backward else 0.0)
+        if self._seen and abs(math.remainder(way_rad - self._seen[-1][0], 2.0 * math.pi)) < NEAR_RAD / 2.0:
+            self._seen.pop()
+        self._seen.append((way_rad, measured_ns, lacks_mps2))
 
     def _mark_measured(self, is_backward, measured_ns):
         self._measured_rad[is_backward], self._measured_ns[is_backward] = self._yaw_rad, measured_ns
