@@ -17,6 +17,7 @@ from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.measured_speed import MeasuredSpeed
 from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
+from car_interface.throttle.esc_intention import DRIVE
 from car_interface.throttle.value_map import ValueMap, load_value_map
 
 BAND_MPS = 0.5  # full throttle this far below a limit, none at it
@@ -179,7 +180,9 @@ class ThrottleLimiter:
         backward = speed_mps <= BACKWARD_MPS
         over_mps = self.speed.magnitude_mps - max_mps
         room = max(0.0, min(bound.max_throttle, -over_mps / BAND_MPS))
-        drives_on = arbitration.drive > 0 and not backward or arbitration.drive < 0 and (is_reverse or backward)
+        # From standstill a pull may become reverse with this very step.
+        may_reverse = is_reverse or backward or speed_mps < -BACKWARD_MPS and arbitration.gear != DRIVE
+        drives_on = arbitration.drive > 0 and not backward or arbitration.drive < 0 and may_reverse
         if over_mps > OVER_MPS and not backward and arbitration.source == PLANNER and not is_reverse:
             brake = -min(MAX_BRAKE, max(MIN_BRAKE, over_mps * BRAKE_PER_MPS))
             if brake < arbitration.brake:
