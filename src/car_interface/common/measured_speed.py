@@ -113,7 +113,7 @@ class MeasuredSpeed:
         It rises as it did, and as by full throttle in the time of which nothing is known: while reports are missing, and
         for as long as they are late by their stamps. Only to be asked for once there was one.
         """
-        silence_s, age_s = self._speed.silence_s(now_ns), self._speed.age_s(now_ns)
-        unseen_s = min(silence_s, self._late_s) + age_s - silence_s - self._period_s - UNSEEN_AFTER_S
-        return (self._magnitude_mps + self._gain_mps2 * min(MAX_AHEAD_S, age_s + ACTUATION_S)
+        speed = self._speed
+        unseen_s = min(speed.silence_s(now_ns), self._late_s) + speed.was_late_s - self._period_s - UNSEEN_AFTER_S
+        return (self._magnitude_mps + self._gain_mps2 * min(MAX_AHEAD_S, speed.age_s(now_ns) + ACTUATION_S)
                 + UNSEEN_MPS2 * max(0.0, unseen_s))

@@ -56,7 +56,12 @@ class TimedInput:
 
     def age_s(self, now_ns: int) -> float:
         """The age of the last message in seconds; inf = never received."""
-        return self.silence_s(now_ns) + self._age_ns / NS_PER_S
+        return self.silence_s(now_ns) + self.was_late_s
+
+    @property
+    def was_late_s(self) -> float:
+        """How old the last message was when it arrived, in seconds; 0 = not known to be late."""
+        return self._age_ns / NS_PER_S
 
     def silence_s(self, now_ns: int) -> float:
         """Seconds since the last message arrived; inf = never received."""
