@@ -1,8 +1,9 @@
 """Where the echoes of a car's sonars came from, while it drives on.
 
 An echo tells how far something is, not in which direction: it may stand anywhere in the cone at that range, so points
-across the cone stand for it. They stay where they are while the car moves (its speed and curvature are integrated), also
-where no cone reaches them any more: at the bumper's corners, and beside the car in a turn. A point is forgotten when
+across the cone stand for it. They stay where they are while the car moves (its speed and curvature are integrated),
+also where no cone reaches them any more: at the bumper's corners, and beside the car in a turn. A point is forgotten
+when
 
 * its sonar's next echo comes from as far: the new one stands for it,
 * a sonar looked there again and saw farther: twice, or three times where it heard no echo at all, since now and then an
@@ -21,16 +22,12 @@ from car_interface.throttle.sonar_fan import Arc, Mount, Outline, cone_points
 
 MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 3, 2, 1
 SAME_M = 0.08  # ranges that differ by less are of the same thing: the sonar's noise, and that of the odometry meanwhile
-# So near to a cone's edge a place may be looked at, or not: a sonar's own echo came from there, another's may not.
-EDGE_RAD = math.radians(2.0)
+# So near to a cone's edge a place may have been looked at, or not. A sonar's own echo did come from there.
+EDGE_RAD, ROUNDING_RAD = math.radians(2.0), math.radians(0.2)
 MAX_POINTS = 48  # beside those of the newest echoes; the nearest stay
 CELL_M = 0.08  # one of a sonar's points stands for all in a square of this size
 FORGET_M = 2.5  # from the middle of the rear axle: a thing farther away is looked at again before the car gets there
 MAX_STEP_S = 1.0  # what a car without reports is moved on by
-# Cones whose edges are so nearly parallel have a strip between them, no more than twice as wide as this.
-GAP_RAD, MAX_STRIP_M = math.radians(5.0), 0.1
-
-
 class Met(NamedTuple):
     """What the car meets on an arc."""
 
@@ -62,19 +59,6 @@ class EchoMemory:
         self._x_m = self._y_m = self._yaw_rad = 0.0
         self._moved_ns: int | None = None
         self._points: list[_Point] = []
-        self._strips_m = {name: (self._strip_m(name, -1.0), self._strip_m(name, 1.0)) for name in mounts}
-
-    def _strip_m(self, name, side):
-        """Half the width of the strip between a sonar's cone and the next one to its right (−1) or left (1); 0: there
-        is none. It counts as looked at by both.
-        """
-        mount, widths = self._mounts[name], []
-        for other in self._mounts.values():
-            turn_rad = side * math.remainder(other.yaw_rad - mount.yaw_rad, 2.0 * math.pi)
-            if other.looks_back == mount.looks_back and 0.0 < turn_rad < self._field_of_view_rad + GAP_RAD:
-                widths.append(side * _left_of_m(mount, mount.yaw_rad + side * self._field_of_view_rad / 2.0,
-                                                other.x_m, other.y_m) / 2.0)
-        return max(0.0, min(MAX_STRIP_M, min(widths))) if widths else 0.0
 
     @property
     def are_moved(self) -> bool:
@@ -107,10 +91,10 @@ class EchoMemory:
             to_x_m, to_y_m = point.x_m - sonar_x_m, point.y_m - sonar_y_m
             beyond_m = math.hypot(to_x_m, to_y_m) - range_m
             off_rad = abs(math.remainder(math.atan2(to_y_m, to_x_m) - axis_rad, 2.0 * math.pi))
-            if is_own and is_echo and abs(beyond_m) <= SAME_M and off_rad <= half_rad + EDGE_RAD:
+            if is_own and is_echo and abs(beyond_m) <= SAME_M and off_rad <= half_rad + ROUNDING_RAD:
                 continue
-            is_in_cone = off_rad <= half_rad + (EDGE_RAD if is_own else -EDGE_RAD)
-            if beyond_m < -SAME_M and (is_in_cone or self._is_in_strip(sonar, point)):
+            is_in_cone = off_rad <= half_rad + (ROUNDING_RAD if is_own else -EDGE_RAD)
+            if beyond_m < -SAME_M and is_in_cone:
                 point.misses += MISSED_BY_ECHO if is_echo else MISSED_BY_NONE
                 if point.misses >= MISSES:
                     continue
@@ -120,16 +104,6 @@ class EchoMemory:
             for x_m, y_m in cone_points(mount, range_m, self._field_of_view_rad):
                 self._points.append(_Point(self._x_m + x_m * cos_yaw - y_m * sin_yaw,
                                            self._y_m + x_m * sin_yaw + y_m * cos_yaw, sonar))
-
-    def _is_in_strip(self, sonar, point):
-        """Whether a point lies in what counts as looked at beside a sonar's cone."""
-        mount, (x_m, y_m) = self._mounts[sonar], self._from_car(point)
-        for side, width_m in zip((-1.0, 1.0), self._strips_m[sonar]):
-            edge_rad = mount.yaw_rad + side * self._field_of_view_rad / 2.0
-            ahead_m = (x_m - mount.x_m) * math.cos(edge_rad) + (y_m - mount.y_m) * math.sin(edge_rad)
-            if 0.0 <= side * _left_of_m(mount, edge_rad, x_m, y_m) <= width_m and ahead_m > 0.0:
-                return True
-        return False
 
     def _remembered(self, points):
         """Those that are still ahead of the sonar's end of the car, the nearest ones if there are many."""
@@ -183,8 +157,3 @@ class EchoMemory:
                 if before is None or distance_m < before.distance_m:
                     found[point.sonar] = Met(distance_m, point.is_current)
         return found
-
-
-def _left_of_m(mount, edge_rad, x_m, y_m):
-    """How far a point is to the left of a line from a sonar."""
-    return math.cos(edge_rad) * (y_m - mount.y_m) - math.sin(edge_rad) * (x_m - mount.x_m)

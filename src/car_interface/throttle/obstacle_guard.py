@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from car_interface.common import causes
 from car_interface.common.measured_speed import UNSEEN_MPS2, MeasuredSpeed
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
@@ -34,12 +33,14 @@ MOTOR_LAG_S = 0.15
 CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
 # A throttle counts as what the car needs for its speed when it gets no faster by it, after this time; and no more after
 # this.
-STEADY_S, LET_GO_S = 0.6, 0.25
+STEADY_S, LET_GO_S = 0.35, 0.25
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
 UNKNOWN_SLOPE_MPS2 = 0.25  # what a slope on which a car stands in neutral may take from its drag
-UNKNOWN_SLOPE_MPS = 0.35  # as long as it isn't known how the car slows down here
-SHOWS_SLOPE_MPS = 0.2  # from this speed on it rolls in neutral, until that is known or it hardly rolls
+# As long as it isn't known how the car slows down here: with something in sight on its arc, and without. From so much
+# below that it rolls in neutral, until it is known or it hardly rolls.
+CAREFUL_MPS, UNKNOWN_SLOPE_MPS, SHOWS_BELOW_MPS = 0.35, 0.5, 0.15
+FREE_MPS = 0.6  # no echo allows so much on an unknown slope
 
 
 class Obstacle(NamedTuple):
@@ -137,10 +138,12 @@ class ObstacleGuard:
         if is_known:
             self._shows_slope = False
             return bound
+        most_mps = UNKNOWN_SLOPE_MPS if bound.speed_mps >= FREE_MPS else CAREFUL_MPS
         may_wait = self._will_brake and not self.slope.lacks_mps2(is_backward)
         self._shows_slope = (not may_wait and speed.magnitude_mps >= ROLLS_MPS
-                             and (self._shows_slope or speed.magnitude_mps >= SHOWS_SLOPE_MPS))
-        most_mps = speed.magnitude_mps if self._shows_slope else UNKNOWN_SLOPE_MPS
+                             and (self._shows_slope or speed.magnitude_mps >= most_mps - SHOWS_BELOW_MPS))
+        if self._shows_slope:
+            most_mps = speed.magnitude_mps
         if most_mps >= bound.speed_mps:
             return bound
         return bound._replace(speed_mps=most_mps, words="before it is known how it slows down here it has")

@@ -40,6 +40,7 @@ class Slope:
         self._drag_mps2, self._brake_mps2 = esc.drag_deceleration_mps2, esc.brake_deceleration_mps2
         self._fraction = 0.0
         self._held_ns = -math.inf  # since when the ESC has had this
+        self._force_mps2 = 0.0  # of the motor, when that began
         self._settles_s = 0.0  # how long until nothing is left of what it had before
         self._reports: deque = deque()  # (when measured, speed), of the last 0.5 s
         self._lacks_mps2 = {False: 0.0, True: 0.0}  # forward, backward
@@ -57,6 +58,7 @@ class Slope:
             return
         self._fraction, self._held_ns = fraction, now_ns
         force_mps2 = max(0.0, self.acceleration_mps2) + self._drag_mps2 + abs(min(0.0, fraction)) * self._brake_mps2
+        self._force_mps2 = force_mps2
         self._settles_s = ACTUATION_S + LAG_S * math.log(max(1.0, force_mps2 / RESIDUAL_MPS2))
         for is_backward, lacks_mps2 in self._lacks_mps2.items():
             given_back_mps2 = RELAXES_MPS3 * (now_ns - self._measured_ns[is_backward]) / NS_PER_S
@@ -158,6 +160,10 @@ class Slope:
         if lacks_mps2 <= NOISE_MPS2:
             lacks_mps2 = 0.0
         elif settled_s < SPAN_S:
+            if not brakes:
+                pushes_mps2 = self._force_mps2 * math.exp((ACTUATION_S + SPAN_S / 2.0 - held_s) / LAG_S)
+                at_least_mps2 = lacks_mps2 - pushes_mps2
+                self._lacks_mps2[is_backward] = max(at_least_mps2, self._lacks_mps2[is_backward])
             return
         else:
             lacks_mps2 += 2.0 * NOISE_MPS2

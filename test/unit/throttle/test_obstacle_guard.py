@@ -155,12 +155,12 @@ def test_before_it_is_known_how_it_slows_down_here_it_begins_slowly():
     assert near < 0.55 * allowed(guard_after(ahead_m=0.5), asked(0.5), 0.0)[0]
 
 
-@pytest.mark.parametrize(("esc", "throttle"), [(EscConfig(), 0.0), (BRAKES, 0.1)], ids=["unverified", "brakes_later"])
+@pytest.mark.parametrize(("esc", "throttle"), [(EscConfig(), False), (BRAKES, True)],
+                         ids=["unverified", "brakes_later"])
 def test_a_car_that_may_never_brake_rolls_in_neutral_for_a_moment_which_shows_the_slope(esc, throttle):
     guard = guard_after(is_measured=False, ahead_m=math.inf, esc=esc)
     bound, _ = check(guard, asked(0.5), moving(0.22))
-    assert (bound.speed_mps if bound.speed_mps <= 0.22 else bound.max_throttle) == pytest.approx(0.22 if not throttle
-                                                                                                else 0.093, abs=0.001)
+    assert (bound.speed_mps, bound.max_throttle > 0.0) == (0.35 if throttle else 0.22, bool(throttle))
     # It goes on rolling until it is known, or it hardly rolls.
     guard.check(asked(0.5), moving(0.15), 0.0, NOW)
     assert (check(guard, asked(0.5), moving(0.15))[0].speed_mps == 0.15) == (not throttle)
@@ -173,13 +173,13 @@ def test_a_car_that_may_never_brake_rolls_in_neutral_for_a_moment_which_shows_th
 
 def test_odometry_s_age_counts_with_what_the_car_gains_in_it():
     guard = guard_after((FORWARD, 0.5, 0.0))
-    roll(guard, [0.3 + 0.06 * index for index in range(10)], NOW - 180 * MS)  # 3 m/s²
+    roll(guard, [0.2 + 0.06 * index for index in range(10)], NOW - 180 * MS)  # 3 m/s²
     late = MeasuredSpeed(0.5)
     for index in range(10):
-        late.update(0.3 + 0.06 * index, NOW - 180 * MS + index * 20 * MS, 150 * MS)
+        late.update(0.2 + 0.06 * index, NOW - 180 * MS + index * 20 * MS, 150 * MS)
     bound, is_stop = check(guard, asked(0.5), late)
     assert not is_stop and bound.max_throttle == 0.0
-    assert allowed(guard, asked(0.5), 0.84)[0] > bound.speed_mps  # an echo comes nearer in that time
+    assert allowed(guard, asked(0.5), 0.74)[0] > bound.speed_mps  # an echo comes nearer in that time
     faster = MeasuredSpeed(0.5)
     for index in range(10):
         faster.update(bound.speed_mps - 0.1 + 0.001 * index, NOW - 180 * MS + index * 20 * MS, 150 * MS)

@@ -213,7 +213,8 @@ def test_it_is_off_by_default_and_where_the_hub_s_file_is_left_out(values):
 def test_the_sonars_are_those_of_the_hub_s_file_without_the_absent_ones():
     params = Params({"obstacle_stop": True, "sonar_hub": {"sonars": SONARS, "field_of_view": 0.4, "max_range": 3.0,
                                                           "median": False},
-                     "obstacle": {"margin": 0.2, "creep": 0.1, "sonars": {"rear_left": "absent", "rear_right": "absent"}}})
+                     "obstacle": {"margin": 0.2, "creep": 0.1,
+                                  "sonars": {"rear_left": "absent", "rear_right": "absent"}}})
     config = read_obstacle_stop(params)
     params.finish(ignored_namespaces=("sonar_hub",))
     assert set(config.mounts) == {"front_right", "front_middle", "front_left", "rear_middle"}

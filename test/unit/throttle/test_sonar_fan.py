@@ -131,7 +131,8 @@ def test_it_tells_through_whose_parts_an_arc_leads():
 
 def is_looked_at(x_m, y_m, reach_m):
     """Whether a point is between the outermost edges, at 45° from x = 0.4 and y = ±0.1, and within reach of a sonar."""
-    return abs(y_m) - 0.1 <= x_m - 0.4 + 1e-9 and any(math.dist((x_m, y_m), mount[:2]) <= reach_m + 0.05 for mount in FRONT.values())
+    is_between = abs(y_m) - 0.1 <= x_m - 0.4 + 1e-9
+    return is_between and any(math.dist((x_m, y_m), mount[:2]) <= reach_m + 0.05 for mount in FRONT.values())
 
 
 @given(curvature_per_m=st.floats(-1.5, 1.5), reach_m=st.floats(0.5, 4.0))
