@@ -31,9 +31,9 @@ ROLLS_MPS = 0.1
 TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
 MOTOR_LAG_S = 0.15
 CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
-# A throttle counts as what the car needs for its speed when it gets no faster by it, after this time; and no more after
-# this.
-STEADY_S, LET_GO_S = 0.35, 0.25
+# A throttle counts as what the car needs for its speed when it gets no faster by it, after this time (the second: towards
+# an echo on a slope that isn't known); and no more after the last.
+STEADY_S, CAREFUL_STEADY_S, LET_GO_S = 0.35, 1.0, 0.25
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
 UNKNOWN_SLOPE_MPS2 = 0.25  # what a slope on which a car stands in neutral may take from its drag
@@ -68,6 +68,7 @@ class ObstacleGuard:
         self._answered_ns = -math.inf
         self._steady = 0.0  # the throttle that the car needs for its speed
         self._shows_slope = False
+        self._is_careful = False  # towards an echo, where it isn't known how the car slows down
 
     def update_esc(self, answer: EscDecision, now_ns: int) -> None:
         """What the ESC was given."""
@@ -80,7 +81,8 @@ class ObstacleGuard:
         if pushes < self._steady:
             self._steady += (pushes - self._steady) * min(1.0, elapsed_s / LET_GO_S)
         elif self.slope.acceleration_mps2 < NOISE_MPS2:
-            self._steady += (pushes - self._steady) * min(1.0, elapsed_s / STEADY_S)
+            after_s = CAREFUL_STEADY_S if self._is_careful else STEADY_S
+            self._steady += (pushes - self._steady) * min(1.0, elapsed_s / after_s)
         self.slope.update_esc(answer.fraction, now_ns)
 
     def update_speed(self, speed_mps: float, now_ns: int, age_ns: int, curvature_per_m: float) -> None:
@@ -102,6 +104,7 @@ class ObstacleGuard:
         is_known = self.slope.is_known(is_backward) or guarantee.stop_mps2 > guarantee.drag_mps2
         to_echo = None if is_known else self._on_unknown_slope(guarantee)
         bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s, to_echo=to_echo)
+        self._is_careful = not is_known and bound.speed_mps < FREE_MPS
         highest_mps = self._highest_mps(speed, now_ns)
         if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
             return Obstacle(stop=bound)
@@ -138,7 +141,7 @@ class ObstacleGuard:
         if is_known:
             self._shows_slope = False
             return bound
-        most_mps = UNKNOWN_SLOPE_MPS if bound.speed_mps >= FREE_MPS else CAREFUL_MPS
+        most_mps = CAREFUL_MPS if self._is_careful else UNKNOWN_SLOPE_MPS
         may_wait = self._will_brake and not self.slope.lacks_mps2(is_backward)
         self._shows_slope = (not may_wait and speed.magnitude_mps >= ROLLS_MPS
                              and (self._shows_slope or speed.magnitude_mps >= most_mps - SHOWS_BELOW_MPS))
