@@ -24,7 +24,7 @@ MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 3, 2, 1
 SAME_M = 0.08  # ranges that differ by less are of the same thing: the sonar's noise, and that of the odometry meanwhile
 # So near to a cone's edge a place may have been looked at, or not. A sonar's own echo did come from there.
 EDGE_RAD, ROUNDING_RAD = math.radians(2.0), math.radians(0.2)
-MAX_POINTS = 48  # beside those of the newest echoes; the nearest stay
+MAX_POINTS = 32  # beside those of the newest echoes; the nearest stay
 CELL_M = 0.08  # one of a sonar's points stands for all in a square of this size
 FORGET_M = 2.5  # from the middle of the rear axle: a thing farther away is looked at again before the car gets there
 MAX_STEP_S = 1.0  # what a car without reports is moved on by
@@ -36,7 +36,7 @@ class Met(NamedTuple):
 
 
 class _Point:
-    __slots__ = ("x_m", "y_m", "sonar", "misses", "is_current")
+    __slots__ = ("is_current", "misses", "sonar", "x_m", "y_m")
 
     def __init__(self, x_m, y_m, sonar):
         self.x_m, self.y_m, self.sonar = x_m, y_m, sonar
@@ -143,9 +143,12 @@ class EchoMemory:
         arc = Arc(curvature_per_m, is_backward, outline, self._margin_m)
         body = None  # the same without the margin: what stands beside the car is passed closely already
         cos_yaw, sin_yaw = math.cos(self._yaw_rad), math.sin(self._yaw_rad)
-        for point in self._points:
-            to_x_m, to_y_m = point.x_m - self._x_m, point.y_m - self._y_m
-            x_m, y_m = to_x_m * cos_yaw + to_y_m * sin_yaw, to_y_m * cos_yaw - to_x_m * sin_yaw
+        from_x_m, from_y_m = self._x_m * cos_yaw + self._y_m * sin_yaw, self._y_m * cos_yaw - self._x_m * sin_yaw
+        places = [(point.x_m * cos_yaw + point.y_m * sin_yaw - from_x_m,
+                   point.y_m * cos_yaw - point.x_m * sin_yaw - from_y_m) for point in self._points]
+        for point, (x_m, y_m), is_swept in zip(self._points, places, arc.sweeps(places)):
+            if not is_swept:
+                continue
             if -outline.rear_m <= x_m <= outline.front_m:
                 if body is None:
                     body = Arc(curvature_per_m, is_backward, outline, 0.0)

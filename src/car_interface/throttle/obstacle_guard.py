@@ -31,8 +31,8 @@ ROLLS_MPS = 0.1
 TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
 MOTOR_LAG_S = 0.15
 CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
-# A throttle counts as what the car needs for its speed when it gets no faster by it, after this time (the second: towards
-# an echo on a slope that isn't known); and no more after the last.
+# A throttle counts as what the car needs for its speed when it gets no faster by it, after this time (the second:
+# towards an echo on a slope that isn't known); and no more after the last.
 STEADY_S, CAREFUL_STEADY_S, LET_GO_S = 0.35, 1.0, 0.25
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1

@@ -34,10 +34,15 @@ STOOD_NS = 3 * NS_PER_S  # somebody may have put the car somewhere else
 
 
 class Slope:
-    """What one car's decelerations lack."""
+    """What one car's decelerations lack.
+
+    Attributes:
+        acceleration_mps2: the rate at which the speed rises now, whichever way it goes; negative: it falls.
+    """
 
     def __init__(self, esc: EscConfig):
         self._drag_mps2, self._brake_mps2 = esc.drag_deceleration_mps2, esc.brake_deceleration_mps2
+        self.acceleration_mps2 = 0.0
         self._fraction = 0.0
         self._held_ns = -math.inf  # since when the ESC has had this
         self._force_mps2 = 0.0  # of the motor, when that began
@@ -74,6 +79,7 @@ class Slope:
         reports.append((measured_ns, speed_mps))
         while reports[0][0] < measured_ns - round(MAX_SPAN_S * NS_PER_S):
             reports.popleft()
+        self.acceleration_mps2 = -self._deceleration_mps2(RECENT_S)
         if abs(speed_mps) < ROLLS_MPS:
             self._stand(measured_ns)
             return
@@ -121,11 +127,6 @@ class Slope:
     def brake_lacks_mps2(self, is_backward: bool) -> float:
         """The same of its brake."""
         return max(self._lacks_mps2[is_backward], 0.0 if is_backward else self._brake_lacks_mps2)
-
-    @property
-    def acceleration_mps2(self) -> float:
-        """The rate at which the speed rises now, whichever way it goes; negative: it falls."""
-        return -self._deceleration_mps2(RECENT_S)
 
     def _deceleration_mps2(self, span_s):
         """Of the magnitude, by a straight line through the reports of the last ``span_s``."""

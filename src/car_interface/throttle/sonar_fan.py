@@ -10,7 +10,7 @@ an arc is one that drives forward in the mirror, so everything here is written f
 from __future__ import annotations
 
 import math
-from typing import Mapping, NamedTuple
+from typing import Iterable, Mapping, NamedTuple
 
 MIN_CURVATURE_PER_M = 1e-3  # a straight line is a circle of 1 km
 CONE_POINTS = 9
@@ -66,6 +66,14 @@ class Arc:
         self._outer_corner_m = math.hypot(self._outer_m, self._bumper_m)
         farthest_m = max(self._outer_corner_m, math.hypot(self._outer_m, trailing_m))
         self._near_m2, self._far_m2 = max(0.0, self._inner_m) ** 2, farthest_m ** 2
+
+    def sweeps(self, points: Iterable[tuple[float, float]]) -> list[bool]:
+        """Whether the car may touch each of some points; a quick test, which no point fails that it does touch."""
+        if self._is_straight:
+            half_m = self._half_m
+            return [-half_m <= y_m <= half_m for _, y_m in points]
+        near_m2, far_m2, centre_m = self._near_m2, self._far_m2, self._radius_m * self._left
+        return [near_m2 <= x_m * x_m + (centre_m - y_m) * (centre_m - y_m) <= far_m2 for x_m, y_m in points]
 
     def distance_m(self, x_m: float, y_m: float) -> float | None:
         """How far the car can drive until it touches a point.

@@ -153,3 +153,11 @@ def test_left_and_right_are_mirror_images_and_a_shorter_reach_never_frees_an_arc
     assert fan(FRONT).end(-curvature_per_m, mirrored).distance_m == pytest.approx(end.distance_m, abs=1e-6)
     assert end.distance_m <= fan(FRONT).end(curvature_per_m, dict.fromkeys(FRONT, 4.0)).distance_m + 1e-9
     assert end.distance_m >= 0.0
+
+
+@given(curvature_per_m=st.floats(-1.5, 1.5), is_backward=st.booleans(),
+       points=st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)), max_size=20))
+def test_no_point_that_the_car_touches_fails_the_quick_test(curvature_per_m, is_backward, points):
+    arc = Arc(curvature_per_m, is_backward, CAR, SIDE_M)
+    for point, is_swept in zip(points, arc.sweeps(points)):
+        assert is_swept or arc.distance_m(*point) is None
