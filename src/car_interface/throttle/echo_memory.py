@@ -6,7 +6,7 @@ also where no cone reaches them any more: at the bumper's corners, and beside th
 when
 
 * its sonar's next echo comes from as far: the new one stands for it,
-* a sonar looked there again and saw farther: twice, or three times where it heard no echo at all, since now and then an
+* a sonar looked there again and saw farther: twice, or four times where it heard no echo at all, since now and then an
   echo fails to appear,
 * the car has passed it, or is where it was.
 
@@ -20,7 +20,7 @@ from typing import Mapping, NamedTuple
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.sonar_fan import Arc, Mount, Outline, cone_points
 
-MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 3, 2, 1
+MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 4, 2, 1  # of one lost echo in twenty, four in a row are 6 in a million
 SAME_M = 0.08  # ranges that differ by less are of the same thing: the sonar's noise, and that of the odometry meanwhile
 # So near to a cone's edge a place may have been looked at, or not. A sonar's own echo did come from there.
 EDGE_RAD, ROUNDING_RAD = math.radians(2.0), math.radians(0.2)
