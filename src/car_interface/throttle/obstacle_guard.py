@@ -37,9 +37,9 @@ STEADY_S, CAREFUL_STEADY_S, LET_GO_S = 0.35, 1.0, 0.25
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
 UNKNOWN_SLOPE_MPS2 = 0.25  # what a slope on which a car stands in neutral may take from its drag
-# As long as it isn't known how the car slows down here: with something in sight on its arc, and without. From so much
-# below that it rolls in neutral, until it is known or it hardly rolls.
-CAREFUL_MPS, UNKNOWN_SLOPE_MPS, SHOWS_BELOW_MPS = 0.35, 0.5, 0.15
+# As long as it isn't known how the car slows down here: what a car without a brake, on a slope that is steeper than its
+# drag, is left rolling with. From the second on it rolls in neutral, until it is known or it hardly rolls.
+UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
 FREE_MPS = 0.6  # no echo allows so much on an unknown slope
 
 
@@ -141,12 +141,10 @@ class ObstacleGuard:
         if is_known:
             self._shows_slope = False
             return bound
-        most_mps = CAREFUL_MPS if self._is_careful else UNKNOWN_SLOPE_MPS
         may_wait = self._will_brake and not self.slope.lacks_mps2(is_backward)
         self._shows_slope = (not may_wait and speed.magnitude_mps >= ROLLS_MPS
-                             and (self._shows_slope or speed.magnitude_mps >= most_mps - SHOWS_BELOW_MPS))
-        if self._shows_slope:
-            most_mps = speed.magnitude_mps
+                             and (self._shows_slope or speed.magnitude_mps >= SHOWS_SLOPE_MPS))
+        most_mps = speed.magnitude_mps if self._shows_slope else UNKNOWN_SLOPE_MPS
         if most_mps >= bound.speed_mps:
             return bound
         return bound._replace(speed_mps=most_mps, words="before it is known how it slows down here it has")
