@@ -33,7 +33,7 @@ MOTOR_LAG_S = 0.15
 CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
 # A throttle counts as what the car needs for its speed when it gets no faster by it, after this time (the second:
 # towards an echo on a slope that isn't known); and no more after the last.
-STEADY_S, CAREFUL_STEADY_S, LET_GO_S = 0.35, 1.0, 0.25
+STEADY_S, CAREFUL_STEADY_S, LET_GO_S = 0.28, 1.0, 0.25
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
 UNKNOWN_SLOPE_MPS2 = 0.25  # what a slope on which a car stands in neutral may take from its drag

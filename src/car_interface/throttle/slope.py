@@ -198,7 +198,13 @@ class Slope:
                 self._lacks_mps2[is_backward] = min(lacks_mps2, max(0.0, self._drag_mps2 - LEFT_MPS2))
 
     def _came_to_stand(self, measured_ns):
-        """It stopped in neutral too soon for its deceleration to be measured: drag is as strong as that."""
+        """It stopped in neutral before its deceleration was measured: what it was on the whole counts."""
         is_backward = self._reports[-2][1] < 0.0
-        if abs(self._reports[0][1]) > 2.0 * ROLLS_MPS and self._measured_rad[is_backward] is None:
+        if self._measured_rad[is_backward] is not None:
+            return
+        held_s = (measured_ns - self._held_ns) / NS_PER_S
+        seen_mps2 = self._deceleration_mps2(min(MAX_SPAN_S, held_s))
+        if abs(self._reports[0][1]) > 1.5 * ROLLS_MPS and seen_mps2 > 0.0:
+            lacks_mps2 = min(self._drag_mps2 - seen_mps2, self._drag_mps2 - LEFT_MPS2)
+            self._lacks_mps2[is_backward] = max(lacks_mps2, self._lacks_mps2[is_backward])
             self._mark_measured(is_backward, measured_ns)

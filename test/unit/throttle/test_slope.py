@@ -154,3 +154,25 @@ def test_whatever_it_is_told_it_only_ever_takes_away(speeds, fraction):
         for is_backward in (False, True):
             assert 0.0 <= slope.lacks_mps2(is_backward) <= slope.brake_lacks_mps2(False) or is_backward
             assert math.isfinite(slope.lacks_mps2(is_backward)) and math.isfinite(slope.acceleration_mps2)
+
+
+def test_one_that_comes_to_stand_before_it_is_measured_lacks_what_it_lacked_on_the_whole():
+    car = Car(speed_mps=0.2, downhill_mps2=0.1)
+    car.run(0.06, 0.2, 0.2)
+    slope = car.run(0.62)
+    assert slope.is_known(False)
+    assert 0.05 <= slope.lacks_mps2(False) <= 0.2
+
+
+def test_what_climbs_is_expected_to_go_down_after_a_turn_and_has_a_little_drag_left_to_find_out():
+    car = Car(speed_mps=2.0, downhill_mps2=-0.4)
+    slope = car.run(1.0)
+    assert slope.lacks_mps2(False, 0.0) == slope.lacks_mps2(False, 0.2) == 0.0
+    for expected_mps2 in (slope.lacks_mps2(False, 2.0), slope.lacks_mps2(False, -2.0), slope.lacks_mps2(True)):
+        assert expected_mps2 == pytest.approx(0.25)
+    car.curvature_per_m, car.downhill_mps2 = 2.0, 0.0
+    car.run(1.2, 0.2, 0.3)  # about 150° round
+    assert not slope.is_known(False) and slope.lacks_mps2(False) == pytest.approx(0.25)
+    car.curvature_per_m = 0.0
+    car.run(0.8)  # it is level there: that was drag
+    assert slope.is_known(False) and slope.lacks_mps2(False) == 0.0
