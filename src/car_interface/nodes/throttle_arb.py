@@ -36,8 +36,9 @@ Parameters:
     ~planner/max_speed, ~planner/max_acceleration, ~planner/max_braking, ~human/… 0 (m/s, m/s², 0 = none): limits of
         what each asks for, at the measured speed.  ~slow_down true: a planner's car that is too fast for the turn that
         is asked for slows down.  ~csv_path_value_map, ~allow_plateaus false: the value map, for the accelerations.
-    ~obstacle_stop false: true = it slows and stops for what the sonars see on its arc; then ~obstacle/… and, below
-        ~sonar_hub, the sensor hub's sonars.yaml: see ``throttle.obstacle_stop``.
+    ~obstacle_stop false: true = no faster than it can stop within what the sonars look at on its arc; then ~obstacle/…
+        (~obstacle/creep 0.3 m/s: what is left into the unknown) and, below ~sonar_hub, the sensor hub's sonars.yaml:
+        see ``throttle.obstacle_stop``.
     ~live_range 100 (duty): the largest change of servo/neutral while it runs.  ~save_to: the file to save it to.
 Services: see ``ros.reconfigure``; set_parameters is below ~servo.
 """

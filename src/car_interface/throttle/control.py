@@ -84,6 +84,8 @@ class ThrottleControl:
         self.arbiter.update_odometry(speed_mps, now_ns, age_ns)
         self._limiter.speed.update(speed_mps, now_ns, age_ns)
         self._esc.update_speed(speed_mps, now_ns, age_ns)
+        if self._guard is not None:
+            self._guard.update_speed(speed_mps, now_ns, age_ns, self._curvature_per_m)
 
     def update_turn(self, radius_m: float, max_speed_mps: float) -> None:
         """The turn that turn_arb steers, in m, left positive, inf: straight on; and up to which speed what is asked for

@@ -17,6 +17,7 @@ from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.measured_speed import MeasuredSpeed
 from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
+from car_interface.throttle.esc_intention import DRIVE
 from car_interface.throttle.value_map import ValueMap, load_value_map
 
 BAND_MPS = 0.5  # full throttle this far below a limit, none at it
@@ -92,6 +93,7 @@ class SpeedBound(NamedTuple):
     speed_mps: float
     cause: str  # one of car_interface.common.causes
     words: str  # what the speed is, for a reason: ``max_speed``
+    max_throttle: float = 1.0  # 0..1: no more of it on the way to that speed
 
 
 class Limited(NamedTuple):
@@ -177,8 +179,10 @@ class ThrottleLimiter:
         limited = Limited(arbitration, max_speed_mps=max_mps)
         backward = speed_mps <= BACKWARD_MPS
         over_mps = self.speed.magnitude_mps - max_mps
-        room = max(0.0, -over_mps / BAND_MPS)
-        drives_on = arbitration.drive > 0 and not backward or arbitration.drive < 0 and (is_reverse or backward)
+        room = max(0.0, min(bound.max_throttle, -over_mps / BAND_MPS))
+        # From standstill a pull may become reverse with this very step.
+        may_reverse = is_reverse or backward or speed_mps < -BACKWARD_MPS and arbitration.gear != DRIVE
+        drives_on = arbitration.drive > 0 and not backward or arbitration.drive < 0 and may_reverse
         if over_mps > OVER_MPS and not backward and arbitration.source == PLANNER and not is_reverse:
             brake = -min(MAX_BRAKE, max(MIN_BRAKE, over_mps * BRAKE_PER_MPS))
             if brake < arbitration.brake:

@@ -1,26 +1,46 @@
-"""Whether the car has to stop for what its sonars see, with what its ESC guarantees now.
+"""Whether the car has to stop for what its sonars see, with what its ESC and the ground guarantee now.
 
 Pure. A stop that is certain to brake now may not be when it is needed. An ESC that takes a pull for a brake after
 driving forward takes it for reverse after neutral, so a stop trusts that for half a second of coasting only
 (``throttle.esc.STOP_MEMORY_NS``). So here it counts while the car is driven or braked. A car that coasts too long, or
-whose brake is about to be released, is counted with drag alone, which is what is left then. So it is backward, too.
+whose brake is about to be released, is counted with drag alone, which is what is left then. So it is backward, too,
+and where a brake counts only as long as the car is fast: it may not be by the time that it is needed.
+
+What the ground takes away (``throttle.slope``) counts, too. Before it is known the car begins slowly, and where its ESC
+may never brake it rolls in neutral for a moment, which shows it.
+
+A motor goes on pushing after its throttle was cut. So the throttle is given back gradually, and taken away where the
+car, getting faster as it does, will reach the bound anyway.
 """
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-from car_interface.common.measured_speed import MeasuredSpeed
+from car_interface.common.measured_speed import UNSEEN_MPS2, MeasuredSpeed
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_MEMORY_NS, EscDecision
-from car_interface.throttle.esc_config import EscConfig
-from car_interface.throttle.limits import SpeedBound
+from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
+from car_interface.throttle.limits import BAND_MPS, SpeedBound
 from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop
+from car_interface.throttle.slope import LEFT_MPS2, Slope
 
 ROLLS_MPS = 0.1
 # Before the stop's memory of driving forward ends a stop must have begun, and reached the ESC.
 TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
+MOTOR_LAG_S = 0.15
+CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
+# A throttle counts as what the car needs for its speed when it gets no faster by it, after this time (the second:
+# towards an echo on a slope that isn't known); and no more after the last.
+STEADY_S, CAREFUL_STEADY_S, LET_GO_S = 0.28, 1.0, 0.25
+# An acceleration that odometry may show where there is none, and its share of the speed.
+NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
+UNKNOWN_SLOPE_MPS2 = 0.25  # what a slope on which a car stands in neutral may take from its drag
+# As long as it isn't known how the car slows down here: what a car without a brake, on a slope that is steeper than its
+# drag, is left rolling with. From the second on it rolls in neutral, until it is known or it hardly rolls.
+UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
+FREE_MPS = 0.6  # no echo allows so much on an unknown slope
 
 
 class Obstacle(NamedTuple):
@@ -38,38 +58,102 @@ class ObstacleGuard:
 
     def __init__(self, sonars: ObstacleStop, esc: EscConfig):
         self.sonars = sonars
-        self._drag = Guarantee(esc.drag_deceleration_mps2, 0.0, esc.drag_deceleration_mps2)
+        self.slope = Slope(esc)
+        self._drag_mps2 = esc.drag_deceleration_mps2
+        # It brakes once it has driven for a while: neutral in between would only delay that.
+        self._will_brake = bool(esc.profile in (BRAKE_THEN_REVERSE, FORWARD_ONLY) and esc.profile_measured
+                                and esc.stop_brake)
         self._answer: EscDecision | None = None
         self._pushed_ns = -math.inf
+        self._answered_ns = -math.inf
+        self._steady = 0.0  # the throttle that the car needs for its speed
+        self._shows_slope = False
+        self._is_careful = False  # towards an echo, where it isn't known how the car slows down
 
     def update_esc(self, answer: EscDecision, now_ns: int) -> None:
         """What the ESC was given."""
         self._answer = answer
         if answer.state == FORWARD and answer.fraction > 0:
             self._pushed_ns = now_ns
+        elapsed_s = (now_ns - self._answered_ns) / NS_PER_S
+        self._answered_ns = now_ns
+        pushes = abs(answer.fraction) if answer.state in (FORWARD, REVERSE) else 0.0
+        if pushes < self._steady:
+            self._steady += (pushes - self._steady) * min(1.0, elapsed_s / LET_GO_S)
+        elif self.slope.acceleration_mps2 < NOISE_MPS2:
+            after_s = CAREFUL_STEADY_S if self._is_careful else STEADY_S
+            self._steady += (pushes - self._steady) * min(1.0, elapsed_s / after_s)
+        self.slope.update_esc(answer.fraction, now_ns)
+
+    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int, curvature_per_m: float) -> None:
+        """The measured speed, forward positive, how old it was at its arrival, and the arc on which the car drives."""
+        self.slope.update_speed(speed_mps, now_ns - max(0, age_ns), curvature_per_m)
 
     def check(self, arbitration: Arbitration, speed: MeasuredSpeed, curvature_per_m: float, now_ns: int) -> Obstacle:
         """What the sonars allow whoever drives, in the direction in which the car drives."""
-        if arbitration.is_stop or arbitration.source not in (TELEOP, PLANNER) or not speed.was_received:
+        if not speed.was_received:
+            return NONE
+        self.sonars.update_motion(speed.last_mps, curvature_per_m, now_ns)
+        if arbitration.is_stop or arbitration.source not in (TELEOP, PLANNER):
             return NONE
         is_reverse = self._answer is not None and self._answer.state == REVERSE
         is_backward = speed.last_mps <= -ROLLS_MPS or speed.last_mps < ROLLS_MPS and (
             is_reverse or arbitration.asked < 0)
-        guarantee = self._drag if is_backward or is_reverse else self._guarantee(arbitration, now_ns)
-        bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns)
-        if bound is None:
-            return NONE
-        if speed.magnitude_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
+        guarantee = self._guarantee(arbitration, is_backward, is_backward or is_reverse, curvature_per_m, now_ns)
+        late_s = speed.age_s(now_ns) + MOTOR_LAG_S
+        is_known = self.slope.is_known(is_backward) or guarantee.stop_mps2 > guarantee.drag_mps2
+        to_echo = None if is_known else self._on_unknown_slope(guarantee)
+        bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s, to_echo=to_echo)
+        self._is_careful = not is_known and bound.speed_mps < FREE_MPS
+        highest_mps = self._highest_mps(speed, now_ns)
+        if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
             return Obstacle(stop=bound)
-        return Obstacle(bounds=(bound,))
+        bound = self._begun_slowly(bound, is_known, is_backward, speed)
+        return Obstacle(bounds=(self._approached(bound, highest_mps, speed, now_ns),))
 
-    def _guarantee(self, arbitration, now_ns):
+    def _guarantee(self, arbitration, is_backward, by_drag, curvature_per_m, now_ns):
+        drag_mps2 = max(0.01, self._drag_mps2 - self.slope.lacks_mps2(is_backward, curvature_per_m))
+        drag = Guarantee(drag_mps2, 0.0, drag_mps2)
         answer = self._answer
-        if answer is None:
-            return self._drag
-        told = Guarantee(answer.stop_mps2, answer.coasts_below_mps, self._drag.drag_mps2)
-        if answer.state == FORWARD or answer.state == BRAKING and arbitration.asked < 0:
-            return told
-        if answer.state == NEUTRAL and (now_ns - self._pushed_ns <= TRUSTED_COASTING_NS or told.coasts_below_mps):
-            return told
-        return self._drag
+        if by_drag or answer is None or answer.coasts_below_mps or answer.stop_mps2 <= self._drag_mps2:
+            return drag
+        is_trusted = (answer.state == FORWARD or answer.state == BRAKING and arbitration.asked < 0
+                      or answer.state == NEUTRAL and now_ns - self._pushed_ns <= TRUSTED_COASTING_NS)
+        brake_mps2 = answer.stop_mps2 - self.slope.brake_lacks_mps2(is_backward)
+        return Guarantee(brake_mps2, 0.0, drag_mps2) if is_trusted and brake_mps2 > drag_mps2 else drag
+
+    def _highest_mps(self, speed, now_ns):
+        """The speed that the car may have now, by the age of what was measured."""
+        if speed.is_late(now_ns):
+            return speed.highest_mps(now_ns)
+        return speed.magnitude_mps + max(0.0, self._gain_mps2(speed)) * speed.age_s(now_ns)
+
+    def _gain_mps2(self, speed):
+        """The acceleration beyond what noise looks like."""
+        return self.slope.acceleration_mps2 - NOISE_MPS2 - NOISE_PER_S * speed.magnitude_mps
+
+    def _on_unknown_slope(self, guarantee):
+        drag_mps2 = min(guarantee.drag_mps2, max(LEFT_MPS2, self._drag_mps2 - UNKNOWN_SLOPE_MPS2))
+        return Guarantee(drag_mps2, 0.0, drag_mps2)
+
+    def _begun_slowly(self, bound, is_known, is_backward, speed):
+        """A bound while it isn't known how the car slows down here."""
+        if is_known:
+            self._shows_slope = False
+            return bound
+        may_wait = self._will_brake and not self.slope.lacks_mps2(is_backward)
+        self._shows_slope = (not may_wait and speed.magnitude_mps >= ROLLS_MPS
+                             and (self._shows_slope or speed.magnitude_mps >= SHOWS_SLOPE_MPS))
+        most_mps = speed.magnitude_mps if self._shows_slope else UNKNOWN_SLOPE_MPS
+        if most_mps >= bound.speed_mps:
+            return bound
+        return bound._replace(speed_mps=most_mps, words="before it is known how it slows down here it has")
+
+    def _approached(self, bound, highest_mps, speed, now_ns):
+        """A bound with the throttle that may be given on the way to it."""
+        left_mps, age_s = bound.speed_mps - highest_mps, speed.age_s(now_ns)
+        gain_mps2 = self._gain_mps2(speed)
+        if gain_mps2 > 0.0 and left_mps <= gain_mps2 * CUT_S:
+            return bound._replace(max_throttle=0.0)
+        gradual_mps = BAND_MPS + UNSEEN_MPS2 * (CUT_S + age_s)
+        return bound._replace(max_throttle=max(0.0, min(1.0, self._steady + left_mps / gradual_mps)))

@@ -1,51 +1,39 @@
-"""How fast a car may drive towards what its sonars see on the arc that it drives.
+"""How fast a car may drive within what its sonars look at, on the arc that it drives.
 
-Pure: ranges, each with its arrival, and the arc in, a speed and the reason out. With d metres to go until the car
-touches what a sonar sees, t seconds until a new range has an effect, and a deceleration a that a stop is certain of,
-the car stops in time when v t + v² / 2a ≤ d − margin, which is v ≤ a (−t + √(t² + 2 (d − margin) / a)).
+Pure: ranges, each with its arrival, the car's motion and the arc in, a speed and the reason out. With d metres to go,
+t seconds until a new range has an effect, and a deceleration a that a stop is certain of, the car stops in time when
+v t + v² / 2a ≤ d − margin, which is v ≤ a (−t + √(t² + 2 (d − margin) / a)).
 
-t is the range's age, a cycle of the sonar and the actuation. A sonar's echo may come from anywhere in its cone: the
-place counts where the car arrives first. No echo counts as one at the largest range: beyond nothing is known. A sonar
-that is silent, or measures nonsense, allows no speed towards it.
+There are two kinds of ends to drive towards. An echo may have come from anywhere in its cone: the place counts where
+the car's body arrives first, and there it stops. Its place stays where it is while the car moves, also when it leaves
+the cone (``echo_memory``); so t is a cycle of the sonar and the actuation. And where the middle of the bumper leaves
+the fan that the sonars look at (``sonar_fan``) begins the unknown: it is treated in the same way, but for a creep that
+is left to look farther; t has the range's age in it. A sonar that is silent, or measures nonsense, allows no speed into
+its part of the fan.
 
-It can't see what no cone reaches: beside the car, above and below, and where a turn leaves the cones.
+It can't see what no cone reaches: above and below, what comes from the side, and the strips between the cones.
 """
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Mapping, NamedTuple
 
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
+from car_interface.throttle.echo_memory import EchoMemory
 from car_interface.throttle.limits import SpeedBound
+from car_interface.throttle.sonar_fan import Arc, Fan, Mount, Outline, cone_points
 
 NAMES = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
 HUB = "sonar_hub/"  # the sensor hub's file, sonars.yaml, below the node
-CONE_POINTS = 9
 SIDE_MARGIN_M = 0.05  # what the car passes by more closely is in its way
-STRAIGHT_PER_M = 1e-3
+MIN_STOP_MPS2 = 0.02  # a stop that is certain of less is none
 MAX_CYCLE_S = 0.43  # of six sonars, all of which wait for an echo in vain
 CYCLES = 3  # the longest of so many counts
-
-
-class Mount(NamedTuple):
-    """A sonar's pose: metres from the middle of the rear axle, and its direction in rad, left positive."""
-
-    x_m: float
-    y_m: float
-    yaw_rad: float
-
-
-class Outline(NamedTuple):
-    """The car from above: metres before and behind the rear axle's middle, and across. The default is a Slash's."""
-
-    front_m: float = 0.426
-    rear_m: float = 0.142
-    width_m: float = 0.296
 
 
 @dataclass(frozen=True)
@@ -58,6 +46,7 @@ class ObstacleConfig:
         max_range_m: beyond this nothing is measured.
         outline: of the car.
         margin_m: what is to be left between the car and what it stops for.
+        creep_mps: the speed that is left into what no sonar has looked at; never towards an echo.
         actuation_s: from a range's arrival to the ESC's new pulse, and the 38 ms that an echo from afar takes.
         timeout_s: a sonar without a range for so long is silent.
     """
@@ -69,6 +58,7 @@ class ObstacleConfig:
     margin_m: float = 0.1
     actuation_s: float = 0.1
     timeout_s: float = 1.0
+    creep_mps: float = 0.3
 
 
 def read_obstacle_stop(params, is_complete: bool = True) -> ObstacleConfig | None:
@@ -87,7 +77,8 @@ def read_obstacle_stop(params, is_complete: bool = True) -> ObstacleConfig | Non
         mounts={}, outline=Outline(front_m, rear_m, width_m),
         margin_m=params.number("obstacle/margin", default.margin_m, low=0.0, high=10.0),
         actuation_s=params.number("obstacle/actuation_time", default.actuation_s, low=0.0, high=10.0),
-        timeout_s=params.number("obstacle/sonar_timeout", default.timeout_s, above=0.0, high=10.0))
+        timeout_s=params.number("obstacle/sonar_timeout", default.timeout_s, above=0.0, high=10.0),
+        creep_mps=params.number("obstacle/creep", default.creep_mps, low=0.0, high=1.0))
     names = [params.text(f"obstacle/sonars/{name}", "used") for name in NAMES]
     for name, use in zip(NAMES, names):
         if use not in ("used", "absent"):
@@ -95,9 +86,10 @@ def read_obstacle_stop(params, is_complete: bool = True) -> ObstacleConfig | Non
     if not is_on or not is_complete:
         return None
     mounts = {name: _read_mount(params, name) for name, use in zip(NAMES, names) if use == "used"}
-    return ObstacleConfig(mounts, params.number(HUB + "field_of_view", default.field_of_view_rad, above=0.0, high=3.0),
-                          params.number(HUB + "max_range", default.max_range_m, above=0.0, high=100.0),
-                          config.outline, config.margin_m, config.actuation_s, config.timeout_s)
+    return replace(config, mounts=mounts,
+                   field_of_view_rad=params.number(HUB + "field_of_view", default.field_of_view_rad, above=0.0,
+                                                   high=3.0),
+                   max_range_m=params.number(HUB + "max_range", default.max_range_m, above=0.0, high=100.0))
 
 
 def _read_mount(params, name):
@@ -122,6 +114,16 @@ class ObstacleStop:
         self.config = config
         self._ranges = {name: TimedInput(name, config.timeout_s) for name in config.mounts}
         self._arrivals_ns: dict[str, deque] = {name: deque(maxlen=CYCLES + 1) for name in config.mounts}
+        self._cycles_s = dict.fromkeys(config.mounts, MAX_CYCLE_S)
+        self._reaches_m = dict.fromkeys(config.mounts, config.max_range_m)
+        self._echoes = EchoMemory(config.mounts, config.field_of_view_rad, config.outline, SIDE_MARGIN_M)
+        self._fans = {is_backward: self._fan(is_backward) for is_backward in (False, True)}
+
+    def _fan(self, is_backward):
+        config = self.config
+        mounts = {name: mount for name, mount in config.mounts.items() if mount.looks_back == is_backward}
+        bumper_m = config.outline.rear_m if is_backward else config.outline.front_m
+        return Fan(mounts, config.field_of_view_rad, bumper_m, is_backward)
 
     def update_range(self, name: str, range_m: float, now_ns: int) -> None:
         """A sonar's range; inf = no echo, −inf = too near, NaN = nonsense."""
@@ -129,42 +131,89 @@ class ObstacleStop:
         if timed is None:
             return
         timed.update(range_m, now_ns)
-        self._arrivals_ns[name].append(now_ns)
+        arrivals_ns = self._arrivals_ns[name]
+        arrivals_ns.append(now_ns)
+        arrivals = list(arrivals_ns)
+        if len(arrivals) > 1:
+            self._cycles_s[name] = max(after - before for before, after in zip(arrivals, arrivals[1:])) / NS_PER_S
+        if range_m == range_m:
+            self._reaches_m[name] = max(0.0, min(self.config.max_range_m, range_m))
+            self._echoes.look(name, self._reaches_m[name], range_m < self.config.max_range_m)
+
+    def update_motion(self, speed_mps: float, curvature_per_m: float, now_ns: int) -> None:
+        """The car has driven at this speed (backward negative) on this arc (1/m, left positive) since the last call.
+
+        As long as it isn't called nothing is remembered, and an echo counts where it was measured, with its age.
+        """
+        self._echoes.move(speed_mps, curvature_per_m, now_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here."""
         for timed in self._ranges.values():
             timed.mark_stale()
 
-    def bound(self, curvature_per_m: float, is_backward: bool, guarantee: Guarantee, now_ns: int) -> SpeedBound | None:
-        """The speed that the car may have on this arc (1/m, left positive); ``None`` = no sonar looks along it."""
-        bounds = [bound for name in self._ranges
-                  for bound in [self._bound_of(name, curvature_per_m, is_backward, guarantee, now_ns)] if bound]
-        return min(bounds) if bounds else None
+    def bound(self, curvature_per_m: float, is_backward: bool, guarantee: Guarantee, now_ns: int,
+              late_s: float = 0.0, counts_sides: bool = True, to_echo: Guarantee | None = None) -> SpeedBound | None:
+        """The speed that the car may have on this arc; ``None``: nothing bounds it, which takes ``counts_sides`` false.
 
-    def _bound_of(self, name, curvature_per_m, is_backward, guarantee, now_ns):
-        config, timed = self.config, self._ranges[name]
-        range_m = timed.value
-        is_faulty = timed.is_stale(now_ns) or range_m != range_m
-        seen_m = config.max_range_m if is_faulty else max(0.0, min(config.max_range_m, range_m))
-        distance_m = cone_distance_m(config.mounts[name], seen_m, config.field_of_view_rad, curvature_per_m,
-                                     is_backward, config.outline)
-        if distance_m is None:
-            return None
-        if is_faulty:
-            why = timed.stale_reason(now_ns) if timed.is_stale(now_ns) else f"{name} measures {range_m}"
+        Args:
+            curvature_per_m: of the arc, left positive.
+            is_backward: it drives backward on it.
+            guarantee: the deceleration that a stop is certain of.
+            now_ns: the time.
+            late_s: by so much longer the car drives on towards an echo: odometry's age, and the motor's lag.
+            to_echo: the deceleration on the way to an echo; ``None`` = the same.
+            counts_sides: the fan's sides are an end, too. They aren't to one who knows what is beside the car.
+        """
+        end = self._fans[is_backward].end(curvature_per_m, self._reaches_m)
+        silent = self._silent(end, curvature_per_m, is_backward, now_ns)
+        if silent is not None:
+            return silent
+        bound = self._bound_of_unknown(end, guarantee, now_ns) if counts_sides or not end.is_edge else None
+        for name, met in self._echoes.meets(curvature_per_m, is_backward).items():
+            age_s = 0.0 if self._echoes.are_moved else self._ranges[name].age_s(now_ns)
+            time_s = age_s + self._cycles_s[name] + self.config.actuation_s + late_s
+            speed_mps = stopping_speed_mps(met.distance_m - self.config.margin_m, time_s, to_echo or guarantee)
+            if bound is None or speed_mps < bound.speed_mps:
+                bound = SpeedBound(speed_mps, causes.OBSTACLE_SLOWED, self._echo_words(name, met))
+        return bound
+
+    def _bound_of_unknown(self, end, guarantee, now_ns):
+        config = self.config
+        if guarantee.stop_mps2 < MIN_STOP_MPS2:
+            return SpeedBound(0.0, causes.OBSTACLE_SLOWED, "nothing is certain to stop it on this slope, which allows")
+        if not end.sonar:
+            return SpeedBound(config.creep_mps, causes.OBSTACLE_SLOWED, "no sonar looks along this arc, which allows")
+        time_s = max(self._ranges[end.sonar].age_s(now_ns), self._cycles_s[end.sonar]) + config.actuation_s
+        speed_mps = stopping_speed_mps(end.distance_m - config.margin_m, time_s, guarantee)
+        words = (f"no sonar looks beyond {end.distance_m:.2f} m of this arc, which allows" if end.is_edge
+                 else f"{end.sonar} sees nothing to {config.max_range_m:g} m, which allows")
+        return SpeedBound(max(config.creep_mps, speed_mps), causes.OBSTACLE_SLOWED, words)
+
+    def _echo_words(self, name, met):
+        if met.is_current:
+            return f"{name} sees {self._reaches_m[name]:.2f} m, which allows"
+        return f"{name} saw something, {max(0.0, met.distance_m):.2f} m from here on this arc, which allows"
+
+    def _silent(self, end, curvature_per_m, is_backward, now_ns):
+        """A bound of 0 for a faulty sonar into whose part of the fan the arc leads, or whose cone's end it touches."""
+        for name, timed in self._ranges.items():
+            is_stale = timed.is_stale(now_ns)
+            if not is_stale and timed.value == timed.value:
+                continue
+            mount = self.config.mounts[name]
+            if mount.looks_back != is_backward or not (name in end.sonars or self._touches_cone(
+                    mount, curvature_per_m, is_backward)):
+                continue
+            why = timed.stale_reason(now_ns) if is_stale else f"{name} measures {timed.value}"
             return SpeedBound(0.0, causes.SONAR_SILENT, f"{why}, and the car doesn't drive blind:")
-        time_s = timed.age_s(now_ns) + self._cycle_s(name) + config.actuation_s
-        speed_mps = stopping_speed_mps(distance_m - config.margin_m, time_s, guarantee)
-        seen = f"{max(0.0, range_m):.2f} m" if range_m < config.max_range_m else f"nothing to {seen_m:g} m"
-        return SpeedBound(speed_mps, causes.OBSTACLE_SLOWED, f"{name} sees {seen}, which allows")
+        return None
 
-    def _cycle_s(self, name):
-        arrivals_ns = self._arrivals_ns[name]
-        if len(arrivals_ns) < 2:
-            return MAX_CYCLE_S
-        arrivals = list(arrivals_ns)
-        return max(after - before for before, after in zip(arrivals, arrivals[1:])) / NS_PER_S
+    def _touches_cone(self, mount, curvature_per_m, is_backward):
+        config = self.config
+        arc = Arc(curvature_per_m, is_backward, config.outline, SIDE_MARGIN_M)
+        return any(arc.distance_m(x_m, y_m) is not None
+                   for x_m, y_m in cone_points(mount, config.max_range_m, config.field_of_view_rad))
 
 
 def stopping_speed_mps(distance_m: float, time_s: float, guarantee: Guarantee) -> float:
@@ -172,7 +221,7 @@ def stopping_speed_mps(distance_m: float, time_s: float, guarantee: Guarantee) -
     def speed_mps(way_m, deceleration_mps2):
         return deceleration_mps2 * (math.sqrt(time_s * time_s + 2.0 * way_m / deceleration_mps2) - time_s)
 
-    if distance_m <= 0.0:
+    if distance_m <= 0.0 or guarantee.stop_mps2 < MIN_STOP_MPS2:
         return 0.0
     stop_mps2, coasts_mps, drag_mps2 = guarantee
     coasting_mps = speed_mps(distance_m, drag_mps2)
@@ -180,63 +229,3 @@ def stopping_speed_mps(distance_m: float, time_s: float, guarantee: Guarantee) -
     way_m = distance_m - coasts_mps * coasts_mps / 2.0 * (1.0 / drag_mps2 - 1.0 / stop_mps2)
     braking_mps = speed_mps(way_m, stop_mps2) if way_m > 0.0 else 0.0
     return max(coasting_mps, braking_mps) if braking_mps >= coasts_mps else coasting_mps
-
-
-def cone_distance_m(mount: Mount, range_m: float, field_of_view_rad: float, curvature_per_m: float, is_backward: bool,
-                    outline: Outline) -> float | None:
-    """How far the car can drive along an arc until it touches the nearest of what a sonar may have seen.
-
-    Args:
-        mount: the sonar's.
-        range_m: what it measured: at this distance, anywhere in its cone.
-        field_of_view_rad: the whole cone.
-        curvature_per_m: of the arc, left positive.
-        is_backward: it drives backward on it.
-        outline: the car's.
-
-    Returns:
-        Metres of the rear axle's middle; 0 or less: it touches that already. ``None``: it never does.
-    """
-    nearest_m = None
-    for index in range(CONE_POINTS):
-        angle_rad = mount.yaw_rad + field_of_view_rad * (index / (CONE_POINTS - 1) - 0.5)
-        x_m = mount.x_m + range_m * math.cos(angle_rad)
-        y_m = mount.y_m + range_m * math.sin(angle_rad)
-        distance_m = point_distance_m(x_m, y_m, curvature_per_m, is_backward, outline)
-        if distance_m is not None and (nearest_m is None or distance_m < nearest_m):
-            nearest_m = distance_m
-    return nearest_m
-
-
-def point_distance_m(x_m: float, y_m: float, curvature_per_m: float, is_backward: bool, outline: Outline
-                     ) -> float | None:
-    """The same for one point, in metres ahead of the rear axle's middle and to the left."""
-    bumper_m, trailing_m = outline.front_m, outline.rear_m
-    if is_backward:  # the same arc, seen from the other end of the car
-        x_m, bumper_m, trailing_m = -x_m, trailing_m, bumper_m
-    half_m = outline.width_m / 2 + SIDE_MARGIN_M
-    if abs(curvature_per_m) < STRAIGHT_PER_M:
-        return x_m - bumper_m if abs(y_m) <= half_m and x_m > 0.0 else None
-    if curvature_per_m < 0.0:
-        y_m = -y_m
-    radius_m = 1.0 / abs(curvature_per_m)
-    # About the turn's centre, (0, radius): the point's distance from it, and how far round it is.
-    across_m = radius_m - y_m
-    from_centre_m = math.hypot(x_m, across_m)
-    inner_m, outer_m = radius_m - half_m, radius_m + half_m
-    corner_m = math.hypot(outer_m, bumper_m)
-    if not max(0.0, inner_m) <= from_centre_m <= max(corner_m, math.hypot(outer_m, trailing_m)):
-        return None
-    round_rad = math.atan2(x_m, across_m)
-    # The part of the car that meets it: the bumper; nearer to the centre the inner side; farther from it the outer side
-    # of the end that comes behind, such as a front that swings out while the car reverses.
-    if from_centre_m > corner_m:
-        to_go_rad = round_rad + math.acos(outer_m / from_centre_m)
-        return radius_m * to_go_rad if to_go_rad > 0.0 else None
-    if round_rad <= 0.0:
-        return None  # beside or behind the axle: the car drives away from it
-    if inner_m <= 0.0 or from_centre_m >= math.hypot(inner_m, bumper_m):
-        part_rad = math.asin(min(1.0, bumper_m / from_centre_m))
-    else:
-        part_rad = math.acos(min(1.0, inner_m / from_centre_m))
-    return radius_m * (round_rad - part_rad)

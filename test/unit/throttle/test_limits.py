@@ -69,6 +69,14 @@ def limited(request, speed_mps, planner=NO_LIMITS, source=PLANNER, is_reverse=Fa
     (1.0, -0.09, {"bounds": [SEEN._replace(speed_mps=0.0)]}, 0.0, 1.0, causes.OBSTACLE_SLOWED,
      "an obstacle allows 0.00 m/s, it has 0.09: 0.00 instead of 1.00"),
     (1.0, -0.11, {"bounds": [SEEN._replace(speed_mps=0.0)]}, 1.0, 1.0, "", ""),
+    # from standstill a pull may become reverse at once; a brake that it is instead stays as it is
+    (-0.4, 0.0, {"bounds": [SEEN._replace(speed_mps=0.0)]}, 0.0, -0.4, causes.OBSTACLE_SLOWED,
+     "an obstacle allows 0.00 m/s, it has 0.00: -0.00 instead of -0.40"),
+    (-0.4, 0.11, {"bounds": [SEEN._replace(speed_mps=0.0)]}, -0.4, -0.4, "", ""),
+    # a bound may come with a throttle of its own
+    (1.0, 0.2, {"bounds": [SEEN._replace(max_throttle=0.1)]}, 0.1, 1.0, causes.OBSTACLE_SLOWED,
+     "an obstacle allows 0.50 m/s, it has 0.20: 0.10 instead of 1.00"),
+    (0.05, 0.2, {"bounds": [SEEN._replace(max_throttle=0.1)]}, 0.05, 0.05, "", ""),
     # a planner's turn, and the least of several speeds
     (0.3, 4.0, {"turn_max_mps": 2.0}, -0.5, -0.5, causes.CURVE_SLOWED,
      "the turn that is asked for allows 2.00 m/s, it has 4.00: it brakes"),

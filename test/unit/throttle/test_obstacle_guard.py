@@ -11,43 +11,69 @@ from car_interface.steering.arbiter import NEUTRAL as NOBODY
 from car_interface.steering.arbiter import PLANNER, TELEOP
 from car_interface.throttle.arbiter import Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, EscDecision
-from car_interface.throttle.esc_config import EscConfig
-from car_interface.throttle.obstacle_guard import NONE, ObstacleGuard
+from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, EscConfig
+from car_interface.throttle.obstacle_guard import MOTOR_LAG_S, NONE, ObstacleGuard
 from car_interface.throttle.obstacle_stop import Guarantee, Mount, ObstacleConfig, ObstacleStop, stopping_speed_mps
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 10 * S
 AHEAD, BEHIND = Mount(0.42, 0.0, 0.0), Mount(-0.14, 0.0, math.pi)
 CERTAIN, DRAG = Guarantee(1.5, 0.0, 0.3), Guarantee(0.3, 0.0, 0.3)
-BY_BRAKE, BY_DRAG = (pytest.approx(stopping_speed_mps(1.494 - 0.1, 0.43 + 0.1, guarantee), rel=0.05)
+BY_BRAKE, BY_DRAG = (pytest.approx(stopping_speed_mps(1.494 - 0.1, 0.4 + 0.1 + MOTOR_LAG_S, guarantee), rel=0.05)
                      for guarantee in (CERTAIN, DRAG))
+BRAKES = EscConfig(BRAKE_THEN_REVERSE, profile_measured=True)
 
 
 def asked(request, source=PLANNER, stops=False):
     return Arbitration(source, causes.PLANNER, "", request, request, request, stops)
 
 
-def moving(speed_mps):
+def moving(speed_mps, age_ns=0):
     speed = MeasuredSpeed(0.5)
-    speed.update(speed_mps, NOW)
+    speed.update(speed_mps, NOW, age_ns)
     return speed
 
 
-def guard_after(*answers, ahead_m=1.5, behind_m=1.5):
+def decided(state, fraction, stop_mps2=1.5, coasts_below_mps=0.0):
+    return EscDecision(fraction, state, causes.DRIVING, "", stop_mps2, coasts_below_mps)
+
+
+def roll(guard, speeds, from_ns, curvature_per_m=0.0):
+    """Reports of speeds, 50 a second; when the last one came."""
+    for index, speed_mps in enumerate(speeds):
+        guard.update_speed(speed_mps, from_ns + index * 20 * MS, 0, curvature_per_m)
+    return from_ns + (len(speeds) - 1) * 20 * MS
+
+
+def measured(guard, until_ns, downhill_mps2=0.0, sign=1):
+    """It has rolled in neutral for a second, until then, on ground that pulls like that."""
+    guard.update_esc(decided(NEUTRAL, 0.0, 0.3), until_ns - 1000 * MS)
+    speeds = [sign * (1.0 + (downhill_mps2 - 0.3) * 0.02 * index) for index in range(50)]
+    roll(guard, speeds, until_ns - 980 * MS)
+
+
+def guard_after(*answers, ahead_m=1.5, behind_m=1.5, esc=BRAKES, downhill_mps2=0.0, is_measured=True):
     """One whose ESC got these (state, fraction, seconds ago), and was told to brake with 1.5 m/s² for certain."""
-    guard = ObstacleGuard(ObstacleStop(ObstacleConfig({"front_middle": AHEAD, "rear_middle": BEHIND})), EscConfig())
+    guard = ObstacleGuard(ObstacleStop(ObstacleConfig({"front_middle": AHEAD, "rear_middle": BEHIND})), esc)
+    if is_measured:
+        measured(guard, NOW - 5 * S, downhill_mps2, -1)
+        measured(guard, NOW - 2 * S, downhill_mps2)
     for report in range(3):
-        guard.sonars.update_range("front_middle", ahead_m, NOW - report * 400 * MS)
-        guard.sonars.update_range("rear_middle", behind_m, NOW - report * 400 * MS)
+        guard.sonars.update_range("front_middle", ahead_m, NOW - (2 - report) * 400 * MS)
+        guard.sonars.update_range("rear_middle", behind_m, NOW - (2 - report) * 400 * MS)
     for state, fraction, ago_s in answers:
-        guard.update_esc(EscDecision(fraction, state, causes.DRIVING, "", 1.5, 0.0), NOW - round(ago_s * S))
+        guard.update_esc(decided(state, fraction), NOW - round(ago_s * S))
     return guard
 
 
+def check(guard, arbitration, speed, curvature_per_m=0.0):
+    found = guard.check(arbitration, speed, curvature_per_m, NOW)
+    return found.stop or found.bounds[0], found.stop is not None
+
+
 def allowed(guard, arbitration, speed_mps, curvature_per_m=0.0):
-    found = guard.check(arbitration, moving(speed_mps), curvature_per_m, NOW)
-    bound = found.stop or found.bounds[0]
-    return bound.speed_mps, found.stop is not None
+    bound, is_stop = check(guard, arbitration, moving(speed_mps), curvature_per_m)
+    return bound.speed_mps, is_stop
 
 
 @pytest.mark.parametrize(("answers", "request_", "speed_mps"), [
@@ -61,6 +87,14 @@ def allowed(guard, arbitration, speed_mps, curvature_per_m=0.0):
 ])
 def test_a_stop_is_trusted_for_as_long_as_it_is_certain(answers, request_, speed_mps):
     assert allowed(guard_after(*answers), asked(request_), 0.5)[0] == speed_mps
+
+
+@pytest.mark.parametrize(("stop_mps2", "coasts_below_mps"), [(0.3, 0.0), (1.5, 0.5)],
+                         ids=["its_brake_was_used_once", "only_while_it_is_fast"])
+def test_a_brake_that_may_be_gone_when_it_is_needed_counts_as_drag(stop_mps2, coasts_below_mps):
+    guard = guard_after()
+    guard.update_esc(decided(FORWARD, 0.5, stop_mps2, coasts_below_mps), NOW)
+    assert allowed(guard, asked(0.5), 0.3)[0] == BY_DRAG
 
 
 def test_backward_it_goes_by_the_sonars_behind_and_by_drag():
@@ -87,11 +121,103 @@ def test_a_car_that_is_faster_has_to_stop_whoever_drives(source):
     assert allowed(guard_after((FORWARD, 0.5, 0.0), ahead_m=0.05), asked(0.5, source), 0.1) == (0.0, True)
 
 
-def test_a_turn_that_leaves_every_cone_is_not_bounded():
-    assert guard_after((FORWARD, 0.5, 0.0)).check(asked(0.5), moving(1.0), 1.0, NOW) is NONE
+def test_a_turn_that_leaves_every_cone_is_left_a_creep():
+    guard = guard_after((FORWARD, 0.5, 0.0))
+    assert allowed(guard, asked(0.5), 0.2, 2.5) == (0.3, False)
+    assert allowed(guard, asked(0.5), 0.35, 2.5) == (0.3, True)
 
 
 @pytest.mark.parametrize("arbitration", [asked(0.0, PLANNER, stops=True), asked(0.0, NOBODY)])
 def test_where_nobody_drives_or_without_any_odometry_there_is_nothing_to_bound(arbitration):
     assert guard_after((FORWARD, 0.5, 0.0)).check(arbitration, moving(3.0), 0.0, NOW) is NONE
     assert guard_after().check(asked(0.5), MeasuredSpeed(0.5), 0.0, NOW) is NONE
+
+
+# --- the ground ---
+
+def test_downhill_it_counts_on_less_by_drag_and_by_brake():
+    by_drag, _ = allowed(guard_after(downhill_mps2=0.15), asked(0.5), 0.2)
+    by_brake, _ = allowed(guard_after((FORWARD, 0.5, 0.0), downhill_mps2=0.15), asked(0.5), 0.2)
+    level = allowed(guard_after(), asked(0.5), 0.2)[0], allowed(guard_after((FORWARD, 0.5, 0.0)), asked(0.5), 0.2)[0]
+    assert by_drag < 0.75 * level[0] and 0.85 * level[1] < by_brake < level[1]
+
+
+def test_where_it_would_not_stop_by_itself_it_is_not_pushed_and_where_it_brakes_it_is():
+    assert allowed(guard_after(downhill_mps2=0.4), asked(0.5), 0.0) == (0.0, False)
+    assert allowed(guard_after((FORWARD, 0.5, 0.0), downhill_mps2=0.4), asked(0.5), 0.5)[0] > 1.0
+
+
+def test_before_it_is_known_how_it_slows_down_here_it_begins_slowly():
+    guard = guard_after(is_measured=False, ahead_m=math.inf)
+    bound, is_stop = check(guard, asked(0.5), moving(0.0))
+    assert (bound.speed_mps, bound.words, is_stop) == (0.3, "before it is known how it slows down here it has", False)
+    assert allowed(guard_after(is_measured=False, ahead_m=1.8), asked(0.5), 0.0)[0] == 0.3
+    near = allowed(guard_after(is_measured=False, ahead_m=0.5), asked(0.5), 0.0)[0]
+    assert near < 0.55 * allowed(guard_after(ahead_m=0.5), asked(0.5), 0.0)[0]
+
+
+@pytest.mark.parametrize(("esc", "is_pushed"), [(EscConfig(), False), (BRAKES, True)],
+                         ids=["unverified", "brakes_later"])
+def test_a_car_that_may_never_brake_rolls_in_neutral_for_a_moment_which_shows_the_slope(esc, is_pushed):
+    guard = guard_after(is_measured=False, ahead_m=math.inf, esc=esc)
+    bound, _ = check(guard, asked(0.5), moving(0.2))
+    assert (bound.speed_mps, bound.max_throttle > 0.0) == (0.3 if is_pushed else 0.2, is_pushed)
+    # It goes on rolling until it is known, or it hardly rolls.
+    guard.check(asked(0.5), moving(0.15), 0.0, NOW)
+    assert (check(guard, asked(0.5), moving(0.15))[0].speed_mps == 0.15) == (not is_pushed)
+    assert check(guard, asked(0.5), moving(0.05))[0].speed_mps == 0.3
+    measured(guard, NOW)
+    assert check(guard, asked(0.5), moving(0.22))[0].speed_mps > 0.7
+
+
+# --- what the motor, and odometry, do meanwhile ---
+
+def test_odometry_s_age_counts_with_what_the_car_gains_in_it():
+    guard = guard_after((FORWARD, 0.5, 0.0))
+    roll(guard, [0.2 + 0.06 * index for index in range(10)], NOW - 180 * MS)  # 3 m/s²
+    late = MeasuredSpeed(0.5)
+    for index in range(10):
+        late.update(0.2 + 0.06 * index, NOW - 180 * MS + index * 20 * MS, 150 * MS)
+    bound, is_stop = check(guard, asked(0.5), late)
+    assert not is_stop and bound.max_throttle == 0.0
+    assert allowed(guard, asked(0.5), 0.74)[0] > bound.speed_mps  # an echo comes nearer in that time
+    faster = MeasuredSpeed(0.5)
+    for index in range(10):
+        faster.update(bound.speed_mps - 0.1 + 0.001 * index, NOW - 180 * MS + index * 20 * MS, 150 * MS)
+    assert check(guard, asked(0.5), faster)[1]
+
+
+def test_while_reports_are_missing_it_counts_as_pushed_by_full_throttle():
+    guard, speed = guard_after((FORWARD, 0.5, 0.0)), MeasuredSpeed(0.5)
+    for index in range(20):
+        speed.update(0.8, NOW - (20 - index) * 20 * MS - 200 * MS)
+    assert check(guard, asked(0.5), speed)[1] == (speed.highest_mps(NOW) > check(guard, asked(0.5), speed)[0].speed_mps)
+    assert speed.highest_mps(NOW) > 0.8
+
+
+def test_throttle_is_given_back_gradually_and_what_the_car_needs_for_its_speed_at_once():
+    guard = guard_after((NEUTRAL, 0.0, 0.0), ahead_m=math.inf)
+    first = check(guard, asked(1.0), moving(0.5))[0].max_throttle
+    assert 0.0 < first < 0.4
+    for step in range(100):
+        guard.update_esc(decided(FORWARD, 0.15), NOW + step * 20 * MS)
+    assert check(guard, asked(1.0), moving(0.5))[0].max_throttle > first + 0.14
+
+
+def test_a_car_that_gets_faster_gets_no_throttle_where_the_motor_s_lag_will_bring_it_to_the_bound():
+    guard = guard_after((FORWARD, 0.5, 0.0))
+    limit_mps = allowed(guard, asked(0.5), 0.5)[0]
+    for gain_mps2, is_cut in ((0.0, False), (3.0, True)):
+        until_mps = limit_mps - 0.3
+        roll(guard, [until_mps - gain_mps2 * 0.02 * (9 - index) for index in range(10)], NOW + 1 + round(gain_mps2) * S)
+        bound, is_stop = check(guard, asked(0.5), moving(until_mps))
+        assert not is_stop and (bound.max_throttle == 0.0) == is_cut
+
+
+def test_echoes_move_with_the_car_also_while_nobody_drives():
+    guard = guard_after((FORWARD, 0.5, 0.0))
+    before_mps = allowed(guard, asked(0.5), 0.0)[0]
+    for step in range(50):
+        guard.check(asked(0.0, NOBODY), moving(0.5), 0.0, NOW + step * 20 * MS)
+    bound = guard.check(asked(0.5), moving(0.0), 0.0, NOW + 980 * MS).bounds[0]
+    assert bound.speed_mps < before_mps - 0.2

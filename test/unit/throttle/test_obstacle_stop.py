@@ -1,8 +1,9 @@
 """How fast a car may drive towards what its sonars see."""
-import itertools
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
@@ -13,8 +14,6 @@ from car_interface.throttle.obstacle_stop import (
     ObstacleConfig,
     ObstacleStop,
     Outline,
-    cone_distance_m,
-    point_distance_m,
     read_obstacle_stop,
     stopping_speed_mps,
 )
@@ -23,6 +22,7 @@ MS, S = 1_000_000, 1_000_000_000
 BRAKE, DRAG = Guarantee(1.5, 0.0, 0.3), Guarantee(0.3, 0.0, 0.3)
 CAR = Outline(front_m=0.4, rear_m=0.1, width_m=0.3)
 AHEAD = Mount(0.4, 0.0, 0.0)
+CREEP = 0.3
 SONARS = {"front_right": [0.40, -0.10, -0.5236], "front_middle": [0.42, 0.0, 0.0], "front_left": [0.40, 0.10, 0.5236],
           "rear_right": [-0.12, -0.10, -2.6180], "rear_middle": [-0.14, 0.0, 3.1416],
           "rear_left": [-0.12, 0.10, 2.6180]}
@@ -45,52 +45,8 @@ def test_a_brake_that_ends_early_leaves_the_rest_to_drag_and_where_it_is_too_sho
     assert stopping_speed_mps(0.4, 0.5, guarantee) == stopping_speed_mps(0.4, 0.5, DRAG)
 
 
-@pytest.mark.parametrize(("x_m", "y_m", "is_backward", "distance_m"), [
-    (1.4, 0.0, False, 1.0), (1.4, 0.19, False, 1.0), (1.4, -0.19, False, 1.0), (1.4, 0.21, False, None),
-    (0.4, 0.0, False, 0.0), (-1.0, 0.0, False, None), (0.0, 0.0, False, None), (-1.1, 0.0, True, 1.0),
-    (1.1, 0.0, True, None)])
-def test_straight_on_it_is_the_way_to_the_bumper_within_the_width_and_a_margin(x_m, y_m, is_backward, distance_m):
-    found_m = point_distance_m(x_m, y_m, 0.0, is_backward, CAR)
-    assert found_m == (None if distance_m is None else pytest.approx(distance_m))
-
-
-def drives_into(x_m, y_m, curvature_per_m, is_backward, outline, step_m=0.002, until_m=1.3):
-    """The same by driving: the first distance at which the point is inside the outline, grown by the margin."""
-    for step in range(int(until_m / step_m)):
-        way_m = step * step_m * (-1 if is_backward else 1)
-        turn = way_m * curvature_per_m
-        at_x = math.sin(turn) / curvature_per_m if curvature_per_m else way_m
-        at_y = (1 - math.cos(turn)) / curvature_per_m if curvature_per_m else 0.0
-        ahead = (x_m - at_x) * math.cos(turn) + (y_m - at_y) * math.sin(turn)
-        left = (y_m - at_y) * math.cos(turn) - (x_m - at_x) * math.sin(turn)
-        if -outline.rear_m <= ahead <= outline.front_m and abs(left) <= outline.width_m / 2 + 0.05:
-            return abs(way_m)
-    return math.inf
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("is_backward", [False, True])
-@pytest.mark.parametrize("curvature_per_m", [0.0, 0.3, -0.3, 1.0, -1.0])
-def test_on_any_arc_it_is_where_a_driven_car_meets_the_point(curvature_per_m, is_backward):
-    met = 0
-    for x_m, y_m in itertools.product((0.231 * step for step in range(-8, 9)), (0.217 * step for step in range(-8, 9))):
-        if -0.15 <= x_m <= 0.45 and abs(y_m) <= 0.22:
-            continue  # it touches the car already, or nearly
-        expected_m = drives_into(x_m, y_m, curvature_per_m, is_backward, CAR)
-        found_m = point_distance_m(x_m, y_m, curvature_per_m, is_backward, CAR)
-        if expected_m < 1.2:
-            met += 1
-            assert found_m == pytest.approx(expected_m, abs=0.01), (x_m, y_m)
-        else:
-            assert found_m is None or found_m >= 1.19, (x_m, y_m)
-    assert met >= 5
-
-
-def test_of_a_cone_the_place_counts_where_the_car_arrives_first():
-    assert cone_distance_m(AHEAD, 1.0, 0.5, 0.0, False, CAR) == pytest.approx(1.0, abs=0.02)
-    assert cone_distance_m(AHEAD, 1.0, 0.5, 0.0, False, CAR) <= 1.0
-    assert cone_distance_m(Mount(0.4, 0.1, 1.2), 1.0, 0.5, 0.0, False, CAR) is None
-    assert cone_distance_m(AHEAD, 1.0, 0.5, 0.0, True, CAR) is None
+def test_a_stop_that_is_certain_of_nothing_allows_no_speed():
+    assert stopping_speed_mps(3.0, 0.5, Guarantee(0.01, 0.0, 0.01)) == 0.0
 
 
 @pytest.mark.parametrize(("arrivals_ms", "cycle_s"), [
@@ -99,28 +55,38 @@ def test_a_cycle_is_the_longest_of_the_last_three_and_before_there_is_one_the_lo
                                                                                                      cycle_s):
     stop = ObstacleStop(ObstacleConfig({"front_middle": AHEAD}, outline=CAR))
     for at_ms in arrivals_ms:
-        stop.update_range("front_middle", 1.0, 10 * S + at_ms * MS)
+        stop.update_range("front_middle", math.inf, 10 * S + at_ms * MS)
     bound = stop.bound(0.0, False, BRAKE, 10 * S + arrivals_ms[-1] * MS)
-    distance_m = cone_distance_m(AHEAD, 1.0, 0.5236, 0.0, False, CAR)
-    assert bound.speed_mps == pytest.approx(stopping_speed_mps(distance_m - 0.1, cycle_s + 0.1, BRAKE), abs=1e-9)
-
-
-def bound_of(ranges, curvature_per_m=0.0, is_backward=False, later_ms=0, is_dropped=False, names=("front_middle",)):
-    """The bound by sonars that have seen this for some cycles of 400 ms."""
-    stop = ObstacleStop(ObstacleConfig({name: Mount(*SONARS[name]) for name in names}, outline=CAR))
-    for step in range(5):
-        for name, range_m in ranges.items():
-            stop.update_range(name, range_m, 10 * S + (step - 4) * 400 * MS)
-    if is_dropped:
-        stop.mark_stale()
-    return stop.bound(curvature_per_m, is_backward, BRAKE, 10 * S + later_ms * MS)
+    assert bound.speed_mps == pytest.approx(stopping_speed_mps(2.0 - 0.1, cycle_s + 0.1, BRAKE), abs=1e-3)
 
 
 FRONT = ("front_middle", "front_left", "front_right")
+REAR = ("rear_middle", "rear_left", "rear_right")
+
+
+def seeing(ranges, names=("front_middle",), at_ns=10 * S, **config):
+    """One whose sonars have seen this for some cycles of 400 ms, and that is told of the car's motion."""
+    stop = ObstacleStop(ObstacleConfig({name: Mount(*SONARS[name]) for name in names}, outline=CAR, **config))
+    for step in range(5):
+        now_ns = at_ns + (step - 4) * 400 * MS
+        stop.update_motion(0.0, 0.0, now_ns)
+        for name, range_m in ranges.items():
+            stop.update_range(name, range_m, now_ns)
+    return stop
+
+
+def bound_of(ranges, curvature_per_m=0.0, is_backward=False, later_ms=0, is_dropped=False, names=("front_middle",),
+             guarantee=BRAKE, **config):
+    stop = seeing(ranges, names, **config)
+    if is_dropped:
+        stop.mark_stale()
+    return stop.bound(curvature_per_m, is_backward, guarantee, 10 * S + later_ms * MS)[:3]
+
+
 BLIND = ", and the car doesn't drive blind:"
-# With what is left to the margin, and the age, a cycle and the actuation; the cone's edge is a little nearer.
-TO_1_M, TO_2_M = (pytest.approx(stopping_speed_mps(seen_m + 0.02 - 0.1, age_s + 0.4 + 0.1, BRAKE), rel=0.02)
-                  for seen_m, age_s in ((1.0, 0.05), (2.0, 0.0)))
+# With what is left to the margin, a cycle and the actuation; the cone's edge is a little nearer.
+TO_1_M, TO_2_M = (pytest.approx(stopping_speed_mps(seen_m + 0.02 - 0.1, 0.4 + 0.1, BRAKE), rel=0.02)
+                  for seen_m in (1.0, 2.0))
 LITTLE = pytest.approx(0.1, abs=0.06)
 
 
@@ -140,14 +106,101 @@ LITTLE = pytest.approx(0.1, abs=0.06)
     ({"front_middle": math.nan}, {}, 0.0, causes.SONAR_SILENT, "front_middle measures nan" + BLIND),
     ({"front_middle": 1.0}, {"is_dropped": True}, 0.0, causes.SONAR_SILENT,
      "front_middle was not heard since messages were dropped" + BLIND),
+    # and into its part of the fan only
+    (dict.fromkeys(FRONT[:2], math.inf), {"names": FRONT}, TO_2_M, causes.OBSTACLE_SLOWED,
+     "front_middle sees nothing to 2 m, which allows"),
+    (dict.fromkeys(FRONT[:2], math.inf), {"names": FRONT, "curvature_per_m": -1.0}, 0.0, causes.SONAR_SILENT,
+     "front_right was never heard" + BLIND),
 ])
 def test_speed_is_bounded_by_the_nearest_that_a_sonar_sees_or_may_not_see(ranges, inputs, speed_mps, cause, words):
     assert bound_of(ranges, **inputs) == (speed_mps, cause, words)
 
 
-def test_a_sonar_that_looks_elsewhere_or_that_the_car_does_not_have_does_not_count():
-    assert bound_of({"rear_middle": 0.1, "front_left": 0.3}, -0.9, names=("rear_middle", "front_left")) is None
-    assert bound_of({"front_middle": 1.0, "rear_left": 0.1}, is_backward=True) is None
+def test_a_sonar_that_looks_elsewhere_does_not_count():
+    free = dict.fromkeys(FRONT, math.inf)
+    assert bound_of({**free, "front_left": 0.5}, -0.9, names=FRONT) == bound_of(free, -0.9, names=FRONT)
+    assert bound_of({**free, "rear_left": 0.3}, names=FRONT + REAR) == bound_of(free, names=FRONT)
+    assert bound_of({"front_middle": 1.0, **dict.fromkeys(REAR, math.inf)}, is_backward=True,
+                    names=FRONT[:1] + REAR)[2] == "rear_middle sees nothing to 2 m, which allows"
+
+
+@pytest.mark.parametrize("max_range_m", [2.0, 4.0])
+@pytest.mark.parametrize("curvature_per_m", [0.65, -0.65, 1.0, -1.0, 1.5])
+def test_on_a_tight_arc_it_is_bounded_by_where_the_arc_leaves_the_fan_however_far_the_sonars_see(curvature_per_m,
+                                                                                              max_range_m):
+    speed_mps, _, words = bound_of(dict.fromkeys(FRONT, math.inf), curvature_per_m, names=FRONT,
+                                   max_range_m=max_range_m)
+    assert CREEP < speed_mps < 1.65
+    assert words.startswith("no sonar looks beyond ") and words.endswith(" m of this arc, which allows")
+    assert speed_mps == bound_of(dict.fromkeys(FRONT, math.inf), curvature_per_m, names=FRONT)[0]
+
+
+def test_a_creep_is_left_into_the_unknown_and_none_towards_an_echo():
+    everywhere = dict.fromkeys(FRONT, math.inf)
+    assert bound_of(everywhere, 5.0, names=FRONT)[0] == CREEP
+    assert bound_of(everywhere, 5.0, names=FRONT, creep_mps=0.0)[0] < 0.1
+    assert bound_of({**everywhere, "front_middle": 0.12}, names=FRONT)[0] < 0.1
+    assert bound_of({}, names=REAR) == (CREEP, causes.OBSTACLE_SLOWED, "no sonar looks along this arc, which allows")
+
+
+def test_where_nothing_is_certain_to_stop_it_no_creep_is_left_either():
+    speed_mps, _, words = bound_of({"front_middle": math.inf}, guarantee=Guarantee(0.01, 0.0, 0.01))
+    assert (speed_mps, words) == (0.0, "nothing is certain to stop it on this slope, which allows")
+
+
+def test_an_echo_counts_where_it_is_now_and_a_little_later():
+    stop = seeing({"front_middle": 1.5})
+    stop.update_motion(1.0, 0.0, 10 * S + 500 * MS)
+    for late_s in (0.0, 0.2):
+        assert stop.bound(0.0, False, BRAKE, 10 * S + 500 * MS, late_s).speed_mps == pytest.approx(
+            stopping_speed_mps(1.5 + 0.02 - 0.5 - 0.1, 0.4 + 0.1 + late_s, BRAKE), rel=0.02)
+
+
+def test_what_has_left_its_cone_is_remembered_and_named():
+    stop = seeing({**dict.fromkeys(FRONT, math.inf), "front_left": 0.5}, FRONT)
+    for step in range(15):
+        stop.update_motion(0.5, -1.0, 10 * S + (step + 1) * 20 * MS)
+    now_ns = 10 * S + 300 * MS
+    stop.update_range("front_left", math.inf, now_ns)
+    speed_mps, cause, words, _ = stop.bound(1.0, False, BRAKE, now_ns)
+    assert speed_mps < 0.5 and cause == causes.OBSTACLE_SLOWED
+    assert words.startswith("front_left saw something, 0.") and words.endswith(
+        " m from here on this arc, which allows")
+
+
+def test_without_the_car_s_motion_an_echo_counts_where_it_was_with_its_age():
+    stop = ObstacleStop(ObstacleConfig({"front_middle": AHEAD}, outline=CAR))
+    stop.update_range("front_middle", 1.0, 10 * S)
+    assert stop.bound(0.0, False, BRAKE, 10 * S + 200 * MS).speed_mps == pytest.approx(
+        stopping_speed_mps(1.0 - 0.1, 0.2 + 0.43 + 0.1, BRAKE), rel=0.02)
+
+
+def test_one_who_knows_what_is_beside_the_car_is_bounded_by_echoes_and_ranges_alone():
+    stop = seeing(dict.fromkeys(FRONT, math.inf), FRONT)
+    assert stop.bound(1.0, False, BRAKE, 10 * S, counts_sides=False) is None
+    assert stop.bound(0.0, False, BRAKE, 10 * S, counts_sides=False) == stop.bound(0.0, False, BRAKE, 10 * S)
+    stop.update_range("front_left", 0.5, 10 * S)
+    assert stop.bound(1.0, False, BRAKE, 10 * S, counts_sides=False).words == "front_left sees 0.50 m, which allows"
+
+
+def test_a_range_of_a_sonar_that_the_car_lacks_is_left_out():
+    stop = seeing({"front_middle": math.inf})
+    stop.update_range("front_left", 0.1, 10 * S)
+    assert stop.bound(0.0, False, BRAKE, 10 * S).speed_mps == TO_2_M
+
+
+@given(st.floats(-1.5, 1.5), st.lists(st.one_of(st.floats(0.0, 4.0), st.just(math.inf)), min_size=3, max_size=3),
+       st.floats(0.05, 3.0))
+def test_from_its_speed_the_car_always_stops_within_what_was_looked_at(curvature_per_m, ranges, stop_mps2):
+    """Or it creeps; and no echo is ever in the way of what is allowed."""
+    guarantee = Guarantee(stop_mps2, 0.0, stop_mps2)
+    stop = seeing(dict(zip(FRONT, ranges)), FRONT)
+    speed_mps = stop.bound(curvature_per_m, False, guarantee, 10 * S).speed_mps
+    free_m = stop._fans[False].end(curvature_per_m, dict(zip(FRONT, (min(2.0, range_m) for range_m in ranges))))[0]
+    way_m = speed_mps * 0.5 + speed_mps ** 2 / (2 * stop_mps2)
+    assert speed_mps <= CREEP or way_m <= free_m - 0.1 + 1e-6
+    met = [found.distance_m for found in stop._echoes.meets(curvature_per_m, False).values()]
+    assert speed_mps == 0.0 or not met or way_m <= min(met) - 0.1 + 1e-6
 
 
 @pytest.mark.parametrize("values", [{}, {"obstacle_stop": True}])
@@ -160,11 +213,12 @@ def test_it_is_off_by_default_and_where_the_hub_s_file_is_left_out(values):
 def test_the_sonars_are_those_of_the_hub_s_file_without_the_absent_ones():
     params = Params({"obstacle_stop": True, "sonar_hub": {"sonars": SONARS, "field_of_view": 0.4, "max_range": 3.0,
                                                           "median": False},
-                     "obstacle": {"margin": 0.2, "sonars": {"rear_left": "absent", "rear_right": "absent"}}})
+                     "obstacle": {"margin": 0.2, "creep": 0.1,
+                                  "sonars": {"rear_left": "absent", "rear_right": "absent"}}})
     config = read_obstacle_stop(params)
     params.finish(ignored_namespaces=("sonar_hub",))
     assert set(config.mounts) == {"front_right", "front_middle", "front_left", "rear_middle"}
-    assert (config.field_of_view_rad, config.max_range_m, config.margin_m) == (0.4, 3.0, 0.2)
+    assert (config.field_of_view_rad, config.max_range_m, config.margin_m, config.creep_mps) == (0.4, 3.0, 0.2, 0.1)
     assert config.mounts["front_left"] == Mount(0.40, 0.10, 0.5236)
 
 
@@ -172,6 +226,7 @@ def test_the_sonars_are_those_of_the_hub_s_file_without_the_absent_ones():
     ({"obstacle_stop": True}, "sonar_hub/sonars/front_right"),
     ({"obstacle_stop": True, "sonar_hub": {"sonars": {**SONARS, "front_left": [1, 2]}}}, "sonar_hub/sonars/front_left"),
     ({"obstacle_stop": "yes"}, "obstacle_stop"), ({"obstacle": {"margin": -1}}, "obstacle/margin"),
+    ({"obstacle": {"creep": 1.5}}, "obstacle/creep"), ({"obstacle": {"creep": -0.1}}, "obstacle/creep"),
     ({"obstacle": {"sonars": {"rear_left": "no"}}}, "obstacle/sonars/rear_left")])
 def test_what_makes_no_sense_is_refused_by_name(values, name):
     with pytest.raises(ConfigError, match=name):

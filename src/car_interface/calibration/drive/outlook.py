@@ -154,7 +154,7 @@ class Outlook:
         """What the sonars allow on an arc."""
         if self._obstacles is None:
             return math.inf
-        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns)
+        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns, counts_sides=False)
         return math.inf if bound is None else bound.speed_mps
 
     def allowed_mps(self, hold: Hold, is_quick: bool, now_ns: int) -> tuple[float, str]:
@@ -191,6 +191,6 @@ class Outlook:
         return f"place it so that the middle is about {1 / abs(per_m):.1f} m to its {'left' if per_m > 0 else 'right'},"
 
     def _obstacle_text(self, curvature_per_m, now_ns):
-        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns)
+        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns, counts_sides=False)
         why = f"{bound.words} {bound.speed_mps:.1f} m/s" if bound is not None else "something is near"
         return f"{why}: no way on from here; move the car to where it is free by hand, then hold the button again"

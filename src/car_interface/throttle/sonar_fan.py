@@ -1,0 +1,210 @@
+"""What a car's sonars look at, and how far it gets along an arc: until it touches a point, and until it leaves the fan.
+
+The fan is what lies between the outermost edges of the sonars at one end of the car, as far as each of them reaches.
+Each place in it belongs to the sonar whose axis is nearest; so the strips between two cones, and what lies just before
+the bumper, count as looked at. The middle of the bumper stands for the car.
+
+Pure geometry in the car's frame: metres ahead of the rear axle's middle and to the left. A car that drives backward on
+an arc is one that drives forward in the mirror, so everything here is written for forward, and turning left.
+"""
+from __future__ import annotations
+
+import math
+from typing import Iterable, Mapping, NamedTuple
+
+MIN_CURVATURE_PER_M = 1e-3  # a straight line is a circle of 1 km
+CONE_POINTS = 9
+MAX_EDGE_RAD = math.pi / 2  # the fan doesn't reach behind the bumper
+
+
+class Mount(NamedTuple):
+    """A sonar's pose: metres from the middle of the rear axle, and its direction in rad, left positive."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+    @property
+    def looks_back(self) -> bool:
+        return math.cos(self.yaw_rad) < 0.0
+
+
+class Outline(NamedTuple):
+    """The car from above: metres before and behind the rear axle's middle, and across. The default is a Slash's."""
+
+    front_m: float = 0.426
+    rear_m: float = 0.142
+    width_m: float = 0.296
+
+
+def cone_points(mount: Mount, range_m: float, field_of_view_rad: float) -> list[tuple[float, float]]:
+    """Points across a cone at a range, its edges included: what a sonar measured may be at any of them."""
+    angles_rad = (mount.yaw_rad + field_of_view_rad * (index / (CONE_POINTS - 1) - 0.5) for index in range(CONE_POINTS))
+    return [(mount.x_m + range_m * math.cos(angle_rad), mount.y_m + range_m * math.sin(angle_rad))
+            for angle_rad in angles_rad]
+
+
+class Arc:
+    """The arc that a car drives, with what its body sweeps.
+
+    Args:
+        curvature_per_m: left positive.
+        is_backward: it drives backward on it.
+        outline: of the car.
+        margin_m: at both sides, which is swept, too.
+    """
+
+    def __init__(self, curvature_per_m: float, is_backward: bool, outline: Outline, margin_m: float):
+        self._ahead, self._left = (-1.0 if is_backward else 1.0), (-1.0 if curvature_per_m < 0.0 else 1.0)
+        self._bumper_m, trailing_m = (outline.rear_m, outline.front_m) if is_backward else outline[:2]
+        self._half_m = half_m = outline.width_m / 2 + margin_m
+        self._is_straight = abs(curvature_per_m) < MIN_CURVATURE_PER_M
+        self._radius_m = radius_m = 1.0 / max(MIN_CURVATURE_PER_M, abs(curvature_per_m))
+        # From the turn's centre: the inner side, the outer one, the bumper's corners, and what comes farthest out.
+        self._inner_m, self._outer_m = radius_m - half_m, radius_m + half_m
+        self._inner_corner_m = math.hypot(max(0.0, self._inner_m), self._bumper_m)
+        self._outer_corner_m = math.hypot(self._outer_m, self._bumper_m)
+        farthest_m = max(self._outer_corner_m, math.hypot(self._outer_m, trailing_m))
+        self._near_m2, self._far_m2 = max(0.0, self._inner_m) ** 2, farthest_m ** 2
+
+    def sweeps(self, points: Iterable[tuple[float, float]]) -> list[bool]:
+        """Whether the car may touch each of some points; a quick test, which no point fails that it does touch."""
+        if self._is_straight:
+            half_m = self._half_m
+            return [-half_m <= y_m <= half_m for _, y_m in points]
+        near_m2, far_m2, centre_m = self._near_m2, self._far_m2, self._radius_m * self._left
+        return [near_m2 <= x_m * x_m + (centre_m - y_m) * (centre_m - y_m) <= far_m2 for x_m, y_m in points]
+
+    def distance_m(self, x_m: float, y_m: float) -> float | None:
+        """How far the car can drive until it touches a point.
+
+        Returns:
+            Metres of the rear axle's middle; 0 or less: it touches that already. ``None``: it never does.
+        """
+        x_m, y_m = x_m * self._ahead, y_m * self._left
+        if self._is_straight:
+            return x_m - self._bumper_m if abs(y_m) <= self._half_m and x_m > 0.0 else None
+        across_m = self._radius_m - y_m
+        from_centre_m2 = x_m * x_m + across_m * across_m
+        if not self._near_m2 <= from_centre_m2 <= self._far_m2:
+            return None
+        from_centre_m, round_rad = math.sqrt(from_centre_m2), math.atan2(x_m, across_m)
+        # The part of the car that meets it: the bumper; nearer to the centre the inner side; farther from it the outer
+        # side of the end that comes behind, such as a front that swings out while the car reverses.
+        if from_centre_m > self._outer_corner_m:
+            to_go_rad = round_rad + math.acos(self._outer_m / from_centre_m)
+            return self._radius_m * to_go_rad if to_go_rad > 0.0 else None
+        if round_rad <= 0.0:
+            return None  # beside or behind the axle: the car drives away from it
+        if self._inner_m <= 0.0 or from_centre_m >= self._inner_corner_m:
+            part_rad = math.asin(min(1.0, self._bumper_m / from_centre_m))
+        else:
+            part_rad = math.acos(min(1.0, self._inner_m / from_centre_m))
+        return self._radius_m * (round_rad - part_rad)
+
+
+class FanEnd(NamedTuple):
+    """Where an arc leaves what is looked at."""
+
+    distance_m: float  # of the rear axle's middle
+    sonar: str  # in whose part of the fan it ends; empty: there is no fan
+    is_edge: bool  # at the fan's side, or where something hides the rest; else as far as that sonar reaches
+    sonars: tuple[str, ...]  # all through whose parts it leads
+
+
+class _Part(NamedTuple):
+    """One sonar's part of the fan, and the edge to its left."""
+
+    name: str
+    mount: Mount
+    edge_x_m: float
+    edge_y_m: float
+    edge_rad: float
+
+
+class Fan:
+    """The fan at one end of the car.
+
+    Args:
+        mounts: of the sonars at that end, by name; those of one that the car doesn't have are left out.
+        field_of_view_rad: the whole cone of each.
+        bumper_m: from the rear axle's middle to the bumper at that end.
+        is_backward: it is the rear end.
+    """
+
+    def __init__(self, mounts: Mapping[str, Mount], field_of_view_rad: float, bumper_m: float, is_backward: bool):
+        self._bumper_m = bumper_m
+        if is_backward:
+            mounts = {name: Mount(-x_m, y_m, math.pi - yaw_rad) for name, (x_m, y_m, yaw_rad) in mounts.items()}
+        mirrored = {name: Mount(x_m, -y_m, -yaw_rad) for name, (x_m, y_m, yaw_rad) in mounts.items()}
+        self._to_left, self._to_right = (_parts(sonars, field_of_view_rad, bumper_m) for sonars in (mounts, mirrored))
+
+    def end(self, curvature_per_m: float, reaches_m: Mapping[str, float]) -> FanEnd:
+        """Where the middle of the bumper leaves the fan on an arc (1/m, left positive).
+
+        Args:
+            curvature_per_m: of the arc.
+            reaches_m: how far each sonar sees now: up to its echo, or to its largest range.
+        """
+        right_rad, parts = self._to_right if curvature_per_m < 0.0 else self._to_left
+        radius_m = 1.0 / max(MIN_CURVATURE_PER_M, abs(curvature_per_m))
+        start_rad = math.atan2(self._bumper_m, radius_m)
+        if not parts or start_rad < right_rad:
+            return FanEnd(0.0, "", True, ())  # it leaves the fan, or where one would be, at once
+        path_m = math.hypot(self._bumper_m, radius_m)
+        at_rad, passed, part = start_rad, [], None
+        for part in parts:
+            edge_rad = _crosses_edge_rad(part, radius_m, path_m)
+            if edge_rad <= at_rad and part is not parts[-1]:
+                continue
+            passed.append(part.name)
+            reach_rad = _leaves_circle_rad(part.mount, reaches_m[part.name], radius_m, path_m)
+            if reach_rad <= edge_rad:  # beyond it already where it enters this part: something nearer hides the rest
+                is_hidden = reach_rad < at_rad
+                return FanEnd(radius_m * (max(at_rad, reach_rad) - start_rad), part.name, is_hidden, tuple(passed))
+            at_rad = max(at_rad, edge_rad)
+        return FanEnd(radius_m * (at_rad - start_rad), part.name, True, tuple(passed))
+
+
+def _parts(mounts, field_of_view_rad, bumper_m):
+    """(direction of the fan's right edge, its parts from right to left)."""
+    in_order = sorted(((math.remainder(mount.yaw_rad, 2.0 * math.pi), name) for name, mount in mounts.items()))
+    if not in_order:
+        return 0.0, []
+    parts, half_rad = [], field_of_view_rad / 2.0
+    for index, (yaw_rad, name) in enumerate(in_order):
+        mount = Mount(mounts[name].x_m, mounts[name].y_m, yaw_rad)
+        if index + 1 < len(in_order):
+            next_rad, next_name = in_order[index + 1]
+            after = mounts[next_name]
+            edge = ((mount.x_m + after.x_m) / 2.0, (mount.y_m + after.y_m) / 2.0, (yaw_rad + next_rad) / 2.0)
+        else:
+            edge = (mount.x_m, mount.y_m, min(MAX_EDGE_RAD, yaw_rad + half_rad))
+            # What lies just before the bumper counts: an edge that would cut off its middle goes through that.
+            if _is_left(bumper_m, 0.0, edge):
+                edge = (bumper_m, 0.0, edge[2])
+        parts.append(_Part(name, mount, *edge))
+    return max(-MAX_EDGE_RAD, in_order[0][0] - half_rad), parts
+
+
+def _is_left(x_m, y_m, edge):
+    edge_x_m, edge_y_m, edge_rad = edge
+    return math.cos(edge_rad) * (y_m - edge_y_m) > math.sin(edge_rad) * (x_m - edge_x_m)
+
+
+def _crosses_edge_rad(part, radius_m, path_m):
+    """How far round the turn's centre, (0, radius), a point of the path gets to the left of an edge; inf: never."""
+    ratio = (math.cos(part.edge_rad) * (radius_m - part.edge_y_m) + math.sin(part.edge_rad) * part.edge_x_m) / path_m
+    if ratio <= -1.0:
+        return math.inf
+    return part.edge_rad + math.acos(min(1.0, ratio))
+
+
+def _leaves_circle_rad(mount, reach_m, radius_m, path_m):
+    """The same for a circle around a sonar: where the path leaves it."""
+    across_m = radius_m - mount.y_m
+    from_centre_m = math.hypot(mount.x_m, across_m)
+    ratio = (path_m ** 2 + from_centre_m ** 2 - reach_m ** 2) / (2.0 * path_m * from_centre_m)
+    if ratio <= -1.0:
+        return math.inf
+    return math.atan2(mount.x_m, across_m) + math.acos(min(1.0, ratio))

@@ -1,0 +1,156 @@
+"""Where echoes came from, while the car drives on."""
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from car_interface.throttle.echo_memory import MAX_POINTS, EchoMemory
+from car_interface.throttle.sonar_fan import Mount, Outline
+
+MS, S = 1_000_000, 1_000_000_000
+CONE_RAD = math.radians(30)
+MOUNTS = {"front_middle": Mount(0.42, 0.0, 0.0), "front_left": Mount(0.40, 0.10, CONE_RAD),
+          "rear_middle": Mount(-0.14, 0.0, math.pi)}
+CAR = Outline()
+
+
+class Car:
+    """A car that drives on arcs, and looks when it is told to."""
+
+    def __init__(self):
+        self.memory, self.now_ns = EchoMemory(MOUNTS, CONE_RAD, CAR, 0.05), 0
+        self.memory.move(0.0, 0.0, 0)
+
+    def drive(self, way_m, curvature_per_m=0.0, step_m=0.01):
+        for _ in range(round(abs(way_m) / step_m)):
+            self.now_ns += 20 * MS
+            self.memory.move(math.copysign(step_m / 0.02, way_m), curvature_per_m, self.now_ns)
+
+    def sees(self, range_m, sonar="front_middle"):
+        self.memory.look(sonar, range_m, True)
+
+    def sees_nothing(self, sonar="front_middle", times=1):
+        for _ in range(times):
+            self.memory.look(sonar, 2.0, False)
+
+    def meets(self, curvature_per_m=0.0, is_backward=False, sonar="front_middle"):
+        met = self.memory.meets(curvature_per_m, is_backward).get(sonar)
+        return met and met.distance_m
+
+
+def test_an_echo_is_met_where_the_body_may_touch_it_first():
+    car = Car()
+    assert car.memory.meets(0.0, False) == {}
+    car.sees(1.0)
+    assert car.meets() == pytest.approx(1.0 - 0.006, abs=0.02)
+    assert car.memory.meets(0.0, False)["front_middle"].is_current
+    assert car.meets(is_backward=True) is None
+
+
+def test_it_stays_where_it_is_while_the_car_drives_on():
+    car = Car()
+    car.sees(1.0)
+    before_m = car.meets()
+    car.drive(0.5)
+    assert car.meets() == pytest.approx(before_m - 0.5, abs=0.001)
+    car.drive(-0.8)
+    assert car.meets() == pytest.approx(before_m + 0.3, abs=0.001)
+
+
+def test_the_next_echo_of_the_same_thing_stands_for_it():
+    car = Car()
+    for range_m in (1.0, 0.95, 0.9, 0.92):
+        car.sees(range_m)
+    assert car.meets() == pytest.approx(0.92 - 0.006, abs=0.02)
+    assert len(car.memory._points) == 9
+
+
+def test_one_that_left_its_cone_in_a_turn_is_remembered_and_in_the_way_of_the_turn_back():
+    car = Car()
+    car.sees(0.5, "front_left")
+    car.drive(0.15, -1.0)
+    car.sees_nothing("front_left", 5)
+    met = car.memory.meets(1.0, False)["front_left"]
+    assert not met.is_current and 0.0 < met.distance_m < 0.5
+    assert "front_left" not in car.memory.meets(-1.0, False)
+
+
+def test_one_at_the_corner_of_the_bumper_is_in_the_way_until_the_car_has_passed_it():
+    car = Car()
+    car.sees(0.3, "front_left")
+    car.drive(0.2, -0.5)
+    car.sees_nothing("front_left", 5)
+    assert car.meets(1.0, sonar="front_left") is not None
+    car.drive(0.9)
+    car.sees_nothing("front_left")
+    assert car.meets(1.0, sonar="front_left") is None
+
+
+@pytest.mark.parametrize(("looks", "is_forgotten"), [
+    ([(2.0, False)], False), ([(2.0, False)] * 3, False), ([(2.0, False)] * 4, True), ([(1.5, True)], False),
+    ([(1.5, True)] * 2, True), ([(1.5, True)] + [(2.0, False)] * 2, True)],
+    ids=["one_look_without_echo", "three", "four", "one_echo_from_farther", "two_of_them", "one_and_two_without"])
+def test_it_takes_more_than_one_look_to_forget_since_an_echo_may_fail_to_appear(looks, is_forgotten):
+    car = Car()
+    car.sees(1.0)
+    for range_m, is_echo in looks:
+        car.memory.look("front_middle", range_m, is_echo)
+    assert (car.meets() is None or car.meets() > 1.2) == is_forgotten
+
+
+def test_an_echo_in_between_means_that_it_is_there():
+    car = Car()
+    for _ in range(4):
+        car.sees(1.0)
+        car.sees_nothing(times=3)
+    assert car.meets() == pytest.approx(0.994, abs=0.02)
+
+
+def test_what_something_nearer_hides_is_remembered():
+    car = Car()
+    car.sees(1.5)
+    car.sees(0.8)
+    assert car.meets() == pytest.approx(0.794, abs=0.02)
+    hidden = [point.x_m for point in car.memory._points if not point.is_current]
+    assert hidden and min(hidden) > 1.8
+
+
+def test_behind_it_is_forgotten_when_the_car_has_passed_it_backward():
+    car = Car()
+    car.sees(0.5, "rear_middle")
+    assert car.meets(is_backward=True, sonar="rear_middle") == pytest.approx(0.498, abs=0.02)
+    car.drive(-1.2)
+    car.sees_nothing("rear_middle")
+    assert car.memory.meets(0.0, True) == car.memory.meets(0.0, False) == {}
+
+
+def test_what_stands_beside_the_car_is_in_the_way_of_its_body_alone_without_the_margin():
+    """0.02 m beside its flank: straight on it passes, a turn towards it does not."""
+    car = Car()
+    car.sees(0.15, "front_left")
+    for point in car.memory._points:
+        point.x_m, point.y_m = 0.25, 0.168
+    assert car.meets(0.0, sonar="front_left") is None
+    assert car.meets(1.0, sonar="front_left") is not None
+
+
+def test_a_car_without_any_report_for_long_is_moved_on_for_no_more_than_a_second():
+    car = Car()
+    car.sees(1.5)
+    before_m = car.meets()
+    car.memory.move(0.5, 0.0, 60 * S)
+    assert car.meets() == pytest.approx(before_m - 0.5)
+
+
+@given(st.lists(st.tuples(st.sampled_from(sorted(MOUNTS)), st.floats(0.0, 2.0), st.booleans(), st.floats(-0.2, 0.3),
+                          st.floats(-1.0, 1.0)), max_size=60))
+def test_there_are_never_more_points_than_a_decision_has_time_for(events):
+    car = Car()
+    for sonar, range_m, is_echo, way_m, curvature_per_m in events:
+        car.drive(way_m, curvature_per_m, 0.1)
+        car.memory.look(sonar, range_m, is_echo)
+    assert len(car.memory._points) <= MAX_POINTS + 9 * len(MOUNTS)
+    car.memory.meets(0.3, False)
