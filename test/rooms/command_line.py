@@ -53,7 +53,7 @@ def summarize(verdicts: list) -> int:
         hits = [one for one in of_class if one.is_collision]
         print(f"{name}: {len(hits)} collisions, {len(of_class) - len(hits)} touches")
         for one in hits[:12]:
-            known = f"; first echo on that arc {one.known_s:.2f} s and {one.known_m:.2f} m before" if one.known_s else ""
+            known = f"; first echo on it {one.known_s:.2f} s and {one.known_m:.2f} m before" if one.known_s else ""
             print(f"    seed {one.seed}: {one.speed_mps:.2f} m/s, {one.scene}{known}")
     known = sum(one.is_collision and one.name == ECHO for one in verdicts)
     others = sum(one.is_collision and one.name not in (ECHO, ROLLED) for one in verdicts)
@@ -88,11 +88,19 @@ def tell(seed: int, stops: bool) -> int:
     scene = random_scene(seed)
     record = run(scene, stops)
     thing = record.contact.name.split(".")[0] if record.contact else ""
-    lines = [(echo.at_s, f"    {echo.sonar} {echo.range_m:.2f} m: {echo.name} at {echo.x_m:.2f}, {echo.y_m:.2f}"
-                         f"{' (lost)' if echo.is_lost else ''}")
-             for echo in record.echoes if echo.name.split(".")[0] == thing]
-    lines += [(one.at_s, f"{one.at_s:6.2f} s  {one.speed_mps:+.2f} m/s  {one.curvature_per_m:+.2f} 1/m  request "
-                         f"{one.request:+.2f}  slope {one.gravity_mps2:+.2f}  at {one.pose.x_m:.2f}, {one.pose.y_m:.2f}, "
-                         f"{one.pose.yaw_rad:+.2f}  {one.limit}") for one in record.samples[::5]]
+    lines = [(one.at_s, _of_echo(one)) for one in record.echoes if one.name.split(".")[0] == thing]
+    lines += [(one.at_s, _of_car(one)) for one in record.samples[::5]]
     print(scene.describe(), *(line for _, line in sorted(lines)), record.contact, judge(record), sep="\n")
     return 0
+
+
+def _of_echo(echo):
+    lost = " (lost)" if echo.is_lost else ""
+    return f"        {echo.sonar} {echo.range_m:.2f} m: {echo.name} at {echo.x_m:.2f}, {echo.y_m:.2f}{lost}"
+
+
+def _of_car(sample):
+    x_m, y_m, yaw_rad = sample.pose
+    return (f"{sample.at_s:6.2f} s  {sample.speed_mps:+.2f} m/s  {sample.curvature_per_m:+.2f} 1/m  request "
+            f"{sample.request:+.2f}  slope {sample.gravity_mps2:+.2f}  at {x_m:.2f}, {y_m:.2f}, {yaw_rad:+.2f}  "
+            f"{sample.limit}")

@@ -17,8 +17,8 @@ SETTLED_S = 5.0
 WIDE_PER_M = 0.3  # up to here the speeds of the baseline are kept; tighter arcs go by the fan
 WIDE_SHARE, TIGHT_SHARE = 0.95, 0.80
 CAR = CarConfig(becomes_reverse=False, hold_s=0.2, dwell_s=0.2, dead_band=0.05, drag_brake=0.0, motor_lag_s=0.05,
-                push_mps2=4.0, top_mps=8.0, brake_mps2=4.0, drag_mps2=0.4, breakaway_mps2=0.5, slope=0.0, uphill_rad=0.0,
-                steering_lag_s=0.05, grip_mps2=7.0)
+                push_mps2=4.0, top_mps=8.0, brake_mps2=4.0, drag_mps2=0.4, breakaway_mps2=0.5, slope=0.0,
+                uphill_rad=0.0, steering_lag_s=0.05, grip_mps2=7.0)
 
 
 def scenes() -> dict[str, Scene]:

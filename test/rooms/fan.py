@@ -46,9 +46,9 @@ def bound_mps(scene: Scene) -> float:
     driven_m, ahead_m, left_m = free(scene.driver.curvature_per_m, scene.max_range_m)
     cycle_s = _longest_gap(scene, "front_middle" if _is_in_middle(ahead_m, left_m) else "front_left") * scene.firing_s
     delay_s = CALM_S * cycle_s + cycle_s + ACTUATION_S
-    # What a stop is certain of: with a measured kind the brake, else drag alone.
-    esc = scene.esc
-    slows_mps2 = esc.stop_brake * esc.brake_deceleration_mps2 if scene.kind == "measured" else esc.drag_deceleration_mps2
+    esc, slows_mps2 = scene.esc, scene.esc.drag_deceleration_mps2  # what a stop is certain of, whatever the ESC
+    if scene.kind == "measured":
+        slows_mps2 = esc.stop_brake * esc.brake_deceleration_mps2
     distance_m = max(0.0, driven_m - MARGIN_M)
     return slows_mps2 * (math.sqrt(delay_s ** 2 + 2 * distance_m / slows_mps2) - delay_s)
 

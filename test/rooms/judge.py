@@ -76,7 +76,7 @@ def _is_there(echo, contact):
 def _arc_began(record, contact: Contact) -> int:
     """The first sample of the arc that the car drove up to the contact.
 
-    It is the same arc as long as the curvature is, and also where the car's speed widens the turn that its driver wants.
+    It is the same arc as long as the curvature is; also where the speed alone widens the turn that its driver wants.
     """
     began = len(record.samples) - 1
     for number in range(began, -1, -1):
@@ -120,8 +120,8 @@ def _stop_m(record, began, there):
 
 
 def _has_rolled(record, contact):
-    """Whether gravity alone brought the car there: it stood since it was last pushed that way, or it rolls on slowly for
-    a second, and neither drag nor a brake that its ESC is sure to take for one can end that.
+    """Whether gravity alone brought the car there: it stood since it was last pushed that way, or it rolls on slowly
+    for a second, and neither drag nor a brake that its ESC is sure to take for one can end that.
     """
     way = _way(contact)
     if _coasts_mps2(record, record.samples[-1], way) > 0:
