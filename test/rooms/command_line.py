@@ -10,6 +10,7 @@ import argparse
 import itertools
 import multiprocessing
 import os
+from collections import Counter
 from functools import partial
 
 from . import empty
@@ -51,7 +52,7 @@ def summarize(verdicts: list) -> int:
     for name in CLASSES:
         of_class = sorted((one for one in verdicts if one.name == name), key=lambda one: -one.speed_mps)
         hits = [one for one in of_class if one.is_collision]
-        print(f"{name}: {len(hits)} collisions, {len(of_class) - len(hits)} touches")
+        print(f"{name}: {len(hits)} collisions, {len(of_class) - len(hits)} touches{_counts(hits)}")
         for one in hits[:12]:
             known = f"; first echo on it {one.known_s:.2f} s and {one.known_m:.2f} m before" if one.known_s else ""
             print(f"    seed {one.seed}: {one.speed_mps:.2f} m/s, {one.scene}{known}")
@@ -62,6 +63,14 @@ def summarize(verdicts: list) -> int:
     print(f"{known} collisions with a known thing (0), {others} others ({OTHERS_SHARE:.0%}: "
           f"{OTHERS_SHARE * len(verdicts):.0f})")
     return int(known > 0 or others > OTHERS_SHARE * len(verdicts))
+
+
+def _counts(hits):
+    """How often each kind, path and slope is among collisions."""
+    scenes = (one.scene.split(", ") for one in hits)
+    columns = zip(*((kind, path.split()[0], slope) for kind, _, path, _, slope in scenes))
+    return "".join("; " + ", ".join(f"{word} {count}" for word, count in Counter(column).most_common())
+                   for column in columns)
 
 
 def compare(pool, is_recorded: bool) -> int:

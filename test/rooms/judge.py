@@ -17,7 +17,7 @@ CLASSES = (ECHO, TURNED, OTHER_ARC, LOST, NEVER, ROLLED)
 
 TOUCH_MPS = 0.05  # slower is no collision
 SAME_PLACE_M, SAME_ARC_PER_M = 0.25, 0.05
-ROLLS_MPS, STANDS_MPS = 0.55, 0.02
+CREEPS_MPS, STANDS_MPS = 0.4, 0.02
 TICK_S = STEP_S * TICK_STEPS
 
 
@@ -120,8 +120,8 @@ def _stop_m(record, began, there):
 
 
 def _has_rolled(record, contact):
-    """Whether gravity alone brought the car there: it stood since it was last pushed that way, or it rolls on slowly
-    for a second, and neither drag nor a brake that its ESC is sure to take for one can end that.
+    """Whether gravity alone brought the car there: it stood since it was last pushed that way, or it crept at most when
+    that ended, rolls on for a second, and neither drag nor a brake that its ESC is sure to take for one can end that.
     """
     way = _way(contact)
     if _coasts_mps2(record, record.samples[-1], way) > 0:
@@ -131,4 +131,4 @@ def _has_rolled(record, contact):
     if any(abs(sample.speed_mps) < STANDS_MPS for sample in since):
         return True
     can_brake = record.scene.kind == "measured" and way > 0
-    return len(since) * TICK_S > 1.0 and not can_brake and abs(contact.speed_mps) < ROLLS_MPS
+    return len(since) * TICK_S > 1.0 and not can_brake and abs(since[0].speed_mps) < CREEPS_MPS
