@@ -205,7 +205,7 @@ class ThrottleArb:
 
     def _on_planner_state(self, message, now_ns):
         no_request = None if message.cause == causes.PLANNER else NoValue(message.cause, message.reason)
-        self._arbiter.update_planner_state(message.gear, no_request, now_ns)
+        self._arbiter.update_planner_state(message.gear, no_request, now_ns, message.speed)
 
     def _on_steering(self, message, now_ns):
         self._arbiter.update_steering(message.source, message.reason, now_ns)
