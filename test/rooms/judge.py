@@ -12,12 +12,14 @@ OTHER_ARC = "echo on another arc only"
 LOST = "every echo of it was lost"
 NEVER = "never an echo of it"
 ROLLED = "rolled by gravity"
+RAN_AWAY = "rolled by gravity, and so fast that a stop should brake"
 NONE = "no collision"
-CLASSES = (ECHO, TURNED, OTHER_ARC, LOST, NEVER, ROLLED)
+CLASSES = (ECHO, TURNED, OTHER_ARC, LOST, NEVER, RAN_AWAY, ROLLED)
 
 TOUCH_MPS = 0.05  # slower is no collision
 SAME_PLACE_M, SAME_ARC_PER_M = 0.25, 0.05
 CREEPS_MPS, STANDS_MPS = 0.4, 0.02
+SETTLES_S = 0.3  # of the motor, when a push ends
 TICK_S = STEP_S * TICK_STEPS
 
 
@@ -40,7 +42,13 @@ class Verdict(NamedTuple):
 
     @property
     def is_collision(self) -> bool:
+        """Whether it ran into something faster than a touch."""
         return self.speed_mps > TOUCH_MPS
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the place gave an echo on that arc."""
+        return self.known_s > 0
 
 
 def judge(record: Record) -> Verdict:
@@ -59,7 +67,7 @@ def judge(record: Record) -> Verdict:
 
 def _class(record, contact, began, there, is_known):
     if _has_rolled(record, contact):
-        return ROLLED
+        return RAN_AWAY if _is_sure_to_brake(record, contact) else ROLLED
     if is_known:
         return TURNED if _driven_m(record, record.samples[began].at_s) < _stop_m(record, began, there) else ECHO
     if any(not echo.is_lost for echo in there):
@@ -120,15 +128,19 @@ def _stop_m(record, began, there):
 
 
 def _has_rolled(record, contact):
-    """Whether gravity alone brought the car there: it stood since it was last pushed that way, or it crept at most when
-    that ended, rolls on for a second, and neither drag nor a brake that its ESC is sure to take for one can end that.
+    """Whether gravity alone brought the car there: since it was last pushed that way it stood, or it crept at most when
+    that ended and rolled on for a second; and drag was too weak to end that.
     """
     way = _way(contact)
-    if _coasts_mps2(record, record.samples[-1], way) > 0:
-        return False
     pushed = max((sample.at_s for sample in record.samples if sample.request * way > 0.02), default=0.0)
-    since = [sample for sample in record.samples if sample.at_s > pushed + 0.1]
+    since = [sample for sample in record.samples if sample.at_s > pushed + SETTLES_S]
+    coasts_mps2 = [_coasts_mps2(record, sample, way) for sample in since]
     if any(abs(sample.speed_mps) < STANDS_MPS for sample in since):
-        return True
-    can_brake = record.scene.kind == "measured" and way > 0
-    return len(since) * TICK_S > 1.0 and not can_brake and abs(since[0].speed_mps) < CREEPS_MPS
+        return min(coasts_mps2) <= 0
+    return len(since) * TICK_S > 1.0 and abs(since[0].speed_mps) < CREEPS_MPS and max(coasts_mps2) <= 0
+
+
+def _is_sure_to_brake(record, contact):
+    """Whether the page says that a stop brakes this car: forward, and well above ``esc/brake_margin``."""
+    esc = record.scene.esc
+    return record.scene.kind != "unverified" and contact.speed_mps > esc.brake_margin_mps + 0.1
