@@ -62,8 +62,9 @@ def summarize(verdicts: list) -> int:
     print(f"{len(verdicts)} drives, {sum(one.distance_m for one in verdicts):.0f} m, {clear} without a touch")
     print(f"{known} collisions with a known thing (0), {others} others ({OTHERS_SHARE:.0%}: "
           f"{OTHERS_SHARE * len(verdicts):.0f})")
-    print(f"whatever moved the car: {sum(one.is_collision and one.is_known for one in verdicts)} with an echo on that arc, "
-          f"{sum(one.is_collision and not one.is_known for one in verdicts)} without")
+    hits = [one for one in verdicts if one.is_collision]
+    print(f"whatever moved the car: {sum(one.is_known for one in hits)} with an echo on that arc, "
+          f"{sum(not one.is_known for one in hits)} without")
     return int(known > 0 or others > OTHERS_SHARE * len(verdicts))
 
 
