@@ -16,6 +16,10 @@ CURVATURES_PER_M = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
 SETTLED_S = 5.0
 WIDE_PER_M = 0.3  # up to here the speeds of the baseline are kept; tighter arcs go by the fan
 WIDE_SHARE, TIGHT_SHARE = 0.95, 0.80
+# Their recorded 2.67 m/s, of the 1.44 that docs/limits.md had, counted on a brake that a pause takes away: on level
+# ground such cars then coasted into a wall in plain view. They are held to the speed of an unverified ESC.
+COUNTED_ON_A_LAPSED_BRAKE = {f"{kind}, 4 m, mostly ahead, 0 1/m": "unverified, 4 m, mostly ahead, 0 1/m"
+                             for kind in ("not measured", "crawler")}
 CAR = CarConfig(becomes_reverse=False, hold_s=0.2, dwell_s=0.2, dead_band=0.05, drag_brake=0.0, motor_lag_s=0.05,
                 push_mps2=4.0, top_mps=8.0, brake_mps2=4.0, drag_mps2=0.4, breakaway_mps2=0.5, slope=0.0,
                 uphill_rad=0.0, steering_lag_s=0.05, grip_mps2=7.0)
@@ -42,7 +46,7 @@ def mean_mps(scene: Scene) -> float:
 def wanted_mps(name: str, scene: Scene, baseline: dict[str, float]) -> float:
     """How fast it should be at least."""
     if scene.driver.curvature_per_m <= WIDE_PER_M:
-        return WIDE_SHARE * baseline[name]
+        return WIDE_SHARE * baseline[COUNTED_ON_A_LAPSED_BRAKE.get(name, name)]
     return TIGHT_SHARE * bound_mps(scene)
 
 
