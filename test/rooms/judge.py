@@ -132,7 +132,7 @@ def _has_rolled(record, contact):
     that ended and rolled on for a second; and drag was too weak to end that.
     """
     way = _way(contact)
-    pushed = max((sample.at_s for sample in record.samples if sample.request * way > 0.02), default=0.0)
+    pushed = max((sample.at_s for sample in record.samples if sample.request * way > 0.02), default=-1.0)
     since = [sample for sample in record.samples if sample.at_s > pushed + SETTLES_S]
     coasts_mps2 = [_coasts_mps2(record, sample, way) for sample in since]
     if any(abs(sample.speed_mps) < STANDS_MPS for sample in since):
