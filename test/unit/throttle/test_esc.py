@@ -407,7 +407,8 @@ def test_stop_brakes_on_while_the_car_is_known_to_roll():
     (SEQUENCE, False, 0.6, False), (TURNS, True, 0.6, False)])
 def test_stop_holds_the_car_where_neutral_is_known_to_roll_and_the_brake_is_certain(
         profile, is_measured, rolls_mps, holds):
-    car = Car(profile, profile_measured=is_measured)
+    car = Car(profile, profile_measured=is_measured, armed=False)
+    car.stop(1.1)
     car.stick(0.5, 0.5, speed=0.5)
     car.stick(0.0, 0.3, speed=0.5)
     car.stick(0.0, 0.1, speed=rolls_mps)
