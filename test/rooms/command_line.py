@@ -14,7 +14,7 @@ from collections import Counter
 from functools import partial
 
 from . import empty
-from .drive import TAKES_AGE, run
+from .drive import run
 from .judge import CLASSES, ECHO, NONE, ROLLED, judge
 from .scene import random_scene
 
@@ -47,8 +47,6 @@ def main() -> int:
 
 def summarize(verdicts: list) -> int:
     """Print what happened by class; 0 = within what is demanded."""
-    if not TAKES_AGE:
-        print("odometry: its age is not told, ThrottleControl.update_odometry doesn't take it")
     for name in CLASSES:
         of_class = sorted((one for one in verdicts if one.name == name), key=lambda one: -one.speed_mps)
         hits = [one for one in of_class if one.is_collision]

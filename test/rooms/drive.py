@@ -5,7 +5,6 @@ sonars that fire one after another, and odometry that comes late with its true a
 """
 from __future__ import annotations
 
-import inspect
 import math
 import random
 from collections import deque
@@ -32,7 +31,6 @@ SOUND_MPS = 343.0
 HELD_S, BEGINS_S = 0.4, 1.6  # when the deadman is held, and when the driver begins
 DRIVE_S = 13.0
 STOOD_S = 4.0  # a car that stands for so long is done
-TAKES_AGE = "age_ns" in inspect.signature(ThrottleControl.update_odometry).parameters
 
 
 class Echo(NamedTuple):
@@ -164,8 +162,7 @@ class Odometry:
     def arrive(self, control: ThrottleControl, now_ns: int) -> None:
         speed = self._speeds[0]
         self.speed_mps = speed * (1 + self._rng.gauss(0, 0.01)) + self._rng.gauss(0, 0.01) if speed else 0.0
-        age = (self._late * STEP_NS,) if TAKES_AGE else ()
-        control.update_odometry(self.speed_mps, now_ns, *age)
+        control.update_odometry(self.speed_mps, now_ns, self._late * STEP_NS)
 
 
 class Hand:
