@@ -1,0 +1,119 @@
+"""obstacle_stop in random rooms, judged by room and car alone: a sample of ``python3 test/rooms``."""
+from __future__ import annotations
+
+import math
+import os
+
+import pytest
+from rooms import empty, fan
+from rooms.command_line import OTHERS_SHARE, verdict
+from rooms.drive import Contact, Echo, Record, Sample
+from rooms.judge import ECHO, LOST, NEVER, NONE, OTHER_ARC, RAN_AWAY, ROLLED, TURNED, judge
+from rooms.room import Outline, Pose, Post, Room, Side
+from rooms.scene import random_scene
+
+IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
+ROOMS = 1000 if IS_ALL else 60
+HALF_CONE_RAD = math.radians(15)
+
+
+@pytest.mark.once
+def test_car_is_no_faster_than_it_can_stop_for_what_gave_an_echo_on_its_arc():
+    verdicts = [verdict(seed) for seed in range(ROOMS)]
+    hits = [one for one in verdicts if one.is_collision]
+    assert [one for one in hits if one.name == ECHO] == []
+    others = [one for one in hits if one.name not in (ECHO, ROLLED)]
+    assert len(others) <= OTHERS_SHARE * ROOMS, others
+    assert sum(one.distance_m for one in verdicts) > ROOMS, "they hardly drive"
+
+
+@pytest.mark.once
+def test_most_cars_without_obstacle_stop_run_fast_into_something():
+    verdicts = [verdict(seed, stops=False) for seed in range(20)]
+    assert sum(one.speed_mps > 0.3 for one in verdicts) >= 15
+
+
+@pytest.mark.once
+def test_car_in_an_empty_room_is_not_slowed_more_than_its_fan_demands():
+    named, baseline = empty.scenes(), empty.read_baseline()
+    sample = named if IS_ALL else list(named)[::7]
+    speeds = {name: (empty.mean_mps(named[name]), empty.wanted_mps(name, named[name], baseline)) for name in sample}
+    assert {name: (mps, wanted_mps) for name, (mps, wanted_mps) in speeds.items() if mps < wanted_mps} == {}
+
+
+@pytest.mark.parametrize("thing, range_m", [
+    (Side("wall", 2.0, -5.0, 2.0, 5.0), 2.0),
+    (Side("seen_by_its_end_alone", 2.0, 0.5, 2.0, 5.0), math.hypot(2.0, 0.5)),
+    (Side("along_the_cone", 1.0, 0.1, 3.0, 0.1), math.hypot(1.0, 0.1)),
+    (Side("beside", 1.0, 0.5, 1.0, 3.0), None),
+    (Side("behind", -1.0, -3.0, -1.0, 3.0), None),
+    (Post("ahead", 2.0, 0.0, 0.1), 1.9),
+    (Post("at_the_edge", 2.0, 2.0 * math.tan(HALF_CONE_RAD), 0.1), 2.0 / math.cos(HALF_CONE_RAD) - 0.1),
+    (Post("beside", 1.0, 1.0, 0.1), None),
+    (Post("behind", -1.0, 0.0, 0.1), None)], ids=lambda value: getattr(value, "name", None))
+def test_cone_meets_the_nearest_place_in_it(thing, range_m):
+    for pose in (Pose(0.0, 0.0, 0.0), Pose(3.0, -2.0, 2.5)):  # wherever both stand
+        moved = (Post(thing.name, *pose.place(thing.x_m, thing.y_m), thing.radius_m) if isinstance(thing, Post) else
+                 Side(thing.name, *pose.place(thing.x1_m, thing.y1_m), *pose.place(thing.x2_m, thing.y2_m)))
+        met = Room((moved,)).first_in_cone(pose, HALF_CONE_RAD, 4.0)
+        assert met is None if range_m is None else met.range_m == pytest.approx(range_m)
+
+
+@pytest.mark.parametrize("thing, place", [
+    (Side("ahead", 0.42, -1.0, 0.42, 1.0), (0.42, 0.0)),
+    (Side("corner", 0.4, 0.1, 2.0, 0.1), (0.413, 0.1)),
+    (Side("just_ahead", 0.43, -1.0, 0.43, 1.0), None),
+    (Side("within", 0.1, 0.0, 0.2, 0.0), (0.15, 0.0)),
+    (Post("at_the_flank", 0.2, 0.19, 0.05), (0.2, 0.148)),
+    (Post("beyond_the_corner", 0.46, 0.182, 0.04), None)], ids=lambda value: getattr(value, "name", None))
+def test_outline_touches_what_it_overlaps(thing, place):
+    assert thing.touched(Pose(0.0, 0.0, 0.0), Outline()) == (place if place is None else pytest.approx(place))
+
+
+@pytest.mark.parametrize("curvature, range_m, driven_m", [
+    (0.0, 2.0, 1.99), (0.0, 4.0, 3.99),  # 6 mm of the range are behind the bumper
+    (1.0, 2.0, 0.945), (1.0, 4.0, 0.945)])  # cos(θ − 21.9°) = 1.3 / 1.537 with the edge at y = x − 0.3
+def test_fan_ends_at_the_range_or_at_the_edge_of_the_outer_cone(curvature, range_m, driven_m):
+    assert fan.free(curvature, range_m)[0] == pytest.approx(driven_m, abs=0.01)
+
+
+SCENE = next(one for one in map(random_scene, range(1000)) if one.kind == "measured" and not one.car.slope)
+
+
+def _record(echoes, curvatures=(0.0,) * 100, speed_mps=1.0, gravity_mps2=0.0, requests=(0.2,) * 100):
+    """Two seconds up to a wall at x = 0."""
+    samples = [Sample(number * 0.02, Pose((number - 100) * 0.02 * speed_mps, 0.0, 0.0), speed_mps, curvature,
+                      curvature, request, gravity_mps2, "")
+               for number, (curvature, request) in enumerate(zip(curvatures, requests))]
+    contact = Contact(2.0, speed_mps, curvatures[-1], curvatures[-1], "wall.0", 0.0, 0.0, 0.426, 0.0)
+    return Record(SCENE, samples, [Echo(at_s, "front_middle", 1.0, *rest) for at_s, *rest in echoes], contact, 2.0)
+
+
+STEERS_LATE = (0.3,) * 90 + (0.0,) * 10
+
+
+@pytest.mark.parametrize("record, name", [
+    (_record([(0.5, "wall.0", 0.0, 0.2, False)]), ECHO),
+    (_record([(0.5, "wall.0", 0.0, 0.2, False)], STEERS_LATE), OTHER_ARC),
+    (_record([(1.9, "wall.0", 0.0, 0.2, False)], STEERS_LATE), TURNED),
+    (_record([(1.9, "wall.0", 0.0, 0.2, False)], (0.3,) * 10 + (0.0,) * 90, 0.2), ECHO),
+    (_record([(0.5, "wall.0", 0.0, 0.2, True)]), LOST),
+    (_record([(0.5, "wall.0", 0.0, 0.3, False)]), NEVER),
+    (_record([(0.5, "wall.1", 0.0, 0.0, False)]), NEVER),
+    (_record([(0.5, "wall.0", 0.0, 0.0, False)], gravity_mps2=0.9, requests=(0.0,) * 100), ECHO),
+    (Record(SCENE, [], [], None, 3.0), NONE),
+], ids=["echo", "echo_before_it_steered", "too_late_to_stop", "early_enough_to_stop", "echo_lost",
+        "echo_of_another_part_of_the_wall", "echo_of_another_wall", "fast_downhill_is_no_excuse", "no_contact"])
+def test_collision_is_of_the_class(record, name):
+    assert judge(record).name == name
+
+
+def test_car_that_stood_and_was_not_pushed_since_has_rolled():
+    record = _record([(0.5, "wall.0", 0.0, 0.0, False)], gravity_mps2=0.9, requests=(0.2,) * 10 + (0.0,) * 90)
+    stood = [*record.samples]
+    stood[50] = stood[50]._replace(speed_mps=0.0)
+    slow = record.contact._replace(speed_mps=0.5)
+    assert judge(record._replace(samples=stood, contact=slow)).name == ROLLED
+    assert judge(record._replace(samples=stood)).name == RAN_AWAY
+    level = [sample._replace(gravity_mps2=0.0) for sample in stood]
+    assert judge(record._replace(samples=level)).name == ECHO
