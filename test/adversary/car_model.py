@@ -39,12 +39,13 @@ class CarModel:
     Attributes:
         speed_mps, wheel_mps: of the car, and of its wheels' tread; x_m: where it is.
         is_locked: the wheels are braked harder than the tyres hold.
+        hit_mps: at which a wall ahead stopped it in this step; 0 = none did.
     """
 
     def __init__(self, spec: CarSpec):
         self.spec = spec
         self.x_m = self.speed_mps = self.wheel_mps = 0.0
-        self.is_locked = False
+        self.is_locked, self.hit_mps = False, 0.0
         self._push = self._brake = 0.0
         self.ahead_m, self.behind_m = spec.wall_m, -spec.wall_behind_m
 
@@ -78,8 +79,9 @@ class CarModel:
             after = speed + (pushes - math.copysign(holds, speed)) * dt_s
             speed = 0.0 if after * speed <= 0 else after
         self.x_m += speed * dt_s
+        self.hit_mps = 0.0
         if self.x_m >= self.ahead_m and speed > 0:
-            self.x_m, speed = self.ahead_m, 0.0
+            self.x_m, self.hit_mps, speed = self.ahead_m, speed, 0.0
         elif self.x_m <= self.behind_m and speed < 0:
             self.x_m, speed = self.behind_m, 0.0
         self.speed_mps = speed

@@ -79,6 +79,7 @@ class Case(NamedTuple):
     odometry: Odometry
     human_scale: float = 0.5
     speed_mps: float = 0.0  # at which the script's push ends early; 0 = it doesn't
+    is_even: bool = False  # all delays are the middle ones
 
     @property
     def is_measured(self) -> bool:
@@ -129,6 +130,13 @@ class _Script:
         self.add(0.15, COAST, **({"value": 0.0, **fields} if "gear" in fields else fields))
         self.is_known = False
 
+    def reverse(self):
+        """As a person does it: brake until the car stands, center, pull and hold it."""
+        self.add(self.rng.uniform(0.8, 2.2), SECOND if self.pulls else HOLD, stick=-self.rng.uniform(0.6, 1.0))
+        self.add(self.rng.uniform(0.06, 0.6), COAST)
+        self.add(self.rng.uniform(1.6, 2.6), SECOND if self.is_known else ANY, stick=-self.rng.uniform(0.3, 1.0))
+        self.pulls += 2
+
     def by_stick(self, until_s):
         while self.now_s < until_s:
             action = self.rng.random()
@@ -139,10 +147,12 @@ class _Script:
                 self.stop()
             elif after < 0.6:
                 self.pull()
-            elif after < 0.8:
+            elif after < 0.7:
                 self.pull()
                 self.center()
-                self.pull(self.rng.choice((0.1, 1.8)))
+                self.pull()
+            elif after < 0.85:
+                self.reverse()
             else:
                 self.pull(0.5)
                 self.stop()
@@ -224,11 +234,36 @@ def _config(rng, group, profile, esc, car):
     return config
 
 
+def _random_faults(rng, script):
+    """Up to three, often at about the same time; some make a brake look as if it held the car, and blind the next one."""
+    if rng.random() < 0.1:
+        return _false_proof(rng, script)
+    faults = []
+    for _ in range(rng.choice((0, 1, 1, 2, 2, 3))):
+        fault = _random_fault(rng, script)
+        if faults and rng.random() < 0.5:
+            fault = make_fault(rng, fault.name, faults[0].start_s + rng.uniform(-0.3, 0.3))
+        faults.append(fault)
+    return faults
+
+
+def _false_proof(rng, script):
+    """During one brake the motor does nothing, or the car can't move; from then on odometry is lost."""
+    held = [at for at, segment in enumerate(script) if segment.want == HOLD]
+    if not held:
+        return []
+    at = rng.choice(held)
+    low_s, high_s = script[at - 1].end_s, script[at].end_s
+    name = rng.choice((CUT_FAULT, OFF, WALL))
+    fault = Fault(name, low_s + rng.uniform(0.0, 0.3), high_s + rng.uniform(0.0, 0.2), -1 if name == WALL else CUT_ALL)
+    return [fault, Fault(ODOMETRY_LOST, high_s + rng.uniform(0.0, 2.0), script[-1].end_s)]
+
+
 def _random_fault(rng, script):
     wants = [(low.end_s, high.end_s) for low, high in zip(script, script[1:]) if high.want in (STOP, HOLD, SECOND)]
     low_s, high_s = rng.choice(wants) if wants and rng.random() < 0.85 else (script[0].end_s, script[-1].end_s)
     start_s = rng.uniform(low_s - 0.3, min(high_s, low_s + 1.5))
-    name = rng.choice((*FAULTS, STALL, ODOMETRY_LATE, OFF))
+    name = rng.choice((*FAULTS, STALL, STALL, STALL, ODOMETRY_LATE, OFF))
     return make_fault(rng, name, start_s)
 
 
@@ -265,7 +300,7 @@ def random_case(seed: int) -> Case:
     script = _Script(rng, config["arming_time_s"])
     until_s = rng.uniform(4.0, 7.0)
     (script.by_stick if rng.random() < 0.6 else script.by_planner)(until_s)
-    faults = [_random_fault(rng, script.segments) for _ in range(rng.choice((0, 1, 1, 2, 2, 3)))]
+    faults = _random_faults(rng, script.segments)
     return Case(str(seed), group, config, esc, car, script.segments, sorted(faults, key=lambda each: each.start_s),
                 _random_odometry(rng), rng.uniform(0.3, 1.0))
 
@@ -280,9 +315,12 @@ SWEEP_KINDS = ([("right", kind, kind, False) for kind in KINDS] + [("right", BTR
                + [(UNVERIFIED, UNVERIFIED, kind, False) for kind in KINDS]
                + [("wrong", profile, kind, False) for profile, kind in WRONG[:-1]])
 SWEEP_STOPS = ("deadman", "e-stop", "silent planner", "pull", "planner's hold")
-SWEEP_FAULTS = (*FAULTS, "stall and output late", "stall and output lost", "cut-off and odometry lost",
-                "wall and odometry lost", "pull and stall")
+# What made it look as if a brake held the car before, if anything did; and what goes wrong later, at once.
+SWEEP_FAULTS = (*(("", name) for name in FAULTS), ("", STALL, OUTPUT_LATE), ("", STALL, OUTPUT_LOST),
+                ("", ODOMETRY_LOST, CUT_FAULT), ("", ODOMETRY_LOST, WALL), ("brake", STALL),
+                *((before, ODOMETRY_LOST) for before in (CUT_FAULT, WALL, OFF)))
 SWEEP_START_S, SWEEP_OFFSETS, SWEEP_STEP_S = -0.2, 180, 0.01
+PROOF_S = 2.4  # a brake that holds the car before, and a push
 SWEEP_CASES = len(SWEEP_KINDS) * len(SWEEP_FAULTS) * SWEEP_OFFSETS
 
 
@@ -302,19 +340,18 @@ def sweep_case(index: int) -> Case:
     odometry = Odometry(0.02, rng.choice((0.01, 0.03)))
     begins_s = 0.77 + rng.uniform(0.7, 1.1)
     start_s = begins_s + SWEEP_START_S + SWEEP_STEP_S * moment
-    name = SWEEP_FAULTS[fault]
+    before, *names = SWEEP_FAULTS[fault]
     slows = SWEEP_STOPS[moment % len(SWEEP_STOPS)]
-    names = name.split(" and ")
     rng = random.Random(f"sweep {index}")
-    if names[0] == "pull":  # a person's brake that held the car before gives the rules what they may take for a proof
-        names = names[1:]
-    faults = [make_fault(rng, each, start_s) for each in names]
+    script = _sweep_script(slows, begins_s, bool(before), config["arming_time_s"])
+    if before:
+        begins_s, start_s = begins_s + PROOF_S, start_s + PROOF_S
+    faults = [make_fault(rng, name, start_s) for name in names]
     if len(faults) > 1:
         faults[1] = faults[1]._replace(end_s=max(faults[0].end_s, faults[1].end_s) + 0.3)
-    script = _sweep_script(slows, begins_s, name.startswith("pull"), config["arming_time_s"])
-    if name.startswith("pull"):
-        later_s = script[-2].end_s - begins_s
-        faults = [each._replace(start_s=each.start_s + later_s, end_s=each.end_s + later_s) for each in faults]
+    if before in FAULTS or before == OFF:
+        faults = [faults[0]._replace(end_s=script[-1].end_s),
+                  Fault(before, begins_s - PROOF_S + 0.05, begins_s - 0.75, -1 if before == WALL else CUT_ALL)]
     return Case(f"s{index}", group, config, esc, car, script, faults, odometry, 0.6)
 
 
@@ -326,7 +363,7 @@ def _sweep_script(slows, begins_s, pulls_before, arming_s):
     script = [Segment(ready_s, COAST, deadman=False, **ways), Segment(ready_s + 0.12, COAST, **ways)]
     if pulls_before:
         script += [Segment(begins_s, DRIVE, **pushes), Segment(begins_s + 1.6, HOLD, stick=-0.8, **ways)]
-        begins_s += 2.4
+        begins_s += PROOF_S
     script.append(Segment(begins_s, DRIVE, **pushes))
     ends_s = begins_s + 2.4
     if slows == "silent planner":

@@ -13,10 +13,13 @@ from typing import Iterable, NamedTuple
 from adversary.car_model import CarSpec
 from adversary.cases import SWEEP_CASES, UNVERIFIED, Case, Odometry, Segment, random_case, sweep_case
 from adversary.esc_model import BBR, BTR, DIRECT, FORWARD_ONLY, KINDS, EscSpec
-from adversary.world import World
+from adversary.world import HIT, LOCKED, World
 
 ENDED_S = 0.5  # after odometry that shows it: a wrong kind's, and an ESC's that was powered under a pull
-APART = ("no stamp", "powered under a pull", "powered", "locked")  # told apart, the first that applies
+# Wheels that a wall stops, or that lock, all at once: no rule can know before odometry shows it, and that the message,
+# the timer, the board and the pulse have passed.
+STOOD_S, UNSEEN_S = 0.1, 0.5
+APART = ("no stamp", "powered under a pull", "powered", LOCKED, HIT)  # told apart, the first that applies
 WORST = 12
 
 
@@ -39,8 +42,10 @@ class Found(NamedTuple):
 
     @property
     def is_failure(self) -> bool:
-        if self.apart in ("no stamp", "powered", "locked"):
+        if self.apart in ("no stamp", "powered"):
             return False
+        if self.apart in (LOCKED, HIT):
+            return self.reversal.stood_s > STOOD_S or self.reversal.stopped_s > UNSEEN_S
         if self.apart or self.group == "wrong" and self.reversal.want != "stop":
             return not self.is_ended
         return True
@@ -122,10 +127,10 @@ def stop_cases() -> Iterable[tuple[str, Case]]:
                 script = [Segment(0.7, "coast", deadman=False), Segment(0.9, "coast")]
                 if knowledge == PROVED:
                     script += [Segment(1.9, "any", stick=1.0), Segment(5.0, "hold", stick=-0.6), Segment(5.6, "coast")]
-                script += [Segment(script[-1].end_s + 20.0, "drive", stick=1.0)]
+                script += [Segment(script[-1].end_s + 20.0, "drive", stick=0.4 if speed_mps <= 2 else 1.0)]
                 script += [Segment(script[-1].end_s + 30.0, "stop", deadman=False)]
                 yield name, Case(name, "right", config, EscSpec(kind), CarSpec(top_mps=15.0), script, [],
-                                 Odometry(0.02, 0.01), 0.6, speed_mps)
+                                 Odometry(0.02, 0.01), 0.6, speed_mps, is_even=True)
 
 
 def stop_distances() -> dict[str, float]:

@@ -12,9 +12,11 @@ import random
 from dataclasses import replace
 from typing import NamedTuple
 
+from adversary.car_model import CarModel
 from adversary.cases import (
     ANY,
     AUTONOMOUS,
+    COAST,
     CUT_FAULT,
     DEATH,
     DRIVE,
@@ -53,7 +55,10 @@ WAY_NS = 80 * MS  # from a wish to the ESC: message, timer, board, pulse
 LINGERS_NS = 350 * MS  # a wanted reverse has ended so long after it was wanted
 STANDS_MPS = 0.35  # a second pull of a stick above it is a brake
 SHOWN_MPS, SLIGHTLY_MPS = -0.2, -0.05  # odometry that shows backward motion: as esc/motion_speed, and at all
+STANDSTILL_MPS, HIT_MPS = 0.1, 0.05  # odometry that shows standstill; a wall that stops the car all at once
 RECENT_NS = 1000 * MS  # a fault that ended so recently is named
+SUDDEN_NS = 300 * MS  # a brake that becomes reverse so soon after the wheels stopped all at once comes of that
+LOCKED, HIT = "locked", "hit a wall"
 
 _INPUT, _ODOMETRY, _OUTPUT = range(3)
 
@@ -67,6 +72,8 @@ class Reversal(NamedTuple):
         lowest_mps, lasts_s: the speed, and how long the ESC drove the motor backward.
         shown_s: how long it went on after odometry that shows it; NaN: none did.
         slightly_s: the same, of the first odometry below −0.05 m/s.
+        stood_s: when it ended, after odometry that shows wheels which a wall or the brake stopped all at once.
+        stopped_s: the same, after they stopped.
     """
 
     at_s: float
@@ -76,6 +83,8 @@ class Reversal(NamedTuple):
     lasts_s: float
     shown_s: float
     slightly_s: float
+    stood_s: float
+    stopped_s: float
 
 
 class Result(NamedTuple):
@@ -97,8 +106,8 @@ class World:
 
     def __init__(self, case: Case, tells: bool = False):
         self.case = case
-        self.rng = random.Random(f"world {case.name}")
-        self.esc, self.car = EscModel(case.esc), _car(case)
+        self.rng = _Even() if case.is_even else random.Random(f"world {case.name}")
+        self.esc, self.car = EscModel(case.esc), CarModel(case.car)
         self.story = [] if tells else None
         self.now_ns = START_NS
         rng = self.rng
@@ -115,7 +124,9 @@ class World:
         self.duty, self.sent_ns = None, 0
         self.was_blocked = False
         self.away_ns = None  # since when the arbiter is away
+        self.wheels_stand_ns = self.seen_ns = None  # since when, all at once, and when odometry showed it
         self.skip_s, self.index, self.stop_m = 0.0, 0, math.nan
+        self.segment_ns = START_NS  # when the script's present one began
         self.sent_segment = None
         self.ticks = 0
         self.last_odometry = (math.nan, START_NS - S)  # what arrived, when
@@ -164,8 +175,11 @@ class World:
         esc, car = self.esc, self.car
         esc.step(self.pulse, car.wheel_mps, STEP_NS / S)
         car.step(esc.motor, esc.level, self.case.esc.drag_brake if esc.is_on else 0.0, STEP_NS / S)
-        if car.is_locked:
-            self.latest_ns["locked"] = now_ns
+        if car.is_locked or car.hit_mps > HIT_MPS:
+            name = LOCKED if car.is_locked else HIT
+            if now_ns - self.latest_ns.get(name, 0) > RECENT_NS:
+                self.wheels_stand_ns, self.seen_ns = now_ns, None
+            self.latest_ns[name] = now_ns
         if esc.motor == FORWARD:
             self.pushed_after_power, self.power = True, None
         self._judge(segment)
@@ -177,6 +191,7 @@ class World:
         while self.index < len(script) - 1 and now_s >= script[self.index].end_s:
             self._end_of_second()
             self.index += 1
+            self.segment_ns = self.now_ns
             if script[self.index].want in (SECOND, ANY):
                 self._begin_second(script[self.index], now_s)
             if script[self.index].want in (STOP, HOLD):
@@ -276,6 +291,8 @@ class World:
         if kind == _ODOMETRY:
             speed, stamp_ns = content
             self.last_odometry = speed, self.now_ns
+            if self.wheels_stand_ns and not self.seen_ns and stamp_ns > self.wheels_stand_ns and speed < STANDSTILL_MPS:
+                self.seen_ns = self.now_ns
             if TAKES_AGE:
                 control.update_odometry(speed, now_ns, now_ns - stamp_ns if self.case.odometry.is_stamped else 0)
             else:
@@ -345,10 +362,12 @@ class World:
         self.back_ns, self.shown_ns, self.slightly_ns, self.lowest_mps = now_ns, None, None, self.car.speed_mps
         self.back = None
         if not away and now_ns - self.reverse_wanted_ns > WAY_NS:
-            self.back = segment.want, self._named(now_ns)
+            is_new = segment.want in (DRIVE, COAST) and now_ns - self.segment_ns <= WAY_NS
+            self.back = self.case.script[self.index - bool(is_new)].want, self._named(now_ns)
 
     def _named(self, now_ns):
-        named = {name for name, at_ns in self.latest_ns.items() if now_ns - at_ns <= RECENT_NS}
+        named = {name for name, at_ns in self.latest_ns.items()
+                 if now_ns - at_ns <= (SUDDEN_NS if name in (LOCKED, HIT) else RECENT_NS)}
         odometry = self.case.odometry
         if self.power:
             named.add(self.power)
@@ -380,7 +399,8 @@ class World:
                 return math.nan if at_ns is None else (self.now_ns - at_ns) / S
             self.reversals.append(Reversal(
                 (self.back_ns - START_NS) / S, *self.back, self.lowest_mps, since(self.back_ns), since(self.shown_ns),
-                since(self.slightly_ns)))
+                since(self.slightly_ns), since(self.seen_ns),
+                since(self.wheels_stand_ns)))
         self.back_ns = None
 
     def _begin_second(self, segment, now_s):
@@ -414,9 +434,24 @@ class World:
             f"{' REVERSAL' if self.back_ns is not None and self.back else ''}")
 
 
-def _car(case):
-    from adversary.car_model import CarModel
-    return CarModel(case.car)
+class _Even:
+    """In the place of a random generator: the middle, so that two versions' stops are compared under equal delays."""
+
+    @staticmethod
+    def randrange(low, high=None):
+        return low // 2 if high is None else (low + high) // 2
+
+    @staticmethod
+    def uniform(low, high):
+        return (low + high) / 2
+
+    @staticmethod
+    def gauss(mean, _sigma):
+        return mean
+
+    @staticmethod
+    def random():
+        return 0.5
 
 
 def _channels(profile):
