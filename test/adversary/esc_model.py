@@ -107,7 +107,6 @@ class EscModel:
             self._next = _REVERSES
         elif self._next == _BACKWARD:
             self._next = _REVERSES
-        self._pull_s = 0.0
 
     def _pushed(self, wheel_mps, dt_s):
         self._neutral_s = self._pull_s = self._stand_s = 0.0
@@ -131,8 +130,8 @@ class EscModel:
             rolls = wheel_mps > (self.spec.roll_mps if kind == BBR else 0.02)
             self._stand_s = 0.0 if rolls else self._stand_s + dt_s
             motor = BACKWARD if self._stand_s > (self.spec.hold_s if kind == BBR else 0.0) else BRAKE
+        self._pull_s = dt_s if self._neutral_s else self._pull_s + dt_s
         self._neutral_s = self._forward_s = 0.0
-        self._pull_s += dt_s
         if motor == BACKWARD:
             self._next = _BACKWARD
         return motor

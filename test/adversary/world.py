@@ -126,6 +126,7 @@ class World:
         self.away_ns = None  # since when the arbiter is away
         self.wheels_stand_ns = self.seen_ns = None  # since when, all at once, and when odometry showed it
         self.skip_s, self.index, self.stop_m = 0.0, 0, math.nan
+        self.released_ns = START_NS  # when the deadman was released last
         self.segment_ns = START_NS  # when the script's present one began
         self.sent_segment = None
         self.ticks = 0
@@ -192,6 +193,8 @@ class World:
             self._end_of_second()
             self.index += 1
             self.segment_ns = self.now_ns
+            if not script[self.index].deadman:
+                self.released_ns = self.now_ns
             if script[self.index].want in (SECOND, ANY):
                 self._begin_second(script[self.index], now_s)
             if script[self.index].want in (STOP, HOLD):
@@ -411,8 +414,13 @@ class World:
         is_due = (segment.want == SECOND and segment.end_s - now_s >= 1.5 + min(0.4, late_s)
                   and abs(self.car.wheel_mps) < 0.05 and abs(9.81 * case.car.slope) < case.car.drag_mps2
                   and case.group != "wrong" and case.esc.kind != FORWARD_ONLY and self.esc.is_on
-                  and self.away_ns is None and not self.power)
+                  and self.away_ns is None and not self.power and self._is_untroubled())
         self.second = [self.now_ns, self.index, False] if is_due else None
+
+    def _is_untroubled(self):
+        """Whether nothing that must be re-armed or that arms the ESC anew has gone wrong since the last release."""
+        troubles = [at_ns for name, at_ns in self.latest_ns.items() if name not in (ODOMETRY_LATE, ODOMETRY_LOST)]
+        return max(troubles, default=0) < self.released_ns - S
 
     def _end_of_second(self):
         if self.second:
