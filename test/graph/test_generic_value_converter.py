@@ -42,10 +42,13 @@ class Converter:
         self.run(0.0)
         return [record.message.data for record in self.graph.recorded[VALUE][count:]]
 
-    def odometry(self, velocity, stamp=None):
-        """Repeat it from now on."""
-        message = odometry(velocity)
-        message.header.stamp = rospy.Time(nsecs=self.graph.now_ns + self.graph.ros_ahead_ns) if stamp is None else stamp
+    def odometry(self, velocity, stamp=None, age_s=0.0):
+        """Repeat it from now on, stamped when it was measured."""
+        def message():
+            measured = odometry(velocity)
+            measured_ns = self.graph.now_ns + self.graph.ros_ahead_ns - round(age_s * NS_PER_S)
+            measured.header.stamp = rospy.Time(nsecs=measured_ns) if stamp is None else stamp
+            return measured
         self.graph.hold(f"{NAME}/input/odometry", message, 25)
         self.run(0.0)
 
@@ -99,17 +102,45 @@ def test_numbers_that_are_none_have_no_output_and_are_warned_of(number):
     assert converter.state.reason == f"the velocity in the odometry is {number}"
 
 
-@pytest.mark.parametrize("stamp_s, text", [
-    (0, "is zero"), (-86_400, "is 86400 s in the past"), (86_400, "is 86400 s in the future")])
-def test_odd_stamps_are_told_once_and_obeyed(stamp_s, text):
+@pytest.mark.parametrize("stamp_s, text, of_odometry", [
+    (0, "is zero", ""),
+    (-86_400, "is 86400 s in the past", None),
+    (86_400, "is 86400 s in the future", "odometry: the stamp is 86400.00 s in the future: its age counts from arrival "
+                                         "alone")])
+def test_odd_stamps_are_told_once_and_obeyed_but_an_old_velocity_isnt(stamp_s, text, of_odometry):
     converter = Converter()
     stamp = rospy.Time(nsecs=converter.graph.now_ns + converter.graph.ros_ahead_ns) + rospy.Duration(stamp_s)
     stamp = stamp if stamp_s else rospy.Time(0)
     converter.odometry(1.0, stamp)
-    assert converter.command(-100.0, 100.0, stamp=stamp) == [LOWEST, HIGHEST]
-    first, second = converter.warnings()
-    assert re.match(f"the stamp of odometry ({text}).*; it's obeyed all the same", first), first
-    assert second == first.replace("odometry", "control_cmd")
+    values = converter.command(-100.0, 100.0, stamp=stamp)
+    assert values == ([LOWEST, HIGHEST] if of_odometry is not None else [])
+    *told, of_command = [line for line in converter.warnings() if "no output" not in line]
+    assert told == [of_odometry] * bool(of_odometry)
+    assert re.match(f"the stamp of control_cmd {text}.*; it's obeyed all the same", of_command), of_command
+
+
+def test_a_velocity_is_as_old_as_its_stamp_says():
+    converter = Converter()
+    converter.odometry(1.0, age_s=0.45)
+    assert len(converter.command(1.0)) == 1
+    converter.odometry(1.0, age_s=0.55)
+    assert not converter.command(1.0)
+    assert converter.state.reason == "odometry is 0.55 s old by its stamp"
+
+
+@pytest.mark.parametrize("step_s", [-3600, 3600])
+def test_a_clock_that_is_set_makes_no_velocity_old(step_s):
+    converter = Converter()
+    converter.odometry(1.0, age_s=0.1)
+    converter.run(2.0)
+    converter.graph.ros_ahead_ns += step_s * NS_PER_S
+    for _ in range(100):
+        converter.run(0.02)
+        assert len(converter.command(1.0)) == 1
+    assert [line for line in converter.warnings() if "ROS time" in line] == [
+        f"odometry: ROS time was set by {step_s:.1f} s: for a second after that ages count from arrival alone"]
+    converter.odometry(1.0, age_s=0.55)
+    assert not converter.command(1.0)
 
 
 def test_state_has_the_value_or_why_there_is_none_when_the_cause_changes_and_once_a_second():

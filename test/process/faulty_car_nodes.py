@@ -2,6 +2,7 @@
 """car_nodes whose parts fail on request: an Empty on /fail/PART raises, a Float32 on /hang/PART is slept, there."""
 from __future__ import annotations
 
+import sys
 import time
 
 from std_msgs.msg import Empty, Float32
@@ -15,7 +16,11 @@ def faulty(name, node_class):
         def __init__(self, params, inbox):
             super().__init__(params, inbox)
             subscribe(f"/fail/{name}", Empty, inbox, self._fail)
-            subscribe(f"/hang/{name}", Float32, inbox, lambda message, now_ns: time.sleep(message.data))
+            subscribe(f"/hang/{name}", Float32, inbox, self._hang)
+
+        def _hang(self, message, now_ns):
+            print(f"{name} hangs", file=sys.stderr, flush=True)
+            time.sleep(message.data)
 
         def _fail(self, message, now_ns):
             raise ZeroDivisionError("asked for")

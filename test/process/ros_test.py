@@ -101,6 +101,7 @@ class Parts(Closing):
     def test_part_that_hangs_keeps_neither_the_others_nor_the_end(self):
         self.start()
         self.sender("/hang/teensy_sensor_hub", Float32).publish(Float32(60.0))
+        self.process.wait_for_line("teensy_sensor_hub hangs")
         self.repeater.hold(self.sender("/teleop_logi/tele_steer_req", Float32), Float32(-1.0))
         self.chip.wait_for(0, lambda counts: counts == RIGHT)
         self.check_end(lambda: self.process.send(signal.SIGTERM), 1)

@@ -35,7 +35,7 @@ class MeasuredSpeed:
         self._anchor_ns, self._anchor_mps = None, 0.0  # where the acceleration is measured from
         self._gain_mps2 = 0.0  # by which its magnitude rises
         self._period_s, self._periods = MAX_PERIOD_S, 0  # of the reports: the mean of about eight, and how many
-        self._updated_ns: int | None = None
+        self._updated_ns: int | None = None  # when the newest was measured
         self._magnitude_mps = 0.0  # of the car, also while its wheels slide
 
     @property
@@ -43,24 +43,27 @@ class MeasuredSpeed:
         """Whether there ever was one."""
         return self._speed.was_received
 
-    def update(self, speed_mps: float, now_ns: int) -> None:
-        """A speed that has arrived."""
+    def update(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """A speed that has arrived, and how old it was then."""
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._speed.mark_stale(f"it was {speed_mps}")
             return
+        measured_ns = now_ns - max(0, age_ns)
+        if self._updated_ns is not None:
+            measured_ns = max(measured_ns, self._updated_ns)
         if self._anchor_ns is None or self._speed.is_stale(now_ns):
-            self._anchor_ns, self._anchor_mps, self._gain_mps2 = now_ns, speed_mps, 0.0
-        elif now_ns - self._anchor_ns >= WINDOW_NS:
-            gain_mps2 = (abs(speed_mps) - abs(self._anchor_mps)) * NS_PER_S / (now_ns - self._anchor_ns)
+            self._anchor_ns, self._anchor_mps, self._gain_mps2 = measured_ns, speed_mps, 0.0
+        elif measured_ns - self._anchor_ns >= WINDOW_NS:
+            gain_mps2 = (abs(speed_mps) - abs(self._anchor_mps)) * NS_PER_S / (measured_ns - self._anchor_ns)
             self._gain_mps2 = max(0.0, min(MAX_ACCELERATION_MPS2, gain_mps2))
-            self._anchor_ns, self._anchor_mps = now_ns, speed_mps
-        self._speed.update(speed_mps, now_ns)
-        elapsed_s = MAX_PERIOD_S if self._updated_ns is None else (now_ns - self._updated_ns) / NS_PER_S
+            self._anchor_ns, self._anchor_mps = measured_ns, speed_mps
+        self._speed.update(speed_mps, now_ns, age_ns)
+        elapsed_s = MAX_PERIOD_S if self._updated_ns is None else (measured_ns - self._updated_ns) / NS_PER_S
         self._magnitude_mps = self._believed_mps(abs(speed_mps), elapsed_s)
         if self._updated_ns is not None:
             self._periods = min(8, self._periods + 1)
             self._period_s += (min(elapsed_s, MAX_PERIOD_S) - self._period_s) / self._periods
-        self._updated_ns = now_ns
+        self._updated_ns = measured_ns
 
     def _believed_mps(self, measured_mps, elapsed_s):
         """The car's speed by that of its wheels."""
@@ -84,14 +87,14 @@ class MeasuredSpeed:
 
     def is_late(self, now_ns: int) -> bool:
         """Whether reports are missing that should have come; before the speed is lost."""
-        return self._speed.age_s(now_ns) > self._late_s
+        return self._speed.silence_s(now_ns) > self._late_s
 
     def lost_reason(self, now_ns: int) -> str:
         """Why it is lost, in words."""
         return self._speed.stale_reason(now_ns)
 
     def age_s(self, now_ns: int) -> float:
-        """Seconds since the newest; inf = never received."""
+        """The age of the newest in seconds; inf = never received."""
         return self._speed.age_s(now_ns)
 
     @property
@@ -107,9 +110,10 @@ class MeasuredSpeed:
     def highest_mps(self, now_ns: int) -> float:
         """The magnitude that it may have when a command of now takes effect; when it is lost this stays.
 
-        It rises as it did, and while reports are missing as by full throttle. Only to be asked for once there was one.
+        It rises as it did, and as by full throttle in the time of which nothing is known: while reports are missing, and
+        for as long as they are late by their stamps. Only to be asked for once there was one.
         """
-        age_s = self._speed.age_s(now_ns)
-        unseen_s = min(age_s, self._late_s) - self._period_s - UNSEEN_AFTER_S
-        return (self._magnitude_mps + self._gain_mps2 * min(MAX_AHEAD_S, age_s + ACTUATION_S)
-                + (UNSEEN_MPS2 * unseen_s if unseen_s > 0 else 0.0))
+        speed = self._speed
+        unseen_s = min(speed.silence_s(now_ns), self._late_s) + speed.was_late_s - self._period_s - UNSEEN_AFTER_S
+        return (self._magnitude_mps + self._gain_mps2 * min(MAX_AHEAD_S, speed.age_s(now_ns) + ACTUATION_S)
+                + UNSEEN_MPS2 * max(0.0, unseen_s))

@@ -1,6 +1,7 @@
 """The newest value of an input and whether it is stale.
 
-Age is measured from arrival on the monotonic clock: stamps in messages can be wrong, and ROS time can be set.
+Age is measured from arrival on the monotonic clock: stamps in messages can be wrong, and ROS time can be set. What a
+message's stamp says of its age (``ros.stamps``) can only add to it.
 """
 from __future__ import annotations
 
@@ -25,13 +26,14 @@ class TimedInput:
         self.value = None
         self._timeout_ns = round(timeout_s * NS_PER_S) if timeout_s else math.inf
         self._arrival_ns = None
+        self._age_ns = 0  # at arrival
         self.is_marked_stale = False
         self._stale_since = DROPPED
 
-    def update(self, value, now_ns: int) -> None:
-        """Store ``value``, which arrived at ``now_ns``."""
+    def update(self, value, now_ns: int, age_ns: int = 0) -> None:
+        """Store ``value``, which arrived at ``now_ns`` and was as old as ``age_ns`` then."""
         self.value = value
-        self._arrival_ns = now_ns
+        self._arrival_ns, self._age_ns = now_ns, max(0, age_ns)
         self.is_marked_stale = False
 
     def mark_stale(self, since: str = DROPPED) -> None:
@@ -49,16 +51,28 @@ class TimedInput:
 
     def is_stale(self, now_ns: int) -> bool:
         """Whether it was never received, is older than its timeout, or was marked stale since."""
-        return self._arrival_ns is None or self.is_marked_stale or now_ns - self._arrival_ns > self._timeout_ns
+        return (self._arrival_ns is None or self.is_marked_stale
+                or now_ns - self._arrival_ns + self._age_ns > self._timeout_ns)
 
     def age_s(self, now_ns: int) -> float:
-        """Seconds since the last message; inf = never received."""
+        """The age of the last message in seconds; inf = never received."""
+        return self.silence_s(now_ns) + self.was_late_s
+
+    @property
+    def was_late_s(self) -> float:
+        """How old the last message was when it arrived, in seconds; 0 = not known to be late."""
+        return self._age_ns / NS_PER_S
+
+    def silence_s(self, now_ns: int) -> float:
+        """Seconds since the last message arrived; inf = never received."""
         return math.inf if self._arrival_ns is None else max(0, now_ns - self._arrival_ns) / NS_PER_S
 
     def stale_reason(self, now_ns: int) -> str:
-        """Why it is stale, for a reason: ``human_in_loop silent for 0.52 s``."""
+        """Why it is stale, for a reason: ``human_in_loop silent for 0.52 s``, ``odom is 0.63 s old by its stamp``."""
         if not self.was_received:
             return f"{self.name} was never heard"
         if self.is_marked_stale:
             return f"{self.name} was not heard since {self._stale_since}"
-        return f"{self.name} silent for {self.age_s(now_ns):.2f} s"
+        if self._age_ns > now_ns - self._arrival_ns:
+            return f"{self.name} is {self.age_s(now_ns):.2f} s old by its stamp"
+        return f"{self.name} silent for {self.silence_s(now_ns):.2f} s"

@@ -30,7 +30,7 @@ from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.ros_clock import RosClock
 from car_interface.ros.runtime import run
-from car_interface.ros.stamps import odd_stamp
+from car_interface.ros.stamps import StampedAge, odd_stamp
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.throttle.converter import Conversion, ConversionConfig, Converter
@@ -103,6 +103,7 @@ class GenericValueConverter:
         self._diagnostics = Diagnostics(inbox, "none", {"converter": self._report, **self._command_topics.reports},
                                         now_ns)
         self._ros_clock = RosClock(inbox.clocks)
+        self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._values = advertise("~output/value", Float64Stamped, inbox)
         self._states = advertise("~state", ConverterState, inbox, latch=True)
         inbox.on_overflow(self._on_overflow)
@@ -127,9 +128,9 @@ class GenericValueConverter:
         self._converter.mark_stale()
 
     def _on_odometry(self, message, now_ns):
-        self._note_odd_stamp("odometry", message.header.stamp)
         velocity = message.twist.twist.linear.x
-        self._converter.update_odometry(velocity, now_ns)
+        age_ns = self._odometry_age.at_arrival_ns(message.header.stamp, now_ns)
+        self._converter.update_odometry(velocity, now_ns, age_ns)
         if not math.isfinite(velocity):
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {velocity}: no output")
 

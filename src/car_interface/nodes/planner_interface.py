@@ -55,7 +55,7 @@ from car_interface.ros.ackermann_messages import ackermann_drive_class
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
-from car_interface.ros.stamps import odd_stamp
+from car_interface.ros.stamps import StampedAge, odd_stamp
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe, subscribe_any
 from car_interface.steering.limits import TOO_TIGHT_FOR_NS, TOO_TIGHT_REMEDY
@@ -111,6 +111,7 @@ class PlannerInterface:
         self._gear_number = None  # the newest of ~input/gear_cmd
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
+        self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = self._command = None
@@ -206,7 +207,8 @@ class PlannerInterface:
         self._obey(not_finite(av_speed_req=message.data) or PlannerRequest(None, message.data), now_ns)
 
     def _on_odometry(self, message, now_ns):
-        self._control.update_odometry(message.twist.twist.linear.x, now_ns)
+        age_ns = self._odometry_age.at_arrival_ns(message.header.stamp, now_ns)
+        self._control.update_odometry(message.twist.twist.linear.x, now_ns, age_ns)
 
     def _on_throttle(self, message, now_ns):
         self._control.update_throttle(message.source, message.asked, message.granted, message.esc_cause, now_ns)

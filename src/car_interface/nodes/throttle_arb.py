@@ -65,6 +65,7 @@ from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import one_channel_duty
+from car_interface.ros.stamps import StampedAge
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, source_name
@@ -100,6 +101,7 @@ class ThrottleArb:
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._notices = ThrottledWarnings(inbox.clocks, rospy.loginfo)
+        self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._now_ns = now_ns  # of the newest decision
@@ -192,7 +194,7 @@ class ThrottleArb:
 
     def _on_odometry(self, message, now_ns):
         speed_mps = message.twist.twist.linear.x
-        self._control.update_odometry(speed_mps, now_ns)
+        self._control.update_odometry(speed_mps, now_ns, self._odometry_age.at_arrival_ns(message.header.stamp, now_ns))
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE,
                                 f"the velocity in the odometry is {speed_mps}: the planner doesn't drive")
@@ -203,7 +205,7 @@ class ThrottleArb:
 
     def _on_planner_state(self, message, now_ns):
         no_request = None if message.cause == causes.PLANNER else NoValue(message.cause, message.reason)
-        self._arbiter.update_planner_state(message.gear, no_request, now_ns)
+        self._arbiter.update_planner_state(message.gear, no_request, now_ns, message.speed)
 
     def _on_steering(self, message, now_ns):
         self._arbiter.update_steering(message.source, message.reason, now_ns)

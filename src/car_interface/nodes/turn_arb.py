@@ -52,6 +52,7 @@ from car_interface.ros.interlock_topics import subscribe_interlock
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.servo_messages import one_channel_duty
+from car_interface.ros.stamps import StampedAge
 from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
@@ -107,6 +108,7 @@ class TurnArb:
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._notices = ThrottledWarnings(inbox.clocks, rospy.loginfo)
+        self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = None
@@ -176,7 +178,7 @@ class TurnArb:
 
     def _on_odometry(self, message, now_ns):
         speed_mps = message.twist.twist.linear.x
-        self._arbiter.update_odometry(speed_mps, now_ns)
+        self._arbiter.update_odometry(speed_mps, now_ns, self._odometry_age.at_arrival_ns(message.header.stamp, now_ns))
         if not math.isfinite(speed_mps):
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE,
                                 f"the velocity in the odometry is {speed_mps}: the limits go by the last speed")

@@ -13,6 +13,10 @@ from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_MS
 from car_interface.pca9685.registers import counts_of_duty
 
+# An ESC may take a pull, which was a brake, for reverse once the car stands. Whoever commands it sees to it that the car
+# rolls for as long as this after each command, and repeats it within half of that.
+PULL_TIMEOUT_MS = 80
+
 
 @dataclass(frozen=True)
 class ChannelConfig:
@@ -23,6 +27,8 @@ class ChannelConfig:
         timeout_value: duty 0..65535; 0 = off. Not subject to the limits.
         pwm_min, pwm_max: commanded duties are clamped to these, 0 too.
         live_range: the largest change of the timeout value by ``follow``, in duty; 0 = none.
+        pulls: on which side of the timeout value a duty is a pull of an ESC's that may become reverse, −1 below it, 1
+            above; 0 = none. A pull's timeout is PULL_TIMEOUT_MS at most.
     """
 
     timeout_ms: int = 250
@@ -30,6 +36,7 @@ class ChannelConfig:
     pwm_min: int = 0
     pwm_max: int = MAX_DUTY
     live_range: int = 0
+    pulls: int = 0
 
 
 class Accepted(NamedTuple):
@@ -97,10 +104,19 @@ class Channels:
             self._targets[channel] = counts_of_duty(allowed)
             self._commanded.add(channel)
             self._timed_out.pop(channel, None)
-            if config.timeout_ms:
-                self._deadlines_ns[channel] = now_ns + config.timeout_ms * NS_PER_MS
+            timeout_ms = self._timeout_ms(channel, allowed)
+            if timeout_ms:
+                self._deadlines_ns[channel] = now_ns + timeout_ms * NS_PER_MS
+            else:
+                self._deadlines_ns.pop(channel, None)
             given.append(channel)
         return Accepted(given, clamped, refused)
+
+    def _timeout_ms(self, channel, duty):
+        config = self._configs[channel]
+        if (duty - self.timeout_values[channel]) * config.pulls > 0:
+            return min(config.timeout_ms or PULL_TIMEOUT_MS, PULL_TIMEOUT_MS)
+        return config.timeout_ms
 
     def expire(self, now_ns: int) -> list[int]:
         """Set every channel whose command is too old to its timeout value, and return these channels."""

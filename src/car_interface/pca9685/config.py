@@ -13,6 +13,9 @@ MAX_TIMEOUT_MS = 3_600_000
 VIRTUAL = "virtual"
 LIVE_RANGE, THROTTLE_LIVE_RANGE = 500, 100  # duty, as those of turn_arb and generic_value_converter
 NO_CHANNEL = -1
+# An ESC of this kind goes on braking however long a pull is held, and neutral in between lets it reverse. Those of any
+# other kind, or of an unknown one, may take a pull that is held for reverse.
+HOLDS_PULLS = "brake_then_reverse"
 GUARD_OFF_AFTER_S = 10.0  # roslaunch has started a node again by then
 MIN_OFF_AFTER_S, MAX_OFF_AFTER_S = 0.5, 3600.0
 
@@ -77,13 +80,27 @@ def _read_channels(params):
     """Limits and failsafe of each of the sixteen."""
     timeouts_ms = params.integers("timeout", CHANNELS, 250, 0, MAX_TIMEOUT_MS)
     timeout_values = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
-    live_ranges = [0] * CHANNELS
+    live_ranges, pulls = [0] * CHANNELS, [0] * CHANNELS
     for channel, neutral, live_range in _read_neutrals(params):
         timeout_values[channel], live_ranges[channel] = neutral, live_range
+    esc, side = _read_pulls(params)
+    if esc is not None:
+        pulls[esc] = side
     pwm_min = params.integers("pwm_min", CHANNELS, 0, 0, MAX_DUTY)
     pwm_max = params.integers("pwm_max", CHANNELS, MAX_DUTY, 0, MAX_DUTY)
     return tuple(ChannelConfig(*settings)
-                 for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max, live_ranges))
+                 for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max, live_ranges, pulls))
+
+
+def _read_pulls(params):
+    """The ESC's channel, and on which side of neutral its pulls are that must not be held; ``None`` = there are none."""
+    channel = params.integer("esc/servo/channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
+    neutral = params.integer("esc/servo/neutral", None, 0, MAX_DUTY)
+    table = params.numbers("esc/servo/duty_table", [], 0, MAX_DUTY)
+    profile = params.text("esc/esc/profile", "unverified")
+    if channel == NO_CHANNEL or neutral is None or not table or profile == HOLDS_PULLS:
+        return None, 0
+    return channel, -1 if table[0] < table[-1] else 1
 
 
 def _read_neutrals(params):

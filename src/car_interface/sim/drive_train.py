@@ -31,6 +31,7 @@ class DriveConfig:
         sag: ratio of the thrust that is lost while the battery empties, from half of it above the thrust that the other
             attributes state to half of it below. Brakes don't need the battery.
         sag_over_s: how long that takes; the thrust stays as it is after that.
+        lag_s: time constant with which the motor's thrust and brake follow the ESC.
     """
 
     full_reverse_duty: float = 3277.0
@@ -46,6 +47,7 @@ class DriveConfig:
     drag_per_m: float = 0.004
     sag: float = 0.0
     sag_over_s: float = 300.0
+    lag_s: float = 0.0
 
     def __post_init__(self):
         low, high = self.neutral_duty - self.neutral_band_duty, self.neutral_duty + self.neutral_band_duty
@@ -56,6 +58,7 @@ class DriveConfig:
         require(self.thrust_halves_mps > 0, "thrust_halves_mps", self.thrust_halves_mps, "more than 0")
         require(0 <= self.sag < 1, "sag", self.sag, "0 to less than 1")
         require(self.sag_over_s > 0, "sag_over_s", self.sag_over_s, "more than 0")
+        require(self.lag_s >= 0, "lag_s", self.lag_s, "0 or more")
 
     def thrust(self, elapsed_s: float) -> float:
         """The ratio of the stated thrust that the battery gives so long after the start."""
@@ -81,18 +84,33 @@ def throttle(duty: int, drive: DriveConfig) -> float | None:
     return max(-1.0, (beyond + drive.neutral_band_duty) / (full - drive.neutral_band_duty))
 
 
+class Motor:
+    """The motor behind an ESC, which follows it with a lag."""
+
+    def __init__(self, lag_s: float):
+        self._lag_s = lag_s
+        self._push = self._brake = 0.0
+
+    def step(self, motor: MotorState, dt_s: float) -> tuple[float, float]:
+        """How it pushes, −1 backward to 1 forward, and brakes, 0 to 1, after ``dt_s``."""
+        push = {FORWARD: motor.level, BACKWARD: -motor.level}.get(motor.mode, 0.0)
+        brake = motor.level if motor.mode == BRAKE else 0.0
+        share = -math.expm1(-dt_s / self._lag_s) if self._lag_s else 1.0
+        self._push += (push - self._push) * share
+        self._brake += (brake - self._brake) * share
+        return self._push, self._brake
+
+
 def motor_acceleration_mps2(
-    motor: MotorState, speed_mps: float, drive: DriveConfig, thrust: float = 1.0, downhill_mps2: float = 0.0
+    push: float, brake: float, speed_mps: float, drive: DriveConfig, thrust: float = 1.0, downhill_mps2: float = 0.0
 ) -> float:
-    """The car's acceleration by what an ESC makes the motor do; arguments as of ``true_acceleration_mps2``."""
+    """The car's acceleration by what its motor does; the other arguments as of ``true_acceleration_mps2``."""
     speed = abs(speed_mps)
-    resistance_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m)
+    resistance_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m) + brake * drive.brake_mps2
     push_mps2 = downhill_mps2
-    if motor.mode == BRAKE:
-        resistance_mps2 += motor.level * drive.brake_mps2
-    elif motor.mode in (FORWARD, BACKWARD):
-        way = 1.0 if motor.mode == FORWARD else -1.0
-        full_mps2 = motor.level * thrust * (drive.forward_mps2 if way > 0 else drive.reverse_mps2)
+    if push:
+        way = math.copysign(1.0, push)
+        full_mps2 = abs(push) * thrust * (drive.forward_mps2 if way > 0 else drive.reverse_mps2)
         # A motor's own voltage works against the ESC's, and with it where it turns against its drive.
         own_voltage = 1.0 + speed / drive.thrust_halves_mps
         push_mps2 += way * full_mps2 * (own_voltage if way * speed_mps < 0.0 else 1.0 / own_voltage)

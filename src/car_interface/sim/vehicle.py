@@ -27,7 +27,13 @@ from typing import NamedTuple
 from car_interface.common.units import NS_PER_S
 from car_interface.sim.checks import require
 from car_interface.sim.collision import Collisions
-from car_interface.sim.drive_train import DriveConfig, is_pulse, motor_acceleration_mps2, true_acceleration_mps2
+from car_interface.sim.drive_train import (
+    DriveConfig,
+    Motor,
+    is_pulse,
+    motor_acceleration_mps2,
+    true_acceleration_mps2,
+)
 from car_interface.sim.esc import VirtualEsc, VirtualEscConfig
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
@@ -171,6 +177,7 @@ class Vehicle:
         self.servo_duty = config.steering.center_duty
         self._start_ns = start_ns
         self._esc = None if config.esc is None else VirtualEsc(config.esc, start_ns)
+        self._motor = Motor(config.drive.lag_s)
         self._linkage_duty = self.servo_duty  # where the wheels are, in the servo's duty without play
         self._half_backlash_duty = config.steering.backlash_duty / 2
         self._slope_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))  # when it looks uphill
@@ -280,8 +287,8 @@ class Vehicle:
         if self._esc is None:
             acceleration_mps2 = true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
         else:
-            motor = self._esc.step(esc_duty, self.time_ns, before_mps)
-            acceleration_mps2 = motor_acceleration_mps2(motor, before_mps, drive, thrust, downhill_mps2)
+            push, brake = self._motor.step(self._esc.step(esc_duty, self.time_ns, before_mps), dt_s)
+            acceleration_mps2 = motor_acceleration_mps2(push, brake, before_mps, drive, thrust, downhill_mps2)
         if self._tyres is not None:
             acceleration_mps2 = self._held_by_tyres(acceleration_mps2 - downhill_mps2) + downhill_mps2
         after_mps = before_mps + acceleration_mps2 * dt_s

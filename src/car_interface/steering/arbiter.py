@@ -137,9 +137,9 @@ class SteeringArbiter:
         """The steering of a planner that knows no radius, −1 right to +1 left."""
         self._planner_steering.update(steering, now_ns)
 
-    def update_odometry(self, speed_mps: float, now_ns: int) -> None:
-        """The car's speed, forward positive."""
-        self._limiter.speed.update(speed_mps, now_ns)
+    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """The car's speed, forward positive, and how old it was at its arrival."""
+        self._limiter.speed.update(speed_mps, now_ns, age_ns)
 
     @property
     def cuts(self) -> int:

@@ -75,6 +75,7 @@ class Arbitration(NamedTuple):
     brake: float  # the request if the ESC brakes by it, of the same sign
     is_stop: bool  # the car is to stop. False with a request of 0: it is left alone
     gear: str = AUTO
+    cruise_mps: float = 0.0  # the speed that the planner wants the car to keep; 0 = none, or it hasn't said
 
 
 class ThrottleArbiter:
@@ -187,22 +188,22 @@ class ThrottleArbiter:
         """Why the converter has no value for the newest command; ``None`` = it has one."""
         self._no_value = no_value
 
-    def update_planner_state(self, gear: str, no_request: NoValue | None, now_ns: int) -> None:
-        """What planner_interface says: its gear, and why it has no request; ``None`` = it has one.
+    def update_planner_state(self, gear: str, no_request: NoValue | None, now_ns: int, speed_mps: float = 0.0) -> None:
+        """What planner_interface says: its gear, the speed that is asked for, and why there is no request, if so.
 
         The last value from before it had none doesn't count when it has one again.
         """
-        _, had_none = self._planner_state.value or (gear, None)
-        self._planner_state.update((gear, no_request), now_ns)
+        _, had_none, _ = self._planner_state.value or (gear, None, 0.0)
+        self._planner_state.update((gear, no_request, speed_mps if math.isfinite(speed_mps) else 0.0), now_ns)
         if no_request is not None:
             self._planner.mark_stale("the planner paused")
         elif had_none is not None:
             self._resumed_ns = now_ns
 
-    def update_odometry(self, speed_mps: float, now_ns: int) -> None:
-        """The car's speed, forward positive; one that no car has counts as infinite."""
+    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """The car's speed, forward positive, and its age at arrival; one that no car has counts as infinite."""
         is_no_cars = abs(speed_mps) > MAX_SPEED_MPS
-        self._odometry.update(math.copysign(math.inf, speed_mps) if is_no_cars else speed_mps, now_ns)
+        self._odometry.update(math.copysign(math.inf, speed_mps) if is_no_cars else speed_mps, now_ns, age_ns)
 
     def mark_stale(self, now_ns: int) -> None:
         """Messages were dropped before they got here: all inputs are stale."""
@@ -320,7 +321,7 @@ class ThrottleArbiter:
         return Arbitration(TELEOP, causes.OVERRIDE, reason, 0.0, 0.0, 0.0, False, DRIVE)
 
     def _by_planner(self, now_ns):
-        gear, no_request = self._planner_gear(now_ns)
+        gear, no_request, speed_mps = self._planner_gear(now_ns)
         trouble = no_request or self._no_value
         if trouble is None and not self._planner.was_received:
             return Arbitration(NEUTRAL, causes.NO_REQUEST, "neither tele_throt_req nor a planner's value asks for "
@@ -342,7 +343,7 @@ class ThrottleArbiter:
             return Arbitration(PLANNER, causes.PLANNER, "the planner's gear is neutral: the car coasts", 0.0, 0.0, 0.0,
                                False, DRIVE)
         return Arbitration(PLANNER, causes.PLANNER, f"the planner's value is {value:.3f}", request, request,
-                           request, False, PLANNER_GEARS.get(gear, DRIVE))
+                           request, False, PLANNER_GEARS.get(gear, DRIVE), speed_mps)
 
     def _is_awaited(self, now_ns):
         """Whether the planner has just asked again after a pause: its state arrives before the converter's value."""
@@ -350,8 +351,8 @@ class ThrottleArbiter:
                 and now_ns - self._resumed_ns <= self._command_timeout_ns)
 
     def _planner_gear(self, now_ns):
-        """Gear and trouble by planner_interface. One that is gone says nothing: without its gear nothing reverses."""
-        return (AUTO, None) if self._planner_state.is_stale(now_ns) else self._planner_state.value
+        """Gear, trouble and speed by planner_interface. One that is gone says nothing: without its gear no reverse."""
+        return (AUTO, None, 0.0) if self._planner_state.is_stale(now_ns) else self._planner_state.value
 
 
 def _stop(source, cause, reason):

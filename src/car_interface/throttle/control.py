@@ -79,11 +79,11 @@ class ThrottleControl:
         """The converter's value for the planner's command."""
         self.arbiter.update_planner(value, self._duties.request_of_value(value), now_ns)
 
-    def update_odometry(self, speed_mps: float, now_ns: int) -> None:
-        """The car's measured speed, forward positive."""
-        self.arbiter.update_odometry(speed_mps, now_ns)
-        self._limiter.speed.update(speed_mps, now_ns)
-        self._esc.update_speed(speed_mps, now_ns)
+    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """The car's measured speed, forward positive, and how old it was at its arrival, as far as its stamp says."""
+        self.arbiter.update_odometry(speed_mps, now_ns, age_ns)
+        self._limiter.speed.update(speed_mps, now_ns, age_ns)
+        self._esc.update_speed(speed_mps, now_ns, age_ns)
 
     def update_turn(self, radius_m: float, max_speed_mps: float) -> None:
         """The turn that turn_arb steers, in m, left positive, inf: straight on; and up to which speed what is asked for
@@ -132,18 +132,20 @@ class ThrottleControl:
             arbitration, self._limiter.speed, self._curvature_per_m, now_ns)
         limited = self._limiter.limit(arbitration, self._esc.state == REVERSE, self._turn_max_mps, now_ns,
                                       obstacle.bounds, obstacle.stop)
-        esc = self._step(limited.arbitration, now_ns)
+        esc = self._step(limited, now_ns)
         if self._guard is not None:
             self._guard.update_esc(esc, now_ns)
         return ThrottleDecision(self._duties.duty(esc.fraction), arbitration, esc, self.arbiter.mode,
                                 self.arbiter.scale, limited)
 
-    def _step(self, arbitration, now_ns):
+    def _step(self, limited, now_ns):
         """The ESC's answer. Whether it drives or brakes by a request, whose scales differ, is known only then."""
         # Between two pulls of a stick whose teleop sends no mode nobody drives: they are a human's all the same.
+        arbitration = limited.arbitration
         is_human = arbitration.source != PLANNER
         request = Request(arbitration.drive, arbitration.gear, is_human=is_human, is_stop=arbitration.is_stop,
-                          is_centered=self.arbiter.is_centered(now_ns), is_released=self.arbiter.is_released(now_ns))
+                          is_centered=self.arbiter.is_centered(now_ns), is_released=self.arbiter.is_released(now_ns),
+                          cruise_mps=arbitration.cruise_mps, is_limited=limited.is_cut)
         is_as_it_is = self.is_calibration_drive and arbitration.gear == AUTO
         if arbitration.drive == arbitration.brake or is_as_it_is:
             return self._esc.step(request, now_ns)  # one scale: a pull stays what it is when the car comes to stand

@@ -65,9 +65,9 @@ class Converter:
         self._map = value_map
         self._odometry = TimedInput("odometry", config.odometry_timeout_s)
 
-    def update_odometry(self, velocity: float, now_ns: int) -> None:
-        """The car's forward velocity in m/s."""
-        self._odometry.update(velocity, now_ns)
+    def update_odometry(self, velocity: float, now_ns: int, age_ns: int = 0) -> None:
+        """The car's forward velocity in m/s, and how old it was at arrival."""
+        self._odometry.update(velocity, now_ns, age_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here: the velocity is stale."""

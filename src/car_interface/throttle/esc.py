@@ -27,6 +27,7 @@ from car_interface.throttle.esc_config import (
 from car_interface.throttle.esc_history import EscHistory
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
 from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion, MotionCheck
+from car_interface.throttle.esc_proof import BrakeProof
 
 ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = range(6)
 STATE_NAMES = ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE")
@@ -37,10 +38,10 @@ PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may be
 # A stop trusts the ESC to remember that it drove forward for no longer than this, whatever reverse_after_neutral says:
 # the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
 STOP_MEMORY_NS = round(0.5 * NS_PER_S)
-# A brake that held the car at standstill so long is proven: half of a Slash's reverse (3.6 m/s²) would have moved it by
-# far more than the standstill speed. The slowest crawler's ESC turns within some tenths of a second.
-PROOF_NS = round(1.0 * NS_PER_S)
-MIN_PROOF = 0.5  # the fraction that it takes
+# So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
+PRIMES_OVER_MPS = 0.5
+# A push so weak slows a car that rolls backward by less than 1.5 m/s²: it doesn't turn it round between two reports.
+GENTLE = 0.25
 
 
 class EscDecision(NamedTuple):
@@ -77,8 +78,8 @@ class Esc:
         self._armed_after_ns: int | None = None  # neutral counts from here on
         self._fraction = 0.0
         self._stop_began_ns: int | None = None
-        self._held_since_ns: int | None = None
-        self._brake_is_proven = config.profile_measured
+        self._is_measured = config.profile_measured  # and nothing has spoken against it
+        self._proof = BrakeProof(config.stop_brake)
         self._saw_speed_in_reverse = False
 
     @property
@@ -90,9 +91,9 @@ class Esc:
         """What the servo board holds; ``None`` = no pulse: switched off, never set, without power."""
         self._history.update_held(fraction, now_ns)
 
-    def update_speed(self, speed_mps: float, now_ns: int) -> None:
-        """The measured speed, forward positive."""
-        self._motion.update(speed_mps, now_ns)
+    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """The measured speed, forward positive, and how old it was at its arrival."""
+        self._motion.update(speed_mps, now_ns, age_ns)
 
     def mark_stale(self) -> None:
         """Messages were dropped before they got here: neither the board nor the speed is known."""
@@ -103,7 +104,8 @@ class Esc:
         """What the ESC gets from now on. Call it on every change and at 20 Hz at least."""
         passes = self.config.calibration_drive and request.is_human and request.gear != DRIVE
         value = self._value_of(request, passes)
-        self._pulls.update(request)
+        self._history.resume(now_ns)
+        self._pulls.update(request, now_ns)
         self._update_arming(request, now_ns)
         if self._state == ARMING:
             self._pulls = Pulls(self.config.dead_band_reverse)  # none counts from before
@@ -122,7 +124,8 @@ class Esc:
     def _update_arming(self, request, now_ns):
         if self._history.had_no_pulse():
             self._disarm(causes.ESC_ARMING, NO_PULSE, now_ns)
-        against = self._check.check(self._motion.speed_mps(now_ns), self._state == REVERSE, now_ns)
+        wants_backward = request.cruise_mps < 0 and request.gear == REVERSE_GEAR and not request.is_stop
+        against = self._check.check(self._motion, self._state == REVERSE, now_ns, wants_backward)
         if against and self._state != ARMING:
             self._disarm(causes.ESC_MOTION, f"{against}: esc/profile is wrong, or this is a hill", now_ns)
         if self._state != ARMING:
@@ -138,7 +141,8 @@ class Esc:
         self._arming_cause, self._arming_reason = cause, reason
         self._armed_after_ns, self._was_released = now_ns, False
         self._check = MotionCheck(self.config)
-        self._brake_is_proven = self._brake_is_proven and cause != causes.ESC_MOTION
+        self._is_measured = self._is_measured and cause != causes.ESC_MOTION
+        self._proof.doubt()
         self._pulls = Pulls(self.config.dead_band_reverse)
 
     def _neutral_missing_ns(self, now_ns):
@@ -176,19 +180,48 @@ class Esc:
         return value, state, causes.CALIBRATION_DRIVE, PASSES
 
     def _drive(self, value, request, now_ns):
+        if request.cruise_mps > 0 and request.gear == DRIVE and self.config.profile == BRAKE_THEN_REVERSE:
+            value = self._with_a_certain_brake(value, request, now_ns)
         if value > 0:
             return self._push(value, request, now_ns)
         if value < 0:
             return self._pull(value, request, now_ns)
         return 0.0, NEUTRAL, causes.NO_THROTTLE, "neutral is requested"
 
+    def _with_a_certain_brake(self, value, request, now_ns):
+        """The request of a planner that wants the car to go on forward, so that the next pull is a brake for certain.
+
+        Downhill the brake is all that keeps the speed. It is certain after half a second of driving, and until neutral
+        follows a pull. So a drive begins with as much of a push, however weak, and a brake that is no longer wanted is
+        held as weakly as the ESC takes it until a push is wanted.
+        """
+        speed_mps = self._motion.speed_mps(now_ns)
+        if speed_mps is None or speed_mps <= -STANDSTILL_MPS:
+            return value
+        if not self._history.brake_is_certain(now_ns):
+            is_slow = speed_mps <= request.cruise_mps + PRIMES_OVER_MPS
+            return max(value, self.config.dead_band_forward) if is_slow and not request.is_limited else value
+        if value or self._state != BRAKING:
+            return value
+        if request.value > 0 and not request.is_limited:
+            return self.config.dead_band_forward
+        return -self.config.dead_band_reverse
+
     def _push(self, value, request, now_ns):
         backward = self._motion.rolls_backward(now_ns)
         if request.gear == REVERSE_GEAR:
+            if self._rolls_too_fast_backward(request, now_ns):
+                return min(value, GENTLE), BRAKING, causes.BRAKING, "it rolls backward faster than is asked for"
             return self._brake_in_reverse(value, "a brake in reverse gear doesn't drive forward", now_ns)
         if backward:
             return value, BRAKING, causes.BRAKING, "it rolls backward"
         return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
+
+    def _rolls_too_fast_backward(self, request, now_ns):
+        """Whether a gentle push certainly ends before it drives the car forward."""
+        speed_mps = self._motion.speed_mps(now_ns)
+        return (not request.is_human and request.cruise_mps < 0 and self._motion.is_fresh(now_ns)
+                and speed_mps < min(request.cruise_mps, -2 * STANDSTILL_MPS))
 
     def _brake_in_reverse(self, value, withheld, now_ns):
         """A push is a brake while it rolls backward. Below the margin the next one would drive forward."""
@@ -207,7 +240,8 @@ class Esc:
             self._pulls.mark_brake()
             state = HOLD if self._motion.stands(now_ns) else BRAKING
             return value, state, *self._brake_cause(state, means_reverse)
-        if (self._motion.speed_mps(now_ns) or 0.0) >= STANDSTILL_MPS:  # one that may still slide only has to wait
+        # A speed of before the pull says nothing about what it meant, and one that may still slide only has to wait.
+        if (self._motion.speed_mps(now_ns) or 0.0) >= STANDSTILL_MPS and self._motion.measured_ns >= self._pulls.began_ns:
             self._pulls.mark_brake()
         return 0.0, NEUTRAL, *self._withheld(means_reverse, now_ns)
 
@@ -232,7 +266,7 @@ class Esc:
     def _is_fast_enough(self, now_ns):
         """Whether it is faster than the margin: twice that to begin a brake, since the age of a speed varies."""
         margin_mps = self.config.brake_margin_mps * (1 if self._state == BRAKING else 2)
-        return self._motion.least_speed_mps(now_ns) > margin_mps
+        return self._motion.least_speed_mps(now_ns) > margin_mps and self._motion.outlasts_a_pull(now_ns)
 
     def _brake_cause(self, state, means_reverse):
         if state == BRAKING:
@@ -304,9 +338,9 @@ class Esc:
         return self._stop_is_certain(now_ns) or self._is_fast(now_ns)
 
     def _stop_is_certain(self, now_ns):
-        if not self._brake_is_proven:
+        if not (self._is_measured or self._proof.is_given):
             return False
-        if self.config.profile == FORWARD_ONLY and self.config.profile_measured:
+        if self.config.profile == FORWARD_ONLY and self._is_measured:
             return True
         # One that was only seen to hold may reverse after neutral all the same.
         return (self.config.profile in (BRAKE_THEN_REVERSE, FORWARD_ONLY) and self._history.brake_is_certain(now_ns)
@@ -322,19 +356,11 @@ class Esc:
             self._saw_speed_in_reverse = True
         self._fraction, self._state = fraction, state
         self._history.update_sent(fraction, now_ns)
-        self._look_for_proof(now_ns)
+        if state in (BRAKING, HOLD) and self._motion.rolls_backward(now_ns):
+            self._proof.doubt()
+        is_push = state == FORWARD and fraction > 0
+        self._proof.step(fraction, is_push, self._history.pulled_ns(now_ns), self._motion, now_ns)
         return EscDecision(fraction, state, cause, reason, *self._stop_guarantee(now_ns))
-
-    def _look_for_proof(self, now_ns):
-        """A held brake of some strength, known to be on at the chip, and the car stands: the ESC doesn't reverse."""
-        holds = (self._state == HOLD and self._fraction <= -max(MIN_PROOF, self.config.stop_brake)
-                 and self._history.pulled_ns(now_ns) >= PROOF_NS)
-        if not holds or not self._motion.stands(now_ns):
-            self._held_since_ns = None
-        elif self._held_since_ns is None:
-            self._held_since_ns = now_ns
-        elif now_ns - self._held_since_ns >= PROOF_NS:
-            self._brake_is_proven = True
 
     def _stop_guarantee(self, now_ns):
         braked_mps2 = self.config.stop_brake * self.config.brake_deceleration_mps2

@@ -15,6 +15,10 @@ NEUTRAL_TOLERANCE = 0.01
 # to begin; after a second more it is not known what the board holds.
 HELD_TIMEOUT_NS = round(2.5 * NS_PER_S)
 
+# The board goes to neutral by itself 250 ms after a command. So after a pause of the node that was longer than this it
+# may have been there, whether it has said so or not.
+BOARD_HOLDS_NS = round(0.2 * NS_PER_S)
+
 FORWARD, NEUTRAL, PULLED, FAINT = "forward", "neutral", "pulled", "faint"
 
 
@@ -67,6 +71,7 @@ class EscHistory:
         self._forget_ns = round(config.reverse_after_neutral_s * NS_PER_S)
         self._sent, self._held = _Account(config), _Account(config)
         self._held_ns: int | None = None  # when the board's last message came
+        self._sent_ns: int | None = None  # when the node last sent something
         self._missed = False
         self._drove = False  # it has seen forward, and since then no more than one pull
         self._braked = self._unlocked = False
@@ -79,9 +84,17 @@ class EscHistory:
         self._held.update(fraction, now_ns)
         self._look(now_ns)
 
+    def resume(self, now_ns: int) -> None:
+        """The node goes on: what it sent last may not have been there all the time since."""
+        if self._sent_ns is not None and now_ns - self._sent_ns > BOARD_HOLDS_NS:
+            self._look(self._sent_ns + BOARD_HOLDS_NS)
+            self._sent.update(0.0, self._sent_ns + BOARD_HOLDS_NS)
+            self._look(now_ns)
+
     def update_sent(self, fraction: float, now_ns: int) -> None:
         """What is sent to the board."""
         self._look(now_ns)
+        self._sent_ns = now_ns
         self._sent.update(fraction, now_ns)
         self._look(now_ns)
 

@@ -23,6 +23,8 @@ class Request(NamedTuple):
         is_stop: the car has to stop, whatever ``value`` is: no deadman, a lock, a silent source.
         is_centered: the stick is in its dead band.
         is_released: the deadman is known to be released.
+        cruise_mps: the speed that a planner wants the car to keep, backward negative; 0 = it is to stop, or nobody said.
+        is_limited: something grants it less than it asks for.
     """
 
     value: float = 0.0
@@ -31,6 +33,8 @@ class Request(NamedTuple):
     is_stop: bool = False
     is_centered: bool = False
     is_released: bool = False
+    cruise_mps: float = 0.0
+    is_limited: bool = False
 
 
 STOP = Request(is_stop=True)
@@ -44,6 +48,9 @@ class Pulls:
 
     Args:
         dead_band: a pull begins beyond it. It ends at half of it, or a stick that trembles there would pull twice.
+
+    Attributes:
+        began_ns: when the newest pull began.
     """
 
     def __init__(self, dead_band: float):
@@ -51,13 +58,14 @@ class Pulls:
         self._was_one = False  # there was a pull, and the stick came back to the center
         self._in_pull = False
         self._is_second = False
+        self.began_ns = 0
 
     @property
     def means_reverse(self) -> bool:
         """Whether the stick is in a second pull that has not become a brake."""
         return self._in_pull and self._is_second
 
-    def update(self, request: Request) -> None:
+    def update(self, request: Request, now_ns: int) -> None:
         """The newest request."""
         value = request.value
         is_stick = request.is_human and request.gear == AUTO and not request.is_stop
@@ -65,7 +73,7 @@ class Pulls:
             self._was_one = self._in_pull = False
         elif value <= -self._dead_band:
             if not self._in_pull:
-                self._in_pull, self._is_second = True, self._was_one
+                self._in_pull, self._is_second, self.began_ns = True, self._was_one, now_ns
         elif self._in_pull and value > -self._dead_band / 2:
             self._in_pull, self._was_one = False, True
 

@@ -16,25 +16,34 @@ STANDSTILL_MPS = 0.1
 SLIDE_MPS2 = 3.0
 MAX_DECELERATION_MPS2 = 8.0  # rubber on dry asphalt, 0.8 g
 ACTUATION_NS = 40_000_000  # from a decision to the end of the last pulse before it: a period of 20 ms, and a timer tick
+# The board holds a pull that may become reverse for 80 ms (``pca9685.channels``), should no other decision follow; and
+# the pulse that it has begun by then takes another 20.
+PULL_NS = 100_000_000
+FRESH_NS = 150_000_000
+MOTOR_LAG_NS = 150_000_000  # for so long a motor goes on pushing
 
 
 class MeasuredMotion:
-    """The measured speed, forward positive, and how it may be read."""
+    """The measured speed, forward positive, and how it may be read.
+
+    Attributes:
+        measured_ns: when the newest was measured.
+    """
 
     def __init__(self, config: EscConfig):
         self._speed = TimedInput("odom", config.speed_timeout_s)
-        self._arrival_ns = 0
+        self.measured_ns = -math.inf
         self._slides_until_ns = -math.inf
 
-    def update(self, speed_mps: float, now_ns: int) -> None:
-        """A speed that has arrived; one that is not finite, or no car's, makes the speed unknown."""
+    def update(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """A speed that has arrived, and how old it was then; one that is not finite, or no car's, is unknown."""
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._speed.mark_stale(f"it was {speed_mps}")
             return
-        self._speed.update(speed_mps, now_ns)
-        self._arrival_ns = now_ns
+        self._speed.update(speed_mps, now_ns, age_ns)
+        self.measured_ns = now_ns - max(0, age_ns)
         if abs(speed_mps) >= STANDSTILL_MPS:
-            slides_until_ns = now_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
+            slides_until_ns = self.measured_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
             self._slides_until_ns = max(self._slides_until_ns, slides_until_ns)
 
     def mark_stale(self) -> None:
@@ -48,6 +57,10 @@ class MeasuredMotion:
     def unknown_reason(self, now_ns: int) -> str:
         """Why the speed is unknown."""
         return self._speed.stale_reason(now_ns)
+
+    def is_fresh(self, now_ns: int) -> bool:
+        """Whether the speed is known and hardly older than between two reports."""
+        return self.speed_mps(now_ns) is not None and now_ns - self.measured_ns <= FRESH_NS
 
     def stands(self, now_ns: int) -> bool:
         """Whether the car is known to stand."""
@@ -66,30 +79,49 @@ class MeasuredMotion:
 
     def least_speed_mps(self, now_ns: int) -> float:
         """The least that its speed, forward or backward, can be until a pulse that is decided on now has ended."""
+        return self._least_mps(now_ns, ACTUATION_NS)
+
+    def outlasts_a_pull(self, now_ns: int) -> bool:
+        """Whether it certainly rolls on until the board has ended a pull that is decided on now, if none follows."""
+        return self._least_mps(now_ns, PULL_NS) > 0.0
+
+    def _least_mps(self, now_ns, ahead_ns):
         speed_mps = self.speed_mps(now_ns)
         if speed_mps is None:
             return 0.0
-        age_s = (now_ns - self._arrival_ns + ACTUATION_NS) / NS_PER_S
+        age_s = (now_ns - self.measured_ns + ahead_ns) / NS_PER_S
         return max(0.0, abs(speed_mps) - MAX_DECELERATION_MPS2 * age_s)
 
 
 class MotionCheck:
     """Compares the measured speed with what the ESC's state allows.
 
-    Backward is allowed in reverse, and after it until the car has come to a standstill, if it gets no faster. The same
-    holds at the beginning: it may have been in reverse before.
+    Backward is allowed in reverse, and after it until the car has come to a standstill, if it gets no faster than it was
+    then. The same holds at the beginning: it may have been in reverse before.
     """
 
     def __init__(self, config: EscConfig):
         self._config = config
         self._since_ns: int | None = None
         self._max_backward_mps = math.inf
+        self._reverse_until_ns = -math.inf
 
-    def check(self, speed_mps: float | None, is_reverse: bool, now_ns: int) -> str:
-        """Why the motion contradicts the state for too long; empty = it does not."""
+    def check(self, motion: MeasuredMotion, is_reverse: bool, now_ns: int, wants_backward: bool = False) -> str:
+        """Why the motion contradicts the state for too long; empty = it does not.
+
+        Args:
+            motion: the measured speed.
+            is_reverse: the ESC is in reverse.
+            now_ns: the time.
+            wants_backward: the car is to roll backward, if by a hill alone.
+        """
+        speed_mps = motion.speed_mps(now_ns)
+        if is_reverse:
+            self._reverse_until_ns = now_ns + MOTOR_LAG_NS
         if speed_mps is None:
             return ""
-        against = self._against(speed_mps, is_reverse)
+        was_reverse = wants_backward or motion.measured_ns <= self._reverse_until_ns
+        against = self._against(speed_mps, is_reverse, was_reverse)
         if not against:
             self._since_ns = None
         elif self._since_ns is None:
@@ -99,11 +131,14 @@ class MotionCheck:
             return against
         return ""
 
-    def _against(self, speed_mps, is_reverse):
+    def _against(self, speed_mps, is_reverse, was_reverse):
         margin_mps = self._config.motion_speed_mps
         if is_reverse:
             self._max_backward_mps = math.inf
             return f"it rolled forward at {speed_mps:.1f} m/s in reverse" if speed_mps > margin_mps else ""
+        if was_reverse:
+            self._max_backward_mps = math.inf
+            return ""
         self._max_backward_mps = min(self._max_backward_mps, max(0.0, -speed_mps))
         if -speed_mps < STANDSTILL_MPS:
             self._max_backward_mps = 0.0

@@ -129,10 +129,10 @@ class SpeedControl:
         self._was_known = False  # the speed, at the last step
         self._past: deque = deque()  # what odometry can have seen by now, and all references since
 
-    def update_odometry(self, speed_mps: float, now_ns: int) -> None:
-        """The car's speed, forward positive; one that no car has, or that is no number, is unknown."""
+    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+        """The car's speed, forward positive, and its age at arrival; one that no car has, or no number, is unknown."""
         if abs(speed_mps) <= MAX_SPEED_MPS:  # not for NaN
-            self._speed.update(speed_mps, now_ns)
+            self._speed.update(speed_mps, now_ns, age_ns)
         else:
             self._speed.mark_stale(f"it was {speed_mps}")
 

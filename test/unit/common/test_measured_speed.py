@@ -118,3 +118,13 @@ def test_a_car_that_was_stopped_while_odometry_was_away_stands():
     measured, now_ns = fed([5.0, 5.0])
     measured.update(0.0, now_ns + S)
     assert measured.magnitude_mps == 0.0
+
+
+@pytest.mark.parametrize("late_ms, gained_mps", [(0, 0.0), (20, 0.0), (150, 6.0 * 0.13), (300, 6.0 * 0.28)])
+def test_late_reports_leave_room_for_full_throttle_since_they_were_measured_and_are_not_missing(late_ms, gained_mps):
+    measured = MeasuredSpeed(0.5)
+    for index in range(100):
+        now_ns = S + index * 20 * MS
+        measured.update(2.0, now_ns, late_ms * MS)
+    assert not measured.is_late(now_ns) and measured.age_s(now_ns) == pytest.approx(late_ms / 1000)
+    assert measured.highest_mps(now_ns + 20 * MS) == pytest.approx(2.0 + gained_mps)

@@ -57,3 +57,14 @@ def test_input_that_was_marked_stale_says_why_until_it_is_received_again_whateve
         assert timed.stale_reason(AT) == f"human_in_loop was not heard since {words}"
     timed.update("new", AT)
     assert not timed.is_stale(AT) and not timed.is_marked_stale
+
+
+def test_what_a_stamp_says_adds_to_the_age_and_a_stamp_in_the_future_takes_nothing_from_it():
+    timed = TimedInput("odom", 0.5)
+    timed.update(1.0, AT, age_ns=3 * S // 10)
+    assert timed.age_s(AT + S // 10) == pytest.approx(0.4) and timed.silence_s(AT + S // 10) == pytest.approx(0.1)
+    assert not timed.is_stale(AT + S // 5) and timed.is_stale(AT + S // 5 + 1)
+    assert timed.stale_reason(AT + 3 * S // 10 - 1) == "odom is 0.60 s old by its stamp"
+    assert timed.stale_reason(AT + 4 * S // 10) == "odom silent for 0.40 s"
+    timed.update(1.0, AT + S, age_ns=-S)
+    assert timed.age_s(AT + S) == timed.was_late_s == 0.0

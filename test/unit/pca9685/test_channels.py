@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from car_interface.common.errors import ConfigError
 from car_interface.pca9685.channels import ChannelConfig, Channels, TimedOut, blocks, differences
 
-MS = 1_000_000
+MS, S = 1_000_000, 1_000_000_000
 NOW = 5_000 * MS
 LEAVE = -1
 CENTER_COUNTS = 319  # of a duty of 5100
@@ -197,3 +197,25 @@ def test_reach_is_measured_from_the_start_however_often_a_neutral_moves():
     assert board.follow(vector({0: 5500})).changed and board.follow(vector({0: 5900})).refused == [0]
     assert board.timeout_values[0] == 5500
     assert board.follow(vector({0: 5100})).changed == {0: 5100}
+
+
+@pytest.mark.parametrize("pulls, pull, push", [(-1, 4000, 6000), (1, 6000, 4000)])
+@pytest.mark.parametrize("timeout_ms, lasts_ms", [(250, 80), (30, 30), (0, 80)])
+def test_a_pull_that_may_become_reverse_is_held_for_80_ms_and_a_push_as_long_as_any_command(
+        pulls, pull, push, timeout_ms, lasts_ms):
+    board = channels(pulls=pulls, timeout_ms=timeout_ms)
+    board.command(vector({3: push}), NOW)
+    assert board.next_deadline_ns() == (NOW + timeout_ms * MS if timeout_ms else math.inf)
+    board.command(vector({3: pull}), NOW)
+    assert board.expire(NOW + lasts_ms * MS - 1) == [] and board.expire(NOW + lasts_ms * MS) == [3]
+    assert board.targets[3] == CENTER_COUNTS
+    board.command(vector({3: pull}), NOW + S)
+    board.command(vector({3: 5100}), NOW + S + MS)  # neutral is none
+    assert board.next_deadline_ns() == (NOW + S + MS + timeout_ms * MS if timeout_ms else math.inf)
+
+
+def test_what_is_a_pull_follows_the_neutral():
+    board = channels(pulls=-1, live_range=500)
+    board.follow([5200] * 16)
+    board.command(vector({0: 5150, 1: 5200}), NOW)
+    assert board.expire(NOW + 80 * MS) == [0]

@@ -77,6 +77,21 @@ def test_channels_of_steering_and_esc_rest_and_follow_at_their_neutrals(paramete
     assert found == [neutrals.get(channel, (0, 0)) for channel in range(16)]
 
 
+@pytest.mark.parametrize("esc, pulls", [
+    ({"duty_table": [3277, 4915, 6554]}, -1), ({"duty_table": [6554, 4915, 3277]}, 1), ({}, 0),
+    ({"duty_table": [3277, 4915, 6554], "channel": -1}, 0)])
+@pytest.mark.parametrize("profile", ["brake_becomes_reverse", "direct_reverse", "forward_only", "unverified", None])
+def test_pulls_of_an_esc_that_may_reverse_are_held_for_80_ms_on_the_side_where_the_table_begins(esc, pulls, profile):
+    servo = {**ESC["esc"]["servo"], **esc}
+    config = read(esc={"servo": servo, "esc": {"profile": profile} if profile else {}})
+    assert [each.pulls for each in config.channels] == [pulls if channel == 5 else 0 for channel in range(16)]
+
+
+def test_brake_of_an_esc_that_never_takes_a_held_pull_for_reverse_is_held_as_long_as_any_command():
+    servo = {**ESC["esc"]["servo"], "duty_table": [3277, 4915, 6554]}
+    assert not any(each.pulls for each in read(esc={"servo": servo, "esc": {"profile": "brake_then_reverse"}}).channels)
+
+
 def test_settings_of_each_channel_are_its_own():
     numbers = list(range(16))
     configs = read(timeout=numbers, timeout_value=numbers, pwm_min=numbers, pwm_max=[100 + each for each in numbers])

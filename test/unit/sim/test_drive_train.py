@@ -3,7 +3,7 @@
 import pytest
 
 from car_interface.sim import drive_train
-from car_interface.sim.drive_train import DriveConfig, is_pulse, motor_acceleration_mps2, throttle
+from car_interface.sim.drive_train import DriveConfig, Motor, is_pulse, motor_acceleration_mps2, throttle
 from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, MotorState
 
 REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
@@ -33,11 +33,20 @@ def test_pulse_is_between_half_a_millisecond_and_two_and_a_half(duty, expected):
     (MotorState(FORWARD, 0.05), 0.0, 0.0),  # less than the drag
 ], ids=str)
 def test_motor_moves_the_car(motor, speed_mps, expected_mps2):
-    assert motor_acceleration_mps2(motor, speed_mps, DriveConfig()) == pytest.approx(expected_mps2, abs=0.001)
+    push, brake = Motor(0.0).step(motor, 0.001)
+    assert motor_acceleration_mps2(push, brake, speed_mps, DriveConfig()) == pytest.approx(expected_mps2, abs=0.001)
+
+
+def test_motor_follows_its_esc_with_its_lag():
+    motor = Motor(0.1)
+    assert motor.step(MotorState(FORWARD, 1.0), 0.1) == (pytest.approx(0.632, abs=0.001), 0.0)
+    push, brake = motor.step(MotorState(BRAKE, 0.5), 0.1)
+    assert (push, brake) == (pytest.approx(0.632 * 0.368, abs=0.001), pytest.approx(0.5 * 0.632, abs=0.001))
+    assert motor.step(MotorState(BACKWARD, 1.0), 10.0) == (pytest.approx(-1.0), pytest.approx(0.0))
 
 
 def test_motor_agrees_with_the_esc_without_a_memory_where_that_drives():
     level = throttle(6000, DriveConfig())
     for speed_mps in (0.0, 1.0, 5.0):
-        assert motor_acceleration_mps2(MotorState(FORWARD, level), speed_mps, DriveConfig(), 0.9, 0.1) == (
+        assert motor_acceleration_mps2(level, 0.0, speed_mps, DriveConfig(), 0.9, 0.1) == (
             drive_train.true_acceleration_mps2(6000, speed_mps, DriveConfig(), 0.9, 0.1))

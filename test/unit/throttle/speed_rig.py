@@ -120,7 +120,7 @@ class SpeedRig:
         arbiter = self.throttle.arbiter
         arbiter.update_converter(None if conversion.value is not None
                                  else NoValue(conversion.cause, conversion.reason))
-        arbiter.update_planner_state(command.gear, None, now_ns)
+        arbiter.update_planner_state(command.gear, None, now_ns, 0.0 if self.request is None else self.request.speed_mps)
         if conversion.value is not None:
             self.throttle.update_planner(conversion.value, now_ns)
         arbiter.update_human(self.human, now_ns)

@@ -80,7 +80,7 @@ def test_source_by_mode_stick_and_planner(mode, stick, planner, source, asked):
 def test_nobody_who_asks_is_no_stop():
     """A car that nobody drives may be pushed by hand."""
     assert decide() == (NEUTRAL, "no request", "neither tele_throt_req nor a planner's value asks for anything",
-                        0.0, 0.0, 0.0, False, "auto")
+                        0.0, 0.0, 0.0, False, "auto", 0.0)
 
 
 @pytest.mark.parametrize("inputs, source, cause, reason", [
@@ -107,7 +107,7 @@ def test_nobody_who_asks_is_no_stop():
     ({"odometry": (-100.1, 0.1)}, NEUTRAL, "odometry not finite", "the velocity in the odometry is -inf"),
 ], ids=str)
 def test_planner_is_stopped_with_cause_and_reason(inputs, source, cause, reason):
-    assert decide(**{"planner": (0.7, 0.1), **inputs}) == (source, cause, reason, 0.0, 0.0, 0.0, True, "auto")
+    assert decide(**{"planner": (0.7, 0.1), **inputs}) == (source, cause, reason, 0.0, 0.0, 0.0, True, "auto", 0.0)
 
 
 @pytest.mark.parametrize("trouble", [{}, {"steering": (NO_HUMAN, 0.0)}, {"mode": ("", 0.0)}, {"teleop": (INF, 0.0)}])
@@ -152,7 +152,7 @@ def test_timeout_of_0_never_makes_an_input_stale(name, inputs):
 def test_e_stop_is_above_everything():
     arbiter = arbiter_with(teleop=(FORWARD, 0.1), mode=(MANUAL, 0.1), planner=(0.7, 0.1))
     arbiter.update_e_stop(True, NOW)
-    assert arbiter.decide(NOW) == (LOCKED, "e_stop", "e_stop is true", 0.0, 0.0, 0.0, True, "auto")
+    assert arbiter.decide(NOW) == (LOCKED, "e_stop", "e_stop is true", 0.0, 0.0, 0.0, True, "auto", 0.0)
 
 
 def test_dropped_messages_make_every_input_stale():
@@ -254,12 +254,12 @@ def planned(gear="drive", no_request=None, age_s=0.1, value=0.7):
 ])
 def test_planner_s_gear_says_whether_it_reverses(gear, asked, esc_gear, reason):
     decision = planned(gear, value=-0.7).decide(NOW)
-    assert decision == (PLANNER, "planner", reason, asked, asked, asked, False, esc_gear)
+    assert decision == (PLANNER, "planner", reason, asked, asked, asked, False, esc_gear, 0.0)
 
 
 def test_planner_without_a_request_is_a_stop_with_the_reason_of_planner_interface_and_hinders_no_human():
     arbiter = planned("reverse", NO_REQUEST)
-    assert arbiter.decide(NOW) == (NEUTRAL, *NO_REQUEST, 0.0, 0.0, 0.0, True, "auto")
+    assert arbiter.decide(NOW) == (NEUTRAL, *NO_REQUEST, 0.0, 0.0, 0.0, True, "auto", 0.0)
     arbiter.update_teleop(FORWARD, NOW)
     decision = arbiter.decide(NOW)
     assert (decision.source, decision.gear) == (TELEOP, "auto")
@@ -342,14 +342,14 @@ def test_override_s_pull_has_the_brake_s_scale_in_a_gear_that_never_reverses(mod
     decision = Driven(mode, (REST, 0.1), (stick, 0.1)).decide()
     reason = f"tele_throt_req is {stick:.3f}, scaled by {scaled}: it overrides the planner"
     assert decision == (TELEOP, "override", reason, pytest.approx(math.copysign(0.5, stick)), pytest.approx(drive),
-                        pytest.approx(brake), False, "drive")
+                        pytest.approx(brake), False, "drive", 0.0)
 
 
 def test_planner_gets_the_throttle_back_half_a_second_after_the_stick_was_centered():
     car = Driven(AUTONOMOUS, (BRAKE, 0.1), (REST, 0.02))
     reason = "the throttle stick overrode the planner, which waits until it was centered for 0.5 s"
     for decision in (car.decide(), car.go_on(AUTONOMOUS, (REST, 0.46))):
-        assert decision == (TELEOP, "override", reason, 0.0, 0.0, 0.0, False, "drive")
+        assert decision == (TELEOP, "override", reason, 0.0, 0.0, 0.0, False, "drive", 0.0)
     assert car.go_on(AUTONOMOUS, (REST, 0.06)).source == PLANNER
 
 

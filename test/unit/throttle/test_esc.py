@@ -270,25 +270,63 @@ def test_stop_without_odometry_brakes_only_where_the_profile_is_proven(profile, 
     assert (car.decision.stop_mps2 == 1.5, car.decision.coasts_below_mps) == (fraction != 0.0, 0.0)
 
 
-def test_brake_that_was_seen_to_hold_the_car_proves_the_profile():
-    car = Car(speed_timeout_s=0.1)
+def brakes_to_standstill_and_drives_again(car):
+    """The story that proves a profile: see test_esc_proof.py."""
     car.stick(0.5, 0.5, speed=2.0)
-    car.stick(-0.6, 1.0, speed=1.0)
-    car.stick(-0.6, 2.5, speed=0.0)
+    for index in range(26):
+        car.stick(-0.6, speed=2.0 - 0.08 * index)
+    car.stick(-0.6, 1.5, speed=0.0)
     car.stick(0.5, 1.0, speed=1.0)
-    car.stick(0.5, 1.0)
-    assert car.stop()[:2] == (-0.5, BRAKING)
 
 
-def test_brake_that_held_the_car_for_less_than_a_second_proves_nothing_twice_neither():
+def test_stop_without_odometry_brakes_once_the_esc_has_stopped_and_held_the_car_twice():
+    car = Car(speed_timeout_s=0.1)
+    for times in (1, 2):
+        brakes_to_standstill_and_drives_again(car)
+        car.stick(0.5, 1.0)
+        assert car.stop()[:2] == ((0.0, NEUTRAL) if times == 1 else (-0.5, BRAKING))
+
+
+@pytest.mark.parametrize("doubt", ["backward", "no_pulse"])
+def test_doubt_takes_such_a_proof_away(doubt):
     car = Car(speed_timeout_s=0.1)
     for _ in range(2):
-        car.stick(0.5, 0.5, speed=2.0)
-        car.stick(-0.6, 1.5, speed=1.0)
-        car.stick(-0.6, 0.9, speed=0.0)  # of which the wheels may be locked for 0.3 s
-        car.stick(0.5, 1.0, speed=1.0)
+        brakes_to_standstill_and_drives_again(car)
+    if doubt == "backward":
+        car.stick(-0.6, 0.1, speed=1.0)
+        car.stick(-0.6, 0.04, speed=-0.15)  # for less time than the motion check takes
+    else:
+        car.esc.update_held(None, car.now_ns)
+        car.stop(1.2)
     car.stick(0.5, 1.0)
     assert car.stop()[:2] == (0.0, NEUTRAL)
+
+
+def test_second_pull_is_reverse_though_odometry_shows_late_that_the_car_stood_by_then():
+    car = Car()
+    car.stick(0.5, 0.5, speed=2.0)
+    car.stick(-0.5, 0.5)
+    car.stick(0.0, 0.2)
+    for index in range(20):  # of 0.3 s ago: when it rolled, and then of when it stood
+        car.esc.update_speed(0.4 if index < 14 else 0.0, car.now_ns, 300 * MS)
+        car.stick(-0.5)
+    assert car.stick(-0.5, 2.0, speed=0.0)[1] == REVERSE
+    braked = Car()
+    braked.stick(0.5, 0.5, speed=2.0)
+    braked.stick(-0.5, 0.5, speed=0.4)
+    braked.stick(0.0, 0.2, speed=0.4)
+    braked.stick(-0.5, 0.2, speed=0.4)  # it rolled during the pull: that is a brake, and stays one
+    assert braked.stick(-0.5, 2.0, speed=0.0)[1] != REVERSE
+
+
+@pytest.mark.parametrize("still_ms, brakes", [(180, True), (200, True), (220, False), (600, False)])
+def test_brake_that_the_board_may_have_ended_while_the_node_stood_still_is_no_brake_any_more(still_ms, brakes):
+    """Whether it has said so or not: neutral lets this ESC take the next pull for reverse."""
+    car = Car(profile_measured=True)
+    car.stick(0.5, 0.5)
+    car.stop(0.3)
+    car.now_ns += (still_ms - 20) * MS
+    assert car.stop().fraction == (-0.5 if brakes else 0.0)
 
 
 def test_stop_brakes_no_longer_than_its_time_and_not_at_standstill():

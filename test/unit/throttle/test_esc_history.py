@@ -75,6 +75,20 @@ def test_reverse_is_unlocked(steps, unlocked):
     assert history.is_unlocked(now_ns) == unlocked
 
 
+@pytest.mark.parametrize("steps, still_ms, certain", [
+    (BRAKES, 200, True), (BRAKES, 210, False), (DROVE, 400, True), ([*DROVE, ("both", 0.0, 100)], 400, True)])
+def test_node_that_stood_still_while_the_board_held_a_pull_reckons_with_its_neutral(steps, still_ms, certain):
+    history, now_ns = EscHistory(CONFIG), 0
+    for _, fraction, lasts_ms in steps:
+        for _ in range(lasts_ms // 10):
+            now_ns += 10 * MS
+            history.update_sent(fraction, now_ns)
+            history.update_held(fraction, now_ns)
+    now_ns += still_ms * MS
+    history.resume(now_ns)
+    assert history.brake_is_certain(now_ns) == certain
+
+
 def test_neutral_counts_where_it_is_sent_and_held():
     history, now_ns = played([("both", 0.0, 100), ("sent", 0.2, 50), ("sent", 0.0, 300), ("held", 0.004, 200)])
     assert history.neutral_ns(now_ns) == 500 * MS

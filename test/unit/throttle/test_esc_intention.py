@@ -12,9 +12,9 @@ STOP = "stop"
 
 def means_reverse(values, **changes):
     pulls = Pulls(0.08)
-    for value in values:
+    for now_ns, value in enumerate(values):
         pulls.update(Request(0.0, is_human=True, is_stop=True) if value is STOP else
-                     Request(value, **{"gear": AUTO, "is_human": True, **changes}))
+                     Request(value, **{"gear": AUTO, "is_human": True, **changes}), now_ns)
     return pulls.means_reverse
 
 
@@ -41,11 +41,11 @@ def test_planner_and_gear_have_no_second_pull():
 
 def test_pull_that_became_a_brake_means_no_reverse_but_the_next_does():
     pulls = Pulls(0.08)
-    for value in (-0.5, 0.0, -0.5):
-        pulls.update(Request(value, is_human=True))
+    for now_ns, value in enumerate((-0.5, 0.0, -0.5)):
+        pulls.update(Request(value, is_human=True), now_ns)
     pulls.mark_brake()
-    pulls.update(Request(-0.6, is_human=True))
-    assert not pulls.means_reverse
-    for value in (0.0, -0.5):
-        pulls.update(Request(value, is_human=True))
-    assert pulls.means_reverse
+    pulls.update(Request(-0.6, is_human=True), 3)
+    assert not pulls.means_reverse and pulls.began_ns == 2
+    for now_ns, value in enumerate((0.0, -0.5), start=4):
+        pulls.update(Request(value, is_human=True), now_ns)
+    assert pulls.means_reverse and pulls.began_ns == 5

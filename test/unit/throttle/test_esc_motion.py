@@ -59,14 +59,38 @@ def test_least_speed_falls_with_the_age_of_the_last():
     assert motion(-2.0).least_speed_mps(0) == pytest.approx(2.0 - 8 * 0.04)
 
 
-def checked(*speeds, is_reverse=False, after_reverse=False):
+@pytest.mark.parametrize("speed_mps, age_ms, rolls", [
+    (0.81, 0, True), (0.79, 0, False), (-0.81, 0, True), (1.61, 100, True), (1.59, 100, False)])
+def test_a_pull_is_outlasted_by_what_the_tyres_cannot_stop_until_the_board_has_ended_it(speed_mps, age_ms, rolls):
+    for measured in (MeasuredMotion(EscConfig()), MeasuredMotion(EscConfig())):
+        measured.update(speed_mps, S, age_ms * MS)
+        assert measured.outlasts_a_pull(S) == rolls
+    assert not motion().outlasts_a_pull(0)
+
+
+def test_a_speed_is_as_old_as_it_was_when_it_arrived():
+    measured = MeasuredMotion(EscConfig())
+    measured.update(3.0, S, 300 * MS)
+    assert measured.measured_ns == 700 * MS
+    assert measured.least_speed_mps(S) == pytest.approx(3.0 - 8 * 0.34)
+    assert measured.speed_mps(1200 * MS) == 3.0 and measured.speed_mps(1201 * MS) is None
+    measured.update(0.0, 1650 * MS, 300 * MS)
+    assert measured.stands(1700 * MS) and not measured.stands(1699 * MS)  # 3 m/s ÷ 3 m/s² after it was measured
+
+
+def checked(*speeds, is_reverse=False, after_reverse=False, late_ms=0):
     """The first text of a check with speeds 50 ms apart, and when; after a standstill."""
-    check = MotionCheck(EscConfig())
-    assert check.check(0.0, is_reverse, 0) == ""
+    check, measured = MotionCheck(EscConfig()), MeasuredMotion(EscConfig())
+
+    def text_of(speed_mps, was_reverse, at_ms):
+        measured.update(speed_mps, S + at_ms * MS, late_ms * MS)
+        return check.check(measured, was_reverse, S + at_ms * MS)
+
+    assert text_of(0.0, is_reverse, 0) == ""
     if after_reverse:
-        assert check.check(speeds[0], True, 0) == ""
+        assert text_of(speeds[0], True, 0) == ""
     for index, speed_mps in enumerate(speeds):
-        text = check.check(speed_mps, is_reverse, index * 50 * MS)
+        text = text_of(speed_mps, is_reverse, index * 50)
         if text:
             return text, index * 50
     return "", None
@@ -80,16 +104,23 @@ def checked(*speeds, is_reverse=False, after_reverse=False):
     ([-2.0] * 9, {"is_reverse": True}, ("", None)),
     # it may roll out after reverse, but neither get faster nor set off again
     ([-1.0, -0.9, -0.8, -0.7, -0.6, -0.5], {"after_reverse": True}, ("", None)),
-    ([-1.0, -0.8, *[-1.1] * 9], {"after_reverse": True}, ("it rolled backward at 1.1 m/s without reverse", 300)),
-    ([-1.0, -0.5, 0.0, *[-0.5] * 9], {"after_reverse": True}, ("it rolled backward at 0.5 m/s without reverse", 350)),
+    ([*[-1.0] * 4, -0.8, *[-1.1] * 9], {"after_reverse": True}, ("it rolled backward at 1.1 m/s without reverse", 450)),
+    ([*[-1.0] * 4, -0.5, 0.0, *[-0.5] * 9], {"after_reverse": True},
+     ("it rolled backward at 0.5 m/s without reverse", 500)),
+    # the motor pushes on for a moment, and what is measured late was in reverse
+    ([-0.4, -0.6, -0.8, *[-1.0] * 9], {"after_reverse": True}, ("", None)),
+    ([-0.4, -0.5, -0.6, -0.7, -0.8, -0.9, -1.0, *[-1.1] * 9], {"after_reverse": True, "late_ms": 200}, ("", None)),
 ])
 def test_motion_against_the_state_is_found_within_the_time(speeds, reverse, found):
     assert checked(*speeds, **reverse) == found
 
 
 def test_unknown_speed_neither_tells_nor_forgets():
-    check = MotionCheck(EscConfig())
-    check.check(0.0, False, 0)
-    check.check(-0.5, False, 50 * MS)
-    assert check.check(None, False, 300 * MS) == ""
-    assert check.check(-0.5, False, 350 * MS)
+    check, measured = MotionCheck(EscConfig()), motion(0.0)
+    check.check(measured, False, 0)
+    measured.update(-0.5, 50 * MS)
+    check.check(measured, False, 50 * MS)
+    measured.mark_stale()
+    assert check.check(measured, False, 300 * MS) == ""
+    measured.update(-0.5, 350 * MS)
+    assert check.check(measured, False, 350 * MS)

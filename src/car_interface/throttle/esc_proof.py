@@ -1,0 +1,98 @@
+"""Whether an ESC has shown that its brake doesn't become reverse.
+
+A car that stands under a held brake proves little: its ESC may be switched off, its battery low, or a wall behind it.
+So it takes the whole story, twice: it was driven until just before, slowed as a brake slows a car, stood for a second
+with the brake held, and drove again at the next push. Any doubt begins anew.
+"""
+from __future__ import annotations
+
+from car_interface.common.units import NS_PER_S
+from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion
+
+TIMES = 2
+MIN_BRAKE = 0.5  # the fraction that it takes
+MIN_SPEED_MPS = 1.0  # when the brake begins
+JUST_BEFORE_NS = round(0.3 * NS_PER_S)
+# What a brake's half does, on dust and on asphalt; a car that coasts or hits something slows by less, or by more.
+SLOWS_MPS2 = (1.5, 10.0)
+SLOW_MPS = 0.3  # down to here it is measured
+# Half of a Slash's reverse (3.6 m/s²) would have moved the car by far more than the standstill speed in this time. The
+# slowest crawler's ESC turns within some tenths of a second.
+HELD_NS = NS_PER_S
+AGAIN_NS = NS_PER_S  # a car that doesn't drive within this time of a push has an ESC that does nothing
+
+DRIVEN, BRAKED, SLOWED, HELD = "driven", "braked", "slowed", "held"
+
+
+class BrakeProof:
+    """Follows what the ESC is given and what the car does.
+
+    Args:
+        min_brake: the fraction of a brake that counts.
+    """
+
+    def __init__(self, min_brake: float):
+        self._min_brake = max(MIN_BRAKE, min_brake)
+        self.doubt()
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the ESC has shown it."""
+        return self._times >= TIMES
+
+    def doubt(self) -> None:
+        """Something happened that this ESC's brake can't have done."""
+        self._times = 0
+        self._begin_anew()
+
+    def step(self, fraction: float, is_push: bool, pulled_ns: int, motion: MeasuredMotion, now_ns: int) -> None:
+        """What the ESC gets from now on.
+
+        Args:
+            fraction: −1..1.
+            is_push: it drives forward by that.
+            pulled_ns: for how long the servo board is known to have held a pull.
+            motion: the measured speed.
+            now_ns: the time.
+        """
+        speed_mps = motion.speed_mps(now_ns)
+        if speed_mps is None:
+            self._begin_anew()
+        elif is_push:
+            self._push(speed_mps, motion, now_ns)
+        elif fraction <= -self._min_brake:
+            self._pull(speed_mps, pulled_ns, motion, now_ns)
+        elif self._stage in (BRAKED, SLOWED) or self._stage == DRIVEN and now_ns - self._since_ns > JUST_BEFORE_NS:
+            self._begin_anew()
+
+    def _begin_anew(self):
+        self._stage, self._since_ns = "", 0
+
+    def _push(self, speed_mps, motion, now_ns):
+        if self._stage == HELD:
+            if self._pushed_ns is None:
+                self._pushed_ns = now_ns
+            if motion.measured_ns <= self._pushed_ns or speed_mps < SLOW_MPS:
+                if now_ns - self._pushed_ns > AGAIN_NS:
+                    self._begin_anew()
+                return
+            self._times += 1
+        self._stage, self._since_ns = DRIVEN, now_ns
+
+    def _pull(self, speed_mps, pulled_ns, motion, now_ns):
+        if self._stage == DRIVEN:
+            recent = now_ns - self._since_ns <= JUST_BEFORE_NS and speed_mps >= MIN_SPEED_MPS
+            self._stage = BRAKED if recent else ""
+            self._first = speed_mps, motion.measured_ns
+        elif self._stage == BRAKED and speed_mps <= SLOW_MPS:
+            first_mps, first_ns = self._first
+            slowed_mps2 = (first_mps - speed_mps) * NS_PER_S / max(1, motion.measured_ns - first_ns)
+            self._stage = SLOWED if SLOWS_MPS2[0] <= slowed_mps2 <= SLOWS_MPS2[1] else ""
+            self._since_ns = None
+        elif self._stage == SLOWED:
+            if abs(speed_mps) >= STANDSTILL_MPS or not motion.stands(now_ns):
+                self._since_ns = None
+            elif self._since_ns is None:
+                self._since_ns = motion.measured_ns
+            elif motion.measured_ns - self._since_ns >= HELD_NS and pulled_ns >= HELD_NS:
+                self._stage, self._pushed_ns = HELD, None
