@@ -103,9 +103,7 @@ class EscModel:
                 self._next = _BRAKES
             elif self._neutral_s >= spec.dwell_s:
                 self._next = _REVERSES
-        elif self._next == _BRAKES and 0 < spec.forgets_s <= self._neutral_s:
-            self._next = _REVERSES
-        elif self._next == _BACKWARD:
+        elif self._next == _BRAKES and 0 < spec.forgets_s <= self._neutral_s or self._next == _BACKWARD:
             self._next = _REVERSES
 
     def _pushed(self, wheel_mps, dt_s):

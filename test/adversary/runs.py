@@ -13,13 +13,13 @@ from typing import Iterable, NamedTuple
 from adversary.car_model import CarSpec
 from adversary.cases import SWEEP_CASES, UNVERIFIED, Case, Odometry, Segment, random_case, sweep_case
 from adversary.esc_model import BBR, BTR, DIRECT, FORWARD_ONLY, KINDS, EscSpec
-from adversary.world import HIT, LOCKED, World
+from adversary.world import HIT, LOCKED, SLOWED, World
 
 ENDED_S = 0.5  # after odometry that shows it: a wrong kind's, and an ESC's that was powered under a pull
 # Wheels that a wall stops, or that lock, all at once: no rule can know before odometry shows it, and that the message,
 # the timer, the board and the pulse have passed.
 STOOD_S, UNSEEN_S = 0.1, 0.5
-APART = ("no stamp", "powered under a pull", "powered", LOCKED, HIT)  # told apart, the first that applies
+APART = ("no stamp", "powered under a pull", "powered", SLOWED, LOCKED, HIT)  # told apart, the first that applies
 WORST = 12
 
 
@@ -42,7 +42,7 @@ class Found(NamedTuple):
 
     @property
     def is_failure(self) -> bool:
-        if self.apart in ("no stamp", "powered"):
+        if self.apart in ("no stamp", "powered", SLOWED):
             return False
         if self.apart in (LOCKED, HIT):
             return self.reversal.stood_s > STOOD_S or self.reversal.stopped_s > UNSEEN_S
@@ -95,9 +95,9 @@ class Summary:
         for (is_allowed, group, want, apart), members in sorted(classes.items()):
             worst = min(members, key=lambda each: each.reversal.lowest_mps)
             slightly = [each.reversal.slightly_s for each in members if not math.isnan(each.reversal.slightly_s)]
-            lines.append(f"{'told apart' if is_allowed else 'FAILED':10} {group:10} {want:14} {apart:20} "
-                         f"{len(members):5} reversals, worst {worst.reversal.lowest_mps:+.2f} m/s (--one {worst.name}), "
-                         f"longest {max(each.reversal.lasts_s for each in members):.2f} s, after odometry below "
+            lines.append(f"{'told apart' if is_allowed else 'FAILED':10} {group:10} {want:14} {apart:25} "
+                         f"{len(members):5} reversals, worst {worst.reversal.lowest_mps:+.2f} m/s "
+                         f"(--one {worst.name}), longest {max(each.reversal.lasts_s for each in members):.2f} s, after odometry below "
                          f"-0.05 m/s {max(slightly, default=0.0):.2f} s")
         causes = Counter((each.group, each.reversal.want, ", ".join(each.reversal.faults) or "-")
                          for each in self.failures)
@@ -111,7 +111,7 @@ class Summary:
 
 
 STOP_SPEEDS = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-MEASURED, PROVED = "measured", "held before"
+MEASURED, ONCE, TWICE = "measured", "held once before", "held twice before"
 
 
 def stop_cases() -> Iterable[tuple[str, Case]]:
@@ -120,13 +120,15 @@ def stop_cases() -> Iterable[tuple[str, Case]]:
     """
     kinds = [(kind, kind) for kind in KINDS] + [(UNVERIFIED, kind) for kind in (BTR, BBR, DIRECT, FORWARD_ONLY)]
     for profile, kind in kinds:
-        for knowledge in ("", MEASURED, PROVED) if profile != UNVERIFIED else ("", PROVED):
+        for knowledge in ("", MEASURED, ONCE, TWICE) if profile != UNVERIFIED else ("", TWICE):
             for speed_mps in STOP_SPEEDS:
                 name = f"{profile} ({kind}{', ' + knowledge if knowledge else ''}) from {speed_mps:.0f} m/s"
                 config = {"profile": profile, "arming_time_s": 0.5, "profile_measured": knowledge == MEASURED}
                 script = [Segment(0.7, "coast", deadman=False), Segment(0.9, "coast")]
-                if knowledge == PROVED:
-                    script += [Segment(1.9, "any", stick=1.0), Segment(5.0, "hold", stick=-0.6), Segment(5.6, "coast")]
+                for _ in range((ONCE, TWICE).index(knowledge) + 1 if knowledge in (ONCE, TWICE) else 0):
+                    at_s = script[-1].end_s
+                    script += [Segment(at_s + 1.0, "any", stick=1.0), Segment(at_s + 4.1, "hold", stick=-0.6),
+                               Segment(at_s + 4.3, "coast")]
                 script += [Segment(script[-1].end_s + 20.0, "drive", stick=0.4 if speed_mps <= 2 else 1.0)]
                 script += [Segment(script[-1].end_s + 30.0, "stop", deadman=False)]
                 yield name, Case(name, "right", config, EscSpec(kind), CarSpec(top_mps=15.0), script, [],

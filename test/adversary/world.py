@@ -6,7 +6,6 @@ and it began to while neither a person nor a planner wanted reverse; or it goes 
 from __future__ import annotations
 
 import heapq
-import inspect
 import math
 import random
 from dataclasses import replace
@@ -33,7 +32,7 @@ from adversary.cases import (
     WALL,
     Case,
 )
-from adversary.esc_model import BACKWARD, FORWARD, FORWARD_ONLY, EscModel
+from adversary.esc_model import BACKWARD, BTR, FORWARD, FORWARD_ONLY, EscModel
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.throttle.arbiter import TELEOP, ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
@@ -48,9 +47,9 @@ START_NS = 1000 * S
 CHANNEL, NEUTRAL, SPAN, COUNT = 1, 4915, 1639, 16
 SHIPPED = ThrottleCalibration(channel=CHANNEL, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, NEUTRAL, 6554],
                               neutral=NEUTRAL)
-TAKES_AGE = "age_ns" in inspect.signature(ThrottleControl.update_odometry).parameters
 
 LONGEST_NS = 20 * MS  # a shorter push backward moves nothing
+ROLLS_MPS = 0.05  # a push backward against wheels that roll forward faster slows them, as each kind's pull does there
 WAY_NS = 80 * MS  # from a wish to the ESC: message, timer, board, pulse
 LINGERS_NS = 350 * MS  # a wanted reverse has ended so long after it was wanted
 STANDS_MPS = 0.35  # a second pull of a stick above it is a brake
@@ -58,7 +57,7 @@ SHOWN_MPS, SLIGHTLY_MPS = -0.2, -0.05  # odometry that shows backward motion: as
 STANDSTILL_MPS, HIT_MPS = 0.1, 0.05  # odometry that shows standstill; a wall that stops the car all at once
 RECENT_NS = 1000 * MS  # a fault that ended so recently is named
 SUDDEN_NS = 300 * MS  # a brake that becomes reverse so soon after the wheels stopped all at once comes of that
-LOCKED, HIT = "locked", "hit a wall"
+LOCKED, HIT, SLOWED = "locked", "hit a wall", "rolled forward to its end"
 
 _INPUT, _ODOMETRY, _OUTPUT = range(3)
 
@@ -121,7 +120,7 @@ class World:
         self.output_ns = START_NS
         self.pulse = 0.0
         self.inbox, self.commands, self.number = [], [], 0
-        self.duty, self.sent_ns = None, 0
+        self.duty, self.sent_ns, self.decision = None, 0, None
         self.was_blocked = False
         self.away_ns = None  # since when the arbiter is away
         self.wheels_stand_ns = self.seen_ns = None  # since when, all at once, and when odometry showed it
@@ -232,7 +231,7 @@ class World:
         heapq.heappush(self.inbox, (self.now_ns + delay_ns, self.number, kind, content))
 
     def _publish_inputs(self, segment):
-        """What teleop_logi, turn_arb and the planner send. Mode, e-stop and gear come less often, and when they change."""
+        """What teleop_logi, turn_arb and the planner send; mode, e-stop and gear less often, and when they change."""
         self.ticks += 1
         last, self.sent_segment = self.sent_segment, segment
         is_new = last is None or (last.mode, last.e_stop, last.gear) != (segment.mode, segment.e_stop, segment.gear)
@@ -275,7 +274,8 @@ class World:
             decides = True
         if not decides:
             return
-        duty = self.control.decide(now_ns).duty
+        self.decision = self.control.decide(now_ns)
+        duty = self.decision.duty
         if duty != self.duty or now_ns - self.sent_ns >= KEEP_ALIVE_NS:
             self.duty, self.sent_ns = duty, now_ns
             self.number += 1
@@ -296,10 +296,7 @@ class World:
             self.last_odometry = speed, self.now_ns
             if self.wheels_stand_ns and not self.seen_ns and stamp_ns > self.wheels_stand_ns and speed < STANDSTILL_MPS:
                 self.seen_ns = self.now_ns
-            if TAKES_AGE:
-                control.update_odometry(speed, now_ns, now_ns - stamp_ns if self.case.odometry.is_stamped else 0)
-            else:
-                control.update_odometry(speed, now_ns)
+            control.update_odometry(speed, now_ns, now_ns - stamp_ns if self.case.odometry.is_stamped else 0)
             return False
         segment, has_all = content
         arbiter = control.arbiter
@@ -344,7 +341,7 @@ class World:
                                            or self.now_ns - self.last_odometry[1] > S // 2)
 
     def _judge(self, segment):
-        now_ns, car = self.now_ns, self.car
+        now_ns = self.now_ns
         if self._is_reverse_wanted(segment):
             self.reverse_wanted_ns = now_ns
         if self.esc.motor == BACKWARD:
@@ -363,7 +360,7 @@ class World:
         now_ns, since_ns = self.now_ns, self.away_ns
         away = since_ns is not None and since_ns - self.reverse_wanted_ns <= WAY_NS and now_ns - since_ns <= LINGERS_NS
         self.back_ns, self.shown_ns, self.slightly_ns, self.lowest_mps = now_ns, None, None, self.car.speed_mps
-        self.back = None
+        self.back, self.driven_ns = None, 0
         if not away and now_ns - self.reverse_wanted_ns > WAY_NS:
             is_new = segment.want in (DRIVE, COAST) and now_ns - self.segment_ns <= WAY_NS
             self.back = self.case.script[self.index - bool(is_new)].want, self._named(now_ns)
@@ -385,6 +382,8 @@ class World:
     def _follow_push_back(self, segment):
         now_ns = self.now_ns
         self.lowest_mps = min(self.lowest_mps, self.car.speed_mps)
+        if self.car.wheel_mps <= ROLLS_MPS:
+            self.driven_ns += STEP_NS
         speed, arrived_ns = self.last_odometry
         if arrived_ns > self.back_ns and self.slightly_ns is None and speed < SLIGHTLY_MPS:
             self.slightly_ns = now_ns
@@ -397,11 +396,14 @@ class World:
     def _end_of_push_back(self, is_over=False):
         if self.back_ns is None or is_over and self.esc.motor != BACKWARD:
             return
-        if self.back and self.now_ns - self.back_ns > LONGEST_NS:
+        if self.back and max(self.driven_ns, self.now_ns - self.back_ns if self.driven_ns == 0 else 0) > LONGEST_NS:
+            want, faults = self.back
+            if not self.driven_ns:
+                faults = (*faults, SLOWED)
             def since(at_ns):
                 return math.nan if at_ns is None else (self.now_ns - at_ns) / S
             self.reversals.append(Reversal(
-                (self.back_ns - START_NS) / S, *self.back, self.lowest_mps, since(self.back_ns), since(self.shown_ns),
+                (self.back_ns - START_NS) / S, want, faults, self.lowest_mps, since(self.back_ns), since(self.shown_ns),
                 since(self.slightly_ns), since(self.seen_ns),
                 since(self.wheels_stand_ns)))
         self.back_ns = None
@@ -438,7 +440,8 @@ class World:
             f"{segment.stick:+.2f} value {'-' if segment.value is None else f'{segment.value:+.1f}':5} asked "
             f"{0.0 if self.duty is None else (self.duty - NEUTRAL) / SPAN:+.2f} held {self.pulse:+.2f} "
             f"{self.esc.motor:8} {self.esc.level:.2f} car {self.car.speed_mps:+.2f} odometry {odometry:+.2f} "
-            f"({(self.now_ns - at_ns) / S:.2f} s ago) {state} {', '.join(active)}"
+            f"({(self.now_ns - at_ns) / S:.2f} s ago) "
+            f"{state or self.decision and self.decision.esc.state_name} {', '.join(active)}"
             f"{' REVERSAL' if self.back_ns is not None and self.back else ''}")
 
 
@@ -463,5 +466,7 @@ class _Even:
 
 
 def _channels(profile):
-    """The board's channels: neutral as the timeout value of the ESC's."""
-    return [ChannelConfig(timeout_value=NEUTRAL if channel == CHANNEL else 0) for channel in range(16)]
+    """The board's channels: neutral as the timeout value of the ESC's, and a short time for pulls of most kinds."""
+    pulls = 0 if profile == BTR else -1
+    return [ChannelConfig(timeout_value=NEUTRAL, pulls=pulls) if channel == CHANNEL else ChannelConfig()
+            for channel in range(16)]
