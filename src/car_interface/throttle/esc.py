@@ -24,6 +24,7 @@ from car_interface.throttle.esc_config import (
     UNVERIFIED,
     EscConfig,
 )
+from car_interface.throttle.esc_hill import HillWatch
 from car_interface.throttle.esc_history import EscHistory
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
 from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion, MotionCheck
@@ -39,7 +40,7 @@ PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may be
 # the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
 STOP_MEMORY_NS = round(0.5 * NS_PER_S)
 # So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
-PRIMES_OVER_MPS = 0.5
+PRIMES_OVER_MPS = 1.0
 # A push so weak slows a car that rolls backward by less than 1.5 m/s²: it doesn't turn it round between two reports.
 GENTLE = 0.25
 
@@ -80,6 +81,7 @@ class Esc:
         self._stop_began_ns: int | None = None
         self._is_measured = config.profile_measured  # and nothing has spoken against it
         self._proof = BrakeProof(config.stop_brake)
+        self._hill = HillWatch()
         self._saw_speed_in_reverse = False
 
     @property
@@ -180,7 +182,7 @@ class Esc:
         return value, state, causes.CALIBRATION_DRIVE, PASSES
 
     def _drive(self, value, request, now_ns):
-        if request.cruise_mps > 0 and request.gear == DRIVE and self.config.profile == BRAKE_THEN_REVERSE:
+        if self._hill.drives_the_car and request.cruise_mps > 0 and self.config.profile == BRAKE_THEN_REVERSE:
             value = self._with_a_certain_brake(value, request, now_ns)
         if value > 0:
             return self._push(value, request, now_ns)
@@ -189,14 +191,14 @@ class Esc:
         return 0.0, NEUTRAL, causes.NO_THROTTLE, "neutral is requested"
 
     def _with_a_certain_brake(self, value, request, now_ns):
-        """The request of a planner that wants the car to go on forward, so that the next pull is a brake for certain.
+        """The request of a planner that wants the car to go on downhill, so that the next pull is a brake for certain.
 
-        Downhill the brake is all that keeps the speed. It is certain after half a second of driving, and until neutral
-        follows a pull. So a drive begins with as much of a push, however weak, and a brake that is no longer wanted is
-        held as weakly as the ESC takes it until a push is wanted.
+        The brake is all that keeps the speed there. It is certain after half a second of driving, and until neutral
+        follows a pull. So the car gets as much of a push, however weak, and a brake that is no longer wanted is held as
+        weakly as the ESC takes it until a push is wanted.
         """
         speed_mps = self._motion.speed_mps(now_ns)
-        if speed_mps is None or speed_mps <= -STANDSTILL_MPS:
+        if speed_mps is None or request.gear != DRIVE:
             return value
         if not self._history.brake_is_certain(now_ns):
             is_slow = speed_mps <= request.cruise_mps + PRIMES_OVER_MPS
@@ -220,7 +222,7 @@ class Esc:
     def _rolls_too_fast_backward(self, request, now_ns):
         """Whether a gentle push certainly ends before it drives the car forward."""
         speed_mps = self._motion.speed_mps(now_ns)
-        return (not request.is_human and request.cruise_mps < 0 and self._motion.is_fresh(now_ns)
+        return (self._hill.drives_the_car and request.cruise_mps < 0 and self._motion.is_fresh(now_ns)
                 and speed_mps < min(request.cruise_mps, -2 * STANDSTILL_MPS))
 
     def _brake_in_reverse(self, value, withheld, now_ns):
@@ -358,6 +360,7 @@ class Esc:
         self._history.update_sent(fraction, now_ns)
         if state in (BRAKING, HOLD) and self._motion.rolls_backward(now_ns):
             self._proof.doubt()
+        self._hill.step(fraction, self._motion, now_ns)
         is_push = state == FORWARD and fraction > 0
         self._proof.step(fraction, is_push, self._history.pulled_ns(now_ns), self._motion, now_ns)
         return EscDecision(fraction, state, cause, reason, *self._stop_guarantee(now_ns))

@@ -32,6 +32,8 @@ STALL_NS = 2_000_000_000
 START_S = 0.5
 # Odometry is this old, and sees a speed only after two pulses; but no later than that, or a stop would never be seen.
 DELAY_NS, DELAY_M, MAX_DELAY_NS = 60_000_000, 0.03, 300_000_000
+# With which a motor follows: 0.02 to 0.15 s. What it hasn't done yet is no error that more of it would mend.
+MOTOR_LAG_S = 0.1
 # What the ESC gets differs from what is asked by no more than this unless something cuts it: a count of the board.
 CUT = 0.02
 # The ESC is on its way to what is asked, or can't do it: the car doesn't move by what is asked meanwhile.
@@ -127,6 +129,7 @@ class SpeedControl:
         self._stepped_ns: int | None = None
         self._stalled_ns: int | None = None  # since when it should move and doesn't
         self._was_known = False  # the speed, at the last step
+        self._driven_mps = 0.0  # the reference as a motor with a lag follows it
         self._past: deque = deque()  # what odometry can have seen by now, and all references since
 
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
@@ -187,6 +190,7 @@ class SpeedControl:
 
     def _begin_anew(self, speed_mps):
         self._reference.reset(speed_mps)
+        self._driven_mps = self._reference.speed_mps
         self._integral_mps2 = 0.0
         self._past.clear()
 
@@ -255,7 +259,8 @@ class SpeedControl:
 
     def _seen_reference_mps(self, dt_s, now_ns):
         """The reference that odometry can have seen by now: later ones only look like an error."""
-        past, speed_mps = self._past, self._reference.speed_mps
+        self._driven_mps += (self._reference.speed_mps - self._driven_mps) * -math.expm1(-dt_s / MOTOR_LAG_S)
+        past, speed_mps = self._past, self._driven_mps
         distance_m = past[-1].distance_m if past else 0.0
         past.append(_Past(now_ns, distance_m + speed_mps * dt_s, speed_mps))
         until_ns, until_m = now_ns - DELAY_NS, past[-1].distance_m - DELAY_M

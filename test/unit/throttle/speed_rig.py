@@ -58,16 +58,19 @@ class SpeedRig:
         slope: metres up for each metre ahead.
         thrust: ratio of the motor's thrust to that of the car that the shipped map is of.
         value_map: the converter's.
+        lag_s: of the motor: 0.02 to 0.15.
+        esc, profile, is_measured: the ESC, and what the configuration says of it.
     """
 
-    def __init__(self, slope=0.0, thrust=1.0, value_map=MAP):
-        drive = DriveConfig()
+    def __init__(self, slope=0.0, thrust=1.0, value_map=MAP, lag_s=0.05, esc=xl5(), profile="brake_then_reverse",
+                 is_measured=False):
+        drive = DriveConfig(lag_s=lag_s)
         drive = replace(drive, forward_mps2=drive.forward_mps2 * thrust, reverse_mps2=drive.reverse_mps2 * thrust)
-        self.car = Vehicle(VehicleConfig(drive=drive, slope=slope, esc=xl5()), START_NS)
+        self.car = Vehicle(VehicleConfig(drive=drive, slope=slope, esc=esc), START_NS)
         self.control = SpeedControl()
         self.converter = Converter(ConversionConfig(), value_map)
         self.throttle = ThrottleControl(SHIPPED_ESC, ArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
-                                        EscConfig(profile="brake_then_reverse"))
+                                        EscConfig(profile=profile, profile_measured=is_measured))
         self.request: SpeedRequest | None = STOP
         self.human = False
         self.is_deaf = False  # odometry doesn't arrive

@@ -319,6 +319,51 @@ def test_second_pull_is_reverse_though_odometry_shows_late_that_the_car_stood_by
     assert braked.stick(-0.5, 2.0, speed=0.0)[1] != REVERSE
 
 
+def test_downhill_a_planner_s_brake_becomes_certain_by_a_weak_push_and_stays_so():
+    """Asked for is what a speed control makes of a car that is a little too fast, and then a little too slow."""
+    car = Car()
+
+    def goes_on(value, seconds, speed, **changes):
+        return car.ask(Request(value, DRIVE, is_centered=True, cruise_mps=0.3, **changes), seconds, speed)[:2]
+
+    goes_on(0.3, 0.2, 0.3)  # too short for an ESC to be sure to brake afterwards
+    assert goes_on(-0.02, 0.3, 0.3) == (0.0, NEUTRAL)
+    assert goes_on(-0.02, 0.2, 0.36) == goes_on(-0.2, 0.1, 0.4) == (0.08, FORWARD)
+    assert goes_on(-0.2, 0.3, 0.5) == (-0.2, BRAKING)
+    assert goes_on(-0.02, 0.3, 0.3) == (-0.08, BRAKING)
+    assert goes_on(0.02, 0.02, 0.28, is_limited=True) == (-0.08, BRAKING)
+    assert goes_on(0.02, 0.02, 0.28) == (0.08, FORWARD)
+    assert car.planner(-0.02, 0.02, speed=0.3)[:2] == (0.0, NEUTRAL)  # a planner that doesn't say whether it goes on
+    car.stop(0.1, speed=0.3)
+    assert car.decision.fraction == 0.0
+
+
+@pytest.mark.parametrize("speed, cruise, age_ms, fraction", [
+    (-0.4, -0.3, 0, 0.25), (-0.29, -0.3, 0, 0.0), (-0.4, -0.3, 160, 0.0), (-0.15, -0.1, 0, 0.0), (-0.4, 0.0, 0, 0.0),
+    (-2.0, 0.0, 0, 0.5)])
+def test_backward_downhill_a_planner_s_car_is_braked_by_a_gentle_push_while_it_rolls_faster_than_asked(
+        speed, cruise, age_ms, fraction):
+    car = Car()
+    pulled_twice(car, 0.0)
+    request = Request(-0.3, REVERSE_GEAR, is_centered=True, cruise_mps=cruise)
+    car.ask(request, 0.5, speed + 0.05)
+    car.ask(request._replace(value=-0.02), 0.3, speed + 0.05)
+    car.ask(request._replace(value=-0.02), 0.1, speed)  # it gets faster in neutral
+    car.now_ns += 20 * MS
+    car.esc.update_speed(speed, car.now_ns, age_ms * MS)
+    assert car.ask(request._replace(value=0.5)).fraction == fraction
+
+
+def test_a_planner_s_car_that_a_hill_drives_backward_in_reverse_gear_isn_t_disarmed_and_another_is():
+    for cruise_mps, state in ((-0.3, BRAKING), (0.0, ARMING)):
+        car = Car()
+        pulled_twice(car, 0.0)
+        car.ask(Request(-0.3, REVERSE_GEAR, is_centered=True, cruise_mps=cruise_mps), 0.5, -0.3)
+        for speed in (-0.3, -0.4, -0.5, -0.6, -0.7, -0.8, -0.8, -0.8, -0.8):
+            car.ask(Request(0.3, REVERSE_GEAR, is_centered=True, cruise_mps=cruise_mps), 0.1, speed)
+        assert car.decision.state == state
+
+
 @pytest.mark.parametrize("still_ms, brakes", [(180, True), (200, True), (220, False), (600, False)])
 def test_brake_that_the_board_may_have_ended_while_the_node_stood_still_is_no_brake_any_more(still_ms, brakes):
     """Whether it has said so or not: neutral lets this ESC take the next pull for reverse."""

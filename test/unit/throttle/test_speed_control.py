@@ -10,6 +10,7 @@ import os
 import pytest
 
 from car_interface.common import causes
+from car_interface.sim.esc import xl5
 from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP
 from car_interface.throttle.speed_control import HOLD_MPS2, STOP, SpeedControl, SpeedControlConfig, SpeedRequest
 
@@ -27,7 +28,7 @@ DISTURBED = {
     "values_30_percent_too_large": {"value_map": wrong_map(1.0, 1.3)},
     "values_30_percent_too_small": {"value_map": wrong_map(1.0, 0.7)},
 }
-# On this one the car rolls by itself faster than 0.3 m/s: the ESC brakes it in pulses.
+# On this one drag brake and slope are about even: pushes and neutral alternate.
 ROLLS = "5_percent_downhill"
 
 HELD_S = 64.0 if os.environ.get("CAR_INTERFACE_ALL") else 16.0
@@ -57,6 +58,41 @@ def test_0_3_mps_is_held_without_a_stall(disturbance):
     else:
         assert min(sample.speed_mps for sample in samples[200:]) > 0.27
         assert abs(mean_error(samples[200:], 0.3)) < 0.03
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("drag_brake, lag_s", [(0.0, 0.05), (0.1, 0.15)])
+@pytest.mark.parametrize("slope, speed_mps, within", [(0.05, 0.3, 0.12), (0.05, 1.0, 0.12), (0.08, 1.0, 0.2)])
+@pytest.mark.parametrize("sign", [1, -1], ids=["forward", "backward"])
+def test_speed_is_held_downhill(drag_brake, lag_s, slope, speed_mps, within, sign):
+    rig = SpeedRig(slope=-sign * slope, esc=xl5(drag_brake=drag_brake), is_measured=True, lag_s=lag_s)
+    rig.car.speed_mps = 0.0  # it was held until now
+    samples = rig.run(13.0, SpeedRequest(sign * speed_mps))
+    assert max(sign * sample.speed_mps for sample in samples) < speed_mps + 0.5
+    assert abs(mean_error(samples[150:], sign * speed_mps)) < within
+    assert max(abs(sample.speed_mps) for sample in samples[150:]) < speed_mps * (1 + within) or speed_mps == 0.3
+    assert all(sign * sample.speed_mps > 0.1 for sample in samples[150:])
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("drag_brake", [0.0, 0.05])
+def test_the_steepest_hill_at_a_crawl_makes_it_too_fast_for_a_moment(drag_brake):
+    rig = SpeedRig(slope=-0.08, esc=xl5(drag_brake=drag_brake), is_measured=True)
+    rig.car.speed_mps = 0.0
+    samples = rig.run(8.0, SpeedRequest(0.3))
+    assert max(sample.speed_mps for sample in samples) < 0.9
+    assert abs(mean_error(samples[200:], 0.3)) < 0.03
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("lag_s", [0.0, 0.02, 0.1, 0.15])
+@pytest.mark.parametrize("disturbance, limit", [
+    ("as_the_map_says", 0.10), ("map_30_percent_too_strong", 0.15), ("map_30_percent_too_weak", 0.15)])
+@pytest.mark.parametrize("target", [0.3, 1.0])
+def test_speed_isn_t_overshot_whatever_the_motor_s_lag(disturbance, limit, target, lag_s):
+    samples = SpeedRig(lag_s=lag_s, **DISTURBED[disturbance]).run(5.0, SpeedRequest(target))
+    assert overshoot(samples, target) < limit
+    assert abs(mean_error(samples[-75:], target)) < 0.03
 
 
 @pytest.mark.once
