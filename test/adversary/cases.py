@@ -175,7 +175,7 @@ class _Script:
                 self.add(rng.uniform(0.05, 0.8), COAST, value=0.0, **ways)
                 self.add(rng.uniform(0.3, 1.8), HOLD, **brakes)
             elif after < 0.75:
-                self.add(rng.uniform(0.2, 1.8), HOLD, stick=-rng.uniform(0.2, 1.0), value=rng.uniform(-2.0, 2.0), **ways)
+                self.add(rng.uniform(0.2, 1.8), HOLD, **{**brakes, "stick": -rng.uniform(0.2, 1.0)})
                 self.add(0.7, COAST, value=0.0, **ways)
             elif after < 0.88:
                 last = self.segments[-1]
@@ -235,7 +235,7 @@ def _config(rng, group, profile, esc, car):
 
 
 def _random_faults(rng, script):
-    """Up to three, often at about the same time; some make a brake look as if it held the car, and blind the next one."""
+    """Up to three, often at about the same time; some make a brake look as if it held the car, and blind the next."""
     if rng.random() < 0.1:
         return _false_proof(rng, script)
     faults = []

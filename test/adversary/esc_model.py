@@ -66,6 +66,11 @@ class EscModel:
         self._next, self._is_armed, self._neutral = _FRESH, self.spec.power_up == OBEYS, None
         self._neutral_s = self._pull_s = self._forward_s = self._stand_s = 0.0
 
+    @property
+    def has_wrong_neutral(self) -> bool:
+        """Whether it took a push or a pull for neutral when it was powered."""
+        return abs(self._neutral or 0.0) > self.spec.dead_band
+
     def switch(self, is_on: bool) -> None:
         """Take its power away, or give it back."""
         if is_on and not self.is_on:

@@ -19,7 +19,8 @@ ENDED_S = 0.5  # after odometry that shows it: a wrong kind's, and an ESC's that
 # Wheels that a wall stops, or that lock, all at once: no rule can know before odometry shows it, and that the message,
 # the timer, the board and the pulse have passed.
 STOOD_S, UNSEEN_S = 0.1, 0.5
-APART = ("no stamp", "powered under a pull", "powered", SLOWED, LOCKED, HIT)  # told apart, the first that applies
+UNDER_A_PULL = "powered under a pull"
+APART = ("no stamp", UNDER_A_PULL, "powered", SLOWED, LOCKED, HIT)  # told apart, the first that applies
 WORST = 12
 
 
@@ -44,17 +45,18 @@ class Found(NamedTuple):
     def is_failure(self) -> bool:
         if self.apart in ("no stamp", "powered", SLOWED):
             return False
+        if self.apart == UNDER_A_PULL or self.group == "wrong" and self.reversal.want != "stop":
+            return not self.is_ended
         if self.apart in (LOCKED, HIT):
             return self.reversal.stood_s > STOOD_S or self.reversal.stopped_s > UNSEEN_S
-        if self.apart or self.group == "wrong" and self.reversal.want != "stop":
-            return not self.is_ended
         return True
 
     def __str__(self) -> str:
         found = self.reversal
         shown = "" if math.isnan(found.shown_s) else f", {found.shown_s:.2f} s after odometry showed it"
         return (f"--one {self.name}: {self.group} ({self.kinds}) at {found.at_s:.2f} s, wanted: {found.want}; "
-                f"{found.lowest_mps:+.2f} m/s, backward for {found.lasts_s:.2f} s{shown}; {', '.join(found.faults) or '-'}")
+                f"{found.lowest_mps:+.2f} m/s, backward for {found.lasts_s:.2f} s{shown}; "
+                f"{', '.join(found.faults) or '-'}")
 
 
 def case_of(name: str) -> Case:
@@ -62,13 +64,14 @@ def case_of(name: str) -> Case:
     return sweep_case(int(name[1:])) if name.startswith("s") else random_case(int(name))
 
 
-def run_one(name: str) -> tuple[list[Found], str, int, int]:
-    """A sequence's reversals, its group, how many reverses were wanted and how many came about."""
+def run_one(name: str) -> tuple[str, list[Found], str, int, int]:
+    """A sequence's name, its reversals, its group, how many reverses were wanted and how many came about."""
     case = case_of(name)
     result = World(case).run()
     profile = case.config["profile"] + (", measured" if case.is_measured else "")
     kinds = profile if case.group == "right" else f"{profile}, is {case.esc.kind}"
-    return [Found(name, case.group, kinds, each) for each in result.reversals], case.group, result.wanted, result.got
+    found = [Found(name, case.group, kinds, each) for each in result.reversals]
+    return name, found, case.group, result.wanted, result.got
 
 
 class Summary:
@@ -77,28 +80,32 @@ class Summary:
     def __init__(self, results: Iterable[tuple]):
         self.found: list[Found] = []
         self.runs, self.wanted, self.got, self.missed = Counter(), 0, 0, []
-        for found, group, wanted, got in results:
+        for name, found, group, wanted, got in results:
             self.found += found
             self.runs[group] += 1
             self.wanted += wanted
             self.got += got
+            if got < wanted:
+                self.missed.append(name)
         self.failures = [each for each in self.found if each.is_failure]
 
     def lines(self) -> list[str]:
         """A line for each class, for each fault of a failure, and for the worst of each class."""
-        lines = [f"{sum(self.runs.values())} sequences ({', '.join(f'{n} {group}' for group, n in self.runs.items())}), "
-                 f"{len({each.name for each in self.failures})} of them with a reversal that must not be; "
-                 f"{self.got} of {self.wanted} wanted reverses came about"]
+        runs = ", ".join(f"{number} {group}" for group, number in sorted(self.runs.items()))
+        lines = [(f"{sum(self.runs.values())} sequences ({runs}), {len({each.name for each in self.failures})} of them "
+                  f"with a reversal that must not be; {self.got} of {self.wanted} wanted reverses came about"
+                  + (f", not: {', '.join(self.missed[:10])}" if self.missed else ""))]
         classes: dict[tuple, list[Found]] = {}
         for each in self.found:
             classes.setdefault((not each.is_failure, each.group, each.reversal.want, each.apart), []).append(each)
         for (is_allowed, group, want, apart), members in sorted(classes.items()):
             worst = min(members, key=lambda each: each.reversal.lowest_mps)
-            slightly = [each.reversal.slightly_s for each in members if not math.isnan(each.reversal.slightly_s)]
+            longest_s = max(each.reversal.lasts_s for each in members)
+            slightly_s = max((each.reversal.slightly_s for each in members if each.reversal.slightly_s > 0),
+                             default=0.0)
             lines.append(f"{'told apart' if is_allowed else 'FAILED':10} {group:10} {want:14} {apart:25} "
                          f"{len(members):5} reversals, worst {worst.reversal.lowest_mps:+.2f} m/s "
-                         f"(--one {worst.name}), longest {max(each.reversal.lasts_s for each in members):.2f} s, after odometry below "
-                         f"-0.05 m/s {max(slightly, default=0.0):.2f} s")
+                         f"(--one {worst.name}), longest {longest_s:.2f} s, after odometry below -0.05 m/s {slightly_s:.2f} s")
         causes = Counter((each.group, each.reversal.want, ", ".join(each.reversal.faults) or "-")
                          for each in self.failures)
         lines += [f"{number:6} {group}, {want}: {faults}" for (group, want, faults), number in causes.most_common(25)]
@@ -172,7 +179,7 @@ def main() -> int:
     if args.one:
         case = case_of(args.one)
         print(case._replace(script=()), *case.script, *World(case, tells=True).run().story, sep="\n")
-        print(*run_one(args.one)[0], sep="\n")
+        print(*run_one(args.one)[1], sep="\n")
         return 0
     if args.stops:
         return _compare_stops(Path(args.stops))

@@ -130,10 +130,11 @@ class World:
         self.sent_segment = None
         self.ticks = 0
         self.last_odometry = (math.nan, START_NS - S)  # what arrived, when
-        self.last_stamp_ns = 0
+        self.known_ns = START_NS - S  # the newest speed's stamp
+        self.last_arrival_ns = 0
         self.latest_ns = {}  # by fault
         self.reverse_wanted_ns = -S  # when reverse was wanted last
-        self.pushed_after_power, self.power = True, None
+        self.power = None  # how the ESC was powered anew, if it has not driven forward since
         # The push backward that lasts.
         self.back_ns = None
         self.back = None
@@ -180,8 +181,8 @@ class World:
             if now_ns - self.latest_ns.get(name, 0) > RECENT_NS:
                 self.wheels_stand_ns, self.seen_ns = now_ns, None
             self.latest_ns[name] = now_ns
-        if esc.motor == FORWARD:
-            self.pushed_after_power, self.power = True, None
+        if self.power and esc.motor == FORWARD and not esc.has_wrong_neutral:
+            self.power = None
         self._judge(segment)
         if self.story is not None and now_ns // STEP_NS % 4 == 0:
             self._tell(now_s, segment, active)
@@ -246,7 +247,7 @@ class World:
         if speed:
             speed += self.rng.gauss(0.0, odometry.noise_mps)
         arrives_ns = self.now_ns + round(min(0.4, delay_s) * S * self.rng.uniform(0.9, 1.0))
-        arrives_ns = self.last_stamp_ns = max(arrives_ns, self.last_stamp_ns)  # in order
+        arrives_ns = self.last_arrival_ns = max(arrives_ns, self.last_arrival_ns)  # in order
         self._post(arrives_ns - self.now_ns, _ODOMETRY, (speed, self.now_ns))
 
     def _arbiter(self, is_away, is_dead):
@@ -294,6 +295,7 @@ class World:
         if kind == _ODOMETRY:
             speed, stamp_ns = content
             self.last_odometry = speed, self.now_ns
+            self.known_ns = stamp_ns if self.case.odometry.is_stamped else now_ns
             if self.wheels_stand_ns and not self.seen_ns and stamp_ns > self.wheels_stand_ns and speed < STANDSTILL_MPS:
                 self.seen_ns = self.now_ns
             control.update_odometry(speed, now_ns, now_ns - stamp_ns if self.case.odometry.is_stamped else 0)
@@ -338,7 +340,7 @@ class World:
         if segment.want == ANY:
             return True
         return segment.want == SECOND and (self.car.wheel_mps <= STANDS_MPS
-                                           or self.now_ns - self.last_odometry[1] > S // 2)
+                                           or self.now_ns - self.known_ns > S // 2)
 
     def _judge(self, segment):
         now_ns = self.now_ns
