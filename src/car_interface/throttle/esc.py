@@ -39,6 +39,8 @@ PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may be
 # A stop trusts the ESC to remember that it drove forward for no longer than this, whatever reverse_after_neutral says:
 # the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
 STOP_MEMORY_NS = round(0.5 * NS_PER_S)
+# A pull that begins so soon after the last speed is one at that speed.
+LOST_NS = round(0.5 * NS_PER_S)
 # So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
 PRIMES_OVER_MPS = 1.0
 # A push so weak slows a car that rolls backward by less than 1.5 m/s²: it doesn't turn it round between two reports.
@@ -235,6 +237,10 @@ class Esc:
         if request.is_human and request.gear == DRIVE and self._motion.rolls_backward(now_ns):
             return self._brake_in_reverse(-value, "it rolls backward, too slowly for a brake that is sure to end in "
                                           "time: it coasts", now_ns)
+        # A speed that was lost just now, when the car rolled, doesn't let a pull that is held become reverse.
+        is_lost = self._motion.speed_mps(now_ns) is None
+        if is_lost and self._motion.rolled_forward_since(self._pulls.began_ns - LOST_NS):
+            self._pulls.mark_brake()
         means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
         if means_reverse and self._may_reverse(request, now_ns):
             return self._reverse(value, now_ns)

@@ -62,6 +62,10 @@ class MeasuredMotion:
         """Whether the speed is known and hardly older than between two reports."""
         return self.speed_mps(now_ns) is not None and now_ns - self.measured_ns <= FRESH_NS
 
+    def rolled_forward_since(self, since_ns: int) -> bool:
+        """Whether the newest speed, known or lost by now, was measured since then, and the car rolled forward."""
+        return self.measured_ns >= since_ns and self._speed.value >= STANDSTILL_MPS
+
     def stands(self, now_ns: int) -> bool:
         """Whether the car is known to stand."""
         speed_mps = self.speed_mps(now_ns)

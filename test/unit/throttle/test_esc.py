@@ -319,6 +319,16 @@ def test_second_pull_is_reverse_though_odometry_shows_late_that_the_car_stood_by
     assert braked.stick(-0.5, 2.0, speed=0.0)[1] != REVERSE
 
 
+def test_second_pull_during_which_the_speed_is_lost_is_no_reverse_if_the_car_rolled_and_the_next_is():
+    car = Car()
+    car.stick(0.5, 0.5, speed=2.0)
+    car.stick(-0.5, 0.4, speed=1.0)
+    car.stick(0.0, 0.4, speed=0.7)
+    assert car.stick(-0.5, 3.0)[1] != REVERSE
+    car.stick(0.0, 0.2)
+    assert car.stick(-0.5, 3.0)[1] == REVERSE
+
+
 def test_downhill_a_planner_s_brake_becomes_certain_by_a_weak_push_and_stays_so():
     """Asked for is what a speed control makes of a car that is a little too fast, and then a little too slow."""
     car = Car()
