@@ -104,14 +104,20 @@ class _Script:
         self.add(self.rng.uniform(0.3, 1.8), DRIVE, stick=self.rng.uniform(0.3, 1.0))
         self.pulls, self.is_known = 0, True
 
+    def next_pull(self):
+        """What a pull wants that begins now; one that goes on wants what it did."""
+        if self.segments[-1].stick < 0 and self.segments[-1].deadman:
+            return self.segments[-1].want
+        self.pulls += 1
+        return HOLD if self.pulls == 1 else SECOND if self.is_known else ANY
+
     def pull(self, at_least_s=0.1):
-        want = HOLD if not self.pulls else SECOND if self.is_known else ANY
+        want = self.next_pull()
         ends_s = self.now_s + self.rng.choice((self.rng.uniform(0.1, 0.4), self.rng.uniform(0.4, 2.5)))
         ends_s = max(ends_s, self.now_s + at_least_s)
         while self.now_s < ends_s:  # a hand isn't steady
             lasts_s = min(ends_s - self.now_s, self.rng.uniform(0.2, 2.0))
             self.add(max(0.05, lasts_s), want, stick=-self.rng.choice((1.0, self.rng.uniform(0.12, 1.0))))
-        self.pulls += 1
 
     def center(self):
         self.add(self.rng.choice((self.rng.uniform(0.05, 0.4), self.rng.uniform(0.2, 1.2))), COAST)
@@ -132,10 +138,9 @@ class _Script:
 
     def reverse(self):
         """As a person does it: brake until the car stands, center, pull and hold it."""
-        self.add(self.rng.uniform(0.8, 2.2), SECOND if self.pulls else HOLD, stick=-self.rng.uniform(0.6, 1.0))
+        self.add(self.rng.uniform(0.8, 2.2), self.next_pull(), stick=-self.rng.uniform(0.6, 1.0))
         self.add(self.rng.uniform(0.06, 0.6), COAST)
-        self.add(self.rng.uniform(1.6, 2.6), SECOND if self.is_known else ANY, stick=-self.rng.uniform(0.3, 1.0))
-        self.pulls += 2
+        self.add(self.rng.uniform(1.6, 2.6), self.next_pull(), stick=-self.rng.uniform(0.3, 1.0))
 
     def by_stick(self, until_s):
         while self.now_s < until_s:

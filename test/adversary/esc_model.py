@@ -71,6 +71,11 @@ class EscModel:
         """Whether it took a push or a pull for neutral when it was powered."""
         return abs(self._neutral or 0.0) > self.spec.dead_band
 
+    @property
+    def brakes_next(self) -> bool:
+        """Whether it was pushed forward for long enough."""
+        return self._next == _BRAKES
+
     def switch(self, is_on: bool) -> None:
         """Take its power away, or give it back."""
         if is_on and not self.is_on:

@@ -153,6 +153,8 @@ class World:
         ends_ns = START_NS + round((self.case.script[-1].end_s + 0.5) * S)
         while self.now_ns < ends_ns - round(self.skip_s * S):
             self._step()
+            if self.case.speed_mps and self.car.speed_mps == 0 and self.case.script[self.index].want == STOP:
+                break
         self._end_of_push_back(is_over=True)
         self._end_of_second()
         return Result(self.reversals, self.wanted, self.got, self.stop_m, self.story)
@@ -178,10 +180,10 @@ class World:
         car.step(esc.motor, esc.level, self.case.esc.drag_brake if esc.is_on else 0.0, STEP_NS / S)
         if car.is_locked or car.hit_mps > HIT_MPS:
             name = LOCKED if car.is_locked else HIT
-            if now_ns - self.latest_ns.get(name, 0) > RECENT_NS:
+            if now_ns - self.latest_ns.get(name, 0) > STEP_NS:
                 self.wheels_stand_ns, self.seen_ns = now_ns, None
             self.latest_ns[name] = now_ns
-        if self.power and esc.motor == FORWARD and not esc.has_wrong_neutral:
+        if self.power and esc.brakes_next and not esc.has_wrong_neutral:
             self.power = None
         self._judge(segment)
         if self.story is not None and now_ns // STEP_NS % 4 == 0:
@@ -368,8 +370,9 @@ class World:
             self.back = self.case.script[self.index - bool(is_new)].want, self._named(now_ns)
 
     def _named(self, now_ns):
+        is_seen = not self.wheels_stand_ns or self.seen_ns
         named = {name for name, at_ns in self.latest_ns.items()
-                 if now_ns - at_ns <= (SUDDEN_NS if name in (LOCKED, HIT) else RECENT_NS)}
+                 if now_ns - at_ns <= (SUDDEN_NS if name in (LOCKED, HIT) and is_seen else RECENT_NS)}
         odometry = self.case.odometry
         if self.power:
             named.add(self.power)
@@ -415,7 +418,8 @@ class World:
         case = self.case
         late_s = case.odometry.delay_s + max((fault.value for fault in case.faults if fault.name == ODOMETRY_LATE),
                                              default=0.0)
-        is_due = (segment.want == SECOND and segment.end_s - now_s >= 1.5 + min(0.4, late_s)
+        is_begun = case.script[self.index - 1].want == SECOND  # a pull that goes on, whose hand trembles
+        is_due = (segment.want == SECOND and not is_begun and segment.end_s - now_s >= 1.5 + min(0.4, late_s)
                   and abs(self.car.wheel_mps) < 0.05 and abs(9.81 * case.car.slope) < case.car.drag_mps2
                   and case.group != "wrong" and case.esc.kind != FORWARD_ONLY and self.esc.is_on
                   and self.away_ns is None and not self.power and self._is_untroubled())
