@@ -327,11 +327,19 @@ class Esc:
     def _stop(self, now_ns, cause=causes.STOPPING, prefix=""):
         if self._stop_began_ns is None:
             self._stop_began_ns = now_ns
+        if self._holds_on_a_hill(now_ns):
+            return -self.config.stop_brake, HOLD, cause, f"{prefix}it stands on a hill, and the brake holds it"
         if self._state == REVERSE or not self._stop_brakes(now_ns):
             return 0.0, NEUTRAL, cause, f"{prefix}it stops in neutral"
-        if now_ns - self._stop_began_ns > self.config.stop_brake_time_s * NS_PER_S:
+        lasts_ns = now_ns - self._stop_began_ns
+        if lasts_ns > self.config.stop_brake_time_s * NS_PER_S and not self._motion.rolls_forward(now_ns):
             return 0.0, NEUTRAL, cause, f"{prefix}it has braked for {self.config.stop_brake_time_s:g} s"
         return -self.config.stop_brake, BRAKING, cause, f"{prefix}it brakes"
+
+    def _holds_on_a_hill(self, now_ns):
+        """Whether a stop goes on at standstill: where neutral is known to roll, and the brake began while it rolled."""
+        return (self._hill.drives_the_car and self._state in (BRAKING, HOLD) and self._motion.stands(now_ns)
+                and self.config.stop_brake > 0 and self._stop_is_certain(now_ns))
 
     def _stop_brakes(self, now_ns):
         """Whether a stop brakes: only where it can't become reverse, also if the profile in the configuration is wrong.

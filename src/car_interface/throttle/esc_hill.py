@@ -14,7 +14,7 @@ class HillWatch:
     """Follows the speed while the ESC has neutral.
 
     Attributes:
-        drives_the_car: a hill does, the way it rolls; it counts until the car has stood, or has slowed in neutral.
+        drives_the_car: a hill does, the way it rolls; it counts until the car has stood or slowed in neutral.
     """
 
     def __init__(self):
@@ -26,8 +26,9 @@ class HillWatch:
         """What the ESC gets from now on."""
         speed_mps = motion.speed_mps(now_ns)
         if speed_mps is None or abs(speed_mps) < STANDSTILL_MPS:
-            self.drives_the_car = self.drives_the_car and speed_mps is None
             self._neutral_ns = None
+            if speed_mps is not None and not fraction:
+                self.drives_the_car = False
             return
         speed_mps = abs(speed_mps)
         if fraction:

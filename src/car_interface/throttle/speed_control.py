@@ -28,6 +28,7 @@ MAX_STEP_S = 0.1  # the longest time that one step counts, so that a delayed nod
 THROTTLE_TIMEOUT_S = 0.5  # throttle_arb's state comes 10 times a second
 HOLD_MPS2 = 1.5  # brakes at standstill, as Autoware does; the ESC's rules see to it that this doesn't reverse
 STALL_NS = 2_000_000_000
+RUNAWAY_MPS, RUNAWAY_NS = 0.3, 1_000_000_000
 # The least that a start takes: odometry sees nothing for the first 4 cm, and a wrong map makes the car too fast.
 START_S = 0.5
 # Odometry is this old, and sees a speed only after two pulses; but no later than that, or a stop would never be seen.
@@ -128,6 +129,7 @@ class SpeedControl:
         self._gear = DRIVE
         self._stepped_ns: int | None = None
         self._stalled_ns: int | None = None  # since when it should move and doesn't
+        self._too_fast_ns: int | None = None  # since when it rolls faster than it should
         self._was_known = False  # the speed, at the last step
         self._driven_mps = 0.0  # the reference as a motor with a lag follows it
         self._past: deque = deque()  # what odometry can have seen by now, and all references since
@@ -180,7 +182,7 @@ class SpeedControl:
         if request.gear == COAST_GEAR:
             return SpeedCommand(0.0, self._speed.value, COAST_GEAR, True, "")
         acceleration_mps2 = self._follow(request, target_mps, speed_mps, max(0.0, min(dt_s, MAX_STEP_S)), now_ns)
-        notes += self._stall(speed_mps, now_ns)
+        notes += self._stall(speed_mps, now_ns) + self._runaway(speed_mps, now_ns)
         return SpeedCommand(self._sign * acceleration_mps2, self._sign * self._reference.speed_mps, self._gear, True,
                             "; ".join(notes))
 
@@ -221,6 +223,17 @@ class SpeedControl:
             self._stalled_ns = now_ns
         elif now_ns - self._stalled_ns >= STALL_NS:
             return [f"it doesn't move at {self._reference.speed_mps:.2f} m/s: too slow for this car, or it is held"]
+        return []
+
+    def _runaway(self, speed_mps, now_ns):
+        """That the car rolls faster than it should for long."""
+        if speed_mps <= self._reference.speed_mps + RUNAWAY_MPS:
+            self._too_fast_ns = None
+        elif self._too_fast_ns is None:
+            self._too_fast_ns = now_ns
+        elif now_ns - self._too_fast_ns >= RUNAWAY_NS:
+            return [f"it rolls at {speed_mps:.2f} m/s instead of {self._reference.speed_mps:.2f}: downhill, and its ESC "
+                    "isn't certain to brake it, or something else pushes it"]
         return []
 
     def _wanted_gear(self, request, wanted_mps):

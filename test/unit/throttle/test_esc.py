@@ -395,6 +395,30 @@ def test_stop_brakes_no_longer_than_its_time_and_not_at_standstill():
     assert standing.stop(speed=0.0).fraction == 0.0
 
 
+def test_stop_brakes_on_while_the_car_is_known_to_roll():
+    car = Car(profile_measured=True, stop_brake_time_s=1.0)
+    car.stick(0.5, 0.5, speed=2.0)
+    assert car.stop(3.0, speed=2.0)[::3] == (-0.5, "it brakes")
+    assert car.stop(0.6).fraction == 0.0  # its speed is lost
+
+
+@pytest.mark.parametrize("profile, is_measured, rolls_mps, holds", [
+    (SEQUENCE, True, 0.6, True), (NO_REVERSE, True, 0.6, True), (SEQUENCE, True, 0.4, False),
+    (SEQUENCE, False, 0.6, False), (TURNS, True, 0.6, False)])
+def test_stop_holds_the_car_where_neutral_is_known_to_roll_and_the_brake_is_certain(
+        profile, is_measured, rolls_mps, holds):
+    car = Car(profile, profile_measured=is_measured, armed=False)
+    car.stop(1.1)
+    car.stick(0.5, 0.5, speed=0.5)
+    car.stick(0.0, 0.3, speed=0.5)
+    car.stick(0.0, 0.1, speed=rolls_mps)
+    car.stop(0.2, speed=0.5)
+    decision = car.stop(30.0, speed=0.0)
+    assert decision[:2] == ((-0.5, HOLD) if holds else (0.0, NEUTRAL))
+    assert ("stands on a hill" in decision.reason) == holds
+    assert car.stop(0.1, speed=-0.2).fraction == 0.0  # it rolls back, or the ESC was powered anew
+
+
 def test_stop_with_an_unknown_chip_or_from_reverse_is_neutral_and_never_a_push_forward():
     car = Car()
     car.stick(0.5, 0.5, speed=3.0)

@@ -46,4 +46,5 @@ def test_it_counts_while_the_car_is_pushed_and_braked_until_it_stood_or_slowed_i
     assert not roll.then(0.0, 0.5, 0.3).watch.drives_the_car
     roll.then(0.0, 0.5, 0.4)
     assert roll.watch.drives_the_car
-    assert not roll.then(-0.1, 0.5, 0.0).watch.drives_the_car
+    assert roll.then(-0.1, 0.5, 0.0).watch.drives_the_car  # a brake holds it there
+    assert not roll.then(0.0, 0.04, 0.0).watch.drives_the_car

@@ -217,6 +217,18 @@ def test_car_that_does_not_move_for_two_seconds_is_told_until_it_moves():
     assert bench.run(SpeedRequest(0.2), 5.0).note == ""
 
 
+def test_car_that_rolls_too_fast_for_a_second_is_told_until_it_does_not():
+    notes = []
+    control = SpeedControl()
+    for index in range(300):
+        now_ns = index * TICK_NS
+        control.update_odometry(1.0 if 50 <= index < 200 else 0.3, now_ns)
+        notes.append(control.step(SpeedRequest(0.3), now_ns).note)
+    told = [index for index, note in enumerate(notes) if note]
+    assert told == list(range(100, 200)) and notes[100] == (
+        "it rolls at 1.00 m/s instead of 0.30: downhill, and its ESC isn't certain to brake it, or something else pushes it")
+
+
 def test_gear_change_at_speed_stops_first_and_says_so():
     bench = Bench(speed_mps=2.0)
     bench.run(SpeedRequest(2.0, gear="drive"), 1.0)
