@@ -8,7 +8,7 @@ import multiprocessing
 import os
 from collections import Counter
 from pathlib import Path
-from typing import Iterable, NamedTuple
+from typing import Iterable, NamedTuple, Sequence
 
 from adversary.car_model import CarSpec
 from adversary.cases import SWEEP_CASES, UNVERIFIED, Case, Odometry, Segment, random_case, sweep_case
@@ -144,10 +144,12 @@ def stop_cases() -> Iterable[tuple[str, Case]]:
                                  Odometry(0.02, 0.01), 0.6, speed_mps, is_even=True)
 
 
-def stop_distances() -> dict[str, float]:
-    """Metres of each stop."""
+def stop_distances(speeds_mps: Sequence[float] = STOP_SPEEDS) -> dict[str, float]:
+    """Metres of each stop from one of these speeds."""
     distances = {}
     for name, case in stop_cases():
+        if case.speed_mps not in speeds_mps:
+            continue
         world = World(case)
         result = world.run()
         distances[name] = round(world.car.x_m - result.stop_m, 3)
@@ -156,8 +158,8 @@ def stop_distances() -> dict[str, float]:
 
 def longer_stops(baseline: dict[str, float], now: dict[str, float], by: float = 0.05) -> list[str]:
     """The stops that became longer than the baseline's by more than a share and a centimetre."""
-    return [f"{name}: {now[name]:.2f} m, was {was:.2f} m" for name, was in baseline.items()
-            if now[name] > was * (1 + by) + 0.01]
+    return [f"{name}: {is_m:.2f} m, was {baseline[name]:.2f} m" for name, is_m in now.items()
+            if is_m > baseline[name] * (1 + by) + 0.01]
 
 
 def run_many(names: list[str], cores: int) -> Summary:

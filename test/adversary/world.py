@@ -32,7 +32,7 @@ from adversary.cases import (
     WALL,
     Case,
 )
-from adversary.esc_model import BACKWARD, BTR, FORWARD, FORWARD_ONLY, EscModel
+from adversary.esc_model import BACKWARD, BTR, FORWARD_ONLY, EscModel
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.throttle.arbiter import TELEOP, ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
