@@ -366,7 +366,7 @@ class World:
         self.back_ns, self.shown_ns, self.slightly_ns, self.lowest_mps = now_ns, None, None, self.car.speed_mps
         self.back, self.driven_ns = None, 0
         if not away and now_ns - self.reverse_wanted_ns > WAY_NS:
-            is_new = segment.want in (DRIVE, COAST) and now_ns - self.segment_ns <= WAY_NS
+            is_new = segment.want in (DRIVE, COAST, STOP) and now_ns - self.segment_ns <= WAY_NS
             self.back = self.case.script[self.index - bool(is_new)].want, self._named(now_ns)
 
     def _named(self, now_ns):
