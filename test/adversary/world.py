@@ -364,10 +364,11 @@ class World:
         now_ns, since_ns = self.now_ns, self.away_ns
         away = since_ns is not None and since_ns - self.reverse_wanted_ns <= WAY_NS and now_ns - since_ns <= LINGERS_NS
         self.back_ns, self.shown_ns, self.slightly_ns, self.lowest_mps = now_ns, None, None, self.car.speed_mps
-        self.back, self.driven_ns = None, 0
+        self.back, self.driven_ns, self.stop_ns = None, 0, None
         if not away and now_ns - self.reverse_wanted_ns > WAY_NS:
             is_new = segment.want in (DRIVE, COAST, STOP) and now_ns - self.segment_ns <= WAY_NS
             self.back = self.case.script[self.index - bool(is_new)].want, self._named(now_ns)
+            self.stop_ns = self.segment_ns if segment.want == STOP else None
 
     def _named(self, now_ns):
         is_seen = not self.wheels_stand_ns or self.seen_ns
@@ -403,6 +404,8 @@ class World:
             return
         if self.back and max(self.driven_ns, self.now_ns - self.back_ns if self.driven_ns == 0 else 0) > LONGEST_NS:
             want, faults = self.back
+            if self.stop_ns and self.now_ns - self.stop_ns > 2 * WAY_NS:
+                want = STOP  # it outlasts the brake before the stop by more than a message's way
             if not self.driven_ns:
                 faults = (*faults, SLOWED)
             def since(at_ns):
@@ -422,7 +425,7 @@ class World:
         is_due = (segment.want == SECOND and not is_begun and segment.end_s - now_s >= 1.5 + min(0.4, late_s)
                   and abs(self.car.wheel_mps) < 0.05 and abs(9.81 * case.car.slope) < case.car.drag_mps2
                   and case.group != "wrong" and case.esc.kind != FORWARD_ONLY and self.esc.is_on
-                  and self.away_ns is None and not self.power and self._is_untroubled())
+                  and self.away_ns is None and not self.power and not self.reversals and self._is_untroubled())
         self.second = [self.now_ns, self.index, False] if is_due else None
 
     def _is_untroubled(self):
