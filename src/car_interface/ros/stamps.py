@@ -11,15 +11,16 @@ from car_interface.ros.clocks import Clocks
 ODD_STAMP_S = 10.0  # this far from now
 # The clocks of two computers differ, and one is slewed, by less than this; a larger change was a step.
 CLOCK_NS = NS_PER_S // 20
-# So long after a step no stamp counts: what is under way was stamped before it. No input is waited for as long.
-STEPPED_FOR_NS = NS_PER_S
+# After a step no stamp counts until one is of this age again: what is under way was stamped before it, and another
+# computer's clock may not have been set. Nothing older is waited for anyhow.
+AGREES_NS = NS_PER_S
 
 
 class StampedAge:
     """How old one topic's messages are when they arrive, by their stamps.
 
-    A stamp of 0, one in the future, and any for a second after ROS time was set say nothing: then an age is 0, and it
-    counts from arrival alone. Each of these is logged once.
+    A stamp of 0, one in the future, and any after ROS time was set, until they agree with it again, say nothing: then an
+    age is 0, and it counts from arrival alone. Each of these is logged once.
 
     Args:
         topic: for the log.
@@ -29,7 +30,7 @@ class StampedAge:
     def __init__(self, topic: str, clocks: Clocks):
         self._topic, self._clocks = topic, clocks
         self._offset_ns: int | None = None  # of ROS time to the monotonic clock
-        self._counts_after_ns = 0  # on the monotonic clock
+        self._was_set = False  # ROS time, and no stamp has agreed with it since
         self._told: set[str] = set()
 
     def at_arrival_ns(self, stamp: rospy.Time, arrival_ns: int) -> int:
@@ -40,13 +41,16 @@ class StampedAge:
         was_ns, offset_ns = self._offset_ns, ros_ns - after_ns
         self._offset_ns = offset_ns
         if was_ns is not None and abs(offset_ns - was_ns) > CLOCK_NS + after_ns - before_ns:
-            self._counts_after_ns = after_ns + STEPPED_FOR_NS
-            self._tell("step", f"ROS time was set by {(offset_ns - was_ns) / NS_PER_S:.1f} s: for a second after that "
-                               "ages count from arrival alone")
+            self._was_set = True
+            self._tell("step", f"ROS time was set by {(offset_ns - was_ns) / NS_PER_S:.1f} s: until the stamps agree with "
+                               "it ages count from arrival alone")
         age_ns = offset_ns + arrival_ns - stamp.to_nsec()
         if stamp.is_zero():
             self._tell("zero", "the stamp is zero: its age counts from arrival alone", rospy.loginfo)
-        elif after_ns >= self._counts_after_ns:
+            return 0
+        if 0 <= age_ns < AGREES_NS:
+            self._was_set = False
+        if not self._was_set:
             if age_ns < -CLOCK_NS:
                 self._tell("future", f"the stamp is {-age_ns / NS_PER_S:.2f} s in the future: its age counts from "
                                      "arrival alone")

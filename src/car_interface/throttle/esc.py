@@ -39,6 +39,7 @@ PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may be
 # A stop trusts the ESC to remember that it drove forward for no longer than this, whatever reverse_after_neutral says:
 # the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
 STOP_MEMORY_NS = round(0.5 * NS_PER_S)
+BEGINS_OVER_MPS = 0.1
 # A pull that begins so soon after the last speed is one at that speed.
 LOST_NS = round(0.5 * NS_PER_S)
 # So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
@@ -272,8 +273,15 @@ class Esc:
         return self._motion.rolls_forward(now_ns) and self._is_fast_enough(now_ns)
 
     def _is_fast_enough(self, now_ns):
-        """Whether it is faster than the margin: twice that to begin a brake, since the age of a speed varies."""
-        margin_mps = self.config.brake_margin_mps * (1 if self._state == BRAKING else 2)
+        """Whether it is faster than the margin.
+
+        To begin a brake it takes a little more; and twice that where nothing says how old a speed was at its arrival,
+        and in reverse, since the way back into reverse is long.
+        """
+        margin_mps = self.config.brake_margin_mps
+        if self._state != BRAKING:
+            is_sure = self._motion.is_stamped and not self._motion.rolls_backward(now_ns)
+            margin_mps += BEGINS_OVER_MPS if is_sure else margin_mps
         return self._motion.least_speed_mps(now_ns) > margin_mps and self._motion.outlasts_a_pull(now_ns)
 
     def _brake_cause(self, state, means_reverse):

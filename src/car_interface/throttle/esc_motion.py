@@ -28,11 +28,12 @@ class MeasuredMotion:
 
     Attributes:
         measured_ns: when the newest was measured.
+        is_stamped: whether it came with an age.
     """
 
     def __init__(self, config: EscConfig):
         self._speed = TimedInput("odom", config.speed_timeout_s)
-        self.measured_ns = -math.inf
+        self.measured_ns, self.is_stamped = -math.inf, False
         self._slides_until_ns = -math.inf
 
     def update(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
@@ -41,7 +42,7 @@ class MeasuredMotion:
             self._speed.mark_stale(f"it was {speed_mps}")
             return
         self._speed.update(speed_mps, now_ns, age_ns)
-        self.measured_ns = now_ns - max(0, age_ns)
+        self.measured_ns, self.is_stamped = now_ns - max(0, age_ns), age_ns > 0
         if abs(speed_mps) >= STANDSTILL_MPS:
             slides_until_ns = self.measured_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
             self._slides_until_ns = max(self._slides_until_ns, slides_until_ns)

@@ -111,11 +111,11 @@ class SpeedRig:
             elif isinstance(record, Pong):
                 self._measurements.pong(record, self._pinger.pong(record.timestamp1, now_ns), now_ns)
         if self._motion is not None and now_ns >= self._odom_due_ns:
-            odom_mps, self._motion = self._motion.motion.speed_mps, None
+            odom_mps, age_ns, self._motion = self._motion.motion.speed_mps, now_ns - self._motion.stamp.time_ns, None
             self._odom_due_ns = now_ns + ODOM_NS
             if not self.is_deaf:
                 for part in (self.control, self.converter, self.throttle):
-                    part.update_odometry(odom_mps, now_ns)
+                    part.update_odometry(odom_mps, now_ns, age_ns)
 
     def _tick(self, now_ns):
         command = self.control.step(self.request, now_ns)

@@ -302,6 +302,17 @@ def test_doubt_takes_such_a_proof_away(doubt):
     assert car.stop()[:2] == (0.0, NEUTRAL)
 
 
+@pytest.mark.parametrize("age_ms, begins_mps", [(0, 1.32), (20, 1.08), (100, 1.72)])
+def test_brake_of_a_kind_that_may_reverse_begins_later_where_a_speed_is_late_or_doesn_t_say_how_late(
+        age_ms, begins_mps):
+    for speed_mps, brakes in ((begins_mps + 0.02, True), (begins_mps - 0.02, False)):
+        car = Car(TURNS)
+        car.now_ns += 20 * MS
+        car.esc.update_speed(speed_mps, car.now_ns, age_ms * MS)
+        car.now_ns -= 20 * MS  # the next step is at the speed's arrival
+        assert bool(car.stick(-0.5).fraction) == brakes
+
+
 def test_second_pull_is_reverse_though_odometry_shows_late_that_the_car_stood_by_then():
     car = Car()
     car.stick(0.5, 0.5, speed=2.0)
