@@ -13,7 +13,7 @@ from adversary.cases import FAULTS, SWEEP_CASES, SWEEP_FAULTS, random_case, swee
 from adversary.esc_model import BACKWARD, BBR, BRAKE, BTR, DIRECT, FORWARD, FORWARD_ONLY, FREE, EscModel, EscSpec
 
 IS_LONG = bool(os.environ.get("CAR_INTERFACE_ALL"))
-SEQUENCES, THIN = (100_000, 1) if IS_LONG else (150, 401)  # 401: no divisor of the sweep's numbers
+SEQUENCES, THIN = (20_000, 7) if IS_LONG else (150, 401)  # 401: no divisor of the sweep's numbers
 SPEEDS_MPS = runs.STOP_SPEEDS if IS_LONG else (2.0, 4.0)
 BASELINE = Path(runs.__file__).with_name("stops.json")
 
@@ -23,9 +23,6 @@ def _failures(names):
     return "\n".join(summary.lines()) if summary.failures or summary.got < summary.wanted else ""
 
 
-# Seed 100. After reverse a push that only brakes the car, which still rolls backward, is taken for driving forward, so
-# that the next pull counts as a brake: it is reverse. 8 of seeds 0 to 4999, all with brake_then_reverse.
-@pytest.mark.xfail(reason="1 of 150: a push that brakes a car which rolls backward counts as driving", strict=True)
 @pytest.mark.once
 def test_random_sequences_have_no_stop_and_no_brake_that_reverses():
     assert _failures([str(seed) for seed in range(SEQUENCES)]) == ""
@@ -36,9 +33,6 @@ def test_a_fault_at_any_moment_of_a_stop_makes_it_no_reverse():
     assert _failures([f"s{index}" for index in range(0, SWEEP_CASES, THIN)]) == ""
 
 
-# Of brakes that must end at 0.8 m/s and more instead of 0.5, and of brake_then_reverse and forward_only after one brake
-# that held the car: 32 of 100 stops in all are longer by 5.5 to 510 %.
-@pytest.mark.xfail(reason="24 of 36 stops from 2 and 4 m/s are longer by more than 5 %", strict=True)
 @pytest.mark.once
 def test_stops_are_as_short_as_they_were():
     assert runs.longer_stops(json.loads(BASELINE.read_text()), runs.stop_distances(SPEEDS_MPS)) == []
