@@ -132,7 +132,7 @@ class Tools(unittest.TestCase):
             except AssertionError:
                 hand.let_go()
                 self.wait_for_steering(SteeringState.NO_HUMAN)
-        self.fail("it doesn't drive")
+        raise AssertionError("it doesn't drive")
 
     def test_keyboard_drives_the_car_and_is_alone_and_its_terminal_is_restored(self):
         terminal = self.terminal(executable("keyboard_drive"))

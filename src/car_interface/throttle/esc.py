@@ -256,7 +256,8 @@ class Esc:
             state = HOLD if self._motion.stands(now_ns) else BRAKING
             return value, state, *self._brake_cause(state, means_reverse)
         # A speed of before the pull says nothing about what it meant, and one that may still slide only has to wait.
-        if (self._motion.speed_mps(now_ns) or 0.0) >= STANDSTILL_MPS and self._motion.measured_ns >= self._pulls.began_ns:
+        speed_mps = self._motion.speed_mps(now_ns) or 0.0
+        if speed_mps >= STANDSTILL_MPS and self._motion.measured_ns >= self._pulls.began_ns:
             self._pulls.mark_brake()
         return 0.0, NEUTRAL, *self._withheld(means_reverse, now_ns)
 

@@ -21,7 +21,7 @@ ACTUATION_NS = 40_000_000  # from a decision to the end of the last pulse before
 # the pulse that it has begun by then takes another 20.
 PULL_NS = 100_000_000
 FRESH_NS = 150_000_000
-# How much a brake that is held may brake more than it did over so long a time, by its own change and by odometry's noise.
+# How much more a brake that is held may brake than it did over so long a time, by its own change and odometry's noise.
 SEEN_RATIO, SEEN_MPS2, WINDOW_NS, SPEEDS = 1.25, 1.0, 80_000_000, 16
 SEEN_FOR_NS = 100_000_000  # later the car may have hit something
 ROLLS_OUT_NS = 3_000_000_000
@@ -41,7 +41,7 @@ class MeasuredMotion:
         self.measured_ns, self.is_stamped = -math.inf, False
         self._slides_until_ns = -math.inf
         self._speeds: deque = deque(maxlen=SPEEDS)  # (measured_ns, speed without its sign)
-        self._backward_ns: int | None = None  # when it was last driven, or seen to roll, backward, unless it has stopped
+        self._backward_ns: int | None = None  # when it was last driven or seen to roll backward, unless it has stopped
 
     def update(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
         """A speed that has arrived, and how old it was then; one that is not finite, or no car's, is unknown."""
@@ -149,8 +149,8 @@ class MeasuredMotion:
 class MotionCheck:
     """Compares the measured speed with what the ESC's state allows.
 
-    Backward is allowed in reverse, and after it until the car has come to a standstill, if it gets no faster than it was
-    then. The same holds at the beginning: it may have been in reverse before.
+    Backward is allowed in reverse, and after it until the car has come to a standstill, if it gets no faster than it
+    was then. The same holds at the beginning: it may have been in reverse before.
     """
 
     def __init__(self, config: EscConfig):
