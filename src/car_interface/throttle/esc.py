@@ -7,9 +7,8 @@ answers are neutral until then. Pure: ``now_ns`` is passed in. The duty for a fr
 What is certain to be a brake, and what is not, stands with the rules: see ``_brakes`` and ``_stop_brakes``.
 
 What it can't see: an ESC that is switched on, or recalibrated, later than the board: its memory begins anew, and its
-first pull may be reverse. A hill on which the car rolls in neutral: that is told, and neutral is all there is against
-it. A board that gives no pulses and has not said so yet. And with a wrong profile and without speed, that a person's
-own pull drives the car backward.
+first pull may be reverse. A hill, before the car has rolled on it in neutral. A board that gives no pulses and has not
+said so yet. And with a wrong profile and without speed, that a person's own pull drives the car backward.
 """
 from __future__ import annotations
 
@@ -39,7 +38,7 @@ PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may be
 # A stop trusts the ESC to remember that it drove forward for no longer than this, whatever reverse_after_neutral says:
 # the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
 STOP_MEMORY_NS = round(0.5 * NS_PER_S)
-BEGINS_OVER_MPS = NEAR_MPS = 0.1
+BEGINS_OVER_MPS = NEAR_MPS = 0.1  # of the brake's margin: to begin, and to end a brake whose strength is seen
 # A pull that begins so soon after the last speed is one at that speed.
 LOST_NS = round(0.5 * NS_PER_S)
 SAME_BRAKE = 0.05  # fractions that differ by less brake alike
