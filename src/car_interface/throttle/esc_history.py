@@ -19,6 +19,10 @@ HELD_TIMEOUT_NS = round(2.5 * NS_PER_S)
 # may have been there, whether it has said so or not.
 BOARD_HOLDS_NS = round(0.2 * NS_PER_S)
 
+# An ESC that was pushed for so long has seen that it drives, whatever it needs for that: nobody publishes how long that
+# is, and the dwell that calibrate_esc measures is another time.
+DROVE_NS = round(0.5 * NS_PER_S)
+
 FORWARD, NEUTRAL, PULLED, FAINT = "forward", "neutral", "pulled", "faint"
 
 
@@ -165,7 +169,7 @@ class EscHistory:
             self._drove = False
             return
         pushed_ns = min(account.lasts_ns(FORWARD, now_ns) for account in (self._sent, self._held))
-        if min(pushed_ns, now_ns - self._drives_since_ns) >= self._dwell_ns:
+        if min(pushed_ns, now_ns - self._drives_since_ns) >= max(self._dwell_ns, DROVE_NS):
             self._drove = True
             self._sent.forget()
             self._held.forget()
