@@ -31,7 +31,7 @@ def played(steps, config=CONFIG):
 @pytest.mark.parametrize("steps, certain", [
     pytest.param([], False, id="not_at_the_start"),
     pytest.param(DROVE, True, id="after_forward"),
-    pytest.param([("both", 0.4, 490)], False, id="not_after_a_forward_of_less_than_half_a_second_though_the_dwell_is_less"),
+    pytest.param([("both", 0.4, 490)], False, id="not_after_forward_for_less_than_half_a_second"),
     pytest.param([("both", 0.05, 500)], False, id="not_after_one_within_the_dead_band"),
     pytest.param([("sent", 0.4, 500)], False, id="not_where_the_board_never_said_so"),
     pytest.param([("both", 0.0, 10), ("sent", 0.4, 500)], False, id="not_while_the_board_holds_neutral"),
