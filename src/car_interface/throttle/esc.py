@@ -41,6 +41,7 @@ STOP_MEMORY_NS = round(0.5 * NS_PER_S)
 BEGINS_OVER_MPS = NEAR_MPS = 0.1  # of the brake's margin: to begin, and to end a brake whose strength is seen
 # A pull that begins so soon after the last speed is one at that speed.
 LOST_NS = round(0.5 * NS_PER_S)
+HIDDEN_NS = round(0.35 * NS_PER_S)  # so late may a speed be that doesn't say how late it is
 SAME_BRAKE = 0.05  # fractions that differ by less brake alike
 # So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
 PRIMES_OVER_MPS = 1.0
@@ -256,7 +257,8 @@ class Esc:
             return value, state, *self._brake_cause(state, means_reverse)
         # A speed of before the pull says nothing about what it meant, and one that may still slide only has to wait.
         speed_mps = self._motion.speed_mps(now_ns) or 0.0
-        if speed_mps >= STANDSTILL_MPS and self._motion.measured_ns >= self._pulls.began_ns:
+        began_ns = self._pulls.began_ns + (0 if self._motion.is_stamped else HIDDEN_NS)
+        if speed_mps >= STANDSTILL_MPS and self._motion.measured_ns >= began_ns:
             self._pulls.mark_brake()
         return 0.0, NEUTRAL, *self._withheld(means_reverse, now_ns)
 

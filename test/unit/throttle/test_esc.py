@@ -337,20 +337,22 @@ def test_brake_of_a_kind_that_may_reverse_begins_later_where_a_speed_is_late_or_
         assert bool(car.stick(-0.5).fraction) == brakes
 
 
-def test_second_pull_is_reverse_though_odometry_shows_late_that_the_car_stood_by_then():
+@pytest.mark.parametrize("age_ms", [300, 0])
+def test_second_pull_is_reverse_though_odometry_shows_late_that_the_car_stood_by_then(age_ms):
+    """Whether its stamps say so or not."""
     car = Car()
     car.stick(0.5, 0.5, speed=2.0)
     car.stick(-0.5, 0.5)
     car.stick(0.0, 0.2)
     for index in range(20):  # of 0.3 s ago: when it rolled, and then of when it stood
-        car.esc.update_speed(0.4 if index < 14 else 0.0, car.now_ns, 300 * MS)
+        car.esc.update_speed(0.4 if index < 14 else 0.0, car.now_ns, age_ms * MS)
         car.stick(-0.5)
     assert car.stick(-0.5, 2.0, speed=0.0)[1] == REVERSE
     braked = Car()
     braked.stick(0.5, 0.5, speed=2.0)
     braked.stick(-0.5, 0.5, speed=0.4)
     braked.stick(0.0, 0.2, speed=0.4)
-    braked.stick(-0.5, 0.2, speed=0.4)  # it rolled during the pull: that is a brake, and stays one
+    braked.stick(-0.5, 0.5, speed=0.4)  # it rolled during the pull: that is a brake, and stays one
     assert braked.stick(-0.5, 2.0, speed=0.0)[1] != REVERSE
 
 
