@@ -40,6 +40,9 @@ UNKNOWN_SLOPE_MPS2 = 0.25  # what a slope on which a car stands in neutral may t
 # As long as it isn't known how the car slows down here: what a car without a brake, on a slope that is steeper than its
 # drag, is left rolling with. From the second on it rolls in neutral, until it is known or it hardly rolls.
 UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
+# There its throttle begins with what the ESC takes at least, and rises by so much a second until the car moves. So the
+# motor's lag and odometry's age add little; and the push has lasted long enough for a brake to be certain.
+RISES_PER_S, MOVES_MPS = 0.1, 0.05
 FREE_MPS = 0.6  # no echo allows so much on an unknown slope
 
 
@@ -66,6 +69,8 @@ class ObstacleGuard:
         self._answer: EscDecision | None = None
         self._pushed_ns = -math.inf
         self._answered_ns = -math.inf
+        self._least = esc.dead_band_forward, esc.dead_band_reverse
+        self._pushes = 0.0  # the throttle that it has
         self._steady = 0.0  # the throttle that the car needs for its speed
         self._shows_slope = False
         self._is_careful = False  # towards an echo, where it isn't known how the car slows down
@@ -77,7 +82,7 @@ class ObstacleGuard:
             self._pushed_ns = now_ns
         elapsed_s = (now_ns - self._answered_ns) / NS_PER_S
         self._answered_ns = now_ns
-        pushes = abs(answer.fraction) if answer.state in (FORWARD, REVERSE) else 0.0
+        self._pushes = pushes = abs(answer.fraction) if answer.state in (FORWARD, REVERSE) else 0.0
         if pushes < self._steady:
             self._steady += (pushes - self._steady) * min(1.0, elapsed_s / LET_GO_S)
         elif self.slope.acceleration_mps2 < NOISE_MPS2:
@@ -108,8 +113,12 @@ class ObstacleGuard:
         highest_mps = self._highest_mps(speed, now_ns)
         if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
             return Obstacle(stop=bound)
-        bound = self._begun_slowly(bound, is_known, is_backward, speed)
-        return Obstacle(bounds=(self._approached(bound, highest_mps, speed, now_ns),))
+        bound = self._begun_slowly(bound, is_known, is_backward, highest_mps)
+        bound = self._approached(bound, highest_mps, speed, now_ns)
+        if not is_known:
+            most = self._rising(is_backward, highest_mps, now_ns)
+            bound = bound._replace(max_throttle=min(bound.max_throttle, most))
+        return Obstacle(bounds=(bound,))
 
     def _guarantee(self, arbitration, is_backward, by_drag, curvature_per_m, now_ns):
         drag_mps2 = max(0.01, self._drag_mps2 - self.slope.lacks_mps2(is_backward, curvature_per_m))
@@ -136,18 +145,23 @@ class ObstacleGuard:
         drag_mps2 = min(guarantee.drag_mps2, max(LEFT_MPS2, self._drag_mps2 - UNKNOWN_SLOPE_MPS2))
         return Guarantee(drag_mps2, 0.0, drag_mps2)
 
-    def _begun_slowly(self, bound, is_known, is_backward, speed):
+    def _begun_slowly(self, bound, is_known, is_backward, highest_mps):
         """A bound while it isn't known how the car slows down here."""
         if is_known:
             self._shows_slope = False
             return bound
-        may_wait = self._will_brake and not self.slope.lacks_mps2(is_backward)
-        self._shows_slope = (not may_wait and speed.magnitude_mps >= ROLLS_MPS
-                             and (self._shows_slope or speed.magnitude_mps >= SHOWS_SLOPE_MPS))
-        most_mps = speed.magnitude_mps if self._shows_slope else UNKNOWN_SLOPE_MPS
+        may_wait = self._will_brake and not is_backward and not self.slope.lacks_mps2(is_backward)
+        self._shows_slope = (not may_wait and highest_mps >= ROLLS_MPS
+                             and (self._shows_slope or highest_mps >= SHOWS_SLOPE_MPS))
+        most_mps = min(highest_mps, UNKNOWN_SLOPE_MPS) if self._shows_slope else UNKNOWN_SLOPE_MPS
         if most_mps >= bound.speed_mps:
             return bound
         return bound._replace(speed_mps=most_mps, words="before it is known how it slows down here it has")
+
+    def _rising(self, is_backward, highest_mps, now_ns):
+        """The throttle that may be given where it isn't known how the car slows down."""
+        rise = RISES_PER_S * min(0.1, (now_ns - self._answered_ns) / NS_PER_S) if highest_mps < MOVES_MPS else 0.0
+        return max(self._least[is_backward], self._pushes + rise)
 
     def _approached(self, bound, highest_mps, speed, now_ns):
         """A bound with the throttle that may be given on the way to it."""
