@@ -72,6 +72,7 @@ class ObstacleGuard:
         self._least = esc.dead_band_forward, esc.dead_band_reverse
         self._pushes = 0.0  # the throttle that it has
         self._steady = 0.0  # the throttle that the car needs for its speed
+        self._late_s = 0.0  # odometry's age
         self._shows_slope = False
         self._is_careful = False  # towards an echo, where it isn't known how the car slows down
 
@@ -86,7 +87,7 @@ class ObstacleGuard:
         if pushes < self._steady:
             self._steady += (pushes - self._steady) * min(1.0, elapsed_s / LET_GO_S)
         elif self.slope.acceleration_mps2 < NOISE_MPS2:
-            after_s = CAREFUL_STEADY_S if self._is_careful else STEADY_S
+            after_s = (CAREFUL_STEADY_S if self._is_careful else STEADY_S) + 4.0 * self._late_s
             self._steady += (pushes - self._steady) * min(1.0, elapsed_s / after_s)
         self.slope.update_esc(answer.fraction, now_ns)
 
@@ -105,7 +106,8 @@ class ObstacleGuard:
         is_backward = speed.last_mps <= -ROLLS_MPS or speed.last_mps < ROLLS_MPS and (
             is_reverse or arbitration.asked < 0)
         guarantee = self._guarantee(arbitration, is_backward, is_backward or is_reverse, curvature_per_m, now_ns)
-        late_s = speed.age_s(now_ns) + MOTOR_LAG_S
+        self._late_s = speed.age_s(now_ns)
+        late_s = self._late_s + MOTOR_LAG_S
         is_known = self.slope.is_known(is_backward) or guarantee.stop_mps2 > guarantee.drag_mps2
         to_echo = None if is_known else self._on_unknown_slope(guarantee)
         bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s, to_echo=to_echo)
@@ -169,5 +171,5 @@ class ObstacleGuard:
         gain_mps2 = self._gain_mps2(speed)
         if gain_mps2 > 0.0 and left_mps <= gain_mps2 * CUT_S:
             return bound._replace(max_throttle=0.0)
-        gradual_mps = BAND_MPS + UNSEEN_MPS2 * (CUT_S + age_s)
+        gradual_mps = BAND_MPS + 2.0 * UNSEEN_MPS2 * (CUT_S + age_s)
         return bound._replace(max_throttle=max(0.0, min(1.0, self._steady + left_mps / gradual_mps)))
