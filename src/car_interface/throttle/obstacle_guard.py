@@ -24,7 +24,7 @@ from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
 from car_interface.throttle.limits import BAND_MPS, SpeedBound
 from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop
-from car_interface.throttle.slope import LEFT_MPS2, Slope
+from car_interface.throttle.slope import Slope
 
 ROLLS_MPS = 0.1
 # Before the stop's memory of driving forward ends a stop must have begun, and reached the ESC.
@@ -36,13 +36,15 @@ CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster
 STEADY_S, CAREFUL_STEADY_S, LET_GO_S = 0.28, 1.0, 0.25
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
-UNKNOWN_SLOPE_MPS2 = 0.25  # what a slope on which a car stands in neutral may take from its drag
+# What a slope on which a car stands in neutral may take from its drag, and what is left of that at least.
+UNKNOWN_SLOPE_MPS2, LEFT_MPS2 = 0.25, 0.05
 # As long as it isn't known how the car slows down here: what a car without a brake, on a slope that is steeper than its
 # drag, is left rolling with. From the second on it rolls in neutral, until it is known or it hardly rolls.
 UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
 # There its throttle begins with what the ESC takes at least, and rises by so much a second until the car moves. So the
 # motor's lag and odometry's age add little; and the push has lasted long enough for a brake to be certain.
 RISES_PER_S, MOVES_MPS = 0.1, 0.05
+UNKNOWN = "before it is known how it slows down here it has"
 FREE_MPS = 0.6  # no echo allows so much on an unknown slope
 
 
@@ -73,6 +75,7 @@ class ObstacleGuard:
         self._pushes = 0.0  # the throttle that it has
         self._steady = 0.0  # the throttle that the car needs for its speed
         self._late_s = 0.0  # odometry's age
+        self._stops = False
         self._shows_slope = False
         self._is_careful = False  # towards an echo, where it isn't known how the car slows down
 
@@ -113,14 +116,26 @@ class ObstacleGuard:
         bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s, to_echo=to_echo)
         self._is_careful = not is_known and bound.speed_mps < FREE_MPS
         highest_mps = self._highest_mps(speed, now_ns)
-        if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
+        if speed.magnitude_mps >= ROLLS_MPS and self._goes_on_stopping(is_backward):
+            bound = bound._replace(speed_mps=min(ROLLS_MPS, bound.speed_mps), words=UNKNOWN)
+        self._stops = highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS
+        if self._stops:
             return Obstacle(stop=bound)
         bound = self._begun_slowly(bound, is_known, is_backward, highest_mps)
         bound = self._approached(bound, highest_mps, speed, now_ns)
         if not is_known:
-            most = self._rising(is_backward, highest_mps, now_ns)
-            bound = bound._replace(max_throttle=min(bound.max_throttle, most))
+            most = min(bound.max_throttle, self._rising(is_backward, highest_mps, now_ns))
+            if self._will_brake and not is_backward and self._pushes:
+                most = max(most, self._least[False])  # a shorter push makes no brake certain
+            bound = bound._replace(max_throttle=most)
         return Obstacle(bounds=(bound,))
+
+    def _goes_on_stopping(self, is_backward):
+        """Whether a stop brakes where it isn't known how the car slows down without that: its brake isn't certain once
+        it was released.
+        """
+        return (self._stops and self._answer is not None and self._answer.state == BRAKING
+                and not self.slope.is_known(is_backward))
 
     def _guarantee(self, arbitration, is_backward, by_drag, curvature_per_m, now_ns):
         drag_mps2 = max(0.01, self._drag_mps2 - self.slope.lacks_mps2(is_backward, curvature_per_m))
@@ -158,7 +173,7 @@ class ObstacleGuard:
         most_mps = min(highest_mps, UNKNOWN_SLOPE_MPS) if self._shows_slope else UNKNOWN_SLOPE_MPS
         if most_mps >= bound.speed_mps:
             return bound
-        return bound._replace(speed_mps=most_mps, words="before it is known how it slows down here it has")
+        return bound._replace(speed_mps=most_mps, words=UNKNOWN)
 
     def _rising(self, is_backward, highest_mps, now_ns):
         """The throttle that may be given where it isn't known how the car slows down."""
