@@ -121,13 +121,11 @@ class ObstacleGuard:
         self._stops = highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS
         if self._stops:
             return Obstacle(stop=bound)
-        bound = self._begun_slowly(bound, is_known, is_backward, highest_mps)
-        bound = self._approached(bound, highest_mps, speed, now_ns)
         if not is_known:
-            most = min(bound.max_throttle, self._rising(is_backward, highest_mps, now_ns))
-            if self._will_brake and not is_backward and self._pushes:
-                most = max(most, self._least[False])  # a shorter push makes no brake certain
-            bound = bound._replace(max_throttle=most)
+            bound = self._begun_slowly(bound, is_backward, speed, highest_mps, now_ns)
+        else:
+            self._shows_slope = False
+            bound = self._approached(bound, highest_mps, speed, now_ns)
         return Obstacle(bounds=(bound,))
 
     def _goes_on_stopping(self, is_backward):
@@ -162,21 +160,28 @@ class ObstacleGuard:
         drag_mps2 = min(guarantee.drag_mps2, max(LEFT_MPS2, self._drag_mps2 - UNKNOWN_SLOPE_MPS2))
         return Guarantee(drag_mps2, 0.0, drag_mps2)
 
-    def _begun_slowly(self, bound, is_known, is_backward, highest_mps):
+    def _begun_slowly(self, allowed, is_backward, speed, highest_mps, now_ns):
         """A bound while it isn't known how the car slows down here."""
-        if is_known:
-            self._shows_slope = False
-            return bound
-        may_wait = self._will_brake and not is_backward and not self.slope.lacks_mps2(is_backward)
-        self._shows_slope = (not may_wait and highest_mps >= ROLLS_MPS
+        will_brake = self._will_brake and not is_backward
+        waits = not will_brake or bool(self.slope.lacks_mps2(is_backward))
+        self._shows_slope = (waits and highest_mps >= ROLLS_MPS
                              and (self._shows_slope or highest_mps >= SHOWS_SLOPE_MPS))
         most_mps = min(highest_mps, UNKNOWN_SLOPE_MPS) if self._shows_slope else UNKNOWN_SLOPE_MPS
-        if most_mps >= bound.speed_mps:
-            return bound
-        return bound._replace(speed_mps=most_mps, words=UNKNOWN)
+        bound = allowed if most_mps >= allowed.speed_mps else allowed._replace(speed_mps=most_mps, words=UNKNOWN)
+        bound = self._approached(bound, highest_mps, speed, now_ns)
+        bound = bound._replace(max_throttle=min(bound.max_throttle, self._rising(is_backward, highest_mps, now_ns)))
+        if will_brake and self._pushes:
+            return self._prolonged(bound, allowed, highest_mps)
+        return bound
+
+    def _prolonged(self, bound, allowed, highest_mps):
+        """The same for a car that is pushed: a push that ends too early makes no brake certain."""
+        least = self._least[False]
+        least_mps = min(allowed.speed_mps, highest_mps + BAND_MPS * (least + 0.01))
+        return bound._replace(speed_mps=max(bound.speed_mps, least_mps), max_throttle=max(bound.max_throttle, least))
 
     def _rising(self, is_backward, highest_mps, now_ns):
-        """The throttle that may be given where it isn't known how the car slows down."""
+        """The throttle that may be given there."""
         rise = RISES_PER_S * min(0.1, (now_ns - self._answered_ns) / NS_PER_S) if highest_mps < MOVES_MPS else 0.0
         return max(self._least[is_backward], self._pushes + rise)
 
