@@ -41,9 +41,10 @@ UNKNOWN_SLOPE_MPS2, LEFT_MPS2 = 0.25, 0.05
 # As long as it isn't known how the car slows down here: what a car without a brake, on a slope that is steeper than its
 # drag, is left rolling with. From the second on it rolls in neutral, until it is known or it hardly rolls.
 UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
-# There its throttle begins with what the ESC takes at least, and rises by so much a second until the car moves. So the
-# motor's lag and odometry's age add little; and the push has lasted long enough for a brake to be certain.
-RISES_PER_S, MOVES_MPS = 0.1, 0.05
+# There its throttle begins with what the ESC takes at least, and rises by so much a second until the car moves, and
+# while it gets no faster. So the motor's lag and odometry's age add little.
+RISES_PER_S, MOVES_MPS, RISING_MPS2 = 0.1, 0.05, 0.1
+LEAST_LEFT_MPS = 0.15  # so far below a bound the least throttle may always be given
 UNKNOWN = "before it is known how it slows down here it has"
 FREE_MPS = 0.6  # no echo allows so much on an unknown slope
 
@@ -125,7 +126,7 @@ class ObstacleGuard:
             bound = self._begun_slowly(bound, is_backward, speed, highest_mps, now_ns)
         else:
             self._shows_slope = False
-            bound = self._approached(bound, highest_mps, speed, now_ns)
+            bound = self._approached(bound, is_backward, highest_mps, speed, now_ns)
         return Obstacle(bounds=(bound,))
 
     def _goes_on_stopping(self, is_backward):
@@ -168,7 +169,7 @@ class ObstacleGuard:
                              and (self._shows_slope or highest_mps >= SHOWS_SLOPE_MPS))
         most_mps = min(highest_mps, UNKNOWN_SLOPE_MPS) if self._shows_slope else UNKNOWN_SLOPE_MPS
         bound = allowed if most_mps >= allowed.speed_mps else allowed._replace(speed_mps=most_mps, words=UNKNOWN)
-        bound = self._approached(bound, highest_mps, speed, now_ns)
+        bound = self._approached(bound, is_backward, highest_mps, speed, now_ns)
         bound = bound._replace(max_throttle=min(bound.max_throttle, self._rising(is_backward, highest_mps, now_ns)))
         if will_brake and self._pushes:
             return self._prolonged(bound, allowed, highest_mps)
@@ -182,14 +183,16 @@ class ObstacleGuard:
 
     def _rising(self, is_backward, highest_mps, now_ns):
         """The throttle that may be given there."""
-        rise = RISES_PER_S * min(0.1, (now_ns - self._answered_ns) / NS_PER_S) if highest_mps < MOVES_MPS else 0.0
+        rises = highest_mps < MOVES_MPS or self.slope.acceleration_mps2 < RISING_MPS2
+        rise = RISES_PER_S * min(0.1, (now_ns - self._answered_ns) / NS_PER_S) if rises else 0.0
         return max(self._least[is_backward], self._pushes + rise)
 
-    def _approached(self, bound, highest_mps, speed, now_ns):
+    def _approached(self, bound, is_backward, highest_mps, speed, now_ns):
         """A bound with the throttle that may be given on the way to it."""
         left_mps, age_s = bound.speed_mps - highest_mps, speed.age_s(now_ns)
         gain_mps2 = self._gain_mps2(speed)
         if gain_mps2 > 0.0 and left_mps <= gain_mps2 * CUT_S:
             return bound._replace(max_throttle=0.0)
         gradual_mps = BAND_MPS + 2.0 * UNSEEN_MPS2 * (CUT_S + age_s)
-        return bound._replace(max_throttle=max(0.0, min(1.0, self._steady + left_mps / gradual_mps)))
+        least = self._least[is_backward] if left_mps > LEAST_LEFT_MPS else 0.0
+        return bound._replace(max_throttle=max(least, min(1.0, self._steady + left_mps / gradual_mps)))
