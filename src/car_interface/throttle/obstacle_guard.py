@@ -23,7 +23,7 @@ from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_MEMORY_NS, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
 from car_interface.throttle.limits import BAND_MPS, SpeedBound
-from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop
+from car_interface.throttle.obstacle_stop import STEEP_MPS2, Guarantee, ObstacleStop
 from car_interface.throttle.slope import Slope
 
 ROLLS_MPS = 0.1
@@ -44,6 +44,7 @@ UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
 # There its throttle begins with what the ESC takes at least, and rises by so much a second until the car moves, and
 # while it gets no faster. So the motor's lag and odometry's age add little.
 RISES_PER_S, MOVES_MPS, RISING_MPS2 = 0.1, 0.05, 0.1
+PRIME_S, PRIMES_MPS = 0.6, 0.6  # a brake is certain after such a push, which begins at no more than this speed
 LEAST_LEFT_MPS = 0.15  # so far below a bound the least throttle may always be given
 UNKNOWN = "before it is known how it slows down here it has"
 FREE_MPS = 0.6  # no echo allows so much on an unknown slope
@@ -69,6 +70,7 @@ class ObstacleGuard:
         # It brakes once it has driven for a while: neutral in between would only delay that.
         self._will_brake = bool(esc.profile in (BRAKE_THEN_REVERSE, FORWARD_ONLY) and esc.profile_measured
                                 and esc.stop_brake)
+        self._brake_mps2 = esc.stop_brake * esc.brake_deceleration_mps2
         self._answer: EscDecision | None = None
         self._pushed_ns = -math.inf
         self._answered_ns = -math.inf
@@ -110,11 +112,17 @@ class ObstacleGuard:
         is_backward = speed.last_mps <= -ROLLS_MPS or speed.last_mps < ROLLS_MPS and (
             is_reverse or arbitration.asked < 0)
         guarantee = self._guarantee(arbitration, is_backward, is_backward or is_reverse, curvature_per_m, now_ns)
+        primes = self._primes(arbitration, is_backward, guarantee)
         self._late_s = speed.age_s(now_ns)
         late_s = self._late_s + MOTOR_LAG_S
+        if primes:
+            brake_mps2 = self._brake_mps2 - self.slope.brake_lacks_mps2(False)
+            guarantee, late_s = Guarantee(brake_mps2, 0.0, guarantee.drag_mps2), late_s + PRIME_S
         is_known = self.slope.is_known(is_backward) or guarantee.stop_mps2 > guarantee.drag_mps2
         to_echo = None if is_known else self._on_unknown_slope(guarantee)
         bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s, to_echo=to_echo)
+        if primes:
+            bound = bound._replace(speed_mps=min(bound.speed_mps, PRIMES_MPS))
         self._is_careful = not is_known and bound.speed_mps < FREE_MPS
         highest_mps = self._highest_mps(speed, now_ns)
         if speed.magnitude_mps >= ROLLS_MPS and self._goes_on_stopping(is_backward):
@@ -122,12 +130,20 @@ class ObstacleGuard:
         self._stops = highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS
         if self._stops:
             return Obstacle(stop=bound)
-        if not is_known:
+        if primes:
+            bound = self._prolonged(bound._replace(max_throttle=0.0), bound, highest_mps)
+        elif not is_known:
             bound = self._begun_slowly(bound, is_backward, speed, highest_mps, now_ns)
         else:
             self._shows_slope = False
             bound = self._approached(bound, is_backward, highest_mps, speed, now_ns)
         return Obstacle(bounds=(bound,))
+
+    def _primes(self, arbitration, is_backward, guarantee):
+        """Whether a push makes the brake certain of a car that nothing else stops on this slope."""
+        return (self._will_brake and not is_backward and arbitration.asked > 0 and guarantee.stop_mps2 < STEEP_MPS2
+                and self._answer is not None and self._answer.state in (FORWARD, NEUTRAL)
+                and self._brake_mps2 - self.slope.brake_lacks_mps2(False) > STEEP_MPS2)
 
     def _goes_on_stopping(self, is_backward):
         """Whether a stop brakes where it isn't known how the car slows down without that: its brake isn't certain once
