@@ -44,7 +44,7 @@ UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
 # There its throttle begins with what the ESC takes at least, and rises by so much a second until the car moves, and
 # while it gets no faster. So the motor's lag and odometry's age add little.
 RISES_PER_S, MOVES_MPS, RISING_MPS2 = 0.1, 0.05, 0.1
-PRIME_S, PRIMES_MPS = 0.6, 0.6  # a brake is certain after such a push, which begins at no more than this speed
+PRIME_S, PRIME_MPS = 0.6, 0.35  # a brake is certain after such a push, which makes the car faster by no more
 LEAST_LEFT_MPS = 0.15  # so far below a bound the least throttle may always be given
 UNKNOWN = "before it is known how it slows down here it has"
 FREE_MPS = 0.6  # no echo allows so much on an unknown slope
@@ -112,38 +112,38 @@ class ObstacleGuard:
         is_backward = speed.last_mps <= -ROLLS_MPS or speed.last_mps < ROLLS_MPS and (
             is_reverse or arbitration.asked < 0)
         guarantee = self._guarantee(arbitration, is_backward, is_backward or is_reverse, curvature_per_m, now_ns)
-        primes = self._primes(arbitration, is_backward, guarantee)
+        is_certain = guarantee.stop_mps2 > guarantee.drag_mps2
+        is_known = self.slope.is_known(is_backward) or is_certain
         self._late_s = speed.age_s(now_ns)
         late_s = self._late_s + MOTOR_LAG_S
-        if primes:
-            brake_mps2 = self._brake_mps2 - self.slope.brake_lacks_mps2(False)
-            guarantee, late_s = Guarantee(brake_mps2, 0.0, guarantee.drag_mps2), late_s + PRIME_S
-        is_known = self.slope.is_known(is_backward) or guarantee.stop_mps2 > guarantee.drag_mps2
-        to_echo = None if is_known else self._on_unknown_slope(guarantee)
-        bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s, to_echo=to_echo)
-        if primes:
-            bound = bound._replace(speed_mps=min(bound.speed_mps, PRIMES_MPS))
-        self._is_careful = not is_known and bound.speed_mps < FREE_MPS
         highest_mps = self._highest_mps(speed, now_ns)
+        primed = None
+        if not is_certain and (not is_known or guarantee.stop_mps2 < STEEP_MPS2):
+            primed = self._primed(arbitration, is_backward, guarantee, curvature_per_m, highest_mps, now_ns)
+        to_echo = None if is_known else self._on_unknown_slope(guarantee)
+        bound = primed or self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s, to_echo=to_echo)
+        self._is_careful = not is_known and bound.speed_mps < FREE_MPS
         if speed.magnitude_mps >= ROLLS_MPS and self._goes_on_stopping(is_backward):
             bound = bound._replace(speed_mps=min(ROLLS_MPS, bound.speed_mps), words=UNKNOWN)
         self._stops = highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS
         if self._stops:
             return Obstacle(stop=bound)
-        if primes:
-            bound = self._prolonged(bound._replace(max_throttle=0.0), bound, highest_mps)
-        elif not is_known:
-            bound = self._begun_slowly(bound, is_backward, speed, highest_mps, now_ns)
+        if not is_known or primed:
+            bound = self._begun_slowly(bound, is_known, primed, is_backward, speed, highest_mps, now_ns)
         else:
             self._shows_slope = False
             bound = self._approached(bound, is_backward, highest_mps, speed, now_ns)
         return Obstacle(bounds=(bound,))
 
-    def _primes(self, arbitration, is_backward, guarantee):
-        """Whether a push makes the brake certain of a car that nothing else stops on this slope."""
-        return (self._will_brake and not is_backward and arbitration.asked > 0 and guarantee.stop_mps2 < STEEP_MPS2
-                and self._answer is not None and self._answer.state in (FORWARD, NEUTRAL)
-                and self._brake_mps2 - self.slope.brake_lacks_mps2(False) > STEEP_MPS2)
+    def _primed(self, arbitration, is_backward, guarantee, curvature_per_m, highest_mps, now_ns):
+        """The bound of a car whose brake a push will make certain; ``None``: there is no room for that."""
+        brake_mps2 = self._brake_mps2 - self.slope.brake_lacks_mps2(False)
+        if not (self._will_brake and not is_backward and arbitration.asked > 0 and brake_mps2 > STEEP_MPS2
+                and self._answer is not None and self._answer.state in (FORWARD, NEUTRAL)):
+            return None
+        late_s = self._late_s + MOTOR_LAG_S + PRIME_S
+        bound = self.sonars.bound(curvature_per_m, False, Guarantee(brake_mps2, 0.0, guarantee.drag_mps2), now_ns, late_s)
+        return bound if self._pushes or bound.speed_mps >= highest_mps + PRIME_MPS else None
 
     def _goes_on_stopping(self, is_backward):
         """Whether a stop brakes where it isn't known how the car slows down without that: its brake isn't certain once
@@ -177,19 +177,18 @@ class ObstacleGuard:
         drag_mps2 = min(guarantee.drag_mps2, max(LEFT_MPS2, self._drag_mps2 - UNKNOWN_SLOPE_MPS2))
         return Guarantee(drag_mps2, 0.0, drag_mps2)
 
-    def _begun_slowly(self, allowed, is_backward, speed, highest_mps, now_ns):
-        """A bound while it isn't known how the car slows down here."""
+    def _begun_slowly(self, allowed, is_known, primed, is_backward, speed, highest_mps, now_ns):
+        """A bound while it isn't known how the car slows down here, or while its brake isn't certain."""
         will_brake = self._will_brake and not is_backward
-        waits = not will_brake or bool(self.slope.lacks_mps2(is_backward))
-        self._shows_slope = (waits and highest_mps >= ROLLS_MPS
+        self._shows_slope = (not will_brake and highest_mps >= MOVES_MPS
                              and (self._shows_slope or highest_mps >= SHOWS_SLOPE_MPS))
         most_mps = min(highest_mps, UNKNOWN_SLOPE_MPS) if self._shows_slope else UNKNOWN_SLOPE_MPS
         bound = allowed if most_mps >= allowed.speed_mps else allowed._replace(speed_mps=most_mps, words=UNKNOWN)
         bound = self._approached(bound, is_backward, highest_mps, speed, now_ns)
         bound = bound._replace(max_throttle=min(bound.max_throttle, self._rising(is_backward, highest_mps, now_ns)))
-        if will_brake and self._pushes:
+        if primed:
             return self._prolonged(bound, allowed, highest_mps)
-        return bound
+        return bound._replace(max_throttle=0.0) if will_brake and not self._pushes else bound
 
     def _prolonged(self, bound, allowed, highest_mps):
         """The same for a car that is pushed: a push that ends too early makes no brake certain."""

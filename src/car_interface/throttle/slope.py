@@ -201,8 +201,10 @@ class Slope:
                                              or measured_ns - self._stood_ns > STOOD_NS):
                 self._measured_rad[is_backward] = None
         if self._fraction == 0.0 and measured_ns - max(self._stood_ns, self._held_ns) > STANDS_NS:
+            most_mps2 = max(0.0, self._drag_mps2 - LEFT_MPS2)
             for is_backward, lacks_mps2 in self._lacks_mps2.items():
-                self._lacks_mps2[is_backward] = min(lacks_mps2, max(0.0, self._drag_mps2 - LEFT_MPS2))
+                if lacks_mps2 > most_mps2:  # it may roll more freely than it stands
+                    self._lacks_mps2[is_backward], self._measured_rad[is_backward] = most_mps2, None
 
     def _came_to_stand(self, measured_ns):
         """It stopped in neutral before its deceleration was measured: what it was on the whole counts."""
