@@ -115,9 +115,10 @@ class EchoMemory:
             x_m, y_m = self._from_car(point)
             away_m = math.hypot(x_m, y_m)
             cell = point.sonar, round(point.x_m / CELL_M), round(point.y_m / CELL_M)
-            if (away_m <= FORGET_M or point.misses) and cell not in cells and not self._is_passed(point.sonar, x_m, y_m):
+            matters_m = 0.0 if point.misses else away_m
+            if matters_m <= FORGET_M and cell not in cells and not self._is_passed(point.sonar, x_m, y_m):
                 cells.add(cell)
-                found.append((0.0 if point.misses else away_m, point))
+                found.append((matters_m, point))
         found.reverse()
         current.reverse()
         if len(found) > MAX_POINTS:

@@ -139,10 +139,11 @@ class ObstacleGuard:
         """The bound of a car whose brake a push will make certain; ``None``: there is no room for that."""
         brake_mps2 = self._brake_mps2 - self.slope.brake_lacks_mps2(False)
         if not (self._will_brake and not is_backward and arbitration.asked > 0 and brake_mps2 > STEEP_MPS2
-                and self._answer is not None and self._answer.state in (FORWARD, NEUTRAL)):
+                and (self._answer is None or self._answer.state in (FORWARD, NEUTRAL))):
             return None
         late_s = self._late_s + MOTOR_LAG_S + PRIME_S
-        bound = self.sonars.bound(curvature_per_m, False, Guarantee(brake_mps2, 0.0, guarantee.drag_mps2), now_ns, late_s)
+        certain = Guarantee(brake_mps2, 0.0, guarantee.drag_mps2)
+        bound = self.sonars.bound(curvature_per_m, False, certain, now_ns, late_s)
         return bound if self._pushes or bound.speed_mps >= highest_mps + PRIME_MPS else None
 
     def _goes_on_stopping(self, is_backward):

@@ -177,7 +177,8 @@ class Slope:
             lacks_mps2 += 2.0 * NOISE_MPS2
         if brakes:
             self._brake_lacks_mps2 = lacks_mps2
-        else:
+        elif (settled_s >= MAX_SPAN_S or lacks_mps2 >= self._lacks_mps2[is_backward]
+              or self._measured_rad[is_backward] is None):  # less than was lacking takes more than a glance
             self._lacks_mps2[is_backward] = max(lacks_mps2, self._kept_mps2[is_backward])
             self._mark_measured(is_backward, measured_ns)
             self._remember(is_backward, signed_mps2, measured_ns)
