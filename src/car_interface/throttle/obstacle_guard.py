@@ -7,7 +7,8 @@ whose brake is about to be released, is counted with drag alone, which is what i
 and where a brake counts only as long as the car is fast: it may not be by the time that it is needed.
 
 What the ground takes away (``throttle.slope``) counts, too. Before it is known the car begins slowly, and where its ESC
-may never brake it rolls in neutral for a moment, which shows it.
+may never brake it rolls in neutral for a moment, which shows it. Where the ESC will brake the push lasts until that is
+certain, also on a slope on which nothing else stops the car, and begins only with room for it. A stop is never pushed.
 
 A motor goes on pushing after its throttle was cut. So the throttle is given back gradually, and taken away where the
 car, getting faster as it does, will reach the bound anyway.
@@ -34,6 +35,8 @@ CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster
 # A throttle counts as what the car needs for its speed when it gets no faster by it, after this time (the second:
 # towards an echo on a slope that isn't known); and no more after the last.
 STEADY_S, CAREFUL_STEADY_S, LET_GO_S = 0.28, 1.0, 0.25
+LATE_STEADY = 4.0  # longer by so many times odometry's age
+FULL_MPS2 = 2.0 * UNSEEN_MPS2  # half of the throttle may be all that the motor can do
 # An acceleration that odometry may show where there is none, and its share of the speed.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
 # What a slope on which a car stands in neutral may take from its drag, and what is left of that at least.
@@ -46,7 +49,7 @@ UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
 RISES_PER_S, MOVES_MPS, RISING_MPS2 = 0.1, 0.05, 0.1
 PRIME_S, PRIME_MPS = 0.6, 0.35  # a brake is certain after such a push, which makes the car faster by no more
 LEAST_LEFT_MPS = 0.15  # so far below a bound the least throttle may always be given
-UNKNOWN = "before it is known how it slows down here it has"
+UNKNOWN, UNCERTAIN = "before it is known how it slows down here it has", "before its brake is certain it has"
 FREE_MPS = 0.6  # no echo allows so much on an unknown slope
 
 
@@ -93,7 +96,7 @@ class ObstacleGuard:
         if pushes < self._steady:
             self._steady += (pushes - self._steady) * min(1.0, elapsed_s / LET_GO_S)
         elif self.slope.acceleration_mps2 < NOISE_MPS2:
-            after_s = (CAREFUL_STEADY_S if self._is_careful else STEADY_S) + 4.0 * self._late_s
+            after_s = (CAREFUL_STEADY_S if self._is_careful else STEADY_S) + LATE_STEADY * self._late_s
             self._steady += (pushes - self._steady) * min(1.0, elapsed_s / after_s)
         self.slope.update_esc(answer.fraction, now_ns)
 
@@ -184,7 +187,8 @@ class ObstacleGuard:
         self._shows_slope = (not will_brake and highest_mps >= MOVES_MPS
                              and (self._shows_slope or highest_mps >= SHOWS_SLOPE_MPS))
         most_mps = min(highest_mps, UNKNOWN_SLOPE_MPS) if self._shows_slope else UNKNOWN_SLOPE_MPS
-        bound = allowed if most_mps >= allowed.speed_mps else allowed._replace(speed_mps=most_mps, words=UNKNOWN)
+        words = UNCERTAIN if is_known else UNKNOWN
+        bound = allowed if most_mps >= allowed.speed_mps else allowed._replace(speed_mps=most_mps, words=words)
         bound = self._approached(bound, is_backward, highest_mps, speed, now_ns)
         bound = bound._replace(max_throttle=min(bound.max_throttle, self._rising(is_backward, highest_mps, now_ns)))
         if primed:
@@ -209,6 +213,6 @@ class ObstacleGuard:
         gain_mps2 = self._gain_mps2(speed)
         if gain_mps2 > 0.0 and left_mps <= gain_mps2 * CUT_S:
             return bound._replace(max_throttle=0.0)
-        gradual_mps = BAND_MPS + 2.0 * UNSEEN_MPS2 * (CUT_S + age_s)
+        gradual_mps = BAND_MPS + FULL_MPS2 * (CUT_S + age_s)
         least = self._least[is_backward] if left_mps > LEAST_LEFT_MPS else 0.0
         return bound._replace(max_throttle=max(least, min(1.0, self._steady + left_mps / gradual_mps)))
