@@ -30,7 +30,6 @@ from unittest.mock import Mock
 
 import numpy as np
 from many_drives import THROTTLE, Chip
-from room_drives import ALL_ALIKE, Sonars
 
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
@@ -70,7 +69,34 @@ QUICK_FIT_NS, FULL_FIT_NS = 400 * NS_PER_MS, 3000 * NS_PER_MS
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
 PUSHED_MPS = 0.7
 ROLLS_S, STANDS_MPS = 20.0, 0.02
+MAX_RANGE_M = 2.0  # of its sonars, as sonars.yaml has it
 PLACES_PER_M = 1.25  # half a circle to the left leaves the middle 1.6 m to the left
+
+
+class Sonars:
+    """Six sonars that fire one after another: the next when this one's echo came, or after 38 ms, and 30 ms later."""
+
+    def __init__(self, rng, world):
+        self._rng, self._world = rng, world
+        self._index, self._next_ns = rng.randrange(len(NAMES)), 0
+        self._reports = deque()
+
+    def step(self, pose, now_ns):
+        """The ranges that arrive now, by name."""
+        if now_ns >= self._next_ns:
+            sensor = self._index
+            self._index = (self._index + 1) % len(NAMES)
+            distance_m = self._world.distance_m(pose, sensor)
+            flight_ns = 38 * NS_PER_MS if distance_m is None else round(2e9 * distance_m / 343)
+            range_m = math.inf if distance_m is None or distance_m > MAX_RANGE_M else max(
+                0.0, distance_m + self._rng.gauss(0, 0.005))
+            self._next_ns = now_ns + flight_ns + 30 * NS_PER_MS
+            late_ns = round(self._rng.uniform(2, 12)) * NS_PER_MS
+            self._reports.append((now_ns + flight_ns + late_ns, NAMES[sensor], range_m))
+        arrived = []
+        while self._reports and self._reports[0][0] <= now_ns:
+            arrived.append(self._reports.popleft()[1:])
+        return arrived
 
 
 class Car(NamedTuple):
@@ -188,7 +214,7 @@ class Bench:
         self._world = None if car.world is None else World(car.world)
         self._collisions = None if self._world is None else Collisions(self._world.obstacles)
         self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
-        self._sonars = None if self._world is None else Sonars(rng, self._world, ALL_ALIKE)
+        self._sonars = None if self._world is None else Sonars(rng, self._world)
         mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(NAMES, WorldConfig().mounts)}
         config = DriveConfig(
             braking_mps2=braking_mps2, radius_m=HALF_M,

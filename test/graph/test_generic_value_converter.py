@@ -105,8 +105,8 @@ def test_numbers_that_are_none_have_no_output_and_are_warned_of(number):
 @pytest.mark.parametrize("stamp_s, text, of_odometry", [
     (0, "is zero", ""),
     (-86_400, "is 86400 s in the past", None),
-    (86_400, "is 86400 s in the future", "odometry: the stamp is 86400.00 s in the future: its age counts from arrival "
-                                         "alone")])
+    (86_400, "is 86400 s in the future",
+     ("odometry: the stamp is 86400.00 s in the future: its age counts from arrival alone"))])
 def test_odd_stamps_are_told_once_and_obeyed_but_an_old_velocity_isnt(stamp_s, text, of_odometry):
     converter = Converter()
     stamp = rospy.Time(nsecs=converter.graph.now_ns + converter.graph.ros_ahead_ns) + rospy.Duration(stamp_s)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
 import unittest
+from contextlib import suppress
 
 import rosgraph
 import rosnode
@@ -63,8 +65,17 @@ class Parts(Closing):
     def fail(self, part):
         mark = self.process.stderr.mark()
         sender = self.sender(f"/fail/{part}", Empty)
-        sender.publish()
-        line = self.process.wait_for_line(f"{part}: a fault in this node itself.*ZeroDivisionError", mark)
+        fault = re.compile(f"{part}: a fault in this node itself.*ZeroDivisionError")
+
+        def failed():
+            return next((line for line in self.process.stderr.since(mark) if fault.search(line)), None)
+        for _ in range(4):  # what is sent to a part that stands still is dropped
+            sender.publish()
+            with suppress(AssertionError):
+                line = eventually(failed, f"the fault of {part}", 15)
+                break
+        else:
+            raise AssertionError(f"{part} doesn't fail")
         self.assertIn("Starting it anew", line)
         sender.close()
 

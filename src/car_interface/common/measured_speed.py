@@ -110,8 +110,8 @@ class MeasuredSpeed:
     def highest_mps(self, now_ns: int) -> float:
         """The magnitude that it may have when a command of now takes effect; when it is lost this stays.
 
-        It rises as it did, and as by full throttle in the time of which nothing is known: while reports are missing, and
-        for as long as they are late by their stamps. Only to be asked for once there was one.
+        It rises as it did, and as by full throttle in the time of which nothing is known: while reports are missing,
+        and for as long as they are late by their stamps. Only to be asked for once there was one.
         """
         speed = self._speed
         unseen_s = min(speed.silence_s(now_ns), self._late_s) + speed.was_late_s - self._period_s - UNSEEN_AFTER_S

@@ -115,7 +115,7 @@ class PlannerInterface:
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = self._command = None
-        self._published = None  # (cause, gear) of the newest state
+        self._published = None  # what throttle_arb goes by, of the newest state
         self._radius_m = None  # the newest that was published
         self._radii = advertise("av_turnrad_req", Float32, inbox) if self._steers else None
         self._controls = advertise("~output/control_cmd", Control, inbox)
@@ -259,11 +259,12 @@ class PlannerInterface:
 
     @property
     def _kind(self):
-        """What throttle_arb goes by: cause and gear."""
+        """What throttle_arb goes by: cause, gear, and whether the car is to go on."""
         cause = self._decision.cause
         if cause == causes.PLANNER and not self._command.is_known:
             cause = causes.ODOMETRY_STALE
-        return cause, self._command.gear
+        request = self._decision.request
+        return cause, self._command.gear, request is not None and request.speed_mps != 0.0
 
     def _publish_stop(self):
         self._publish_radius(0.0)
@@ -289,7 +290,7 @@ class PlannerInterface:
     def _publish_state(self, now_ns):
         decision, command = self._decision, self._command
         before, self._published = self._published, self._kind
-        cause, gear = self._published
+        cause, gear, _ = self._published
         request = decision.request
         self._states.publish(PlannerState(
             stamp=self._clocks.ros_now(), source=self._sources.source, cause=cause, reason=self._reason(), gear=gear,
@@ -313,7 +314,7 @@ class PlannerInterface:
         """What is asked for, and why it isn't obeyed, for /diagnostics."""
         if self._command is None:
             return status
-        cause, gear = self._kind
+        cause, gear, _ = self._kind
         now_ns = self._clocks.now_ns()
         reason, too_tight = self._reason(), "" if self._too_tight.is_stale(now_ns) else self._too_tight.value
         status.summary(WARN if too_tight or _is_alarming(cause) else OK,

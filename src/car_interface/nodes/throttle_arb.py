@@ -10,7 +10,8 @@ Subscribes:
     ~input/value (Float64Stamped): the planner's, from generic_value_converter.
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s; the planner drives only while it is fresh.
     generic_value_converter/state (ConverterState): why there is no value.
-    planner_interface/state (PlannerState): the planner's gear, and why it has no request. Never received = drive.
+    planner_interface/state (PlannerState): the planner's gear, the speed that it wants to keep, and why it has no
+        request. Never received = drive.
     turn_arb/state (SteeringState): steering and throttle stop together.
     /servo/output (std_msgs/Int32MultiArray): what the servo board holds. Throttle is given only while that is what
         turn_arb commands for the steering; see ``throttle.board_watch``.
@@ -140,7 +141,7 @@ class ThrottleArb:
         subscribe_changes("generic_value_converter/state", ConverterState, inbox, self._on_converter, self._decide,
                           value_of=lambda state: state.cause)
         subscribe_changes("planner_interface/state", PlannerState, inbox, self._on_planner_state, self._decide,
-                          value_of=lambda state: (state.cause, state.gear))
+                          value_of=lambda state: (state.cause, state.gear, state.speed != 0.0))
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output, wakes=False)
         # Only quoted: no line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)

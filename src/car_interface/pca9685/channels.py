@@ -13,8 +13,8 @@ from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.units import NS_PER_MS
 from car_interface.pca9685.registers import counts_of_duty
 
-# An ESC may take a pull, which was a brake, for reverse once the car stands. Whoever commands it sees to it that the car
-# rolls for as long as this after each command, and repeats it within half of that.
+# An ESC may take a pull, which was a brake, for reverse once the car stands. Whoever commands it sees to it that the
+# car rolls for as long as this after each command, and repeats it within half of that.
 PULL_TIMEOUT_MS = 80
 
 

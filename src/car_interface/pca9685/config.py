@@ -93,7 +93,7 @@ def _read_channels(params):
 
 
 def _read_pulls(params):
-    """The ESC's channel, and on which side of neutral its pulls are that must not be held; ``None`` = there are none."""
+    """The ESC's channel, and on which side of neutral its pulls are that must not be held; ``None`` = there is none."""
     channel = params.integer("esc/servo/channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
     neutral = params.integer("esc/servo/neutral", None, 0, MAX_DUTY)
     table = params.numbers("esc/servo/duty_table", [], 0, MAX_DUTY)

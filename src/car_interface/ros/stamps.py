@@ -19,8 +19,8 @@ AGREES_NS = NS_PER_S
 class StampedAge:
     """How old one topic's messages are when they arrive, by their stamps.
 
-    A stamp of 0, one in the future, and any after ROS time was set, until they agree with it again, say nothing: then an
-    age is 0, and it counts from arrival alone. Each of these is logged once.
+    A stamp of 0, one in the future, and any after ROS time was set, until they agree with it again, say nothing: then
+    an age is 0, and it counts from arrival alone. Each of these is logged once.
 
     Args:
         topic: for the log.
@@ -42,8 +42,8 @@ class StampedAge:
         self._offset_ns = offset_ns
         if was_ns is not None and abs(offset_ns - was_ns) > CLOCK_NS + after_ns - before_ns:
             self._was_set = True
-            self._tell("step", f"ROS time was set by {(offset_ns - was_ns) / NS_PER_S:.1f} s: until the stamps agree with "
-                               "it ages count from arrival alone")
+            self._tell("step", f"ROS time was set by {(offset_ns - was_ns) / NS_PER_S:.1f} s: until the stamps agree "
+                               "with it ages count from arrival alone")
         age_ns = offset_ns + arrival_ns - stamp.to_nsec()
         if stamp.is_zero():
             self._tell("zero", "the stamp is zero: its age counts from arrival alone", rospy.loginfo)

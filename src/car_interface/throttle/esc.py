@@ -7,9 +7,8 @@ answers are neutral until then. Pure: ``now_ns`` is passed in. The duty for a fr
 What is certain to be a brake, and what is not, stands with the rules: see ``_brakes`` and ``_stop_brakes``.
 
 What it can't see: an ESC that is switched on, or recalibrated, later than the board: its memory begins anew, and its
-first pull may be reverse. A hill on which the car rolls in neutral: that is told, and neutral is all there is against
-it. A board that gives no pulses and has not said so yet. And with a wrong profile and without speed, that a person's
-own pull drives the car backward.
+first pull may be reverse. A hill, before the car has rolled on it in neutral. A board that gives no pulses and has not
+said so yet. And with a wrong profile and without speed, that a person's own pull drives the car backward.
 """
 from __future__ import annotations
 
@@ -39,9 +38,10 @@ PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may be
 # A stop trusts the ESC to remember that it drove forward for no longer than this, whatever reverse_after_neutral says:
 # the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
 STOP_MEMORY_NS = round(0.5 * NS_PER_S)
-BEGINS_OVER_MPS = 0.1
+BEGINS_OVER_MPS = NEAR_MPS = 0.1  # of the brake's margin: to begin, and to end a brake whose strength is seen
 # A pull that begins so soon after the last speed is one at that speed.
 LOST_NS = round(0.5 * NS_PER_S)
+SAME_BRAKE = 0.05  # fractions that differ by less brake alike
 # So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
 PRIMES_OVER_MPS = 1.0
 # A push so weak slows a car that rolls backward by less than 1.5 m/s²: it doesn't turn it round between two reports.
@@ -86,6 +86,7 @@ class Esc:
         self._proof = BrakeProof(config.stop_brake)
         self._hill = HillWatch()
         self._saw_speed_in_reverse = False
+        self._brakes_since_ns = 0  # since when it brakes as now
 
     @property
     def state(self) -> int:
@@ -110,6 +111,10 @@ class Esc:
         passes = self.config.calibration_drive and request.is_human and request.gear != DRIVE
         value = self._value_of(request, passes)
         self._history.resume(now_ns)
+        if self._state == REVERSE and self._fraction < 0:
+            self._motion.update_reverse(now_ns)
+        if self._motion.may_roll_backward(now_ns):
+            self._history.mark_backward(now_ns)
         self._pulls.update(request, now_ns)
         self._update_arming(request, now_ns)
         if self._state == ARMING:
@@ -250,7 +255,8 @@ class Esc:
             state = HOLD if self._motion.stands(now_ns) else BRAKING
             return value, state, *self._brake_cause(state, means_reverse)
         # A speed of before the pull says nothing about what it meant, and one that may still slide only has to wait.
-        if (self._motion.speed_mps(now_ns) or 0.0) >= STANDSTILL_MPS and self._motion.measured_ns >= self._pulls.began_ns:
+        speed_mps = self._motion.speed_mps(now_ns) or 0.0
+        if speed_mps >= STANDSTILL_MPS and self._motion.measured_ns >= self._pulls.began_ns:
             self._pulls.mark_brake()
         return 0.0, NEUTRAL, *self._withheld(means_reverse, now_ns)
 
@@ -278,11 +284,13 @@ class Esc:
         To begin a brake it takes a little more; and twice that where nothing says how old a speed was at its arrival,
         and in reverse, since the way back into reverse is long.
         """
-        margin_mps = self.config.brake_margin_mps
+        margin_mps, motion = self.config.brake_margin_mps, self._motion
+        is_sure = motion.is_stamped and not motion.rolls_backward(now_ns)
+        if self._state == BRAKING and is_sure:
+            return motion.outlasts_a_pull(now_ns, margin_mps - NEAR_MPS, self._brakes_since_ns)
         if self._state != BRAKING:
-            is_sure = self._motion.is_stamped and not self._motion.rolls_backward(now_ns)
             margin_mps += BEGINS_OVER_MPS if is_sure else margin_mps
-        return self._motion.least_speed_mps(now_ns) > margin_mps and self._motion.outlasts_a_pull(now_ns)
+        return motion.least_speed_mps(now_ns) > margin_mps and motion.outlasts_a_pull(now_ns)
 
     def _brake_cause(self, state, means_reverse):
         if state == BRAKING:
@@ -378,6 +386,8 @@ class Esc:
             self._saw_speed_in_reverse = False
         if state == REVERSE and (self._motion.stands(now_ns) or self._motion.rolls_backward(now_ns)):
             self._saw_speed_in_reverse = True
+        if not (state == BRAKING and self._state == BRAKING and abs(fraction - self._fraction) <= SAME_BRAKE):
+            self._brakes_since_ns = now_ns
         self._fraction, self._state = fraction, state
         self._history.update_sent(fraction, now_ns)
         if state in (BRAKING, HOLD) and self._motion.rolls_backward(now_ns):

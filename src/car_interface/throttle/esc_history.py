@@ -74,6 +74,7 @@ class EscHistory:
         self._sent_ns: int | None = None  # when the node last sent something
         self._missed = False
         self._drove = False  # it has seen forward, and since then no more than one pull
+        self._drives_since_ns = 0  # a push of before was no drive forward: the car rolled backward
         self._braked = self._unlocked = False
 
     def update_held(self, fraction: float | None, now_ns: int) -> None:
@@ -97,6 +98,11 @@ class EscHistory:
         self._sent_ns = now_ns
         self._sent.update(fraction, now_ns)
         self._look(now_ns)
+
+    def mark_backward(self, now_ns: int) -> None:
+        """The car may roll backward: a push of now only brakes it, and the next pull may be reverse."""
+        self._drives_since_ns = now_ns
+        self._drove = False
 
     def mark_unknown(self) -> None:
         """Messages of the board were dropped: it may have held anything."""
@@ -158,7 +164,8 @@ class EscHistory:
         if not self.is_known(now_ns):
             self._drove = False
             return
-        if min(account.lasts_ns(FORWARD, now_ns) for account in (self._sent, self._held)) >= self._dwell_ns:
+        pushed_ns = min(account.lasts_ns(FORWARD, now_ns) for account in (self._sent, self._held))
+        if min(pushed_ns, now_ns - self._drives_since_ns) >= self._dwell_ns:
             self._drove = True
             self._sent.forget()
             self._held.forget()

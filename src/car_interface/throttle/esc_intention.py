@@ -23,7 +23,7 @@ class Request(NamedTuple):
         is_stop: the car has to stop, whatever ``value`` is: no deadman, a lock, a silent source.
         is_centered: the stick is in its dead band.
         is_released: the deadman is known to be released.
-        cruise_mps: the speed that a planner wants the car to keep, backward negative; 0 = it is to stop, or nobody said.
+        cruise_mps: the speed that a planner wants the car to keep, backward negative; 0 = a stop, or nobody has said.
         is_limited: something grants it less than it asks for.
     """
 

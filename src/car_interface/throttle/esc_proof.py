@@ -1,15 +1,14 @@
 """Whether an ESC has shown that its brake doesn't become reverse.
 
 A car that stands under a held brake proves little: its ESC may be switched off, its battery low, or a wall behind it.
-So it takes the whole story, twice: it was driven until just before, slowed as a brake slows a car, stood for a second
-with the brake held, and drove again at the next push. Any doubt begins anew.
+So it takes the whole story: it was driven until just before, slowed as a brake slows a car, stood for a second with the
+brake held, and drove again at the next push. Any doubt begins anew.
 """
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion
 
-TIMES = 2
 MIN_BRAKE = 0.5  # the fraction that it takes
 MIN_SPEED_MPS = 1.0  # when the brake begins
 JUST_BEFORE_NS = round(0.3 * NS_PER_S)
@@ -38,11 +37,11 @@ class BrakeProof:
     @property
     def is_given(self) -> bool:
         """Whether the ESC has shown it."""
-        return self._times >= TIMES
+        return self._is_given
 
     def doubt(self) -> None:
         """Something happened that this ESC's brake can't have done."""
-        self._times = 0
+        self._is_given = False
         self._begin_anew()
 
     def step(self, fraction: float, is_push: bool, pulled_ns: int, motion: MeasuredMotion, now_ns: int) -> None:
@@ -76,7 +75,7 @@ class BrakeProof:
                 if now_ns - self._pushed_ns > AGAIN_NS:
                     self._begin_anew()
                 return
-            self._times += 1
+            self._is_given = True
         self._stage, self._since_ns = DRIVEN, now_ns
 
     def _pull(self, speed_mps, pulled_ns, motion, now_ns):

@@ -29,6 +29,7 @@ THROTTLE_TIMEOUT_S = 0.5  # throttle_arb's state comes 10 times a second
 HOLD_MPS2 = 1.5  # brakes at standstill, as Autoware does; the ESC's rules see to it that this doesn't reverse
 STALL_NS = 2_000_000_000
 RUNAWAY_MPS, RUNAWAY_NS = 0.3, 1_000_000_000
+ROLLS_BY_ITSELF = "downhill, and its ESC isn't certain to brake it, or something else pushes it"
 # The least that a start takes: odometry sees nothing for the first 4 cm, and a wrong map makes the car too fast.
 START_S = 0.5
 # Odometry is this old, and sees a speed only after two pulses; but no later than that, or a stop would never be seen.
@@ -232,8 +233,7 @@ class SpeedControl:
         elif self._too_fast_ns is None:
             self._too_fast_ns = now_ns
         elif now_ns - self._too_fast_ns >= RUNAWAY_NS:
-            return [f"it rolls at {speed_mps:.2f} m/s instead of {self._reference.speed_mps:.2f}: downhill, and its ESC "
-                    "isn't certain to brake it, or something else pushes it"]
+            return [f"it rolls at {speed_mps:.2f} m/s instead of {self._reference.speed_mps:.2f}: {ROLLS_BY_ITSELF}"]
         return []
 
     def _wanted_gear(self, request, wanted_mps):

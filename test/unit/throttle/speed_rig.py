@@ -33,6 +33,7 @@ START_NS = 1000 * S
 MAP = load_value_map(str(Path(__file__).resolve().parents[3] / "config" / "value_map.csv"))
 SHIPPED_ESC = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 NO_STEERING = -1
+XL5 = xl5()
 
 
 def wrong_map(of_acceleration=1.0, of_value=1.0):
@@ -62,7 +63,7 @@ class SpeedRig:
         esc, profile, is_measured: the ESC, and what the configuration says of it.
     """
 
-    def __init__(self, slope=0.0, thrust=1.0, value_map=MAP, lag_s=0.05, esc=xl5(), profile="brake_then_reverse",
+    def __init__(self, slope=0.0, thrust=1.0, value_map=MAP, lag_s=0.05, esc=XL5, profile="brake_then_reverse",
                  is_measured=False):
         drive = DriveConfig(lag_s=lag_s)
         drive = replace(drive, forward_mps2=drive.forward_mps2 * thrust, reverse_mps2=drive.reverse_mps2 * thrust)
@@ -123,7 +124,8 @@ class SpeedRig:
         arbiter = self.throttle.arbiter
         arbiter.update_converter(None if conversion.value is not None
                                  else NoValue(conversion.cause, conversion.reason))
-        arbiter.update_planner_state(command.gear, None, now_ns, 0.0 if self.request is None else self.request.speed_mps)
+        speed_mps = 0.0 if self.request is None else self.request.speed_mps
+        arbiter.update_planner_state(command.gear, None, now_ns, speed_mps)
         if conversion.value is not None:
             self.throttle.update_planner(conversion.value, now_ns)
         arbiter.update_human(self.human, now_ns)

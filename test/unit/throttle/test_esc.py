@@ -279,19 +279,19 @@ def brakes_to_standstill_and_drives_again(car):
     car.stick(0.5, 1.0, speed=1.0)
 
 
-def test_stop_without_odometry_brakes_once_the_esc_has_stopped_and_held_the_car_twice():
+@pytest.mark.parametrize("proves", [False, True])
+def test_stop_without_odometry_brakes_once_the_esc_has_stopped_and_held_the_car(proves):
     car = Car(speed_timeout_s=0.1)
-    for times in (1, 2):
+    if proves:
         brakes_to_standstill_and_drives_again(car)
-        car.stick(0.5, 1.0)
-        assert car.stop()[:2] == ((0.0, NEUTRAL) if times == 1 else (-0.5, BRAKING))
+    car.stick(0.5, 1.0)
+    assert car.stop()[:2] == ((-0.5, BRAKING) if proves else (0.0, NEUTRAL))
 
 
 @pytest.mark.parametrize("doubt", ["backward", "no_pulse"])
 def test_doubt_takes_such_a_proof_away(doubt):
     car = Car(speed_timeout_s=0.1)
-    for _ in range(2):
-        brakes_to_standstill_and_drives_again(car)
+    brakes_to_standstill_and_drives_again(car)
     if doubt == "backward":
         car.stick(-0.6, 0.1, speed=1.0)
         car.stick(-0.6, 0.04, speed=-0.15)  # for less time than the motion check takes
@@ -300,6 +300,30 @@ def test_doubt_takes_such_a_proof_away(doubt):
         car.stop(1.2)
     car.stick(0.5, 1.0)
     assert car.stop()[:2] == (0.0, NEUTRAL)
+
+
+@pytest.mark.parametrize("after, brakes", [
+    pytest.param([(-1.0, 0.6), (-0.3, 0.6)], False, id="it_still_rolls_backward"),
+    pytest.param([(-1.0, 0.6), (0.0, 0.2)], False, id="too_short_since_it_stood"),
+    pytest.param([(-1.0, 0.6), (0.2, 0.6)], True, id="it_drove_for_the_dwell_since"),
+    pytest.param([(None, 1.5)], False, id="nobody_knows_whether_it_stands"),
+])
+def test_push_that_only_brakes_a_car_that_rolls_backward_makes_no_brake_certain(after, brakes):
+    car = Car(profile_measured=True, speed_timeout_s=0.1)
+    pulled_twice(car, 0.0)
+    car.stick(-0.5, 0.6, speed=-1.0)
+    for speed, seconds in after:
+        car.stick(0.5, seconds, speed)
+    assert bool(car.stop().fraction) == brakes
+
+
+def test_without_any_odometry_a_car_has_rolled_out_of_reverse_after_some_seconds():
+    for seconds, brakes in ((3.0, False), (4.5, True)):
+        car = Car(profile_measured=True)
+        pulled_twice(car, None)
+        car.stick(-0.5, 0.6)
+        car.stick(0.5, seconds)
+        assert bool(car.stop().fraction) == brakes
 
 
 @pytest.mark.parametrize("age_ms, begins_mps", [(0, 1.32), (20, 1.08), (100, 1.72)])

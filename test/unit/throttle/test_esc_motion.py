@@ -68,6 +68,22 @@ def test_a_pull_is_outlasted_by_what_the_tyres_cannot_stop_until_the_board_has_e
     assert not motion().outlasts_a_pull(0)
 
 
+@pytest.mark.parametrize("slows_mps2, late_ms, speed_mps, rolls", [
+    (2.0, 0, 0.4, True), (2.0, 0, 0.3, False),  # (1.25 · 2 + 1) · 0.1 s
+    (5.6, 0, 0.9, True), (5.6, 0, 0.7, False),  # no more than 8 · 0.1 s
+    (2.0, 90, 0.7, True), (2.0, 90, 0.6, False), (2.0, 110, 1.6, False),  # it may have hit something since
+])
+def test_a_brake_that_is_held_slows_by_little_more_than_it_did(slows_mps2, late_ms, speed_mps, rolls):
+    measured, since_ns = MeasuredMotion(EscConfig()), 0
+    for index in range(30, -1, -1):
+        at_ns = S - index * 20 * MS
+        measured.update(speed_mps + slows_mps2 * index * 0.02, at_ns + late_ms * MS, late_ms * MS)
+    now_ns = S + late_ms * MS
+    assert measured.outlasts_a_pull(now_ns, 0.0, since_ns) == rolls
+    assert not measured.outlasts_a_pull(now_ns, speed_mps, since_ns)
+    assert not measured.outlasts_a_pull(now_ns, 0.0, S - 100 * MS) or speed_mps > 0.8  # braked for too short a time
+
+
 def test_a_speed_is_as_old_as_it_was_when_it_arrived():
     measured = MeasuredMotion(EscConfig())
     measured.update(3.0, S, 300 * MS)

@@ -226,7 +226,8 @@ def test_car_that_rolls_too_fast_for_a_second_is_told_until_it_does_not():
         notes.append(control.step(SpeedRequest(0.3), now_ns).note)
     told = [index for index, note in enumerate(notes) if note]
     assert told == list(range(100, 200)) and notes[100] == (
-        "it rolls at 1.00 m/s instead of 0.30: downhill, and its ESC isn't certain to brake it, or something else pushes it")
+        "it rolls at 1.00 m/s instead of 0.30: downhill, and its ESC isn't certain to brake it, or something else "
+        "pushes it")
 
 
 def test_gear_change_at_speed_stops_first_and_says_so():
