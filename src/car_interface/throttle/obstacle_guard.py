@@ -44,9 +44,9 @@ UNKNOWN_SLOPE_MPS2, LEFT_MPS2 = 0.25, 0.05
 # As long as it isn't known how the car slows down here: what a car without a brake, on a slope that is steeper than its
 # drag, is left rolling with. From the second on it rolls in neutral, until it is known or it hardly rolls.
 UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
-# There its throttle begins with what the ESC takes at least, and rises by so much a second until the car moves, and
-# while it gets no faster. So the motor's lag and odometry's age add little.
-RISES_PER_S, MOVES_MPS, RISING_MPS2 = 0.1, 0.05, 0.1
+# There its throttle begins with what the ESC takes at least, and rises by as much in so many seconds until the car
+# moves, and while it gets no faster. So the motor's lag and odometry's age add little.
+RISES_S, MOVES_MPS, RISING_MPS2 = 0.8, 0.05, 0.1
 PRIME_S, PRIME_MPS = 0.6, 0.35  # a brake is certain after such a push, which makes the car faster by no more
 LEAST_LEFT_MPS = 0.15  # so far below a bound the least throttle may always be given
 UNKNOWN, UNCERTAIN = "before it is known how it slows down here it has", "before its brake is certain it has"
@@ -204,8 +204,8 @@ class ObstacleGuard:
     def _rising(self, is_backward, highest_mps, now_ns):
         """The throttle that may be given there."""
         rises = highest_mps < MOVES_MPS or self.slope.acceleration_mps2 < RISING_MPS2
-        rise = RISES_PER_S * min(0.1, (now_ns - self._answered_ns) / NS_PER_S) if rises else 0.0
-        return max(self._least[is_backward], self._pushes + rise)
+        elapsed_s = min(0.1, (now_ns - self._answered_ns) / NS_PER_S) if rises else 0.0
+        return max(self._least[is_backward], self._pushes * (1.0 + elapsed_s / RISES_S))
 
     def _approached(self, bound, is_backward, highest_mps, speed, now_ns):
         """A bound with the throttle that may be given on the way to it."""

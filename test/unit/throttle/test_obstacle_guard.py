@@ -178,7 +178,7 @@ def test_its_throttle_rises_from_the_least_until_the_car_moves():
     for step in range(15):
         throttles.append(guard.check(asked(1.0), moving(0.0), 0.0, NOW + step * 20 * MS).bounds[0].max_throttle)
         guard.update_esc(decided(FORWARD, throttles[-1], 0.3), NOW + step * 20 * MS)
-    assert throttles[-1] == pytest.approx(0.08 + 14 * 0.002)
+    assert throttles[-1] == pytest.approx(0.08 * (1.0 + 0.02 / 0.8) ** 14)
     until_ns = roll(guard, [0.004 * index for index in range(16)], NOW + 280 * MS)  # 0.2 m/s²
     speed = MeasuredSpeed(0.5)
     speed.update(0.06, until_ns)
