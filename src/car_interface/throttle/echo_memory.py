@@ -24,7 +24,7 @@ MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 4, 2, 1  # of one lost echo in twenty, 
 SAME_M = 0.08  # ranges that differ by less are of the same thing: the sonar's noise, and that of the odometry meanwhile
 # So near to a cone's edge a place may have been looked at, or not. A sonar's own echo did come from there.
 EDGE_RAD, ROUNDING_RAD = math.radians(2.0), math.radians(0.2)
-MAX_POINTS = 32  # beside those of the newest echoes; the nearest stay
+MAX_POINTS = 32  # beside those of the newest echoes; the nearest stay, and what an echo may only have been lost of
 CELL_M = 0.08  # one of a sonar's points stands for all in a square of this size
 FORGET_M = 2.5  # from the middle of the rear axle: a thing farther away is looked at again before the car gets there
 MAX_STEP_S = 1.0  # what a car without reports is moved on by
@@ -115,9 +115,10 @@ class EchoMemory:
             x_m, y_m = self._from_car(point)
             away_m = math.hypot(x_m, y_m)
             cell = point.sonar, round(point.x_m / CELL_M), round(point.y_m / CELL_M)
-            if away_m <= FORGET_M and cell not in cells and not self._is_passed(point.sonar, x_m, y_m):
+            matters_m = 0.0 if point.misses else away_m
+            if matters_m <= FORGET_M and cell not in cells and not self._is_passed(point.sonar, x_m, y_m):
                 cells.add(cell)
-                found.append((away_m, point))
+                found.append((matters_m, point))
         found.reverse()
         current.reverse()
         if len(found) > MAX_POINTS:

@@ -25,7 +25,7 @@ RELAXES_MPS3 = 0.05  # the rate at which a shortfall is given up once it isn't s
 MATTERS_MPS2 = 0.1  # a shortfall of more is to be measured again
 KNOWN_NS = 3 * NS_PER_S  # every so often
 STANDS_NS = NS_PER_S
-LEFT_MPS2 = 0.05  # of the drag, at least, where the car stands in neutral
+LEFT_MPS2 = 0.12  # of the drag, at least, where the car stands in neutral
 TURNED_RAD = 0.5  # since the slope was measured: on another heading it is another one
 CLIMBS_MPS2 = 0.2  # beyond the drag: less is a drag that is configured with care
 AHEAD_M = 1.5  # along the arc, in which the car may point downhill
@@ -45,6 +45,7 @@ class Slope:
         self.acceleration_mps2 = 0.0
         self._fraction = 0.0
         self._held_ns = -math.inf  # since when the ESC has had this
+        self._was_brake = False  # before that it had a brake
         self._force_mps2 = 0.0  # of the motor, when that began
         self._settles_s = 0.0  # how long until nothing is left of what it had before
         self._reports: deque = deque()  # (when measured, speed), of the last 0.5 s
@@ -57,12 +58,18 @@ class Slope:
         self._yaw_rad = 0.0
         self._stood_ns: int | None = None
 
+    @property
+    def _speed_mps(self):
+        return self._reports[-1][1] if self._reports else 0.0
+
     def update_esc(self, fraction: float, now_ns: int) -> None:
         """What the ESC gets."""
         if fraction == self._fraction:
             return
-        self._fraction, self._held_ns = fraction, now_ns
-        force_mps2 = max(0.0, self.acceleration_mps2) + self._drag_mps2 + abs(min(0.0, fraction)) * self._brake_mps2
+        is_brake = self._fraction < 0.0 < self._speed_mps
+        braked_mps2 = max(0.0, -fraction, -self._fraction if is_brake else 0.0) * self._brake_mps2
+        force_mps2 = max(0.0, self.acceleration_mps2) + self._drag_mps2 + braked_mps2
+        self._fraction, self._held_ns, self._was_brake = fraction, now_ns, is_brake
         self._force_mps2 = force_mps2
         self._settles_s = ACTUATION_S + LAG_S * math.log(max(1.0, force_mps2 / RESIDUAL_MPS2))
         for is_backward, lacks_mps2 in self._lacks_mps2.items():
@@ -149,11 +156,11 @@ class Slope:
 
     def _slow(self, is_backward, measured_ns):
         """In neutral, or under a brake. What the motor still pushes only hides a part of the deceleration, so one that
-        is as strong as promised counts before it has let go.
+        is as strong as promised counts before it has let go. What is left of a brake adds to it.
         """
         held_s = (measured_ns - self._held_ns) / NS_PER_S
         settled_s = held_s - self._settles_s
-        if held_s < ACTUATION_S + SPAN_S:
+        if held_s < ACTUATION_S + SPAN_S or self._was_brake and settled_s < SPAN_S:
             return
         seen_mps2 = self._deceleration_mps2(max(SPAN_S, min(MAX_SPAN_S, settled_s)))
         brakes = self._fraction < 0.0
@@ -170,7 +177,8 @@ class Slope:
             lacks_mps2 += 2.0 * NOISE_MPS2
         if brakes:
             self._brake_lacks_mps2 = lacks_mps2
-        else:
+        elif (settled_s >= MAX_SPAN_S or lacks_mps2 >= self._lacks_mps2[is_backward]
+              or self._measured_rad[is_backward] is None):  # less than was lacking takes more than a glance
             self._lacks_mps2[is_backward] = max(lacks_mps2, self._kept_mps2[is_backward])
             self._mark_measured(is_backward, measured_ns)
             self._remember(is_backward, signed_mps2, measured_ns)
@@ -194,13 +202,15 @@ class Slope:
                                              or measured_ns - self._stood_ns > STOOD_NS):
                 self._measured_rad[is_backward] = None
         if self._fraction == 0.0 and measured_ns - max(self._stood_ns, self._held_ns) > STANDS_NS:
+            most_mps2 = max(0.0, self._drag_mps2 - LEFT_MPS2)
             for is_backward, lacks_mps2 in self._lacks_mps2.items():
-                self._lacks_mps2[is_backward] = min(lacks_mps2, max(0.0, self._drag_mps2 - LEFT_MPS2))
+                if lacks_mps2 > most_mps2:  # it may roll more freely than it stands
+                    self._lacks_mps2[is_backward], self._measured_rad[is_backward] = most_mps2, None
 
     def _came_to_stand(self, measured_ns):
         """It stopped in neutral before its deceleration was measured: what it was on the whole counts."""
         is_backward = self._reports[-2][1] < 0.0
-        if self._measured_rad[is_backward] is not None:
+        if self._measured_rad[is_backward] is not None or self._was_brake:
             return
         held_s = (measured_ns - self._held_ns) / NS_PER_S
         seen_mps2 = self._deceleration_mps2(min(MAX_SPAN_S, held_s))

@@ -101,6 +101,16 @@ def test_it_takes_more_than_one_look_to_forget_since_an_echo_may_fail_to_appear(
     assert (car.meets() is None or car.meets() > 1.2) == is_forgotten
 
 
+def test_an_echo_from_afar_that_was_lost_once_is_kept_also_beside_a_wall():
+    car = Car()
+    for _ in range(12):
+        car.sees(0.6, "front_left")
+        car.drive(0.1)
+    car.sees(2.3)
+    car.memory.look("front_middle", 4.0, False)
+    assert car.meets() == pytest.approx(2.294, abs=0.02)
+
+
 def test_an_echo_in_between_means_that_it_is_there():
     car = Car()
     for _ in range(4):

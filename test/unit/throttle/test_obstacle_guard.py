@@ -142,9 +142,10 @@ def test_downhill_it_counts_on_less_by_drag_and_by_brake():
     assert by_drag < 0.75 * level[0] and 0.85 * level[1] < by_brake < level[1]
 
 
-def test_where_it_would_not_stop_by_itself_it_is_not_pushed_and_where_it_brakes_it_is():
-    assert allowed(guard_after(downhill_mps2=0.4), asked(0.5), 0.0) == (0.0, False)
-    assert allowed(guard_after((FORWARD, 0.5, 0.0), downhill_mps2=0.4), asked(0.5), 0.5)[0] > 1.0
+@pytest.mark.parametrize("downhill_mps2", [0.4, 0.2])
+def test_where_it_would_hardly_stop_by_itself_it_is_not_pushed_and_where_it_brakes_it_is(downhill_mps2):
+    assert allowed(guard_after(downhill_mps2=downhill_mps2, esc=EscConfig()), asked(0.5), 0.0) == (0.0, False)
+    assert allowed(guard_after((FORWARD, 0.5, 0.0), downhill_mps2=downhill_mps2), asked(0.5), 0.5)[0] > 1.0
 
 
 def test_before_it_is_known_how_it_slows_down_here_it_begins_slowly():
@@ -165,9 +166,46 @@ def test_a_car_that_may_never_brake_rolls_in_neutral_for_a_moment_which_shows_th
     # It goes on rolling until it is known, or it hardly rolls.
     guard.check(asked(0.5), moving(0.15), 0.0, NOW)
     assert (check(guard, asked(0.5), moving(0.15))[0].speed_mps == 0.15) == (not is_pushed)
-    assert check(guard, asked(0.5), moving(0.05))[0].speed_mps == 0.3
+    assert check(guard, asked(0.5), moving(0.04))[0].speed_mps == 0.3
     measured(guard, NOW)
     assert check(guard, asked(0.5), moving(0.22))[0].speed_mps > 0.7
+
+
+def test_its_throttle_rises_from_the_least_until_the_car_moves():
+    guard = guard_after(is_measured=False, ahead_m=math.inf, esc=EscConfig())
+    assert check(guard, asked(1.0), moving(0.0))[0].max_throttle == 0.08
+    throttles = []
+    for step in range(15):
+        throttles.append(guard.check(asked(1.0), moving(0.0), 0.0, NOW + step * 20 * MS).bounds[0].max_throttle)
+        guard.update_esc(decided(FORWARD, throttles[-1], 0.3), NOW + step * 20 * MS)
+    assert throttles[-1] == pytest.approx(0.08 * (1.0 + 0.02 / 0.8) ** 14)
+    until_ns = roll(guard, [0.004 * index for index in range(16)], NOW + 280 * MS)  # 0.2 m/s²
+    speed = MeasuredSpeed(0.5)
+    speed.update(0.06, until_ns)
+    assert guard.check(asked(1.0), speed, 0.0, until_ns + 20 * MS).bounds[0].max_throttle <= throttles[-1]
+    assert guard.check(asked(1.0), speed, 0.0, until_ns).bounds[0].max_throttle > 0.08
+
+
+@pytest.mark.parametrize("found", [{"is_measured": False}, {"downhill_mps2": 0.4}], ids=["unknown", "steep"])
+def test_a_push_there_lasts_until_the_brake_is_certain_and_begins_only_with_room_for_it(found):
+    for ahead_m, is_begun in ((1.5, True), (0.5, False)):
+        assert (check(guard_after(ahead_m=ahead_m, **found), asked(0.5), moving(0.0))[0].max_throttle > 0.0) == is_begun
+    guard = guard_after(**found)
+    guard.update_esc(decided(FORWARD, 0.08, 0.3), NOW)
+    roll(guard, [0.1 + 0.02 * index for index in range(10)], NOW + 20 * MS)
+    for speed_mps in (0.28, 0.33):
+        bound, is_stop = check(guard, asked(0.5), moving(speed_mps))
+        assert not is_stop and bound.max_throttle >= 0.08 and bound.speed_mps - speed_mps > 0.04
+    assert check(guard, asked(0.5), moving(1.5))[1]
+
+
+def test_a_stop_that_brakes_where_drag_is_not_known_goes_on_until_the_car_hardly_rolls():
+    for is_measured in (False, True):
+        guard = guard_after((FORWARD, 0.5, 0.0), is_measured=is_measured)
+        assert check(guard, asked(0.5), moving(3.0))[1]
+        guard.update_esc(decided(BRAKING, -0.5), NOW)
+        assert check(guard, asked(0.5), moving(0.15))[1] == (not is_measured)
+        assert not check(guard, asked(0.5), moving(0.08))[1]
 
 
 # --- what the motor, and odometry, do meanwhile ---
@@ -202,6 +240,19 @@ def test_throttle_is_given_back_gradually_and_what_the_car_needs_for_its_speed_a
     for step in range(100):
         guard.update_esc(decided(FORWARD, 0.15), NOW + step * 20 * MS)
     assert check(guard, asked(1.0), moving(0.5))[0].max_throttle > first + 0.14
+
+
+def test_the_later_the_odometry_the_less_is_given_back_but_never_less_than_moves_the_car():
+    def throttle(age_ms, speed_mps, is_pushed=False):
+        guard, speed = guard_after((NEUTRAL, 0.0, 0.0), ahead_m=math.inf), moving(speed_mps, age_ms * MS)
+        guard.check(asked(1.0), speed, 0.0, NOW)
+        for step in range(15 if is_pushed else 0):
+            guard.update_esc(decided(FORWARD, 0.5), NOW + step * 20 * MS)
+        return guard.check(asked(1.0), speed, 0.0, NOW).bounds[0].max_throttle
+
+    assert throttle(150, 0.2) < 0.7 * throttle(0, 0.2)
+    assert throttle(150, 0.2, True) - throttle(150, 0.2) < 0.6 * (throttle(0, 0.2, True) - throttle(0, 0.2))
+    assert throttle(150, BY_DRAG.expected - 0.16) == 0.08
 
 
 def test_a_car_that_gets_faster_gets_no_throttle_where_the_motor_s_lag_will_bring_it_to_the_bound():
