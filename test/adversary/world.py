@@ -115,7 +115,7 @@ class World:
         self.pulse_ns = START_NS + rng.randrange(20) * MS
         self.odometry_ns = START_NS + rng.randrange(20) * MS
         self.control = self._start()
-        self.board = Channels(_channels(case.config["profile"]))
+        self.board = Channels(_channels(case.config))
         self.held = None  # counts on the ESC's channel, as reported
         self.output_ns = START_NS
         self.pulse = 0.0
@@ -474,8 +474,8 @@ class _Even:
         return 0.5
 
 
-def _channels(profile):
+def _channels(esc):
     """The board's channels: neutral as the timeout value of the ESC's, and a short time for pulls of most kinds."""
-    pulls = 0 if profile == BTR else -1
+    pulls = 0 if esc["profile"] == BTR and esc.get("profile_measured") else -1
     return [ChannelConfig(timeout_value=NEUTRAL, pulls=pulls) if channel == CHANNEL else ChannelConfig()
             for channel in range(16)]

@@ -13,8 +13,8 @@ MAX_TIMEOUT_MS = 3_600_000
 VIRTUAL = "virtual"
 LIVE_RANGE, THROTTLE_LIVE_RANGE = 500, 100  # duty, as those of turn_arb and generic_value_converter
 NO_CHANNEL = -1
-# An ESC of this kind goes on braking however long a pull is held, and neutral in between lets it reverse. Those of any
-# other kind, or of an unknown one, may take a pull that is held for reverse.
+# An ESC of this kind, if calibrate_esc saw it, goes on braking however long a pull is held, and neutral in between lets
+# it reverse. Any other may take a pull that is held for reverse.
 HOLDS_PULLS = "brake_then_reverse"
 GUARD_OFF_AFTER_S = 10.0  # roslaunch has started a node again by then
 MIN_OFF_AFTER_S, MAX_OFF_AFTER_S = 0.5, 3600.0
@@ -97,8 +97,9 @@ def _read_pulls(params):
     channel = params.integer("esc/servo/channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
     neutral = params.integer("esc/servo/neutral", None, 0, MAX_DUTY)
     table = params.numbers("esc/servo/duty_table", [], 0, MAX_DUTY)
-    profile = params.text("esc/esc/profile", "unverified")
-    if channel == NO_CHANNEL or neutral is None or not table or profile == HOLDS_PULLS:
+    profile, is_measured = params.text("esc/esc/profile", "unverified"), params.flag("esc/esc/profile_measured", False)
+    holds = profile == HOLDS_PULLS and is_measured
+    if channel == NO_CHANNEL or neutral is None or not table or holds:
         return None, 0
     return channel, -1 if table[0] < table[-1] else 1
 

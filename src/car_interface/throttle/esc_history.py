@@ -7,7 +7,7 @@ whatever *permits* something must stand in both.
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_S
-from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, EscConfig
 
 # A duty is rounded to counts of 16, and there are about 1640 from neutral to an end: half a count is 0.005.
 NEUTRAL_TOLERANCE = 0.01
@@ -15,9 +15,10 @@ NEUTRAL_TOLERANCE = 0.01
 # to begin; after a second more it is not known what the board holds.
 HELD_TIMEOUT_NS = round(2.5 * NS_PER_S)
 
-# The board goes to neutral by itself 250 ms after a command. So after a pause of the node that was longer than this it
-# may have been there, whether it has said so or not.
-BOARD_HOLDS_NS = round(0.2 * NS_PER_S)
+# The board goes to neutral by itself 250 ms after a command; after a pull 80 ms, unless calibrate_esc saw that the ESC
+# is a brake_then_reverse. So after a pause of the node that was longer than this it may have been there, whether it has
+# said so or not.
+BOARD_HOLDS_NS, BOARD_HOLDS_PULL_NS = round(0.2 * NS_PER_S), round(0.06 * NS_PER_S)
 
 # An ESC that was pushed for so long has seen that it drives, whatever it needs for that: nobody publishes how long that
 # is, and the dwell that calibrate_esc measures is another time.
@@ -72,6 +73,8 @@ class EscHistory:
 
     def __init__(self, config: EscConfig):
         self._dwell_ns = round(config.dwell_s * NS_PER_S)
+        holds = config.profile == BRAKE_THEN_REVERSE and config.profile_measured
+        self._holds_pull_ns = BOARD_HOLDS_NS if holds else BOARD_HOLDS_PULL_NS
         self._forget_ns = round(config.reverse_after_neutral_s * NS_PER_S)
         self._sent, self._held = _Account(config), _Account(config)
         self._held_ns: int | None = None  # when the board's last message came
@@ -91,9 +94,10 @@ class EscHistory:
 
     def resume(self, now_ns: int) -> None:
         """The node goes on: what it sent last may not have been there all the time since."""
-        if self._sent_ns is not None and now_ns - self._sent_ns > BOARD_HOLDS_NS:
-            self._look(self._sent_ns + BOARD_HOLDS_NS)
-            self._sent.update(0.0, self._sent_ns + BOARD_HOLDS_NS)
+        holds_ns = self._holds_pull_ns if self._sent.side == PULLED else BOARD_HOLDS_NS
+        if self._sent_ns is not None and now_ns - self._sent_ns > holds_ns:
+            self._look(self._sent_ns + holds_ns)
+            self._sent.update(0.0, self._sent_ns + holds_ns)
             self._look(now_ns)
 
     def update_sent(self, fraction: float, now_ns: int) -> None:

@@ -1,6 +1,8 @@
 """What is known of the pulses that an ESC has had."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from car_interface.throttle.esc_config import EscConfig
@@ -75,10 +77,12 @@ def test_reverse_is_unlocked(steps, unlocked):
     assert history.is_unlocked(now_ns) == unlocked
 
 
-@pytest.mark.parametrize("steps, still_ms, certain", [
-    (BRAKES, 200, True), (BRAKES, 210, False), (DROVE, 400, True), ([*DROVE, ("both", 0.0, 100)], 400, True)])
-def test_node_that_stood_still_while_the_board_held_a_pull_reckons_with_its_neutral(steps, still_ms, certain):
-    history, now_ns = EscHistory(CONFIG), 0
+@pytest.mark.parametrize("is_measured, steps, still_ms, certain", [
+    (True, BRAKES, 200, True), (True, BRAKES, 210, False), (False, BRAKES, 60, True), (False, BRAKES, 70, False),
+    (False, DROVE, 400, True), (True, [*DROVE, ("both", 0.0, 100)], 400, True)])
+def test_node_that_stood_still_while_the_board_held_a_pull_reckons_with_its_neutral(
+        is_measured, steps, still_ms, certain):
+    history, now_ns = EscHistory(replace(CONFIG, profile_measured=is_measured)), 0
     for _, fraction, lasts_ms in steps:
         for _ in range(lasts_ms // 10):
             now_ns += 10 * MS
