@@ -14,8 +14,8 @@ from graph import NS_PER_S
 from test_stalls import forked
 
 MS = 1_000_000
-IS_EACH = bool(os.environ.get("CAR_INTERFACE_ALL"))  # 10 ms of the stop, with each fault
-STOP_MS = 900
+IS_EACH = bool(os.environ.get("CAR_INTERFACE_ALL"))  # moment of the stop, with each fault
+STOP_MS, STEP_MS = 900, 30
 SPEEDS_MPS = (1.2, 1.0, 0.9)  # the last at which kinds that may reverse are braked
 AFTER_S = 1.2
 BACKWARD_MPS = 0.03
@@ -84,7 +84,7 @@ class Story:
 @pytest.mark.parametrize("profile, kind", ESCS)
 def test_no_fault_of_the_nodes_makes_a_brake_reverse(profile, kind, stop):
     story, found = Story(profile, kind, stop), []
-    for moment in range(0, STOP_MS, 10) if IS_EACH else SPEEDS_MPS:
+    for moment in range(0, STOP_MS, STEP_MS) if IS_EACH else SPEEDS_MPS:
         if IS_EACH:
             story.graph.run((story.begin_ns + moment * MS - story.graph.now_ns) / NS_PER_S)
         else:

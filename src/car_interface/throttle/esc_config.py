@@ -67,8 +67,8 @@ class EscConfig:
         stop_brake_time_s: a stop brakes no longer than this: 10 m/s ÷ (0.5 × 7 m/s²) = 2.9 s.
         brake_deceleration_mps2: what the full brake guarantees. A Slash reaches about 7 on asphalt; 3 is left on dust.
         drag_deceleration_mps2: what is left in neutral at low speed: 0.3 to 0.4 for a Slash on a hard floor.
-        brake_margin_mps: where the ESC may take a brake for reverse, the car is braked only above this speed: 8 m/s²
-            (tyres hold no more) × 0.06 s, the age of a speed that has just arrived, and coasts below: half a meter.
+        brake_margin_mps: where the ESC may take a brake for reverse, the car is braked only above this speed, and above
+            what its speed's age and the board's 80 ms cost, and coasts below.
         speed_timeout_s: an older speed is unknown.
         motion_speed_mps, motion_time_s: motion against the state beyond both puts the ESC to neutral. A wheel that is
             pushed over a sensor by hand, or settles after a stop, stays below.
