@@ -12,6 +12,7 @@ import pytest
 from car import CONFIG, config
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
+from car_interface.ros.start import full_name
 
 PACKAGE = os.path.dirname(os.path.realpath(CONFIG))
 WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
@@ -83,7 +84,7 @@ REFUSALS = [
 
 
 def read(node, values):
-    return importlib.import_module(f"car_interface.nodes.{node}").read_config(Params(values))
+    return importlib.import_module(full_name(f"nodes.{node}")).read_config(Params(values))
 
 
 def attribute(made, path):
