@@ -70,7 +70,7 @@ class ObstacleGuard:
                                 and esc.stop_brake)
         self._least = esc.dead_band_forward, esc.dead_band_reverse
         self._answer: EscDecision | None = None
-        self._pushed_ns = self._answered_ns = -math.inf
+        self._push_began_ns = self._pushed_ns = self._answered_ns = -math.inf
         self._throttle = 0.0  # that it has
         self._steady = 0.0  # that which holds its speed
         self._late_s = 0.0  # odometry's age
@@ -81,6 +81,7 @@ class ObstacleGuard:
         elapsed_s = (now_ns - self._answered_ns) / NS_PER_S
         self._answer, self._answered_ns = answer, now_ns
         if answer.state == FORWARD and answer.fraction > 0:
+            self._push_began_ns = self._push_began_ns if self._throttle else now_ns
             self._pushed_ns = now_ns
         self._throttle = abs(answer.fraction) if answer.state in (FORWARD, REVERSE) else 0.0
         # What accelerates the car is more than what holds its speed. A roll to measure the ground changes neither.
@@ -166,7 +167,9 @@ class ObstacleGuard:
     def _bound(self, begins, stop_mps2, coasting, curvature_per_m, is_backward, now_ns):
         late_s = self._late_s + MOTOR_LAG_S
         if begins == PRIMES:
-            stop_mps2, late_s = self._brake_mps2 - self._brake_lacks_mps2(coasting), late_s + PRIME_S
+            stop_mps2 = self._brake_mps2 - self._brake_lacks_mps2(coasting)
+            pushed_s = (now_ns - self._push_began_ns) / NS_PER_S if self._throttle else 0.0
+            late_s += max(0.0, PRIME_S - pushed_s)
         elif begins == PROBES:
             stop_mps2 = MIN_STOP_MPS2
         elif stop_mps2 < STEEP_MPS2:
