@@ -55,7 +55,7 @@ from car_interface.throttle.speed_control import SpeedControl, SpeedRequest
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import Conclusion, conclude
-from car_interface.tools.calibration.drive.config import DEFAULTS, DriveConfig
+from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
 from car_interface.tools.calibration.drive.grant import SLOWS
 from car_interface.tools.calibration.drive.knowledge import assess
 from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
@@ -219,7 +219,7 @@ class Bench:
         self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
         self._sonars = None if self._world is None else Sonars(rng, self._world)
         mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(NAMES, WorldConfig().mounts)}
-        config = DriveConfig(
+        config = CalibrationDriveConfig(
             braking_mps2=braking_mps2, radius_m=HALF_M,
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
