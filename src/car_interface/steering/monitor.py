@@ -110,8 +110,8 @@ class SteeringCheck:
         self._extend_command_range(now_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here: the command is stale."""
-        self._command.mark_stale()
+        """Take note that messages were dropped before they got here: the motion is stale until the next one."""
+        self._motion.mark_stale()
 
     def update_motion(self, speed_mps: float, yaw_rate_radps: float, now_ns: int) -> None:
         """Speed and yaw rate by the wheels, backward and right negative; the values before held until now."""
