@@ -1,4 +1,4 @@
-"""Why the car is driven, stopped or limited: one constant for each cause.
+"""Why the car is driven, stopped or limited: one constant for each cause. And who drives it, by mode.
 
 A cause is the kind of reason, without numbers. Decisions carry it beside the reason in words; the state message, the
 diagnostics, the doctor and the report pass it on unchanged. Programs compare causes and never parse a reason.
@@ -71,11 +71,11 @@ BRAKING_LIMITED = "max braking"
 OBSTACLE_SLOWED = "obstacle"  # by a sonar ahead, or behind while it reverses
 SONAR_SILENT = "sonar silent"  # one that looks where the car drives
 
-# Gamepad.
-MANUAL = "manual"  # the manual deadman is held
-AUTONOMOUS = "autonomous"  # the autonomous deadman is held
-HUMAN_THROTTLE = "human_throttle"  # the third deadman is held, and this is its mode
-HUMAN_STEERING = "human_steering"  # likewise
+# Gamepad. The first four are also the values of /teleop_logi/mode: who steers and who drives while a deadman is held.
+MANUAL = "manual"  # the manual deadman: the human steers and drives
+AUTONOMOUS = "autonomous"  # the autonomous deadman: the planner steers and drives, a human watches
+HUMAN_THROTTLE = "human_throttle"  # the third deadman, and this is its mode: the planner steers, the human drives
+HUMAN_STEERING = "human_steering"  # likewise: the human steers, the planner drives
 NO_DEADMAN = "no deadman"
 JOY_STALE = "joy silent"
 JOY_NEVER_RECEIVED = "joy never heard"
@@ -83,6 +83,9 @@ JOY_NOT_FINITE = "joy not finite"
 JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
 # Its sticks.
 OVERRIDE = "override"  # the human has an actuator under a deadman that gives it to the planner
+# The planner gets the actuator back when the stick was centered for this long: more than a hand needs from one side of
+# the center to the other.
+OVERRIDE_HOLD_S = 0.5
 OFF_CENTER = "off center"  # since the deadman was pressed: it overrides nothing but by a pull
 NOT_AT_REST = "not at rest"  # the axis was not seen at its rest, so it doesn't count
 
@@ -100,6 +103,10 @@ GUARD_BLOCKED = "guard blocked"  # the guard can't reach the board
 NODE_STOOD_STILL = "node stood still"  # for so long that what was sent meanwhile is no longer obeyed
 FOREIGN_WRITE = "foreign write"  # another program wrote to the board
 CHANNEL_TIMED_OUT = "channel timed out"  # it was commanded, is no longer, and is at its timeout value
+
+MODES = (MANUAL, AUTONOMOUS, HUMAN_THROTTLE, HUMAN_STEERING)
+HUMAN_DRIVES = frozenset({MANUAL, HUMAN_THROTTLE})
+HUMAN_STEERS = frozenset({MANUAL, HUMAN_STEERING})
 
 STEERING_CUTS = frozenset({TOO_TIGHT, LATERAL_LIMITED, JERK_LIMITED})
 THROTTLE_CUTS = frozenset({SPEED_LIMITED, CURVE_SLOWED, SPEED_LATE, ACCELERATION_LIMITED, BRAKING_LIMITED,

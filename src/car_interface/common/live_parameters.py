@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Callable, Mapping, NamedTuple
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.servo_channels import MAX_DUTY
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import MAX_DUTY, NS_PER_S
 
 MAX_STEP_NS = 50_000_000  # the longest time that one step counts, so that a delayed node makes no jump
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Callable
 
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.pca9685.channels import blocks
 from car_interface.pca9685.registers import (
     ALL_LED_OFF_H,

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
-from car_interface.common.units import NS_PER_MS
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_MS, UNCHANGED
 from car_interface.pca9685.registers import counts_of_duty
 
 # An ESC may take a pull, which was a brake, for reverse once the car stands. Whoever commands it sees to it that the

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import errno
 
-from car_interface.common.servo_channels import CHANNELS
-from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.common.units import CHANNELS, NS_PER_MS, NS_PER_S
 from car_interface.pca9685.guard_protocol import (
     ACTING,
     ENDED,

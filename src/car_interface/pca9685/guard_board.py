@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.pca9685.registers import (
     ALL_LED_OFF_H,
     AUTO_INCREMENT,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 
 # Kinds of a node's messages.
 ALIVE, ENDING, ENDED = 0, 1, 2

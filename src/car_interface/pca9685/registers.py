@@ -6,7 +6,7 @@ and 4096 for its full-on bit (data sheet 7.3.3), so that neither limit has a gli
 from __future__ import annotations
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.servo_channels import MAX_DUTY
+from car_interface.common.units import MAX_DUTY
 
 COUNTS = 4096
 DUTY_PER_COUNT = 16  # 65536 / 4096

@@ -5,8 +5,7 @@ from typing import Mapping, Sequence
 
 from car_interface.common.causes import CHANNEL_TIMED_OUT
 from car_interface.common.publishers import CommandTopic, Fault, Publisher, second_publisher
-from car_interface.common.servo_channels import UNCHANGED
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import NS_PER_S, UNCHANGED
 from car_interface.pca9685.channels import TimedOut
 
 WINDOW_NS = NS_PER_S  # a node that has not commanded a channel for so long commands it no more

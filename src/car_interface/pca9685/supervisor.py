@@ -11,8 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Callable, Sequence
 
-from car_interface.common.servo_channels import CHANNELS
-from car_interface.common.units import NS_PER_MS
+from car_interface.common.units import CHANNELS, NS_PER_MS
 from car_interface.pca9685.board import Board, BoardMismatch, ForeignWrite
 from car_interface.pca9685.channels import differences
 

@@ -11,7 +11,7 @@ from typing import Sequence
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable, round_half_away
-from car_interface.common.servo_channels import MAX_DUTY
+from car_interface.common.units import MAX_DUTY
 
 WIDE_M = 100.0  # a table should reach at least this radius, or it has no duty for almost straight ahead
 TABLE_DIGITS = 1  # decimals of a duty in a trimmed table; a servo resolves less

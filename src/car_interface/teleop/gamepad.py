@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
-from car_interface.common.drive_modes import HUMAN_DRIVES, HUMAN_STEERING, HUMAN_STEERS, HUMAN_THROTTLE, MANUAL, MODES
+from car_interface.common.causes import HUMAN_DRIVES, HUMAN_STEERING, HUMAN_STEERS, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.common.units import NS_PER_S
@@ -63,7 +63,7 @@ class GamepadConfig:
         manual_button: deadman: the human steers.
         autonomous_button: deadman: the planner steers while a human watches.
         third_button: deadman of ``third_mode``; ``NONE`` = there is none.
-        third_mode: HUMAN_THROTTLE or HUMAN_STEERING of ``common.drive_modes``.
+        third_mode: HUMAN_THROTTLE or HUMAN_STEERING of ``common.causes``.
         faster_button, slower_button: change the scale of driving by hand; ``NONE`` = there is none. A gamepad that
             lacks one of them does without.
         override_deadband: a stick beyond it overrides the planner. An axis at rest is within.
@@ -133,7 +133,7 @@ class Requests(NamedTuple):
 
     @property
     def mode(self) -> str:
-        """Who steers and who drives: one of ``common.drive_modes``. Without a deadman the human's."""
+        """Who steers and who drives: one of ``common.causes``. Without a deadman the human's."""
         return self.cause if self.cause in MODES else MANUAL
 
     @property

@@ -4,7 +4,7 @@ Pure: deflections from the center in, each with its arrival. A deflection is −
 """
 from __future__ import annotations
 
-from car_interface.common.drive_modes import OVERRIDE_HOLD_S
+from car_interface.common.causes import OVERRIDE_HOLD_S
 from car_interface.common.units import NS_PER_S
 
 HOLD_NS = round(OVERRIDE_HOLD_S * NS_PER_S)

@@ -16,7 +16,7 @@ from typing import Mapping
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.package_files import package_file
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.common.yaml_file import read_yaml
 from car_interface.throttle.params import load_throttle
 from car_interface.tools.calibration.esc.calibrate import calibrate, yaml_text

@@ -18,7 +18,7 @@ from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.params import load_steering

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from car_interface.common.servo_channels import UNCHANGED
+from car_interface.common.units import UNCHANGED
 
 
 class Odom(NamedTuple):

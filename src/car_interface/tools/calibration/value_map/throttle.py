@@ -8,7 +8,7 @@ import numpy as np
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable
 from car_interface.common.params import Params
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
+from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.yaml_file import load_yaml
 
 COUNT = 16  # duty of one count of the servo board

@@ -19,14 +19,6 @@ import sys
 from collections import Counter
 from dataclasses import dataclass
 
-from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Joy, Range
-from std_msgs.msg import Bool, Float32, Int32MultiArray
-
-from car_interface.common.errors import CarInterfaceError, EndedEarly
-from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS
-from car_interface.common.units import NS_PER_S, yaw_rad
 from car_interface.msg import (
     Control,
     Distance,
@@ -40,10 +32,20 @@ from car_interface.msg import (
     ThrottleState,
     Wheel,
 )
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy, Range
+from std_msgs.msg import Bool, Float32, Int32MultiArray
+
+from car_interface.common.errors import CarInterfaceError, EndedEarly
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.ros.bag_recording import BagRecording
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.sim.demo_script import (
+from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
+from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
+from car_interface.teensy.link.protocol import SONARS
+from demo_script import (
     DONE,
     LEFT_CIRCLE,
     LET_GO,
@@ -55,9 +57,6 @@ from car_interface.sim.demo_script import (
     Drive,
     DriveConfig,
 )
-from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
-from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
-from car_interface.teensy.link.protocol import SONARS
 
 RATE_HZ = 50
 READY_WITHIN_S = 30
@@ -397,5 +396,8 @@ class DemoDrive:
 
 
 def main():
-    """Run the node."""
-    run("demo_drive", DemoDrive)
+    """Run the node, or print how it is used."""
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(__doc__)
+    else:
+        run("demo_drive", DemoDrive)
