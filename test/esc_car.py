@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
 
 GRAVITY_MPS2 = 9.81

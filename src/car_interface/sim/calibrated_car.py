@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Sequence
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 
 LEFT_RATIO, RIGHT_RATIO = 0.97, 1.03  # of the true radii to the tables': a calibration is some percent off
 MIN_STEP_DUTY = 1.0  # between the curve's points: tables may end in equal duties

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Sequence
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 
 APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches what stopped it
 # The outline's middle moves farther than the rear axle's on a turn: for c = 0.14 m before it by √(1 + c²/r²), which is

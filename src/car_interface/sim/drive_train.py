@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
 
 # 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.

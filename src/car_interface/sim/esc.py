@@ -26,8 +26,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_MS, NS_PER_S
-from car_interface.sim.checks import require
 
 # What a kind makes of a pulse behind neutral.
 BRAKE_THEN_REVERSE = "brake_then_reverse"  # after forward it brakes; reverse takes neutral and a second pull

@@ -8,8 +8,8 @@ import math
 import random
 from typing import Iterator
 
+from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
-from car_interface.sim.checks import require
 
 MAX_S = 3600
 MAX_LOST = 1_000_000

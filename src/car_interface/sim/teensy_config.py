@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.teensy_sonars import LISTEN_US, SEQUENCE_MAX, SONARS
 
 BOOT_MS = 300  # what millis() says when a Teensy begins with the firmware's own code

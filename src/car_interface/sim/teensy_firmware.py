@@ -20,7 +20,7 @@ from __future__ import annotations
 import struct
 from typing import Callable, Generator
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.teensy_clock import NEVER_NS, NS_PER_US, UINT32, Clock
 from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
 from car_interface.sim.teensy_packets import (

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from typing import Callable, Generator
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS, NS_PER_US, UINT32, Clock, Deadline
 from car_interface.sim.teensy_packets import PacketPool, PoolEmpty
 

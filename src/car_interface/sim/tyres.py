@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 
 UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the car stands on its wheels again
 

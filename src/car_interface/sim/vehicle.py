@@ -24,8 +24,8 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
-from car_interface.sim.checks import require
 from car_interface.sim.collision import Collisions
 from car_interface.sim.drive_train import (
     DriveConfig,

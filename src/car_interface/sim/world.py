@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Sequence
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.collision import Obstacles
 
 SENSOR_NAMES = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")

@@ -19,7 +19,6 @@ from typing import NamedTuple, Sequence
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.ranging import is_near_micros_wrap
-from car_interface.teensy.sensing.sonar_aim import SonarAim
 
 MISSING_ROUNDS = 2  # so many rounds of the others without a report
 STUCK_ZEROS, DROPPED_ZEROS = 2, 3  # echoes of 0 in a row
@@ -30,6 +29,10 @@ BEFORE_START_MS, AFTER_START_MS = 15, 70
 MAX_RETRY_NS = 60 * NS_PER_S  # between SONAR_STARTs that don't help
 FIRMWARE_WAIT_MS = 50
 SEND_START, SEND_SEQUENCE = "SONAR_START", "SET_SONAR_SEQ"
+# The sonars fire mostly ahead while the car drives forward, and for a while after it stopped: a short stop changes
+# nothing. The two speeds differ, so that a car which stands doesn't switch with the noise of its speed.
+FORWARD_MPS, BACKWARD_MPS = 0.15, -0.1
+STAYS_AHEAD_NS = NS_PER_S
 ALIVE_NS = NS_PER_S  # a link on which nothing came for longer tells nothing about sonars
 
 
@@ -254,3 +257,25 @@ def describe(faults: Sequence[SonarFault]) -> tuple[str, str]:
     """All faults in one text, and all next steps in another."""
     steps = dict.fromkeys(fault.next_step for fault in faults)
     return "; ".join(fault.description for fault in faults), ". ".join(steps)
+
+
+class SonarAim:
+    """Decides whether the sonars should fire mostly ahead: while the car drives forward.
+
+    With obstacle_stop the speed that is allowed grows with the number of echoes a second from ahead; echoes from behind
+    are of use to a car that stands or reverses.
+
+    Attributes:
+        is_ahead: the sonars should fire mostly ahead.
+    """
+
+    def __init__(self):
+        self.is_ahead = False
+        self._forward_ns = 0
+
+    def update(self, speed_mps: float, now_ns: int) -> None:
+        """Take the measured speed, forward positive."""
+        if speed_mps >= FORWARD_MPS:
+            self.is_ahead, self._forward_ns = True, now_ns
+        elif speed_mps <= BACKWARD_MPS or now_ns - self._forward_ns > STAYS_AHEAD_NS:
+            self.is_ahead = False
