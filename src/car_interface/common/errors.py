@@ -7,7 +7,7 @@ class CarInterfaceError(Exception):
 
 
 class EndedEarly(CarInterfaceError):
-    """A program's work wasn't done: somebody ended it, or what it found is too little. No fault, but no success."""
+    """A program's work wasn't done: somebody ended it, or it found too little. Neither a fault nor a success."""
 
 
 class ConfigError(CarInterfaceError, ValueError):
