@@ -1,4 +1,4 @@
-"""What one simulated Teensy is like."""
+"""The properties of one simulated Teensy."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from car_interface.common.errors import require
 from car_interface.sim.teensy_sonars import LISTEN_US, SEQUENCE_MAX, SONARS
 
-BOOT_MS = 300  # what millis() says when a Teensy begins with the firmware's own code
+BOOT_MS = 300  # millis() when a Teensy starts the firmware's own code
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ TICK_VARIANCE = 1 / 12  # of a moment within its tick, ms²
 STANDS_AFTER_MS = 790
 # With pulses farther apart than this the speed is taken from the interval: the acceleration has faded by then.
 FAR_APART_MS = 60
-FADING_MS = 500.0  # time constant of an acceleration: 1 / α of Singer's model
+FADING_MS = 500.0  # time constant of an acceleration: 1 / alpha of Singer's model
 # Half a wheel's usual acceleration, and the largest from standstill: pulses/ms², of 1.5 cm: 1 and 3.3 m/s².
 USUAL_ACCELERATION, STARTING_ACCELERATION = 7e-5, 2.2e-4
 SPEED_CHANGE = 0.5  # from pulse to pulse a slow wheel's speed changes by this ratio at most
