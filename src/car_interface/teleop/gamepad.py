@@ -152,11 +152,6 @@ class Requests(NamedTuple):
         """NOT_AT_REST if an axis isn't trusted, else empty."""
         return causes.NOT_AT_REST if causes.NOT_AT_REST in (self.steering_stick, self.throttle_stick) else ""
 
-    @property
-    def must_rearm(self) -> bool:
-        """Whether a deadman is held that must be released first."""
-        return self.cause == causes.NOT_REARMED
-
 
 def remedy(cause: str, topic: str) -> str:
     """Return the remedy of a cause; empty when there is nothing to do, or the reason names it.
