@@ -1,9 +1,9 @@
 """Replaces a file in one step: a reader sees the old content or the new one, never a part of either.
 
-What is written has no name until it is complete (O_TMPFILE), so that a process that is killed leaves nothing behind,
-with one exception: a file is replaced by renaming another one, and between naming that and renaming it there is a
-moment. A name from that moment, or from a file system that can't write without one, is removed by the next replacement
-of the file: the process that makes it holds a lock on it, and whatever is not locked is left over.
+A new file has no name until it is complete (O_TMPFILE), so that a killed process leaves nothing behind, with one
+exception: a file is replaced by renaming another one, and a process can be killed between naming that and renaming it.
+Such a leftover, or one from a file system without O_TMPFILE, is removed by the next replacement of the file. The
+process that makes a new file holds a lock on it, so a file that is not locked is a leftover.
 """
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ NOT_SUPPORTED = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOENT, err
 
 
 class _Like(NamedTuple):
-    """What a new file has beside its content.
+    """The attributes of a new file beside its content.
 
     Attributes:
         mode: the permissions.
-        owner: user and group; ``None`` = those of this process.
+        owner: user and group; ``None`` = this process's own.
         times_ns: of last access and change; ``None`` = now.
     """
 
@@ -115,7 +115,7 @@ class _NewFile:
             os.close(self._fd)
 
     def move(self, path):
-        """Put it in place of what is there."""
+        """Put it in place of the file at a path."""
         if self._new_path is None:
             self._give_name()
         os.replace(self._new_path, path)

@@ -12,13 +12,13 @@ SETUP_REMEDY = f"{SETUP_COMMAND}, then log in anew"
 
 
 class Membership(NamedTuple):
-    """Who runs this process, and in which groups.
+    """The user who runs this process, and the groups.
 
     Attributes:
         user: the name.
         is_root: root may open everything.
-        of_process: the groups of this process: those of the log-in.
-        of_user: the groups that /etc/group gives the user: those of the next log-in.
+        of_process: the groups of this process, from the log-in.
+        of_user: the groups that /etc/group gives the user, from the next log-in on.
         existing: all groups that there are.
     """
 

@@ -1,4 +1,4 @@
-"""Locks bytes of a file by POSIX locks: whoever drives a device holds one, and the kernel drops it when that dies.
+"""Locks bytes of a file by POSIX locks: the driver of a device holds one, and the kernel drops it when that dies.
 
 A device on a bus is locked by the byte of its address. Each of its guards locks a byte by its time of start, so that an
 older guard finds a newer one. A process loses its locks when it closes any of its descriptors of that file.

@@ -68,7 +68,7 @@ class Tuning:
 
     @property
     def is_changing(self) -> bool:
-        """Whether the active values have not reached the accepted ones yet."""
+        """Return whether the active values have not reached the accepted ones yet."""
         return self.active is not self.accepted
 
     @property

@@ -40,7 +40,7 @@ class MeasuredSpeed:
 
     @property
     def was_received(self) -> bool:
-        """Whether a speed was ever received."""
+        """Return whether a speed was ever received."""
         return self._speed.was_received
 
     def update(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:

@@ -97,7 +97,7 @@ def check_socket(path: str) -> None:
 
 
 def check_owner(user: int, path: str) -> None:
-    """Check that what is at a path, or listens there, is this user's.
+    """Check that the file at a path, or the process that listens there, is this user's.
 
     Raises:
         UnsafeFile: it is another one's.

@@ -54,7 +54,7 @@ class CommandTopic(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What is wrong with the publishers of a topic.
+    """A fault of the publishers of a topic.
 
     Attributes:
         cause: one of ``causes``.

@@ -46,7 +46,7 @@ class TimedInput:
 
     @property
     def was_received(self) -> bool:
-        """Whether a message ever arrived."""
+        """Return whether a message ever arrived."""
         return self._arrival_ns is not None
 
     def is_stale(self, now_ns: int) -> bool:
@@ -60,7 +60,7 @@ class TimedInput:
 
     @property
     def was_late_s(self) -> float:
-        """How old the last message was when it arrived, in seconds; 0 = not known to be late."""
+        """Return how old the last message was when it arrived, in seconds; 0 = not known to be late."""
         return self._age_ns / NS_PER_S
 
     def silence_s(self, now_ns: int) -> float:

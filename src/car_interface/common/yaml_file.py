@@ -89,12 +89,12 @@ def scalar_number(text: str) -> float | None:
 
 
 class _Refused(Exception):
-    """What is wrong, and where.
+    """A fault of the text, and its place.
 
     Args:
         lines: as a text.
-        found: what is there.
-        accepted: what would be accepted.
+        found: the present text.
+        accepted: the accepted one.
     """
 
     def __init__(self, lines, found, accepted):

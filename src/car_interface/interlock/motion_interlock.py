@@ -53,7 +53,7 @@ def read_interlock(params, human_timeout_s: float = HUMAN_TIMEOUT_S) -> Interloc
 
 
 class Inhibit(NamedTuple):
-    """Why the car may not move."""
+    """The reason why the car may not move."""
 
     locked: bool  # by the emergency stop; False: by the deadman
     cause: str  # one of causes.INHIBITS

@@ -77,7 +77,7 @@ class Guard:
 
     @property
     def is_acting(self) -> bool:
-        """Whether it acts in place of the node."""
+        """Return whether it acts in place of the node."""
         return self.state in (ACTING, SAFE, OFF)
 
     def acts_alone(self, now_ns: int) -> bool:

@@ -18,7 +18,7 @@ class OutputReadings:
     """The readings of one guard.
 
     Attributes:
-        pending: vectors of 16 duties that are due, oldest first; whoever publishes them removes them.
+        pending: vectors of 16 duties that are due, oldest first; their publisher removes them.
     """
 
     def __init__(self):

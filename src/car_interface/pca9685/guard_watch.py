@@ -44,17 +44,17 @@ class GuardWatch:
 
     @property
     def due_ns(self) -> float:
-        """When the next sign of life is due."""
+        """Return when the next sign of life is due."""
         return self._sent_ns + PERIOD_NS
 
     @property
     def watches(self) -> bool:
-        """Whether the guard is there and has received a sign of life."""
+        """Return whether the guard is there and has received a sign of life."""
         return self.is_present and self._state == WATCHING
 
     @property
     def holds(self) -> bool:
-        """Whether commands must be ignored, since the guard may still be writing."""
+        """Return whether commands must be ignored, since the guard may still be writing."""
         return self.is_present and self._obeys_from > 0
 
     def start(self, now_ns: int) -> None:

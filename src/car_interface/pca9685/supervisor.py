@@ -29,7 +29,7 @@ Targets = Callable[[], Sequence[int]]
 
 @dataclass
 class BoardTally:
-    """Counts of faults so far."""
+    """Counts of faults."""
 
     errors: int = 0  # failed transfers, first attempts and repetitions
     reopenings: int = 0  # recoveries of bus and chip
@@ -63,12 +63,12 @@ class BoardSupervisor:
 
     @property
     def running(self) -> bool:
-        """Whether the chip is connected, as far as is known."""
+        """Return whether the chip is connected, as far as is known."""
         return self._board is not None
 
     @property
     def ever_ran(self) -> bool:
-        """Whether the chip was ever connected, so that it may be pulsing now."""
+        """Return whether the chip was ever connected, so that it may be pulsing now."""
         return self._was_running
 
     @property
@@ -81,7 +81,7 @@ class BoardSupervisor:
         return self._next_try_ns if self._board is None else self._next_check_ns
 
     def update(self, targets: Targets, now_ns: int) -> None:
-        """Open, check or write, whatever is due. Errors of the bus are handled here."""
+        """Open, check or write, as is due. Errors of the bus are handled here."""
         if self._board is None:
             if now_ns >= self._next_try_ns:
                 self._try_to_open(targets, now_ns)

@@ -1,4 +1,4 @@
-"""What planners' messages ask for: Ackermann commands, twists, and Autoware's Control with its gear.
+"""Converts planners' messages to requests: Ackermann commands, twists, and Autoware's Control with its gear.
 
 AckermannDrive (ackermann_msgs), as F1TENTH's stacks publish it on ``drive``. By its definition steering_angle is the
 angle of a virtual wheel in the middle of the front axle, left positive; speed, acceleration and jerk are measured at
@@ -6,7 +6,7 @@ the rear axle. Speed has a sign, backward negative. Acceleration and jerk are ma
 down alike; 0 means as quickly as possible. steering_angle_velocity is not used.
 
 Twist (geometry_msgs), as move_base and most others publish it on ``cmd_vel``. linear.x is the speed, backward negative.
-angular.z has one of two meanings, and nothing in the message says which:
+angular.z has one of two meanings, and the message doesn't show which:
 
 * RATE: the yaw rate, counterclockwise positive (REP-103). The curvature is ω / v: the same ω steers to the left forward
   and to the right backward. At v = 0 there is none, and ω is refused: a car can't turn on the spot.
@@ -15,7 +15,7 @@ angular.z has one of two meanings, and nothing in the message says which:
 
 Control (autoware_control_msgs). steering_tire_angle is the angle of a virtual front wheel, left positive. velocity is
 the body's, negative backward; acceleration is in the direction of the gear: in REVERSE a positive one drives backward
-faster. A negative one brakes with at least that, whatever velocity says. Its jerk is taken by magnitude. Acceleration
+faster. A negative one brakes with at least that, regardless of velocity. Its jerk is taken by magnitude. Acceleration
 and jerk are used also where the flags is_defined_… are false, as stacks older than the flags leave them: 0 means as
 quickly as allowed.
 """
@@ -75,7 +75,7 @@ def from_twist(linear_x: float, angular_z: float, angular: str, wheelbase_m: flo
 
 
 def _radius_of_rate(linear_x, angular_z):
-    """Return the radius; ``None`` for a twist of 0, which stops the car and says nothing about the steering."""
+    """Return the radius; ``None`` for a twist of 0, which stops the car and leaves the steering alone."""
     if abs(linear_x) < ZERO:
         if abs(angular_z) < ZERO:
             return None

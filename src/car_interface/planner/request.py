@@ -26,7 +26,7 @@ class PlannerRequest(NamedTuple):
         speed_mps: backward negative.
         acceleration_mps2: how quickly the speed may change, 0 or more; 0 = as quickly as allowed.
         jerk_mps3: how quickly that may change, 0 or more; 0 = as quickly as allowed.
-        braking_mps2: brake with at least this, whatever the speed says; 0 or more.
+        braking_mps2: brake with at least this, regardless of the speed; 0 or more.
         gear: DRIVE, REVERSE, NEUTRAL or PARK; ``None`` = by the sign of the speed.
     """
 
@@ -39,11 +39,11 @@ class PlannerRequest(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """Why a command isn't obeyed: the car stops while it lasts."""
+    """The reason why a command isn't obeyed. The car stops while it lasts."""
 
     cause: str  # one of car_interface.common.causes
     reason: str
-    is_of_angle: bool = False  # the planner's units are wrong: what it sends next isn't obeyed at once
+    is_of_angle: bool = False  # the planner's units are wrong: its next commands aren't obeyed at once
 
 
 def not_finite(**values: float) -> Refusal | None:

@@ -251,7 +251,7 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)  # it ends after its last client
     try:
         lock_fd = open_lock(path)
-    except UnsafeFile:  # its first client says so
+    except UnsafeFile:  # its first client reports it
         return
     try:
         lock_byte(lock_fd, SERVER_LOCK)

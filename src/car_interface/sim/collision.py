@@ -11,7 +11,7 @@ from typing import Sequence
 
 from car_interface.common.errors import require
 
-APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches what stopped it
+APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches the obstacle
 # The outline's middle moves farther than the rear axle's on a turn: for c = 0.14 m before it by √(1 + c²/r²), which is
 # 1.38 on the tightest turn that VehicleConfig accepts (r = 0.148 m).
 MAX_CENTER_RATIO = 1.5

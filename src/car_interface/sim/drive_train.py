@@ -17,19 +17,19 @@ SHORTEST_PULSE, MAX_PULSE = 1638, 8192
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """What the ESC's duty does to the speed.
+    """The drive train, from the ESC's duty to the car's acceleration.
 
     Attributes:
         full_reverse_duty, neutral_duty, full_forward_duty: 1.0, 1.5 and 2.0 ms at 50 Hz.
-        neutral_band_duty: so far from neutral the ESC does nothing.
+        neutral_band_duty: within this distance of neutral the ESC does nothing.
         forward_mps2: of full throttle at standstill, before drag.
         reverse_mps2: of full reverse at standstill, before drag.
         brake_mps2: of the full duty against the way the car rolls, before drag.
         thrust_halves_mps: at this speed the motor has half its thrust.
         drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
             With the defaults full throttle ends at 14 m/s.
-        sag: ratio of the thrust that is lost while the battery empties, from half of it above the thrust that the other
-            attributes state to half of it below. Brakes don't need the battery.
+        sag: ratio of the thrust that is lost while the battery empties, from half of it above the stated thrust to half
+            of it below. Brakes don't need the battery.
         sag_over_s: how long that takes; the thrust stays as it is after that.
         lag_s: time constant with which the motor's thrust and brake follow the ESC.
     """

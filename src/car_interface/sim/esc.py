@@ -59,9 +59,9 @@ class VirtualEscConfig:
     Attributes:
         kind: one of KINDS.
         neutral_duty, full_forward_duty, full_reverse_duty: the pulses it was calibrated to.
-        forward_band_duty, reverse_band_duty: so far from neutral it does nothing.
+        forward_band_duty, reverse_band_duty: within this distance of neutral it does nothing.
         dwell_s: neutral of at least this, after a brake, makes the next pull reverse.
-        brake_seen_s: a shorter brake doesn't count as one.
+        brake_seen_s: a shorter brake is ignored.
         forget_s: after this much neutral it forgets that it drove forward, and the first pull is reverse; 0 = never.
         starts_ready: after arming the first pull is reverse.
         second_pull: REVERSES, BRAKES or BRAKES_AND_TURNS.

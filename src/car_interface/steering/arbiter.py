@@ -143,7 +143,7 @@ class SteeringArbiter:
 
     @property
     def cuts(self) -> int:
-        """How often a request began to be limited."""
+        """Return how often a request began to be limited."""
         return self._limiter.cuts
 
     @property

@@ -41,7 +41,7 @@ class SourceLimits:
 
     @property
     def is_off(self) -> bool:
-        """Whether it limits nothing."""
+        """Return whether it limits nothing."""
         return not (self.max_lateral_mps2 or self.max_jerk_mps3)
 
 
@@ -108,7 +108,7 @@ class Turn(NamedTuple):
 
     @property
     def is_cut(self) -> bool:
-        """Whether the granted curvature differs from the request."""
+        """Return whether the granted curvature differs from the request."""
         return self.cause in causes.STEERING_CUTS
 
 

@@ -40,8 +40,8 @@ REMEDIES = {
     causes.NOT_AT_REST: REST_REMEDY + MODE_REMEDY,
     causes.JOY_NOT_FINITE: "See what sends it: rostopic info {joy}; rostopic echo {joy}",
 }
-# How far from neutral the request of a stick is that steers straight on: in deadbands, and at least. A servo doesn't
-# resolve it: 0.002 of 1300 duty are 0.8 µs.
+# A stick that steers straight on requests at least this distance from neutral: in deadbands, and its minimum. A servo
+# doesn't resolve it: 0.002 of 1300 duty are 0.8 µs.
 REST_DEADBANDS, MIN_REST = 2, 0.002
 # A cross gives -1, 0 and 1 only, but for rounding; any value in between comes from a stick.
 CROSS_TOLERANCE = 0.01
@@ -134,7 +134,7 @@ class Requests(NamedTuple):
 
     @property
     def mode(self) -> str:
-        """Who steers and who drives: one of ``causes.MODES``; MANUAL without a deadman."""
+        """Return who steers and who drives: one of ``causes.MODES``; MANUAL without a deadman."""
         return self.cause if self.cause in MODES else MANUAL
 
     @property

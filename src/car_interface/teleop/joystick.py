@@ -77,7 +77,7 @@ class Pacing:
     """Decides when the state is published: a button at once, axes together after a moment, the same state repeatedly.
 
     Args:
-        coalesce_s: an axis waits so long for others.
+        coalesce_s: an axis waits this long for others.
         autorepeat_hz: the state is published this often without a change; 0 = never.
     """
 

@@ -67,12 +67,12 @@ class Stick:
 
     @property
     def is_pulled(self) -> bool:
-        """Whether it is pulled beyond the dead band, which brakes."""
+        """Return whether it is pulled beyond the dead band, which brakes."""
         return self._brakes and self.deflection < -self._deadband
 
     @property
     def is_out(self) -> bool:
-        """Whether it is beyond the dead band."""
+        """Return whether it is beyond the dead band."""
         return abs(self.deflection) > self._deadband
 
     def overrides(self, now_ns: int) -> bool:

@@ -17,7 +17,7 @@ MAX_BODY = 36  # header + two wheels of 16 bytes; also the maximum of the Teensy
 MAX_ON_LINE = 2 * (MAX_BODY + 1)  # with each byte of the body and the checksum escaped
 
 SHIPPED = "shipped"  # the checksum that the Teensy's receiver really computes
-CORRECTED = "corrected"  # the one that it was meant to compute, and that its transmitter does
+CORRECTED = "corrected"  # the intended one, which its transmitter computes
 
 # 39 zeros bring the shipped receiver to "waiting for an opening flag" from any of its states; 38 miss one of them.
 RESYNC_FILLER = bytes(39)

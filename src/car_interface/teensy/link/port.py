@@ -55,7 +55,7 @@ class SerialLink:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open, as far as is known."""
+        """Return whether the port is open, as far as is known."""
         return self._serial is not None
 
     def fileno(self) -> int:

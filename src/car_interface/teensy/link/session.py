@@ -43,7 +43,7 @@ class ChecksumChanged(NamedTuple):
     checksum: str
 
 
-# What ``receive`` returns. Sonar and wheel reports and the Teensy's counters are events as they are.
+# The events of ``receive``. Sonar and wheel reports and the Teensy's counters are events themselves.
 Received = Union[PongReceived, SonarStatus, WheelStatus, ErrorCount, Malformed, Rebooted]
 
 
@@ -142,7 +142,7 @@ class Session:
 
     @property
     def ping_due_ns(self) -> int:
-        """When to send the next ping."""
+        """Return when to send the next ping."""
         return self._pinger.due_ns
 
     def expire(self, now_ns: int) -> list[PingExpired | ChecksumChanged]:
@@ -201,20 +201,20 @@ class Session:
 
     @property
     def pings(self) -> int:
-        """How many pings were sent."""
+        """Return how many pings were sent."""
         return self._pinger.sent
 
     @property
     def pongs(self) -> int:
-        """How many pings were answered in time."""
+        """Return how many pings were answered in time."""
         return self._pinger.answered
 
     @property
     def resyncs(self) -> int:
-        """How often the Teensy's receiver was resynchronised: as the port opened, and after unanswered pings."""
+        """Return how often the Teensy's receiver was resynchronised: as the port opened, and after unanswered pings."""
         return self.openings + self._pinger.resyncs
 
     @property
     def reboots(self) -> int:
-        """How often the Teensy's clock went back."""
+        """Return how often the Teensy's clock went back."""
         return self._reboots.reboots

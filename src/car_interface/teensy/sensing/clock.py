@@ -33,7 +33,7 @@ TOO_SOON = "a pong sooner than ping and pong take on the line"
 FASTER_LINE = "one pong after the other sooner than the line takes: it has no baud rate, as on USB; no more wire time"
 CONTRADICTION = "a pong that contradicts the ones before it"
 FROM_THE_FUTURE = "a tick that can't have been yet"
-# What is notable about a pong that is used.
+# Why a pong that is used is notable.
 ONE_WAS_WRONG = "three pongs in a row say that one before them was wrong"
 BEGUN_ANEW = "three pongs in a row contradict those before them: a clock jumped or stood still"
 

@@ -88,11 +88,11 @@ class ClockLines:
         return NS_PER_MS + self._line()[1]
 
     def skew_ppm(self) -> float:
-        """How much faster the Teensy's clock runs, by the chosen line."""
+        """Return how much faster the Teensy's clock runs, by the chosen line."""
         return 1e6 * (NS_PER_MS / self.slope - 1)
 
     def offset_ns(self) -> int:
-        """When the Teensy's clock is at 0, by the chosen line."""
+        """Return when the Teensy's clock is at 0, by the chosen line."""
         offset, skew = self._line()
         return self._ns - self._tick * NS_PER_MS + round(offset - skew * self._tick)
 

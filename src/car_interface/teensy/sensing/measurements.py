@@ -118,7 +118,7 @@ class Measurements:
 
     @property
     def has_queued(self) -> bool:
-        """Whether reports of the wheels wait in the queue."""
+        """Return whether reports of the wheels wait in the queue."""
         return bool(self._queue)
 
     def process_queue(self) -> None:

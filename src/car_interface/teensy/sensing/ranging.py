@@ -4,7 +4,7 @@ Consumes microseconds from a sonar's ping to its echo as the firmware reports th
 sensor_msgs/Range wants them. By REP-117 nothing in range is +inf, and too near to be measured −inf. ROS 1's costmap
 layer drops infinite ranges and clears only at ``max_range``, so an option gives finite numbers only. Never NaN.
 
-What the firmware reports (seen on the original one, see test/data/firmware):
+The firmware's reports (observed on the original one, see test/data/firmware):
 
 - 13 µs less than the echo took: they are added.
 - The length of the sensor's own pulse, in 16 bits. Without an echo an HC-SR04 ends its pulse after 38 ms. There are

@@ -80,7 +80,7 @@ class WheelGate:
 
     @property
     def is_zero_again(self):
-        """Whether both odometers have gone back to zero; this and the clock prove a reboot."""
+        """Return whether both odometers have gone back to zero; this and the clock prove a reboot."""
         return self._zero is not None and self._before is None
 
     def judge(self, record: WheelStatus, newest_tick: int | None, clock_restarts: int) -> Verdict:
