@@ -33,7 +33,7 @@ from many_drives import THROTTLE, Chip
 
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
-from car_interface.common.drive_modes import AUTONOMOUS
+from car_interface.common.causes import AUTONOMOUS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
 from car_interface.sim.collision import Collisions
