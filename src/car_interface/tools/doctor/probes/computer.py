@@ -55,8 +55,8 @@ LIBRARIES = (
 MESSAGES = ("diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs",
             "visualization_msgs")
 # What the commands for recordings import, and where docs/recordings.md has them installed.
-TOOLS = {"matplotlib": "matplotlib", "numpy": "numpy", "rosbags": "rosbags", "scipy": "scipy", "tqdm": "tqdm",
-         "yaml": "PyYAML"}
+TOOLS = {"jinja2": "Jinja2", "matplotlib": "matplotlib", "numpy": "numpy", "rosbags": "rosbags", "scipy": "scipy",
+         "tqdm": "tqdm", "yaml": "PyYAML"}
 TOOLS_ENVIRONMENT = "~/car_tools/bin/car-interface"
 
 
