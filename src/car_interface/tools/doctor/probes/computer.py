@@ -47,6 +47,7 @@ LIBRARIES = (
      "sudo apt install ros-noetic-diagnostic-updater (Debian: python3-diagnostic-updater)"),
     ("dynamic_reconfigure", "dynamic_reconfigure",
      "sudo apt install ros-noetic-dynamic-reconfigure (Debian: python3-dynamic-reconfigure)"),
+    ("evdev", "evdev", "sudo apt install python3-evdev"),
     ("serial", "pyserial", "sudo apt install python3-serial"),
     ("smbus2", "smbus2", "sudo apt install python3-smbus2 (Ubuntu 20.04: pip3 install smbus2)"),
 )
