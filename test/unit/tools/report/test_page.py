@@ -12,11 +12,10 @@ import pytest
 from car_interface.tools.recordings.recording import Topic
 from car_interface.tools.report.coverage import Gap
 from car_interface.tools.report.faults import ERROR, WARN, Fault
-from car_interface.tools.report.limits_state import CutEpisode
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots
+from car_interface.tools.report.states import Episode
 from car_interface.tools.report.summary import summarize
-from car_interface.tools.report.throttle_state import ThrottleEpisode
 from written_recordings import Written, odometry, write_ros1
 
 HOSTILE = "</td><script>alert('\"')</script>&amp;{{ 7 * 7 }}"
@@ -86,8 +85,8 @@ def test_no_text_from_outside_is_anything_but_text(seen):
         copy.deepcopy(seen), path=f"bags/{HOSTILE.replace('/', '')}", namespace=HOSTILE, notes=[HOSTILE, HOSTILE],
         topics={HOSTILE: Topic(HOSTILE, 1)})
     drive.steering.episodes = [episode._replace(cause=HOSTILE, reason=HOSTILE) for episode in drive.steering.episodes]
-    drive.throttle.episodes = [ThrottleEpisode(0.0, 1.0, 1, HOSTILE, HOSTILE, HOSTILE, HOSTILE)]
-    drive.limits.episodes = [CutEpisode(0.0, 1.0, HOSTILE, HOSTILE, HOSTILE)]
+    drive.throttle.episodes = [Episode(0.0, 1.0, HOSTILE, HOSTILE, HOSTILE, 1, HOSTILE)]
+    drive.limits.episodes = [Episode(0.0, 1.0, HOSTILE, HOSTILE, HOSTILE)]
     drive.limits.counts = {HOSTILE: 1}
     drive.faults.entries = [Fault(0.0, 1.0, level, HOSTILE, HOSTILE, 2) for level in (WARN, ERROR, 99)]
     drive.throttle.profile = drive.planner.source = drive.planner.others = drive.sonars.nearest_sonar = HOSTILE
