@@ -24,8 +24,8 @@ TOOLS = {"calibration_drive", "doctor", "keyboard_drive", "setup_hardware", "wai
 NODES = [script for script in SCRIPTS if script.name not in OFFLINE]
 NODE_TESTS = sorted((ROOT / "test" / "process").glob("*.test"))
 # The rosdep keys of libraries that are not called like their key.
-KEYS = {name: f"python3-{name}" for name in ("hypothesis", "matplotlib", "numpy", "pytest", "rospkg", "scipy", "serial",
-                                            "setuptools", "smbus2", "tqdm", "yaml")}
+KEYS = {name: f"python3-{name}" for name in ("evdev", "hypothesis", "jinja2", "matplotlib", "numpy", "pytest", "rospkg",
+                                            "scipy", "serial", "setuptools", "smbus2", "tqdm", "yaml")}
 KEYS["PIL"] = "python3-pil"
 KEYS["rosbags"] = "python3-rosbags-pip"
 
