@@ -152,7 +152,8 @@ class Measurements:
         if is_news:
             self._newest_ms = newest_ms
         motion = self._odometry.report(record, verdict.pulses, verdict.restarted, left_ms, right_ms,
-                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven)
+                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven,
+                                       verdict.unsplit)
         return MotionMeasurement(self._stamp(motion.time_ms - self._shift_ms, received_ns), motion)
 
     def steer(self, curvature_per_m: float) -> None:

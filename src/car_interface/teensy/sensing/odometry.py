@@ -15,12 +15,13 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common.errors import ConfigError
-from car_interface.teensy.link.protocol import BACKWARD, NO_DIRECTION, WheelStatus
+from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, WheelStatus
 from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, UNALIGNED_PULSES, Alignment
 from car_interface.teensy.sensing.heading import HEADING_VARIANCE, HeadingFilter
 from car_interface.teensy.sensing.pose import Pose
 from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
-from car_interface.teensy.sensing.restart import CarState, RestartBridge, WheelState
+from car_interface.teensy.sensing.restart import REPEAT_MS, CarState, RestartBridge, WheelState
+from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
 from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
 
 MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would overflow floats
@@ -107,7 +108,7 @@ class Odometry:
             self._steering_per_m = curvature_per_m if math.isfinite(curvature_per_m) else None
 
     def report(self, record: WheelStatus, pulses: Sequence[int], restarted: bool, left_ms: float, right_ms: float,
-               report_ms: float, unproven: Sequence[int] = (0, 0)) -> Motion:
+               report_ms: float, unproven: Sequence[int] = (0, 0), unsplit: Sequence[int] = (0, 0)) -> Motion:
         """Take a report that the gates have accepted.
 
         Args:
@@ -117,6 +118,7 @@ class Odometry:
             left_ms, right_ms: the ticks of each wheel's last pulse or repeat, in ticks that never restart.
             report_ms: a time before which there was no later pulse; never earlier than the newest of them.
             unproven: further, earlier pulses whose direction isn't known yet.
+            unsplit: of ``pulses``, those before each wheel's last reversal.
         """
         now_ms = max(report_ms, self._time_ms)
         last, self._last = self._last, record
@@ -136,7 +138,7 @@ class Odometry:
             has_pulse = self._update_wheels(record, last, pulses, (left_ms, right_ms), now_ms)
             for wheel in self._wheels:
                 wheel.advance(now_ms)
-            return self._move(record, has_pulse, now_ms)
+            return self._move(record, has_pulse, now_ms, path=self._reversed_path(record, last, unsplit))
         return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)
 
     def _update_wheels(self, record, last, pulses, times_ms, now_ms):
@@ -186,8 +188,22 @@ class Odometry:
                 wheel.stop_at(start.place)  # its next pulse shows the magnet
         return self._move(record, True, now_ms, outcome)
 
-    def _move(self, record, has_pulse, now_ms, outcome=None):
-        """Move the pose by the distances of the wheels; ``outcome``: of a bridge that was just crossed."""
+    def _reversed_path(self, record, last, unsplit):
+        """Return the path before the last reversal, or ``None`` if the direction of each pulse is known."""
+        if max(unsplit) <= 1:
+            return None
+        sign = 1 if last.left.direction == FORWARD else -1
+        left, right = unsplit
+        return reversed_path(sign * (left + right) / 2 * self._pulse_m, sign * (right - left) * self._rad_per_pulse,
+                             last.left.direction != record.left.direction)
+
+    def _move(self, record, has_pulse, now_ms, outcome=None, path=None):
+        """Move the pose by the distances of the wheels.
+
+        Args:
+            outcome: of a bridge that was just crossed.
+            path: driven before the last reversal, since the report before.
+        """
         left, right = self._wheels
         elapsed_s = max(0.0, now_ms - self._time_ms) / 1000 if self._time_ms > -math.inf else 0.0
         mean = (left.position + right.position) / 2
@@ -196,11 +212,13 @@ class Odometry:
         if outcome is not None:
             self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,
                                     outcome.difference_variance * self._rad_per_pulse ** 2)
+        is_blind = outcome is None and elapsed_s > REPEAT_MS / 1000 and has_pulse
+        curvature = self._heading.curvature_per_m, self._heading.curvature_variance
         if self._alignment.is_done:
             self._heading.predict(distance_m, elapsed_s)
             if self._steering_per_m is not None:
                 self._heading.update_curvature(self._steering_per_m, elapsed_s)
-            self._update_heading(record, has_pulse, outcome)
+            self._update_heading(record, has_pulse, outcome, path is not None)
         elif self._alignment.solve(left, right):
             yaw_rad, variance = self._measured_yaw_rad(), (ALIGNED_PULSES * self._rad_per_pulse) ** 2
             self._heading.begin(yaw_rad, variance)
@@ -208,16 +226,28 @@ class Odometry:
             self._yaw_rad = yaw_rad
         turned_rad = self._heading.yaw_rad - self._yaw_rad
         self._yaw_rad = self._heading.yaw_rad
+        if path is None and is_blind:
+            path = curved_path(distance_m, turned_rad, *curvature)
+        if path is not None:
+            distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
         self._pose.move(distance_m, turned_rad)
         return self._motion(record, now_ms)
+
+    def _move_unseen(self, path, distance_m, turned_rad):
+        """Move along a path that wasn't reported; return distance and turn of its last leg."""
+        self._pose.add_variance(path.along_variance, path.heading_variance, path.across_variance)
+        for leg_m, leg_rad in path.legs:
+            self._pose.move(leg_m, leg_rad)
+            distance_m, turned_rad = distance_m - leg_m, turned_rad - leg_rad
+        return distance_m, turned_rad
 
     def _measured_yaw_rad(self):
         left, right = self._wheels
         return (right.position - left.position - self._alignment.difference) * self._rad_per_pulse
 
-    def _update_heading(self, record, has_pulse, outcome):
+    def _update_heading(self, record, has_pulse, outcome, has_reversed):
         """Correct the heading by the wheels' difference, if a wheel has made a pulse."""
-        if _turns_on_the_spot(record):
+        if has_reversed or _turns_on_the_spot(record):
             self._heading.begin(self._measured_yaw_rad(), HEADING_VARIANCE)
         elif has_pulse:
             left, right = self._wheels

@@ -38,6 +38,8 @@ class Verdict(NamedTuple):
         restarted: the state before it no longer holds.
         unproven: further pulses of the left and the right wheel, made before those of ``pulses``, whose direction the
             firmware could not know yet.
+        unsplit: those of ``pulses`` that were made before a wheel's last reversal, left and right; see
+            ``unseen_path``.
         boot_tick: a tick of the clock after a reboot that this report of the wheels reveals; else ``None``.
     """
 
@@ -46,6 +48,7 @@ class Verdict(NamedTuple):
     pulses: tuple[int, int] = (0, 0)
     restarted: bool = False
     unproven: tuple[int, int] = (0, 0)
+    unsplit: tuple[int, int] = (0, 0)
     boot_tick: int | None = None
 
 

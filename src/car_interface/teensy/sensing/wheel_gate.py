@@ -19,6 +19,7 @@ from car_interface.teensy.sensing.pulse_counts import (
     has_pulsed,
     learning_pulses,
     signed_pulses,
+    unsplit_pulses,
 )
 from car_interface.teensy.sensing.tick_gate import CONSISTENT, OVERTAKEN_MS, YOUNG_MS
 from car_interface.teensy.sensing.verdicts import (
@@ -95,7 +96,7 @@ class WheelGate:
             self._learns = not any(wheel.when for wheel in record if not wheel.dist_abs)
             boot_tick = self._find_boot(record, newest_tick, clock_restarts)
             pulses = self._pulses_between(_NOTHING_YET, record)
-            verdict = verdict._replace(pulses=pulses[:2], unproven=pulses[2:])
+            verdict = verdict._replace(pulses=pulses[:2], unproven=pulses[2:4], unsplit=pulses[4:])
         elif verdict.reason == ODOMETERS_RESTARTED and self._learns:
             boot_tick = _tick_gone_back(record, newest_tick)
         if not verdict.accepted:
@@ -140,7 +141,7 @@ class WheelGate:
         self._per_ms, self._pulse_ticks = zip(*(self._speed(*wheel) for wheel in for_each_wheel))
         self._before, self._last = before, record
         self._candidates.clear()
-        return Verdict(True, reason, pulses[:2], unproven=pulses[2:]) if reason or any(pulses) else FINE
+        return Verdict(True, reason, pulses[:2], False, pulses[2:4], pulses[4:]) if reason or any(pulses) else FINE
 
     def _restart(self, record, reason):
         self._before, self._last = None, record
@@ -160,7 +161,7 @@ class WheelGate:
         chain.append(record)
         if len(chain) < CONSISTENT:
             return Verdict(False, doubt)
-        reason, known, wrong = AFTER_GAP, [self._last, *chain], (0, 0, 0, 0)
+        reason, known, wrong = AFTER_GAP, [self._last, *chain], (0,) * 6
         if jumped:
             if self._before is not None and not self._fault(self._before, chain[0], self._per_ms):
                 reason, known = PREVIOUS_WRONG, [self._before, *chain]
@@ -173,14 +174,15 @@ class WheelGate:
         self._pulse_ticks = tuple(now.when if now.dist_abs != before.dist_abs else None
                                   for before, now in zip(chain[-3], chain[-2]))
         self._accept(record, "", pulses, before=chain[-2])
-        return Verdict(True, reason, pulses[:2], restarted=reason == ODOMETERS_RESTARTED, unproven=pulses[2:])
+        return Verdict(True, reason, pulses[:2], reason == ODOMETERS_RESTARTED, pulses[2:4], pulses[4:])
 
     def _pulses_between(self, before, now):
-        """Return signed proven pulses of left and right, and unproven ones of both."""
+        """Return signed proven pulses of left and right, unproven ones of both, and unsplit ones of both."""
         if not self._learns or min(before.left.dist_abs, before.right.dist_abs) >= LEARNING_PULSES:
-            return signed_pulses(before.left, now.left), signed_pulses(before.right, now.right), 0, 0
+            return (signed_pulses(before.left, now.left), signed_pulses(before.right, now.right), 0, 0,
+                    unsplit_pulses(before.left, now.left), unsplit_pulses(before.right, now.right))
         left, right = learning_pulses(before.left, now.left), learning_pulses(before.right, now.right)
-        return left[0], right[0], left[1], right[1]
+        return left[0], right[0], left[1], right[1], 0, 0
 
     def _impossible(self, wheel):
         """Return what is wrong with a wheel's report by itself."""
