@@ -22,6 +22,7 @@ from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
 # that is subtracted from the receipt for them must not be more than the line took.
 PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 TICK_MIDDLE_MS = 0.5
+BOOT_MS = 300  # the tick at which a boot ends and counts begin, measured on the firmware
 MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind them
 
 
@@ -151,9 +152,10 @@ class Measurements:
         is_news = self._newest_ms < newest_ms <= received_ms
         if is_news:
             self._newest_ms = newest_ms
+        counted_ms = newest_ms - newest + BOOT_MS if verdict.since_boot and newest else None
         motion = self._odometry.report(record, verdict.pulses, verdict.restarted, left_ms, right_ms,
                                        newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven,
-                                       verdict.unsplit)
+                                       verdict.unsplit, counted_ms)
         return MotionMeasurement(self._stamp(motion.time_ms - self._shift_ms, received_ns), motion)
 
     def steer(self, curvature_per_m: float) -> None:

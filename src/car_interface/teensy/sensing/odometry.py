@@ -108,7 +108,8 @@ class Odometry:
             self._steering_per_m = curvature_per_m if math.isfinite(curvature_per_m) else None
 
     def report(self, record: WheelStatus, pulses: Sequence[int], restarted: bool, left_ms: float, right_ms: float,
-               report_ms: float, unproven: Sequence[int] = (0, 0), unsplit: Sequence[int] = (0, 0)) -> Motion:
+               report_ms: float, unproven: Sequence[int] = (0, 0), unsplit: Sequence[int] = (0, 0),
+               counted_ms: float | None = None) -> Motion:
         """Take a report that the gates have accepted.
 
         Args:
@@ -119,6 +120,7 @@ class Odometry:
             report_ms: a time before which there was no later pulse; never earlier than the newest of them.
             unproven: further, earlier pulses whose direction isn't known yet.
             unsplit: of ``pulses``, those before each wheel's last reversal.
+            counted_ms: the time from which on a Teensy that has rebooted counted all ``pulses`` and ``unproven``.
         """
         now_ms = max(report_ms, self._time_ms)
         last, self._last = self._last, record
@@ -130,6 +132,8 @@ class Odometry:
             return self._move(record, False, now_ms)
         if restarted:
             self._begin_bridge(self._time_ms)
+            if counted_ms is not None:
+                self._bridge.count_from(counted_ms)
         elif self._bridge is None and any(unproven):
             self._begin_bridge(now_ms)
         if self._bridge is not None and self._bridge.is_reset(pulses, unproven, now_ms):

@@ -116,6 +116,10 @@ class RestartBridge:
         return (any(pulses) and not any(unproven) and not any(self._pulses)
                 and seen_ms - self._state.at_ms <= REPEAT_MS)
 
+    def count_from(self, boot_ms: float) -> None:
+        """Take note that every pulse since a boot is counted, though the first report comes later."""
+        self._seen_ms = max(boot_ms, self._state.at_ms)
+
     def report(self, now_ms: float) -> bool:
         """Take note that pulses are counted; return True once if the car stopped while they weren't."""
         if self._seen_ms is None:
@@ -138,9 +142,13 @@ class RestartBridge:
 
     def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
         """Take pulses of a wheel, without and (signed) with a known direction; the newest was at ``at_ms``."""
-        count = unproven + abs(proven)
+        count, pulses = unproven + abs(proven), self._pulses[side]
+        if count > 1 and not pulses and self._seen_ms is not None:
+            # Counted since the boot: at an even pace, the first of them half an interval after it on average.
+            pulses.append((1, self._seen_ms + max(0.0, at_ms - self._seen_ms) * 0.5 / (count - 0.5)))
+            count -= 1
         if count:
-            self._pulses[side].append((count, at_ms))
+            pulses.append((count, at_ms))
         if proven:
             self._signs[side] = 1 if proven > 0 else -1
 
@@ -160,6 +168,8 @@ class RestartBridge:
     def solve(self, now_ms: float) -> Outcome:
         """Return how the wheels go on; call it only when ``is_ready``."""
         was_rolling = self._was_rolling()
+        for pulses in self._pulses:
+            _date_first(pulses)
         state, signs = self._state, self._all_signs(now_ms)
         speeds = self._speeds(signs, now_ms)
         curvature, curvature_variance = self._curvature(speeds, was_rolling)
@@ -324,6 +334,13 @@ def _rate(pulses):
     if len(pulses) < 2 or pulses[-1][1] <= pulses[0][1]:
         return 0.0
     return sum(count for count, _ in pulses[1:]) / (pulses[-1][1] - pulses[0][1])
+
+
+def _date_first(pulses):
+    """Date a first pulse that was reported with others soon after, by the pace of those that followed."""
+    rate = _rate(pulses[1:])
+    if rate and pulses[1][0] > 1 and pulses[1][1] - pulses[0][1] <= ENOUGH_MS:
+        pulses[0] = (1, pulses[1][1] - pulses[1][0] / rate)
 
 
 def _count_at(pulses, at_ms):

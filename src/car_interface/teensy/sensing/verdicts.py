@@ -40,6 +40,7 @@ class Verdict(NamedTuple):
             firmware could not know yet.
         unsplit: those of ``pulses`` that were made before a wheel's last reversal, left and right; see
             ``unseen_path``.
+        since_boot: ``pulses`` and ``unproven`` are all that were counted since the Teensy's boot.
         boot_tick: a tick of the clock after a reboot that this report of the wheels reveals; else ``None``.
     """
 
@@ -49,6 +50,7 @@ class Verdict(NamedTuple):
     restarted: bool = False
     unproven: tuple[int, int] = (0, 0)
     unsplit: tuple[int, int] = (0, 0)
+    since_boot: bool = False
     boot_tick: int | None = None
 
 
