@@ -10,6 +10,7 @@ One pulse is 1.5 cm, and 2.9° of heading when only one wheel has made it, so th
 """
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
@@ -17,12 +18,18 @@ from typing import NamedTuple, Sequence
 from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, WheelStatus
 from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, UNALIGNED_PULSES, Alignment
-from car_interface.teensy.sensing.heading import HEADING_VARIANCE, HeadingFilter
+from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
 from car_interface.teensy.sensing.pose import Pose
 from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
-from car_interface.teensy.sensing.restart import REPEAT_MS, CarState, RestartBridge, WheelState
+from car_interface.teensy.sensing.restart import (
+    REPEAT_MS,
+    STANDING_DIFFERENCE_VARIANCE,
+    CarState,
+    RestartBridge,
+    WheelState,
+)
 from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
-from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
+from car_interface.teensy.sensing.wheel_filter import PENDING_SPEED_SIGMA, TICK_MIDDLE_MS, WheelFilter
 
 MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would overflow floats
 
@@ -101,6 +108,7 @@ class Odometry:
         self._yaw_rad = 0.0
         self._steering_per_m: float | None = None
         self._bridge: RestartBridge | None = None  # over pulses that weren't counted, until enough is known
+        self._before_bridge: tuple = ()  # pose, heading, mean and yaw
 
     def steer(self, curvature_per_m: float) -> None:
         """Set the commanded curvature, left positive; ``use_steering`` only. NaN: not known."""
@@ -166,8 +174,15 @@ class Odometry:
         self._bridge = RestartBridge(
             CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
                      heading.curvature_per_m, heading.curvature_variance), self._config.track_m)
+        self._before_bridge = self._pose, self._heading, self._mean, self._yaw_rad
+        self._return_before_bridge()
         for wheel in self._wheels:
             wheel.is_uncounted = True
+
+    def _return_before_bridge(self):
+        """Forget the path that was only predicted since the bridge began."""
+        pose, heading, self._mean, self._yaw_rad = self._before_bridge
+        self._pose, self._heading = copy.copy(pose), copy.copy(heading)
 
     def _cross_bridge(self, record, pulses, unproven, times_ms, now_ms):
         """Collect pulses until they show how the car goes on."""
@@ -179,9 +194,11 @@ class Odometry:
         if bridge.report(now_ms):
             for wheel, position in zip(self._wheels, bridge.positions):
                 wheel.stop_at(position)
+            self._return_before_bridge()
         if not bridge.is_ready(now_ms):
             return self._move(record, False, now_ms)
         self._bridge = None
+        self._return_before_bridge()
         outcome = bridge.solve(now_ms)
         for wheel, start in zip(self._wheels, outcome.wheels):
             wheel.pending = 0
@@ -274,6 +291,10 @@ class Odometry:
         to_rad = 2 * self._pulse_m / self._config.wheel_diameter_m
         place = (left.position_variance + right.position_variance) * self._pulse_m ** 2
         heading = place / self._config.track_m ** 2
+        if self._bridge is not None:
+            place, heading = self._unbridged_variances(place, now_ms)
+            if self._bridge.may_roll(now_ms):
+                variance += 2 * PENDING_SPEED_SIGMA ** 2
         if not self._alignment.is_done:
             heading += (UNALIGNED_PULSES * scale) ** 2
         pose = self._pose
@@ -283,6 +304,19 @@ class Odometry:
             variance / 4 * (1000 * self._pulse_m) ** 2 + 1e-6, variance * (1000 * scale) ** 2 + 1e-6,
             (left.position * to_rad, right.position * to_rad),
             (left.speed * 1000 * to_rad, right.speed * 1000 * to_rad), pose.distance_m)
+
+
+    def _unbridged_variances(self, place_variance, now_ms):
+        """Return four times the variance of the mean wheel's place, m², and that of the heading, while both are predicted.
+
+        A car rolls by both wheels: its heading changes by curvature × distance, and its place by the distance times
+        half of that. Of a curvature that changes at an unknown time, a part u of the distance is left, evenly in 0 .. 1:
+        the mean has a third of its variance.
+        """
+        along = place_variance / 4 + self._bridge.place_variance * self._pulse_m ** 2
+        square = ((self._mean - self._before_bridge[2]) * self._pulse_m) ** 2
+        turn = CURVATURE_VARIANCE / 3 * (square + along)
+        return 4 * along + turn * square, turn + STANDING_DIFFERENCE_VARIANCE * self._rad_per_pulse ** 2
 
 
 def _may_learn(record):

@@ -96,13 +96,25 @@ class RestartBridge:
         self._state = state
         self._track_m = track_m
         self._seen_ms: float | None = None  # from when on pulses were counted again
+        self._boot_ms: float | None = None  # from when on each pulse is in the reports
         self._stop_variance = 0.0
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
+    @property
+    def place_variance(self) -> float:
+        """The variance of the place that a stop on the way or a long time adds, pulses²."""
+        blind_ms = self._blind_ms() if any(self._pulses) or self._seen_ms is not None else 0.0
+        far = self._mean_before() * blind_ms / 2 if blind_ms > MAX_BLIND_MS else 0.0
+        return self._stop_variance + far ** 2
+
+    def may_roll(self, now_ms: float) -> bool:
+        """Return whether the car may roll though no pulse has shown it yet."""
+        return self._seen_ms is not None and self._blind_ms() > BLIND_MS and now_ms - self._seen_ms < BLIND_MS
+
     def restart(self) -> None:
         """Begin again after another restart: earlier pulses are dropped."""
-        self._seen_ms = None
+        self._seen_ms = self._boot_ms = None
         self._pulses = ([], [])
         self._signs = [0, 0]
 
@@ -118,7 +130,7 @@ class RestartBridge:
 
     def count_from(self, boot_ms: float) -> None:
         """Take note that every pulse since a boot is counted, though the first report comes later."""
-        self._seen_ms = max(boot_ms, self._state.at_ms)
+        self._seen_ms = self._boot_ms = max(boot_ms, self._state.at_ms)
 
     def report(self, now_ms: float) -> bool:
         """Take note that pulses are counted; return True once if the car stopped while they weren't."""
@@ -143,9 +155,9 @@ class RestartBridge:
     def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
         """Take pulses of a wheel, without and (signed) with a known direction; the newest was at ``at_ms``."""
         count, pulses = unproven + abs(proven), self._pulses[side]
-        if count > 1 and not pulses and self._seen_ms is not None:
-            # Counted since the boot: at an even pace, the first of them half an interval after it on average.
-            pulses.append((1, self._seen_ms + max(0.0, at_ms - self._seen_ms) * 0.5 / (count - 0.5)))
+        if count > 1 and not pulses and self._boot_ms is not None:
+            # At an even pace, the first one half an interval after the boot on average.
+            pulses.append((1, self._boot_ms + max(0.0, at_ms - self._boot_ms) * 0.5 / (count - 0.5)))
             count -= 1
         if count:
             pulses.append((count, at_ms))
@@ -168,7 +180,7 @@ class RestartBridge:
     def solve(self, now_ms: float) -> Outcome:
         """Return how the wheels go on; call it only when ``is_ready``."""
         was_rolling = self._was_rolling()
-        for pulses in self._pulses:
+        for pulses in self._pulses if self._boot_ms is not None else ():
             _date_first(pulses)
         state, signs = self._state, self._all_signs(now_ms)
         speeds = self._speeds(signs, now_ms)
@@ -339,7 +351,7 @@ def _rate(pulses):
 def _date_first(pulses):
     """Date a first pulse that was reported with others soon after, by the pace of those that followed."""
     rate = _rate(pulses[1:])
-    if rate and pulses[1][0] > 1 and pulses[1][1] - pulses[0][1] <= ENOUGH_MS:
+    if rate and pulses[1][1] - pulses[0][1] <= ENOUGH_MS:
         pulses[0] = (1, pulses[1][1] - pulses[1][0] / rate)
 
 

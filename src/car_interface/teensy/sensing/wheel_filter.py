@@ -144,9 +144,14 @@ class WheelFilter:
 
     def advance(self, now_ms: float) -> None:
         """Predict until now, within the magnets that the wheel can't have passed without a pulse."""
-        if self.is_uncounted and now_ms - self._time_ms > MAX_BLIND_MS:
+        if self.is_uncounted and self._variances[3] > STANDING_SPEED_VARIANCE:
+            # It may have passed magnets, and may roll on until the reports show that it has stopped.
+            if now_ms - self._time_ms > MAX_BLIND_MS:
+                self._variances = (1 / 12, 0.0, 0.0, self._variances[3] + self.speed ** 2, 0.0, STARTING_ACCELERATION ** 2)
+                self.speed = self._acceleration = 0.0
+            else:
+                self._predict(now_ms)
             self._time_ms = now_ms
-            self._stand()
             return
         self._predict(now_ms)
         since_ms = now_ms - self._pulse_ms
@@ -158,8 +163,6 @@ class WheelFilter:
             self.position = min(max(self.position, low), high) if not self.is_uncounted else self.position
             self._stand()
             return
-        if self.is_uncounted:
-            return  # it may have passed magnets
         if since_ms <= FAR_APART_MS:
             if self.position > high:
                 self._correct(high - PASSED_BY, PASSED_VARIANCE)
