@@ -22,6 +22,8 @@ from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
 # that is subtracted from the receipt for them must not be more than the line took.
 PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 TICK_MIDDLE_MS = 0.5
+# On a full line reports leave up to 16 ms late, so that a clock without pongs yet is late by as much.
+MAX_CLOCK_ERROR_MS = 16
 BOOT_MS = 300  # the tick at which a boot ends and counts begin, measured on the firmware
 MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind them
 
@@ -149,7 +151,7 @@ class Measurements:
                              for wheel in record)
         # It is unknown when a report was sent; but there was no later pulse before its newest pulse or repeat.
         newest_ms = -math.inf if newest is None else self.clock.unwrap(newest) + self._shift_ms
-        is_news = self._newest_ms < newest_ms <= received_ms
+        is_news = self._newest_ms < newest_ms <= received_ms + MAX_CLOCK_ERROR_MS
         if is_news:
             self._newest_ms = newest_ms
         counted_ms = newest_ms - newest + BOOT_MS if verdict.since_boot and newest else None

@@ -23,7 +23,7 @@ STANDS_AFTER_MS = 790
 FAR_APART_MS = 60
 FADING_MS = 500.0  # time constant of an acceleration: 1 / alpha of Singer's model
 # Half a wheel's usual acceleration, and the largest from standstill: pulses/ms², of 1.5 cm: 1 and 3.3 m/s².
-USUAL_ACCELERATION, STARTING_ACCELERATION = 7e-5, 2.2e-4
+USUAL_ACCELERATION, STARTING_ACCELERATION = 1.4e-4, 2.2e-4
 SPEED_CHANGE = 0.5  # from pulse to pulse a slow wheel's speed changes by this ratio at most
 STARTING_PULSES = 3
 MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
