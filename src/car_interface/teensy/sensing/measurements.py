@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Callable, NamedTuple
 
-from car_interface.common.units import NS_PER_MS
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import SONARS, UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
@@ -158,7 +158,10 @@ class Measurements:
         motion = self._odometry.report(record, verdict.pulses, verdict.restarted, left_ms, right_ms,
                                        newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven,
                                        verdict.unsplit, counted_ms)
-        return MotionMeasurement(self._stamp(motion.time_ms - self._shift_ms, received_ns), motion)
+        stamp = self._stamp(motion.time_ms - self._shift_ms, received_ns)
+        # While a stamp is uncertain, an accelerating car's speed at that stamp is, too: a bound is three sigma.
+        late_mps = self._odometry.acceleration_mps2 * stamp.uncertainty_ns / NS_PER_S / 3
+        return MotionMeasurement(stamp, motion._replace(speed_variance=motion.speed_variance + late_mps ** 2))
 
     def steer(self, curvature_per_m: float) -> None:
         """Set the commanded curvature, left positive, for an odometry that uses it; NaN = unknown."""

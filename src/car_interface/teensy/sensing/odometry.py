@@ -110,6 +110,11 @@ class Odometry:
         self._bridge: RestartBridge | None = None  # over pulses that weren't counted, until enough is known
         self._before_bridge: tuple = ()  # pose, heading, mean and yaw
 
+    @property
+    def acceleration_mps2(self) -> float:
+        """The car's acceleration at the time of the last report, backward negative."""
+        return sum(wheel.acceleration for wheel in self._wheels) / 2 * self._pulse_m * 1e6
+
     def steer(self, curvature_per_m: float) -> None:
         """Set the commanded curvature, left positive; ``use_steering`` only. NaN: not known."""
         if self._config.use_steering:
