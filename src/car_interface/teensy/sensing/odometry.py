@@ -21,13 +21,7 @@ from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, UNALIGNED_PUL
 from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
 from car_interface.teensy.sensing.pose import Pose
 from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
-from car_interface.teensy.sensing.restart import (
-    REPEAT_MS,
-    STANDING_DIFFERENCE_VARIANCE,
-    CarState,
-    RestartBridge,
-    WheelState,
-)
+from car_interface.teensy.sensing.restart import REPEAT_MS, CarState, RestartBridge, WheelState
 from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
 from car_interface.teensy.sensing.wheel_filter import PENDING_SPEED_SIGMA, TICK_MIDDLE_MS, WheelFilter
 
@@ -321,7 +315,7 @@ class Odometry:
         along = place_variance / 4 + self._bridge.place_variance * self._pulse_m ** 2
         square = ((self._mean - self._before_bridge[2]) * self._pulse_m) ** 2
         turn = CURVATURE_VARIANCE / 3 * (square + along)
-        return 4 * along + turn * square, turn + STANDING_DIFFERENCE_VARIANCE * self._rad_per_pulse ** 2
+        return 4 * along + turn * square, turn + (UNALIGNED_PULSES * self._rad_per_pulse) ** 2
 
 
 def _may_learn(record):
