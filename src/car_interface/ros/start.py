@@ -13,11 +13,13 @@ import contextlib
 import importlib
 import importlib.util
 import os
+import re
 import signal
 import sys
 from pathlib import Path
 
 from car_interface.common import memory_limit
+from car_interface.common.declared import rows
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
 
@@ -28,6 +30,10 @@ NEEDED_MIB = 380
 WITH_ROSPY = (NODES, "tools.doctor.")
 # The nodes with options of their own, and the module whose parse() reads them.
 OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.options"}
+# Where the parameters of each node are declared: classes that can be imported without rospy.
+CONFIGS = {
+    "turn_arb": "steering.config.TurnArbConfig",
+}
 
 
 def start(module: str) -> None:
@@ -59,10 +65,25 @@ def full_name(module: str) -> str:
     return f"{name}.node" if importlib.util.find_spec(name).submodule_search_locations else name
 
 
+def config_class(node: str) -> type | None:
+    """Return the class that declares a node's parameters; ``None`` = it has none."""
+    module, _, name = CONFIGS.get(node, "").rpartition(".")
+    return getattr(importlib.import_module(f"car_interface.{module}"), name) if module else None
+
+
 def usage(module: str) -> str:
-    """A node's usage, with the first paragraph of its module's docstring."""
+    """Return a node's usage: the first paragraph of its module's docstring, and its parameters."""
     source = Path(importlib.util.find_spec(full_name(module)).origin).read_text(encoding="utf-8")
     purpose = ast.get_docstring(ast.parse(source)).split("\n\n")[0]
     name = module[len(NODES):]
-    return (f"usage: rosrun car_interface {name} [-h] [_PARAMETER:=VALUE ...] [TOPIC:=NEW_NAME ...]\n\n{purpose}\n\n"
-            "docs/nodes.md of the package lists its parameters, topics and services.")
+    config = config_class(name)
+    parameters = "" if config is None else "\n\nparameters:\n" + "\n".join(map(_usage_of, rows(config)))
+    return (f"usage: rosrun car_interface {name} [-h] [_PARAMETER:=VALUE ...] [TOPIC:=NEW_NAME ...]\n\n{purpose}"
+            f"{parameters}\n\ndocs/nodes.md of the package lists its topics and services.")
+
+
+def _usage_of(row):
+    """Return a parameter's lines, without the links and the quotes that are for docs/nodes.md."""
+    facts = "; ".join(filter(None, (row.default, row.range)))
+    meaning = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", row.text)
+    return f"  {row.name} ({facts})\n      {meaning}".replace("`", "")

@@ -21,7 +21,7 @@ from car_interface.common.package_files import package_file
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.steering.asked import AngleTable
 from car_interface.tools.calibration.steering.calibrate import Calibrated, calibrate, yaml_text
 from car_interface.tools.calibration.steering.recorded import RecordedDrive, load_drive

@@ -3,10 +3,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.steering.params import read_calibration
 from car_interface.throttle.obstacle_stop import ObstacleConfig, read_obstacle_stop
 
 
@@ -30,7 +30,7 @@ def read_base(turn_arb: dict[str, Any]) -> SteeringCalibration:
         CarInterfaceError: it isn't on the parameter server.
     """
     try:
-        return read_calibration(Params(turn_arb))
+        return read(Params(turn_arb), SteeringCalibration)
     except ConfigError as error:
         raise CarInterfaceError(f"turn_arb's calibration isn't known: its parameter {error}. Is the car launched, and "
                                 "in this namespace (ROS_NAMESPACE)?") from error

@@ -10,7 +10,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import is_package_file, package_file
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 
 BASE = "config/turn_arb.yaml"
 

@@ -6,7 +6,7 @@ import pytest
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
 from car_interface.common.yaml_file import load_yaml
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.throttle.obstacle_stop import NAMES
 from car_interface.tools.calibration.drive.params import read_base, read_obstacles
 

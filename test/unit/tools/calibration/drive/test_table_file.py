@@ -9,7 +9,7 @@ import pytest
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.table_file import board_center, find_table_file
 
 STOCK = package_file("config/turn_arb.yaml")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from car_interface.common.package_files import package_file
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.steering.asked import AngleTable
 
 # The package's own table is so flat that it can't tell radii apart.
