@@ -26,7 +26,7 @@ def table(config: type) -> str:
     lines = ["| parameter | default | range | meaning |", "| --- | --- | --- | --- |"]
     for (accepted, meaning), same in merged.items():
         names, defaults = ", ".join(row.name for row in same), [row.default for row in same]
-        default = defaults[0] if len(set(defaults)) == 1 else ", ".join(defaults)
+        default = defaults[0] if len(set(defaults)) == 1 else "; ".join(defaults)
         lines.append(re.sub(" +", " ", f"| {names} | {default} | {accepted} | {meaning} |"))
     return "\n".join(lines) + "\n"
 

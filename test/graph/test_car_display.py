@@ -12,7 +12,7 @@ from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
 from car_interface.nodes import rviz_window
-from car_interface.nodes.car_display import CarDisplay
+from car_interface.nodes.car_display.node import CarDisplay
 from graph import NS_PER_S, START_NS
 
 MARKERS = "/car_display/markers"

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import MISSING, field, fields
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Iterator, Mapping, NamedTuple, Sequence
+from typing import Any, Mapping, NamedTuple, Sequence
 
 from car_interface.common.params import REQUIRED, Params
 from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
@@ -74,13 +74,21 @@ number, integer, numbers, integers, flag, text, path, text_or_integer, choice, t
                                           "text_or_integer", "choice", "timeout"))
 duty, duties = (partial(kind, unit="duty", low=0, high=MAX_DUTY) for kind in (integer, numbers))
 channel = partial(integer, low=0, high=CHANNELS - 1)
+duty_of_each = partial(integers, length=CHANNELS, unit="duty", low=0, high=MAX_DUTY)
 
 
-def group(default: Any, namespace: str = "", same_as: Mapping[str, str] = MappingProxyType({})) -> Any:
-    """Return a dataclass's field for another configuration: its default, or its class where it has required ones."""
+def group(default: Any, namespace: str = "", same_as: Mapping[str, str] = MappingProxyType({}),
+          config_class: type | None = None) -> Any:
+    """Return a dataclass's field for another configuration.
+
+    Args:
+        default: the default, or the configuration's class where that has parameters that are required.
+        namespace, same_as: see ``Group``.
+        config_class: where the default is of another one.
+    """
     is_required = isinstance(default, type)
-    return _field(REQUIRED if is_required else default,
-                  Group(default if is_required else type(default), namespace, same_as))
+    config_class = config_class or (default if is_required else type(default))
+    return _field(REQUIRED if is_required else default, Group(config_class, namespace, same_as))
 
 
 def _field(default, declaration):
@@ -88,13 +96,15 @@ def _field(default, declaration):
     return field(metadata=metadata) if default is REQUIRED else field(default=default, metadata=metadata)
 
 
-def read_all(params: Params, config_class: type) -> Any:
+def read_all(params: Params, config_class: type, is_complete: bool = True, default: Any = None) -> Any:
     """Return a node's configuration, and refuse names that it hasn't, unless they are below its ``SHARED``.
+
+    Of the arguments see ``read``.
 
     Raises:
         ConfigError: naming the parameter.
     """
-    config = read(params, config_class)
+    config = read(params, config_class, is_complete, default)
     params.finish(getattr(config_class, "SHARED", ()))
     return config
 
@@ -137,17 +147,26 @@ def check(config: Any) -> None:
             declaration.read(Params({declaration.name: value}), "", default)
 
 
-def rows(config_class: type, default: Any = None, namespace: str = "",
-         same_as: Mapping[str, str] = MappingProxyType({})) -> Iterator[Row]:
-    """Yield the parameters of a configuration; of the arguments see ``read``."""
+def parameter_of(config_class: type, field_name: str) -> Parameter:
+    """Return the declaration of a field."""
+    return next(declaration for name, declaration, _ in _declarations(config_class) if name == field_name)
+
+
+def rows(config_class: type) -> list[Row]:
+    """Return the parameters of a configuration, each once."""
+    return list(dict.fromkeys(_rows(config_class)))
+
+
+def _rows(config_class, default=None, namespace="", same_as=MappingProxyType({})):
     for _, declaration, one in _declarations(config_class, default, same_as):
         if isinstance(declaration, Group):
-            yield from rows(declaration.config_class, None if one is REQUIRED else one,
-                            namespace + declaration.namespace, declaration.same_as)
+            yield from _rows(declaration.config_class, None if one is REQUIRED else one,
+                             namespace + declaration.namespace, declaration.same_as)
         else:
-            other = f"`{declaration.same_as}`" if declaration.same_as else ""
-            yield Row(_name_text(declaration, namespace), declaration.default_text or other or _default_text(one),
-                      _range_text(declaration), declaration.text)
+            shown = declaration.default_text or _default_text(one)
+            if declaration.same_as:
+                shown = f"`{declaration.same_as}`, else {shown}"
+            yield Row(_name_text(declaration, namespace), shown, _range_text(declaration), declaration.text)
 
 
 def _declarations(config_class, default=None, same_as=MappingProxyType({})):
@@ -177,7 +196,9 @@ def _default_text(value):
 
 
 def _number_text(value):
-    return str(value).lower() if isinstance(value, bool) else f"{value:.10g}".replace("-", "−")
+    if isinstance(value, bool):
+        return str(value).lower()
+    return (str(int(value)) if value == int(value) else f"{value:.4g}").replace("-", "−")
 
 
 def _range_text(declaration):

@@ -33,6 +33,16 @@ OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.options"}
 # Where the parameters of each node are declared: classes that can be imported without rospy.
 CONFIGS = {
     "turn_arb": "steering.config.TurnArbConfig",
+    "throttle_arb": "throttle.config.ThrottleConfig",
+    "pca9685": "pca9685.config.Pca9685Config",
+    "teensy_sensor_hub": "nodes.teensy_sensor_hub.config.HubConfig",
+    "generic_value_converter": "throttle.converter.ConverterConfig",
+    "planner_interface": "nodes.planner_interface.config.PlannerInterfaceConfig",
+    "teleop_logi": "teleop.gamepad.GamepadConfig",
+    "gamepad_joy": "teleop.joystick.JoystickConfig",
+    "keyboard_drive": "teleop.keyboard.KeyboardConfig",
+    "car_display": "nodes.car_display.config.CarDisplayConfig",
+    "car_sim": "nodes.car_sim.config.CarSimConfig",
 }
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from car_interface.common import declared
 from car_interface.sim.checks import require
 from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
 
@@ -22,9 +23,6 @@ class DriveConfig:
     Attributes:
         full_reverse_duty, neutral_duty, full_forward_duty: 1.0, 1.5 and 2.0 ms at 50 Hz.
         neutral_band_duty: so far from neutral the ESC does nothing.
-        forward_mps2: of full throttle at standstill, before drag.
-        reverse_mps2: of full reverse at standstill, before drag.
-        brake_mps2: of the full duty against the way the car rolls, before drag.
         thrust_halves_mps: at this speed the motor has half its thrust.
         drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
             With the defaults full throttle ends at 14 m/s.
@@ -38,9 +36,13 @@ class DriveConfig:
     neutral_duty: float = 4915.0
     full_forward_duty: float = 6554.0
     neutral_band_duty: float = 25.0
-    forward_mps2: float = 5.6
-    reverse_mps2: float = 3.6
-    brake_mps2: float = 7.0
+    forward_mps2: float = declared.number(
+        "forward_acceleration", 5.6, "of full throttle at standstill, before drag", "m/s²", above=0.0, high=100)
+    reverse_mps2: float = declared.number(
+        "reverse_acceleration", 3.6, "of full reverse at standstill, before drag", "m/s²", above=0.0, high=100)
+    brake_mps2: float = declared.number(
+        "brake_deceleration", 7.0, "of the full duty against the way the car rolls, before drag", "m/s²", above=0.0,
+        high=100)
     thrust_halves_mps: float = 9.4
     drag_mps2: float = 0.35
     drag_per_s: float = 0.08

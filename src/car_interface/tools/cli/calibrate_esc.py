@@ -18,7 +18,7 @@ from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.package_files import package_file
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.yaml_file import read_yaml
-from car_interface.throttle.params import load_throttle
+from car_interface.throttle.config import load_throttle
 from car_interface.tools.calibration.esc.calibrate import calibrate, yaml_text
 from car_interface.tools.calibration.esc.recorded import load_drive
 from car_interface.tools.calibration.esc.report import report

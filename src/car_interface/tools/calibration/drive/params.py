@@ -7,7 +7,7 @@ from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.throttle.obstacle_stop import ObstacleConfig, read_obstacle_stop
+from car_interface.throttle.obstacle_stop import ObstacleConfig
 
 
 def read_obstacles(throttle_arb: dict[str, Any]) -> ObstacleConfig:
@@ -17,7 +17,7 @@ def read_obstacles(throttle_arb: dict[str, Any]) -> ObstacleConfig:
         CarInterfaceError: it doesn't know the sonars.
     """
     try:
-        return read_obstacle_stop(Params({**throttle_arb, "obstacle_stop": True}))
+        return read(Params({**throttle_arb, "obstacle_stop": True}), ObstacleConfig)
     except ConfigError as error:
         raise CarInterfaceError(f"of throttle_arb's parameters {error}: launch the car by its launch files, or drive "
                                 "without sonars by --no-sonars") from error

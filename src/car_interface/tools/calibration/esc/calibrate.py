@@ -3,11 +3,12 @@ from __future__ import annotations
 
 from typing import NamedTuple, Sequence
 
+from car_interface.common.declared import parameter_of
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.yaml_edit import Value, rewritten
 from car_interface.throttle.calibration import ThrottleCalibration, trimmed
-from car_interface.throttle.esc_config import NUMBERS
-from car_interface.throttle.params import ThrottleConfig
+from car_interface.throttle.config import ThrottleConfig
+from car_interface.throttle.esc_config import EscConfig
 from car_interface.tools.calibration.esc.fit import EscFit, fit
 from car_interface.tools.calibration.esc.recorded import RecordedDrive, joined
 
@@ -71,7 +72,7 @@ def yaml_values(calibrated: Calibrated, base: ThrottleCalibration) -> dict[str, 
     for field in FITTED:
         value = getattr(found, field)
         if value is not None:
-            values["esc/" + NUMBERS[field][0]] = value
+            values[parameter_of(EscConfig, field).name] = value
     return values
 
 

@@ -3,8 +3,9 @@ from __future__ import annotations
 
 from typing import Iterator, Sequence
 
-from car_interface.throttle.esc_config import NUMBERS
-from car_interface.throttle.params import ThrottleConfig
+from car_interface.common.declared import parameter_of
+from car_interface.throttle.config import ThrottleConfig
+from car_interface.throttle.esc_config import EscConfig
 from car_interface.tools.calibration.esc.calibrate import FITTED, NEUTRAL, PROFILE, Calibrated, yaml_values
 from car_interface.tools.calibration.esc.recorded import RecordedDrive
 
@@ -30,7 +31,7 @@ def report(calibrated: Calibrated, recorded: Sequence[RecordedDrive], base: Thro
     yield _line(PROFILE, values.get(PROFILE), base.esc.profile, "", seen.get(PROFILE))
     yield _line(NEUTRAL, values.get(NEUTRAL), base.calibration.neutral, "", seen.get(NEUTRAL))
     for field in FITTED:
-        name = "esc/" + NUMBERS[field][0]
+        name = parameter_of(EscConfig, field).name
         shown = seen.get(name) or ("from there to where the car sets off" if field in SHOWN_WITH else None)
         yield _line(name, values.get(name), getattr(base.esc, field), UNITS.get(field, ""), shown)
     yield from (f"  missing: {problem}" for problem in calibrated.problems)

@@ -10,10 +10,11 @@ import rospy
 from sensor_msgs.msg import Joy
 
 from car_interface.common import causes
+from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.msg import TeleopState
-from car_interface.teleop.gamepad import read_gamepad
+from car_interface.teleop.gamepad import GamepadConfig
 from car_interface.tools.doctor.checks.car import Node
 from car_interface.tools.doctor.checks.gamepad import Gamepad, JoySample
 from car_interface.tools.doctor.probes.master import Master
@@ -90,6 +91,6 @@ def _find_topic(master, path):
 def _read_config(master, path):
     """How teleop_logi is set; ``None`` when it would refuse its parameters."""
     try:
-        return read_gamepad(Params(master.parameter(path) or {}))
+        return read(Params(master.parameter(path) or {}), GamepadConfig)
     except CarInterfaceError:
         return None
