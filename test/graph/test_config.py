@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
 import os
 import shutil
 
@@ -13,7 +12,7 @@ from car import CONFIG, config
 from car_interface.common.declared import read_all
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.ros.start import config_class, full_name
+from car_interface.ros.start import config_class
 
 PACKAGE = os.path.dirname(os.path.realpath(CONFIG))
 WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
@@ -85,10 +84,7 @@ REFUSALS = [
 
 
 def read(node, values):
-    config = config_class(node)
-    if config is None:
-        return importlib.import_module(full_name(f"nodes.{node}")).read_config(Params(values))
-    return read_all(Params(values), config)
+    return read_all(Params(values), config_class(node))
 
 
 def attribute(made, path):

@@ -6,26 +6,20 @@ and ends with a table. Exit code 0 only if all checks pass.
 Publishes:
     joy (sensor_msgs/Joy), av_turnrad_req (std_msgs/Float32), control/command/control_cmd (Control): each at 50 Hz.
 Subscribes to the topics of the car's nodes.
-Parameters:
-    ~bag_dir: absolute path of a folder for a bag of all topics; none = no recording.
-    ~steering, ~esc, ~gamepad, ~wheels: what turn_arb.yaml, throttle.yaml, teleop_logi.yaml and teensy_sensor_hub.yaml
-        of the car say, as demo.launch loads them: the channels of the servo board, the gamepad's axis and buttons, and
-        how finely the wheels' sensors tell how the car turns.
 """
 from __future__ import annotations
 
 import math
 import sys
 from collections import Counter
-from dataclasses import dataclass
 
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
+from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.units import NS_PER_S, yaw_rad
 from car_interface.msg import (
     Control,
@@ -52,6 +46,7 @@ from car_interface.sim.demo_script import (
     STAGE_NAMES,
     TELEOP,
     TURN_RAD,
+    DemoDriveConfig,
     Drive,
     DriveConfig,
 )
@@ -63,7 +58,7 @@ RATE_HZ = 50
 READY_WITHIN_S = 30
 STILL_S = 0.1  # held up for longer, the drive may fail by that alone
 LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
-AXES, BUTTONS, MAX_INDEX = 8, 11, 63
+AXES, BUTTONS = 8, 11
 SETTLING_NS = NS_PER_S // 10  # after a change of stage the source isn't checked
 # Tolerance of odometry at the end, after some 34 m: as a ratio of the distance; and of the angle by which the car turns
 # when one wheel goes on by a pulse, 2.9 degrees with the shipped wheels. Between two pulses nothing is known: at either
@@ -163,58 +158,11 @@ class Watch:
         return [name for name, thing in seen.items() if not thing]
 
 
-@dataclass(frozen=True)
-class DemoDriveConfig:
-    """What the node's parameters say.
-
-    Attributes:
-        bag_dir: where a bag is recorded; ``None`` = nowhere.
-        steering_channel, throttle_channel: of the servo board.
-        steer_axis, throttle_axis, manual_button, autonomous_button: of the gamepad that it plays.
-        steer_scale, throttle_scale: the car's factors of the axes; −1 inverts one.
-        pulse_deg: by how much a pulse of one wheel turns the car.
-    """
-
-    bag_dir: str | None
-    steering_channel: int
-    throttle_channel: int
-    steer_axis: int
-    throttle_axis: int
-    manual_button: int
-    autonomous_button: int
-    steer_scale: float
-    throttle_scale: float
-    pulse_deg: float
-
-
-def read_config(params) -> DemoDriveConfig:
-    """Read the node's configuration from its parameters, without side effects.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    pulse_m = (math.pi * params.number("wheels/wheel_diameter", 0.095, above=0.0)
-               / params.integer("wheels/pulses_per_revolution", 20, 1))
-    config = DemoDriveConfig(
-        bag_dir=params.path("bag_dir", None),
-        steering_channel=params.integer("steering/servo_channel", 0, 0, CHANNELS - 1),
-        throttle_channel=params.integer("esc/servo/channel", 1, 0, CHANNELS - 1),
-        steer_axis=params.integer("gamepad/steer_axis", 0, 0, MAX_INDEX),
-        throttle_axis=params.integer("gamepad/throttle_axis", 4, 0, MAX_INDEX),
-        manual_button=params.integer("gamepad/manual_button", 4, 0, MAX_INDEX),
-        autonomous_button=params.integer("gamepad/autonomous_button", 5, 0, MAX_INDEX),
-        steer_scale=params.number("gamepad/steer_scale", 1.0, -1.0, 1.0) or 1.0,
-        throttle_scale=params.number("gamepad/throttle_scale", 1.0, -1.0, 1.0) or 1.0,
-        pulse_deg=math.degrees(pulse_m / params.number("wheels/track", 0.296, above=0.0)))
-    params.finish(ignored_namespaces=("steering", "esc", "gamepad", "wheels"))
-    return config
-
-
 class DemoDrive:
     """Runs the script and checks the result."""
 
     def __init__(self, params, inbox):
-        config = self._config = read_config(params)
+        config = self._config = read_all(params, DemoDriveConfig)
         bag_dir = config.bag_dir
         self._inbox = inbox
         self._watch = Watch(config.steering_channel, config.throttle_channel)
@@ -313,8 +261,8 @@ class DemoDrive:
         message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1, config.throttle_axis + 1),
                       buttons=[0] * max(BUTTONS, config.manual_button + 1, config.autonomous_button + 1))
         message.header.stamp = self._clocks.ros_now()
-        message.axes[config.steer_axis] = max(-1.0, min(1.0, orders.steering / config.steer_scale))
-        message.axes[config.throttle_axis] = max(-1.0, min(1.0, orders.throttle / config.throttle_scale))
+        message.axes[config.steer_axis] = max(-1.0, min(1.0, orders.steering / (config.steer_scale or 1.0)))
+        message.axes[config.throttle_axis] = max(-1.0, min(1.0, orders.throttle / (config.throttle_scale or 1.0)))
         message.buttons[config.manual_button] = int(orders.manual)
         message.buttons[config.autonomous_button] = int(orders.autonomous)
         self._joy.publish(message)

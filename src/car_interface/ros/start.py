@@ -41,6 +41,8 @@ CONFIGS = {
     "teleop_logi": "teleop.gamepad.GamepadConfig",
     "gamepad_joy": "teleop.joystick.JoystickConfig",
     "keyboard_drive": "teleop.keyboard.KeyboardConfig",
+    "car_nodes": "common.fixed_parameters.CarNodesConfig",
+    "demo_drive": "sim.demo_script.DemoDriveConfig",
     "car_display": "nodes.car_display.config.CarDisplayConfig",
     "car_sim": "nodes.car_sim.config.CarSimConfig",
 }

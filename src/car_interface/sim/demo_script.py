@@ -6,13 +6,45 @@ asks for its figure-eight all the time, so that it's seen who is listened to.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
+from car_interface.common import declared
 from car_interface.common.units import NS_PER_S
 
 NOBODY, TELEOP, LEFT_CIRCLE, RIGHT_CIRCLE, LET_GO, DONE = range(6)
 STAGE_NAMES = ("nobody there", "human drives", "planner: left circle", "planner: right circle", "human let go", "done")
 TURN_RAD = 2 * math.pi
+
+
+GAMEPAD, WHEELS = (f"the car's `{name}.yaml`" for name in ("teleop_logi", "teensy_sensor_hub"))
+MAX_INDEX = 63  # of an axis or a button
+
+
+@dataclass(frozen=True)
+class DemoDriveConfig:
+    """The configuration of demo_drive: where it records, and what the car's files say, as demo.launch loads them."""
+
+    bag_dir: str | None = declared.path("bag_dir", None, "folder for a bag of all topics", default_text="none")
+    steering_channel: int = declared.channel("steering/servo_channel", 0, "the car's `turn_arb.yaml`")
+    throttle_channel: int = declared.channel("esc/servo/channel", 1, "the car's `throttle.yaml`")
+    steer_axis: int = declared.integer("gamepad/steer_axis", 0, GAMEPAD, low=0, high=MAX_INDEX)
+    throttle_axis: int = declared.integer("gamepad/throttle_axis", 4, GAMEPAD, low=0, high=MAX_INDEX)
+    manual_button: int = declared.integer("gamepad/manual_button", 4, GAMEPAD, low=0, high=MAX_INDEX)
+    autonomous_button: int = declared.integer("gamepad/autonomous_button", 5, GAMEPAD, low=0, high=MAX_INDEX)
+    steer_scale: float = declared.number("gamepad/steer_scale", 1.0, GAMEPAD, low=-1.0, high=1.0)
+    throttle_scale: float = declared.number("gamepad/throttle_scale", 1.0, GAMEPAD, low=-1.0, high=1.0)
+    wheel_diameter_m: float = declared.number("wheels/wheel_diameter", 0.095, WHEELS, "m", above=0.0)
+    track_m: float = declared.number("wheels/track", 0.296, WHEELS, "m", above=0.0)
+    pulses_per_revolution: int = declared.integer(
+        "wheels/pulses_per_revolution", 20, WHEELS, low=1, high=2 ** 31 - 1)
+
+    SHARED = ("steering", "esc", "gamepad", "wheels")
+
+    @property
+    def pulse_deg(self) -> float:
+        """By how much a pulse of one wheel turns the car."""
+        return math.degrees(math.pi * self.wheel_diameter_m / self.pulses_per_revolution / self.track_m)
 
 
 class DriveConfig(NamedTuple):

@@ -35,7 +35,8 @@ SLOWLY_PER_S, SLOWLY_FROM = 0.07, 0.05
 
 def _teleop(declare, name, default, *arguments, **accepted):
     """Declare a parameter whose default is teleop_logi's, or where that has none another one."""
-    return declare(name, default, *arguments, default_text=f"teleop_logi's, else {default:g}".replace("-", "−"), **accepted)
+    shown = f"teleop_logi's, else {default:g}".replace("-", "−")
+    return declare(name, default, *arguments, default_text=shown, **accepted)
 
 
 _index = partial(_teleop, declared.integer, text="index in the message", low=0, high=MAX_INDEX)
