@@ -37,7 +37,7 @@ class DemoDriveConfig:
     wheel_diameter_m: float = declared.number("wheels/wheel_diameter", 0.095, WHEELS, "m", above=0.0)
     track_m: float = declared.number("wheels/track", 0.296, WHEELS, "m", above=0.0)
     pulses_per_revolution: int = declared.integer(
-        "wheels/pulses_per_revolution", 20, WHEELS, low=1, high=2 ** 31 - 1)
+        "wheels/pulses_per_revolution", 20, WHEELS, low=1)
 
     SHARED = ("steering", "esc", "gamepad", "wheels")
 

@@ -50,7 +50,7 @@ def test_default_may_be_another_parameter_s_value_or_one_of_another_configuratio
     assert (config.human.timeout_s, config.planner.timeout_s, config.length_m, config.doubled_m) == (2.0, 0.5, 4.0, 8.0)
     assert read(Params({**values, "length": 1, "human": {"timeout": 0}}), Config).human.timeout_s == 0.0
     assert read(Params({}), Limits, default=Limits(9.0, 1.0)) == Limits(9.0, 1.0)
-    with pytest.raises(ConfigError, match="^wheels/length is -4; accepted: a number above 0$"):
+    with pytest.raises(ConfigError, match=r"^wheels/length is -4; accepted: a number above 0$"):
         read(Params({"channel": 3, "wheels": {"length": -4}}), Config)
 
 
@@ -75,7 +75,7 @@ def test_name_is_searched_for_in_the_parents_where_its_declaration_says_so():
 
 def test_configuration_that_is_made_by_hand_can_be_checked():
     check(Limits(20.0, 0.0))
-    with pytest.raises(ConfigError, match="^max_speed is 21.0; accepted: a number from 0.0 to 20$"):
+    with pytest.raises(ConfigError, match=r"^max_speed is 21.0; accepted: a number from 0.0 to 20$"):
         check(Limits(21.0))
 
 

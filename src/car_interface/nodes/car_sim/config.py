@@ -64,7 +64,7 @@ class CarSimConfig:
     wheel_diameter_m: float = declared.number(
         "wheel_diameter", 0.095, "of a rear wheel", "m", above=0.0, same_as="wheels/wheel_diameter")
     pulses_per_revolution: int = declared.integer(
-        "pulses_per_revolution", 20, "of a rear wheel", low=1, high=2 ** 31 - 1, same_as="wheels/pulses_per_revolution")
+        "pulses_per_revolution", 20, "of a rear wheel", low=1, same_as="wheels/pulses_per_revolution")
     steering_duties: Sequence[float] = declared.numbers(
         "steering_duties", (), "the true steering: rising duties", default_text=OWN)
     steering_curvatures: Sequence[float] = declared.numbers(
@@ -89,7 +89,7 @@ class CarSimConfig:
         "sonar_pulse_end", FirmwareConfig.sonar_pulse_end_us, "how long a sonar without an echo holds its pin", "µs",
         low=12_000, high=1_000_000)
     seed: int | None = declared.integer(
-        "seed", None, "of everything that is random, and of noise", low=0, high=2 ** 31 - 1,
+        "seed", None, "of everything that is random, and of noise", low=0,
         default_text="random, logged")
     vehicle: VehicleConfig = field(default_factory=VehicleConfig)
     world: WorldConfig = field(default_factory=WorldConfig)
