@@ -17,7 +17,7 @@ NO_CHANNEL = -1
 # An ESC of this kind, if calibrate_esc saw it, goes on braking however long a pull is held, and neutral in between lets
 # it reverse. Any other may take a pull that is held for reverse.
 HOLDS_PULLS = "brake_then_reverse"
-STEERING_FILE, ESC_FILE = "the launch file's `steering_config`", "the launch file's `throttle_config`"
+STEERING_FILE, ESC_FILE = "the launch file's `turn_arb.yaml`", "the launch file's `throttle.yaml`"
 
 
 @dataclass(frozen=True)
