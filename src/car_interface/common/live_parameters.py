@@ -23,7 +23,8 @@ class TuningSettings:
     max_offset: int = declared.duty(
         "live_range", 0, "how far each value may be [tuned](tuning.md) from the one at start; 0 = not at all")
     save_to: str | None = declared.path(
-        "save_to", None, "the file that `~save` writes; in the launch files the one that they load", default_text="none")
+        "save_to", None, "the file that `~save` writes; in the launch files the one that they load",
+        default_text="none")
     saves_to_package: bool = declared.flag(
         "save_to_package", True, "false, as in the demo = `~save` refuses a file in the package's own `config`")
 
