@@ -26,7 +26,7 @@ class TuningSettings:
         "save_to", None, "the file that `~save` writes; in the launch files the one that they load",
         default_text="none")
     saves_to_package: bool = declared.flag(
-        "save_to_package", True, "false, as in the demo = `~save` refuses a file in the package's own `config`")
+        "save_to_package", True, "false = `~save` refuses a file in the package's own `config`, as in the demo")
 
 
 class Answer(NamedTuple):
