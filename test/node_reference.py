@@ -3,7 +3,7 @@
     node_reference.py [--check]
 
 ``--check`` changes nothing, and ends with code 1 where a table is stale. A table stands between two comments:
-``<!-- parameters of NODE -->`` and ``<!-- end -->``.
+``<!-- parameters of NODE -->`` and ``<!--end-->``.
 """
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/nodes.md"
-TABLE = re.compile(r"(<!-- parameters of (\w+) -->\n).*?(<!-- end -->)", re.S)
+TABLE = re.compile(r"(<!-- parameters of (\w+) -->\n).*?(<!--end-->)", re.S)
 sys.path.insert(0, str(ROOT / "src"))
 
 
@@ -23,11 +23,11 @@ def table(config: type) -> str:
     merged: dict = {}
     for row in rows(config):
         merged.setdefault((row.range, row.text), []).append(row)
-    lines = ["| parameter | default | range | meaning |", "| --- | --- | --- | --- |"]
+    lines = ["parameter | default | range | meaning", "---|---|---|---"]
     for (accepted, meaning), same in merged.items():
         names, defaults = ", ".join(row.name for row in same), [row.default for row in same]
         default = defaults[0] if len(set(defaults)) == 1 else "; ".join(defaults)
-        lines.append(re.sub(" +", " ", f"| {names} | {default} | {accepted} | {meaning} |"))
+        lines.append(re.sub(" +", " ", f"{names} | {default} | {accepted} | {meaning}"))
     return "\n".join(lines) + "\n"
 
 

@@ -21,10 +21,9 @@ class TuningSettings:
     """Limits of tuning."""
 
     max_offset: int = declared.duty(
-        "live_range", 0, "how far each value may be [tuned](tuning.md) from the one at start; 0 = not at all")
+        "live_range", 0, "how far it may be [tuned](tuning.md) from its start; 0 = not at all")
     save_to: str | None = declared.path(
-        "save_to", None, "the file that `~save` writes; in the launch files the one that they load",
-        default_text="none")
+        "save_to", None, "the file that `~save` writes", default_text="none; the launch file's own")
     saves_to_package: bool = declared.flag(
         "save_to_package", True, "false = `~save` refuses a file in the package's own `config`, as in the demo")
 

@@ -17,7 +17,7 @@ NO_CHANNEL = -1
 # An ESC of this kind, if calibrate_esc saw it, goes on braking however long a pull is held, and neutral in between lets
 # it reverse. Any other may take a pull that is held for reverse.
 HOLDS_PULLS = "brake_then_reverse"
-STEERING_FILE, ESC_FILE = "the launch file's `turn_arb.yaml`", "the launch file's `throttle.yaml`"
+STEERING_FILE, ESC_FILE = "by `turn_arb.yaml`", "by `throttle.yaml`"
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,15 @@ class Pca9685Config:
     timeout_values: Sequence[int] = declared.duty_of_each(
         "timeout_value", (0,) * CHANNELS, "the failsafe duty; 0 = off")
     pwm_min: Sequence[int] = declared.duty_of_each(
-        "pwm_min", (0,) * CHANNELS, "commanded duties, 0 too, are clamped to at least this")
+        "pwm_min", (0,) * CHANNELS, "commanded duties, 0 too, are clamped to these")
     pwm_max: Sequence[int] = declared.duty_of_each(
-        "pwm_max", (MAX_DUTY,) * CHANNELS, "commanded duties are clamped to at most this")
+        "pwm_max", (MAX_DUTY,) * CHANNELS, "commanded duties, 0 too, are clamped to these")
     steering_channel: int | None = declared.channel(
-        "steering/servo_channel", None, "the steering's channel, from turn_arb's file", default_text=STEERING_FILE)
+        "steering/servo_channel", None, "the steering's channel", default_text=STEERING_FILE)
     steering_center: int | None = declared.duty(
         "steering/servo_center", None, "its timeout value", default_text=STEERING_FILE)
     esc_channel: int = declared.integer(
-        "esc/servo/channel", NO_CHANNEL, "the ESC's channel, from throttle_arb's file; −1 = none", low=NO_CHANNEL,
+        "esc/servo/channel", NO_CHANNEL, "the ESC's channel; −1 = none", low=NO_CHANNEL,
         high=CHANNELS - 1, default_text=ESC_FILE)
     esc_neutral: int | None = declared.duty("esc/servo/neutral", None, "its timeout value", default_text=ESC_FILE)
     esc_duties: Sequence[float] = declared.duties(
@@ -76,11 +76,10 @@ class Pca9685Config:
         "guard_off_after", 10.0, "so long after the guard began to act it switches every output off", "s", low=0.5,
         high=3600.0)
     virtual_chip: str | None = declared.path(
-        "virtual_chip", None, "only with `device: virtual`: the socket of the chip; with the launch files by "
-                              "`virtual_chip:=`", default_text="by user, master and node")
+        "virtual_chip", None, "only with `device: virtual`: the socket of the chip",
+        default_text="by user, master and node")
     virtual_log: str | None = declared.path(
-        "virtual_log", None, "only with `device: virtual`: a log of the chip's register writes, by the guard too; your "
-                             "own file, no link")
+        "virtual_log", None, "only with `device: virtual`: a log of the chip's register writes; your own file")
 
     channels: Sequence[ChannelConfig] = field(init=False)
 

@@ -36,8 +36,7 @@ class DemoDriveConfig:
     throttle_scale: float = declared.number("gamepad/throttle_scale", 1.0, GAMEPAD, low=-1.0, high=1.0)
     wheel_diameter_m: float = declared.number("wheels/wheel_diameter", 0.095, WHEELS, "m", above=0.0)
     track_m: float = declared.number("wheels/track", 0.296, WHEELS, "m", above=0.0)
-    pulses_per_revolution: int = declared.integer(
-        "wheels/pulses_per_revolution", 20, WHEELS, low=1)
+    pulses_per_revolution: int = declared.integer("wheels/pulses_per_revolution", 20, WHEELS, low=1)
 
     SHARED = ("steering", "esc", "gamepad", "wheels")
 

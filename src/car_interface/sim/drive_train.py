@@ -14,6 +14,7 @@ from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
 
 # 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.
 SHORTEST_PULSE, MAX_PULSE = 1638, 8192
+TRUE = "of the full duty, before drag; forward and backward at standstill"  # the meaning of three parameters
 
 
 @dataclass(frozen=True)
@@ -37,11 +38,11 @@ class DriveConfig:
     full_forward_duty: float = 6554.0
     neutral_band_duty: float = 25.0
     forward_mps2: float = declared.number(
-        "forward_acceleration", 5.6, "of full throttle at standstill, before drag", "m/s²", above=0.0, high=100)
+        "forward_acceleration", 5.6, TRUE, "m/s²", above=0.0, high=100)
     reverse_mps2: float = declared.number(
-        "reverse_acceleration", 3.6, "of full reverse at standstill, before drag", "m/s²", above=0.0, high=100)
+        "reverse_acceleration", 3.6, TRUE, "m/s²", above=0.0, high=100)
     brake_mps2: float = declared.number(
-        "brake_deceleration", 7.0, "of the full duty against the way the car rolls, before drag", "m/s²", above=0.0,
+        "brake_deceleration", 7.0, TRUE, "m/s²", above=0.0,
         high=100)
     thrust_halves_mps: float = 9.4
     drag_mps2: float = 0.35

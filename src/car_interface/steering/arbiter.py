@@ -49,11 +49,11 @@ class ArbiterConfig:
     interlock: InterlockConfig = declared.group(InterlockConfig(), same_as={"human_timeout": "input_timeout"})
     limits: SteeringLimits = declared.group(SteeringLimits())
     input_timeout_s: float = declared.timeout(
-        "input_timeout", 0.5, "sets `human_timeout`, `teleop_timeout` and `planner_timeout`, unless they are given")
+        "input_timeout", 0.5, "sets the timeouts that name it")
     teleop_timeout_s: float = declared.timeout(
-        "teleop_timeout", 0.5, "age at which the gamepad's request is stale", same_as="input_timeout")
+        "teleop_timeout", 0.5, "age at which the requests are stale", same_as="input_timeout")
     planner_timeout_s: float = declared.timeout(
-        "planner_timeout", 0.5, "age at which the planner's requests are stale", same_as="input_timeout")
+        "planner_timeout", 0.5, "age at which the requests are stale", same_as="input_timeout")
 
 
 class Decision(NamedTuple):

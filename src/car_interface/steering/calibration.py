@@ -39,9 +39,9 @@ class SteeringCalibration:
     radius_axis_m: Sequence[float] = declared.numbers(
         "m_turnrad_axis_servo", REQUIRED, "turn radii of the two tables, rising", "m, above 0", search_parents=True)
     left_duties: Sequence[float] = declared.duties(
-        "k_pwmcmd_left_table_servo", REQUIRED, "the duty for each radius to the left", search_parents=True)
+        "k_pwmcmd_left_table_servo", REQUIRED, "the duty for each radius, to each side", search_parents=True)
     right_duties: Sequence[float] = declared.duties(
-        "k_pwmcmd_right_table_servo", REQUIRED, "the duty for each radius to the right", search_parents=True)
+        "k_pwmcmd_right_table_servo", REQUIRED, "the duty for each radius, to each side", search_parents=True)
     understeer: float = declared.number(
         "understeer", 0.0, "by how much [turns widen with speed](limits.md#turns-that-widen-with-speed)",
         "1/m for each (m/s²)²", low=0, high=1)

@@ -85,7 +85,7 @@ class GamepadConfig:
     joy_timeout_s: float = declared.timeout("joy_timeout", 0.25, "a gamepad older than this releases the deadman")
     third_button: int = declared.integer("third_button", NONE, "another deadman; −1 = none", low=NONE, high=MAX_INDEX)
     third_mode: str = declared.choice(
-        "third_mode", HUMAN_STEERING, "what that one means: you steer and the planner drives, or the other way round",
+        "third_mode", HUMAN_STEERING, "who does what then: you steer and the planner drives, or the other way round",
         choices=(HUMAN_THROTTLE, HUMAN_STEERING))
     faster_button: int = declared.integer("faster_button", NONE, CHANGES_SCALE, low=NONE, high=MAX_INDEX)
     slower_button: int = declared.integer("slower_button", NONE, CHANGES_SCALE, low=NONE, high=MAX_INDEX)

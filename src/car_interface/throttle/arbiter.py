@@ -28,6 +28,8 @@ COAST_GEAR = "neutral"
 PLANNER_GEARS = {AUTO: AUTO, DRIVE: DRIVE, REVERSE_GEAR: REVERSE_GEAR, COAST_GEAR: DRIVE}
 PLANNER_STATE_TIMEOUT_S = 0.5  # it comes 10 times a second
 
+# The meaning of five parameters.
+STALE = "age at which turn_arb's state, the gamepad's throttle and mode, the planner's value, and odometry are stale"
 # An input that is older than this is stale, by the defaults of the timeouts. So a stick's message that arrives so long
 # after a planner's mode, or after a release, was sent after it.
 SETTLES_NS = round(0.5 * NS_PER_S)
@@ -41,11 +43,11 @@ class ArbiterConfig:
 
     stick: StickConfig = declared.group(StickConfig())
     interlock: InterlockConfig = declared.group(InterlockConfig())
-    steering_timeout_s: float = declared.timeout("steering_timeout", 0.25, "age at which turn_arb's state is stale")
-    teleop_timeout_s: float = declared.timeout("teleop_timeout", 0.5, "age at which the gamepad's throttle is stale")
-    mode_timeout_s: float = declared.timeout("mode_timeout", 0.5, "age at which the gamepad's mode is stale")
-    command_timeout_s: float = declared.timeout("command_timeout", 0.5, "age at which the planner's value is stale")
-    odometry_timeout_s: float = declared.timeout("odometry_timeout", 0.5, "age at which odometry is stale")
+    steering_timeout_s: float = declared.timeout("steering_timeout", 0.25, STALE)
+    teleop_timeout_s: float = declared.timeout("teleop_timeout", 0.5, STALE)
+    mode_timeout_s: float = declared.timeout("mode_timeout", 0.5, STALE)
+    command_timeout_s: float = declared.timeout("command_timeout", 0.5, STALE)
+    odometry_timeout_s: float = declared.timeout("odometry_timeout", 0.5, STALE)
     board: BoardConfig | None = declared.group(None, config_class=BoardConfig)
 
 

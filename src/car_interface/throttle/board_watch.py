@@ -21,6 +21,7 @@ from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 
+BOARD_LIMITS = "the servo board's limits, by `pca9685.yaml`: a command that it clamps counts as followed"
 # Throttle ends so long after the board and turn_arb began to differ for good; it returns after they have agreed for so
 # long. It is the timeout of the arbiters' other inputs.
 TOLERANCE_NS = 500 * NS_PER_MS
@@ -43,9 +44,8 @@ class BoardConfig:
         "output_required", True, "false = a board node that has never published `/servo/output` is driven unchecked")
     output_timeout_s: float = declared.timeout("output_timeout", 0.5, "age at which `/servo/output` is stale")
     pwm_min: Sequence[int] = declared.duty_of_each(
-        "board/pwm_min", (0,) * CHANNELS, "the servo board's limits, in the launch files those of `pca9685.yaml`: a "
-                                          "command that it clamps counts as followed")
-    pwm_max: Sequence[int] = declared.duty_of_each("board/pwm_max", (MAX_DUTY,) * CHANNELS, "see `board/pwm_min`")
+        "board/pwm_min", (0,) * CHANNELS, BOARD_LIMITS)
+    pwm_max: Sequence[int] = declared.duty_of_each("board/pwm_max", (MAX_DUTY,) * CHANNELS, BOARD_LIMITS)
 
 
 class BoardTrouble(NamedTuple):

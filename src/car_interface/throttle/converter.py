@@ -25,8 +25,8 @@ class ConversionConfig:
         ConfigError: naming the parameter.
     """
 
-    min_value: float = declared.number("min_value", -5.0, "the least value; a lower one is clamped to it")
-    max_value: float = declared.number("max_value", 3.0, "the greatest value; a higher one is clamped to it")
+    min_value: float = declared.number("min_value", -5.0, "the value is clamped to these")
+    max_value: float = declared.number("max_value", 3.0, "the value is clamped to these")
     odometry_timeout_s: float = declared.timeout(
         "odometry_timeout", 0.5, "a velocity older than this gives no output")
 
@@ -43,7 +43,7 @@ class ConverterConfig:
     converts: bool = declared.flag("convert_value_cmd", True, PASSES)
     uses_map: bool = declared.flag("use_value_ff", True, PASSES)
     map_path: str | None = declared.path(
-        "csv_path_value_map", None, "the value map", default_text="the launch file's: `config/value_map.csv`")
+        "csv_path_value_map", None, "the value map", default_text="`value_map.csv`")
     allow_plateaus: bool = declared.flag("allow_plateaus", False, ALLOW_PLATEAUS)
     value_map: ValueMap | None = None
 

@@ -16,7 +16,7 @@ from typing import Callable, NamedTuple, Sequence
 from car_interface.common import causes, declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.measured_speed import MeasuredSpeed
-from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
+from car_interface.throttle.arbiter import PLANNER, STALE, TELEOP, Arbitration
 from car_interface.throttle.esc_intention import DRIVE
 from car_interface.throttle.value_map import ALLOW_PLATEAUS, ValueMap, load_value_map
 
@@ -49,10 +49,9 @@ class ThrottleLimits:
     slow_down: bool = declared.flag(
         "slow_down", True, "a planner's car that is too fast for the turn that is asked for slows down")
     value_map: ValueMap | None = None
-    odometry_timeout_s: float = declared.timeout("odometry_timeout", 0.5, "age at which odometry is stale")
+    odometry_timeout_s: float = declared.timeout("odometry_timeout", 0.5, STALE)
     map_path: str | None = declared.path(
-        "csv_path_value_map", None, "the value map, for limits of accelerations", default_text="the launch file's: "
-                                                                                               "`config/value_map.csv`")
+        "csv_path_value_map", None, "the value map, for limits of accelerations", default_text="`value_map.csv`")
     allow_plateaus: bool = declared.flag("allow_plateaus", False, ALLOW_PLATEAUS)
 
     def completed(self, params) -> ThrottleLimits:

@@ -17,6 +17,7 @@ from car_interface.common import declared
 
 MIN_CURVATURE_PER_M = 1e-3  # a straight line is a circle of 1 km
 CONE_POINTS = 9
+OUTLINE = "the car's outline, from the middle of the rear axle"  # the meaning of three parameters
 MAX_EDGE_RAD = math.pi / 2  # the fan doesn't reach behind the bumper
 
 
@@ -37,9 +38,9 @@ class Outline:
     """The car from above. The default is a Slash's."""
 
     front_m: float = declared.number(
-        "front", 0.426, "the car's end before the middle of the rear axle", "m", above=0.0, high=10.0)
-    rear_m: float = declared.number("rear", 0.142, "its other end, behind it", "m", low=0.0, high=10.0)
-    width_m: float = declared.number("width", 0.296, "its width", "m", above=0.0, high=10.0)
+        "front", 0.426, OUTLINE, "m", above=0.0, high=10.0)
+    rear_m: float = declared.number("rear", 0.142, OUTLINE, "m", low=0.0, high=10.0)
+    width_m: float = declared.number("width", 0.296, OUTLINE, "m", above=0.0, high=10.0)
 
 
 def cone_points(mount: Mount, range_m: float, field_of_view_rad: float) -> list[tuple[float, float]]:

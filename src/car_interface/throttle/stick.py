@@ -10,15 +10,15 @@ from car_interface.common import declared
 class StickConfig:
     """How a human's throttle stick is read.
 
-    The sticks of usual gamepads rest within 0.03. Beyond the dead band the request begins at 0, without a step.
+    The sticks of usual gamepads rest within 0.03; with a scale of 0.3 the car is about as fast as a running person.
+    Beyond the dead band the request begins at 0, without a step.
     """
 
     deadband: float = declared.number("tele_throt_deadband", 0.05, "requests this near to 0 mean 0", low=0, high=0.5)
     expo: float = declared.number(
         "expo", 0.0, "0 = linear, 1 = the cube of the stick: finest around its middle", low=0, high=1)
     human_scale: float = declared.number(
-        "human_scale", 0.3, "scales the human's driving, forward and backward, at the start; 0.3 is about a running "
-                            "person", low=0, high=1)
+        "human_scale", 0.3, "scales the human's driving, forward and backward, at the start", low=0, high=1)
     brake_scale: float = declared.number("brake_scale", 1.0, "scales the human's brake", low=0, high=1)
     scale_step: float = declared.number(
         "scale_step", 0.1, "by how much a press of a button changes `human_scale`; 0 = not at all", low=0, high=1)

@@ -23,6 +23,7 @@ SEEDS = 1 << 31
 HALL_STATES = 4  # after so many pulses a wheel's hall pins have the same levels again
 TABLES = ("steering/m_turnrad_axis_servo", "steering/k_pwmcmd_left_table_servo", "steering/k_pwmcmd_right_table_servo")
 STEERING, ESC, WHEELS = (f"a car's `{name}.yaml`" for name in ("turn_arb", "throttle", "teensy_sensor_hub"))
+SIZE = f"the car's size; `wheels/…` is {WHEELS}"
 OWN = "its own"
 
 
@@ -36,8 +37,7 @@ class CarSimConfig:
 
     port: str = declared.text("port", "/tmp/car_sim_teensy", "where the virtual serial port appears", "path")
     virtual_chip: str | None = declared.path(
-        "virtual_chip", None, "the socket of the virtual servo board's chip, which the car follows also while no node "
-                              "lives; with the launch file by `virtual_chip:=`", default_text="that of `pca9685`")
+        "virtual_chip", None, "the socket of the virtual servo board's chip", default_text="that of `pca9685`")
     collides: bool = declared.flag("collisions", True, "false = nothing stops the car")
     has_obstacles: bool = declared.flag("obstacles", True, "false = the room has its walls only, no boxes and posts")
     is_kinematic: bool = declared.flag(
@@ -58,11 +58,11 @@ class CarSimConfig:
     pose: Sequence[float] = declared.numbers(
         "start", (0.0, 0.0, 0.0), "where it starts", "x and y in m, yaw in rad", default_text="[0, 0, 0]")
     wheelbase_m: float = declared.number(
-        "wheelbase", 0.324, f"between the axles; `wheels/…` is {WHEELS}", "m", above=0.0, same_as="wheels/wheelbase")
+        "wheelbase", 0.324, SIZE, "m", above=0.0, same_as="wheels/wheelbase")
     track_m: float = declared.number(
-        "track", 0.296, "between the rear wheels", "m", above=0.0, same_as="wheels/track")
+        "track", 0.296, SIZE, "m", above=0.0, same_as="wheels/track")
     wheel_diameter_m: float = declared.number(
-        "wheel_diameter", 0.095, "of a rear wheel", "m", above=0.0, same_as="wheels/wheel_diameter")
+        "wheel_diameter", 0.095, SIZE, "m", above=0.0, same_as="wheels/wheel_diameter")
     pulses_per_revolution: int = declared.integer(
         "pulses_per_revolution", 20, "of a rear wheel", low=1, same_as="wheels/pulses_per_revolution")
     steering_duties: Sequence[float] = declared.numbers(
@@ -72,7 +72,7 @@ class CarSimConfig:
     drive: DriveConfig = declared.group(DriveConfig())
     esc_kind: str = declared.choice(
         "esc_kind", NO_ESC, "what its ESC makes of a pulse behind neutral; `none` = it has no memory and needs no "
-                            "arming: at standstill reverse drives backward. The launch files have `brake_then_reverse`",
+                            "arming: at standstill it drives backward",
         choices=(NO_ESC, *KINDS))
     temperature_c: float = declared.number("temperature", 20.0, "of the air", "°C", low=-50, high=60)
     wheel_pulses: Sequence[float] = declared.numbers(

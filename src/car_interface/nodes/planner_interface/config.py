@@ -18,8 +18,8 @@ class PlannerInterfaceConfig:
     cmd_vel_angular: str = declared.choice(
         "cmd_vel_angular", RATE, "what `angular.z` of `cmd_vel` is: rad/s, or rad of the front wheels", choices=ANGULAR)
     wheelbase_m: float = declared.number(
-        "wheels/wheelbase", 0.324, "turns an angle into a radius; in the launch files by `teensy_sensor_hub.yaml`, so "
-                                   "that it stands in one place", "m", low=0.01, high=10.0)
+        "wheels/wheelbase", 0.324, "turns an angle into a radius; `teensy_sensor_hub.yaml` in the launch files", "m",
+        low=0.01, high=10.0)
     # A planner that is silent stops the car within 0.55 s: this, and 0.05 s to the servo and the ESC.
     source_timeout_s: float = declared.number(
         "source_timeout", 0.5, "an older command is no request", "s", low=0.05, high=0.5)

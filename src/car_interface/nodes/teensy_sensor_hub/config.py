@@ -35,30 +35,27 @@ class HubConfig:
     ping_period_s: float = declared.number(
         "ping_period", 1.0, "with the sonars stopped only its pongs carry the Teensy's time", "s", low=0.01, high=3600)
     firmware_checksum: str = declared.choice(
-        "firmware_checksum", AUTO, "which checksum the Teensy's receiver expects; `auto` = shipped first, and the "
-                                   "other one whenever five pings in a row go unanswered while other frames arrive",
+        "firmware_checksum", AUTO, "which checksum the Teensy's receiver expects; `auto` = the one that it answers",
         choices=(AUTO, SHIPPED, CORRECTED))
     required: bool = declared.flag("required", False, "true = exit code 1 when the port can't be opened at start")
     sonar_restart_s: float = declared.number(
-        "sonar_restart", 3.0, "time without any sonar report, though there should be some, after which SONAR_START is "
-                              "sent; 0 = never", "s", low=0.0, high=3600)
+        "sonar_restart", 3.0, "time without any sonar report after which SONAR_START is sent; 0 = never", "s", low=0.0,
+        high=3600)
     sonar_sequence: Sequence[float] = declared.numbers(
         "sonar_sequence", (), "the order in which the sonars fire, sent when the port opens and after each reboot; "
-                              "[] = the firmware's own, all six. A car with fewer sonars: only those that it has",
+                              "[] = the firmware's own, all six",
         f"up to {MAX_SEQUENCE}", low=0, high=len(SONARS) - 1)
     sonar_sequence_ahead: Sequence[float] = declared.numbers(
         "sonar_sequence_ahead", (), "the same while the car drives forward; [] = no other. For "
                                     "[obstacle_stop](limits.md#obstacle_stop), such as [1, 0, 1, 2, 1, 0, 1, 2, 1, 4]",
         f"up to {MAX_SEQUENCE}", low=0, high=len(SONARS) - 1)
     raw_only: bool = declared.flag(
-        "raw_only", False, "true = the four raw topics and the link only; no odometry, ranges or clock, for half of "
-                           "the CPU")
+        "raw_only", False, "true = the four raw topics and the link only, for half of the CPU")
     odometry: OdometryConfig = declared.group(OdometryConfig())
     gates: GateConfig = declared.group(GateConfig())
     odom_rate_hz: float = declared.number(
-        "odom_rate", 50.0, "maximum rate of `odom`, its transform and `joint_states`, from the newest report; the "
-                           f"wheels report up to 200 times a second. 0 = each; else at least {SLOWEST_ODOM_HZ}", "Hz",
-        low=0.0, high=1000)
+        "odom_rate", 50.0, "maximum rate of `odom`, its transform and `joint_states`; 0 = with each report of the "
+                           f"wheels, up to 200; else at least {SLOWEST_ODOM_HZ}", "Hz", low=0.0, high=1000)
     publish_tf: bool = declared.flag("publish_tf", True, "false if another node publishes odom → base_link")
     odom_frame: str = declared.text("odom_frame", "odom", "frame that `odom` is in")
     base_frame: str = declared.text("base_frame", "base_link", "frame of the car")

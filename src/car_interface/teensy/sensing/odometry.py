@@ -36,14 +36,14 @@ class OdometryConfig:
 
     pulses_per_revolution: int = declared.integer("pulses_per_revolution", 20, "of a rear wheel", low=1, high=10_000)
     wheel_diameter_m: float = declared.number(
-        "wheel_diameter", 0.095, "of a rear wheel; measure your car's", "m", low=MIN_LENGTH_M, high=10)
+        "wheel_diameter", 0.095, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
     track_m: float = declared.number(
-        "track", 0.296, "between the middles of the rear wheels", "m", low=MIN_LENGTH_M, high=10)
-    wheelbase_m: float = declared.number("wheelbase", 0.324, "between the axles", "m", low=MIN_LENGTH_M, high=10)
+        "track", 0.296, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
+    wheelbase_m: float = declared.number("wheelbase", 0.324, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
     use_steering: bool = declared.flag(
         "use_steering", False, "true = the commanded curvature helps the heading between two pulses")
     distance_sigma: float = declared.number(
-        "distance_sigma", 0.02, "standard error of the distance after a metre; it grows with the root of the distance",
+        "distance_sigma", 0.02, "standard error of the distance after a metre",
         "m", low=0.0, high=1)
     heading_sigma: float = declared.number(
         "heading_sigma", 0.01, "the same of the heading", "rad", low=0.0, high=1)

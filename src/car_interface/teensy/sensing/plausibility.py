@@ -45,7 +45,7 @@ class GateConfig:
     """
 
     top_speed_mps: float = declared.number(
-        "top_speed", 20.0, "of a wheel, also a spinning one; anything faster is rejected as line noise", "m/s",
+        "top_speed", 20.0, "of a wheel; anything faster is rejected as line noise", "m/s",
         above=0.0, high=1000)
     pulse_m: float = math.pi * 0.095 / 20
     max_gap_ms: int = 2_000
