@@ -52,7 +52,7 @@ class Params:
         return self._scalar(name, default, search_parents, lambda value: _integer(value, low, high), accepted)
 
     def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, search_parents=False) -> list[float]:
-        """A list of finite numbers from ``low`` to ``high``."""
+        """A list of finite numbers from ``low`` to ``high``, or the default, which may be ``None``."""
         return self._list(name, default, search_parents, lambda value: _number(value, low, high, None),
                           "a number" + _range_text(low, high))
 
@@ -139,6 +139,8 @@ class Params:
     def _list(self, name, default, search_parents, read, element):
         accepted = f"a list, each {element}"
         value = self._get(name, default, search_parents, accepted)
+        if value is None:
+            return None
         if not isinstance(value, (list, tuple)):
             raise ConfigError(name, value, accepted)
         return [self._checked(f"{name}[{index}]", x, read, element) for index, x in enumerate(value)]

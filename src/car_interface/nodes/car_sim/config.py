@@ -65,18 +65,18 @@ class CarSimConfig:
         "wheel_diameter", 0.095, SIZE, "m", above=0.0, same_as="wheels/wheel_diameter")
     pulses_per_revolution: int = declared.integer(
         "pulses_per_revolution", 20, "of a rear wheel", low=1, same_as="wheels/pulses_per_revolution")
-    steering_duties: Sequence[float] = declared.numbers(
-        "steering_duties", (), "the true steering: rising duties", default_text=OWN)
-    steering_curvatures: Sequence[float] = declared.numbers(
-        "steering_curvatures", (), "and the curvature of each, left positive", "1/m", default_text=OWN)
+    steering_duties: Sequence[float] | None = declared.numbers(
+        "steering_duties", None, "the true steering: rising duties", default_text=OWN)
+    steering_curvatures: Sequence[float] | None = declared.numbers(
+        "steering_curvatures", None, "and the curvature of each, left positive", "1/m", default_text=OWN)
     drive: DriveConfig = declared.group(DriveConfig())
     esc_kind: str = declared.choice(
         "esc_kind", NO_ESC, "what its ESC makes of a pulse behind neutral; `none` = it has no memory and needs no "
                             "arming: at standstill it drives backward",
         choices=(NO_ESC, *KINDS))
     temperature_c: float = declared.number("temperature", 20.0, "of the air", "°C", low=-50, high=60)
-    wheel_pulses: Sequence[float] = declared.numbers(
-        "wheel_pulses", (), "where the rear wheels (left, right) stand at the start", "pulses", default_text="random")
+    wheel_pulses: Sequence[float] | None = declared.numbers(
+        "wheel_pulses", None, "where the rear wheels (left, right) stand at the start", "pulses", default_text="random")
     clock_start_ms: float | None = declared.number(
         "clock_start_ms", None, "the Teensy's clock at its power-up", "ms", low=0, high=2 ** 32 - 1,
         default_text="random, up to an hour")
@@ -121,9 +121,10 @@ class CarSimConfig:
     def _vehicle(self, params, rng):
         if len(self.pose) != len(Pose._fields):
             raise ConfigError("start", self.pose, "three numbers: x, y in m, and yaw in rad")
-        wheel_pulses = tuple(HALL_STATES * rng.random() for _ in range(2))
-        if self.wheel_pulses and len(self.wheel_pulses) != 2:
-            raise ConfigError("wheel_pulses", self.wheel_pulses, "two numbers: left, right")
+        by_chance = [HALL_STATES * rng.random() for _ in range(2)]
+        wheel_pulses = by_chance if self.wheel_pulses is None else self.wheel_pulses
+        if len(wheel_pulses) != 2:
+            raise ConfigError("wheel_pulses", wheel_pulses, "two numbers: left, right")
         shift = self.neutral_duty - self.drive.neutral_duty  # a car's own ESC differs in its neutral
         drive = replace(self.drive, full_reverse_duty=self.drive.full_reverse_duty + shift,
                         neutral_duty=self.neutral_duty, full_forward_duty=self.drive.full_forward_duty + shift)
@@ -131,7 +132,7 @@ class CarSimConfig:
             steering=self._steering(params), drive=drive, esc=self._esc(drive),
             tyres=None if self.is_kinematic else self.tyres, wheelbase_m=self.wheelbase_m, track_m=self.track_m,
             wheel_diameter_m=self.wheel_diameter_m, pulses_per_revolution=self.pulses_per_revolution,
-            pulse_phase=tuple(self.wheel_pulses) or wheel_pulses, start=Pose(*self.pose))
+            pulse_phase=tuple(wheel_pulses), start=Pose(*self.pose))
 
     def _steering(self, params):
         """Return the servo and the steering: their own, or near those of a car's calibration."""
@@ -139,8 +140,9 @@ class CarSimConfig:
         if self.center_duty is not None:
             tables = [params.numbers(name) for name in TABLES]  # now they are required
             steering = SteeringConfig(center_duty=self.center_duty, curve=steering_curve(self.center_duty, *tables))
-        duties, curvatures = zip(*steering.curve)
-        duties, curvatures = self.steering_duties or list(duties), self.steering_curvatures or list(curvatures)
+        duties, curvatures = map(list, zip(*steering.curve))
+        duties = duties if self.steering_duties is None else self.steering_duties
+        curvatures = curvatures if self.steering_curvatures is None else self.steering_curvatures
         if len(duties) != len(curvatures):
             raise ConfigError("steering_curvatures", curvatures,
                               f"{len(duties)} numbers, one for each of steering_duties")
