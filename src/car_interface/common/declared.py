@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, Mapping, NamedTuple, Sequence
 
 from car_interface.common.params import REQUIRED, Params
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
+from car_interface.common.units import CHANNELS, MAX_DUTY
 
 DECLARATION = "declaration"  # in a field's metadata
 RANGES = {"path": "absolute path", "timeout": "s", "text": "text", "text_or_integer": "path or number"}  # by kind

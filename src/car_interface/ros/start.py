@@ -24,8 +24,8 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
 
 NODES = "nodes."
-# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), demo_drive 313,
-# each other node 282 at most.
+# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), each other node
+# 282 at most.
 NEEDED_MIB = 380
 WITH_ROSPY = (NODES, "tools.doctor.")
 # The nodes with options of their own, and the module whose parse() reads them.
@@ -42,7 +42,6 @@ CONFIGS = {
     "gamepad_joy": "teleop.joystick.JoystickConfig",
     "keyboard_drive": "teleop.keyboard.KeyboardConfig",
     "car_nodes": "common.fixed_parameters.CarNodesConfig",
-    "demo_drive": "sim.demo_script.DemoDriveConfig",
     "car_display": "nodes.car_display.config.CarDisplayConfig",
     "car_sim": "nodes.car_sim.config.CarSimConfig",
 }

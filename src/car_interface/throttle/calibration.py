@@ -12,7 +12,7 @@ from car_interface.common import declared
 from car_interface.common.declared import REQUIRED
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable, round_half_away
-from car_interface.common.servo_channels import MAX_DUTY
+from car_interface.common.units import MAX_DUTY
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Sequence
 
 from car_interface.common import declared
 from car_interface.common.errors import ConfigError
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
+from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.sim.calibrated_car import steering_curve
 from car_interface.sim.esc import KINDS, VirtualEscConfig
 from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig

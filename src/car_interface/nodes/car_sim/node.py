@@ -27,8 +27,7 @@ from std_msgs.msg import Int32, Int32MultiArray
 
 from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS, UNCHANGED
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import CHANNELS, NS_PER_S, UNCHANGED
 from car_interface.nodes.car_sim.chip_follower import ChipFollower
 from car_interface.nodes.car_sim.config import CarSimConfig
 from car_interface.nodes.car_sim.virtual_line import VirtualLine

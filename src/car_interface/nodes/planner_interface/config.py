@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from car_interface.common import declared
 from car_interface.common.declared import REQUIRED
+from car_interface.planner.messages import ANGULAR, RATE
 from car_interface.planner.source_arbiter import SOURCES
-from car_interface.planner.twist import ANGULAR, RATE
 from car_interface.throttle.speed_control import SpeedControlConfig
 
 

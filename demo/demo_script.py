@@ -1,15 +1,13 @@
 """A scripted drive: nobody there, a human drives, the planner drives a figure-eight, the human lets go.
 
 Plays both the person with the gamepad and the planner. Pure: pose, speed and ``now_ns`` in, orders out. The planner
-asks for its figure-eight all the time, so that it's seen who is listened to.
+asks for its figure-eight all the time, which shows who is obeyed.
 """
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common import declared
 from car_interface.common.units import NS_PER_S
 
 NOBODY, TELEOP, LEFT_CIRCLE, RIGHT_CIRCLE, LET_GO, DONE = range(6)
@@ -17,44 +15,15 @@ STAGE_NAMES = ("nobody there", "human drives", "planner: left circle", "planner:
 TURN_RAD = 2 * math.pi
 
 
-GAMEPAD, WHEELS = (f"the car's `{name}.yaml`" for name in ("teleop_logi", "teensy_sensor_hub"))
-MAX_INDEX = 63  # of an axis or a button
-
-
-@dataclass(frozen=True)
-class DemoDriveConfig:
-    """The configuration of demo_drive: where it records, and what the car's files say, as demo.launch loads them."""
-
-    bag_dir: str | None = declared.path("bag_dir", None, "folder for a bag of all topics", default_text="none")
-    steering_channel: int = declared.channel("steering/servo_channel", 0, "the car's `turn_arb.yaml`")
-    throttle_channel: int = declared.channel("esc/servo/channel", 1, "the car's `throttle.yaml`")
-    steer_axis: int = declared.integer("gamepad/steer_axis", 0, GAMEPAD, low=0, high=MAX_INDEX)
-    throttle_axis: int = declared.integer("gamepad/throttle_axis", 4, GAMEPAD, low=0, high=MAX_INDEX)
-    manual_button: int = declared.integer("gamepad/manual_button", 4, GAMEPAD, low=0, high=MAX_INDEX)
-    autonomous_button: int = declared.integer("gamepad/autonomous_button", 5, GAMEPAD, low=0, high=MAX_INDEX)
-    steer_scale: float = declared.number("gamepad/steer_scale", 1.0, GAMEPAD, low=-1.0, high=1.0)
-    throttle_scale: float = declared.number("gamepad/throttle_scale", 1.0, GAMEPAD, low=-1.0, high=1.0)
-    wheel_diameter_m: float = declared.number("wheels/wheel_diameter", 0.095, WHEELS, "m", above=0.0)
-    track_m: float = declared.number("wheels/track", 0.296, WHEELS, "m", above=0.0)
-    pulses_per_revolution: int = declared.integer("wheels/pulses_per_revolution", 20, WHEELS, low=1)
-
-    SHARED = ("steering", "esc", "gamepad", "wheels")
-
-    @property
-    def pulse_deg(self) -> float:
-        """By how much a pulse of one wheel turns the car."""
-        return math.degrees(math.pi * self.wheel_diameter_m / self.pulses_per_revolution / self.track_m)
-
-
 class DriveConfig(NamedTuple):
-    """The drive's measures. The defaults fit the default room and take about 40 s."""
+    """The dimensions of the drive. The defaults fit the default room and take about 40 s."""
 
     nobody_s: float = 5.0
-    picked_up_s: float = 2.0  # so long before it is used the gamepad is there, with no deadman held
+    picked_up_s: float = 2.0  # before its first use the gamepad is there for this long, with no deadman held
     let_go_s: float = 6.0
     max_turn_s: float = 20.0  # a circle that takes longer is given up
     speed_mps: float = 1.2
-    throttle_at_speed: float = 0.35  # of the stick, that holds about this speed, scaled as throttle.yaml says
+    throttle_at_speed: float = 0.35  # of the stick: holds about this speed with the scale of throttle.yaml
     throttle_per_mps: float = 0.5  # of the stick, for missing speed
     teleop_steering: float = 0.98
     radius_m: float = 1.6
@@ -63,7 +32,7 @@ class DriveConfig(NamedTuple):
 
 
 class Orders(NamedTuple):
-    """What the person and the planner do now."""
+    """The present actions of the person and the planner."""
 
     stage: int
     manual: bool  # the manual deadman is held
@@ -87,11 +56,11 @@ class Drive:
 
     @property
     def turned_rad(self) -> float:
-        """How far the car has turned in this stage, left positive."""
+        """The turn of the car in this stage, left positive."""
         return self._turned_rad
 
     def orders(self, now_ns: int, yaw_rad: float, speed_mps: float) -> Orders:
-        """What to do now, at this heading (any multiple of a turn off) and speed."""
+        """Return what to do now, at this heading (modulo a turn) and speed."""
         if self._last_yaw_rad is not None:
             self._turned_rad += math.remainder(yaw_rad - self._last_yaw_rad, TURN_RAD)
         self._last_yaw_rad = yaw_rad

@@ -6,21 +6,19 @@ and ends with a table. Exit code 0 only if all checks pass.
 Publishes:
     joy (sensor_msgs/Joy), av_turnrad_req (std_msgs/Float32), control/command/control_cmd (Control): each at 50 Hz.
 Subscribes to the topics of the car's nodes.
+Parameters:
+    ~bag_dir: absolute path of a folder for a bag of all topics; none = no recording.
+    ~steering, ~esc, ~gamepad, ~wheels: what turn_arb.yaml, throttle.yaml, teleop_logi.yaml and teensy_sensor_hub.yaml
+        of the car say, as demo.launch loads them: the channels of the servo board, the gamepad's axis and buttons, and
+        the wheels' sizes and pulses.
 """
 from __future__ import annotations
 
 import math
 import sys
 from collections import Counter
+from dataclasses import dataclass
 
-from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Joy, Range
-from std_msgs.msg import Bool, Float32, Int32MultiArray
-
-from car_interface.common.declared import read_all
-from car_interface.common.errors import CarInterfaceError, EndedEarly
-from car_interface.common.rate_timer import RateTimer
-from car_interface.common.units import NS_PER_S, yaw_rad
 from car_interface.msg import (
     Control,
     Distance,
@@ -34,10 +32,20 @@ from car_interface.msg import (
     ThrottleState,
     Wheel,
 )
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy, Range
+from std_msgs.msg import Bool, Float32, Int32MultiArray
+
+from car_interface.common.errors import CarInterfaceError, EndedEarly
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.ros.bag_recording import BagRecording
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.sim.demo_script import (
+from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
+from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
+from car_interface.teensy.link.protocol import SONARS
+from demo_script import (
     DONE,
     LEFT_CIRCLE,
     LET_GO,
@@ -46,28 +54,24 @@ from car_interface.sim.demo_script import (
     STAGE_NAMES,
     TELEOP,
     TURN_RAD,
-    DemoDriveConfig,
     Drive,
     DriveConfig,
 )
-from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
-from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
-from car_interface.teensy.link.protocol import SONARS
 
 RATE_HZ = 50
 READY_WITHIN_S = 30
-STILL_S = 0.1  # held up for longer, the drive may fail by that alone
+STILL_S = 0.1  # a drive that was held up for longer may fail for this reason alone
 LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
-AXES, BUTTONS = 8, 11
+AXES, BUTTONS, MAX_INDEX = 8, 11, 63
 SETTLING_NS = NS_PER_S // 10  # after a change of stage the source isn't checked
 # Tolerance of odometry at the end, after some 34 m: as a ratio of the distance; and of the angle by which the car turns
-# when one wheel goes on by a pulse, 2.9 degrees with the shipped wheels. Between two pulses nothing is known: at either
-# end of the drive each wheel may be off by half of one.
+# when one wheel goes on by a pulse, 2.9 degrees with the shipped wheels. Between two pulses the place is unknown: at
+# either end of the drive each wheel may be off by half of one.
 ODOMETRY_RATIO, PULSE_RATIO = 0.01, 1.1
 
 
 class Watch:
-    """Records what the checks need."""
+    """Records what the checks use."""
 
     def __init__(self, steering_channel, throttle_channel):
         self._steering_channel, self._throttle_channel = steering_channel, throttle_channel
@@ -86,7 +90,7 @@ class Watch:
         self.let_go_ns = self.neutral_ns = None
 
     def on_truth(self, message, now_ns):
-        """The true pose of the car."""
+        """Take the true pose of the car."""
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
         if self.pose is not None:
             distance_m = math.hypot(position.x - self.pose[0], position.y - self.pose[1])
@@ -97,12 +101,12 @@ class Watch:
         self.speed_mps = message.twist.twist.linear.x
 
     def on_state(self, message, now_ns):
-        """Who steers."""
+        """Take turn_arb's state."""
         self.state = message
         self._count(self.stage_sources, message, now_ns)
 
     def on_throttle_state(self, message, now_ns):
-        """Who drives."""
+        """Take throttle_arb's state."""
         self.throttle_state = message
         self._count(self.stage_drivers, message, now_ns)
 
@@ -113,7 +117,7 @@ class Watch:
                 self.stopped_by.setdefault((self.stage, type(message)), message.reason)
 
     def on_output(self, message, now_ns):
-        """The servo board's output."""
+        """Take the servo board's output."""
         self.output = message.data
         driven = self.duties
         if self.stage == NOBODY:
@@ -122,20 +126,20 @@ class Watch:
             self.neutral_ns = now_ns
 
     def on_odometry(self, message, now_ns):
-        """The pose by odometry."""
+        """Take the pose by odometry."""
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
         self.odometry = (position.x, position.y, yaw_rad(orientation))
 
     def on_range(self, message, now_ns):
-        """A sonar's range; infinite: no echo."""
+        """Take a sonar's range; infinite: no echo."""
         self.sonar_m[message.header.frame_id] = message.range
 
     def on_link(self, message, now_ns):
-        """The state of the serial link."""
+        """Take the state of the serial link."""
         self.link = message
 
     def odometry_error(self):
-        """The error of odometry, in m and degrees."""
+        """Return the error of odometry, in m and degrees."""
         x_m, y_m, by_wheels_rad = self.odometry
         error_rad = math.remainder(by_wheels_rad - self.yaw_rad, 2 * math.pi)
         return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(error_rad))
@@ -146,7 +150,7 @@ class Watch:
         return self.output[self._steering_channel], self.output[self._throttle_channel]
 
     def missing(self):
-        """The topics without a message so far; empty when the car is ready."""
+        """Return the topics without a message so far; empty when the car is ready."""
         seen = {
             "car_sim/truth": self.pose,
             "turn_arb/state": self.state,
@@ -158,11 +162,58 @@ class Watch:
         return [name for name, thing in seen.items() if not thing]
 
 
+@dataclass(frozen=True)
+class DemoDriveConfig:
+    """The node's parameters.
+
+    Attributes:
+        bag_dir: where a bag is recorded; ``None`` = nowhere.
+        steering_channel, throttle_channel: of the servo board.
+        steer_axis, throttle_axis, manual_button, autonomous_button: of the gamepad that it plays.
+        steer_scale, throttle_scale: the car's factors of the axes; −1 inverts one.
+        pulse_deg: by how much a pulse of one wheel turns the car.
+    """
+
+    bag_dir: str | None
+    steering_channel: int
+    throttle_channel: int
+    steer_axis: int
+    throttle_axis: int
+    manual_button: int
+    autonomous_button: int
+    steer_scale: float
+    throttle_scale: float
+    pulse_deg: float
+
+
+def read_config(params) -> DemoDriveConfig:
+    """Read the node's configuration from its parameters, without side effects.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    pulse_m = (math.pi * params.number("wheels/wheel_diameter", 0.095, above=0.0)
+               / params.integer("wheels/pulses_per_revolution", 20, 1))
+    config = DemoDriveConfig(
+        bag_dir=params.path("bag_dir", None),
+        steering_channel=params.integer("steering/servo_channel", 0, 0, CHANNELS - 1),
+        throttle_channel=params.integer("esc/servo/channel", 1, 0, CHANNELS - 1),
+        steer_axis=params.integer("gamepad/steer_axis", 0, 0, MAX_INDEX),
+        throttle_axis=params.integer("gamepad/throttle_axis", 4, 0, MAX_INDEX),
+        manual_button=params.integer("gamepad/manual_button", 4, 0, MAX_INDEX),
+        autonomous_button=params.integer("gamepad/autonomous_button", 5, 0, MAX_INDEX),
+        steer_scale=params.number("gamepad/steer_scale", 1.0, -1.0, 1.0) or 1.0,
+        throttle_scale=params.number("gamepad/throttle_scale", 1.0, -1.0, 1.0) or 1.0,
+        pulse_deg=math.degrees(pulse_m / params.number("wheels/track", 0.296, above=0.0)))
+    params.finish(ignored_namespaces=("steering", "esc", "gamepad", "wheels"))
+    return config
+
+
 class DemoDrive:
     """Runs the script and checks the result."""
 
     def __init__(self, params, inbox):
-        config = self._config = read_all(params, DemoDriveConfig)
+        config = self._config = read_config(params)
         bag_dir = config.bag_dir
         self._inbox = inbox
         self._watch = Watch(config.steering_channel, config.throttle_channel)
@@ -261,8 +312,8 @@ class DemoDrive:
         message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1, config.throttle_axis + 1),
                       buttons=[0] * max(BUTTONS, config.manual_button + 1, config.autonomous_button + 1))
         message.header.stamp = self._clocks.ros_now()
-        message.axes[config.steer_axis] = max(-1.0, min(1.0, orders.steering / (config.steer_scale or 1.0)))
-        message.axes[config.throttle_axis] = max(-1.0, min(1.0, orders.throttle / (config.throttle_scale or 1.0)))
+        message.axes[config.steer_axis] = max(-1.0, min(1.0, orders.steering / config.steer_scale))
+        message.axes[config.throttle_axis] = max(-1.0, min(1.0, orders.throttle / config.throttle_scale))
         message.buttons[config.manual_button] = int(orders.manual)
         message.buttons[config.autonomous_button] = int(orders.autonomous)
         self._joy.publish(message)
@@ -314,7 +365,7 @@ class DemoDrive:
         return (self._watch.neutral_ns - self._watch.let_go_ns) / NS_PER_S
 
     def _checks(self):
-        """What is wrong if a check fails, and whether it passed."""
+        """Yield what is wrong if a check fails, and whether it passed."""
         watch, link = self._watch, self._watch.link
         yaw_rad, sources, distance_m = watch.stage_yaw_rad, watch.stage_sources, watch.stage_distance_m
         yield "the car moved though nobody was there", distance_m[NOBODY] < 0.01
@@ -345,5 +396,8 @@ class DemoDrive:
 
 
 def main():
-    """Run the node."""
-    run("demo_drive", DemoDrive)
+    """Run the node, or print how it is used."""
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(__doc__)
+    else:
+        run("demo_drive", DemoDrive)
