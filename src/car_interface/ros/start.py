@@ -19,7 +19,6 @@ import sys
 from pathlib import Path
 
 from car_interface.common import memory_limit
-from car_interface.common.declared import rows
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
 
@@ -29,7 +28,7 @@ NODES = "nodes."
 NEEDED_MIB = 380
 WITH_ROSPY = (NODES, "tools.doctor.")
 # The nodes with options of their own, and the module whose parse() reads them.
-OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.options"}
+OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.config"}
 # Where the parameters of each node are declared: classes that can be imported without rospy.
 CONFIGS = {
     "turn_arb": "steering.config.TurnArbConfig",
@@ -84,6 +83,7 @@ def config_class(node: str) -> type | None:
 
 def usage(module: str) -> str:
     """Return a node's usage: the first paragraph of its module's docstring, and its parameters."""
+    from car_interface.common.declared import rows  # here: a node that runs, and a tool, do without
     source = Path(importlib.util.find_spec(full_name(module)).origin).read_text(encoding="utf-8")
     purpose = ast.get_docstring(ast.parse(source)).split("\n\n")[0]
     name = module[len(NODES):]
