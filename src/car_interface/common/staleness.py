@@ -1,7 +1,7 @@
 """The newest value of an input and whether it is stale.
 
 Age is measured from arrival on the monotonic clock: stamps in messages can be wrong, and ROS time can be set. What a
-message's stamp says of its age (``ros.stamps``) can only add to it.
+message's stamp says of its age (``ros.clocks``) can only add to it.
 """
 from __future__ import annotations
 

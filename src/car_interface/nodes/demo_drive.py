@@ -40,7 +40,7 @@ from car_interface.msg import (
     ThrottleState,
     Wheel,
 )
-from car_interface.ros.bag_recording import BagRecording
+from car_interface.nodes.calibration_drive.bag_recording import BagRecording
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.sim.demo_script import (

@@ -61,15 +61,13 @@ from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
+from car_interface.ros.clocks import StampedAge
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.ros.interlock_topics import subscribe_interlock
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
-from car_interface.ros.servo_messages import one_channel_duty
-from car_interface.ros.stamps import StampedAge
-from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, subscribe, subscribe_changes
+from car_interface.ros.topics import advertise, one_channel_duty, subscribe, subscribe_changes, subscribe_interlock
 from car_interface.steering.arbiter import LOCKED, source_name
 from car_interface.throttle.arbiter import NoValue
 from car_interface.throttle.calibration import trimmed
@@ -80,11 +78,7 @@ from car_interface.throttle.params import read_config
 RATE_HZ = 50
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 50
 LIVE_RATE = 100  # duty per second
-# Who gets the command needs a core: state and log wait until the chip has it.
-REPORT_AFTER_NS = 1_000_000
-# A log line takes a millisecond of CPU time, which on a busy computer the servo board's node needs for the command; and
-# teleop_logi's state, which a line may quote, arrives after its human_in_loop.
-LOG_AFTER_NS = 20_000_000
+LOG_AFTER_NS = 20_000_000  # teleop_logi's state, which a line may quote, arrives after its human_in_loop
 # What the ESC's rules do that deserves a line in the log. The other causes change as often as the stick moves.
 LOGGED = frozenset({causes.ESC_MOTION, causes.REVERSE_PENDING, causes.REVERSING, causes.REVERSE_REFUSED})
 
@@ -109,8 +103,6 @@ class ThrottleArb:
         self._now_ns = now_ns  # of the newest decision
         self._decision = None
         self._was_commanded = False  # since the last tick
-        self._pending = []  # decisions whose command was published, but not yet state and log line
-        self._report_ns = 0
         self._unlogged = []  # when its log line is due, the decision before, the decision
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
@@ -151,10 +143,8 @@ class ThrottleArb:
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
-        elif self._pending and now_ns >= self._report_ns:
-            self._report_pending(now_ns)
         self._diagnostics.step(now_ns)
-        return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
+        return self._timer.due_ns
 
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
@@ -231,15 +221,16 @@ class ThrottleArb:
             self._warnings.warn("length", f"/servo/output has {len(message.data)} values, not {CHANNELS}: ignored")
 
     def _decide(self, now_ns):
-        """Publish at once when the decision has changed; whether it has."""
+        """Publish at once when the decision has changed; return whether it has."""
         self._now_ns = max(now_ns, self._now_ns)
         before, decision = self._decision, self._control.decide(self._now_ns)
         if before is not None and before.differs_by == decision.differs_by:
             return False
-        self._pending.append((before, decision))
-        self._report_ns = now_ns + REPORT_AFTER_NS
         self._decision = decision
         self._publish_command(decision)
+        self._publish_state(decision)
+        if before is None or before.kind != decision.kind:
+            self._unlogged.append((now_ns + LOG_AFTER_NS, before, decision))
         return True
 
     def _offer_tuning(self, config):
@@ -268,7 +259,6 @@ class ThrottleArb:
             self._publish_command(self._decision)
         self._was_commanded = False
         if self._ticks % TICKS_PER_STATE == 0:
-            self._report_pending(now_ns)
             self._publish_state(self._control.decide(self._now_ns))
         self._log_due(now_ns)
         if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
@@ -277,14 +267,6 @@ class ThrottleArb:
     def _publish_command(self, decision):
         self._commands.publish(one_channel_duty(self._channel, decision.duty))
         self._was_commanded = True
-
-    def _report_pending(self, now_ns):
-        """Publish the decisions whose commands were sent, and have those of another kind logged."""
-        for before, decision in self._pending:
-            self._publish_state(decision)
-            if before is None or before.kind != decision.kind:
-                self._unlogged.append((now_ns + LOG_AFTER_NS, before, decision))
-        self._pending.clear()
 
     def _log_due(self, now_ns):
         while self._unlogged and now_ns >= self._unlogged[0][0]:

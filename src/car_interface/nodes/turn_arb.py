@@ -46,15 +46,13 @@ from car_interface.common import causes
 from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
 from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import SteeringState, TeleopState
+from car_interface.ros.clocks import StampedAge
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.ros.interlock_topics import subscribe_interlock
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
-from car_interface.ros.servo_messages import one_channel_duty
-from car_interface.ros.stamps import StampedAge
-from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, subscribe, subscribe_changes
+from car_interface.ros.topics import advertise, one_channel_duty, subscribe, subscribe_changes, subscribe_interlock
 from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.limits import TOO_TIGHT_REMEDY
@@ -64,8 +62,6 @@ RATE_HZ = 100
 TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 100  # the converter waits 0.25 s for a state
 LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a servo's travel
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
-# Who gets the command needs a core: state and log wait until the chip has it.
-REPORT_AFTER_NS = 1_000_000
 LOG_AFTER_NS = 20_000_000  # teleop_logi's state, which a line may quote, arrives after its human_in_loop
 
 
@@ -112,8 +108,6 @@ class TurnArb:
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._decision = None
-        self._pending = []  # decisions whose command was published, but not yet state and log line
-        self._report_ns = 0
         self._unlogged = []  # decisions without a log line yet, and when it is due
         self._too_tight = ""  # as was logged; empty: no request was too tight lately
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
@@ -139,10 +133,8 @@ class TurnArb:
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
-        elif self._pending and now_ns >= self._report_ns:
-            self._report_pending(now_ns)
         self._diagnostics.step(now_ns)
-        return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
+        return self._timer.due_ns
 
     def shut_down(self):
         """Nothing to do: the servo board's timeout centers the steering."""
@@ -188,14 +180,17 @@ class TurnArb:
         self._arbiter.explain_teleop(message.steering_stick == causes.OVERRIDE, now_ns)
 
     def _decide(self, now_ns):
-        """Publish at once when the decision has changed; whether it has."""
-        decision = self._arbiter.decide(now_ns)
-        if not decision.differs_from(self._decision):
+        """Publish at once when the decision has changed; return whether it has."""
+        before, decision = self._decision, self._arbiter.decide(now_ns)
+        if not decision.differs_from(before):
             return False
-        self._pending.append((self._decision, decision))
-        self._report_ns = now_ns + REPORT_AFTER_NS
         self._decision = decision
         self._publish_command(decision)
+        self._publish_state(decision)
+        if before is None or (before.source, before.cause) != (decision.source, decision.cause):
+            self._unlogged.append((now_ns + LOG_AFTER_NS, decision))
+        if decision.limit and (before is None or before.limit != decision.limit):
+            self._log_limit(decision)
         return True
 
     def _offer_tuning(self, config):
@@ -224,22 +219,11 @@ class TurnArb:
         if not self._decide(now_ns):
             self._publish_command(self._decision)
         if self._ticks % TICKS_PER_STATE == 0:
-            self._report_pending(now_ns)
             self._publish_state(self._arbiter.decide(now_ns))
             self._log_too_tight(now_ns)
         self._log_due(now_ns)
         if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
             self._neutrals.publish(self._neutral)
-
-    def _report_pending(self, now_ns):
-        """Publish the decisions whose commands were sent, and have those of another kind logged."""
-        for before, decision in self._pending:
-            self._publish_state(decision)
-            if before is None or (before.source, before.cause) != (decision.source, decision.cause):
-                self._unlogged.append((now_ns + LOG_AFTER_NS, decision))
-            if decision.limit and (before is None or before.limit != decision.limit):
-                self._log_limit(decision)
-        self._pending.clear()
 
     def _log_limit(self, decision):
         if decision.limit == causes.LIMITS_OFF:

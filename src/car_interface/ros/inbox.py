@@ -14,11 +14,10 @@ import rospy
 
 from car_interface.common.causes import NODE_STOOD_STILL
 from car_interface.common.staleness import DROPPED
-from car_interface.common.standstill import MAX_WAIT_NS
 from car_interface.common.units import NS_PER_S
-from car_interface.ros.backlog import Backlog
+from car_interface.ros.backlog import MAX_WAIT_NS, Backlog
 from car_interface.ros.graph import ROS, RosGraph
-from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.logs import ThrottledWarnings
 
 INBOX_LIMIT = 10_000  # more than any node receives while its thread waits for a device
 OVERFLOW_SHOWN_NS = STANDSTILL_SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics reports one

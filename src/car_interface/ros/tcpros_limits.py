@@ -35,7 +35,7 @@ from rospy.service import ServiceException
 
 from car_interface.common.units import NS_PER_S
 from car_interface.ros.clocks import SYSTEM
-from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.xmlrpc_calls import call
 
 HANDSHAKE_S = 1.0  # a header arrives within a round trip: 0.2 ms on one computer, 2 to 100 ms over Wi-Fi

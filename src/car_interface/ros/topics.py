@@ -2,12 +2,17 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
-from typing import Any, Callable
+from functools import lru_cache
+from typing import Any, Callable, Sequence
 
 import rospy
+from std_msgs.msg import Bool, Int32MultiArray, MultiArrayDimension, MultiArrayLayout
 
+from car_interface.common.servo_channels import CHANNELS, one_channel
 from car_interface.ros.backlog import Backlog
 from car_interface.ros.inbox import Inbox
+
+_LAYOUT = MultiArrayLayout(dim=[MultiArrayDimension(label="pwm_channel", size=CHANNELS, stride=1)], data_offset=0)
 
 
 def advertise(topic: str, message_type, inbox: Inbox, queue_size=10, latch=False) -> rospy.Publisher:
@@ -78,6 +83,29 @@ def subscribe_any(topic: str, inbox: Inbox, handler: Callable[[Any, int], None],
     backlog = Backlog(inbox.graph)
     handler = backlog.without_old(handler)
     _subscribe(topic, rospy.AnyMsg, inbox, backlog, lambda message: inbox.put(handler, message, wakes))
+
+
+def subscribe_interlock(inbox: Inbox, arbiter: Any, on_change: Callable[[int], Any]) -> None:
+    """Pass the emergency stop and the deadman to an arbiter, and call ``on_change(arrival_ns)`` after a new value.
+
+    An emergency stop may be latched and sent once (``e_stop_timeout`` 0), a deadman is repeated.
+    """
+    subscribe_changes("/e_stop", Bool, inbox,
+                      lambda message, now_ns: arbiter.update_e_stop(message.data, now_ns), on_change,
+                      takes_latched=True)
+    subscribe_changes("/teleop_logi/human_in_loop", Bool, inbox,
+                      lambda message, now_ns: arbiter.update_human(message.data, now_ns), on_change)
+
+
+def duty_vector(duties: Sequence[int]) -> Int32MultiArray:
+    """Return a vector of 16 duties, with the layout that the original servo commands carry."""
+    return Int32MultiArray(layout=_LAYOUT, data=duties)
+
+
+@lru_cache(maxsize=256)
+def one_channel_duty(channel: int, duty: int) -> Int32MultiArray:
+    """Return the vector that sets one channel. A command that comes again isn't built again."""
+    return duty_vector(one_channel(channel, duty))
 
 
 def md5_of(message: Any) -> str:

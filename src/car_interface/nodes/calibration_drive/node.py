@@ -38,13 +38,13 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S, yaw_rad
 from car_interface.msg import PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.calibration_drive.bag_page import BagPage
+from car_interface.nodes.calibration_drive.bag_recording import BagRecording
 from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
 from car_interface.nodes.calibration_drive.drive_topics import recorded_topics
 from car_interface.nodes.calibration_drive.live_text import LiveText
 from car_interface.nodes.calibration_drive.work_thread import in_thread
 from car_interface.nodes.keyboard_drive.keyboard import Keys
-from car_interface.ros.bag_recording import BagRecording
-from car_interface.ros.ros_clock import RosClock
+from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe, subscribe_any
 from car_interface.tools.calibration.drive import options, terminal

@@ -52,11 +52,11 @@ from car_interface.planner.source_arbiter import (
     SourceArbiter,
 )
 from car_interface.planner.twist import from_twist
+from car_interface.ros.clocks import StampedAge, odd_stamp
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
-from car_interface.ros.stamps import StampedAge, odd_stamp
-from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe, subscribe_any
 from car_interface.steering.limits import TOO_TIGHT_FOR_NS, TOO_TIGHT_REMEDY
 from car_interface.throttle.params import read_speed_control

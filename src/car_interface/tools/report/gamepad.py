@@ -64,9 +64,7 @@ class GamepadWatch:
         self._end_unused(self._duration_s)
 
     def _look_for_unused_axis(self, time_s, message):
-        """States from before there were such axes don't have the fields."""
-        sticks = getattr(message, "steering_stick", ""), getattr(message, "throttle_stick", "")
-        if causes.NOT_AT_REST not in sticks:
+        if causes.NOT_AT_REST not in (message.steering_stick, message.throttle_stick):
             self._end_unused(time_s)
         elif self._unused is None:
             self._unused = Loss(time_s, math.inf, causes.NOT_AT_REST, message.reason)

@@ -37,9 +37,9 @@ class LimitsWatch:
         self._seen: dict[str, int] = {}  # a node's newest count
 
     def on_state(self, time_s: float, message: Any, node: str) -> None:
-        """car_interface/SteeringState or ThrottleState; one from before there were limits says nothing."""
-        cause = getattr(message, "limit", "")
-        self._count(node, getattr(message, "cuts", 0))
+        """car_interface/SteeringState or ThrottleState."""
+        cause = message.limit
+        self._count(node, message.cuts)
         current = self._current.get(node)
         if cause not in CUTS:
             return

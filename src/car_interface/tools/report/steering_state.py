@@ -10,7 +10,6 @@ from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, T
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 from car_interface.tools.report.gamepad import GamepadWatch
-from car_interface.tools.report.old_reasons import cause_of
 
 UNKNOWN_DRIVER = -1
 STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it
@@ -24,7 +23,7 @@ class Episode(NamedTuple):
     start_s: float
     end_s: float
     source: int  # a value of SteeringState.source
-    cause: str  # a constant of common.causes; empty = unknown
+    cause: str  # a constant of common.causes
     reason: str  # in words, at its start
 
 
@@ -62,7 +61,7 @@ class SteeringWatch:
 
     def on_state(self, time_s: float, message: Any) -> None:
         """car_interface/SteeringState."""
-        self.source, cause = message.source, cause_of(message)
+        self.source, cause = message.source, message.cause
         current = self._current
         if current is None or (current.source, current.cause) != (message.source, cause):
             self._end_episode(time_s)
