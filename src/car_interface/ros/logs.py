@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import logging
+import threading
 import traceback
 from collections import Counter
 from logging.handlers import QueueHandler, QueueListener
@@ -35,15 +36,20 @@ class ThrottledWarnings:
         self._clocks = clocks
         self._log = log
         self._next_log_ns: dict[str, int] = {}
+        self._lock = threading.Lock()
 
     def warn(self, kind: str, text: str, count: int = 1) -> None:
-        """Count ``count`` of ``kind``; log ``text`` and the sum so far unless this kind was logged recently."""
-        self.counts[kind] += count
-        now_ns = self._clocks.now_ns()
-        if now_ns >= self._next_log_ns.get(kind, 0):
-            self._next_log_ns[kind] = now_ns + WARNING_PERIOD_NS
-            times = self.counts[kind]
-            self._log("%s%s", text, f" ({times} so far)" if times > 1 else "")
+        """Count ``count`` of ``kind``; log ``text`` and the sum so far unless this kind was logged recently.
+
+        May be called from any thread.
+        """
+        with self._lock:
+            self.counts[kind] += count
+            now_ns = self._clocks.now_ns()
+            if now_ns >= self._next_log_ns.get(kind, 0):
+                self._next_log_ns[kind] = now_ns + WARNING_PERIOD_NS
+                times = self.counts[kind]
+                self._log("%s%s", text, f" ({times} so far)" if times > 1 else "")
 
 
 def keep_tracebacks_from_terminal() -> None:
