@@ -38,10 +38,10 @@ from car_interface.common.params import Params
 from car_interface.common.units import NS_PER_S
 from car_interface.ros.backlog import StandstillWatch
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
-from car_interface.ros.direct_connection import send_directly
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.logs import LogStream, LogThreads, keep_tracebacks_from_terminal
 from car_interface.ros.tcpros_limits import limit_connections
+from car_interface.ros.topics import send_directly
 from car_interface.ros.wait_for_name import own_name, wait_for_name
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
