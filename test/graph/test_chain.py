@@ -104,6 +104,7 @@ class Chain:
         for name in released:
             self.send(name, HELD[name])
         self.graph.run_until(lambda: self.drives, 3.0)
+        self.run(0.001)  # what changes from now on is not the start's
 
     def recover(self) -> None:
         """Start again what was killed, and have every input as it was, with the deadman held."""
