@@ -111,4 +111,4 @@ def board_center(center_duty: int, old_duty: int, board_duty: int | None) -> str
         return (f"the servo board doesn't read this file: give its driver the new center, too, {center_duty}, as the "
                 "value for when nobody commands it (timeout_value, or servo.yaml)")
     return (f"pca9685 has another center than turn_arb had, {board_duty} in place of {old_duty}: launch it with this "
-            f"file, too (steering_config), so that it centers by duty {center_duty}")
+            f"folder, too (config), so that it centers by duty {center_duty}")

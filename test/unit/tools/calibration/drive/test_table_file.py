@@ -90,7 +90,7 @@ def test_table_that_turn_arb_would_refuse_is_not_written(car):
     (5100, "the servo board centers the steering by the same file (duty 4983): it needs nothing more"),
     (None, ("the servo board doesn't read this file: give its driver the new center, too, 4983, as the value for when "
             "nobody commands it (timeout_value, or servo.yaml)")),
-    (4900, ("pca9685 has another center than turn_arb had, 4900 in place of 5100: launch it with this file, too "
-            "(steering_config), so that it centers by duty 4983"))])
+    (4900, ("pca9685 has another center than turn_arb had, 4900 in place of 5100: launch it with this folder, too "
+            "(config), so that it centers by duty 4983"))])
 def test_servo_board_is_to_have_the_same_center(board, text):
     assert board_center(4983, 5100, board) == text
