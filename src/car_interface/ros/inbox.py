@@ -217,11 +217,6 @@ class Inbox:
             self._items.clear()
         return events
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether no item waits for the node's thread."""
-        return not self._items
-
     def dispatch(self) -> None:
         """Call the handler of each item that has arrived, oldest first."""
         for handler, item, arrival_ns in self.drain():

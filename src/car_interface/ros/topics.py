@@ -18,7 +18,7 @@ _LAYOUT = MultiArrayLayout(dim=[MultiArrayDimension(label="pwm_channel", size=CH
 
 
 def advertise(topic: str, message_type, inbox: Inbox, queue_size=10, latch=False) -> rospy.Publisher:
-    """A publisher that lives as long as the inbox's node."""
+    """Return a publisher that lives as long as the inbox's node."""
     publisher = inbox.graph.publisher(inbox.own_name(topic), message_type, queue_size, latch)
     inbox.on_close(publisher.unregister)
     return publisher
@@ -32,15 +32,16 @@ def serve(name: str, service_type, inbox: Inbox, handler: Callable[[Any, Future]
 
 
 def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10,
-              wakes=True) -> rospy.Subscriber:
+              wakes=True) -> None:
     """Subscribe so that ``handler(message, arrival_ns)`` runs in the node's thread, for each message, in order.
 
-    With ``wakes`` false it runs when the node next wakes for another reason.
+    Args:
+        message_type: ``rospy.AnyMsg`` for messages of any type.
+        wakes: False = the handler runs when the node next wakes for another reason.
     """
     backlog = Backlog(inbox.graph)
     handler = backlog.without_old(handler)
-    return _subscribe(topic, message_type, inbox, backlog, lambda message: inbox.put(handler, message, wakes=wakes),
-                      queue_size)
+    _subscribe(topic, message_type, inbox, backlog, lambda message: inbox.put(handler, message, wakes), queue_size)
 
 
 def _data_of(message):
@@ -76,17 +77,6 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[
     _subscribe(topic, message_type, inbox, backlog, receive)
 
 
-def subscribe_any(topic: str, inbox: Inbox, handler: Callable[[Any, int], None], wakes: bool = True) -> None:
-    """Subscribe to messages of any type: ``handler(message, arrival_ns)`` gets a rospy.AnyMsg.
-
-    Args:
-        wakes: False = the node handles it when it next wakes for another reason.
-    """
-    backlog = Backlog(inbox.graph)
-    handler = backlog.without_old(handler)
-    _subscribe(topic, rospy.AnyMsg, inbox, backlog, lambda message: inbox.put(handler, message, wakes))
-
-
 def subscribe_interlock(inbox: Inbox, arbiter: Any, on_change: Callable[[int], Any]) -> None:
     """Pass the emergency stop and the deadman to an arbiter, and call ``on_change(arrival_ns)`` after a new value.
 
@@ -111,18 +101,22 @@ def one_channel_duty(channel: int, duty: int) -> Int32MultiArray:
 
 
 def md5_of(message: Any) -> str:
-    """What the publisher of a message says of its fields: the MD5 of their definition."""
-    return (getattr(message, "_connection_header", None) or {}).get("md5sum", "")
-
-
-def has_subscribers(publisher: rospy.Publisher) -> bool:
-    """Whether anybody subscribes: rospy serialises a message before it finds that nobody does."""
-    return publisher.get_num_connections() > 0
+    """Return the MD5 of the definition of a message's fields, as its publisher has it."""
+    return _header(message).get("md5sum", "")
 
 
 def sender_of(message: Any) -> str:
-    """The name of the node that sent a message; empty when it didn't come over a connection."""
-    return (getattr(message, "_connection_header", None) or {}).get("callerid", "")
+    """Return the name of the node that sent a message; empty when it didn't come over a connection."""
+    return _header(message).get("callerid", "")
+
+
+def _header(message):
+    return getattr(message, "_connection_header", None) or {}
+
+
+def has_subscribers(publisher: rospy.Publisher) -> bool:
+    """Return whether anybody subscribes: rospy serialises a message before it finds that nobody does."""
+    return publisher.get_num_connections() > 0
 
 
 def _subscribe(topic, message_type, inbox, backlog, receive, queue_size=10):
@@ -131,7 +125,6 @@ def _subscribe(topic, message_type, inbox, backlog, receive, queue_size=10):
     inbox.subscribers.append(subscriber)
     inbox.backlogs.append(backlog)
     inbox.on_close(subscriber.unregister)
-    return subscriber
 
 
 class DirectConnection(QueuedConnection):

@@ -46,7 +46,7 @@ from car_interface.nodes.calibration_drive.work_thread import in_thread
 from car_interface.nodes.keyboard_drive.keyboard import Keys
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
-from car_interface.ros.topics import advertise, sender_of, subscribe, subscribe_any
+from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.tools.calibration.drive import options, terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import conclude
@@ -122,7 +122,7 @@ class CalibrationDriveNode:
                 *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._sonars)):
             subscribe(topic, message_type, inbox, handler, queue_size=50)
         for topic in REQUESTS if not self._wanted.stick else ():
-            subscribe_any(topic, inbox, partial(self._on_request, topic), wakes=False)
+            subscribe(topic, rospy.AnyMsg, inbox, partial(self._on_request, topic), wakes=False)
 
     def _introduce(self):
         self._text.say(terminal.introduction(self._wanted.stick, self._config.radius_m, self._text.width))
