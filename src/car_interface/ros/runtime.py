@@ -76,8 +76,10 @@ def run(name: str, node_class) -> None:
     rospy.on_shutdown(lambda: _end_and_wait(inbox, ended))
     unregistered = threading.Event()
     rospy.core.add_shutdown_hook(lambda reason: unregistered.set())  # called after rospy's own hooks
+    # A collection then visits only what is newer than the imported modules: about a tenth. turn_arb made three in 90 s
+    # at 100 Hz, of 1.2 ms at most.
     gc.collect()
-    gc.freeze()  # a collection visits only what is newer than the imported modules, about a tenth, and is as short
+    gc.freeze()
     failed = False
     try:
         spin(node_class, inbox, lambda: fixed_parameters(name, sys.argv[1:]))
