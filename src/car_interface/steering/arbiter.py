@@ -72,9 +72,15 @@ class Decision(NamedTuple):
     asked_radius_m: float = 0.0  # right negative, inf: straight on; 0 = nobody asks, or nothing limits who does
     max_speed_mps: float = 0.0  # up to which that keeps within the limit; inf: straight on; 0 = no limit
 
-    def differs_from(self, other: Decision | None) -> bool:
-        """Whether source, duty, cause or limit differ; ages and the numbers in the reasons always do."""
-        return other is None or self[:3] != other[:3] or self.limit != other.limit
+    @property
+    def differs_by(self) -> tuple:
+        """All but ages, and numbers in reasons, which always differ."""
+        return (*self[:3], self.limit)
+
+    @property
+    def kind(self) -> tuple:
+        """Who steers and why, and what limits that: what a log reports when it changes."""
+        return self.source, self.cause, self.limit
 
 
 class SteeringArbiter:
