@@ -259,9 +259,9 @@ def test_log_has_a_line_for_each_change_of_source_or_cause_and_warns_of_losses()
         (logging.INFO, "NO_HUMAN: human_in_loop was never heard"), (logging.INFO, "NO_HUMAN: human_in_loop is false"),
         (logging.INFO, "TELEOP: tele_steer_req is 1.000"),
         (logging.WARNING, "NEUTRAL: tele_steer_req silent for 0.51 s"),
-        (logging.INFO, "odom was never heard: nothing limits the steering"),
         (logging.INFO, "NEUTRAL: neither tele_steer_req nor av_turnrad_req asks for anything"),
         (logging.INFO, "PLANNER: av_steer_req is 0.500"),
+        (logging.INFO, "odom was never heard: nothing limits the steering"),
         (logging.WARNING, "NEUTRAL: av_turnrad_req and av_steer_req are both published: neither is obeyed")]
 
 
