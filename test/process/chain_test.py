@@ -221,8 +221,7 @@ class OneProcess(Driven):
         for offset_s in (HOUR_S, -HOUR_S):
             self.set_clock(offset_s)
             set_ns = time.monotonic_ns()
-            eventually(lambda set_ns=set_ns: time.monotonic_ns() - set_ns > 1.5e9 * CLOCK_CACHE_S,
-                       "the clock that was set")
+            eventually(lambda set_ns=set_ns: time.monotonic_ns() - set_ns > 1.5e9 * CLOCK_CACHE_S, "a set clock")
             mark = process.stderr.mark()
 
             def fall_silent():

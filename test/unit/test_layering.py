@@ -32,7 +32,7 @@ MAY_IMPORT = {
         "calibration", "calibration/drive", "calibration/steering"))),
     "tools/recordings": PARTS,
     "tools/report": (*PARTS, "tools/recordings"),
-    "tools/calibration": ("common",),
+    "tools/calibration": ("common", "tools/recordings"),
     "tools/calibration/drive": (*PARTS, *FITS, "tools/calibration/steering"),
     "tools/calibration/esc": (*PARTS, *FITS),
     "tools/calibration/steering": (*PARTS, *FITS),

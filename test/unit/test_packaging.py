@@ -25,6 +25,7 @@ NODE_TESTS = sorted((ROOT / "test" / "process").glob("*.test"))
 # The rosdep keys of libraries that are not called like their key.
 KEYS = {name: f"python3-{name}" for name in ("hypothesis", "matplotlib", "numpy", "pytest", "rospkg", "scipy", "serial",
                                             "setuptools", "smbus2", "tqdm", "yaml")}
+KEYS["PIL"] = "python3-pil"
 KEYS["rosbags"] = "python3-rosbags-pip"
 
 

@@ -47,16 +47,14 @@ from car_interface.nodes.keyboard_drive.keyboard import Keys
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe
-from car_interface.tools.calibration.drive import options, terminal
+from car_interface.tools.calibration.drive import terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
-from car_interface.tools.calibration.drive.conclusion import conclude
-from car_interface.tools.calibration.drive.grant import Grant, Steering, Throttle
+from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file
+from car_interface.tools.calibration.drive.config import drive_config, parse, read_base, read_obstacles
+from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.params import read_base, read_obstacles
-from car_interface.tools.calibration.drive.readiness import Seen, missing, missing_gamepad
 from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
-from car_interface.tools.calibration.drive.table_file import board_center, find_table_file
 
 NAME = "calibration_drive"
 RATE_HZ, TICKS_PER_SHOW = 50, 10
@@ -83,7 +81,7 @@ class CalibrationDriveNode:
     def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
         params.finish()  # it has options instead, which don't stay on the server
         graph, self._clocks = inbox.graph, inbox.clocks
-        config = options.drive_config(wanted)
+        config = drive_config(wanted)
         self._wanted, self._inbox = wanted, inbox
         base = self._base = read_base(graph.parameter("turn_arb", {}))
         self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
@@ -369,4 +367,4 @@ class CalibrationDriveNode:
 
 def main():
     """Run the program."""
-    run(NAME, partial(CalibrationDriveNode, options.parse(rospy.myargv(sys.argv)[1:])))
+    run(NAME, partial(CalibrationDriveNode, parse(rospy.myargv(sys.argv)[1:])))

@@ -74,15 +74,6 @@ def contents(path: str) -> Contents:
         return Contents(begin, end, dict(sorted(found.items())), getattr(reader, "clock_steps_back", 0))
 
 
-def topics(path: str) -> dict[str, str]:
-    """The absolute names of what was recorded, with their types, such as ``nav_msgs/msg/Odometry``.
-
-    Raises:
-        NoRecording: it can't be read.
-    """
-    return {name: topic.type for name, topic in contents(path).topics.items()}
-
-
 def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], namespace: str = "/",
          progress: bool = False) -> Iterator[Recorded]:
     """Yield the messages on the topics of one car, in the order in which they were recorded.
@@ -92,7 +83,6 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
         topics: their names below ``namespace``; those that weren't recorded yield nothing. A name that begins with a
             slash and isn't found below the namespace is looked up as it is. In a dict each name has the accepted type,
             such as ``nav_msgs/Odometry``, or several of them.
-        namespace: the car's.
         progress: show a bar on a terminal's standard error when it takes more than a second.
 
     Raises:
@@ -142,9 +132,7 @@ def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "
     """Check that all topics were recorded.
 
     Args:
-        path: of the recording.
         topics: their names, as for ``read``.
-        namespace: the car's.
         why: the purpose, as the end of a sentence.
 
     Raises:
@@ -165,9 +153,7 @@ def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace:
     """Check that topics were recorded with accepted types.
 
     Args:
-        path: of the recording.
         topics: the accepted type, or several, by name, as for ``read``; those that weren't recorded are left out.
-        namespace: the car's.
 
     Raises:
         NoRecording: names the first that wasn't.
@@ -178,12 +164,14 @@ def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace:
 
 
 def is_of_type(kind: str, accepted: Iterable[str]) -> bool:
-    """Whether a message type, such as ``nav_msgs/msg/Odometry``, is one of those, written as in ROS 1 or in ROS 2."""
+    """Return whether a message type, such as ``nav_msgs/msg/Odometry``, is one of those, written as in ROS 1 or in ROS
+    2.
+    """
     return _short(kind) in map(_short, accepted)
 
 
 def other_version(path: str, recorded: Recorded) -> NoRecording:
-    """The error for a message that lacks a field of its type."""
+    """Return the error for a message that lacks a field of its type."""
     return NoRecording(f"{path}: {recorded.topic} was recorded with another version of "
                        f"{_short(recorded.message.__msgtype__)}")
 
@@ -206,7 +194,7 @@ def with_bar(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
 
 @contextmanager
 def _opened(path):
-    """A reader of a recording; every error of the file becomes NoRecording."""
+    """Yield a reader of a recording; every error of the file becomes NoRecording."""
     file = Path(path)
     _check_exists(file)
     try:
@@ -249,7 +237,7 @@ def _reader(file):
 
 
 def _counts(reader):
-    """How many messages there are, by the connection's id."""
+    """Return how many messages there are, by the connection's id."""
     if isinstance(reader, ChunkReader):
         counts = reader.counts()
         return {connection.id: counts.get(connection.id, 0) for connection in reader.connections}
@@ -263,7 +251,7 @@ def _check_type(path, name, kind, accepted):
 
 
 def _short(name):
-    """A message type's name as ROS 1 has it."""
+    """Return a message type's name as ROS 1 has it."""
     return name.replace("/msg/", "/")
 
 

@@ -20,7 +20,7 @@ from car_interface.tools.report.html import (
     times_text,
 )
 from car_interface.tools.report.plots import Plot
-from car_interface.tools.report.steering_state import UNKNOWN_DRIVER
+from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import SONARS, Summary
 
 MIN_RATIOS = 30  # samples, for a ratio to be shown

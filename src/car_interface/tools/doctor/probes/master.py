@@ -26,15 +26,10 @@ ON_REQUEST = ("throttle_arb", "planner_interface")  # those of them that ONE_PRO
 
 
 class Graph(NamedTuple):
-    """The ROS graph.
+    """The ROS graph."""
 
-    Attributes:
-        publishers: the names of the nodes that publish, by topic.
-        nodes: the names of all nodes that publish, subscribe or serve.
-    """
-
-    publishers: dict
-    nodes: frozenset
+    publishers: dict  # the names of the nodes that publish, by topic
+    nodes: frozenset  # the names of all nodes that publish, subscribe or serve
 
 
 class Master:
@@ -48,7 +43,7 @@ class Master:
         self._uri = uri
 
     def trouble(self) -> str:
-        """Why it doesn't answer; empty when it does."""
+        """Return why it doesn't answer; empty when it does."""
         try:
             self.ask("getPid")
         except xmlrpc.client.ProtocolError as error:
@@ -58,7 +53,7 @@ class Master:
         return ""
 
     def ask(self, question: str, *arguments: Any, caller: str = CALLER) -> Any:
-        """The value of an answer.
+        """Return the value of an answer.
 
         Raises:
             LookupError: when the master says no.
@@ -69,20 +64,20 @@ class Master:
         return value
 
     def parameter(self, path: str) -> Any:
-        """A parameter's value; ``None`` when there is none."""
+        """Return a parameter's value; ``None`` when there is none."""
         try:
             return self.ask("getParam", path)
         except LookupError:
             return None
 
     def graph(self) -> Graph:
-        """Who publishes, subscribes and serves."""
+        """Return who publishes, subscribes and serves."""
         publishers, *others = ([(name, tuple(nodes)) for name, nodes in kind] for kind in self.ask("getSystemState"))
         everybody = (nodes for kind in (publishers, *others) for _, nodes in kind)
         return Graph(dict(publishers), frozenset(node for nodes in everybody for node in nodes))
 
     def node(self, name: str, namespace: str, graph: Graph) -> Node:
-        """What a node does. Where it isn't itself, ONE_PROCESS may be it."""
+        """Return what a node does. Where it isn't itself, ONE_PROCESS may be it."""
         path = f"{namespace.rstrip('/')}/{name}"
         own = Node(name, path, self._state(path, graph), path)
         if own.runs or name not in PARTS or name in ON_REQUEST and f"{path}/state" not in graph.publishers:
@@ -92,7 +87,7 @@ class Master:
         return own if state == ABSENT else Node(name, path, state, process)
 
     def _state(self, path, graph):
-        """The state of a process.
+        """Return the state of a process.
 
         The master also remembers nodes that have ended, by a subscription to a parameter that they made when they
         logged their last line: what counts is the graph.
@@ -110,7 +105,9 @@ class Master:
         return RUNNING
 
     def fixed_parameters(self, node: Node) -> dict:
-        """What a launch file gave to the process of a node that runs on this computer; else nothing is known of it."""
+        """Return what a launch file gave to the process of a node that runs on this computer; else nothing is known of
+        it.
+        """
         if not node.runs:
             return {}
         process = node.process.rpartition("/")[2]
@@ -124,7 +121,7 @@ class Master:
             return {}
 
     def search_parents(self, path: str, name: str) -> Any:
-        """A parameter from the nearest of the namespaces around a node; ``None`` when none has it."""
+        """Return a parameter from the nearest of the namespaces around a node; ``None`` when none has it."""
         try:
             return self.parameter(self.ask("searchParam", name, caller=path))
         except LookupError:
@@ -151,7 +148,7 @@ def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
 
 
 def _is_here(host):
-    """Whether a host name or address is this computer's."""
+    """Return whether a host name or address is this computer's."""
     with socket.socket() as probe:
         try:
             probe.bind((host, 0))

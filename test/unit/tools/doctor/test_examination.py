@@ -5,7 +5,7 @@ import threading
 import time
 
 from car_interface.tools.doctor.checks.findings import BAD, OK, Finding
-from car_interface.tools.doctor.task import Task
+from car_interface.tools.doctor.examination import Task
 
 FINE = [Finding(OK, "bus", "/dev/i2c-1")]
 
