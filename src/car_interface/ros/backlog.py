@@ -47,13 +47,13 @@ class StandstillWatch:
         self._expected_ns = now_ns
 
     def begin_step(self, now_ns: int) -> int:
-        """A step begins; returns for how long the thread has stood still before it, 0 = it hasn't."""
+        """Begin a step; return for how long the thread has stood still before it, ns; 0 = it hasn't."""
         late_ns = now_ns - self._expected_ns
         self._expected_ns = now_ns
         return late_ns if late_ns >= STANDSTILL_NS else 0
 
     def end_step(self, now_ns: int, due_ns: float) -> None:
-        """A step has ended and the next one is due at ``due_ns``; a step that lasted too long counts before that."""
+        """End a step, after which the next one is due at ``due_ns``, unless the step itself lasted too long."""
         if now_ns - self._expected_ns < STANDSTILL_NS:
             self._expected_ns = int(max(now_ns, min(due_ns, now_ns + MAX_WAIT_NS)))
 
@@ -138,11 +138,11 @@ class Backlog:
         self._latched_headers: list[dict] = []  # of new connections that have delivered their latched message
 
     def attach(self, subscriber: rospy.Subscriber) -> None:
-        """The subscription that this is about."""
+        """Name the subscription whose messages these are."""
         self._subscriber = subscriber
 
     def without_old(self, handler: Handler) -> Handler:
-        """A handler that is given what isn't old."""
+        """Return a handler that gets what isn't old."""
         def handle(message, arrival_ns):
             if self._old_until_ns >= 0 and self._is_old(getattr(message, "_connection_header", None), arrival_ns):
                 self.dropped += 1
@@ -171,7 +171,7 @@ class Backlog:
         return arrival_ns <= self._old_until_ns or is_latched and not self._takes_latched
 
     def _is_latched(self, header):
-        """Whether it is the first message of a new connection to a publisher that latches."""
+        """Return whether it is the first message of a new connection to a publisher that latches."""
         if not header or header.get("latching") != "1" or any(header is known for known in self._latched_headers):
             return False
         self._latched_headers.append(header)

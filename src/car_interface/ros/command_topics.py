@@ -85,7 +85,7 @@ class CommandTopics:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the node has."""
+        """Return whether the node has ended."""
         return self._inbox.ending
 
     def update(self, fault: str, listed: Mapping[str, list[str]], lookup: PublisherLookup) -> None:
@@ -217,7 +217,7 @@ class PublisherLookup:
         self._asked = set()
 
     def publishers(self, subscription: Any, listed: Iterable[str]) -> list[Publisher]:
-        """All of a topic, sorted.
+        """Return all publishers of a topic, sorted.
 
         Args:
             subscription: rospy's object behind a Subscriber.
@@ -230,7 +230,7 @@ class PublisherLookup:
         return sorted([*connected.values(), *filter(None, others)])
 
     def _ask(self, subscription, node):
-        """A publisher without a connection; ``None`` = it's gone, or doesn't answer."""
+        """Return a publisher without a connection; ``None`` = it's gone, or doesn't answer."""
         key = subscription.resolved_name, node
         self._asked.add(key)
         now_ns = SYSTEM.now_ns()
@@ -300,12 +300,12 @@ def connect(uri: str, topic: str) -> None:
 
 
 def _is_connected(connection):
-    """Whether a publisher has accepted rospy's connection."""
+    """Return whether a publisher has accepted rospy's connection."""
     return connection.socket is not None and not connection.done and "type" in (connection.header or {})
 
 
 def _type(subscription, connection):
-    """The type of a connection's messages. A subscription to any type has the one of each publisher."""
+    """Return the type of a connection's messages. A subscription to any type has the one of each publisher."""
     return connection.header["type"] if subscription.type == ANY else subscription.type
 
 

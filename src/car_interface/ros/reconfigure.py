@@ -35,10 +35,10 @@ class Server(server.Server):
     """The library's server without its own clamping and parameter writing."""
 
     def _clamp(self, config):
-        """The callback clamps values, and reports that."""
+        """Do nothing: the callback clamps values, and reports that."""
 
     def _copy_to_parameter_server(self):
-        """Untuned parameters stay where they are: turn_arb's may be in a parent namespace."""
+        """Do nothing: untuned parameters stay where they are: turn_arb's may be in a parent namespace."""
 
     def close_actions(self):
         """Return what removes the server from the ROS graph, as functions."""
@@ -107,7 +107,7 @@ class ReconfigureServer:
 
     @property
     def changes(self) -> str:
-        """The tuned values, for a report."""
+        """Return the tuned values, for a report."""
         return self._tuning.changes or "nothing"
 
     def _on_reconfigure(self, config, level):
@@ -169,7 +169,7 @@ def _save(settings, values):
 
 
 def _limited(config_class, tuning):
-    """A .cfg file's class with this car's limits and values."""
+    """Return a .cfg file's class with this car's limits and values."""
     parameters = [{**parameter, "min": tuning.low[parameter["name"]], "max": tuning.high[parameter["name"]],
                    "default": tuning.accepted[parameter["name"]]}
                   for parameter in config_class.config_description["parameters"]]

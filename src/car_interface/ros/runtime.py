@@ -181,7 +181,7 @@ class Steps:
 
 
 def describe_error(error: Exception) -> str:
-    """One line about the error that ended a node. The traceback of a programming error goes to the log file."""
+    """Return one line about the error that ended a node. The traceback of a programming error goes to the log file."""
     if isinstance(error, CarInterfaceError):
         return str(error)
     logging.getLogger("car_interface").error("%s", traceback.format_exc())  # ROS: to the log file only
@@ -199,7 +199,7 @@ def _end_and_wait(inbox, ended):
 
 
 def build_node(build: Callable[[], Any], inbox: Inbox) -> Any:
-    """Build a node; under respawn as soon as its parameters are accepted. ``None``: it was ended before.
+    """Build a node; under respawn as soon as its parameters are accepted. ``None`` = it was ended before.
 
     Args:
         build: reads the parameters and builds the node. It has touched nothing else when it raises a ConfigError.
@@ -228,7 +228,7 @@ def build_node(build: Callable[[], Any], inbox: Inbox) -> Any:
 
 
 def is_respawned() -> bool:
-    """Whether whoever started this process starts it again when it ends."""
+    """Return whether whoever started this process starts it again when it ends."""
     return os.environ.get(RESPAWN_VARIABLE, "").lower() in ("1", "true")
 
 

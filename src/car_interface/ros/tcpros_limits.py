@@ -297,7 +297,7 @@ def _read_request(self, buffer, messages, connection):
 
 
 def _replacements() -> list[tuple[Any, str, Any]]:
-    """What takes the place of what in rospy: owner, attribute, new value."""
+    """Return what takes the place of what in rospy: owner, attribute, new value."""
     server, transport, client = tcpros_base.TCPServer, tcpros_base.TCPROSTransport, tcpros_service.TCPROSServiceClient
     serve, create_socket, connect = server.run, server._create_server_sock, transport.connect
     read_response, read_error = client.read_messages, client._read_service_error

@@ -51,7 +51,7 @@ def _data_of(message):
 def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None],
                       on_change: Callable[[int], Any] | None = None, takes_latched: bool = False,
                       value_of: Callable[[Any], Any] = _data_of) -> None:
-    """The same for a topic whose messages mostly repeat the last value, in a node with a fast timer.
+    """Do the same for a topic whose messages mostly repeat the last value, in a node with a fast timer.
 
     A repeated value doesn't wake the node: it is handled, with its own time of arrival, when the node next wakes. That
     reduces the CPU time of an input at 50 Hz to a third. After a new value ``on_change(arrival_ns)`` is called as well.
@@ -169,7 +169,7 @@ class DirectConnection(QueuedConnection):
         return True
 
     def _send(self, data):
-        """How many bytes the socket took. Errors are left to the thread: rospy knows what each of them means."""
+        """Return how many bytes the socket took. Errors are left to the thread: rospy knows what each of them means."""
         connection = self._connection
         subscriber = connection.socket  # None once another thread has closed it
         if subscriber is None:

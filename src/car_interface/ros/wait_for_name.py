@@ -89,7 +89,7 @@ def wait_for_name(name: str) -> socket.socket:
 
 
 def _claim(name):
-    """A socket that one process of this computer can have at a time, for a name at a master; ``None``: another has it.
+    """Return a socket that one process of this computer can have at a time; ``None`` = another one has it.
 
     Between two nodes that start at the same moment the master can't decide: each registers several things, and each
     registration has the other node shut down, until neither is left.
@@ -104,7 +104,7 @@ def _claim(name):
 
 
 def own_name(default: str, arguments: Sequence[str]) -> str:
-    """The name of a node with its namespace, by ROS_NAMESPACE and its arguments ``__ns:=`` and ``__name:=``."""
+    """Return a node's name with its namespace, by ROS_NAMESPACE and its arguments ``__ns:=`` and ``__name:=``."""
     name = rosgraph.names.load_mappings(arguments).get("__name", default)
     return rosgraph.names.ns_join(rosgraph.names.get_ros_namespace(argv=arguments), name)
 
@@ -161,7 +161,7 @@ class NameWait:
         return "" if holder.state == STARTING else self._waiting_text(holder.state, now_ns)
 
     def _known(self, holder):
-        """The same with the process of an earlier answer, which a silent one doesn't give."""
+        """Return the same with the process of an earlier answer, which a silent one doesn't give."""
         if holder.state == SILENT and self._found is not None and self._found.machine == holder.machine:
             return holder._replace(pid=self._found.pid)
         return holder
@@ -184,7 +184,7 @@ class NameWait:
                                f"twice, end one of the two{since}")
 
     def _throttled(self, state, now_ns, text):
-        """The text when the state is new, and then every 10 s."""
+        """Return the text when the state is new, and then every 10 s."""
         if state == self._reported_state and now_ns < self._log_ns:
             return ""
         self._reported_state, self._log_ns = state, now_ns + LOG_PERIOD_S * NS_PER_S
@@ -205,7 +205,7 @@ class NameLookup:
         self._node_uri = ""  # of the last one that the master named
 
     def holder(self) -> Holder:
-        """What has the name now."""
+        """Return what has the name now."""
         try:
             code, _, uri = call(self._master_uri, "lookupNode", self._name, self._name)
         except Exception:  # no usable answer, for whatever reason
@@ -215,7 +215,7 @@ class NameLookup:
         return self._ask(uri) if code == 1 else Holder(FREE)
 
     def _ask(self, uri):
-        """Whether the node of this name is at an address."""
+        """Return what is at an address."""
         try:
             if self._is_another(uri):
                 return Holder(FREE)
@@ -227,7 +227,7 @@ class NameLookup:
         return Holder(RUNNING, _machine(uri), pid)
 
     def _is_another(self, uri):
-        """Whether a node of another name has got the port of one that was killed. Only rospy's nodes tell."""
+        """Return whether another node has got the port of one that was killed. Only rospy's nodes tell."""
         try:
             return call(uri, "getName", self._name)[2] != self._name
         except xmlrpc.client.Fault:
