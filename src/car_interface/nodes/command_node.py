@@ -23,8 +23,8 @@ LOG_AFTER_NS = 20_000_000  # teleop_logi's state, which a line may quote, arrive
 class CommandNode:
     """Publishes decisions, which have a ``duty``, ``differs_by`` (what is published), and ``kind`` (what is logged).
 
-    A subclass subscribes to its inputs, and has ``_decide_now``, ``_mark_stale``, ``_publish_state``, ``_log`` and
-    ``_report``. It sets ``_reconfigure``, its live tuning, and ``_neutral``, what is published on servo/neutral.
+    A subclass subscribes to its inputs, and has ``_decide_now``, ``_mark_stale``, ``_publish_state`` and ``_log``.
+    It sets ``_reconfigure``, its live tuning, and ``_neutral``, what is published on servo/neutral.
 
     Args:
         inbox: the node's.
@@ -32,12 +32,12 @@ class CommandNode:
         channel: its own of the servo board.
         arbiter: gets e-stop and deadman.
         state_type: of ~state.
-        report: its name on /diagnostics.
+        reports: on /diagnostics, by name.
     """
 
     repeats_change = True  # a command that was published since the last tick is published at the next one, too
 
-    def __init__(self, inbox: Inbox, rate_hz: int, channel: int, arbiter, state_type, report: str):
+    def __init__(self, inbox: Inbox, rate_hz: int, channel: int, arbiter, state_type, reports: dict):
         self._inbox, self._clocks = inbox, inbox.clocks
         self._rate_hz, self._channel = rate_hz, channel
         now_ns = self._clocks.now_ns()
@@ -53,7 +53,7 @@ class CommandNode:
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
         self._states = advertise("~state", state_type, inbox, latch=True)
         self._command_topics = CommandTopics(inbox)
-        self._diagnostics = Diagnostics(inbox, "none", {report: self._report, **self._command_topics.reports}, now_ns)
+        self._diagnostics = Diagnostics(inbox, "none", {**reports, **self._command_topics.reports}, now_ns)
         inbox.on_overflow(self._on_overflow)
         subscribe_interlock(inbox, arbiter, self._decide)
 

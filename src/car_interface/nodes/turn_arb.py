@@ -7,7 +7,8 @@ Subscribes:
     av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 or NaN = no request, ±inf = straight on.
     av_steer_req (std_msgs/Float32): −1 right .. +1 left, of a planner that knows no radius; not beside av_turnrad_req.
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s, for the limits and the understeer. Never
-        received = neither; lost = the last one stays. The steering goes on.
+        received = neither; lost = the last one stays. The steering goes on. With twist.twist.angular.z in rad/s it also
+        shows whether the car turns as commanded.
     teleop_logi/state (TeleopState): why human_in_loop is false, and whether the stick overrides the planner; only
         quoted in the reason.
 Publishes:
@@ -15,7 +16,7 @@ Publishes:
     ~state (SteeringState, latched): source, cause, duty, limits and ages; on every change and 20 times a second.
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the center, for the servo board's timeout value; −1
         elsewhere.
-    /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
+    /diagnostics: a summary of the same, whether the car turns as commanded, and who else publishes on its topics; 1 Hz.
 Parameters (those of the original are also looked up in the namespaces around the node's):
     servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
     k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
@@ -53,6 +54,7 @@ from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_chan
 from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.limits import TOO_TIGHT_REMEDY
+from car_interface.steering.monitor import SteeringCheck
 from car_interface.steering.params import read_arbiter, read_calibration
 
 RATE_HZ = 100
@@ -93,9 +95,11 @@ class TurnArb(CommandNode):
     def __init__(self, params, inbox):
         config = read_config(params)
         self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
+        self._check = SteeringCheck()
         self._too_tight = ""  # as was logged; empty: no request was too tight lately
         self._master_fault = ""
-        super().__init__(inbox, RATE_HZ, config.calibration.servo_channel, self._arbiter, SteeringState, "steering")
+        super().__init__(inbox, RATE_HZ, config.calibration.servo_channel, self._arbiter, SteeringState,
+                         {"steering": self._report, "steering by the wheels": self._report_check})
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
         subscribe_changes("av_steer_req", Float32, inbox, self._on_planner_steering, self._decide)
@@ -115,6 +119,7 @@ class TurnArb(CommandNode):
 
     def _mark_stale(self, now_ns):
         self._arbiter.mark_stale(now_ns)
+        self._check.mark_stale()
 
     def _on_teleop(self, message, now_ns):
         self._arbiter.update_teleop(message.data, now_ns)
@@ -138,6 +143,7 @@ class TurnArb(CommandNode):
 
     def _on_odometry(self, message, now_ns):
         speed_mps = message.twist.twist.linear.x
+        self._check.update_motion(speed_mps, message.twist.twist.angular.z, now_ns)
         self._arbiter.update_odometry(speed_mps, now_ns, self._odometry_age.at_arrival_ns(message.header.stamp, now_ns))
         if not math.isfinite(speed_mps):
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE,
@@ -219,11 +225,22 @@ class TurnArb(CommandNode):
             status.add(f"warnings of {kind}", count)
         return status
 
+    def _report_check(self, status):
+        """Report on /diagnostics whether the car turns as commanded."""
+        judgement = self._check.judge(self._clocks.now_ns())
+        status.summary(WARN if judgement.warning else OK,
+                       judgement.warning or "the car turns as it is told to, or stands")
+        status.add("commanded turn radius", f"{judgement.commanded_m:.2f} m")
+        status.add("estimated_turn_radius", f"{judgement.estimated_m:.2f} m")
+        return status
+
     def _publish_state(self, decision):
+        now_ns, radius_m = self._clocks.now_ns(), self._arbiter.turn_radius_m(decision.duty)
+        self._check.update_command(radius_m, now_ns)
         self._states.publish(SteeringState(
             stamp=self._clocks.ros_now(), source=decision.source, cause=decision.cause, reason=decision.reason,
-            duty=decision.duty, turn_radius=self._arbiter.turn_radius_m(decision.duty),
-            odometry_age=self._arbiter.odometry_age_s(self._clocks.now_ns()), speed=self._arbiter.speed_mps,
+            duty=decision.duty, turn_radius=radius_m, odometry_age=self._arbiter.odometry_age_s(now_ns),
+            speed=self._arbiter.speed_mps,
             limit=decision.limit, limit_reason=decision.limit_reason, asked_radius=decision.asked_radius_m,
             max_speed=decision.max_speed_mps, cuts=self._arbiter.cuts,
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,

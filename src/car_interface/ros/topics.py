@@ -10,7 +10,7 @@ import rospy
 from rospy.impl.tcpros_pubsub import QueuedConnection
 from std_msgs.msg import Bool, Int32MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from car_interface.common.servo_channels import CHANNELS, one_channel
+from car_interface.common.units import CHANNELS, one_channel
 from car_interface.ros.backlog import Backlog
 from car_interface.ros.inbox import Inbox
 
