@@ -33,7 +33,7 @@ from many_drives import THROTTLE, Chip
 
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
-from car_interface.common.drive_modes import AUTONOMOUS
+from car_interface.common.causes import AUTONOMOUS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
 from car_interface.sim.collision import Collisions
@@ -242,8 +242,8 @@ class Bench:
         x_m, y_m, yaw_rad = car.vehicle.start
         self.start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
 
-    def run(self) -> Result:
-        end_ns = START_NS + round(MAX_S * NS_PER_S)
+    def run(self, max_s: float = MAX_S) -> Result:
+        end_ns = START_NS + round(max_s * NS_PER_S)
         while self.vehicle.time_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
             self._advance()
         base_text = STOCK.read_text(encoding="utf-8")

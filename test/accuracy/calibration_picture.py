@@ -25,7 +25,7 @@ from PIL import Image
 
 from accuracy.calibration_drive import HALF_M, Bench, Person
 from accuracy.virtual_drive import NS_PER_S
-from car_interface.tools.calibration.drive.step import Row
+from car_interface.tools.calibration.drive.step import RadiusRow
 
 SEED = 0  # a car without walls around it
 FRAMES_PER_S, MOVING_S, END_S = 10, 9.0, 2.0
@@ -44,7 +44,7 @@ class Moment(NamedTuple):
 
     held_s: float
     pose: tuple[float, float, float]
-    rows: tuple[Row, ...]
+    rows: tuple[RadiusRow, ...]
 
 
 class PatientPerson(Person):
@@ -160,7 +160,7 @@ def save(frames: list[Image.Image], file: str) -> None:
     drawn = [np.asarray(frame.quantize(palette=palette, dither=0)) for frame in frames]
     changes = [drawn[0], *(np.where(now == before, transparent, now).astype(np.uint8)
                            for before, now in zip(drawn, drawn[1:]))]
-    files = [Image.fromarray(change, "P") for change in changes]
+    files = [Image.fromarray(change) for change in changes]
     for one in files:
         one.putpalette(palette.getpalette())
     durations = [1000 // FRAMES_PER_S] * (len(files) - 1) + [round(1000 * END_S)]

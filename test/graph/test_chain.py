@@ -15,7 +15,7 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, String
 
 from car import CENTER, ESC_NEUTRAL, LEFT, MANUAL, RIGHT, Car
-from car_interface.common.drive_modes import MANUAL as BY_HUMAN
+from car_interface.common.causes import MANUAL as BY_HUMAN
 from inputs import control, odometry
 
 SAFETY = Path(__file__).resolve().parents[2] / "docs" / "safety.md"

@@ -12,12 +12,12 @@ README = ROOT / "README.md"
 PAGES = [README, ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 INSTALL = ROOT / "docs/install.md"
 NODE_REFERENCE = ROOT / "docs/nodes.md"
-FOLDERS = ("cfg", "config", "docs", "launch", "msg", "scripts", "src", "srv", "test", "udev")
+FOLDERS = ("cfg", "config", "demo", "docs", "launch", "msg", "scripts", "src", "srv", "test", "udev")
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 # Folders of a repository path, or a launch file, in a word of the text.
 PATH = re.compile(rf"(?<![\w./~$:-])((?:{'|'.join(FOLDERS)})/[\w./-]*\w|\w+\.launch)(?![\w/])")
 PARAMETER = re.compile(r"params\.\w+\(\s*f?\"([\w/]+)")
-MODULES = sorted((ROOT / "src/car_interface").rglob("*.py"))
+MODULES = sorted([*(ROOT / "src/car_interface").rglob("*.py"), *(ROOT / "demo").glob("*.py")])
 
 
 def text_of(path: Path) -> str:
@@ -48,7 +48,7 @@ def test_links_paths_commands_and_measuring_programs_that_a_page_names_exist(pag
     broken += [name for name in re.findall(r"python3 -m accuracy\.(\w+)", text)
                if not (ROOT / "test/accuracy" / f"{name}.py").exists()]
     broken += [name for name in re.findall(r"rosrun car_interface (\w+)", text)
-               if not (ROOT / "scripts" / name).exists() and name != "COMMAND"]
+               if not any((ROOT / folder / name).exists() for folder in ("scripts", "demo")) and name != "COMMAND"]
     assert broken == []
 
 

@@ -112,7 +112,7 @@ class ObstacleGuard:
         brake_mps2 = 0.0 if is_backward or is_reverse else self._certain_brake_mps2(arbitration, coasting, now_ns)
         stop_mps2 = max(coasting.certain_mps2, brake_mps2)
         begins = self._begins(arbitration, coasting, is_backward) if stop_mps2 < STEEP_MPS2 else ""
-        bound = self._bound(begins, stop_mps2, coasting, curvature_per_m, is_backward, now_ns)
+        bound = self._bound(begins, stop_mps2, coasting, reaches_mps, curvature_per_m, is_backward, now_ns)
         self._rolls = highest_mps >= MOVES_MPS and self._is_in_doubt(coasting, stop_mps2, bound, highest_mps)
         if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
             return Obstacle(stop=bound)
@@ -164,7 +164,7 @@ class ObstacleGuard:
             return PRIMES if arbitration.asked > 0 and may_prime else ""
         return PROBES if coasting.likely_mps2 >= STEEP_MPS2 else ""
 
-    def _bound(self, begins, stop_mps2, coasting, curvature_per_m, is_backward, now_ns):
+    def _bound(self, begins, stop_mps2, coasting, reaches_mps, curvature_per_m, is_backward, now_ns):
         late_s = self._late_s + MOTOR_LAG_S
         if begins == PRIMES:
             stop_mps2 = self._brake_mps2 - self._brake_lacks_mps2(coasting)
@@ -176,9 +176,27 @@ class ObstacleGuard:
             return SpeedBound(0.0, causes.OBSTACLE_SLOWED, STEEP)
         guarantee = Guarantee(stop_mps2, 0.0, stop_mps2)
         bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s)
-        if begins == PROBES and bound.speed_mps > PROBE_MPS:
-            return bound._replace(speed_mps=PROBE_MPS, words=PROBES)
-        return bound._replace(words=PRIMES) if begins == PRIMES else bound
+        if begins == PRIMES:
+            return bound._replace(words=PRIMES)
+        if begins == PROBES:
+            return bound._replace(speed_mps=PROBE_MPS, words=PROBES) if bound.speed_mps > PROBE_MPS else bound
+        is_by_drag = stop_mps2 == coasting.certain_mps2
+        return self._sustained(bound, stop_mps2, reaches_mps, curvature_per_m, is_backward) if is_by_drag else bound
+
+    def _sustained(self, bound, stop_mps2, reaches_mps, curvature_per_m, is_backward):
+        """The bound that still holds once the car is as fast.
+
+        A faster car stops farther along its arc, on another heading, where less may be certain to stop it. The bound
+        goes with that deceleration's root; where a straight line through its values at the present speed and at the
+        bound itself meets the speed lies what can be kept.
+        """
+        left_mps = bound.speed_mps - reaches_mps
+        if left_mps <= 0.0 or not curvature_per_m:
+            return bound
+        turn_rad = self._turn_rad(bound.speed_mps, curvature_per_m, is_backward)
+        there_mps2 = max(0.0, self.slope.coasting(is_backward, turn_rad).certain_mps2)
+        falls_mps = max(0.0, bound.speed_mps * (1.0 - math.sqrt(there_mps2 / stop_mps2)))
+        return bound._replace(speed_mps=reaches_mps + left_mps * left_mps / (left_mps + falls_mps))
 
     def _is_in_doubt(self, coasting, stop_mps2, bound, highest_mps):
         """Whether to roll in neutral: to know better how it slows down would allow more than its bound."""

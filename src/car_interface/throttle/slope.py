@@ -209,8 +209,9 @@ class Plane(NamedTuple):
     def measured(self, yaw_rad: float, seen_mps2: float, bound_mps2: float, drag_mps2: float) -> Plane:
         """With a deceleration that was seen at a heading. One that is far from expected belongs to other ground."""
         cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-        d, x, y = self.dd - self.dx * cos - self.dy * sin, self.dx - self.xx * cos - self.xy * sin, \
-            self.dy - self.xy * cos - self.yy * sin
+        d = self.dd - self.dx * cos - self.dy * sin
+        x = self.dx - self.xx * cos - self.xy * sin
+        y = self.dy - self.xy * cos - self.yy * sin
         square = d - x * cos - y * sin + bound_mps2 * bound_mps2
         wrong_mps2 = seen_mps2 - (self.drag - self.x * cos - self.y * sin)
         if wrong_mps2 * wrong_mps2 > 4.0 * square:

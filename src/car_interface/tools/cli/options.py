@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.input_file import finite_number
 from car_interface.common.package_files import package_file
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.tools.recordings.roles import ODOM, Role
 
 PACKAGE = "car_interface"
