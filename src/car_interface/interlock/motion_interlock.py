@@ -17,7 +17,7 @@ from car_interface.common import causes
 from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.common.units import NS_PER_S
 
-HUMAN_TIMEOUT_S = 0.5
+HUMAN_TIMEOUT_S = 0.5  # as every input of the arbiters
 STARTED = "this node has just started"
 # How to re-arm, in the state message, the log and /diagnostics.
 REARM_REASON = "let go once: publish false, then true"

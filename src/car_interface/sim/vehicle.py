@@ -62,7 +62,7 @@ class Pulse(NamedTuple):
 
 @dataclass(frozen=True)
 class SteeringConfig:
-    """How the servo moves and where its positions steer.
+    """The servo's motion, and the curvature at each of its positions.
 
     Attributes:
         curve: (duty, curvature in 1/m, left positive), duties rising, curvatures falling, or rising with a servo that

@@ -17,7 +17,7 @@ HOST, TEENSY = 1, 2  # addresses
 
 SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")  # by sensor id
 FORWARD, BACKWARD, NO_DIRECTION, DIRECTION_ERROR = range(4)
-MAX_SEQUENCE = 24
+MAX_SEQUENCE = 24  # the firmware's array has four entries for each sonar
 MAX_COUNTER_NAME = 23
 UINT32 = 2 ** 32
 MAX_SONAR_WAIT_MS = UINT32 // 2 - 1  # the firmware's comparison of times takes more than this for no wait at all

@@ -49,7 +49,7 @@ def _check_temperature(temperature_c):
 
 @dataclass(frozen=True)
 class RangingConfig:
-    """How echoes are converted.
+    """The rules by which echoes become ranges.
 
     Attributes:
         temperature_c: of the air, −50 to 60.
