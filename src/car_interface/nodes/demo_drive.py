@@ -27,6 +27,7 @@ from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.units import NS_PER_S, yaw_rad
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import (
     Control,
     Distance,
@@ -57,7 +58,6 @@ from car_interface.sim.demo_script import (
 )
 from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
 from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
-from car_interface.teensy.link.protocol import SONARS
 
 RATE_HZ = 50
 READY_WITHIN_S = 30

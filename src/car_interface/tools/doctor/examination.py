@@ -171,7 +171,7 @@ def _parameters(master, namespace, name, nodes):
 
 
 def _text(params, name):
-    """A text among the parameters; ``None`` when there is none, or nonsense: ``check_parameters`` reports that."""
+    """Return a text among the parameters; ``None`` = there is none, or nonsense, which ``check_parameters`` reports."""
     try:
         return params.text(name, None)
     except ConfigError:

@@ -21,7 +21,7 @@ from car_interface.tools.report.html import (
 )
 from car_interface.tools.report.plots import Plot
 from car_interface.tools.report.states import UNKNOWN_DRIVER
-from car_interface.tools.report.summary import SONARS, Summary
+from car_interface.tools.report.summary import RANGES, Summary
 
 MIN_RATIOS = 30  # samples, for a ratio to be shown
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
@@ -291,7 +291,7 @@ def _path(drive, plots):
     if frames:
         lacking = ('<p class="faint">Where these sit was not recorded (/tf_static), so their echoes are not drawn: '
                    f'{escape(", ".join(sorted(frames)))}.</p>\n')
-    absent = _missing(drive, "odom", *([] if set(SONARS) & drive.present else ["sonar/*"]))
+    absent = _missing(drive, "odom", *([] if set(RANGES) & drive.present else ["sonar/*"]))
     return section("path", "The path, and what the sonars saw", text, _plot(plots, "path"), lacking, absent)
 
 

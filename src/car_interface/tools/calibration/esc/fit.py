@@ -316,6 +316,6 @@ def _drag(data, seen, missing):
 
 
 def _runs(flags):
-    """Begin and end of each run of true."""
+    """Return begin and end of each run of true."""
     edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
     return list(zip(edges[::2], edges[1::2]))

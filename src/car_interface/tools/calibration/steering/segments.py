@@ -172,7 +172,7 @@ def observations(segmentations: Sequence[Segmentation], backlash_duty: float) ->
 
 
 def design(segmentations: Sequence[Segmentation], backlash_duty: float) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """(weights of the knots in each segment's curvature (S, K), the wheels' mean position on each in duty (S,))."""
+    """Return the knots' weights in each segment's curvature (S, K), and the wheels' mean positions in duty (S,)."""
     knots = knots_of(segmentations)
     duties = np.concatenate([_wheel_duties(one, one.wheels.linkage(backlash_duty)) for one in segmentations])
     place = np.clip((duties - knots[0]) / KNOT, 0, len(knots) - 1.001)

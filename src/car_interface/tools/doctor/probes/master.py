@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import socket
 import xmlrpc.client
 from typing import Any, NamedTuple, Sequence
 from urllib.parse import urlsplit
@@ -16,6 +15,7 @@ from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
 from car_interface.ros.start import full_name
 from car_interface.tools.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
+from car_interface.tools.doctor.probes.computer import leads_here
 
 CALLER = "/doctor"
 ANSWER_WITHIN_S = 1.0
@@ -113,7 +113,7 @@ class Master:
         process = node.process.rpartition("/")[2]
         try:
             uri = self.ask("lookupNode", node.process)
-            if not _is_here(urlsplit(uri).hostname):
+            if not leads_here(urlsplit(uri).hostname):
                 return {}
             _, _, pid = ask(uri, "getPid", CALLER)
             return fixed_parameters(node.name, script_arguments(pid, process), process)
@@ -151,16 +151,6 @@ def ask(uri: str, question: str, *arguments: Any) -> Any:
     """Any XML-RPC server's answer."""
     with xmlrpc.client.ServerProxy(uri, transport=_HastyTransport()) as server:
         return getattr(server, question)(*arguments)
-
-
-def _is_here(host):
-    """Return whether a host name or address is this computer's."""
-    with socket.socket() as probe:
-        try:
-            probe.bind((host, 0))
-        except OSError:
-            return False
-    return True
 
 
 class _HastyTransport(xmlrpc.client.Transport):
