@@ -15,8 +15,8 @@ ROOT = Path(__file__).resolve().parents[1]
 def main(linters: str, python38: str) -> int:
     """Run each of them, whatever the one before it found."""
     os.chdir(str(ROOT))
-    modules = sorted(path.as_posix() for folder in ("src", "test") for path in Path(folder).rglob("*.py"))
-    files = [*modules, "setup.py", *sorted(path.as_posix() for path in Path("scripts").iterdir())]
+    modules = sorted(path.as_posix() for folder in ("src", "demo", "test") for path in Path(folder).rglob("*.py"))
+    files = [*modules, "setup.py", "demo/demo_drive", *sorted(path.as_posix() for path in Path("scripts").iterdir())]
     commands = [
         [f"{linters}/ruff", "check", "--no-cache", "--quiet", "--output-format=concise", "."],
         [python38, "test/py38_syntax.py", *files],

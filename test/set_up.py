@@ -48,7 +48,8 @@ DEBIAN = {
     "rostest": ("librostest-dev", "python3-rostest"),
 }
 BOUNDS = (("version_gte", ">="), ("version_lte", "<="))
-PIP = {"python3-serial": "pyserial", "python3-yaml": "PyYAML"}  # where it is not KEY without python3- and -pip
+# Where it is not KEY without python3- and -pip.
+PIP = {"python3-pil": "Pillow", "python3-serial": "pyserial", "python3-yaml": "PyYAML"}
 
 
 def keys(distribution: str) -> dict[str, str]:

@@ -15,14 +15,14 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, String
 
 from car import CENTER, ESC_NEUTRAL, LEFT, MANUAL, RIGHT, Car
-from car_interface.common.drive_modes import MANUAL as BY_HUMAN
+from car_interface.common.causes import MANUAL as BY_HUMAN
 from inputs import control, odometry
 
 SAFETY = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
 MS = 1_000_000
 NEUTRALS = (CENTER, ESC_NEUTRAL)
 HOP_S = 0.02  # a multiple of the nodes' periods of 10 and 20 ms: it leaves the phases as they are
-GOES_ON = "goes on"  # of a channel, in the page's table
+CONTINUES = "continues"  # of a channel, in the page's table
 HOUR_NS = 3600 * 1000 * MS
 # Of the moment of a fault, ns: at, just after and just before a tick of turn_arb, and of throttle_arb or teleop_logi.
 PHASES = (0, 1, 7 * MS, 10 * MS - 1, 10 * MS, 20 * MS - 1)
@@ -281,13 +281,13 @@ ROWS = [
 
 
 def page_rows() -> dict[str, list[tuple[float, float] | None]]:
-    """Return the bounds in the page's table, by fault: those of the servo and of the ESC; ``None`` = it goes on."""
+    """Return the bounds in the page's table, by fault: those of the servo and of the ESC; ``None`` = it continues."""
     _, _, section = SAFETY.read_text(encoding="utf-8").partition("## Exact bounds\n")
     found: dict = {}
     for line in section.partition("\n## ")[0].splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 4 and re.match(rf"\d|{GOES_ON}", cells[1]):
-            bounds = [None if cell == GOES_ON else [float(number) for number in cell.split(" to ")]
+        if len(cells) == 3 and re.match(rf"\d|{CONTINUES}", cells[1]):
+            bounds = [None if cell == CONTINUES else [float(number) for number in cell.split(" to ")]
                       for cell in cells[1:3]]
             for title in cells[0].split(", "):
                 found[title] = [each and (each[0], each[-1]) for each in bounds]

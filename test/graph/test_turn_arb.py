@@ -266,6 +266,19 @@ def test_log_has_a_line_for_each_change_of_source_or_cause_and_warns_of_losses()
         (logging.WARNING, "NEUTRAL: av_turnrad_req and av_steer_req are both published: neither is obeyed")]
 
 
+@pytest.mark.parametrize("radius_m, level, message", [
+    (-1.5, DiagnosticStatus.WARN, "steering calibration?"),
+    (2.5, DiagnosticStatus.OK, "the car turns as it is told to, or stands")])
+def test_car_that_turns_against_its_steering_is_reported(radius_m, level, message):
+    arb = Arb().drive(planner=radius_m)
+    arb.graph.hold("/odom", odometry(1.0, 1.0 / 2.4), 20)
+    arb.run(4.0)
+    report = arb.graph.report("turn_arb: steering by the wheels")
+    assert report.level == level and message in report.message
+    assert report.values["commanded turn radius"] == f"{radius_m:.2f} m"
+    assert report.values["estimated_turn_radius"] == "2.40 m"
+
+
 # --- limits by what the car turns, and by the measured speed: 4 m/s² sideways at 4 m/s are a radius of 4 m ---
 
 def test_turns_tighter_than_the_car_s_are_cut_and_told_everywhere_and_warned_of_once():

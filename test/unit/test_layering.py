@@ -49,6 +49,8 @@ ROS = ("nodes/", "ros/", "tools/doctor/probes/")
 ONLY_IN = {
     "rospy": ROS,
     "rosbags": ("tools/recordings/",),
+    "evdev": ("nodes/keyboard_drive/key_events.py",),
+    "jinja2": ("tools/report/html.py",),
     "matplotlib": ("tools/report/",),
     "tqdm": ("tools/recordings/", "tools/cli/"),
     "scipy": ("tools/calibration/",),

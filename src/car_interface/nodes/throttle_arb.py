@@ -4,7 +4,7 @@ Subscribes:
     /e_stop (std_msgs/Bool): true = locked: stop, whoever requests what.
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
     /teleop_logi/tele_throt_req (std_msgs/Float32): −1 full brake or reverse .. +1 full forward.
-    /teleop_logi/mode (std_msgs/String): who steers and who drives; see ``common.drive_modes``. Never received = a
+    /teleop_logi/mode (std_msgs/String): who steers and who drives; see ``common.causes``. Never received = a
         tele_throt_req beyond the dead band means the human.
     /teleop_logi/scale_button (std_msgs/Int8): 1 or −1 while the button for more or less speed by hand is pressed.
     ~input/value (Float64Stamped): the planner's, from generic_value_converter.
@@ -55,11 +55,11 @@ from std_msgs.msg import Float32, Int8, Int32MultiArray, String
 
 from car_interface.cfg import EscNeutralConfig
 from car_interface.common import causes
-from car_interface.common.drive_modes import MODES
+from car_interface.common.causes import MODES
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text

@@ -7,7 +7,8 @@ Subscribes:
     av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 or NaN = no request, ±inf = straight on.
     av_steer_req (std_msgs/Float32): −1 right .. +1 left, of a planner that knows no radius; not beside av_turnrad_req.
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s, for the limits and the understeer. Never
-        received = neither; lost = the last one stays. The steering goes on.
+        received = neither; lost = the last one stays. The steering goes on. With twist.twist.angular.z in rad/s it also
+        shows whether the car turns as commanded.
     teleop_logi/state (TeleopState): why human_in_loop is false, and whether the stick overrides the planner; only
         quoted in the reason.
 Publishes:
@@ -15,7 +16,7 @@ Publishes:
     ~state (SteeringState, latched): source, cause, duty, limits and ages; on every change and 20 times a second.
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the center, for the servo board's timeout value; −1
         elsewhere.
-    /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
+    /diagnostics: a summary of the same, whether the car turns as commanded, and who else publishes on its topics; 1 Hz.
 Parameters (those of the original are also looked up in the namespaces around the node's):
     servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
     k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
@@ -58,6 +59,7 @@ from car_interface.ros.topics import advertise, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.limits import TOO_TIGHT_REMEDY
+from car_interface.steering.monitor import SteeringCheck
 from car_interface.steering.params import read_arbiter, read_calibration
 
 RATE_HZ = 100
@@ -104,6 +106,7 @@ class TurnArb:
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
+        self._check = SteeringCheck()
         self._channel = config.calibration.servo_channel
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
@@ -120,8 +123,9 @@ class TurnArb:
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
         self._states = advertise("~state", SteeringState, inbox, latch=True)
         self._command_topics = CommandTopics(inbox)
-        self._diagnostics = Diagnostics(inbox, "none", {"steering": self._report, **self._command_topics.reports},
-                                        now_ns)
+        self._diagnostics = Diagnostics(inbox, "none", {
+            "steering": self._report, "steering by the wheels": self._report_check, **self._command_topics.reports},
+            now_ns)
         self._master_fault = ""
         inbox.on_overflow(self._on_overflow)
         subscribe_interlock(inbox, self._arbiter, self._decide)
@@ -154,6 +158,7 @@ class TurnArb:
 
     def _on_overflow(self, now_ns):
         self._arbiter.mark_stale(now_ns)
+        self._check.mark_stale()
         self._decide(now_ns)
 
     def _on_teleop(self, message, now_ns):
@@ -178,6 +183,7 @@ class TurnArb:
 
     def _on_odometry(self, message, now_ns):
         speed_mps = message.twist.twist.linear.x
+        self._check.update_motion(speed_mps, message.twist.twist.angular.z, now_ns)
         self._arbiter.update_odometry(speed_mps, now_ns, self._odometry_age.at_arrival_ns(message.header.stamp, now_ns))
         if not math.isfinite(speed_mps):
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE,
@@ -284,14 +290,25 @@ class TurnArb:
             status.add(f"warnings of {kind}", count)
         return status
 
+    def _report_check(self, status):
+        """Report on /diagnostics whether the car turns as commanded."""
+        judgement = self._check.judge(self._clocks.now_ns())
+        status.summary(WARN if judgement.warning else OK,
+                       judgement.warning or "the car turns as it is told to, or stands")
+        status.add("commanded turn radius", f"{judgement.commanded_m:.2f} m")
+        status.add("estimated_turn_radius", f"{judgement.estimated_m:.2f} m")
+        return status
+
     def _publish_command(self, decision):
         self._commands.publish(one_channel_duty(self._channel, decision.duty))
 
     def _publish_state(self, decision):
+        now_ns, radius_m = self._clocks.now_ns(), self._arbiter.turn_radius_m(decision.duty)
+        self._check.update_command(radius_m, now_ns)
         self._states.publish(SteeringState(
             stamp=self._clocks.ros_now(), source=decision.source, cause=decision.cause, reason=decision.reason,
-            duty=decision.duty, turn_radius=self._arbiter.turn_radius_m(decision.duty),
-            odometry_age=self._arbiter.odometry_age_s(self._clocks.now_ns()), speed=self._arbiter.speed_mps,
+            duty=decision.duty, turn_radius=radius_m, odometry_age=self._arbiter.odometry_age_s(now_ns),
+            speed=self._arbiter.speed_mps,
             limit=decision.limit, limit_reason=decision.limit_reason, asked_radius=decision.asked_radius_m,
             max_speed=decision.max_speed_mps, cuts=self._arbiter.cuts,
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,

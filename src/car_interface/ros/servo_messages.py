@@ -5,7 +5,7 @@ from functools import lru_cache
 
 from std_msgs.msg import Int32MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from car_interface.common.servo_channels import CHANNELS, one_channel
+from car_interface.common.units import CHANNELS, one_channel
 
 _LAYOUT = MultiArrayLayout(dim=[MultiArrayDimension(label="pwm_channel", size=CHANNELS, stride=1)], data_offset=0)
 

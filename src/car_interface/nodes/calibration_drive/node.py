@@ -33,9 +33,8 @@ from visualization_msgs.msg import MarkerArray
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.staleness import TimedInput
-from car_interface.common.units import NS_PER_S, yaw_rad
+from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.calibration_drive.bag_page import BagPage
 from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers

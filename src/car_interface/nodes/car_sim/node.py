@@ -55,8 +55,7 @@ from std_msgs.msg import Int32, Int32MultiArray
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
 from car_interface.nodes.car_sim.chip_follower import ChipFollower
 from car_interface.nodes.car_sim.virtual_line import VirtualLine
 from car_interface.nodes.pca9685.virtual_board import chip_path

@@ -42,8 +42,7 @@ from car_interface.common.causes import FOREIGN_WRITE, NODE_STOOD_STILL
 from car_interface.common.errors import DeviceError
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
 from car_interface.nodes.pca9685.guard_link import GuardChild, GuardLink
 from car_interface.nodes.pca9685.virtual_board import VirtualBoardBus, chip_path
 from car_interface.pca9685.board import Board

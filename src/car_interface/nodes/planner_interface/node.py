@@ -39,8 +39,7 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
 from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
-from car_interface.planner.ackermann import from_ackermann
-from car_interface.planner.autoware import from_control
+from car_interface.planner.messages import from_ackermann, from_control, from_twist
 from car_interface.planner.params import WHEELS, PlannerConfig, read_planner
 from car_interface.planner.request import PlannerRequest, not_finite, sane_radius_m
 from car_interface.planner.source_arbiter import (
@@ -51,7 +50,6 @@ from car_interface.planner.source_arbiter import (
     PlannerDecision,
     SourceArbiter,
 )
-from car_interface.planner.twist import from_twist
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run

@@ -11,7 +11,7 @@ Publishes:
     /diagnostics: the same, the clock, and the records that made no sense; 1 Hz.
 Subscribes:
     temperature (sensor_msgs/Temperature, °C): of the air, for the speed of sound; without it ~temperature counts.
-    turn_arb/state (SteeringState): the commanded turn radius, held against the one that the wheels make.
+    turn_arb/state (SteeringState), with ~use_steering: the commanded turn radius, which helps the heading.
 Services:
     ~ping, ~sonar_start, ~sonar_stop, ~wheel_reset, ~get_counters (std_srvs/Trigger),
     ~set_sonar_sequence (SetSonarSequence), ~set_sonar_wait (SetSonarWait).

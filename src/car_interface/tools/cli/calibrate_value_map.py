@@ -15,7 +15,7 @@ from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.shared import RecordedDrive, written_text
 from car_interface.tools.calibration.value_map.acceleration import WindowConfig

@@ -7,7 +7,7 @@ from typing import Sequence
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.input_file import finite_number
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.tools.recordings.roles import ODOM, Role
 
 

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
-from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED, stamp_ns, yaw_rad
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
 from car_interface.tools.recordings.recording import Recorded
 from car_interface.tools.recordings.series import Ackermann, Imu, Odom, Output, Value

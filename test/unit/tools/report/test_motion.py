@@ -91,8 +91,8 @@ def test_without_the_wheelbase_an_angle_is_only_an_angle_and_the_page_says_so(ba
     drive = summarize(bag)
     assert drive.traces["requested curvature"].count == 0
     assert drive.traces["requested angle"].maximum == pytest.approx(math.degrees(math.atan(0.15) + 0.005), abs=0.01)
-    assert ("<tr><th>Turned against what was asked</th><td>can't tell: which curve an angle asks for needs --wheelbase"
-            "</td></tr>") in page(drive, {})
+    assert ("<tr><th>Turned against what was asked</th><td>can&#39;t tell: which curve an angle asks for needs "
+            "--wheelbase</td></tr>") in page(drive, {})
     assert set(plots(drive)) == {"steering", "path", "speed"}
 
 

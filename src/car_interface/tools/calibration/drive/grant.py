@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from car_interface.common import causes
-from car_interface.common.drive_modes import AUTONOMOUS
+from car_interface.common.causes import AUTONOMOUS
 from car_interface.common.staleness import TimedInput
 from car_interface.planner.source_arbiter import SPEED
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP

@@ -9,7 +9,7 @@ import numpy as np
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable
 from car_interface.common.params import Params
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
+from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.yaml_file import load_yaml
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.throttle.arbiter import PLANNER, TELEOP

@@ -47,6 +47,7 @@ LIBRARIES = (
      "sudo apt install ros-noetic-diagnostic-updater (Debian: python3-diagnostic-updater)"),
     ("dynamic_reconfigure", "dynamic_reconfigure",
      "sudo apt install ros-noetic-dynamic-reconfigure (Debian: python3-dynamic-reconfigure)"),
+    ("evdev", "evdev", "sudo apt install python3-evdev"),
     ("serial", "pyserial", "sudo apt install python3-serial"),
     ("smbus2", "smbus2", "sudo apt install python3-smbus2 (Ubuntu 20.04: pip3 install smbus2)"),
 )
@@ -55,8 +56,8 @@ LIBRARIES = (
 MESSAGES = ("diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs",
             "visualization_msgs")
 # What the commands for recordings import, and where docs/recordings.md has them installed.
-TOOLS = {"matplotlib": "matplotlib", "numpy": "numpy", "rosbags": "rosbags", "scipy": "scipy", "tqdm": "tqdm",
-         "yaml": "PyYAML"}
+TOOLS = {"jinja2": "Jinja2", "matplotlib": "matplotlib", "numpy": "numpy", "rosbags": "rosbags", "scipy": "scipy",
+         "tqdm": "tqdm", "yaml": "PyYAML"}
 TOOLS_ENVIRONMENT = "~/car_tools/bin/car-interface"
 
 

@@ -10,7 +10,7 @@ Parameters:
     ~bag_dir: absolute path of a folder for a bag of all topics; none = no recording.
     ~steering, ~esc, ~gamepad, ~wheels: what turn_arb.yaml, throttle.yaml, teleop_logi.yaml and teensy_sensor_hub.yaml
         of the car say, as demo.launch loads them: the channels of the servo board, the gamepad's axis and buttons, and
-        how finely the wheels' sensors tell how the car turns.
+        the wheels' sizes and pulses.
 """
 from __future__ import annotations
 
@@ -19,15 +19,6 @@ import sys
 from collections import Counter
 from dataclasses import dataclass
 
-from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Joy, Range
-from std_msgs.msg import Bool, Float32, Int32MultiArray
-
-from car_interface.common.errors import CarInterfaceError, EndedEarly
-from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS
-from car_interface.common.units import NS_PER_S, yaw_rad
-from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import (
     Control,
     Distance,
@@ -41,10 +32,20 @@ from car_interface.msg import (
     ThrottleState,
     Wheel,
 )
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy, Range
+from std_msgs.msg import Bool, Float32, Int32MultiArray
+
+from car_interface.common.errors import CarInterfaceError, EndedEarly
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.ros.bag_recording import BagRecording
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.sim.demo_script import (
+from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
+from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
+from demo_script import (
     DONE,
     LEFT_CIRCLE,
     LET_GO,
@@ -56,23 +57,21 @@ from car_interface.sim.demo_script import (
     Drive,
     DriveConfig,
 )
-from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
-from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
 
 RATE_HZ = 50
 READY_WITHIN_S = 30
-STILL_S = 0.1  # held up for longer, the drive may fail by that alone
+STILL_S = 0.1  # a drive that was held up for longer may fail for this reason alone
 LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
 AXES, BUTTONS, MAX_INDEX = 8, 11, 63
 SETTLING_NS = NS_PER_S // 10  # after a change of stage the source isn't checked
 # Tolerance of odometry at the end, after some 34 m: as a ratio of the distance; and of the angle by which the car turns
-# when one wheel goes on by a pulse, 2.9 degrees with the shipped wheels. Between two pulses nothing is known: at either
-# end of the drive each wheel may be off by half of one.
+# when one wheel goes on by a pulse, 2.9 degrees with the shipped wheels. Between two pulses the place is unknown: at
+# either end of the drive each wheel may be off by half of one.
 ODOMETRY_RATIO, PULSE_RATIO = 0.01, 1.1
 
 
 class Watch:
-    """Records what the checks need."""
+    """Records what the checks use."""
 
     def __init__(self, steering_channel, throttle_channel):
         self._steering_channel, self._throttle_channel = steering_channel, throttle_channel
@@ -91,7 +90,7 @@ class Watch:
         self.let_go_ns = self.neutral_ns = None
 
     def on_truth(self, message, now_ns):
-        """The true pose of the car."""
+        """Take the true pose of the car."""
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
         if self.pose is not None:
             distance_m = math.hypot(position.x - self.pose[0], position.y - self.pose[1])
@@ -102,12 +101,12 @@ class Watch:
         self.speed_mps = message.twist.twist.linear.x
 
     def on_state(self, message, now_ns):
-        """Who steers."""
+        """Take turn_arb's state."""
         self.state = message
         self._count(self.stage_sources, message, now_ns)
 
     def on_throttle_state(self, message, now_ns):
-        """Who drives."""
+        """Take throttle_arb's state."""
         self.throttle_state = message
         self._count(self.stage_drivers, message, now_ns)
 
@@ -118,7 +117,7 @@ class Watch:
                 self.stopped_by.setdefault((self.stage, type(message)), message.reason)
 
     def on_output(self, message, now_ns):
-        """The servo board's output."""
+        """Take the servo board's output."""
         self.output = message.data
         driven = self.duties
         if self.stage == NOBODY:
@@ -127,20 +126,20 @@ class Watch:
             self.neutral_ns = now_ns
 
     def on_odometry(self, message, now_ns):
-        """The pose by odometry."""
+        """Take the pose by odometry."""
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
         self.odometry = (position.x, position.y, yaw_rad(orientation))
 
     def on_range(self, message, now_ns):
-        """A sonar's range; infinite: no echo."""
+        """Take a sonar's range; infinite: no echo."""
         self.sonar_m[message.header.frame_id] = message.range
 
     def on_link(self, message, now_ns):
-        """The state of the serial link."""
+        """Take the state of the serial link."""
         self.link = message
 
     def odometry_error(self):
-        """The error of odometry, in m and degrees."""
+        """Return the error of odometry, in m and degrees."""
         x_m, y_m, by_wheels_rad = self.odometry
         error_rad = math.remainder(by_wheels_rad - self.yaw_rad, 2 * math.pi)
         return math.hypot(x_m - self.pose[0], y_m - self.pose[1]), abs(math.degrees(error_rad))
@@ -151,7 +150,7 @@ class Watch:
         return self.output[self._steering_channel], self.output[self._throttle_channel]
 
     def missing(self):
-        """The topics without a message so far; empty when the car is ready."""
+        """Return the topics without a message so far; empty when the car is ready."""
         seen = {
             "car_sim/truth": self.pose,
             "turn_arb/state": self.state,
@@ -165,7 +164,7 @@ class Watch:
 
 @dataclass(frozen=True)
 class DemoDriveConfig:
-    """What the node's parameters say.
+    """The node's parameters.
 
     Attributes:
         bag_dir: where a bag is recorded; ``None`` = nowhere.
@@ -366,7 +365,7 @@ class DemoDrive:
         return (self._watch.neutral_ns - self._watch.let_go_ns) / NS_PER_S
 
     def _checks(self):
-        """What is wrong if a check fails, and whether it passed."""
+        """Yield what is wrong if a check fails, and whether it passed."""
         watch, link = self._watch, self._watch.link
         yaw_rad, sources, distance_m = watch.stage_yaw_rad, watch.stage_sources, watch.stage_distance_m
         yield "the car moved though nobody was there", distance_m[NOBODY] < 0.01
@@ -397,5 +396,8 @@ class DemoDrive:
 
 
 def main():
-    """Run the node."""
-    run("demo_drive", DemoDrive)
+    """Run the node, or print how it is used."""
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(__doc__)
+    else:
+        run("demo_drive", DemoDrive)

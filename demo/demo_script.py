@@ -1,7 +1,7 @@
 """A scripted drive: nobody there, a human drives, the planner drives a figure-eight, the human lets go.
 
 Plays both the person with the gamepad and the planner. Pure: pose, speed and ``now_ns`` in, orders out. The planner
-asks for its figure-eight all the time, so that it's seen who is listened to.
+asks for its figure-eight all the time, which shows who is obeyed.
 """
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ TURN_RAD = 2 * math.pi
 
 
 class DriveConfig(NamedTuple):
-    """The drive's measures. The defaults fit the default room and take about 40 s."""
+    """The dimensions of the drive. The defaults fit the default room and take about 40 s."""
 
     nobody_s: float = 5.0
-    picked_up_s: float = 2.0  # so long before it is used the gamepad is there, with no deadman held
+    picked_up_s: float = 2.0  # before its first use the gamepad is there for this long, with no deadman held
     let_go_s: float = 6.0
     max_turn_s: float = 20.0  # a circle that takes longer is given up
     speed_mps: float = 1.2
-    throttle_at_speed: float = 0.35  # of the stick, that holds about this speed, scaled as throttle.yaml says
+    throttle_at_speed: float = 0.35  # of the stick: holds about this speed with the scale of throttle.yaml
     throttle_per_mps: float = 0.5  # of the stick, for missing speed
     teleop_steering: float = 0.98
     radius_m: float = 1.6
@@ -32,7 +32,7 @@ class DriveConfig(NamedTuple):
 
 
 class Orders(NamedTuple):
-    """What the person and the planner do now."""
+    """The present actions of the person and the planner."""
 
     stage: int
     manual: bool  # the manual deadman is held
@@ -56,11 +56,11 @@ class Drive:
 
     @property
     def turned_rad(self) -> float:
-        """How far the car has turned in this stage, left positive."""
+        """The turn of the car in this stage, left positive."""
         return self._turned_rad
 
     def orders(self, now_ns: int, yaw_rad: float, speed_mps: float) -> Orders:
-        """What to do now, at this heading (any multiple of a turn off) and speed."""
+        """Return what to do now, at this heading (modulo a turn) and speed."""
         if self._last_yaw_rad is not None:
             self._turned_rad += math.remainder(yaw_rad - self._last_yaw_rad, TURN_RAD)
         self._last_yaw_rad = yaw_rad

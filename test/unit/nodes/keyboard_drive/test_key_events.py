@@ -5,8 +5,9 @@ import os
 import sys
 
 import pytest
+from evdev import InputDevice, ecodes
 
-from car_interface.nodes.keyboard_drive.evdev import Keyboards
+from car_interface.nodes.keyboard_drive.key_events import Keyboards
 
 # What /dev/input/event* of a 64-bit computer gives for W pressed, repeated and released, each with its scan code (type
 # 4) before it and a report (type 0) behind it: as a C program that includes linux/input.h has them in memory. The time
@@ -17,8 +18,8 @@ PRESSED, REPEATED, RELEASED = (TIME + bytes.fromhex(text) for text in (
     "0100 1100 01000000", "0100 1100 02000000", "0100 1100 00000000"))
 DROPPED = TIME + bytes.fromhex("0000 0300 00000000")
 CODE_W = 17
-KEYBOARD = bytes([0xff] * 16) + bytes(80)
-MOUSE = bytes(34) + bytes([0xff]) + bytes(61)  # BTN_LEFT is 0x110
+KEYBOARD = {ecodes.EV_SYN: [0, 1, 4], ecodes.EV_KEY: list(range(1, 128)), ecodes.EV_MSC: [4]}
+MOUSE = {ecodes.EV_KEY: [ecodes.BTN_LEFT, ecodes.BTN_RIGHT], ecodes.EV_REL: [0, 1, 8]}
 
 needs_64_bits = pytest.mark.skipif(sys.maxsize < 2 ** 32, reason="the bytes are a 64-bit computer's")
 
@@ -38,8 +39,15 @@ def fixture_device(tmp_path):
         pass  # the test has unplugged it
 
 
-def opened(pattern, bits=KEYBOARD):
-    return Keyboards(pattern, ioctl=lambda fd, request, size: bits)
+class Pipe(InputDevice):
+    """The library's device on a named pipe, which can be read as one, but answers no ioctl."""
+
+    def __init__(self, path, capabilities):
+        self.path, self.fd, self._rawcapabilities = path, os.open(path, os.O_RDONLY | os.O_NONBLOCK), capabilities
+
+
+def opened(pattern, capabilities=KEYBOARD):
+    return Keyboards(pattern, lambda path: Pipe(path, capabilities))
 
 
 @pytest.fixture(name="keyboards")
@@ -71,10 +79,10 @@ def test_keyboard_that_is_unplugged_is_reported_once(device, keyboards):
     assert keyboards.read() == [] and len(keyboards) == 0
 
 
-@pytest.mark.parametrize("bits, found", [(KEYBOARD, 1), (MOUSE, 0), (bytes(96), 0)],
+@pytest.mark.parametrize("capabilities, found", [(KEYBOARD, 1), (MOUSE, 0), ({ecodes.EV_SYN: [0]}, 0)],
                          ids=["keyboard", "mouse", "device_without_keys"])
-def test_only_keyboards_are_read(device, bits, found):
-    keyboards = opened(device[0], bits)
+def test_only_keyboards_are_read(device, capabilities, found):
+    keyboards = opened(device[0], capabilities)
     assert len(keyboards) == found
     keyboards.close()
     assert len(Keyboards(device[0])) == 0  # the real ioctl on a pipe fails

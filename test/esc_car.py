@@ -1,14 +1,14 @@
-"""A car that moves along a line under a virtual ESC: enough to see which way it is driven, and where it stops.
+"""Simulates a car on a line under a virtual ESC: enough to see in which direction it is driven, and where it stops.
 
-Consumes what the motor does and time steps; produces the car's speed and its wheels'. They differ while the brake has
-locked the wheels: those stand, and the car slides on. Backward is negative. Pure.
+Consumes the motor's state and time steps; produces the speeds of car and wheels. They differ while the brake has locked
+the wheels: these stand, and the car slides on. Backward is negative. Pure.
 """
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
 
 GRAVITY_MPS2 = 9.81
@@ -68,7 +68,7 @@ class EscCar:
         self.wheel_mps = 0.0 if locks else after_mps
 
     def _forces(self, motor):
-        """(what pushes forward, what holds against the motion, whether the wheels are locked)."""
+        """Return (the push forward, the resistance to motion, whether the wheels are locked)."""
         config, speed = self.config, abs(self.speed_mps)
         push_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))
         drag_mps2 = config.drag_mps2 + speed * (config.drag_per_s + speed * config.drag_per_m)
