@@ -15,7 +15,6 @@ from car_interface.tools.report.html import (
     span_text,
     times_text,
 )
-from car_interface.tools.report.plots import Plot
 from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import RANGES, Summary
 
@@ -23,12 +22,12 @@ MIN_RATIOS = 30  # samples, for a ratio to be shown
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
 
 
-def page(drive: Summary, plots: dict[str, Plot]) -> str:
-    """The page.
+def page(drive: Summary, plots: dict[str, str]) -> str:
+    """Return the page.
 
     Args:
         drive: the summary.
-        plots: by name; those that are missing are left out.
+        plots: SVGs by name; those that are missing are left out.
     """
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
     lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
