@@ -21,7 +21,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 
 from car_interface.common.errors import ConfigError
-from car_interface.teensy.link.protocol import SONARS
+from car_interface.common.vehicle_geometry import SONARS
 
 INF, MAX_RANGE = "inf", "max_range"
 US_PER_S = 1e6
@@ -119,7 +119,7 @@ class Ranging:
         """Return the metres from a sonar to the origin of its echo.
 
         Args:
-            sensor: index in ``protocol.SONARS``.
+            sensor: index in ``SONARS``.
             echo_us: as the firmware reports it.
             tick: the Teensy's clock then, ms.
             is_trusted: False within two reports of a SONAR_START: the firmware fires two sonars at once.

@@ -17,7 +17,7 @@ from __future__ import annotations
 from typing import NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
-from car_interface.teensy.link.protocol import SONARS
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.sensing.ranging import is_near_micros_wrap
 
 MISSING_ROUNDS = 2  # rounds of the others without a report
@@ -40,7 +40,7 @@ class SonarFault(NamedTuple):
     """A fault of the sonars.
 
     Attributes:
-        sensor: index in ``protocol.SONARS``; ``None`` for all of them.
+        sensor: index in ``SONARS``; ``None`` for all of them.
         description: what is wrong.
         next_step: what its owner can do.
     """
