@@ -27,7 +27,7 @@ NODES = "nodes."
 NEEDED_MIB = 380
 WITH_ROSPY = (NODES, "tools.doctor.")
 # The nodes with options of their own, and the module whose parse() reads them.
-OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.options"}
+OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.config"}
 
 
 def start(module: str) -> None:

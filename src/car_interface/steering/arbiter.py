@@ -72,9 +72,15 @@ class Decision(NamedTuple):
     asked_radius_m: float = 0.0  # right negative, inf: straight on; 0 = no request, or its source has no limits
     max_speed_mps: float = 0.0  # the highest at which that keeps within the limit; inf: straight on; 0 = no limit
 
-    def differs_from(self, other: Decision | None) -> bool:
-        """Return whether source, duty, cause or limit differ; ages and the numbers in the reasons always do."""
-        return other is None or self[:3] != other[:3] or self.limit != other.limit
+    @property
+    def differs_by(self) -> tuple:
+        """Return all but ages, and numbers in reasons, which always differ."""
+        return (*self[:3], self.limit)
+
+    @property
+    def kind(self) -> tuple:
+        """Return who steers and why, and what limits that: what a log reports when it changes."""
+        return self.source, self.cause, self.limit
 
 
 class SteeringArbiter:

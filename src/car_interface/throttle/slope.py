@@ -115,8 +115,7 @@ class Slope:
         return fit.slope() if fit.count >= 3 else 0.0
 
     def _coast(self, speed_mps, since_s):
-        """In neutral. What is left of the motor's or the brake's force is anything from all of it, by the longest lag, to
-        none: an even distribution, of which two standard deviations are 2 / √12 of its width.
+        """In neutral. What is left of the motor's or the brake's force is between all of it, by the longest lag, and none.
         """
         fit = self._fit
         fit.add(since_s, abs(speed_mps))
@@ -126,7 +125,7 @@ class Slope:
         noise_mps2 = (NOISE_MPS + NOISE_RATIO * abs(speed_mps)) * math.sqrt(12.0 / fit.count) / fit.span_s
         yaw_rad = self._yaw_rad + (math.pi if speed_mps < 0.0 else 0.0)
         self._plane = self._before.measured(yaw_rad, left_mps2 / 2.0 - fit.slope(),
-                                            math.hypot(left_mps2 / math.sqrt(3.0), noise_mps2), self._drag_mps2)
+                                            math.hypot(left_mps2 / 2.0, noise_mps2), self._drag_mps2)
         if fit.span_s >= WINDOW_S:
             self._close_window()
 

@@ -50,12 +50,12 @@ from car_interface.planner.source_arbiter import (
     PlannerDecision,
     SourceArbiter,
 )
+from car_interface.ros.clocks import StampedAge, odd_stamp
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
-from car_interface.ros.stamps import StampedAge, odd_stamp
-from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe, subscribe_any
+from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe
 from car_interface.steering.limits import TOO_TIGHT_FOR_NS, TOO_TIGHT_REMEDY
 from car_interface.throttle.params import read_speed_control
 from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedControlConfig, SpeedRequest
@@ -138,8 +138,8 @@ class PlannerInterface:
         subscribe(TOPICS[obeyed], message_type(), inbox, handler)
         for source, topic in TOPICS.items():
             if source != obeyed:
-                subscribe_any(topic, inbox, lambda message, now_ns, source=source:
-                              self._sources.count_other(source, sender_of(message)), wakes=False)
+                subscribe(topic, rospy.AnyMsg, inbox, lambda message, now_ns, source=source:
+                          self._sources.count_other(source, sender_of(message)), wakes=False)
         # The speed is controlled at the timer's ticks alone.
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)
         subscribe("throttle_arb/state", ThrottleState, inbox, self._on_throttle, wakes=False)

@@ -17,9 +17,9 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import SteeringState, TeensyClock
+from car_interface.ros.clocks import RosClock
 from car_interface.ros.diagnostics import OK, WARN
-from car_interface.ros.ros_clock import RosClock
-from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.topics import advertise, has_subscribers, subscribe
 from car_interface.teensy.link.health import CLOCK_REPORT
 from car_interface.teensy.link.protocol import SONARS

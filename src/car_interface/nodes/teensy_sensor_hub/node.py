@@ -52,8 +52,8 @@ from car_interface.nodes.teensy_sensor_hub.link_status import LinkStatusPublishe
 from car_interface.nodes.teensy_sensor_hub.measurement_publisher import MeasurementPublisher, Settings, read_settings
 from car_interface.nodes.teensy_sensor_hub.teensy_commands import TeensyCommands
 from car_interface.ros.diagnostics import Diagnostics
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
-from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, has_subscribers
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import CORRECTED, SHIPPED

@@ -15,10 +15,10 @@ from car_interface.common.params import Params
 from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
 from car_interface.ros.start import full_name
+from car_interface.ros.xmlrpc_calls import call
 from car_interface.tools.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
 
 CALLER = "/doctor"
-ANSWER_WITHIN_S = 1.0
 # These may be parts of ONE_PROCESS.
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface")
 NODES = (*PARTS, "teleop_logi", SIMULATOR)
@@ -58,7 +58,7 @@ class Master:
         Raises:
             LookupError: when the master says no.
         """
-        code, message, value = ask(self._uri, question, caller, *arguments)
+        code, message, value = call(self._uri, question, caller, *arguments)
         if code != 1:
             raise LookupError(message)
         return value
@@ -95,7 +95,7 @@ class Master:
         if path not in graph.nodes:
             return ABSENT
         try:
-            ask(self.ask("lookupNode", path), "getPid", CALLER)
+            call(self.ask("lookupNode", path), "getPid", CALLER)
         except LookupError:  # it has ended meanwhile
             return ABSENT
         except ConnectionRefusedError:
@@ -115,7 +115,7 @@ class Master:
             uri = self.ask("lookupNode", node.process)
             if not _is_here(urlsplit(uri).hostname):
                 return {}
-            _, _, pid = ask(uri, "getPid", CALLER)
+            _, _, pid = call(uri, "getPid", CALLER)
             return fixed_parameters(node.name, script_arguments(pid, process), process)
         except Exception:  # it has ended meanwhile, or was started with arguments that it refuses and reports
             return {}
@@ -147,12 +147,6 @@ def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
     return faults
 
 
-def ask(uri: str, question: str, *arguments: Any) -> Any:
-    """Any XML-RPC server's answer."""
-    with xmlrpc.client.ServerProxy(uri, transport=_HastyTransport()) as server:
-        return getattr(server, question)(*arguments)
-
-
 def _is_here(host):
     """Return whether a host name or address is this computer's."""
     with socket.socket() as probe:
@@ -161,13 +155,6 @@ def _is_here(host):
         except OSError:
             return False
     return True
-
-
-class _HastyTransport(xmlrpc.client.Transport):
-    def make_connection(self, host: Any):
-        connection = super().make_connection(host)
-        connection.timeout = ANSWER_WITHIN_S
-        return connection
 
 
 def read_parameters(master: Master, node: Node) -> Reading | None:

@@ -3,7 +3,9 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.common.standstill import STANDSTILL_NS, StandstillWatch
+pytest.importorskip("rospy")
+
+from car_interface.ros.backlog import STANDSTILL_NS, StandstillWatch
 
 MS = 1_000_000
 START = 1000 * 1000 * MS
