@@ -25,7 +25,7 @@ from car_interface.throttle.esc_config import (
 )
 from car_interface.throttle.esc_hill import HillWatch
 from car_interface.throttle.esc_history import EscHistory
-from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
+from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, STOP, Pulls, Request
 from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion, MotionCheck
 from car_interface.throttle.esc_proof import BrakeProof
 
@@ -45,6 +45,10 @@ HIDDEN_NS = round(0.35 * NS_PER_S)  # so late may a speed be that doesn't say ho
 SAME_BRAKE = 0.05  # fractions that differ by less brake alike
 # So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
 PRIMES_OVER_MPS = 1.0
+# A whole pull slows no car by more than this: half of it locks the wheels of the strongest on dry asphalt, at 8 m/s².
+SLOWS_MPS2 = 16.0
+DRAG_MPS2 = 1.0  # slows it beside that, where it doesn't roll downhill: drag, and a slope of 5 %
+WEAKLY = "as much of a brake as certainly ends before it stands"
 # A push so weak slows a car that rolls backward by less than 1.5 m/s²: it doesn't turn it round between two reports.
 GENTLE = 0.25
 
@@ -191,7 +195,7 @@ class Esc:
         return value, state, causes.CALIBRATION_DRIVE, PASSES
 
     def _drive(self, value, request, now_ns):
-        if self._hill.drives_the_car and request.cruise_mps > 0 and self.config.profile == BRAKE_THEN_REVERSE:
+        if self._hill.drives_the_car and request.cruise_mps > 0 and self.config.board_holds_pulls:
             value = self._with_a_certain_brake(value, request, now_ns)
         if value > 0:
             return self._push(value, request, now_ns)
@@ -236,7 +240,7 @@ class Esc:
 
     def _brake_in_reverse(self, value, withheld, now_ns):
         """A push is a brake while it rolls backward. Below the margin the next one would drive forward."""
-        if self._motion.rolls_backward(now_ns) and self._is_fast_enough(now_ns):
+        if self._motion.rolls_backward(now_ns) and self._is_fast_enough(value, now_ns):
             return value, BRAKING, causes.BRAKING, "it rolls backward"
         return 0.0, NEUTRAL, causes.AT_STANDSTILL, withheld
 
@@ -251,10 +255,14 @@ class Esc:
         means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
         if means_reverse and self._may_reverse(request, now_ns):
             return self._reverse(value, now_ns)
-        if self._brakes(now_ns):
+        if self._brakes(value, now_ns):
             self._pulls.mark_brake()
             state = HOLD if self._motion.stands(now_ns) else BRAKING
             return value, state, *self._brake_cause(state, means_reverse)
+        weak = self._weak_pull(value, request, now_ns)
+        if weak:
+            self._pulls.mark_brake()
+            return weak, BRAKING, causes.BRAKING, WEAKLY
         # A speed of before the pull says nothing about what it meant, and one that may still slide only has to wait.
         speed_mps = self._motion.speed_mps(now_ns) or 0.0
         began_ns = self._pulls.began_ns + (0 if self._motion.is_stamped else HIDDEN_NS)
@@ -262,7 +270,7 @@ class Esc:
             self._pulls.mark_brake()
         return 0.0, NEUTRAL, *self._withheld(means_reverse, now_ns)
 
-    def _brakes(self, now_ns):
+    def _brakes(self, value, now_ns):
         """Whether a pull is a brake now, or slows the car for certain.
 
         It is a brake by the ESC's own rules where the profile brakes after forward, and the ESC has had no neutral
@@ -275,12 +283,12 @@ class Esc:
             return True
         if self.config.profile == BRAKE_THEN_REVERSE and self._history.brake_is_certain(now_ns):
             return True
-        return self._is_fast(now_ns)
+        return self._is_fast(value, now_ns)
 
-    def _is_fast(self, now_ns):
-        return self._motion.rolls_forward(now_ns) and self._is_fast_enough(now_ns)
+    def _is_fast(self, value, now_ns):
+        return self._motion.rolls_forward(now_ns) and self._is_fast_enough(value, now_ns)
 
-    def _is_fast_enough(self, now_ns):
+    def _is_fast_enough(self, value, now_ns):
         """Whether it is faster than the margin.
 
         To begin a brake it takes a little more; and twice that where nothing says how old a speed was at its arrival,
@@ -289,10 +297,28 @@ class Esc:
         margin_mps, motion = self.config.brake_margin_mps, self._motion
         is_sure = motion.is_stamped and not motion.rolls_backward(now_ns)
         if self._state == BRAKING and is_sure:
-            return motion.outlasts_a_pull(now_ns, margin_mps - NEAR_MPS, self._brakes_since_ns)
+            since_ns = self._brakes_since_ns if self._fraction - value <= SAME_BRAKE else None
+            return motion.outlasts_a_pull(now_ns, margin_mps - NEAR_MPS, since_ns)
         if self._state != BRAKING:
             margin_mps += BEGINS_OVER_MPS if is_sure else margin_mps
         return motion.least_speed_mps(now_ns) > margin_mps and motion.outlasts_a_pull(now_ns)
+
+    def _weak_pull(self, value, request, now_ns):
+        """As much of a pull as certainly ends before the car stands, where the whole one may not; 0 = none.
+
+        Downhill it keeps the speed of a planner whose ESC isn't certain to brake. And it is left of a brake that the
+        servo board holds for long, faster than the margin.
+        """
+        motion = self._motion
+        if not (motion.is_stamped and motion.is_fresh(now_ns) and motion.rolls_forward(now_ns)):
+            return 0.0
+        is_hill = self._hill.drives_the_car and (request.is_stop or 0 < request.cruise_mps < motion.speed_mps(now_ns))
+        least_mps = self.config.brake_margin_mps + (0.0 if self._state == BRAKING else BEGINS_OVER_MPS)
+        if not is_hill and not (self.config.board_holds_pulls and motion.least_speed_mps(now_ns) > least_mps):
+            return 0.0
+        slows_mps2 = motion.mps2_to_outlast_a_pull(now_ns) - (0.0 if is_hill else DRAG_MPS2)
+        weak = max(value, -slows_mps2 / SLOWS_MPS2)
+        return weak if weak <= -self.config.dead_band_reverse else 0.0
 
     def _brake_cause(self, state, means_reverse):
         if state == BRAKING:
@@ -348,11 +374,18 @@ class Esc:
         if self._holds_on_a_hill(now_ns):
             return -self.config.stop_brake, HOLD, cause, f"{prefix}it stands on a hill, and the brake holds it"
         if self._state == REVERSE or not self._stop_brakes(now_ns):
-            return 0.0, NEUTRAL, cause, f"{prefix}it stops in neutral"
+            weak = self._weak_stop(now_ns)
+            return (weak, BRAKING, cause, prefix + WEAKLY) if weak else (
+                0.0, NEUTRAL, cause, f"{prefix}it stops in neutral")
         lasts_ns = now_ns - self._stop_began_ns
         if lasts_ns > self.config.stop_brake_time_s * NS_PER_S and not self._motion.rolls_forward(now_ns):
             return 0.0, NEUTRAL, cause, f"{prefix}it has braked for {self.config.stop_brake_time_s:g} s"
         return -self.config.stop_brake, BRAKING, cause, f"{prefix}it brakes"
+
+    def _weak_stop(self, now_ns):
+        if self._state == REVERSE or self.config.profile == UNVERIFIED or not self._history.is_known(now_ns):
+            return 0.0
+        return self._weak_pull(-self.config.stop_brake, STOP, now_ns)
 
     def _holds_on_a_hill(self, now_ns):
         """Whether a stop goes on at standstill: where neutral is known to roll, and the brake began while it rolled."""
@@ -369,7 +402,7 @@ class Esc:
             return False
         if self._motion.rolls_backward(now_ns) or self._motion.stands(now_ns):
             return False
-        return self._stop_is_certain(now_ns) or self._is_fast(now_ns)
+        return self._stop_is_certain(now_ns) or self._is_fast(-self.config.stop_brake, now_ns)
 
     def _stop_is_certain(self, now_ns):
         if not (self._is_measured or self._proof.is_given):

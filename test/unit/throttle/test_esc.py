@@ -368,7 +368,7 @@ def test_second_pull_during_which_the_speed_is_lost_is_no_reverse_if_the_car_rol
 
 def test_downhill_a_planner_s_brake_becomes_certain_by_a_weak_push_and_stays_so():
     """Asked for is what a speed control makes of a car that is a little too fast, and then a little too slow."""
-    car = Car()
+    car = Car(profile_measured=True)
 
     def goes_on(value, seconds, speed, **changes):
         return car.ask(Request(value, DRIVE, is_centered=True, cruise_mps=0.3, **changes), seconds, speed)[:2]
@@ -383,6 +383,63 @@ def test_downhill_a_planner_s_brake_becomes_certain_by_a_weak_push_and_stays_so(
     assert car.planner(-0.02, 0.02, speed=0.3)[:2] == (0.0, NEUTRAL)  # a planner that doesn't say whether it goes on
     car.stop(0.1, speed=0.3)
     assert car.decision.fraction == 0.0
+
+
+def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **config):
+    """What a whole brake becomes where the car got faster in neutral; its speed doesn't change meanwhile."""
+    car = Car(profile, **config)
+    request = Request(0.0, DRIVE, is_centered=True, cruise_mps=cruise)
+    car.ask(request._replace(value=0.3), 0.2, speed - 0.1)
+    car.ask(request, 0.3, speed - 0.1)
+    car.ask(request, 0.1, speed)
+    car.now_ns += 20 * MS
+    car.esc.update_speed(speed, car.now_ns, age_ms * MS)
+    return car.ask(request._replace(value=-1.0, is_stop=is_stop)).fraction
+
+
+@pytest.mark.parametrize("profile", UNSURE)
+@pytest.mark.parametrize("speed, cruise, age_ms, brake", [
+    (0.4, 0.3, 20, 0.4 / 0.14 / 16), (0.4, 0.3, 120, 0.4 / 0.24 / 16), (0.8, 0.3, 20, 0.8 / 0.14 / 16),
+    (2.0, 0.3, 20, 1.0),
+    (0.17, 0.1, 20, 0.0),  # less than the ESC takes for a pull
+    (0.4, 0.3, 140, 0.0),  # its speed isn't fresh
+    (0.4, 0.3, 0, 0.0),  # or nobody knows how old it is
+    (0.4, 0.5, 20, 0.0), (0.4, 0.0, 20, 0.0)])  # it isn't too fast, or its planner hasn't said what it wants
+def test_downhill_a_planner_s_car_is_braked_by_a_pull_so_weak_that_it_ends_before_it_becomes_reverse(
+        profile, speed, cruise, age_ms, brake):
+    assert brakes_downhill(profile, speed, cruise, age_ms) == pytest.approx(-brake)
+
+
+@pytest.mark.parametrize("profile, brake", [
+    (TURNS, 0.4 / 0.14 / 16), (DIRECT, 0.4 / 0.14 / 16), (SEQUENCE, 0.4 / 0.14 / 16), ("unverified", 0.0)])
+def test_downhill_a_stop_brakes_as_weakly_unless_nobody_has_said_what_the_esc_is(profile, brake):
+    assert brakes_downhill(profile, 0.4, is_stop=True) == pytest.approx(-brake)
+
+
+@pytest.mark.parametrize("speed, brake", [(3.0, 1.0), (1.4, (1.4 / 0.31 - 1.0) / 16), (0.5, 0.0)])
+def test_second_brake_of_an_esc_whose_pulls_the_board_holds_for_long_is_weaker_the_slower_the_car_is(speed, brake):
+    car = Car(profile_measured=True)
+    car.stick(0.5, 0.6, speed=speed)
+    car.stick(-0.5, 0.3, speed=speed)
+    car.stick(0.0, 0.3, speed=speed)
+    car.now_ns += 20 * MS
+    car.esc.update_speed(speed, car.now_ns, 20 * MS)
+    assert car.stick(-1.0).fraction == pytest.approx(-brake)
+
+
+def test_stronger_brake_doesn_t_count_on_how_little_a_weaker_one_slowed_the_car():
+    car = Car("unverified")
+    car.stick(0.5, 0.6, speed=3.0)
+    for pull in (-0.2, -1.0):
+        speed_mps = 1.5
+        for _ in range(20):
+            speed_mps -= 0.01
+            car.now_ns += 10 * MS
+            car.esc.update_speed(speed_mps, car.now_ns, 10 * MS)
+            car.stick(-0.2)
+        assert car.decision.fraction == -0.2
+        car.esc.update_speed(1.0, car.now_ns, 10 * MS)
+        assert (car.stick(pull).fraction != 0.0) == (pull == -0.2)
 
 
 @pytest.mark.parametrize("speed, cruise, age_ms, fraction", [
