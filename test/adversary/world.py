@@ -315,7 +315,8 @@ class World:
             arbiter.update_e_stop(segment.e_stop, now_ns)
         if segment.mode == AUTONOMOUS and segment.value is not None:
             if has_all and segment.gear:
-                arbiter.update_planner_state(segment.gear, None, now_ns)
+                cruise_mps = self.case.cruise_mps if segment.want in (DRIVE, HOLD, COAST) else 0.0
+                arbiter.update_planner_state(segment.gear, None, now_ns, cruise_mps)
             control.update_planner(segment.value, now_ns)
         arbiter.update_teleop(segment.stick, now_ns)
         arbiter.update_human(segment.deadman, now_ns)

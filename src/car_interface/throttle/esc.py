@@ -49,6 +49,8 @@ PRIMES_OVER_MPS = 1.0
 SLOWS_MPS2 = 16.0
 DRAG_MPS2 = 1.0  # slows it beside that, where it doesn't roll downhill: drag, and a slope of 5 %
 WEAKLY = "as much of a brake as certainly ends before it stands"
+# The pull before the one that is to reverse: some ESCs reverse by it at once, and for the dwell nobody corrects that.
+FIRST_PULL = 0.15
 # A push so weak slows a car that rolls backward by less than 1.5 m/s²: it doesn't turn it round between two reports.
 GENTLE = 0.25
 
@@ -359,7 +361,8 @@ class Esc:
         history = self._history
         if self.config.profile in (BRAKE_THEN_REVERSE, UNVERIFIED):
             if not history.has_braked(now_ns):
-                return value, REVERSE, causes.REVERSE_PENDING, "the ESC needs a brake before reverse"
+                first = max(value, -max(FIRST_PULL, self.config.dead_band_reverse))
+                return first, REVERSE, causes.REVERSE_PENDING, "the ESC needs a brake before reverse"
             if not history.is_unlocked(now_ns):
                 return 0.0, REVERSE, causes.REVERSE_PENDING, "the ESC needs neutral before reverse"
         elif self._fraction >= 0 and history.neutral_ns(now_ns) < self.config.dwell_s * NS_PER_S:
