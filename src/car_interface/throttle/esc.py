@@ -26,7 +26,13 @@ from car_interface.throttle.esc_config import (
 from car_interface.throttle.esc_hill import HillWatch
 from car_interface.throttle.esc_history import EscHistory
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, STOP, Pulls, Request
-from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion, MotionCheck
+from car_interface.throttle.esc_motion import (
+    ACTUATION_NS,
+    MOTOR_LAG_NS,
+    STANDSTILL_MPS,
+    MeasuredMotion,
+    MotionCheck,
+)
 from car_interface.throttle.esc_proof import BrakeProof
 
 ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = range(6)
@@ -48,6 +54,7 @@ PRIMES_OVER_MPS = 1.0
 # A whole pull slows no car by more than this: half of it locks the wheels of the strongest on dry asphalt, at 8 m/s².
 SLOWS_MPS2 = 16.0
 DRAG_MPS2 = 1.0  # slows it beside that, where it doesn't roll downhill: drag, and a slope of 5 %
+LETS_GO = 1.5  # a weaker pull follows once the motor does no more of a stronger one than so much of it
 WEAKLY = "as much of a brake as certainly ends before it stands"
 # The pull before the one that is to reverse: some ESCs reverse by it at once, and for the dwell nobody corrects that.
 FIRST_PULL = 0.15
@@ -94,6 +101,7 @@ class Esc:
         self._hill = HillWatch()
         self._saw_speed_in_reverse = False
         self._brakes_since_ns = 0  # since when it brakes as now
+        self._lagging_pull, self._finished_ns = 0.0, 0  # what a motor with a lag still does of earlier pulls
 
     @property
     def state(self) -> int:
@@ -320,7 +328,8 @@ class Esc:
             return 0.0
         slows_mps2 = motion.mps2_to_outlast_a_pull(now_ns) - (0.0 if is_hill else DRAG_MPS2)
         weak = max(value, -slows_mps2 / SLOWS_MPS2)
-        return weak if weak <= -self.config.dead_band_reverse else 0.0
+        is_let_go = self._lagging_pull <= LETS_GO * -weak
+        return weak if weak <= -self.config.dead_band_reverse and is_let_go else 0.0
 
     def _brake_cause(self, state, means_reverse):
         if state == BRAKING:
@@ -420,6 +429,9 @@ class Esc:
 
     def _finish(self, answer, now_ns):
         fraction, state, cause, reason = answer
+        keeps = math.exp((self._finished_ns - now_ns) / (MOTOR_LAG_NS + ACTUATION_NS))
+        self._lagging_pull = keeps * self._lagging_pull + (1.0 - keeps) * max(0.0, -self._fraction)
+        self._finished_ns = now_ns
         if state == REVERSE and self._state != REVERSE:
             self._saw_speed_in_reverse = False
         if state == REVERSE and (self._motion.stands(now_ns) or self._motion.rolls_backward(now_ns)):

@@ -416,6 +416,21 @@ def test_downhill_a_stop_brakes_as_weakly_unless_nobody_has_said_what_the_esc_is
     assert brakes_downhill(profile, 0.4, is_stop=True) == pytest.approx(-brake)
 
 
+def test_a_weak_pull_waits_until_the_motor_has_let_go_of_a_stronger_one():
+    car = Car(DIRECT)
+    request = Request(0.0, DRIVE, is_centered=True, cruise_mps=0.3)
+    car.ask(request._replace(value=0.3), 0.2, 1.9)
+    car.ask(request, 0.3, 1.9)
+    car.ask(request, 0.1, 2.0)
+    assert car.ask(request._replace(value=-1.0), 0.3, 2.0).fraction == -1.0
+    pulls = []
+    for _ in range(30):
+        car.now_ns += 20 * MS
+        car.esc.update_speed(0.5, car.now_ns, 20 * MS)
+        pulls.append(car.ask(request._replace(value=-1.0)).fraction)
+    assert not any(pulls[:5]) and pulls[-1] < 0.0
+
+
 @pytest.mark.parametrize("speed, brake", [(3.0, 1.0), (1.4, (1.4 / 0.31 - 1.0) / 16), (0.5, 0.0)])
 def test_second_brake_of_an_esc_whose_pulls_the_board_holds_for_long_is_weaker_the_slower_the_car_is(speed, brake):
     car = Car(profile_measured=True)
