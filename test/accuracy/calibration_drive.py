@@ -33,12 +33,6 @@ from many_drives import THROTTLE, Chip
 
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
-from car_interface.calibration.drive.calibration_drive import CalibrationDrive
-from car_interface.calibration.drive.conclusion import Conclusion, conclude
-from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
-from car_interface.calibration.drive.grant import SLOWS
-from car_interface.calibration.drive.knowledge import assess
-from car_interface.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
 from car_interface.common.drive_modes import AUTONOMOUS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
@@ -59,6 +53,12 @@ from car_interface.throttle.limits import ThrottleLimits
 from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
 from car_interface.throttle.speed_control import SpeedControl, SpeedRequest
 from car_interface.throttle.value_map import load_value_map
+from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
+from car_interface.tools.calibration.drive.conclusion import Conclusion, conclude
+from car_interface.tools.calibration.drive.config import DEFAULTS, DriveConfig
+from car_interface.tools.calibration.drive.grant import SLOWS
+from car_interface.tools.calibration.drive.knowledge import assess
+from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 STOCK, MAP = CONFIG / "turn_arb.yaml", CONFIG / "value_map.csv"

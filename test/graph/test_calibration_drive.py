@@ -13,12 +13,12 @@ from std_msgs.msg import Float32
 from visualization_msgs.msg import Marker
 
 from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car, config
-from car_interface.calibration.drive import options
-from car_interface.calibration.drive.conclusion import Conclusion
 from car_interface.common.errors import CarInterfaceError
-from car_interface.nodes import calibration_drive
-from car_interface.nodes.calibration_drive import CalibrationDriveNode
-from car_interface.ros.drive_topics import TOPICS
+from car_interface.nodes.calibration_drive import node as calibration_drive
+from car_interface.nodes.calibration_drive.drive_topics import TOPICS
+from car_interface.nodes.calibration_drive.node import CalibrationDriveNode
+from car_interface.tools.calibration.drive import options
+from car_interface.tools.calibration.drive.conclusion import Conclusion
 from graph import NS_PER_S
 
 CURVATURES = {3800: 1.05, 4100: 0.83, 4400: 0.58, 4700: 0.28, 4980: 0.0, 5300: -0.24, 5700: -0.52, 6200: -0.82,

@@ -1,0 +1,102 @@
+"""A steering curve as a table of duties over turn radii, as turn_arb takes it."""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Sequence
+
+import numpy as np
+
+from car_interface.tools.calibration.steering.drive import COUNT, DEFAULTS, FitConfig
+from car_interface.tools.calibration.steering.ends import slope
+from car_interface.tools.calibration.steering.errors import BAND
+from car_interface.tools.calibration.steering.fit import Curve
+
+LEFT, RIGHT = "left", "right"
+# What a breakpoint's duty rests on.
+DRIVEN, END, OLD, UNKNOWN = "driven", "end", "old", "unknown"
+WIDE_RADII_M = (5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 50.0, 100.0, 300.0)
+NEAR_RATIO = 0.25  # segments count for a radius when their curvature differs from its by at most this
+
+
+class Breakpoint(NamedTuple):
+    """One radius of a table, to one side."""
+
+    radius_m: float
+    duty: float
+    duty_sigma: float
+    radius_sigma_m: float
+    segments: int  # that were driven about as tight
+    distance_m: float  # in these
+    source: str  # DRIVEN, END: no tighter turn can be had, OLD or UNKNOWN
+
+
+def axis(curve: Curve) -> list[float]:
+    """Radii in m between which linear interpolation is nearly exact, from the tightest that was driven to 300 m."""
+    tightest = 1 / max(curve.left.curvature_per_m, curve.right.curvature_per_m)
+    radius, radii = math.floor(tightest * 100) / 100, []
+    while radius < 4.9:  # 4.9 and more could round to 5
+        radii.append(round(radius, 2))
+        radius *= 1.08 if radius < 2 else 1.12
+    return [*radii, *WIDE_RADII_M]
+
+
+def widened(radii_m: Sequence[float], wide_m: float) -> list[float]:
+    """Radii in m, continued to almost straight on if they end before ``wide_m``.
+
+    Beyond its last radius turn_arb holds that radius' duty. A single very wide radius would not do: linear
+    interpolation over the radius is far from linear in the curvature.
+    """
+    if radii_m[-1] >= wide_m:
+        return list(radii_m)
+    return [*radii_m, *(radius for radius in WIDE_RADII_M if radius > 1.1 * radii_m[-1])]
+
+
+def breakpoints(curve: Curve, radii_m: Sequence[float], side: str, config: FitConfig = DEFAULTS) -> list[Breakpoint]:
+    """The duties for radii (R,) to one side, and what they rest on."""
+    sign = 1.0 if side == LEFT else -1.0
+    end = curve.left if side == LEFT else curve.right
+    outward = 1.0 if (end.duty - curve.duties.mean()) > 0 else -1.0
+    driven = sign * curve.observations.curvature_per_m[curve.used]
+    lengths_m = curve.observations.distance_m[curve.used]
+    found = []
+    for radius in radii_m:
+        k = 1.0 / radius
+        duty = float(curve.duty(sign * k))
+        duty = min(duty, end.duty) if outward > 0 else max(duty, end.duty)
+        # The board only outputs counts: what lies between two of them needn't be known.
+        count = round(duty / COUNT) * COUNT
+        sigma = float(np.interp(count, curve.duties, curve.sigmas))
+        before, behind = curve.curvature(np.array([count - COUNT, count + COUNT]))
+        near = np.abs(driven - k) <= max(NEAR_RATIO * k, config.known_per_m)
+        half_count = abs(behind - before) / 4
+        is_known = BAND * sigma <= max(config.known_ratio * k, config.known_per_m) + half_count
+        if k >= end.curvature_per_m * (1 - config.stop_ratio):
+            duty, source = end.duty, END if end.is_end and is_known else UNKNOWN
+        else:
+            source = DRIVEN if is_known and driven.size and driven.min() <= k <= driven.max() else UNKNOWN
+        steepness = slope(curve.duties, curve.curvatures, duty)
+        found.append(Breakpoint(float(radius), duty, sigma / max(steepness, 1e-9), sigma / k ** 2, int(near.sum()),
+                                float(lengths_m[near].sum()), source))
+    return found
+
+
+def completed(points: Sequence[Breakpoint], center: float, old: Sequence[float]) -> list[Breakpoint]:
+    """Breakpoints of one side, with old duties where nothing was driven.
+
+    Args:
+        points: with rising radii, (R,).
+        center: the duty that goes straight.
+        old: a duty for each point, (R,). One that doesn't fit between driven ones is replaced by the nearest that does,
+            so that duties approach the center monotonically as radii rise.
+    """
+    driven = [point.duty for point in points if point.source != UNKNOWN]
+    towards = math.copysign(1.0, np.mean(driven or old) - center)
+    heights = [towards * ((duty if point.source == UNKNOWN else point.duty) - center)
+               for point, duty in zip(points, old)]
+    is_old = [point.source == UNKNOWN for point in points]
+    made, upper = [], math.inf
+    for index, point in enumerate(points):
+        lower = max((height for height, doubted in zip(heights[index:], is_old[index:]) if not doubted), default=0.0)
+        upper = min(upper, max(heights[index], lower, 0.0) if is_old[index] else max(heights[index], 0.0))
+        made.append(point._replace(duty=center + towards * upper, source=OLD if is_old[index] else point.source))
+    return made

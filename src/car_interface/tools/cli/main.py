@@ -1,0 +1,127 @@
+"""The commands for recordings and tables: ``car-interface COMMAND …``, and ``rosrun car_interface COMMAND …``.
+
+A command is a module with ``add_arguments(parser)`` and ``run(options)``, which returns the exit code: 0 done,
+1 refused or failed, with one line that says why. argparse ends with 2 on options that it doesn't know.
+"""
+from __future__ import annotations
+
+import argparse
+import codecs
+import importlib
+import os
+import signal
+import sys
+from typing import Sequence
+
+from car_interface.common import memory_limit
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.library_warnings import hide_warnings
+from car_interface.tools.cli.version import VersionAction
+
+PROGRAM = "car-interface"
+MODULES = {
+    "bag_report": "car_interface.tools.cli.bag_report",
+    "calibrate_esc": "car_interface.tools.cli.calibrate_esc",
+    "calibrate_steering": "car_interface.tools.cli.calibrate_steering",
+    "calibrate_value_map": "car_interface.tools.cli.calibrate_value_map",
+    "check_map": "car_interface.tools.cli.check_map",
+    "drives": "car_interface.tools.cli.drives",
+}
+INSTALL = "see docs/recordings.md, Install the tools"
+# Libraries whose package has another name.
+PACKAGES = {"yaml": "PyYAML", "ruamel": "ruamel.yaml"}
+# For terminals with ASCII only.
+PLAIN = {"█": "#", "│": "|", "└": "+", "─": "-", "²": "2", "±": "+-", "°": " deg", "…": "...", "−": "-", "×": "x"}
+INTERRUPTED = 128 + signal.SIGINT
+
+
+def main(command: str | None = None, arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        command: its name; ``None`` = the first of the arguments.
+        arguments: by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    codecs.register_error("car_interface.plain", _plain)
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="car_interface.plain")
+    try:
+        hide_warnings()
+        memory_limit.adapt()
+        parser = _parser(command, arguments)
+        options = parser.parse_args(arguments)
+        memory_limit.reserve_blas()
+        code = options.run(options)
+        sys.stdout.flush()  # while a broken pipe can still be caught
+        return code
+    except CarInterfaceError as error:
+        return _failed(command, error)
+    except ModuleNotFoundError as error:
+        if (error.name or "car_interface").startswith("car_interface"):
+            raise
+        library = error.name.split(".")[0]
+        return _failed(command, f"this needs {PACKAGES.get(library, library)}, which isn't installed: {INSTALL}")
+    except BrokenPipeError:  # the reader, such as head, has ended
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        shortage = memory_limit.describe_shortage(error)
+        if error.filename is None and shortage is None:
+            raise
+        if shortage is not None:
+            return _failed(command, shortage)
+        return _failed(command, f"{error.filename}: {error.strerror}")
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except Exception as error:
+        shortage = memory_limit.describe_shortage(error)
+        if shortage is None:
+            raise
+        return _failed(command, shortage)
+
+
+def _parser(command, arguments):
+    """The parser for one command; without a name for all of them."""
+    if command is not None:
+        parser = argparse.ArgumentParser(prog=command)
+        return _describe(parser, command)
+    parser = argparse.ArgumentParser(prog=PROGRAM, description="Tables and reports from recordings of a car's drives.")
+    parser.add_argument("--version", action=VersionAction)
+    commands = parser.add_subparsers(metavar="COMMAND", dest="command")
+    commands.required = True
+    named = next((argument for argument in arguments if argument in MODULES), None)
+    for name in [named] if named else MODULES:
+        _describe(commands.add_parser(name, help=_first_line(importlib.import_module(MODULES[name]))), name)
+    return parser
+
+
+def _describe(parser, name):
+    module = importlib.import_module(MODULES[name])
+    parser.description = module.__doc__
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    module.add_arguments(parser)
+    parser.add_argument("--version", action=VersionAction)
+    parser.set_defaults(run=module.run)
+    return parser
+
+
+def _plain(error):
+    """Replaces characters that the output can't encode."""
+    return "".join(PLAIN.get(character, "?") for character in error.object[error.start:error.end]), error.end
+
+
+def _first_line(module):
+    return module.__doc__.strip().split("\n")[0]
+
+
+def _failed(command, error):
+    print(f"{command or PROGRAM}: {error}", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
