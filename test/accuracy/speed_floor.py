@@ -8,8 +8,9 @@ the overshoot and the worst error of the last two seconds, over motors that lag 
 """
 from __future__ import annotations
 
-from car_interface.throttle.speed_control import SpeedRequest
 from unit.throttle.speed_rig import MAP, SpeedRig, overshoot, wrong_map
+
+from car_interface.throttle.speed_control import SpeedRequest
 
 TARGET_MPS = 0.3
 MAPS = {"as the car is": MAP, "30 % too strong": wrong_map(1.3), "30 % too weak": wrong_map(0.7)}
@@ -26,8 +27,8 @@ def main():
     for name, value_map in MAPS.items():
         for lag_s in LAGS_S:
             row = [100.0 * each for sees_pulses in (True, False) for each in errors(value_map, lag_s, sees_pulses)]
-            print("map {:16} lag {:.2f} s: by pulses overshoot {:4.1f} %, steady {:4.1f} %; by the true speed {:4.1f} %, "
-                  "{:4.1f} %".format(name, lag_s, *row), flush=True)
+            print("map {:16} lag {:.2f} s: by pulses overshoot {:4.1f} %, steady {:4.1f} %; by the true speed {:4.1f} "
+                  "%, {:4.1f} %".format(name, lag_s, *row), flush=True)
 
 
 if __name__ == "__main__":

@@ -373,7 +373,8 @@ def _sweep_script(slows, begins_s, pulls_before, arming_s):
         begins_s += PROOF_S
     script.append(Segment(begins_s, DRIVE, **pushes))
     if slows == "planner's second hold":
-        script += [Segment(begins_s + 0.25, HOLD, value=-1.0, **ways), Segment(begins_s + 0.55, COAST, value=0.0, **ways)]
+        script += [Segment(begins_s + 0.25, HOLD, value=-1.0, **ways),
+                   Segment(begins_s + 0.55, COAST, value=0.0, **ways)]
         slows = "planner's hold"
     ends_s = begins_s + 2.4
     if slows == "silent planner":
