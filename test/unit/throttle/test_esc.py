@@ -181,6 +181,15 @@ def test_second_pull_reverses_once_neutral_has_lasted_for_the_dwell(speed):
     assert [fraction for fraction, _ in answers].index(-0.5) in (9, 10, 11)  # 0.1 of 0.3 s had passed
 
 
+@pytest.mark.parametrize("profile", [SEQUENCE, "unverified"])
+@pytest.mark.parametrize("dead_band, first", [(0.08, -0.15), (0.2, -0.2)])
+def test_the_pull_that_only_unlocks_reverse_is_weak_since_another_kind_reverses_by_it(profile, dead_band, first):
+    car = Car(profile, dead_band_reverse=dead_band)
+    answers = [car.planner(-0.5, speed=0.0, gear=REVERSE_GEAR)[:2] for _ in range(60)]
+    assert answers[0] == (first, REVERSE) and answers[-1] == (-0.5, REVERSE)
+    assert {fraction for fraction, _ in answers} == {first, 0.0, -0.5}
+
+
 @pytest.mark.parametrize("profile, speed", [(TURNS, 0.0), (DIRECT, None), ("unverified", 0.0), ("unverified", None)])
 def test_second_pull_reverses_with_other_profiles(profile, speed):
     assert pulled_twice(Car(profile), speed)[-1] == (-0.5, REVERSE)
