@@ -4,7 +4,8 @@ Consumes requests (fractions −1..1), what the servo board held, and the measur
 answers with a fraction, the state, the cause and the reason. It never blocks: where an ESC needs time in neutral, the
 answers are neutral until then. Pure: ``now_ns`` is passed in. The duty for a fraction is the caller's table.
 
-What is certain to be a brake, and what is not, stands with the rules: see ``_brakes`` and ``_stop_brakes``.
+What is certain to be a brake, and what is not, stands with the rules: see ``_brakes``, ``_weak_pull`` and
+``_stop_brakes``.
 
 What it can't see: an ESC that is switched on, or recalibrated, later than the board: its memory begins anew, and its
 first pull may be reverse. A hill, before the car has rolled on it in neutral. A board that gives no pulses and has not
@@ -25,7 +26,7 @@ from car_interface.throttle.esc_config import (
 )
 from car_interface.throttle.esc_hill import HillWatch
 from car_interface.throttle.esc_history import EscHistory
-from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, STOP, Pulls, Request
+from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
 from car_interface.throttle.esc_motion import (
     ACTUATION_NS,
     MOTOR_LAG_NS,
@@ -269,7 +270,7 @@ class Esc:
             self._pulls.mark_brake()
             state = HOLD if self._motion.stands(now_ns) else BRAKING
             return value, state, *self._brake_cause(state, means_reverse)
-        weak = self._weak_pull(value, request, now_ns)
+        weak = self._weak_pull(value, now_ns)
         if weak:
             self._pulls.mark_brake()
             return weak, BRAKING, causes.BRAKING, WEAKLY
@@ -307,22 +308,24 @@ class Esc:
         margin_mps, motion = self.config.brake_margin_mps, self._motion
         is_sure = motion.is_stamped and not motion.rolls_backward(now_ns)
         if self._state == BRAKING and is_sure:
+            # How little a weaker brake slows the car says nothing about a stronger one.
             since_ns = self._brakes_since_ns if self._fraction - value <= SAME_BRAKE else None
             return motion.outlasts_a_pull(now_ns, margin_mps - NEAR_MPS, since_ns)
         if self._state != BRAKING:
             margin_mps += BEGINS_OVER_MPS if is_sure else margin_mps
         return motion.least_speed_mps(now_ns) > margin_mps and motion.outlasts_a_pull(now_ns)
 
-    def _weak_pull(self, value, request, now_ns):
-        """As much of a pull as certainly ends before the car stands, where the whole one may not; 0 = none.
+    def _weak_pull(self, value, now_ns):
+        """Return as much of a pull as certainly ends before the car stands, where the whole one may not; 0 = none.
 
-        Downhill it keeps the speed of a planner whose ESC isn't certain to brake. And it is left of a brake that the
-        servo board holds for long, faster than the margin.
+        It is all that slows a car downhill whose ESC isn't certain to brake. On level ground it replaces the whole pull
+        of an ESC whose pulls the servo board holds for long, while the car is faster than the margin. It goes by the
+        speed's age and the board's time, so it takes a speed that is fresh and has a stamp.
         """
         motion = self._motion
         if not (motion.is_stamped and motion.is_fresh(now_ns) and motion.rolls_forward(now_ns)):
             return 0.0
-        is_hill = self._hill.drives_the_car and (request.is_stop or 0 < request.cruise_mps < motion.speed_mps(now_ns))
+        is_hill = self._hill.drives_the_car
         least_mps = self.config.brake_margin_mps + (0.0 if self._state == BRAKING else BEGINS_OVER_MPS)
         if not is_hill and not (self.config.board_holds_pulls and motion.least_speed_mps(now_ns) > least_mps):
             return 0.0
@@ -395,9 +398,10 @@ class Esc:
         return -self.config.stop_brake, BRAKING, cause, f"{prefix}it brakes"
 
     def _weak_stop(self, now_ns):
+        """Return the weak pull of a stop; 0 where no stop brakes."""
         if self._state == REVERSE or self.config.profile == UNVERIFIED or not self._history.is_known(now_ns):
             return 0.0
-        return self._weak_pull(-self.config.stop_brake, STOP, now_ns)
+        return self._weak_pull(-self.config.stop_brake, now_ns)
 
     def _holds_on_a_hill(self, now_ns):
         """Whether a stop goes on at standstill: where neutral is known to roll, and the brake began while it rolled."""

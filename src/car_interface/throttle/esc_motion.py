@@ -126,7 +126,8 @@ class MeasuredMotion:
                 and self._least_mps(now_ns, 0, slows_mps2) > above_mps)
 
     def mps2_to_outlast_a_pull(self, now_ns: int) -> float:
-        """The deceleration with which it just rolls on until the board has ended a pull that is decided on now."""
+        """Return the deceleration with which it just rolls on until the board has ended a pull that is decided on now.
+        """
         speed_mps = self.speed_mps(now_ns)
         return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (now_ns - self.measured_ns + self._pull_ns)
 

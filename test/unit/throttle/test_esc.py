@@ -413,8 +413,8 @@ def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **conf
     (0.17, 0.1, 20, 0.0),  # less than the ESC takes for a pull
     (0.4, 0.3, 140, 0.0),  # its speed isn't fresh
     (0.4, 0.3, 0, 0.0),  # or nobody knows how old it is
-    (0.4, 0.5, 20, 0.0), (0.4, 0.0, 20, 0.0)])  # it isn't too fast, or its planner hasn't said what it wants
-def test_downhill_a_planner_s_car_is_braked_by_a_pull_so_weak_that_it_ends_before_it_becomes_reverse(
+    (0.4, 0.0, 20, 0.4 / 0.14 / 16)])
+def test_downhill_a_car_is_braked_by_a_pull_so_weak_that_it_ends_before_it_becomes_reverse(
         profile, speed, cruise, age_ms, brake):
     assert brakes_downhill(profile, speed, cruise, age_ms) == pytest.approx(-brake)
 
@@ -423,6 +423,20 @@ def test_downhill_a_planner_s_car_is_braked_by_a_pull_so_weak_that_it_ends_befor
     (TURNS, 0.4 / 0.14 / 16), (DIRECT, 0.4 / 0.14 / 16), (SEQUENCE, 0.4 / 0.14 / 16), ("unverified", 0.0)])
 def test_downhill_a_stop_brakes_as_weakly_unless_nobody_has_said_what_the_esc_is(profile, brake):
     assert brakes_downhill(profile, 0.4, is_stop=True) == pytest.approx(-brake)
+
+
+def test_downhill_a_person_s_pull_is_as_weak_and_stays_a_brake():
+    car = Car("unverified")
+    car.stick(0.3, 0.2, speed=0.3)
+    car.stick(0.0, 0.3, speed=0.3)
+    car.stick(0.0, 0.1, speed=0.4)
+    for speed_mps in (0.4, 0.3, 0.2, 0.1, 0.0, 0.0, 0.0, 0.0):
+        car.now_ns += 20 * MS
+        car.esc.update_speed(speed_mps, car.now_ns, 20 * MS)
+        car.stick(-1.0)
+        if speed_mps == 0.4:
+            assert car.decision[:2] == (pytest.approx(-0.4 / 0.14 / 16), BRAKING)
+    assert car.stick(-1.0, 1.0, speed=0.0)[:2] == (0.0, NEUTRAL)
 
 
 def test_a_weak_pull_waits_until_the_motor_has_let_go_of_a_stronger_one():
