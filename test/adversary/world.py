@@ -490,6 +490,7 @@ class _Even:
 
 def _channels(esc):
     """The board's channels: neutral as the timeout value of the ESC's, and a short time for pulls of most kinds."""
-    pulls = 0 if esc["profile"] == BTR and esc.get("profile_measured") else -1
-    return [ChannelConfig(timeout_value=NEUTRAL, pulls=pulls) if channel == CHANNEL else ChannelConfig()
-            for channel in range(16)]
+    brakes_first = esc["profile"] == BTR and esc.get("profile_measured", False)
+    forgets_ms = round(1000 * esc.get("reverse_after_neutral_s", 0.0))
+    config = ChannelConfig(timeout_value=NEUTRAL, pulls=-1, brakes_first=brakes_first, forgets_ms=forgets_ms)
+    return [config if channel == CHANNEL else ChannelConfig() for channel in range(16)]

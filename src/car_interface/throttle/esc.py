@@ -54,7 +54,6 @@ SAME_BRAKE = 0.05  # fractions that differ by less brake alike
 PRIMES_OVER_MPS = 1.0
 # A whole pull slows no car by more than this: half of it locks the wheels of the strongest on dry asphalt, at 8 m/s².
 SLOWS_MPS2 = 16.0
-DRAG_MPS2 = 1.0  # slows it beside that, where it doesn't roll downhill: drag, and a slope of 5 %
 LETS_GO = 1.5  # a weaker pull follows once the motor does no more of a stronger one than so much of it
 WEAKLY = "as much of a brake as certainly ends before it stands"
 # The pull before the one that is to reverse: some ESCs reverse by it at once, and for the dwell nobody corrects that.
@@ -318,19 +317,14 @@ class Esc:
     def _weak_pull(self, value, now_ns):
         """Return as much of a pull as certainly ends before the car stands, where the whole one may not; 0 = none.
 
-        It is all that slows a car downhill whose ESC isn't certain to brake. On level ground it replaces the whole pull
-        of an ESC whose pulls the servo board holds for long, while the car is faster than the margin. It goes by the
-        speed's age and the board's time, so it takes a speed that is fresh and has a stamp.
+        It is all that slows a car downhill whose ESC isn't certain to brake. It goes by the speed's age and the board's
+        time, so it takes a speed that is fresh and has a stamp.
         """
         motion = self._motion
-        if not (motion.is_stamped and motion.is_fresh(now_ns) and motion.rolls_forward(now_ns)):
+        if not (self._hill.drives_the_car and motion.is_stamped and motion.is_fresh(now_ns)
+                and motion.rolls_forward(now_ns)):
             return 0.0
-        is_hill = self._hill.drives_the_car
-        least_mps = self.config.brake_margin_mps + (0.0 if self._state == BRAKING else BEGINS_OVER_MPS)
-        if not is_hill and not (self.config.board_holds_pulls and motion.least_speed_mps(now_ns) > least_mps):
-            return 0.0
-        slows_mps2 = motion.mps2_to_outlast_a_pull(now_ns) - (0.0 if is_hill else DRAG_MPS2)
-        weak = max(value, -slows_mps2 / SLOWS_MPS2)
+        weak = max(value, -motion.mps2_to_outlast_a_pull(now_ns) / SLOWS_MPS2)
         is_let_go = self._lagging_pull <= LETS_GO * -weak
         return weak if weak <= -self.config.dead_band_reverse and is_let_go else 0.0
 

@@ -20,7 +20,6 @@ ACTUATION_NS = 40_000_000  # from a decision to the end of the last pulse before
 # The board holds a pull that may become reverse for 80 ms (``pca9685.channels``), should no other decision follow; and
 # the pulse that it has begun by then takes another 20.
 PULL_NS = 100_000_000
-HELD_PULL_NS = 270_000_000  # the same of an ESC whose pulls it holds for as long as other pulses
 FRESH_NS = 150_000_000
 # How much more a brake that is held may brake than it did over so long a time, by its own change and odometry's noise.
 SEEN_RATIO, SEEN_MPS2, WINDOW_NS, SPEEDS = 1.25, 1.0, 80_000_000, 16
@@ -39,7 +38,6 @@ class MeasuredMotion:
 
     def __init__(self, config: EscConfig):
         self._speed = TimedInput("odom", config.speed_timeout_s)
-        self._pull_ns = HELD_PULL_NS if config.board_holds_pulls else PULL_NS
         self.measured_ns, self.is_stamped = -math.inf, False
         self._slides_until_ns = -math.inf
         self._speeds: deque = deque(maxlen=SPEEDS)  # (measured_ns, speed without its sign)
@@ -122,14 +120,14 @@ class MeasuredMotion:
             braked_since_ns: since when it is braked as now; ``None`` = it isn't.
         """
         slows_mps2 = self._slows_mps2(braked_since_ns, now_ns)
-        return (self._least_mps(now_ns, self._pull_ns, slows_mps2) > 0.0
+        return (self._least_mps(now_ns, PULL_NS, slows_mps2) > 0.0
                 and self._least_mps(now_ns, 0, slows_mps2) > above_mps)
 
     def mps2_to_outlast_a_pull(self, now_ns: int) -> float:
         """Return the deceleration with which it just rolls on until the board has ended a pull that is decided on now.
         """
         speed_mps = self.speed_mps(now_ns)
-        return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (now_ns - self.measured_ns + self._pull_ns)
+        return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (now_ns - self.measured_ns + PULL_NS)
 
     def _slows_mps2(self, braked_since_ns, now_ns):
         """The most that it slows by now: what the tyres hold, or a good deal more than what the same brake does."""

@@ -454,17 +454,6 @@ def test_a_weak_pull_waits_until_the_motor_has_let_go_of_a_stronger_one():
     assert not any(pulls[:5]) and pulls[-1] < 0.0
 
 
-@pytest.mark.parametrize("speed, brake", [(3.0, 1.0), (1.4, (1.4 / 0.31 - 1.0) / 16), (0.5, 0.0)])
-def test_second_brake_of_an_esc_whose_pulls_the_board_holds_for_long_is_weaker_the_slower_the_car_is(speed, brake):
-    car = Car(profile_measured=True)
-    car.stick(0.5, 0.6, speed=speed)
-    car.stick(-0.5, 0.3, speed=speed)
-    car.stick(0.0, 0.3, speed=speed)
-    car.now_ns += 20 * MS
-    car.esc.update_speed(speed, car.now_ns, 20 * MS)
-    assert car.stick(-1.0).fraction == pytest.approx(-brake)
-
-
 def test_stronger_brake_doesn_t_count_on_how_little_a_weaker_one_slowed_the_car():
     car = Car("unverified")
     car.stick(0.5, 0.6, speed=3.0)
