@@ -99,8 +99,8 @@ def _read_pulls(params):
     forgets_s = params.number("esc/esc/reverse_after_neutral", 0.0, low=0.0, high=60.0)
     if channel == NO_CHANNEL or neutral is None or not table:
         return None, {}
-    return channel, {"pulls": -1 if table[0] < table[-1] else 1, "brakes_first": profile == BRAKES_FIRST and is_measured,
-                     "forgets_ms": round(1000 * forgets_s)}
+    return channel, {"pulls": -1 if table[0] < table[-1] else 1,
+                     "brakes_first": profile == BRAKES_FIRST and is_measured, "forgets_ms": round(1000 * forgets_s)}
 
 
 def _read_neutrals(params):

@@ -50,8 +50,6 @@ BEGINS_OVER_MPS = NEAR_MPS = 0.1  # of the brake's margin: to begin, and to end 
 LOST_NS = round(0.5 * NS_PER_S)
 HIDDEN_NS = round(0.35 * NS_PER_S)  # so late may a speed be that doesn't say how late it is
 SAME_BRAKE = 0.05  # fractions that differ by less brake alike
-# So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
-PRIMES_OVER_MPS = 1.0
 # A whole pull slows no car by more than this: half of it locks the wheels of the strongest on dry asphalt, at 8 m/s².
 SLOWS_MPS2 = 16.0
 LETS_GO = 1.5  # a weaker pull follows once the motor does no more of a stronger one than so much of it
@@ -205,32 +203,11 @@ class Esc:
         return value, state, causes.CALIBRATION_DRIVE, PASSES
 
     def _drive(self, value, request, now_ns):
-        if self._hill.drives_the_car and request.cruise_mps > 0 and self.config.board_holds_pulls:
-            value = self._with_a_certain_brake(value, request, now_ns)
         if value > 0:
             return self._push(value, request, now_ns)
         if value < 0:
             return self._pull(value, request, now_ns)
         return 0.0, NEUTRAL, causes.NO_THROTTLE, "neutral is requested"
-
-    def _with_a_certain_brake(self, value, request, now_ns):
-        """The request of a planner that wants the car to go on downhill, so that the next pull is a brake for certain.
-
-        The brake is all that keeps the speed there. It is certain after half a second of driving, and until neutral
-        follows a pull. So the car gets as much of a push, however weak, and a brake that is no longer wanted is held as
-        weakly as the ESC takes it until a push is wanted.
-        """
-        speed_mps = self._motion.speed_mps(now_ns)
-        if speed_mps is None or request.gear != DRIVE:
-            return value
-        if not self._history.brake_is_certain(now_ns):
-            is_slow = speed_mps <= request.cruise_mps + PRIMES_OVER_MPS
-            return max(value, self.config.dead_band_forward) if is_slow and not request.is_limited else value
-        if value or self._state != BRAKING:
-            return value
-        if request.value > 0 and not request.is_limited:
-            return self.config.dead_band_forward
-        return -self.config.dead_band_reverse
 
     def _push(self, value, request, now_ns):
         backward = self._motion.rolls_backward(now_ns)
@@ -317,12 +294,11 @@ class Esc:
     def _weak_pull(self, value, now_ns):
         """Return as much of a pull as certainly ends before the car stands, where the whole one may not; 0 = none.
 
-        It is all that slows a car downhill whose ESC isn't certain to brake. It goes by the speed's age and the board's
-        time, so it takes a speed that is fresh and has a stamp.
+        It is all that slows a car downhill whose ESC isn't certain to brake. It goes by the speed's age, so it
+        takes odometry with a stamp.
         """
         motion = self._motion
-        if not (self._hill.drives_the_car and motion.is_stamped and motion.is_fresh(now_ns)
-                and motion.rolls_forward(now_ns)):
+        if not (self._hill.drives_the_car and motion.is_stamped and motion.rolls_forward(now_ns)):
             return 0.0
         weak = max(value, -motion.mps2_to_outlast_a_pull(now_ns) / SLOWS_MPS2)
         is_let_go = self._lagging_pull <= LETS_GO * -weak

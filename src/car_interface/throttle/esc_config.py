@@ -117,7 +117,7 @@ class EscConfig:
 
     @property
     def board_holds_pulls(self) -> bool:
-        """Whether the servo board holds a pull that is a brake for as long as other pulses: a gap would unlock reverse."""
+        """Whether the servo board holds a brake for as long as other pulses, since a gap would let it reverse."""
         return self.profile == BRAKE_THEN_REVERSE and self.profile_measured
 
 

@@ -16,8 +16,8 @@ NEUTRAL_TOLERANCE = 0.01
 HELD_TIMEOUT_NS = round(2.5 * NS_PER_S)
 
 # The board goes to neutral by itself 250 ms after a command; after a pull 80 ms, unless calibrate_esc saw that the ESC
-# is a brake_then_reverse and this pull is its first after a push (``pca9685.channels``). So after a pause of the node that was longer than this it may have been there, whether it has
-# said so or not.
+# is a brake_then_reverse and the pull is its first after a push (``pca9685.channels``). So after a pause of the node
+# that was longer than this it may have been there, whether it has said so or not.
 BOARD_HOLDS_NS, BOARD_HOLDS_PULL_NS = round(0.2 * NS_PER_S), round(0.06 * NS_PER_S)
 
 # An ESC that was pushed for so long has seen that it drives, whatever it needs for that: nobody publishes how long that

@@ -375,25 +375,6 @@ def test_second_pull_during_which_the_speed_is_lost_is_no_reverse_if_the_car_rol
     assert car.stick(-0.5, 3.0)[1] == REVERSE
 
 
-def test_downhill_a_planner_s_brake_becomes_certain_by_a_weak_push_and_stays_so():
-    """Asked for is what a speed control makes of a car that is a little too fast, and then a little too slow."""
-    car = Car(profile_measured=True)
-
-    def goes_on(value, seconds, speed, **changes):
-        return car.ask(Request(value, DRIVE, is_centered=True, cruise_mps=0.3, **changes), seconds, speed)[:2]
-
-    goes_on(0.3, 0.2, 0.3)  # too short for an ESC to be sure to brake afterwards
-    assert goes_on(-0.02, 0.3, 0.3) == (0.0, NEUTRAL)
-    assert goes_on(-0.02, 0.2, 0.36) == goes_on(-0.2, 0.1, 0.4) == (0.08, FORWARD)
-    assert goes_on(-0.2, 0.3, 0.5) == (-0.2, BRAKING)
-    assert goes_on(-0.02, 0.3, 0.3) == (-0.08, BRAKING)
-    assert goes_on(0.02, 0.02, 0.28, is_limited=True) == (-0.08, BRAKING)
-    assert goes_on(0.02, 0.02, 0.28) == (0.08, FORWARD)
-    assert car.planner(-0.02, 0.02, speed=0.3)[:2] == (0.0, NEUTRAL)  # a planner that doesn't say whether it goes on
-    car.stop(0.1, speed=0.3)
-    assert car.decision.fraction == 0.0
-
-
 def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **config):
     """What a whole brake becomes where the car got faster in neutral; its speed doesn't change meanwhile."""
     car = Car(profile, **config)
@@ -406,13 +387,13 @@ def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **conf
     return car.ask(request._replace(value=-1.0, is_stop=is_stop)).fraction
 
 
-@pytest.mark.parametrize("profile", UNSURE)
+@pytest.mark.parametrize("profile", [SEQUENCE, *UNSURE])
 @pytest.mark.parametrize("speed, cruise, age_ms, brake", [
     (0.4, 0.3, 20, 0.4 / 0.14 / 16), (0.4, 0.3, 120, 0.4 / 0.24 / 16), (0.8, 0.3, 20, 0.8 / 0.14 / 16),
     (2.0, 0.3, 20, 1.0),
     (0.17, 0.1, 20, 0.0),  # less than the ESC takes for a pull
-    (0.4, 0.3, 140, 0.0),  # its speed isn't fresh
-    (0.4, 0.3, 0, 0.0),  # or nobody knows how old it is
+    (0.4, 0.3, 300, 0.0), (0.8, 0.3, 300, 0.8 / 0.42 / 16),
+    (0.4, 0.3, 0, 0.0),  # nobody knows how old its speed is
     (0.4, 0.0, 20, 0.4 / 0.14 / 16)])
 def test_downhill_a_car_is_braked_by_a_pull_so_weak_that_it_ends_before_it_becomes_reverse(
         profile, speed, cruise, age_ms, brake):

@@ -70,7 +70,8 @@ def test_speed_is_held_downhill(drag_brake, lag_s, slope, speed_mps, within, sig
     samples = rig.run(13.0, SpeedRequest(sign * speed_mps))
     assert max(sign * sample.speed_mps for sample in samples) < speed_mps + 0.5
     assert abs(mean_error(samples[150:], sign * speed_mps)) < within
-    assert max(abs(sample.speed_mps) for sample in samples[150:]) < speed_mps * (1 + within) or speed_mps == 0.3
+    swings = 0.15 if drag_brake and speed_mps == 0.3 else within  # there pushes and neutral alternate
+    assert max(abs(sample.speed_mps) for sample in samples[150:]) < speed_mps * (1 + swings)
     assert all(sign * sample.speed_mps > 0.1 for sample in samples[150:])
 
 
